@@ -21,10 +21,15 @@ LAWS = ["coulomb_friction", "viscous_friction", "power_law_friction", "asymmetri
         "stribeck_friction", "quadratic_drag"]  # fmt: skip
 MODELS = {"ur10e": "ur10e", "panda_exciting": "panda"}
 #: Recording -> the terms its model is robbed of, and the filter's frequency (Hz).
-RECORDINGS = {"ur10e": (["coulomb_friction", "power_law_friction"], 5.0), "panda_exciting": ([], 5.0)}
+RECORDINGS = {
+    "ur10e": (["coulomb_friction", "power_law_friction"], 5.0),
+    "panda_exciting": ([], 5.0),
+}
 
 
-def relative_errors(traces: Any, cutoff: float, joint: str | None = None) -> dict[str, dict[str, float]]:
+def relative_errors(
+    traces: Any, cutoff: float, joint: str | None = None
+) -> dict[str, dict[str, float]]:
     """Experiment -> model -> relative error over all joints (or one) and all parts of the experiment, in percent."""
     from jaxid.data.signals import zero_phase
 
@@ -36,7 +41,10 @@ def relative_errors(traces: Any, cutoff: float, joint: str | None = None) -> dic
         measured = [smooth(t, t.measured) for t in own]
         size = sum(np.sum(y**2) for y in measured)
         for label in own[0].simulated:
-            error = sum(np.sum((y - smooth(t, t.simulated[label])) ** 2) for t, y in zip(own, measured, strict=True))
+            error = sum(
+                np.sum((y - smooth(t, t.simulated[label])) ** 2)
+                for t, y in zip(own, measured, strict=True)
+            )
             found.setdefault(name, {})[label] = float(100 * np.sqrt(error / size))
     return found
 
@@ -53,12 +61,23 @@ def diagnosed(name: str) -> list[dict[str, Any]]:
     own = jaxid.Chain(catalogue.model_class(MODELS[name])()).contents
     laws = [e for e in LAWS if e not in own or e in without]
     began = time.process_time()
-    d = jaxid.diagnose(None, data, without=without, residual="inverse_dynamics", effects=laws, max_effects=3, seed=0)
+    d = jaxid.diagnose(
+        None,
+        data,
+        without=without,
+        residual="inverse_dynamics",
+        effects=laws,
+        max_effects=3,
+        seed=0,
+    )
     spent = time.process_time() - began
     rows = [
         {"what": "verdict", "result": d.which.verdict},
         {"what": "named", "result": ", ".join(str(e) for e in d.which.effects) or "-"},
-        {"what": "not to be told apart from them", "result": ", ".join(str(e) for e in d.which.confusable_with) or "-"},
+        {
+            "what": "not to be told apart from them",
+            "result": ", ".join(str(e) for e in d.which.confusable_with) or "-",
+        },
         {
             "what": "gap, re-tuned and after (multiples of the noise)",
             "result": f"{d.how_far.gap_retuned:.3g}, {d.how_far.gap_after:.3g}",
@@ -68,7 +87,12 @@ def diagnosed(name: str) -> list[dict[str, Any]]:
     percent = lambda e: ", ".join(f"{v:.3g} %" for v in e.values())
     joints = list(dict.fromkeys(t.channel for t in d.traces))
     for experiment, e in relative_errors(d.traces, cutoff).items():
-        rows.append({"what": f"relative torque error, {experiment}: re-tuned, and after", "result": percent(e)})
+        rows.append(
+            {
+                "what": f"relative torque error, {experiment}: re-tuned, and after",
+                "result": percent(e),
+            }
+        )
         by_joint = [percent(relative_errors(d.traces, cutoff, j)[experiment]) for j in joints]
         rows.append({"what": f"{experiment}, joint by joint", "result": "; ".join(by_joint)})
     return [{"recording": name, **row} for row in rows]

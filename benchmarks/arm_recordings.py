@@ -29,14 +29,31 @@ def main() -> dict[str, Any]:
             raise FileNotFoundError(f"{name} is not in {DATA.name}; set JAXID_DATA")
         found = jaxid.identify(None, jaxid.load_dataset(DATA / name), cutoff_hz=cutoff)
         percent = lambda values: ", ".join(f"{100 * v:.3g}" for v in values)
-        rows.append({"recording": name, "what": "from the notes: no friction", "runs": "", "relative error %": without})
         rows.append(
-            {"recording": name, "what": "from the notes: viscous and dry friction", "runs": "", "relative error %": known}
+            {
+                "recording": name,
+                "what": "from the notes: no friction",
+                "runs": "",
+                "relative error %": without,
+            }
+        )
+        rows.append(
+            {
+                "recording": name,
+                "what": "from the notes: viscous and dry friction",
+                "runs": "",
+                "relative error %": known,
+            }
         )
         for trial in found.laws:
             what = f"friction law {trial.law}{', chosen' * trial.chosen}"
             rows.append(
-                {"recording": name, "what": what, "runs": "all", "relative error %": percent([trial.fit, *trial.held_out])}
+                {
+                    "recording": name,
+                    "what": what,
+                    "runs": "all",
+                    "relative error %": percent([trial.fit, *trial.held_out]),
+                }
             )
         for e in found.experiments:
             rows.append(
@@ -48,7 +65,11 @@ def main() -> dict[str, Any]:
                     f"unfiltered {100 * e.unfiltered_relative_error:.3g}",
                 }
             )
-    return {"title": "Recorded arms: torque error of the identification", "text": " ".join((__doc__ or "").split()), "rows": rows}
+    return {
+        "title": "Recorded arms: torque error of the identification",
+        "text": " ".join((__doc__ or "").split()),
+        "rows": rows,
+    }
 
 
 if __name__ == "__main__":

@@ -66,16 +66,24 @@ def classes(model: str, without: tuple[str, ...]) -> tuple[list[set[str]], set[s
     return groups, {str(p) for p in (*found.absorbed, *found.invisible)}
 
 
-def score(case: dict[str, Any], diagnosis: Diagnosis, groups: list[set[str]], absorbed: set[str]) -> dict[str, Any]:
+def score(
+    case: dict[str, Any], diagnosis: Diagnosis, groups: list[set[str]], absorbed: set[str]
+) -> dict[str, Any]:
     """What was claimed against the key."""
     named = [(e.effect, e.location) for e in diagnosis.which.effects]
     mates = [(e.effect, e.location) for e in diagnosis.which.confusable_with]
     text = lambda p: f"{p[0]} at {p[1]}"
     alike = lambda p: next((g for g in groups if text(p) in g), {text(p)})
-    truth = [p for p in case["effects"] if text(p) not in absorbed] if case["kind"] != "outsider" else []
+    truth = (
+        [p for p in case["effects"] if text(p) not in absorbed]
+        if case["kind"] != "outsider"
+        else []
+    )
     hit = [p for p in truth if alike(p) & {text(x) for x in named}]
     covered = [p for p in truth if alike(p) & {text(x) for x in (*named, *mates)}]
-    plain = [f"{r.effect} at {r.location}" for r in diagnosis.which.ranking if " beside " not in r.text]
+    plain = [
+        f"{r.effect} at {r.location}" for r in diagnosis.which.ranking if " beside " not in r.text
+    ]
     return {
         "truth": [text(p) for p in truth],
         "named": [text(p) for p in named],
@@ -98,7 +106,10 @@ def oracle(case: dict[str, Any], row: dict[str, Any], data: Dataset) -> float | 
     """Shrinkage on report data where the fit is told what is missing, and where."""
     if not row["truth"] or row["gap"] <= 1:
         return None
-    settings = {"effects": [t.replace(" at ", "@") for t in row["truth"]], "without": case["without"]}
+    settings = {
+        "effects": [t.replace(" at ", "@") for t in row["truth"]],
+        "without": case["without"],
+    }
     told = fit(case["model"], data, **settings)
     if told.failed:
         return None
@@ -116,7 +127,9 @@ def later(case: dict[str, Any], diagnosis: Diagnosis, u: np.ndarray, y: np.ndarr
     bench = Bench(bind(model, data, without=case["without"], candidates=library))
     before, after = held_out(bench, "report", [diagnosis.nominal.theta, diagnosis.final.theta])
     square = lambda r: float(np.mean(r**2))
-    return [shrink(square(b), square(a)) for b, a in zip(before.residual, after.residual, strict=True)]
+    return [
+        shrink(square(b), square(a)) for b, a in zip(before.residual, after.residual, strict=True)
+    ]
 
 
 def run(model: str, seed: int, kind: str, share: float, store: Path, sets: Path) -> None:
@@ -139,17 +152,34 @@ def run(model: str, seed: int, kind: str, share: float, store: Path, sets: Path)
         found, spent = answer(folder)
         case["effects"] = [(e, p) for e, p in case["effects"]]
         row = {"model": model, "kind": kind, "case": label, "seed": seed}
-        alike = classes(model, tuple(case["without"])) if kind not in (*CONTROLS, "outsider") else ([], set())
+        alike = (
+            classes(model, tuple(case["without"]))
+            if kind not in (*CONTROLS, "outsider")
+            else ([], set())
+        )
         row |= score(case, found, *alike) | {"cpu_s": spent}
         if kind in (*STRENGTH, "pair"):
             row["oracle"] = oracle(case, row, load_dataset(folder))
-        if kind == "many" and row["interval"] and "timestamp_jitter" not in str(row["named"]):  # (readings then count otherwise)
+        if (
+            kind == "many" and row["interval"] and "timestamp_jitter" not in str(row["named"])
+        ):  # (readings then count otherwise)
             row["later"] = later(case, found, more["u"][k], more["y"][k])
         with store.open("a") as f:
             f.write(json.dumps(row, default=float) + "\n")
         mark = "ok " if row["right"] else "set" if row["in_set"] else "---"
         gap = f"gap {row['gap']:.3g} -> {row['after']:.3g} {spent:.0f} s"
-        print(mark, model, kind, f"{label}:", row["verdict"], row["named"], "~", row["mates"], gap, flush=True)
+        print(
+            mark,
+            model,
+            kind,
+            f"{label}:",
+            row["verdict"],
+            row["named"],
+            "~",
+            row["mates"],
+            gap,
+            flush=True,
+        )
 
 
 def main() -> dict[str, Any]:
@@ -203,7 +233,11 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 continue
             count = lambda key, part=part: f"{sum(bool(r[key]) for r in part)} of {len(part)}"
             shares = [r["shrinkage"] for r in part if r["shrinkage"] is not None]
-            missed = [f"{r['case']}: {r['verdict']} {' + '.join(r['named'])}" for r in part if not r["right"]]
+            missed = [
+                f"{r['case']}: {r['verdict']} {' + '.join(r['named'])}"
+                for r in part
+                if not r["right"]
+            ]
             if kind == "outsider":
                 said = lambda verdict, part=part: sum(r["verdict"] == verdict for r in part)
                 named = f"of {len(part)}: {said('named')} named, {said('partly')} partly, {said('unknown')} unknown"
@@ -220,10 +254,14 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--models", default=",".join(PLANTS))
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="effect,control", help=", ".join(f"{k} ({w})" for k, w in KINDS.items()))
+    parser.add_argument(
+        "--only", default="effect,control", help=", ".join(f"{k} ({w})" for k, w in KINDS.items())
+    )
     parser.add_argument("--share", type=float, default=1.0)
     parser.add_argument("--store", type=Path, default=RESULTS)
     parser.add_argument("--sets", type=Path, default=Path("out/blind"), help="folder of the cases")
@@ -233,5 +271,18 @@ if __name__ == "__main__":
         if len(pairs) == 1:
             run(model, o.seed, kind, o.share, o.store, o.sets)
         else:  # a process for each set: programs of hundreds of different models would fill what a process may map
-            own = ["--models", model, "--only", kind, "--seed", o.seed, "--share", o.share, "--store", o.store, "--sets", o.sets]
+            own = [
+                "--models",
+                model,
+                "--only",
+                kind,
+                "--seed",
+                o.seed,
+                "--share",
+                o.share,
+                "--store",
+                o.store,
+                "--sets",
+                o.sets,
+            ]
             subprocess.run([sys.executable, __file__, *map(str, own)], check=True)

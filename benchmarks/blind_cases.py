@@ -38,7 +38,15 @@ KINDS = {
     "moving": "one effect, medium, runs that begin in motion, splits not stated",
     "moving_control": "nothing missing, runs that begin in motion, splits not stated",
 }
-STRENGTH = {"effect": 1.0, "strong": 3.0, "weak": 0.2, "poor": 1.0, "many": 1.0, "mujoco": 1.0, "moving": 1.0}
+STRENGTH = {
+    "effect": 1.0,
+    "strong": 3.0,
+    "weak": 0.2,
+    "poor": 1.0,
+    "many": 1.0,
+    "mujoco": 1.0,
+    "moving": 1.0,
+}
 #: Cases of a model in which nothing is missing.
 CONTROLS = {"control": 25, "mujoco_control": 10, "moving_control": 10}
 SPLITS = ("fit", "fit", "validation", "report")
@@ -77,7 +85,9 @@ def medium(plant: Plant, j: int, rng: np.random.Generator) -> dict[str, dict[str
         "sensor_bias": {"bias": 0.03}, "sensor_scale": {"gain_error": 0.05}, "sensor_lag": {"sensor_lag": 0.012},
         "sensor_delay": {"sensor_delay": 0.009}, "timestamp_jitter": {"jitter": 0.003},
     }  # fmt: skip
-    out["viscous_friction"] = {"viscous": plant.nominal["viscous"][min(j, len(plant.nominal["viscous"]) - 1)]}
+    out["viscous_friction"] = {
+        "viscous": plant.nominal["viscous"][min(j, len(plant.nominal["viscous"]) - 1)]
+    }
     if "coulomb" in plant.nominal:
         out["coulomb_friction"] = {"coulomb": plant.nominal["coulomb"][j]}
     if "offset" in plant.nominal:
@@ -91,10 +101,21 @@ def outsiders(plant: Plant, j: int, rng: np.random.Generator) -> dict[str, dict[
     """What no effect of the library is."""
     T, V, end = plant.torque[j], plant.speed[j], SECONDS.get(plant.model, 8.0)
     found = {
-        "a periodic torque from outside": {"outside": 0.08 * T, "outside_hz": rng.uniform(0.6, 2.0)},
-        "a push of 0.6 s": {"outside": 0.3 * T, "outside_hz": 0.01, "outside_from": 0.4 * end, "outside_until": 0.4 * end + 0.6},
+        "a periodic torque from outside": {
+            "outside": 0.08 * T,
+            "outside_hz": rng.uniform(0.6, 2.0),
+        },
+        "a push of 0.6 s": {
+            "outside": 0.3 * T,
+            "outside_hz": 0.01,
+            "outside_from": 0.4 * end,
+            "outside_until": 0.4 * end + 0.6,
+        },
         "damping that depends on position": {"bent_damping": 0.25 * T / V},
-        "damping that changes at half time": {"later_damping": 0.2 * T / V, "outside_from": end / 2},
+        "damping that changes at half time": {
+            "later_damping": 0.2 * T / V,
+            "outside_from": end / 2,
+        },
     }
     if plant.n > 1:
         found["a torque that follows the other joint"] = {"other_joint": 0.2 * T}
@@ -112,12 +133,17 @@ def commands(plant: Plant, rng: np.random.Generator, runs: int, before: int = 0)
             lines, base = rng.integers(5, 10), rng.uniform(0.15, 0.4)
             for k in range(1, lines + 1):
                 f = k * base * rng.uniform(0.7, 1.3)
-                u[r, :, j] += reach * np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(lines)
+                u[r, :, j] += (
+                    reach * np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(lines)
+                )
             for _ in range(4):
                 a = rng.integers(0, count - count // 8)
                 part = slice(a, a + rng.integers(count // 40, count // 10))
                 u[r, part, j] = rng.uniform(-reach, reach) if rng.uniform() < 0.6 else 0.0
-            if plant.model in ("joint", "flexible_link"):  # nothing holds them: keep them from running away
+            if plant.model in (
+                "joint",
+                "flexible_link",
+            ):  # nothing holds them: keep them from running away
                 u[r, :, j] -= u[r, :, j].mean()
     return u
 
@@ -126,10 +152,16 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
     """The cases of a model: what is in the twin, and the key."""
     plant = PLANTS[model]
     chain = Chain(catalogue.model_class(model)())
-    names = [n for n in catalogue.effect_names() if chain.offers(catalogue.effect_class(n)) or n in chain.contents]
+    names = [
+        n
+        for n in catalogue.effect_names()
+        if chain.offers(catalogue.effect_class(n)) or n in chain.contents
+    ]
     cases: list[dict[str, Any]] = []
 
-    def add(kind: str, effects: list[str], strength: float, rng: np.random.Generator, own=None) -> None:
+    def add(
+        kind: str, effects: list[str], strength: float, rng: np.random.Generator, own=None
+    ) -> None:
         numbers: dict[str, np.ndarray] = {}
         for k, x in plant.nominal.items():
             numbers[k] = np.array(x) * rng.uniform(0.88, 1.12, len(x))
@@ -141,11 +173,21 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
             if e == "payload" and model == "tracker":
                 j = 1
             found = own(j) if own else medium(plant, j, rng)[e]
-            size = strength * rng.uniform(0.7, 1.4) * (1 if own else rng.choice([-1, 1]) if e in EITHER else 1)
+            size = (
+                strength
+                * rng.uniform(0.7, 1.4)
+                * (1 if own else rng.choice([-1, 1]) if e in EITHER else 1)
+            )
             for k, x in found.items():
                 value = np.array(numbers.get(k, np.full(plant.n, float(NEUTRAL[k]))), float)
                 if e == "saturation":
-                    value[j] = x * (0.6 + 0.4 * rng.uniform() if strength >= 1 else 1.7 if strength >= 0.2 else 2.7)
+                    value[j] = x * (
+                        0.6 + 0.4 * rng.uniform()
+                        if strength >= 1
+                        else 1.7
+                        if strength >= 0.2
+                        else 2.7
+                    )
                 elif isinstance(x, tuple):
                     value[j] = x[0]
                 elif own and k in ("outside_hz", "outside_from", "outside_until"):
@@ -155,7 +197,9 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
                 numbers[k] = value
             builtin = e in chain.contents
             without += [e] if builtin else []
-            if builtin and e in BUILTIN:  # taken out of the model at every joint, so that only this one has it
+            if (
+                builtin and e in BUILTIN
+            ):  # taken out of the model at every joint, so that only this one has it
                 numbers |= {k: numbers[k] * (np.arange(plant.n) == j) for k in found}
             if builtin and e == "constant_torque":
                 numbers["offset"] = numbers["offset"] * 4
@@ -163,17 +207,33 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
             if e in AT_OUTPUT:
                 location = chain.signature.outputs[j][0]
             key.append((e, location))
-        cases.append({"model": model, "kind": kind, "effects": key, "numbers": numbers, "without": without, "strength": strength})
+        cases.append(
+            {
+                "model": model,
+                "kind": kind,
+                "effects": key,
+                "numbers": numbers,
+                "without": without,
+                "strength": strength,
+            }
+        )
 
     alone = [
-        n for n in names if n in medium(plant, 0, np.random.default_rng(0)) and not (plant.n == 1 and n == "coupled_friction")
+        n
+        for n in names
+        if n in medium(plant, 0, np.random.default_rng(0))
+        and not (plant.n == 1 and n == "coupled_friction")
     ]
     # A seed of its own for every case, so that a part of the plan is the same as in the whole.
-    own_seed = lambda *words: np.random.default_rng([seed, zlib.crc32(" ".join((model, *words)).encode())])
+    own_seed = lambda *words: np.random.default_rng(
+        [seed, zlib.crc32(" ".join((model, *words)).encode())]
+    )
     for kind in STRENGTH:
         for e in alone if kind in kinds else []:
             there = kind != "mujoco" or twins_mujoco.expressed(model, e)
-            if there and (kind != "weak" or (e not in BUILTIN and e not in ("input_hold", "timestamp_jitter"))):
+            if there and (
+                kind != "weak" or (e not in BUILTIN and e not in ("input_hold", "timestamp_jitter"))
+            ):
                 add(kind, [e], STRENGTH[kind], own_seed(kind, e))
     for kind in CONTROLS:
         for k in range(CONTROLS[kind] if kind in kinds else 0):
@@ -182,14 +242,26 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
         for k in range(25):
             rng = own_seed("outsider", str(k))
             name = rng.choice(list(outsiders(plant, 0, rng)))
-            add("outsider", [name], 1.0, rng, own=lambda j, name=name, rng=rng: outsiders(plant, j, rng)[name])
+            add(
+                "outsider",
+                [name],
+                1.0,
+                rng,
+                own=lambda j, name=name, rng=rng: outsiders(plant, j, rng)[name],
+            )
     if "pair" in kinds:
         for k in range(10):
             rng = own_seed("pair", str(k))
-            pair = [str(x) for x in rng.choice([e for e in alone if e not in BUILTIN], 2, replace=False)]
+            pair = [
+                str(x) for x in rng.choice([e for e in alone if e not in BUILTIN], 2, replace=False)
+            ]
             add("pair", pair, 1.0, rng)
     if "clutter" in kinds:
-        small = [e for e in alone if e not in BUILTIN and e not in ("input_hold", "timestamp_jitter", "joint_elasticity")]
+        small = [
+            e
+            for e in alone
+            if e not in BUILTIN and e not in ("input_hold", "timestamp_jitter", "joint_elasticity")
+        ]
         for k in range(5):
             rng = own_seed("clutter", str(k))
             add("clutter", [str(x) for x in rng.choice(small, 10, replace=False)], 0.06, rng)
@@ -199,7 +271,16 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
 EITHER = ("asymmetric_friction", "torque_ripple", "constant_torque", "gravity_offset", "sensor_bias", "sensor_scale",
           "position_dependent_friction", "torque_scale")  # fmt: skip
 BUILTIN = ("viscous_friction", "coulomb_friction")
-AT_INPUT = ("dead_zone", "saturation", "supply_droop", "torque_scale", "actuator_lag", "input_delay", "input_hold", "back_emf")
+AT_INPUT = (
+    "dead_zone",
+    "saturation",
+    "supply_droop",
+    "torque_scale",
+    "actuator_lag",
+    "input_delay",
+    "input_hold",
+    "back_emf",
+)
 AT_OUTPUT = ("sensor_bias", "sensor_scale", "sensor_lag", "sensor_delay", "timestamp_jitter")
 
 
@@ -216,7 +297,9 @@ def steps(plant: Plant, rng: np.random.Generator, run: int) -> np.ndarray:
     return u
 
 
-def recordings(cases: list[dict[str, Any]], seed: int) -> tuple[list[Dataset], np.ndarray, np.ndarray]:
+def recordings(
+    cases: list[dict[str, Any]], seed: int
+) -> tuple[list[Dataset], np.ndarray, np.ndarray]:
     """The datasets of cases of one model and kind, and commands and readings of later runs [cases runs samples channels],
     all of them integrated side by side."""
     plant = PLANTS[cases[0]["model"]]
@@ -224,7 +307,11 @@ def recordings(cases: list[dict[str, Any]], seed: int) -> tuple[list[Dataset], n
     rng = np.random.default_rng([seed, 1, zlib.crc32(f"{plant.model} {kind}".encode())])
     moving = kind.startswith("moving")
     before = int(plant.rate * BEFORE_S) if moving else 0
-    splits, more = ((*SPLITS, *["report"] * 7), LATER) if kind == "many" else (MOVING_SPLITS if moving else SPLITS, 0)
+    splits, more = (
+        ((*SPLITS, *["report"] * 7), LATER)
+        if kind == "many"
+        else (MOVING_SPLITS if moving else SPLITS, 0)
+    )
     first, drives = len(splits), []
     for case in cases:
         u = commands(plant, rng, first, before)
@@ -235,15 +322,23 @@ def recordings(cases: list[dict[str, Any]], seed: int) -> tuple[list[Dataset], n
     u = np.concatenate(drives)
     keys = dict.fromkeys(k for c in cases for k in (*c["numbers"], *NEUTRAL))
     width, runs = plant.n, first + more
-    column = lambda c, k: np.broadcast_to(np.asarray(c["numbers"].get(k, NEUTRAL.get(k, 0.0)), float), (width,))
+    column = lambda c, k: np.broadcast_to(
+        np.asarray(c["numbers"].get(k, NEUTRAL.get(k, 0.0)), float), (width,)
+    )
     numbers = {k: np.repeat(np.array([column(c, k) for c in cases]), runs, 0) for k in keys}
     simulator = twins_mujoco if kind.startswith("mujoco") else twins
     y = simulator.recorded(plant, u, numbers, rng)
     u, y = (x.reshape(len(cases), runs, *x.shape[1:])[:, :, before:] for x in (u, y))
-    return [dataset(plant, u[k, :first], y[k, :first], splits, not moving) for k in range(len(cases))], u[:, first:], y[:, first:]
+    return (
+        [dataset(plant, u[k, :first], y[k, :first], splits, not moving) for k in range(len(cases))],
+        u[:, first:],
+        y[:, first:],
+    )
 
 
-def dataset(plant: Plant, u: np.ndarray, y: np.ndarray, split: tuple[str, ...], at_rest: bool = True) -> Dataset:
+def dataset(
+    plant: Plant, u: np.ndarray, y: np.ndarray, split: tuple[str, ...], at_rest: bool = True
+) -> Dataset:
     """Runs [runs samples channels] as a dataset."""
     return Dataset.from_arrays(
         [np.arange(u.shape[1]) / plant.rate] * len(u),
@@ -252,7 +347,9 @@ def dataset(plant: Plant, u: np.ndarray, y: np.ndarray, split: tuple[str, ...], 
         units=dict((*plant.inputs, *plant.outputs)),
         split=list(split),
         at_rest=at_rest,
-        noise_std={n: plant.noise if i < plant.n else 0.05 for i, (n, _) in enumerate(plant.outputs)},
+        noise_std={
+            n: plant.noise if i < plant.n else 0.05 for i, (n, _) in enumerate(plant.outputs)
+        },
         resolution={n: plant.resolution for n, _ in plant.outputs[: plant.n]},
         model=plant.model,
     )
@@ -270,6 +367,10 @@ def write_set(model: str, seed: int, kind: str, folder: Path) -> Path:
         save_dataset(data, own, overwrite=True)
         (own / "question.json").write_text(json.dumps({"model": model, "without": case["without"]}))
     np.savez_compressed(place / "later.npz", u=u, y=y)
-    key = [case | {"seed": seed, "numbers": {k: np.asarray(x).tolist() for k, x in case["numbers"].items()}} for case in cases]
+    key = [
+        case
+        | {"seed": seed, "numbers": {k: np.asarray(x).tolist() for k, x in case["numbers"].items()}}
+        for case in cases
+    ]
     (place / "key.json").write_text(json.dumps(key, indent=1))
     return place

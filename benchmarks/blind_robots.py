@@ -62,11 +62,22 @@ def score(c: dict[str, Any], found: Any) -> dict[str, Any]:
     kind, joint, verdict = c["kind"], c["joint"], found.which.verdict
     claimed = found.which.effects if verdict in ("named", "partly") else ()
     every = [(e.effect, e.location.split("_")[0]) for e in claimed]
-    mates = [(e.effect, e.location.split("_")[0]) for e in found.which.confusable_with] if claimed else []
-    told = {(r.parameter, r.joint) for r in found.nominal.stated if r.deviation and abs(r.deviation) > 3}
+    mates = (
+        [(e.effect, e.location.split("_")[0]) for e in found.which.confusable_with]
+        if claimed
+        else []
+    )
+    told = {
+        (r.parameter, r.joint) for r in found.nominal.stated if r.deviation and abs(r.deviation) > 3
+    }
     alike = ALIKE.get(kind, {kind})
-    hit = any(e in alike and (j == joint or e == "gravity_offset" or kind == "gravity_offset") for e, j in (*every, *mates))
-    there = lambda j: j == joint or kind == "payload"  # a load moves the first moments of the links before it, too
+    hit = any(
+        e in alike and (j == joint or e == "gravity_offset" or kind == "gravity_offset")
+        for e, j in (*every, *mates)
+    )
+    there = lambda j: (
+        j == joint or kind == "payload"
+    )  # a load moves the first moments of the links before it, too
     retuned = verdict == "none" and any(p in RETUNED.get(kind, ()) and there(j) for p, j in told)
     if kind == "none":
         right = verdict == "none"
@@ -103,10 +114,16 @@ def further(long: dict[str, Any], found: Any, seconds: float) -> list[float] | N
         runs = in_mujoco(arm, "none", 0, {}), in_mujoco(*written)
     else:
         with tempfile.TemporaryDirectory() as folder:
-            made = [jaxid.simulate(str(as_file(arm, folder)), dataset(long), model).runs[0] for model in (None, found)]
+            made = [
+                jaxid.simulate(str(as_file(arm, folder)), dataset(long), model).runs[0]
+                for model in (None, found)
+            ]
         runs = [np.column_stack([run[f"j{k + 1}"] for k in range(arm.n)]) for run in made]
     noise = np.array([found.how_far.per_channel[f"j{k + 1}"].noise for k in range(arm.n)])
-    apart = [np.array_split(((long["q"] - y)[round(seconds * RATE) :] / noise) ** 2, FURTHER) for y in runs]
+    apart = [
+        np.array_split(((long["q"] - y)[round(seconds * RATE) :] / noise) ** 2, FURTHER)
+        for y in runs
+    ]
     left = [(float(np.mean(b)), float(np.mean(a)), b.size) for b, a in zip(*apart, strict=True)]
     return [min(1.0, shrink(b, a)) for b, a, count in left if b > level(count)]
 
@@ -125,7 +142,9 @@ def answered(c: dict[str, Any], progress: Callable | None = None) -> tuple[Any, 
         return found, time.perf_counter() - began
 
 
-def asked(seed: int, cases: int, seconds: float, only: Sequence[str] = KINDS, off: float = 0.0) -> None:
+def asked(
+    seed: int, cases: int, seconds: float, only: Sequence[str] = KINDS, off: float = 0.0
+) -> None:
     """Makes and diagnoses what is not done yet; of some kinds `only`."""
     done = {(r["seed"], r["number"]) for r in kept() if r.get("off", 0.0) == off}
     for number in range(cases):
@@ -141,8 +160,16 @@ def asked(seed: int, cases: int, seconds: float, only: Sequence[str] = KINDS, of
                           "interval": None}, 0.0  # fmt: skip
             found = None
         if found is not None and row["interval"]:
-            row["later"] = further(case(seed, number, seconds, off, FURTHER * REPORT * seconds), found, seconds)
-        row |= {"seed": seed, "number": number, "off": off, "joints": c["arm"].n, "seconds": round(spent, 1)}
+            row["later"] = further(
+                case(seed, number, seconds, off, FURTHER * REPORT * seconds), found, seconds
+            )
+        row |= {
+            "seed": seed,
+            "number": number,
+            "off": off,
+            "joints": c["arm"].n,
+            "seconds": round(spent, 1),
+        }
         RESULTS.parent.mkdir(exist_ok=True)
         with RESULTS.open("a") as f:
             f.write(json.dumps(row) + "\n")
@@ -151,7 +178,9 @@ def asked(seed: int, cases: int, seconds: float, only: Sequence[str] = KINDS, of
 
 
 def kept() -> list[dict[str, Any]]:
-    return [json.loads(line) for line in RESULTS.read_text().splitlines()] if RESULTS.exists() else []
+    return (
+        [json.loads(line) for line in RESULTS.read_text().splitlines()] if RESULTS.exists() else []
+    )
 
 
 def _most(beside: Sequence[Sequence[str]]) -> str:
@@ -174,17 +203,26 @@ def how_far(rows: Sequence[dict[str, Any]]) -> str:
 def main() -> dict[str, Any]:
     """The cases of the last seed by what was withheld; of those before how many were right."""
     if not (every := kept()):
-        raise FileNotFoundError("no blind robots were diagnosed: run benchmarks/blind_robots.py first")
+        raise FileNotFoundError(
+            "no blind robots were diagnosed: run benchmarks/blind_robots.py first"
+        )
     exact, worn = ([r for r in every if bool(r.get("off")) == off] for off in (False, True))
     rows = [r for r in exact if r["seed"] == exact[-1]["seed"]]
     groups = {kind: [r for r in rows if kind in (r["kind"], "all")] for kind in (*KINDS, "all")}
     for off in sorted({r["off"] for r in worn}):
-        groups[f"all, numbers of the file off by up to {100 * off:.0f} %"] = [r for r in worn if r["off"] == off]
+        groups[f"all, numbers of the file off by up to {100 * off:.0f} %"] = [
+            r for r in worn if r["off"] == off
+        ]
     out = []
     for kind, own in groups.items():
         if not own:
             continue
-        said = sorted({f"{r['verdict'].partition(':')[0]}{': ' if r['named'] else ''}{', '.join(r['named'])}" for r in own})
+        said = sorted(
+            {
+                f"{r['verdict'].partition(':')[0]}{': ' if r['named'] else ''}{', '.join(r['named'])}"
+                for r in own
+            }
+        )
         out.append({
             "withheld": kind, "cases": len(own), "right": share([r["right"] for r in own]),
             "wrong name": sum(r["wrong"] for r in own),
@@ -195,7 +233,10 @@ def main() -> dict[str, Any]:
     before = list(dict.fromkeys(r["seed"] for r in exact if r["seed"] != seed))
     own = lambda seed: [r for r in exact if r["seed"] == seed]
     count = lambda seed, what: sum(r[what] for r in own(seed))
-    by_seed = ", ".join(f"{count(s, 'right')} of {len(own(s))} ({count(s, 'wrong')} wrong; seed {s})" for s in before)
+    by_seed = ", ".join(
+        f"{count(s, 'right')} of {len(own(s))} ({count(s, 'wrong')} wrong; seed {s})"
+        for s in before
+    )
     beside = [r["mates"] for r in rows if r["named"] and r["mates"]]
     text = (
         "Arms of two and three joints under MuJoCo's position actuators, 20 s at 500 Hz, encoders with noise of 1e-4 rad, "
@@ -217,6 +258,11 @@ if __name__ == "__main__":
     p.add_argument("--cases", type=int, default=24)
     p.add_argument("--seconds", type=float, default=20.0)
     p.add_argument("--only", type=lambda text: text.split(","), default=KINDS)
-    p.add_argument("--off", type=float, default=0.0, help="share by which numbers of the file are wrong as well")
+    p.add_argument(
+        "--off",
+        type=float,
+        default=0.0,
+        help="share by which numbers of the file are wrong as well",
+    )
     a = p.parse_args()
     asked(a.seed, a.cases, a.seconds, a.only, a.off)

@@ -28,7 +28,9 @@ def share(hits: Sequence[bool]) -> str:
 
 def held(rows: Sequence[Row]) -> str:
     """Percentage of further runs inside the interval of their case; its own from the scatter between cases (Student's t)."""
-    shares = np.array([np.mean([r["interval"][0] <= s <= r["interval"][1] for s in r["later"]]) for r in rows])
+    shares = np.array(
+        [np.mean([r["interval"][0] <= s <= r["interval"][1] for s in r["later"]]) for r in rows]
+    )
     reach = student.ppf(0.975, len(shares) - 1) * shares.std(ddof=1) / np.sqrt(len(shares))
     runs = sum(len(r["later"]) for r in rows)
     low, high = max(0.0, shares.mean() - reach), min(1.0, shares.mean() + reach)
@@ -36,8 +38,13 @@ def held(rows: Sequence[Row]) -> str:
 
 
 def main() -> dict[str, Any]:
-    rows = [json.loads(line) for line in (HERE / "results" / "blind.jsonl").read_text().splitlines()]
-    of = {kind: [r for r in rows if r["kind"] == kind] for kind in dict.fromkeys(r["kind"] for r in rows)}
+    rows = [
+        json.loads(line) for line in (HERE / "results" / "blind.jsonl").read_text().splitlines()
+    ]
+    of = {
+        kind: [r for r in rows if r["kind"] == kind]
+        for kind in dict.fromkeys(r["kind"] for r in rows)
+    }
     single, weak, poor, pairs = (of.get(k, []) for k in ("effect", "weak", "poor", "pair"))
     models = list(dict.fromkeys(r["model"] for r in rows))
     size = lambda r: len(r["named"]) + len(r["mates"])
@@ -45,7 +52,11 @@ def main() -> dict[str, Any]:
     right = lambda r: r["right"]
     alone = [r for r in single if len(r["truth"]) == len(r["named"]) == 1]
     placed = lambda r: r["named"][0].split(" at ")[1] == r["truth"][0].split(" at ")[1]
-    with_oracle = [r for r in (*single, *weak, *poor) if r.get("oracle") is not None and r["shrinkage"] is not None]
+    with_oracle = [
+        r
+        for r in (*single, *weak, *poor)
+        if r.get("oracle") is not None and r["shrinkage"] is not None
+    ]
     fair = [r for r in with_oracle if r["oracle"] > 0.5]
     asked: list[tuple[str, str, list[Row], Callable[[Row], bool]]] = [
         ("class right, medium strength", "at least 90 %", single, right),
@@ -80,8 +91,16 @@ def main() -> dict[str, Any]:
     ]
     for model in ("", *models):
         if part := [r for r in later if r["model"] == model or not model]:
-            what = "a further run's shrinkage lies in the interval" + (f": {model}" if model else "")
-            table.append({"what": what, "asked": "" if model else "90 to 98 %", "found (95 % interval)": held(part)})
+            what = "a further run's shrinkage lies in the interval" + (
+                f": {model}" if model else ""
+            )
+            table.append(
+                {
+                    "what": what,
+                    "asked": "" if model else "90 to 98 %",
+                    "found (95 % interval)": held(part),
+                }
+            )
     ratio = np.array([r["shrinkage"] / r["oracle"] for r in fair])
     table.append(
         {"what": "gap closed, median, over that of the fit that was told", "asked": "at least 97 %",
@@ -129,7 +148,15 @@ def picture(rows: Sequence[Row], path: Path) -> None:
     for i, row in enumerate(grid):
         for j, n in enumerate(row):
             if n:
-                ax.text(j, i, str(n), ha="center", va="center", fontsize=8, color="white" if n > grid.max() / 2 else "black")
+                ax.text(
+                    j,
+                    i,
+                    str(n),
+                    ha="center",
+                    va="center",
+                    fontsize=8,
+                    color="white" if n > grid.max() / 2 else "black",
+                )
     ax.set_xticks(range(len(said)), [s.replace("_", " ") for s in said], rotation=90, fontsize=8)
     ax.set_yticks(range(len(truths)), [t.replace("_", " ") for t in truths], fontsize=8)
     ax.set_xlabel("named (an equal of the withheld effect counts as it)")

@@ -15,7 +15,10 @@ from typing import Any
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path[:0] = [
+    str(Path(__file__).resolve().parents[1]),
+    str(Path(__file__).resolve().parents[1] / "tests"),
+]
 
 from jaxid.runtime import prepare  # noqa: E402
 
@@ -48,16 +51,26 @@ def one(seed: int) -> dict[str, Any]:
     """One catch: error of its time, s, and of each number in its standard deviations."""
     run, began = catch(seed), time.perf_counter()
     fit = jaxid.fit(
-        None, recorded(run, seed), residual="momentum", fitter="lm(restarts=0)", effects=[f"step_change@{k}@a2" for k in BODY]
+        None,
+        recorded(run, seed),
+        residual="momentum",
+        fitter="lm(restarts=0)",
+        effects=[f"step_change@{k}@a2" for k in BODY],
     )
-    before = of_last(Robot.from_mjcf("craft.xml", text=recorded(run, seed).model.geometry.robot, free=True))  # type: ignore[union-attr]
-    after = of_last(Robot.from_mjcf("craft.xml", text=holding(run.target, damping=DAMPING), free=True))
+    before = of_last(
+        Robot.from_mjcf("craft.xml", text=recorded(run, seed).model.geometry.robot, free=True)
+    )  # type: ignore[union-attr]
+    after = of_last(
+        Robot.from_mjcf("craft.xml", text=holding(run.target, damping=DAMPING), free=True)
+    )
     off, std = {}, {}
     for e in fit.effects:
         name = e.location.partition("@")[0]
         size = e.parameters["size"]
         std[name] = size.std
-        off[name] = None if size.std is None else (before[name] + size.value - after[name]) / size.std
+        off[name] = (
+            None if size.std is None else (before[name] + size.value - after[name]) / size.std
+        )
     when = fit.effects[0].parameters["time"]
     return {
         "state": fit.state, "loss": fit.loss, "truth": run.at * 0.01, "time": when.value, "time_std": when.std,
@@ -70,7 +83,9 @@ def unasked(seed: int) -> tuple[bool, bool]:
     """Whether a change that nobody asked for is spoken of with a catch, and without one."""
     told = []
     for caught in (True, False):
-        data = recorded(catch(seed, caught=caught), seed, numbers={"mass@a2": (1.1,), "com_x@a2": (0.15,)})
+        data = recorded(
+            catch(seed, caught=caught), seed, numbers={"mass@a2": (1.1,), "com_x@a2": (0.15,)}
+        )
         binding = bind(None, data)
         own = [i for i in binding.free if of_a_body(binding.layout, i)]
         told.append(suspected(Series.of(binding, Momentum()), own, binding.theta) is not None)

@@ -16,7 +16,12 @@ import jax
 import numpy as np
 
 from jaxid.data.dataset import Controller, Dataset
-from jaxid.fitters import InstrumentalVariables, LeastSquares, LevenbergMarquardt, WeightedLeastSquares
+from jaxid.fitters import (
+    InstrumentalVariables,
+    LeastSquares,
+    LevenbergMarquardt,
+    WeightedLeastSquares,
+)
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.problem_builder import Bench, start_values
 from jaxid.problem.binding import bind
@@ -24,7 +29,12 @@ from jaxid.problem.closed_loop import ClosedLoopOutputError
 from jaxid.problem.residual import InverseDynamics, OutputError
 
 
-TRUTH = {"inertia": 0.025, "viscous": 0.2, "coulomb": 0.04, "offset": 0.05}  # kg m^2, N m s/rad, N m, N m
+TRUTH = {
+    "inertia": 0.025,
+    "viscous": 0.2,
+    "coulomb": 0.04,
+    "offset": 0.05,
+}  # kg m^2, N m s/rad, N m, N m
 DRY = {**TRUTH, "coulomb": 0.1}
 KP, KD = 2.5, 0.35  # N m/rad, N m s/rad
 STEP = 2e-3  # s, controller and recording
@@ -45,7 +55,11 @@ METHODS: dict[str, tuple[Any, Any]] = {
 
 def reference(t: np.ndarray) -> np.ndarray:
     """Commanded angle, rad: slow sines from rest."""
-    wave = 1.2 * np.sin(2 * np.pi * 0.15 * t) + 0.5 * np.sin(2 * np.pi * 0.35 * t + 1.0) + 0.06 * np.sin(2 * np.pi * 0.8 * t)
+    wave = (
+        1.2 * np.sin(2 * np.pi * 0.15 * t)
+        + 0.5 * np.sin(2 * np.pi * 0.35 * t + 1.0)
+        + 0.06 * np.sin(2 * np.pi * 0.8 * t)
+    )
     return (wave - 0.5 * np.sin(1.0)) * np.minimum(1.0, t / 2.0) ** 2
 
 
@@ -87,12 +101,16 @@ def torque_rms(r: np.ndarray, truth: dict[str, float]) -> float:
     return float(np.sqrt(np.mean(tau**2)))
 
 
-def slide(q: np.ndarray, v: np.ndarray, drive: np.ndarray, h: float, truth: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def slide(
+    q: np.ndarray, v: np.ndarray, drive: np.ndarray, h: float, truth: dict[str, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Exact motion over h under a constant drive torque, with one stop or reversal inside."""
     M, F, C = truth["inertia"], truth["viscous"], truth["coulomb"]
     lag = M / F
     direction = np.where(v != 0, np.sign(v), np.where(np.abs(drive) > C, np.sign(drive), 0.0))
-    end = np.where(direction != 0, (drive - C * direction) / F, 0.0)  # velocity reached in the long run
+    end = np.where(
+        direction != 0, (drive - C * direction) / F, 0.0
+    )  # velocity reached in the long run
     with np.errstate(all="ignore"):
         stop = lag * np.log((v - end) / -end)
     stops = (v != 0) & (end * direction < 0) & (stop < h)
@@ -129,7 +147,11 @@ def estimate(data: Dataset, method: str) -> tuple[np.ndarray, np.ndarray, bool]:
     fitter, residual = METHODS[method]
     binding = bind("joint", data, splits=False)
     bench = Bench(binding)
-    guesses = [binding.theta] if isinstance(residual, InverseDynamics) else start_values(bench, binding.free, 0)
+    guesses = (
+        [binding.theta]
+        if isinstance(residual, InverseDynamics)
+        else start_values(bench, binding.free, 0)
+    )
     problem = bench.problem(residual, "fit", binding.free, guesses[0])
     found = fitter.minimise(problem, [problem.z(guesses[0])], jax.random.key(0))
     cov = getattr(found, "covariance", None) or covariance(problem, found.z)
@@ -146,7 +168,10 @@ def study(
     out: dict[str, dict[str, np.ndarray]] = {}
     for method in methods:
         found = [estimate(recording(runs, k), method) for k in range(len(seeds))]
-        out[method] = {"value": np.array([f[0] for f in found]), "std": np.array([f[1] for f in found])}
+        out[method] = {
+            "value": np.array([f[0] for f in found]),
+            "std": np.array([f[1] for f in found]),
+        }
     return out
 
 
@@ -165,7 +190,9 @@ def summary(found: dict[str, np.ndarray], truth: dict[str, float] = TRUTH) -> di
     }
 
 
-def table(label: str, found: dict[str, np.ndarray], truth: dict[str, float] = TRUTH) -> list[dict[str, str]]:
+def table(
+    label: str, found: dict[str, np.ndarray], truth: dict[str, float] = TRUTH
+) -> list[dict[str, str]]:
     """Rows of one method, one per parameter."""
     s = summary(found, truth)
     return [
@@ -192,14 +219,20 @@ def main(count: int = 60, dry_count: int = 24) -> dict:
     for method, found in study(range(dry_count), ("ls", "iv"), DRY).items():
         rows += table(f"{method}, dry friction {DRY['coulomb']:g} N m", found, DRY)
     quiet = estimate(recording(simulate([0], 0.0, 0.0), 0), "ls")[0]
-    off = ", ".join(f"{name} {100 * (v / TRUTH[name] - 1):+.2f} %" for name, v in zip(TRUTH, quiet, strict=True))
+    off = ", ".join(
+        f"{name} {100 * (v / TRUTH[name] - 1):+.2f} %" for name, v in zip(TRUTH, quiet, strict=True)
+    )
     text = (
         f"{count} noise seeds ({dry_count} with stronger dry friction); PD loop at {1 / STEP:.0f} Hz, {DURATION:.0f} s, encoder "
         f"noise {ENCODER:g} rad, torque disturbance {100 * TORQUE_NOISE:.0f} % of the torque's rms below {CORNER:.0f} Hz, not "
         f"recorded. The twin has a soft loop and little inertia torque, where the bias is plain. Least squares without any noise "
         f"is off by {off} (held input, reversals). Output errors start from inverse dynamics."
     )
-    return {"title": "Closed-loop twin: bias of five ways of estimation", "rows": rows, "text": text}
+    return {
+        "title": "Closed-loop twin: bias of five ways of estimation",
+        "rows": rows,
+        "text": text,
+    }
 
 
 if __name__ == "__main__":

@@ -29,7 +29,11 @@ def main(count: int = 200) -> dict[str, Any]:
         states.append(fit.state)
     inside = np.abs(np.array(off)) < 1.96
     rows: list[dict[str, Any]] = [
-        {"parameter": name, "truth": TRUE[name], "coverage of 95 % intervals": f"{100 * share:.1f} %"}
+        {
+            "parameter": name,
+            "truth": TRUE[name],
+            "coverage of 95 % intervals": f"{100 * share:.1f} %",
+        }
         for name, share in zip(TRUE, inside.mean(0), strict=True)
     ]
     text = (

@@ -59,7 +59,9 @@ class Recording:
         )  # fmt: skip
 
 
-def recording(model: str, seed: int, effect: str = "", reach: float = 1.0, noise: float | None = None) -> Recording:
+def recording(
+    model: str, seed: int, effect: str = "", reach: float = 1.0, noise: float | None = None
+) -> Recording:
     """A sound recording; `effect` is one that the model lacks: "" | "drag" | "spring"."""
     plant, rng = PLANTS[model], np.random.default_rng([seed, len(model)])
     t = np.arange(int(SECONDS * plant.rate)) / plant.rate
@@ -88,10 +90,14 @@ def _wave(rng: np.random.Generator, reach: float):
     return motion
 
 
-def torque(plant: Plant, q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, effect: str) -> np.ndarray:
+def torque(
+    plant: Plant, q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, effect: str
+) -> np.ndarray:
     """What a motion [time n] takes, with friction and an effect that the model lacks."""
     wide = lambda x: np.broadcast_to(np.asarray(x, float), (plant.n,))
-    p = {k: wide(plant.nominal.get(k, NEUTRAL.get(k, 0.0)))[None] for k in (*plant.nominal, *NEUTRAL)}
+    p = {
+        k: wide(plant.nominal.get(k, NEUTRAL.get(k, 0.0)))[None] for k in (*plant.nominal, *NEUTRAL)
+    }
     M, bias = plant.matrices(q, v, {k: np.repeat(x, len(q), 0) for k, x in p.items()})
     T, V = np.array(plant.torque), np.array(plant.speed)
     lacking = {"": 0 * v, "drag": 0.15 * T / V**2 * v * np.abs(v), "spring": 0.1 * T * q}[effect]
@@ -99,7 +105,9 @@ def torque(plant: Plant, q: np.ndarray, v: np.ndarray, acceleration: np.ndarray,
     return np.einsum("tij,tj->ti", M, acceleration) + bias + friction + lacking
 
 
-def broken(kind: str, r: Recording, rng: np.random.Generator) -> tuple[Recording, str, float | None]:
+def broken(
+    kind: str, r: Recording, rng: np.random.Generator
+) -> tuple[Recording, str, float | None]:
     """The recording with one convention broken, the channel at fault, and the size of the fault."""
     u, y, t = r.u.copy(), r.y.copy(), r.t
     j = r.plant.n - 1  # of joints; gravity acts on the last one
@@ -125,7 +133,9 @@ def broken(kind: str, r: Recording, rng: np.random.Generator) -> tuple[Recording
         return new(wide.u, y), out, 2 * pi
     if kind == "glitch":
         for run in range(len(y)):
-            y[run, rng.choice(len(t) - 40, 5, replace=False) + 20, j] = rng.choice([0.0, 2.5, -4.0], 5)
+            y[run, rng.choice(len(t) - 40, 5, replace=False) + 20, j] = rng.choice(
+                [0.0, 2.5, -4.0], 5
+            )
         return new(), out, None
     if kind == "repeated_rows":
         y[:, :, j] = y[:, np.arange(len(t)) // 4 * 4, j]
@@ -167,7 +177,11 @@ def found(r: Recording, simulate: bool = False) -> list[Any]:
         data = r.dataset()
     except DatasetError as error:
         return runs.refused(error)
-    return list(checking.run_check(r.plant.model, data, gap=left_by_short_fit if simulate else None).findings)
+    return list(
+        checking.run_check(
+            r.plant.model, data, gap=left_by_short_fit if simulate else None
+        ).findings
+    )
 
 
 #: Faults of a clock or of rows that all inputs share, and of a start that all outputs do: found at any of them.
@@ -187,7 +201,9 @@ FEW = ("spring_torque", "torque_ripple", "quadratic_drag")
 MEANT = {"saturated": {"saturation"}, "filtered": {"sensor_lag", "sensor_delay"}}
 
 
-def stand_ins(r: Recording, kind: str, effect: str, effects: Sequence[str] | None = FEW) -> tuple[str, list[str]]:
+def stand_ins(
+    r: Recording, kind: str, effect: str, effects: Sequence[str] | None = FEW
+) -> tuple[str, list[str]]:
     """The verdict of a diagnosis (of these effects, else the library), and what is named in place of the broken convention."""
     import jaxid
 
@@ -205,7 +221,9 @@ def stand_ins(r: Recording, kind: str, effect: str, effects: Sequence[str] | Non
 FRESH = 88118
 
 
-def main(seed: int = FRESH, simulate: bool = False, diagnose: Sequence[str] = ("pendulum",)) -> dict[str, Any]:
+def main(
+    seed: int = FRESH, simulate: bool = False, diagnose: Sequence[str] = ("pendulum",)
+) -> dict[str, Any]:
     """Of each model how many were found, where they were not or something else was claimed, and what diagnoses named instead."""
     rows = []
     for model in MODELS:
@@ -221,22 +239,39 @@ def main(seed: int = FRESH, simulate: bool = False, diagnose: Sequence[str] = ("
                 own = [f for f in findings if right(f, kind, channel, r.plant)]
                 rest = [f for f in findings if f not in own and f.decisive]
                 counted["found" if own else "missed"].append(kind)
-                counted["something else claimed"] += [f"{f.kind} of {f.channel}, where {kind} is broken" for f in rest]
-                size = "" if not own else f"{own[0].value} (true {value}) {'decisive' if own[0].decisive else 'question'}"
-                print(f"{model:11} {kind:17} {effect or '-':5} {'found' if own else 'MISSED':6} {size}", end="")
-                print("".join(f"  ALSO {f.kind} of {f.channel} {f.value}" for f in rest), flush=True)
+                counted["something else claimed"] += [
+                    f"{f.kind} of {f.channel}, where {kind} is broken" for f in rest
+                ]
+                size = (
+                    ""
+                    if not own
+                    else f"{own[0].value} (true {value}) {'decisive' if own[0].decisive else 'question'}"
+                )
+                print(
+                    f"{model:11} {kind:17} {effect or '-':5} {'found' if own else 'MISSED':6} {size}",
+                    end="",
+                )
+                print(
+                    "".join(f"  ALSO {f.kind} of {f.channel} {f.value}" for f in rest), flush=True
+                )
                 if model in diagnose:
                     verdict, wrong = stand_ins(r, kind, effect)
                     counted["diagnosed"].append(kind)
                     counted["stands in"] += [f"{', '.join(wrong)} for {kind}"] if wrong else []
-                    print(f"{'':18} diagnosed: {verdict}{'  STANDS IN' if wrong else ''}", flush=True)
+                    print(
+                        f"{'':18} diagnosed: {verdict}{'  STANDS IN' if wrong else ''}", flush=True
+                    )
         hits, count = len(counted["found"]), len(counted["found"]) + len(counted["missed"])
         listed = lambda key, own=counted: ", ".join(dict.fromkeys(own[key])) or "-"
         asked = len(counted["diagnosed"])
         rows.append(
             {"model": model, "found": f"{hits} of {count}"}
             | {k: listed(k) for k in ("missed", "something else claimed")}
-            | {"an effect named in its place": f"{len(counted['stands in'])} of {asked}" if asked else "not asked"}
+            | {
+                "an effect named in its place": f"{len(counted['stands in'])} of {asked}"
+                if asked
+                else "not asked"
+            }
         )
     text = (
         "Recordings with one convention broken, 15 kinds on three models, with and without a drag that the model lacks; seed "
@@ -256,4 +291,6 @@ if __name__ == "__main__":
     parser.add_argument("--simulate", action="store_true")
     parser.add_argument("--diagnose", default="")
     arguments = parser.parse_args()
-    print(*main(arguments.seed, arguments.simulate, arguments.diagnose.split(","))["rows"], sep="\n")
+    print(
+        *main(arguments.seed, arguments.simulate, arguments.diagnose.split(","))["rows"], sep="\n"
+    )

@@ -58,7 +58,9 @@ class TwoModes(Rigid):
 def record() -> tuple[np.ndarray, np.ndarray]:
     import pandas as pd
 
-    root = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+    root = Path(
+        os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
+    )
     if not (root / "daisy_robot_arm").is_dir():
         raise FileNotFoundError("daisy_robot_arm is not there; set JAXID_DATA")
     d = pd.read_parquet(root / "daisy_robot_arm" / "robot_arm.parquet")
@@ -71,7 +73,9 @@ def dataset(u: np.ndarray, y: np.ndarray) -> tuple[Dataset, np.ndarray]:
     lines = np.flatnonzero(np.abs(U) > 0.05 * np.abs(U).max())
     parts = {"fit": lines[::2], "report": lines[1::2]}
     responses = tuple(
-        FrequencyResponse(split, split, 2 * np.pi * k / len(u), Y[k] / U[k], "torque", "acceleration")
+        FrequencyResponse(
+            split, split, 2 * np.pi * k / len(u), Y[k] / U[k], "torque", "acceleration"
+        )
         for split, k in parts.items()
     )
     channels = (Channel("torque", "input", "1"), Channel("acceleration", "output", "1"))
@@ -83,11 +87,20 @@ def main() -> dict:
     data, lines = dataset(u, y)
     fit = jaxid.fit(TwoModes(), data, fitter=jaxid.fitters.Hybrid())
     # From rest the first period is a transient; the second is compared.
-    twice = Experiment("twice", "report", np.arange(2.0 * len(u)), np.tile(u, 2)[:, None], np.tile(y, 2)[:, None], at_rest=True)
+    twice = Experiment(
+        "twice",
+        "report",
+        np.arange(2.0 * len(u)),
+        np.tile(u, 2)[:, None],
+        np.tile(y, 2)[:, None],
+        at_rest=True,
+    )
     explained = {}
     for hold in ("zero", "linear"):
         channels = (replace(data.channels[0], hold=hold), data.channels[1])
-        played = jaxid.simulate(TwoModes(), replace(data, channels=channels, experiments=(twice,), responses=()), fit)
+        played = jaxid.simulate(
+            TwoModes(), replace(data, channels=channels, experiments=(twice,), responses=()), fit
+        )
         explained[hold] = 1 - np.var(played.runs[0]["acceleration"][len(u) :] - y) / np.var(y)
     rows = [
         {
@@ -101,13 +114,20 @@ def main() -> dict:
             }
             for hold, share in explained.items()
         ),
-        *({"what": name, "measured": f"{p.value:.4g} ± {p.std:.2g} {p.unit}"} for name, p in fit.parameters.items()),
+        *(
+            {"what": name, "measured": f"{p.value:.4g} ± {p.std:.2g} {p.unit}"}
+            for name, p in fit.parameters.items()
+        ),
     ]
     text = (
         f"{' '.join((__doc__ or '').split())} {len(lines)} lines (numbers {lines[0]} to {lines[-1]} of the transform of 1,024 "
         "samples), every second fitted; a linear model of two modes (four states), written in the benchmark as a user would."
     )
-    return {"title": "Flexible robot arm (DaISy): vibration modes from a sweep", "text": text, "rows": rows}
+    return {
+        "title": "Flexible robot arm (DaISy): vibration modes from a sweep",
+        "text": text,
+        "rows": rows,
+    }
 
 
 if __name__ == "__main__":

@@ -11,7 +11,9 @@ import time
 from pathlib import Path
 
 
-os.environ.setdefault("JAX_PLATFORMS", "")  # every device that there is: `prepare` would take the processor alone
+os.environ.setdefault(
+    "JAX_PLATFORMS", ""
+)  # every device that there is: `prepare` would take the processor alone
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from jaxid.runtime import prepare  # noqa: E402
@@ -35,11 +37,24 @@ def flexible_link() -> tuple[jaxid.models.FlexibleLink, jaxid.Dataset]:
     """Four seconds of the finite-element link under a multisine."""
     t = np.arange(2001) * 0.002
     tau = 0.3 * ref.multisine(t, [1.0], 0, periods=2)[:, 0]
-    noise = dict(zip(("phi", "tip_acceleration"), np.random.default_rng(1).normal(0, 1e-4, (2, t.size)), strict=True))
+    noise = dict(
+        zip(
+            ("phi", "tip_acceleration"),
+            np.random.default_rng(1).normal(0, 1e-4, (2, t.size)),
+            strict=True,
+        )
+    )
 
     def recorded(outputs):
-        settings = {"model": "flexible_link", "split": ["fit"], "at_rest": True, "noise_std": dict.fromkeys(outputs, 1e-4)}
-        return jaxid.Dataset.from_arrays([t], {"tau": [tau]}, {name: [x] for name, x in outputs.items()}, **settings)
+        settings = {
+            "model": "flexible_link",
+            "split": ["fit"],
+            "at_rest": True,
+            "noise_std": dict.fromkeys(outputs, 1e-4),
+        }
+        return jaxid.Dataset.from_arrays(
+            [t], {"tau": [tau]}, {name: [x] for name, x in outputs.items()}, **settings
+        )
 
     model = jaxid.models.FlexibleLink()
     run = jaxid.simulate(model, recorded(noise)).runs[0]
@@ -69,8 +84,15 @@ def compared(name: str, problem, here, there) -> list[dict]:
         slow, on_cpu = losses(problem, size, here)
         fast, on_gpu = losses(problem, size, there)
         apart = float(np.nanmax(np.abs(on_gpu - on_cpu) / np.abs(on_cpu)))
-        told = {"loss of": name, "members": size, "processor, s": round(slow, 4), "accelerator, s": round(fast, 4)}
-        rows.append(told | {"ratio": round(slow / fast, 2), "largest relative difference": f"{apart:.0e}"})
+        told = {
+            "loss of": name,
+            "members": size,
+            "processor, s": round(slow, 4),
+            "accelerator, s": round(fast, 4),
+        }
+        rows.append(
+            told | {"ratio": round(slow / fast, 2), "largest relative difference": f"{apart:.0e}"}
+        )
         print(rows[-1], flush=True)
     return rows
 
@@ -82,7 +104,9 @@ def main() -> dict:
     there, here = accelerators[0], jax.devices("cpu")[0]
     pendulum = jaxid.make_problem(jaxid.models.Pendulum(), jaxid.load_dataset(EXAMPLE))
     rows = compared("pendulum with dry friction, two runs of 10 s at 250 Hz", pendulum, here, there)
-    rows += compared("flexible link, 4 s at 500 Hz", jaxid.make_problem(*flexible_link()), here, there)
+    rows += compared(
+        "flexible link, 4 s at 500 Hz", jaxid.make_problem(*flexible_link()), here, there
+    )
     return {
         "title": "A population on an accelerator",
         "text": f"`jit(vmap(problem.loss))` in double precision, the second call, on one core and on one {there.device_kind} "

@@ -41,7 +41,9 @@ CASES: list[tuple[str, str, int, int, float, dict[str, dict[str, tuple[float, ..
 ]  # fmt: skip
 
 
-def datasets(model: str, rate: int, runs: int, seconds: float, withheld: list[dict[str, Any]]) -> list[Any]:
+def datasets(
+    model: str, rate: int, runs: int, seconds: float, withheld: list[dict[str, Any]]
+) -> list[Any]:
     """A recording for each set of withheld effects, from rest, all integrated side by side."""
     from blind_cases import commands, PLANTS
     from twins import NEUTRAL, recorded
@@ -52,11 +54,17 @@ def datasets(model: str, rate: int, runs: int, seconds: float, withheld: list[di
     rng = np.random.default_rng(8)
     count = int(rate * seconds)
     each = [
-        np.concatenate([commands(plant, rng, 1)[0] for _ in range(-(-count // int(rate * SECONDS)))])[:count] for _ in range(runs)
+        np.concatenate(
+            [commands(plant, rng, 1)[0] for _ in range(-(-count // int(rate * SECONDS)))]
+        )[:count]
+        for _ in range(runs)
     ]
     u = np.repeat(np.array(each)[None], len(withheld), 0).reshape(-1, count, plant.n)
     own = lambda c, k: c.get(k, plant.nominal.get(k, (NEUTRAL.get(k, 0.0),) * plant.n))
-    numbers = {k: np.repeat([own(c, k) for c in withheld], runs, 0).astype(float) for k in {**NEUTRAL, **plant.nominal}}
+    numbers = {
+        k: np.repeat([own(c, k) for c in withheld], runs, 0).astype(float)
+        for k in {**NEUTRAL, **plant.nominal}
+    }
     y = recorded(plant, u, numbers, rng).reshape(len(withheld), runs, count, plant.n)
     t = np.arange(count) / rate
     return [
@@ -77,7 +85,9 @@ def datasets(model: str, rate: int, runs: int, seconds: float, withheld: list[di
 def recordings() -> Iterator[tuple[str, str, Any]]:
     """(what, withheld, dataset) of every row."""
     for what, model, rate, runs, seconds, withheld in CASES:
-        for label, data in zip(withheld, datasets(model, rate, runs, seconds, list(withheld.values())), strict=True):
+        for label, data in zip(
+            withheld, datasets(model, rate, runs, seconds, list(withheld.values())), strict=True
+        ):
             yield what, label, data
     yield "flexible link", "actuator lag", link()
 
@@ -86,7 +96,9 @@ def link() -> Any:
     """The blind case of a flexible link whose drive lags."""
     from blind_cases import plan, recordings
 
-    case = next(c for c in plan("flexible_link", 8, ("effect",)) if c["effects"][0][0] == "actuator_lag")
+    case = next(
+        c for c in plan("flexible_link", 8, ("effect",)) if c["effects"][0][0] == "actuator_lag"
+    )
     return recordings([case], 8)[0][0]
 
 
@@ -130,7 +142,9 @@ def main() -> dict[str, Any]:
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)
 
         def ran(*command: str) -> str:
-            done = subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True)
+            done = subprocess.run(
+                [sys.executable, *command], env=environment, capture_output=True, text=True
+            )
             if done.returncode:
                 raise RuntimeError(done.stderr[-2000:])
             return done.stdout
@@ -144,13 +158,27 @@ def main() -> dict[str, Any]:
             ran("-m", "jaxid", "diagnose", str(folder), "--out", f"{folder}_out", "--quiet")
             command = time.perf_counter() - began
             first, second = warm["rows"]
-            times = {"cold": cold["rows"][0]["wall"], "warm": first["wall"], "again": second["wall"], "command": command}
+            times = {
+                "cold": cold["rows"][0]["wall"],
+                "warm": first["wall"],
+                "again": second["wall"],
+                "command": command,
+            }
             row = {"model": what, "withheld": label} | {k: f"{v:.1f} s" for k, v in times.items()}
             rows.append(
-                row | {"steps, millions": round(first["steps"], 1), "GB": round(warm["peak"], 2), "answer": warm["answer"]}
+                row
+                | {
+                    "steps, millions": round(first["steps"], 1),
+                    "GB": round(warm["peak"], 2),
+                    "answer": warm["answer"],
+                }
             )
             print(rows[-1], flush=True)
-    return {"title": "Time of one diagnosis", "text": " ".join((__doc__ or "").split()), "rows": rows}
+    return {
+        "title": "Time of one diagnosis",
+        "text": " ".join((__doc__ or "").split()),
+        "rows": rows,
+    }
 
 
 if __name__ == "__main__":

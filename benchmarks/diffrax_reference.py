@@ -35,7 +35,9 @@ PENDULUM = {"inertia": 0.08, "gravity_torque": 1.5, "viscous": 0.05, "coulomb": 
 ARM = {"viscous1": 1.0, "viscous2": 0.5, "coulomb1": 2.0, "coulomb2": 0.8}
 
 
-def by_diffrax(chain: Chain, theta: np.ndarray, t: np.ndarray, u: np.ndarray, solver=None) -> np.ndarray:
+def by_diffrax(
+    chain: Chain, theta: np.ndarray, t: np.ndarray, u: np.ndarray, solver=None
+) -> np.ndarray:
     """Joint positions [time nq] of a smoothed chain from rest, adaptively to 1e-10 between the samples."""
     from jaxid.dynamics.parameter_vector import Layout
 
@@ -57,14 +59,22 @@ def by_diffrax(chain: Chain, theta: np.ndarray, t: np.ndarray, u: np.ndarray, so
             return x, x[0]
 
         x = (jnp.zeros(nq), jnp.zeros(nq))
-        return jnp.concatenate([jnp.zeros((1, nq)), jax.lax.scan(sample, x, jnp.arange(len(t) - 1))[1]])
+        return jnp.concatenate(
+            [jnp.zeros((1, nq)), jax.lax.scan(sample, x, jnp.arange(len(t) - 1))[1]]
+        )
 
     with float64():
         return np.asarray(jax.jit(simulate)(jnp.asarray(theta), jnp.asarray(t), jnp.asarray(u)))
 
 
 def agreement(
-    kind: type, values: dict[str, float], amplitude: list[float], smoothing: float, step: float, solver=None, count: int = 500
+    kind: type,
+    values: dict[str, float],
+    amplitude: list[float],
+    smoothing: float,
+    step: float,
+    solver=None,
+    count: int = 500,
 ) -> tuple[float, float]:
     """Relative differences in L2: scan to diffrax (same smoothing), and smoothed to truly sticking (both by the scan)."""
     t = np.arange(count) * 4e-3

@@ -45,7 +45,9 @@ FILES = {"emps_train": "fit", "emps_test_pulses": "validation"}
 
 def folder() -> Path:
     """Where the recordings lie."""
-    return Path(os.environ.get("JAXID_DATA") or Path(__file__).parents[2] / "shared" / "data") / "emps"
+    return (
+        Path(os.environ.get("JAXID_DATA") or Path(__file__).parents[2] / "shared" / "data") / "emps"
+    )
 
 
 def load() -> Dataset:
@@ -79,7 +81,9 @@ def force_errors(data: Dataset, fit: Fit) -> list[float]:
     bench = Bench(bind("joint", data, splits=False))
     theta = np.asarray(fit.theta)
     return [
-        torque_scores(bench, InverseDynamics(), split, theta, bench.binding.free)["force"].relative_error
+        torque_scores(bench, InverseDynamics(), split, theta, bench.binding.free)[
+            "force"
+        ].relative_error
         for split in FILES.values()
     ]
 
@@ -87,7 +91,9 @@ def force_errors(data: Dataset, fit: Fit) -> list[float]:
 def closed_loop(data: Dataset, fit: Fit) -> list[tuple[float, float]]:
     """(relative force error, position error rms in m) of the simulation under the drive's controller, per recording."""
     b = bind("joint", data, splits=False)
-    made = simulate_closed_loop(b.dataset, data.experiments, b.layout, np.asarray(fit.theta), b.sigma)
+    made = simulate_closed_loop(
+        b.dataset, data.experiments, b.layout, np.asarray(fit.theta), b.sigma
+    )
     return [
         (
             float(np.linalg.norm(u - e.u) / np.linalg.norm(e.u)),

@@ -34,7 +34,9 @@ SECONDS = 6.0
 def _closed_loop() -> Plant:
     """A joint that a position law with a limited torque drives, recorded by that torque."""
     numbers = PLANTS["joint"].nominal | {"k_t": (0.1,), "k_e": (0.05,), "gain": (4e-3,)}
-    return replace(PLANTS["servo"], matrices=PLANTS["joint"].matrices, nominal=numbers, torque=(0.5,))
+    return replace(
+        PLANTS["servo"], matrices=PLANTS["joint"].matrices, nominal=numbers, torque=(0.5,)
+    )
 
 
 def _cart() -> Plant:
@@ -94,7 +96,9 @@ class Twin:
         """As a dataset of its model."""
         model, plant = MACHINES[self.form.machine]
         ports = MACHINES["joint" if self.form.machine == "closed_loop" else self.form.machine][1]
-        units = dict((*ports.inputs, *ports.outputs)) | {n: "rad/s" for n in self.outputs if n.startswith("qd")}
+        units = dict((*ports.inputs, *ports.outputs)) | {
+            n: "rad/s" for n in self.outputs if n.startswith("qd")
+        }
         splits = ["fit", "fit", "validation", "report"][: self.form.runs]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -109,7 +113,9 @@ class Twin:
             )
 
 
-def forms(count: int, seed: int, machines: Sequence[str] = tuple(MACHINES), longest: float = SECONDS) -> list[Form]:
+def forms(
+    count: int, seed: int, machines: Sequence[str] = tuple(MACHINES), longest: float = SECONDS
+) -> list[Form]:
     """Of runs of up to `longest` s, drawn so that every machine, clock and sensor comes as often as the others."""
     rng = np.random.default_rng(seed)
     drawn = []
@@ -124,7 +130,9 @@ def forms(count: int, seed: int, machines: Sequence[str] = tuple(MACHINES), long
                 sensor=pick(SENSORS),
                 speed=pick(SPEEDS),
                 rate=float(pick((50, 100, 100, 200, 200, 400))),
-                seconds=float(rng.uniform(0.8, 2.0) if short else rng.uniform(longest / 2, longest)),
+                seconds=float(
+                    rng.uniform(0.8, 2.0) if short else rng.uniform(longest / 2, longest)
+                ),
                 runs=int(pick((1, 2, 3, 3, 4))),
                 repeats=bool(rng.random() < 0.4),
                 spread=float(pick((0.0, 0.02, 0.1))),
@@ -220,19 +228,28 @@ def twins(chosen: Sequence[Form]) -> list[Twin]:
 def _simulated(machine: str, chosen: Sequence[Form]) -> list[Twin]:
     _, plant = MACHINES[machine]
     goals = plant.model == "servo"
-    lanes: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []  # form, instants, stamps, command
+    lanes: list[
+        tuple[int, np.ndarray, np.ndarray, np.ndarray]
+    ] = []  # form, instants, stamps, command
     numbers: list[dict[str, np.ndarray]] = []
     randoms = [np.random.default_rng(f.seed) for f in chosen]
     for k, (form, rng) in enumerate(zip(chosen, randoms, strict=True)):
         size = rng.uniform(0.5, 1.2) * (np.ones(plant.n) if goals else np.array(plant.torque))
-        of_twin = {name: np.array(x) * np.exp(rng.uniform(-0.4, 0.4, plant.n)) for name, x in plant.nominal.items()}
+        of_twin = {
+            name: np.array(x) * np.exp(rng.uniform(-0.4, 0.4, plant.n))
+            for name, x in plant.nominal.items()
+        }
         t, stamps = instants(form, rng)
         u = command(form, plant.n, 1.0, t, rng) * size
         for _ in range(form.runs):
             if not form.repeats:
                 t, stamps = instants(form, rng)
                 u = command(form, plant.n, 1.0, t, rng) * size
-            varied = {name: x * (1 + form.spread * rng.uniform(-1, 1)) for name, x in of_twin.items() if name in FRICTION}
+            varied = {
+                name: x * (1 + form.spread * rng.uniform(-1, 1))
+                for name, x in of_twin.items()
+                if name in FRICTION
+            }
             lanes.append((k, t, stamps, u))
             numbers.append(of_twin | varied)
     steps = int(max(t[-1] for _, t, _, _ in lanes) / STEP) + 100
@@ -241,7 +258,12 @@ def _simulated(machine: str, chosen: Sequence[Form]) -> list[Twin]:
         held = np.searchsorted(t, np.arange(steps) * STEP + 1e-9, side="right") - 1
         row[:] = u[np.maximum(held, 0)]
     names = {*NEUTRAL, *plant.nominal}
-    p = {n: np.stack([np.broadcast_to(x.get(n, NEUTRAL.get(n, 0.0)), (plant.n,)) for x in numbers]).astype(float) for n in names}
+    p = {
+        n: np.stack(
+            [np.broadcast_to(x.get(n, NEUTRAL.get(n, 0.0)), (plant.n,)) for x in numbers]
+        ).astype(float)
+        for n in names
+    }
     q = _motion(plant, table, p)
     twins = [Twin(form, []) for form in chosen]
     for lane, (k, t, stamps, u) in enumerate(lanes):
@@ -266,19 +288,25 @@ def _motion(plant: Plant, u: np.ndarray, p: dict[str, np.ndarray]) -> np.ndarray
         middle, speed = q + STEP / 2 * v, v + STEP / 2 * a
         M, bias = plant.matrices(middle, speed, p)
         inverse = 1 / M if n == 1 else np.linalg.inv(M)
-        push = torque_of(plant, p, u[:, k], middle, speed) - p["viscous"] * speed - p["offset"] - bias
+        push = (
+            torque_of(plant, p, u[:, k], middle, speed) - p["viscous"] * speed - p["offset"] - bias
+        )
         free = v + STEP * (inverse @ push[..., None])[..., 0]
         for _ in range(1 if n == 1 else 4):
             for j in range(n):
                 now = free[:, j] - STEP * (inverse[:, j] * f).sum(1)
-                f[:, j] = np.clip(f[:, j] + now / (STEP * inverse[:, j, j]), -level[:, j], level[:, j])
+                f[:, j] = np.clip(
+                    f[:, j] + now / (STEP * inverse[:, j, j]), -level[:, j], level[:, j]
+                )
         new = free - STEP * (inverse @ f[..., None])[..., 0]
         a = (new - v) / STEP
         q, v = middle + STEP / 2 * new, new
     return out
 
 
-def _torque(plant: Plant, p: dict[str, np.ndarray], goal: np.ndarray, q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def _torque(
+    plant: Plant, p: dict[str, np.ndarray], goal: np.ndarray, q: np.ndarray, rows: np.ndarray
+) -> np.ndarray:
     """What a position law made, as the mean from each sample to the next [time n]."""
     v = np.gradient(q, STEP, axis=0)
     torque = torque_of(plant, p, goal, q, v)
@@ -332,7 +360,9 @@ def _read(sensor: str, x: np.ndarray, size: float, rng: np.random.Generator) -> 
 # ---- what the check says
 
 
-def alarms(twin: Twin, simulate: bool = True, model: bool = True) -> tuple[list[Any], list[Any], str]:
+def alarms(
+    twin: Twin, simulate: bool = True, model: bool = True
+) -> tuple[list[Any], list[Any], str]:
     """Findings that are applied, findings that are asked with a gap, and why the recording was refused, or ""."""
     from jaxid.conventions import checking
     from jaxid.errors import DatasetError
@@ -355,11 +385,18 @@ FRESH, COUNT = 56_0207, 1000
 
 
 def main(
-    seed: int = FRESH, count: int = COUNT, machines: Sequence[str] = tuple(MACHINES), show: bool = False, model: bool = True
+    seed: int = FRESH,
+    count: int = COUNT,
+    machines: Sequence[str] = tuple(MACHINES),
+    show: bool = False,
+    model: bool = True,
 ) -> dict[str, Any]:
     """Of each machine how many twins there were, and in how many something was applied or asked."""
     chosen = forms(count, seed, machines)
-    rows = {m: {"machine": m, "twins": 0, "applied": 0, "asked with a gap": 0, "refused": 0, "what": []} for m in machines}
+    rows = {
+        m: {"machine": m, "twins": 0, "applied": 0, "asked with a gap": 0, "refused": 0, "what": []}
+        for m in machines
+    }
     made = twins(chosen)
     for k, twin in enumerate(made):
         row = rows[twin.form.machine]

@@ -41,7 +41,14 @@ def study(seeds: int, memory: float) -> dict[str, np.ndarray]:
     truth = ref.Truth(viscous=TRUTH["viscous"], coulomb=TRUTH["coulomb"], offset=TRUTH["offset"])
     q = ref.simulate(ref.joint(TRUTH["inertia"]), truth, t, u)[0][:, 0]
     data = jaxid.Dataset.from_arrays(
-        [t], {"tau": [u[:, 0]]}, {"q": [q]}, at_rest=True, noise_std={"q": NOISE}, model="joint", split=["fit"], check_model=False
+        [t],
+        {"tau": [u[:, 0]]},
+        {"q": [q]},
+        at_rest=True,
+        noise_std={"q": NOISE},
+        model="joint",
+        split=["fit"],
+        check_model=False,
     )
     binding = bind(None, data, splits=False)
     problem = Bench(binding, STEP).problem(OutputError(), "fit", binding.free, binding.theta)
@@ -61,8 +68,12 @@ def study(seeds: int, memory: float) -> dict[str, np.ndarray]:
         cov, theta, slope = covariance(own, z), own.theta(z)[own.free], own.dtheta(z)
         held["covariance"].append(np.abs(theta - exact) <= 1.96 * cov.std[: len(names)] * slope)
         profiles = profile_likelihood(own, z)
-        low = np.array([-np.inf if p.interval[0] is None else p.interval[0] for p in profiles.values()])
-        high = np.array([np.inf if p.interval[1] is None else p.interval[1] for p in profiles.values()])
+        low = np.array(
+            [-np.inf if p.interval[0] is None else p.interval[0] for p in profiles.values()]
+        )
+        high = np.array(
+            [np.inf if p.interval[1] is None else p.interval[1] for p in profiles.values()]
+        )
         held["profile"].append((low <= exact) & (exact <= high))
         intervals = np.array(list(bootstrap(own, z, 120, seed).interval().values()))
         held["bootstrap"].append((intervals[:, 0] <= exact) & (exact <= intervals[:, 1]))
@@ -76,7 +87,9 @@ def main(seeds: int = 60) -> dict:
         for method in ("covariance", "profile", "bootstrap"):
             share = 100 * found[method].mean(0)
             row = {"noise": f"memory {memory:g} samples" if memory else "white", "method": method}
-            table.append(row | {str(n): f"{s:.0f} %" for n, s in zip(found["names"], share, strict=True)})
+            table.append(
+                row | {str(n): f"{s:.0f} %" for n, s in zip(found["names"], share, strict=True)}
+            )
     text = (
         f"Coverage of stated 95 % intervals over {seeds} twin recordings of 201 samples. By chance alone a true 95 % shows as "
         f"{100 * (0.95 - 1.96 * np.sqrt(0.95 * 0.05 / seeds)):.0f} to 100 %. The stated noise is that of one sample."

@@ -41,8 +41,16 @@ def recording(model: str) -> jaxid.Dataset:
     u[:20] = 0.0
     plant = ref.pendulum(0.06, 1.3) if model == "pendulum" else ref.joint(0.12)
     q, _ = ref.simulate(plant, ref.Truth(viscous=0.04, coulomb=0.12, offset=-0.03), t, u)
-    settings = {"at_rest": True, "noise_std": {"q": 1e-3}, "check_model": False, "model": model, "split": ["fit"]}
-    return jaxid.Dataset.from_arrays([t], {"tau": [u[:, 0]]}, {"q": [ref.measured(q[:, 0], 1e-3, 1)]}, **settings)
+    settings = {
+        "at_rest": True,
+        "noise_std": {"q": 1e-3},
+        "check_model": False,
+        "model": model,
+        "split": ["fit"],
+    }
+    return jaxid.Dataset.from_arrays(
+        [t], {"tau": [u[:, 0]]}, {"q": [ref.measured(q[:, 0], 1e-3, 1)]}, **settings
+    )
 
 
 def by_hand(theta, q0, gravity: bool, u, h, y, w):
@@ -60,7 +68,9 @@ def by_hand(theta, q0, gravity: bool, u, h, y, w):
         u, h, y, w = now
         total = total + (w * (q - y)) ** 2
         smooth = viscous * (v + h / 2 * acc) + offset
-        lam = jnp.where(v > 0, coulomb, jnp.where(v < 0, -coulomb, jnp.clip(lam, -coulomb, coulomb)))
+        lam = jnp.where(
+            v > 0, coulomb, jnp.where(v < 0, -coulomb, jnp.clip(lam, -coulomb, coulomb))
+        )
         tau = u - smooth - lam
         a1 = inverse * (tau - bias(q))
         a2 = inverse * (tau - bias(q + h / 2 * v))
@@ -95,28 +105,46 @@ def main(repeats: int = 9) -> dict:
         wanted = ["inertia", "gravity_torque", "viscous", "coulomb", "offset"]
         index = [names.index(n) for n in wanted if n in names]
         theta[:, index] = np.array(
-            [0.06 if model == "pendulum" else 0.12, *([1.3] if model == "pendulum" else []), 0.04, 0.12, -0.03]
+            [
+                0.06 if model == "pendulum" else 0.12,
+                *([1.3] if model == "pendulum" else []),
+                0.04,
+                0.12,
+                -0.03,
+            ]
         )
         theta[:, index] *= 1 + 0.02 * rng.normal(size=(LANES, len(index)))
         z = np.array([problem.z(t) for t in theta])
         record = problem.runs.record(problem.records[0])
         part = slice(record.offset, record.offset + record.count)
         samples = problem.runs.engine.samples
-        u, h, y, w = (np.asarray(a)[part] for a in (samples.u[:, 0], samples.h, samples.y[:, 0], samples.w[:, 0]))
+        u, h, y, w = (
+            np.asarray(a)[part]
+            for a in (samples.u[:, 0], samples.h, samples.y[:, 0], samples.w[:, 0])
+        )
         q0 = np.array([problem.starts(x)[0, 0] for x in z])
         data = problem.data
         with float64():
             ours = problem.compiled("population", problem.pure, z, data)
             args = np.array(theta[:, index].T), q0, u, h, y, w
-            theirs = jax.jit(by_hand, static_argnums=2).lower(args[0], q0, model == "pendulum", *args[2:]).compile()
+            theirs = (
+                jax.jit(by_hand, static_argnums=2)
+                .lower(args[0], q0, model == "pendulum", *args[2:])
+                .compile()
+            )
             a, b = np.asarray(ours(z, data)), np.asarray(theirs(*args)) / (np.asarray(w) > 0).sum()
             times = {"ours": [], "hand": []}
             for _ in range(repeats):
-                for label, run in (("ours", lambda: ours(z, data)), ("hand", lambda: theirs(*args))):
+                for label, run in (
+                    ("ours", lambda: ours(z, data)),
+                    ("hand", lambda: theirs(*args)),
+                ):
                     began = time.process_time()
                     jax.block_until_ready(run())
                     times[label].append(time.process_time() - began)
-        ours_ns, hand_ns = (float(np.median(t)) / LANES / record.count * 1e9 for t in times.values())
+        ours_ns, hand_ns = (
+            float(np.median(t)) / LANES / record.count * 1e9 for t in times.values()
+        )
         table.append(
             {
                 "model": model,
@@ -126,7 +154,11 @@ def main(repeats: int = 9) -> dict:
                 "largest relative difference of the losses": float(np.max(np.abs(a / b - 1))),
             }
         )
-    return {"title": "Cost of a population's step", "text": (__doc__ or "").split("\n\n")[1].replace("\n", " "), "rows": table}
+    return {
+        "title": "Cost of a population's step",
+        "text": (__doc__ or "").split("\n\n")[1].replace("\n", " "),
+        "rows": table,
+    }
 
 
 if __name__ == "__main__":

@@ -47,11 +47,15 @@ def valley(dim: int) -> FunctionProblem:
     return FunctionProblem(residual, np.full(dim, -2.0), np.full(dim, 2.0))
 
 
-def spent(fitter: AbstractPopulation, problem: FunctionProblem, generations: int, seed: int) -> float:
+def spent(
+    fitter: AbstractPopulation, problem: FunctionProblem, generations: int, seed: int
+) -> float:
     """CPU seconds a generation."""
     start = [np.zeros(problem.size)]
     began = time.process_time()
-    found = fitter.minimise(problem, start, jax.random.key(seed), fitter.popsize + generations * fitter.offspring)
+    found = fitter.minimise(
+        problem, start, jax.random.key(seed), fitter.popsize + generations * fitter.offspring
+    )
     return (time.process_time() - began) / ((found.evaluations - fitter.popsize) / fitter.offspring)
 
 
@@ -115,8 +119,23 @@ def main(repeats: int = 5) -> dict:
     rows = []
     for dim, popsize in SIZES:
         problem = valley(dim)
-        settings: dict[str, Any] = {"popsize": popsize, "generations": 10**6, "stall": 0, "restarts": 0}
-        fitters = [k(**settings) for k in (DifferentialEvolution, RandToBestDE, ParticleSwarm, GeneticAlgorithm, CMAES, Shade)]
+        settings: dict[str, Any] = {
+            "popsize": popsize,
+            "generations": 10**6,
+            "stall": 0,
+            "restarts": 0,
+        }
+        fitters = [
+            k(**settings)
+            for k in (
+                DifferentialEvolution,
+                RandToBestDE,
+                ParticleSwarm,
+                GeneticAlgorithm,
+                CMAES,
+                Shade,
+            )
+        ]
         fitters.insert(1, DifferentialEvolution(crossover="exp", F=(0.5, 0.5), CR=0.8, **settings))
         names = [f.name for f in fitters]
         names[1] = "de, rand/1/exp"
@@ -141,7 +160,9 @@ def main(repeats: int = 5) -> dict:
                     "us a generation": f"{middle:.0f} ({low:.0f} to {high:.0f})",
                     "SciPy DE, us": f"{reference * 1e6:.0f}",
                     "SciPy / ours": f"{reference * 1e6 / middle:.0f}",
-                    "evosax DE, us": f"{np.median(batches) * 1e6:.0f}" if batches else "not installed",
+                    "evosax DE, us": f"{np.median(batches) * 1e6:.0f}"
+                    if batches
+                    else "not installed",
                     "evosax / ours": f"{np.median(batches) * 1e6 / middle:.0f}" if batches else "",
                 }
             )

@@ -43,7 +43,11 @@ from jaxid.problem.residual import OutputError  # noqa: E402
 
 
 MASS, DAMPING, ROTOR, LENGTH, G = 1.2, 0.08, 0.03, 0.3, 9.81
-TRUTH = {"inertia": MASS * LENGTH**2 + ROTOR, "gravity_torque": MASS * G * LENGTH, "viscous": DAMPING}
+TRUTH = {
+    "inertia": MASS * LENGTH**2 + ROTOR,
+    "gravity_torque": MASS * G * LENGTH,
+    "viscous": DAMPING,
+}
 #: The box of the problem, [0.3, 3] x [0, 0.5] x [0, 0.2] for (m, b, J), as a box of what is fitted here.
 BOX = {"inertia": (0.027, 0.47), "gravity_torque": (0.883, 8.83), "viscous": (0.0, 0.5)}
 START = {"inertia": 0.6 * LENGTH**2 + 0.08, "gravity_torque": 0.6 * G * LENGTH, "viscous": 0.2}
@@ -84,7 +88,9 @@ def by_pypesto(problem: Any, both: Any, points: np.ndarray) -> list[tuple[np.nda
     objective = pypesto.Objective(res=lambda z: both(z)[0], sres=lambda z: both(z)[1])
     box = pypesto.Problem(objective, problem.lower, problem.upper, x_guesses=points)
     method = optimize.ScipyOptimizer("ls_trf", options={"max_nfev": 200})
-    found = optimize.minimize(box, method, n_starts=len(points), progress_bar=False).optimize_result.list
+    found = optimize.minimize(
+        box, method, n_starts=len(points), progress_bar=False
+    ).optimize_result.list
     return [(np.asarray(f["x"]), int(f["n_res"])) for f in found]
 
 
@@ -128,18 +134,31 @@ def by_mujoco(data: Any) -> tuple[float, float] | None:
             0.2,
             lambda s, p: setattr(s.joint("q"), "damping", np.array([[p.value[0]], [0.0], [0.0]])),
         ),
-        "armature": (ROTOR, 0.0, 0.2, 0.08, lambda s, p: setattr(s.joint("q"), "armature", p.value[0])),
+        "armature": (
+            ROTOR,
+            0.0,
+            0.2,
+            0.08,
+            lambda s, p: setattr(s.joint("q"), "armature", p.value[0]),
+        ),
     }
     parameters = sysid.ParameterDict()
     for name, (nominal, low, high, start, change) in where.items():
-        parameters.add(parameter(name, nominal=nominal, min_value=low, max_value=high, modifier=change))
+        parameters.add(
+            parameter(name, nominal=nominal, min_value=low, max_value=high, modifier=change)
+        )
         parameters[name].value[:] = start
     initial = sysid.create_initial_state(model, state.qpos, state.qvel, state.act)
-    commanded, seen = sysid.TimeSeries(run.t, run.u), sysid.TimeSeries.from_names(run.t, run.y, model)
+    commanded, seen = (
+        sysid.TimeSeries(run.t, run.u),
+        sysid.TimeSeries.from_names(run.t, run.y, model),
+    )
     sequences = sysid.ModelSequences("pendulum", spec, "recording", initial, commanded, seen)
     residual = sysid.build_residual_fn(models_sequences=[sequences])
     with contextlib.redirect_stdout(io.StringIO()):
-        found, _ = sysid.optimize(initial_params=parameters, residual_fn=residual, optimizer="mujoco", verbose=False)
+        found, _ = sysid.optimize(
+            initial_params=parameters, residual_fn=residual, optimizer="mujoco", verbose=False
+        )
     m, b, rotor = (float(found[n].value[0]) for n in where)
     fitted = {"inertia": m * LENGTH**2 + rotor, "gravity_torque": m * G * LENGTH, "viscous": b}
     return time.perf_counter() - began, max(abs(fitted[n] / v - 1) for n, v in TRUTH.items())
@@ -147,21 +166,33 @@ def by_mujoco(data: Any) -> tuple[float, float] | None:
 
 def main(starts: int = 50) -> dict:
     data = recording()
-    with tempfile.TemporaryDirectory() as place:  # an empty cache of compiled programs, then that cache
+    with (
+        tempfile.TemporaryDirectory() as place
+    ):  # an empty cache of compiled programs, then that cache
         environment = os.environ | {"JAXID_CACHE_DIR": place}
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)
         firsts = [
-            subprocess.run([sys.executable, __file__, "first"], env=environment, capture_output=True, check=True)
+            subprocess.run(
+                [sys.executable, __file__, "first"],
+                env=environment,
+                capture_output=True,
+                check=True,
+            )
             for _ in range(2)
         ]
     cold, warm = (float(done.stdout) for done in firsts)
     fit = jaxid.fit(None, data, fitter=LevenbergMarquardt(restarts=0))
     error = max(abs(fit.parameters[n].value / v - 1) for n, v in TRUTH.items())
-    off = max(abs(fit.parameters[n].value - v) / (fit.parameters[n].std or np.inf) for n, v in TRUTH.items())
+    off = max(
+        abs(fit.parameters[n].value - v) / (fit.parameters[n].std or np.inf)
+        for n, v in TRUTH.items()
+    )
 
     binding = bind(None, data)
     problem = Bench(binding).problem(OutputError(), "fit", binding.free, binding.theta)
-    best = LevenbergMarquardt().minimise(problem, [problem.z(binding.theta)], jax.random.key(0)).loss
+    best = (
+        LevenbergMarquardt().minimise(problem, [problem.z(binding.theta)], jax.random.key(0)).loss
+    )
     target = best * 1.001
     rng = np.random.default_rng(1)
     points = rng.uniform(problem.lower, problem.upper, (starts, problem.size))
@@ -169,7 +200,9 @@ def main(starts: int = 50) -> dict:
 
     def both(z):
         parts = list(rows([(problem, z)]))
-        return np.concatenate([p.r.ravel() for p in parts]), np.concatenate([p.J.reshape(p.r.size, -1) for p in parts])
+        return np.concatenate([p.r.ravel() for p in parts]), np.concatenate(
+            [p.J.reshape(p.r.size, -1) for p in parts]
+        )
 
     table = []
 
@@ -216,7 +249,14 @@ def main(starts: int = 50) -> dict:
     for z in points[:seeds]:
         began = time.process_time()
         jac: Any = lambda z: both(z)[1]
-        found = least_squares(lambda z: both(z)[0], z, jac, (problem.lower, problem.upper), x_scale="jac", max_nfev=200)
+        found = least_squares(
+            lambda z: both(z)[0],
+            z,
+            jac,
+            (problem.lower, problem.upper),
+            x_scale="jac",
+            max_nfev=200,
+        )
         clock.append(time.process_time() - began)
         reached.append(2 * found.cost / found.fun.size <= target)
         evaluations.append(found.nfev * (1 + problem.size))
@@ -230,7 +270,9 @@ def main(starts: int = 50) -> dict:
         began = time.process_time()
         box = list(zip(problem.lower, problem.upper, strict=True))
         loss = lambda x: problem.losses(x.T)
-        found = differential_evolution(loss, box, maxiter=130, vectorized=True, updating="deferred", polish=False, rng=seed)
+        found = differential_evolution(
+            loss, box, maxiter=130, vectorized=True, updating="deferred", polish=False, rng=seed
+        )
         clock.append(time.process_time() - began)
         reached.append(found.fun <= target)
         evaluations.append(found.nfev)
@@ -242,7 +284,11 @@ def main(starts: int = 50) -> dict:
     )
     if peer := by_mujoco(data):
         text += f" `mujoco.sysid`, from the same start: {peer[0]:.1f} s, worst parameter off by {100 * peer[1]:.3f} %."
-    return {"title": "Pendulum problem: from anywhere, by every method", "text": text, "rows": table}
+    return {
+        "title": "Pendulum problem: from anywhere, by every method",
+        "text": text,
+        "rows": table,
+    }
 
 
 def first() -> float:

@@ -37,7 +37,9 @@ HIGHEST = 400.0  # rad/s; beyond is noise with gross outliers, as the data's not
 
 
 def folder() -> Path:
-    root = Path(os.environ.get("JAXID_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
+    root = Path(
+        os.environ.get("JAXID_DATA", Path(__file__).parent.parent.parent / "shared" / "data")
+    )
     return root / "quanser_flexlink_frf"
 
 
@@ -47,7 +49,9 @@ def response(day: str, highest: float) -> FrequencyResponse:
     d = pd.read_parquet(folder() / f"frf_{day}.parquet")
     d = d[d.omega_rad_s <= highest]
     value = d.gain.to_numpy() * np.exp(1j * d.phase_rad.to_numpy()) / DRIVE
-    return FrequencyResponse(day, "fit" if day == DAYS[0] else "report", d.omega_rad_s.to_numpy(), value, "tau", "phi")
+    return FrequencyResponse(
+        day, "fit" if day == DAYS[0] else "report", d.omega_rad_s.to_numpy(), value, "tau", "phi"
+    )
 
 
 def data(highest: float = HIGHEST) -> Dataset:
@@ -59,10 +63,17 @@ def data(highest: float = HIGHEST) -> Dataset:
     }
     model = ModelSpec("flexible_link", without=(), constants=LINK, parameters=priors)
     channels = (Channel("tau", "input", "N m"), Channel("phi", "output", "rad"))
-    return Dataset("quanser_flexlink", channels, responses=tuple(response(d, highest) for d in DAYS), model=model)
+    return Dataset(
+        "quanser_flexlink",
+        channels,
+        responses=tuple(response(d, highest) for d in DAYS),
+        model=model,
+    )
 
 
-def errors(fit: jaxid.Fit, own: Dataset, dataset: Dataset, effects: tuple[str, ...]) -> dict[str, float]:
+def errors(
+    fit: jaxid.Fit, own: Dataset, dataset: Dataset, effects: tuple[str, ...]
+) -> dict[str, float]:
     """Median over lines of |model - data| / |data|, per day."""
     import jax.numpy as jnp
 
@@ -77,7 +88,9 @@ def errors(fit: jaxid.Fit, own: Dataset, dataset: Dataset, effects: tuple[str, .
         for measured in dataset.responses:
             lines = merged(measured)
             re, im = (np.asarray(a)[:, 0, 0] for a in transfer(model, jnp.asarray(lines.omega)))
-            out[measured.name] = float(np.median(np.abs(re + 1j * im - lines.response) / np.abs(lines.response)))
+            out[measured.name] = float(
+                np.median(np.abs(re + 1j * im - lines.response) / np.abs(lines.response))
+            )
     return out
 
 
@@ -95,10 +108,18 @@ def main() -> dict:
         spec = own.model
         assert spec is not None
         own = replace(own, model=replace(spec, constants=spec.constants | settings))
-        fit = jaxid.fit(None, own, effects=effects, fitter=jaxid.fitters.LevenbergMarquardt(restarts=8))
+        fit = jaxid.fit(
+            None, own, effects=effects, fitter=jaxid.fitters.LevenbergMarquardt(restarts=8)
+        )
         found = {k: p.value for k, p in fit.parameters.items()}
         found |= {f"{e.effect}.{k}": p.value for e in fit.effects for k, p in e.parameters.items()}
-        rows.append({"model": label, **{f"error {k}": v for k, v in errors(fit, own, dataset, effects).items()}, **found})
+        rows.append(
+            {
+                "model": label,
+                **{f"error {k}": v for k, v in errors(fit, own, dataset, effects).items()},
+                **found,
+            }
+        )
     return {
         "title": "Flexible link: a measured frequency response",
         "text": f"{about} Errors are medians of |model - data| / |data| over the lines up to "

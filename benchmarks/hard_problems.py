@@ -15,7 +15,10 @@ from typing import Any
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path[:0] = [
+    str(Path(__file__).resolve().parents[1]),
+    str(Path(__file__).resolve().parents[1] / "tests"),
+]
 
 from jaxid.runtime import prepare  # noqa: E402
 
@@ -36,8 +39,15 @@ def joint(numbers: dict[str, float], reach: float) -> Dataset:
     """4 s of a joint under a slow multisine, from rest; the twin's own friction and these numbers."""
     plant, rng = PLANTS["joint"], np.random.default_rng(3)
     t = np.arange(int(4 * plant.rate)) / plant.rate
-    u = reach * sum(np.sin(2 * np.pi * f * t + p) for f, p in ((0.5, 0.2), (1.1, 1.3), (1.9, 2.9))) / np.sqrt(3)
-    values = {k: np.array([x]) for k, x in {**plant.nominal, **{k: (v,) for k, v in numbers.items()}}.items()}
+    u = (
+        reach
+        * sum(np.sin(2 * np.pi * f * t + p) for f, p in ((0.5, 0.2), (1.1, 1.3), (1.9, 2.9)))
+        / np.sqrt(3)
+    )
+    values = {
+        k: np.array([x])
+        for k, x in {**plant.nominal, **{k: (v,) for k, v in numbers.items()}}.items()
+    }
     y = recorded(plant, (u - u.mean())[None, :, None], values, rng)[0]
     return Dataset.from_arrays(
         t, {"tau": u - u.mean()}, {"q": y[:, 0]}, units={"tau": "N m", "q": "rad"}, split="fit",
@@ -74,7 +84,9 @@ def study(seeds: int) -> list[dict]:
             "SHADE": fitters.Shade(generations=10**4),
             "hybrid": fitters.Hybrid(),
         }
-        c = jaxid.compare(None, data, fitters=methods.values(), seeds=seeds, budget=BUDGET, **settings)
+        c = jaxid.compare(
+            None, data, fitters=methods.values(), seeds=seeds, budget=BUDGET, **settings
+        )
         names = dict(zip(dict.fromkeys(r.fitter for r in c.runs), methods, strict=True))
         for s in c.table:
             low, high = s.success_interval_95
@@ -89,7 +101,11 @@ def study(seeds: int) -> list[dict]:
 
 def main() -> dict:
     text = f"{(__doc__ or '').split(chr(10), 2)[2].strip()} 30 seeds."
-    return {"title": "Gradient against population on hard problems", "text": text, "rows": study(30)}
+    return {
+        "title": "Gradient against population on hard problems",
+        "text": text,
+        "rows": study(30),
+    }
 
 
 if __name__ == "__main__":

@@ -15,7 +15,10 @@ from typing import Any
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path[:0] = [
+    str(Path(__file__).resolve().parents[1]),
+    str(Path(__file__).resolve().parents[1] / "tests"),
+]
 
 from benchmarks import space_manipulator as arm, twins  # noqa: E402
 from jaxid.runtime import prepare  # noqa: E402
@@ -82,13 +85,27 @@ def space(base: tuple[float, float], payload: float = 1.0, noise: float = 0.01) 
     systems = {share: floating(known, share) for share in {1.0, payload}}
     for seed in range(1, 5):
         t, q, qd, qdd = arm.path(seed, 10.0)
-        tau = np.array([systems[payload if 2 * k >= len(t) else 1.0](*row) for k, row in enumerate(zip(q, qd, qdd, strict=True))])
-        dry = friction["F_c"] + (friction["F_s"] - friction["F_c"]) * np.exp(-((qd / friction["v_s"]) ** 2))
+        tau = np.array(
+            [
+                systems[payload if 2 * k >= len(t) else 1.0](*row)
+                for k, row in enumerate(zip(q, qd, qdd, strict=True))
+            ]
+        )
+        dry = friction["F_c"] + (friction["F_s"] - friction["F_c"]) * np.exp(
+            -((qd / friction["v_s"]) ** 2)
+        )
         tau = tau + dry * np.sign(qd) + friction["F_v"] * qd
         tau = tau + noise * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape)
         runs.append((t, q + 1e-6 * rng.standard_normal(q.shape), tau))
-    priors = {k + j: ParameterPrior(None, *b) for k, b in arm.BOUNDS.items() for j in (("",) if k in arm.BODY else "12")}
-    constants = {k: known[k] for k in ("l1", "I1", "m1", "c1", "base_mass", "base_inertia", "base_x", "base_y")}
+    priors = {
+        k + j: ParameterPrior(None, *b)
+        for k, b in arm.BOUNDS.items()
+        for j in (("",) if k in arm.BODY else "12")
+    }
+    constants = {
+        k: known[k]
+        for k in ("l1", "I1", "m1", "c1", "base_mass", "base_inertia", "base_x", "base_y")
+    }
     return Dataset.from_arrays(
         [t for t, *_ in runs],
         {f"tau{j + 1}": [tau[:, j] for *_, tau in runs] for j in (0, 1)},
@@ -103,7 +120,9 @@ def floating(known: dict[str, float], share: float):
     before = dict(test_models.SPACE)
     try:
         test_models.SPACE.update(known)
-        equations, mass = test_models.space.__wrapped__(True, share)  # not the cached one of other constants
+        equations, mass = test_models.space.__wrapped__(
+            True, share
+        )  # not the cached one of other constants
     finally:
         test_models.SPACE.update(before)
 
@@ -124,7 +143,14 @@ def cases() -> list[tuple[str, str, str, Dataset, dict[str, Any], dict[str, floa
     inertia = {"J_theta": 0.117}
     torque = {"residual": "inverse_dynamics"}
     return [
-        ("tracker, paper's steps", "rotor inertia only in the tilt", "reflected_inertia", tracker(PAPER, **SPLIT), {}, inertia),
+        (
+            "tracker, paper's steps",
+            "rotor inertia only in the tilt",
+            "reflected_inertia",
+            tracker(PAPER, **SPLIT),
+            {},
+            inertia,
+        ),
         (
             "tracker, chosen on both axes at once",
             "rotor inertia only in the tilt",
@@ -150,16 +176,50 @@ def cases() -> list[tuple[str, str, str, Dataset, dict[str, Any], dict[str, floa
             inertia,
         ),
         ("tracker, paper's steps", "nothing", "", tracker(PAPER), {}, inertia),
-        ("space manipulator", "a floating base of 2.5 t", "base_motion", space((2500.0, 2000.0)), torque, body),
-        ("space manipulator", "a floating base of 25 t", "base_motion", space((25000.0, 20000.0)), torque, body),
-        ("space manipulator", "a floating base of 250 t", "base_motion", space((250000.0, 200000.0)), torque, body),
-        ("space manipulator", "40 % of the payload, lost half-way", "", space((1e9, 1e9), 0.6), torque, body),
+        (
+            "space manipulator",
+            "a floating base of 2.5 t",
+            "base_motion",
+            space((2500.0, 2000.0)),
+            torque,
+            body,
+        ),
+        (
+            "space manipulator",
+            "a floating base of 25 t",
+            "base_motion",
+            space((25000.0, 20000.0)),
+            torque,
+            body,
+        ),
+        (
+            "space manipulator",
+            "a floating base of 250 t",
+            "base_motion",
+            space((250000.0, 200000.0)),
+            torque,
+            body,
+        ),
+        (
+            "space manipulator",
+            "40 % of the payload, lost half-way",
+            "",
+            space((1e9, 1e9), 0.6),
+            torque,
+            body,
+        ),
     ]
 
 
-def row(rig: str, withheld: str, effect: str, found: Diagnosis, truth: dict[str, float]) -> dict[str, Any]:
-    wrong = {k: 100 * (p.value / truth[k] - 1) for k, p in found.nominal.parameters.items() if k in truth}
-    after = {k: 100 * (p.value / truth[k] - 1) for k, p in found.final.parameters.items() if k in truth}
+def row(
+    rig: str, withheld: str, effect: str, found: Diagnosis, truth: dict[str, float]
+) -> dict[str, Any]:
+    wrong = {
+        k: 100 * (p.value / truth[k] - 1) for k, p in found.nominal.parameters.items() if k in truth
+    }
+    after = {
+        k: 100 * (p.value / truth[k] - 1) for k, p in found.final.parameters.items() if k in truth
+    }
     worst = max(wrong, key=lambda k: abs(wrong[k]))
     numbers = lambda e: ", ".join(f"{k} {p.value:.3g}" for k, p in e.parameters.items())
     hidden = [u for u in found.unseen if not u.absorbed and u.moved]
@@ -187,7 +247,9 @@ def main() -> dict[str, Any]:
     for rig, withheld, effect, data, settings, truth in cases():
         began = time.perf_counter()
         found = diagnose(None, data, seed=0, **settings)
-        rows.append(row(rig, withheld, effect, found, truth) | {"s": round(time.perf_counter() - began, 1)})
+        rows.append(
+            row(rig, withheld, effect, found, truth) | {"s": round(time.perf_counter() - began, 1)}
+        )
         print(rows[-1], flush=True)
     about = (__doc__ or "").split("\n", 2)[2].strip()
     return {"title": "What a residual does not show", "text": about, "rows": rows}

@@ -18,7 +18,10 @@ from pathlib import Path
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path[:0] = [
+    str(Path(__file__).resolve().parents[1]),
+    str(Path(__file__).resolve().parents[1] / "tests"),
+]
 
 from jaxid.runtime import prepare  # noqa: E402
 
@@ -85,7 +88,17 @@ def by_scipy(x: np.ndarray) -> float:
 
         y = np.zeros(2 * n)
         for a, b, torque in ((0, 300, 0.241), (300, 1999, 0.0)):
-            part = solve_ivp(field, (T[a], T[b]), y, "LSODA", T[a : b + 1], args=(torque,), rtol=1e-6, atol=1e-9, max_step=0.05)
+            part = solve_ivp(
+                field,
+                (T[a], T[b]),
+                y,
+                "LSODA",
+                T[a : b + 1],
+                args=(torque,),
+                rtol=1e-6,
+                atol=1e-9,
+                max_step=0.05,
+            )
             y = part.y[:, -1]
     return (time.process_time() - began) / len(x)
 
@@ -102,7 +115,9 @@ def by_diffrax(x: np.ndarray) -> float:
             return body.vector_field(t, y, torque[None])
 
         start = body.start(jnp.zeros(1), jnp.zeros(1))
-        controller = diffrax.ClipStepSizeController(diffrax.PIDController(rtol=1e-6, atol=1e-9), jump_ts=jnp.array([0.3]))
+        controller = diffrax.ClipStepSizeController(
+            diffrax.PIDController(rtol=1e-6, atol=1e-9), jump_ts=jnp.array([0.3])
+        )
         found = diffrax.diffeqsolve(
             diffrax.ODETerm(field), diffrax.Kvaerno5(), 0.0, T[-1], 1e-4, start, saveat=diffrax.SaveAt(ts=jnp.asarray(T)),
             stepsize_controller=controller, max_steps=100_000,
@@ -129,15 +144,24 @@ def by_hand(x: np.ndarray, modes: int) -> tuple[float, np.ndarray]:
             kept, damping, inertia, step = body.prepared
             columns = (*step[:6], kept.participation, kept.tip, kept.squares, damping)
             rest = [inertia, step.borne, v, tau_c, body.L, 1e-3]
-            rows.append(np.concatenate([*(np.asarray(c) for c in columns), np.array([float(r) for r in rest])]))
+            rows.append(
+                np.concatenate(
+                    [*(np.asarray(c) for c in columns), np.array([float(r) for r in rest])]
+                )
+            )
     with tempfile.TemporaryDirectory() as folder:
         program, given, found = (str(Path(folder) / n) for n in ("loop", "in", "out"))
         source = str(Path(__file__).with_name("link_loop.cpp"))
-        subprocess.run(["g++", "-O3", "-march=native", "-ffast-math", "-Wno-psabi", source, "-o", program], check=True)
+        subprocess.run(
+            ["g++", "-O3", "-march=native", "-ffast-math", "-Wno-psabi", source, "-o", program],
+            check=True,
+        )
         numbers = [U, run.y[:, 0], lines.omega**2, np.abs(lines.response), *rows]
         Path(given).write_bytes(np.concatenate(numbers).astype(np.float64).tobytes())
         arguments = [len(x), len(U), modes, len(lines.omega), 41, given, found]
-        done = subprocess.run([program, *map(str, arguments)], check=True, capture_output=True, text=True)
+        done = subprocess.run(
+            [program, *map(str, arguments)], check=True, capture_output=True, text=True
+        )
         return float(done.stdout) / len(x), np.frombuffer(Path(found).read_bytes())
 
 
@@ -146,7 +170,9 @@ def hub_angle_errors(x: np.ndarray) -> list[float]:
     simulator = Simulator(Chain(FlexibleLink(n_modes=4)), T, U[:, None], 1e-3, size=2048)
     out = []
     for E, I_m, v, tau_c, alpha, beta in x:
-        phi = simulator.outputs([dict(zip(NAMES, (E, I_m, v, tau_c, alpha, beta), strict=True))])[0][:, 0]
+        phi = simulator.outputs([dict(zip(NAMES, (E, I_m, v, tau_c, alpha, beta), strict=True))])[
+            0
+        ][:, 0]
         fine = link.zero_order_hold(U, 1e-3, 32, v, tau_c, E, I_m, alpha, beta)[:, 0]
         out.append(float(np.linalg.norm(phi - fine) / np.linalg.norm(fine)))
     return out
@@ -188,22 +214,44 @@ def responses(x: np.ndarray, modes: int) -> tuple[float, float, float]:
 
 def main() -> dict:
     x = candidates(100)
-    moves = x[(x[:, 3] < 0.15) & (x[:, 1] < 0.1)]  # dry friction below the torque, so that there is a motion to err in
+    moves = x[
+        (x[:, 3] < 0.15) & (x[:, 1] < 0.1)
+    ]  # dry friction below the torque, so that there is a motion to err in
     costs = {}
     rows: list[dict] = []
     for modes in (4, 8):
         problem = flexible_link.problem(modes, linear=False)
         costs[modes], losses = own(problem, x)
-        rows.append({"what": f"this library, {modes} modes, a population of 100", "us a candidate": round(1e6 * costs[modes], 1)})
+        rows.append(
+            {
+                "what": f"this library, {modes} modes, a population of 100",
+                "us a candidate": round(1e6 * costs[modes], 1),
+            }
+        )
         if shutil.which("g++"):
             hand, found = by_hand(x, modes)
             off = float(np.median(np.abs(found / losses - 1)))
             label = f"C++ by hand, {modes} modes (losses differ by {off:.1g}, median)"
             share = round(hand / costs[modes], 3)
-            rows.append({"what": label, "us a candidate": round(1e6 * hand, 2), "times this library's": share})
+            rows.append(
+                {
+                    "what": label,
+                    "us a candidate": round(1e6 * hand, 2),
+                    "times this library's": share,
+                }
+            )
     few = x[:6]
-    for label, cost in (("SciPy LSODA, 6 candidates", by_scipy(few)), ("diffrax Kvaerno5, 8 lanes", by_diffrax(x[:8]))):
-        rows.append({"what": label, "us a candidate": round(1e6 * cost), "times this library's": round(cost / costs[4])})
+    for label, cost in (
+        ("SciPy LSODA, 6 candidates", by_scipy(few)),
+        ("diffrax Kvaerno5, 8 lanes", by_diffrax(x[:8])),
+    ):
+        rows.append(
+            {
+                "what": label,
+                "us a candidate": round(1e6 * cost),
+                "times this library's": round(cost / costs[4]),
+            }
+        )
     for modes in (4, 8):
         summed, solved, difference = responses(x, modes)
         rows.append(

@@ -25,7 +25,10 @@ from pathlib import Path
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path[:0] = [
+    str(Path(__file__).resolve().parents[1]),
+    str(Path(__file__).resolve().parents[1] / "tests"),
+]
 
 from emulators import Emulator  # noqa: E402
 from jaxid.hardware import Trajectory  # noqa: E402
@@ -58,7 +61,9 @@ class Witness:
 def end_of(errors: str, folder: Path) -> str:
     """What a command said last, without the folders and ports of this computer."""
     last = (errors.strip().splitlines() or ["nothing was said"])[-1]
-    return re.sub(r"/dev/\S+?(?=[:\s]|$)", "the port", last.replace(f"{folder}/", "")).removeprefix("jaxid: ")
+    return re.sub(r"/dev/\S+?(?=[:\s]|$)", "the port", last.replace(f"{folder}/", "")).removeprefix(
+        "jaxid: "
+    )
 
 
 def waited_share() -> float:
@@ -73,18 +78,41 @@ def waited_share() -> float:
 def record(device: str, emulator: Emulator, out: Path, *more: str) -> subprocess.Popen:
     """`jaxid record` as a user types it."""
     where = ["ur10", "--host"] if device == "arm" else ["dynamixel", "--id", "1", "--port"]
-    command = [sys.executable, "-m", "jaxid.cli", "record", *where, emulator.address, "--out", str(out), *more]
+    command = [
+        sys.executable,
+        "-m",
+        "jaxid.cli",
+        "record",
+        *where,
+        emulator.address,
+        "--out",
+        str(out),
+        *more,
+    ]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def path_file(device: str, seconds: float, folder: Path, seed: int) -> Path:
     joints, kind, stem = (6, "position", "q") if device == "arm" else (1, "current", "current")
     play = Trajectory.multisine(
-        [0.3] * joints, seconds, frequencies=(0.1, 0.6), rest=0.5, kind=kind, seed=seed, rate=RATE[device]
+        [0.3] * joints,
+        seconds,
+        frequencies=(0.1, 0.6),
+        rest=0.5,
+        kind=kind,
+        seed=seed,
+        rate=RATE[device],
     )
     names = ",".join(f"{stem}{j + 1 if joints > 1 else ''}_cmd" for j in range(joints))
     file = folder / "path.csv"
-    np.savetxt(file, np.column_stack([play.t, play.values]), delimiter=",", header="t," + names, comments="", fmt="%.9g")
+    np.savetxt(
+        file,
+        np.column_stack([play.t, play.values]),
+        delimiter=",",
+        header="t," + names,
+        comments="",
+        fmt="%.9g",
+    )
     return file
 
 
@@ -105,13 +133,19 @@ def played(device: str, seconds: float, seed: int = 0) -> dict[str, object]:
             witness.end()
             emulator.close()
         halts = [e["why"] for e in emulator.log("halt")]
-        report = json.loads((folder / "out" / "run_1.json").read_text()) if (folder / "out" / "run_1.json").is_file() else {}
+        report = (
+            json.loads((folder / "out" / "run_1.json").read_text())
+            if (folder / "out" / "run_1.json").is_file()
+            else {}
+        )
         marks = {e.get("name"): e["host"] for e in report.get("events", []) if e["kind"] == "mark"}
         took = marks["play_end"] - marks["play_start"] if "play_end" in marks else float("nan")
         return {
             "what": f"{'UR, six joints' if device == 'arm' else 'servo'}, {seconds:g} s at {RATE[device]:g} Hz",
             "rows of the path": round(seconds * RATE[device]) + 1,
-            "played": "yes" if process.returncode == 0 else f"no: {end_of(errors, folder)} [emulator: {', '.join(halts)}]",
+            "played": "yes"
+            if process.returncode == 0
+            else f"no: {end_of(errors, folder)} [emulator: {', '.join(halts)}]",
             "path took (s)": round(took, 1),
             "rows": report.get("rows", 0),
             "lost": report.get("lost", 0),
@@ -141,7 +175,9 @@ def two_recorders() -> dict[str, object]:
         good = sum(code == 2 and "is in use" in text for text, code in refused)
         return {
             "what": f"two recorders on one port: {good} of {len(refused)} refused as in use, with exit 2",
-            "played": "the first went on" if first.returncode == 0 else f"no: {end_of(errors, folder)}",
+            "played": "the first went on"
+            if first.returncode == 0
+            else f"no: {end_of(errors, folder)}",
             "rows": report["rows"],
             "lost": report["lost"],
             "lost answers": next((e["text"] for e in report["events"] if "losses" in e), "none"),
@@ -166,11 +202,19 @@ def main(names: tuple[str, ...] = ()) -> dict:
         kept[name] = RUNS[name]()
         print(json.dumps(kept[name], indent=1), flush=True)
     text = (__doc__ or "").split("\n    python")[0].strip()
-    return {"title": "Long paths on emulated hardware", "text": text, "rows": [kept[n] for n in RUNS if n in kept], "runs": kept}
+    return {
+        "title": "Long paths on emulated hardware",
+        "text": text,
+        "rows": [kept[n] for n in RUNS if n in kept],
+        "runs": kept,
+    }
 
 
 if __name__ == "__main__":
     import run_all
 
-    result = main(tuple(sys.argv[1:])) | {"date": datetime.date.today().isoformat(), "machine": run_all.machine()}
+    result = main(tuple(sys.argv[1:])) | {
+        "date": datetime.date.today().isoformat(),
+        "machine": run_all.machine(),
+    }
     KEPT.write_text(json.dumps(result, indent=1) + "\n")

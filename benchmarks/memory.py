@@ -46,7 +46,11 @@ def pendulum(rows: int) -> dict[str, np.ndarray]:
     q = np.empty(rows)
     for k, torque in enumerate(u.tolist()):
         q[k] = angle
-        speed += (torque - 1.4 * math.sin(angle) - 0.05 * speed - 0.1 * math.tanh(speed / 0.01)) / 0.06 / RATE
+        speed += (
+            (torque - 1.4 * math.sin(angle) - 0.05 * speed - 0.1 * math.tanh(speed / 0.01))
+            / 0.06
+            / RATE
+        )
         angle += speed / RATE
     return {"t": t, "tau": u, "q": q + 2e-4 * rng.standard_normal(rows)}
 
@@ -57,13 +61,19 @@ def arm(rows: int, seed: int) -> dict[str, np.ndarray]:
     t = np.arange(rows) / RATE
     out = {"t": t}
     for j in range(7):
-        a, p, w = rng.uniform(0.02, 0.15, 5), rng.uniform(0, 6.28, 5), 2 * np.pi * 0.1 * np.arange(1, 6)
+        a, p, w = (
+            rng.uniform(0.02, 0.15, 5),
+            rng.uniform(0, 6.28, 5),
+            2 * np.pi * 0.1 * np.arange(1, 6),
+        )
         q, v = np.zeros(rows), np.zeros(rows)
         for size, speed, phase in zip(a, w, p, strict=True):
             q += size * np.sin(speed * t + phase)
             v += size * speed * np.cos(speed * t + phase)
         out[f"q{j + 1}"] = q - 1.5 * (j == 3) + 1e-5 * rng.standard_normal(rows)
-        out[f"tau{j + 1}"] = 5 * np.sin(q) + 2 * np.tanh(v / 0.01) + v + 0.05 * rng.standard_normal(rows)
+        out[f"tau{j + 1}"] = (
+            5 * np.sin(q) + 2 * np.tanh(v / 0.01) + v + 0.05 * rng.standard_normal(rows)
+        )
     return out
 
 
@@ -73,20 +83,29 @@ def write(folder: Path, command: str, rows: int) -> None:
     import pyarrow.parquet
 
     folder.mkdir(parents=True)
-    put = lambda name, columns: pyarrow.parquet.write_table(pyarrow.table(columns), folder / f"{name}.parquet")
+    put = lambda name, columns: pyarrow.parquet.write_table(
+        pyarrow.table(columns), folder / f"{name}.parquet"
+    )
     entry = lambda name, more: f'[[experiments]]\nfile = "{name}.parquet"\n{more}\n'
     head = 'name = "long"\ndescription = "made by benchmarks/memory.py"\n[model]\nname = "{}"\n'
-    channel = lambda name, role, unit, more="": f'[channels.{name}]\nrole = "{role}"\nunit = "{unit}"\n{more}'
+    channel = lambda name, role, unit, more="": (
+        f'[channels.{name}]\nrole = "{role}"\nunit = "{unit}"\n{more}'
+    )
     if command == "identify":
         put("fit", arm(rows, 0))
         put("validation", arm(max(2000, rows // 10), 1))
         text = head.format("panda") + "".join(
-            channel(f"tau{j}", "input", "N m") + channel(f"q{j}", "output", "rad") for j in range(1, 8)
+            channel(f"tau{j}", "input", "N m") + channel(f"q{j}", "output", "rad")
+            for j in range(1, 8)
         )
         text += entry("fit", 'split = "fit"') + entry("validation", 'split = "validation"')
     else:
         put("fit", pendulum(rows))
-        text = head.format("pendulum") + channel("tau", "input", "N m") + channel("q", "output", "rad", "noise_std = 2e-4\n")
+        text = (
+            head.format("pendulum")
+            + channel("tau", "input", "N m")
+            + channel("q", "output", "rad", "noise_std = 2e-4\n")
+        )
         text += entry("fit", 'split = "fit"\nat_rest = true')
     (folder / "dataset.toml").write_text(text)
 
@@ -98,15 +117,28 @@ def measured(command: str, folder: Path, code: Path) -> dict[str, Any]:
         words = [command, str(folder), "--out", f"{out}/o", "--quiet", *COMMANDS[command]]
         began = time.perf_counter()
         limited = lambda: resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
-        child = subprocess.Popen([sys.executable, "-c", program, *words], stderr=said, preexec_fn=limited)
+        child = subprocess.Popen(
+            [sys.executable, "-c", program, *words], stderr=said, preexec_fn=limited
+        )
         _, status, used = os.wait4(child.pid, 0)
         child.returncode, wall = os.waitstatus_to_exitcode(status), time.perf_counter() - began
         said.seek(0)
         words = said.read().strip().splitlines()
-    ended = "well" if child.returncode == 0 else f"not within {LONGEST} s" if child.returncode == -signal.SIGKILL else ""
+    ended = (
+        "well"
+        if child.returncode == 0
+        else f"not within {LONGEST} s"
+        if child.returncode == -signal.SIGKILL
+        else ""
+    )
     ended = ended or f"exit {child.returncode}: {words[-1][:80] if words else ''}"
     scale = 1 if sys.platform == "darwin" else 1024
-    return {"GB": used.ru_maxrss * scale / 1e9, "wall s": wall, "CPU s": used.ru_utime + used.ru_stime, "ended": ended}
+    return {
+        "GB": used.ru_maxrss * scale / 1e9,
+        "wall s": wall,
+        "CPU s": used.ru_utime + used.ru_stime,
+        "ended": ended,
+    }
 
 
 def cell(found: dict[str, Any] | None, key: str) -> str:
@@ -115,7 +147,11 @@ def cell(found: dict[str, Any] | None, key: str) -> str:
     return f"{found[key]:.2f}" if key == "GB" else f"{found[key]:.0f}"
 
 
-def main(before: Path | None = None, commands: tuple[str, ...] = tuple(COMMANDS), rows: tuple[int, ...] = ROWS) -> dict[str, Any]:
+def main(
+    before: Path | None = None,
+    commands: tuple[str, ...] = tuple(COMMANDS),
+    rows: tuple[int, ...] = ROWS,
+) -> dict[str, Any]:
     kept = HERE / "results" / "memory.json"
     figures: dict[str, Any] = json.loads(kept.read_text())["figures"] if kept.is_file() else {}
     with tempfile.TemporaryDirectory() as place:
@@ -125,7 +161,9 @@ def main(before: Path | None = None, commands: tuple[str, ...] = tuple(COMMANDS)
                 write(folder, command, count)
                 for label, code in (("before", before), ("after", HERE.parent)):
                     if code is not None:
-                        figures[f"{command} {count} {label}"] = found = measured(command, folder, code)
+                        figures[f"{command} {count} {label}"] = found = measured(
+                            command, folder, code
+                        )
                         print(command, count, label, found, flush=True)
     table = []
     for command in COMMANDS:
@@ -134,11 +172,22 @@ def main(before: Path | None = None, commands: tuple[str, ...] = tuple(COMMANDS)
             if new or old:
                 row = {"command": command, "rows": f"{count:,}"}
                 for label, found in (("before", old), ("after", new)):
-                    row |= {f"GB {label}": cell(found, "GB"), f"CPU s {label}": cell(found, "CPU s")}
+                    row |= {
+                        f"GB {label}": cell(found, "GB"),
+                        f"CPU s {label}": cell(found, "CPU s"),
+                    }
                     row |= {f"ended {label}": found["ended"] if found else ""}
                 table.append(row)
-    text = " ".join((__doc__ or "").split()) + f" The diagnosis chooses among {FEW.replace(',', ' and ')}."
-    return {"title": "Memory and time of long recordings", "text": text, "rows": table, "figures": figures}
+    text = (
+        " ".join((__doc__ or "").split())
+        + f" The diagnosis chooses among {FEW.replace(',', ' and ')}."
+    )
+    return {
+        "title": "Memory and time of long recordings",
+        "text": text,
+        "rows": table,
+        "figures": figures,
+    }
 
 
 if __name__ == "__main__":

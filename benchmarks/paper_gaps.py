@@ -35,7 +35,9 @@ from jaxid.problem.frequency_response import FrequencyResponseError  # noqa: E40
 SPLITS = ("fit", "fit", "validation", "report")
 
 
-def recorded(plant: twins.Plant, u: np.ndarray, y: np.ndarray, units: dict[str, str] | None = None) -> Dataset:
+def recorded(
+    plant: twins.Plant, u: np.ndarray, y: np.ndarray, units: dict[str, str] | None = None
+) -> Dataset:
     """Runs [runs samples channels], the commands named and measured as in `units`."""
     inputs = units or dict(plant.inputs)
     t = np.arange(u.shape[1]) / plant.rate
@@ -54,11 +56,17 @@ def tracker() -> Dataset:
     plant = dataclasses.replace(twins.PLANTS["tracker"], noise=np.deg2rad(0.1), resolution=0.0)
     t = np.arange(1000) / 100
     u = np.zeros((4, 1000, 2))
-    for run, (axis, first, second) in enumerate([(0, 3.6, 2.4), (1, 3.6, 2.4), (0, 3.2, 2.0), (1, 3.0, 2.2)]):
-        u[run, :, axis] = np.where((t >= 1) & (t < 4), first, np.where((t >= 4) & (t < 7), second, 0.0))
+    for run, (axis, first, second) in enumerate(
+        [(0, 3.6, 2.4), (1, 3.6, 2.4), (0, 3.2, 2.0), (1, 3.0, 2.2)]
+    ):
+        u[run, :, axis] = np.where(
+            (t >= 1) & (t < 4), first, np.where((t >= 4) & (t < 7), second, 0.0)
+        )
     torque = np.sign(u) * np.interp(abs(u), (0, 1.68, 2.4, 3.6), (0, 0, 0.0882, 0.1176))
     numbers = {"J": np.array((0.117, 0.1)), "viscous": np.array((1.9, 1.495))}
-    y = twins.recorded(plant, torque, {k: np.tile(x, (4, 1)) for k, x in numbers.items()}, np.random.default_rng(0))
+    y = twins.recorded(
+        plant, torque, {k: np.tile(x, (4, 1)) for k, x in numbers.items()}, np.random.default_rng(0)
+    )
     return recorded(plant, u, y, {"u_theta": "V", "u_alpha": "V"})
 
 
@@ -67,7 +75,8 @@ def joint() -> Dataset:
     plant, rng = twins.PLANTS["joint"], np.random.default_rng(1)
     t = np.arange(int(8 * plant.rate)) / plant.rate
     waves = lambda: sum(
-        a * np.sin(2 * np.pi * f * rng.uniform(0.8, 1.2) * t + 2 * np.pi * rng.uniform()) for a, f in ((0.25, 0.25), (0.1, 0.9))
+        a * np.sin(2 * np.pi * f * rng.uniform(0.8, 1.2) * t + 2 * np.pi * rng.uniform())
+        for a, f in ((0.25, 0.25), (0.1, 0.9))
     )
     u = np.array([waves() for _ in SPLITS])[:, :, None]
     numbers: dict[str, float] = {"J": 0.06, "coulomb": 0.04, "power": 0.09, "exponent": 0.5}
@@ -80,13 +89,23 @@ LINK = {k: v for k, v in twins.LINK.items() if k != "coulomb"}
 
 def turning_link(torque: float) -> Dataset:
     """Pulses of a size, kicks while the hub turns and brakes; the full nonlinear beam with its tension."""
-    plant, rng = dataclasses.replace(twins.PLANTS["flexible_link"], resolution=0.0), np.random.default_rng(2)
+    plant, rng = (
+        dataclasses.replace(twins.PLANTS["flexible_link"], resolution=0.0),
+        np.random.default_rng(2),
+    )
     t = np.arange(int(4 * plant.rate)) / plant.rate
     u = np.zeros((4, len(t)))
     for run in u:
-        for start, length, size in ((0.1, 0.3, 1.0), (1.2, 0.06, 0.4), (2.2, 0.3, -1.0), (3.2, 0.06, -0.4)):
+        for start, length, size in (
+            (0.1, 0.3, 1.0),
+            (1.2, 0.06, 0.4),
+            (2.2, 0.3, -1.0),
+            (3.2, 0.06, -0.4),
+        ):
             begin = start + rng.uniform(0, 0.1)
-            run[(t >= begin) & (t < begin + length * rng.uniform(0.7, 1.1))] = size * torque * rng.uniform(0.8, 1.2)
+            run[(t >= begin) & (t < begin + length * rng.uniform(0.7, 1.1))] = (
+                size * torque * rng.uniform(0.8, 1.2)
+            )
     y = np.array([beam(t, run) for run in u])
     y += np.array([plant.noise, 0.05]) * rng.standard_normal(y.shape)
     return recorded(plant, u[:, :, None], y)
@@ -100,7 +119,9 @@ def beam(t: np.ndarray, u: np.ndarray) -> np.ndarray:
 
     def acceleration(x: np.ndarray, tau: float) -> np.ndarray:
         psi, w, psid = x[1 : n + 1], x[n + 1], x[n + 2 :]
-        M = np.block([[np.array([[LINK["I_m"] + rigid + psi @ S @ psi]]), c[None]], [c[:, None], Mp]])
+        M = np.block(
+            [[np.array([[LINK["I_m"] + rigid + psi @ S @ psi]]), c[None]], [c[:, None], Mp]]
+        )
         hub = tau - LINK["viscous"] * w - 2 * w * (psi @ S @ psid)
         return np.linalg.solve(M, np.append(hub, w * w * S @ psi - C @ psid - K @ psi))
 
@@ -121,7 +142,12 @@ def rubbing_link() -> Dataset:
     """The paper's pulse (0.241 N m for 0.3 s) on a hub whose dry friction, 0.1071 N m, the model does not have."""
     plant = twins.PLANTS["flexible_link"]
     t = np.arange(int(4 * plant.rate)) / plant.rate
-    u = np.array([np.where((t >= 0.5) & (t < 0.5 + d), a, 0.0) for a, d in ((0.241, 0.3), (0.3, 0.2), (0.27, 0.25), (0.22, 0.3))])
+    u = np.array(
+        [
+            np.where((t >= 0.5) & (t < 0.5 + d), a, 0.0)
+            for a, d in ((0.241, 0.3), (0.3, 0.2), (0.27, 0.25), (0.22, 0.3))
+        ]
+    )
     numbers = {k: np.full((4, 1), v) for k, v in (LINK | {"coulomb": 0.1071}).items()}
     y = twins.recorded(plant, u[:, :, None], numbers, np.random.default_rng(3))
     return recorded(plant, u[:, :, None], y)
@@ -134,11 +160,29 @@ def cases() -> list[tuple[str, str, object, Dataset, dict[str, float]]]:
     yaw = {"J_theta": 0.117, "J_alpha": 0.1}
     full = FlexibleLink(nonlinear=True, n_modes=3)
     return [
-        ("tracker, steps in volts", "motors as in Table 1, not as in formula (6)", Tracker(), tracker(), yaw),
-        ("joint", "friction with the square root of the speed", Joint(), joint(), {"inertia": 0.06}),
+        (
+            "tracker, steps in volts",
+            "motors as in Table 1, not as in formula (6)",
+            Tracker(),
+            tracker(),
+            yaw,
+        ),
+        (
+            "joint",
+            "friction with the square root of the speed",
+            Joint(),
+            joint(),
+            {"inertia": 0.06},
+        ),
         ("flexible link, up to 1 rad/s", stiff, full, turning_link(0.03), link),
         ("flexible link, up to 9 rad/s", stiff, full, turning_link(0.3), link),
-        ("flexible link, the paper's pulse", "dry friction at the hub", FlexibleLink(), rubbing_link(), link),
+        (
+            "flexible link, the paper's pulse",
+            "dry friction at the hub",
+            FlexibleLink(),
+            rubbing_link(),
+            link,
+        ),
     ]
 
 
@@ -154,7 +198,9 @@ def rubbing(model: object) -> tuple[str, ...]:
     return ("coulomb_friction",) if isinstance(model, FlexibleLink) else ()
 
 
-def row(rig: str, withheld: str, model: object, data: Dataset, truth: dict[str, float]) -> dict[str, Any]:
+def row(
+    rig: str, withheld: str, model: object, data: Dataset, truth: dict[str, float]
+) -> dict[str, Any]:
     found = diagnose(model, data, without=rubbing(model), seed=0)
     name, before = worst(found.nominal.parameters, truth)
     numbers = lambda e: ", ".join(f"{k} {p.value:.3g}" for k, p in e.parameters.items())
@@ -166,7 +212,9 @@ def row(rig: str, withheld: str, model: object, data: Dataset, truth: dict[str, 
         "gap, re-tuned": round(found.how_far.gap_retuned, 3),
         "worst number, re-tuned": before,
         "verdict": found.which.verdict,
-        "named": " and ".join(f"{e.effect} at {e.location} ({numbers(e)})" for e in found.which.effects),
+        "named": " and ".join(
+            f"{e.effect} at {e.location} ({numbers(e)})" for e in found.which.effects
+        ),
         "not told apart": listed(found.which.confusable_with),
         "gap after": round(found.how_far.gap_after, 3),
         "the same number after": worst(found.final.parameters, truth, name)[1],
@@ -176,7 +224,12 @@ def row(rig: str, withheld: str, model: object, data: Dataset, truth: dict[str, 
 
 def read_as_linear(data: Dataset, truth: dict[str, float]) -> dict[str, Any]:
     """What a fit of the response as a linear system's makes of a hub that rubs."""
-    found = fit(FlexibleLink(), data, without=rubbing(FlexibleLink()), residual=FrequencyResponseError(linear=True))
+    found = fit(
+        FlexibleLink(),
+        data,
+        without=rubbing(FlexibleLink()),
+        residual=FrequencyResponseError(linear=True),
+    )
     return {
         "rig": "the same, response read as linear",
         "withheld": "dry friction at the hub",
@@ -189,7 +242,9 @@ def main() -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     for rig, withheld, model, data, truth in cases():
         began = time.perf_counter()
-        rows.append(row(rig, withheld, model, data, truth) | {"s": round(time.perf_counter() - began, 1)})
+        rows.append(
+            row(rig, withheld, model, data, truth) | {"s": round(time.perf_counter() - began, 1)}
+        )
         print(rows[-1], flush=True)
     rows.append(read_as_linear(rubbing_link(), {"E": LINK["E"], "I_m": LINK["I_m"]}))
     print(rows[-1], flush=True)

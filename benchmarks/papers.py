@@ -59,7 +59,10 @@ def tracker_study(seeds: int) -> list[dict]:
     benches = Benches(binding)
     size: Any = {"popsize": 20, "generations": 60}
     methods: dict[str, tuple[Any, str]] = {
-        "GA (paper: population 20)": (fitters.GeneticAlgorithm(scheme="scattered", mutate="feasible", **size), "sum_of_abs"),
+        "GA (paper: population 20)": (
+            fitters.GeneticAlgorithm(scheme="scattered", mutate="feasible", **size),
+            "sum_of_abs",
+        ),
         "GA, shrinking steps": (fitters.GeneticAlgorithm(scheme="scattered", **size), "sum_of_abs"),
         "PSO": (fitters.ParticleSwarm(**size), "sum_of_abs"),
         "SHADE": (fitters.Shade(**size), "sum_of_abs"),
@@ -74,9 +77,15 @@ def tracker_study(seeds: int) -> list[dict]:
         best = fits[int(np.argmin([f.loss for f in fits]))]
         row: dict[str, Any] = {"method": label}
         if loss == "sum_of_abs":
-            row |= {"F median, deg": float(np.median(losses)), "F range, deg": f"{losses.min():.0f} to {losses.max():.0f}"}
+            row |= {
+                "F median, deg": float(np.median(losses)),
+                "F range, deg": f"{losses.min():.0f} to {losses.max():.0f}",
+            }
         row["evaluations"] = int(np.median([f.evaluations for f in fits]))
-        row["found"] = ", ".join(f"{k} {p.value:.4g}" + (f" ± {p.std:.2g}" if p.std else "") for k, p in best.parameters.items())
+        row["found"] = ", ".join(
+            f"{k} {p.value:.4g}" + (f" ± {p.std:.2g}" if p.std else "")
+            for k, p in best.parameters.items()
+        )
         rows.append(row)
     return rows
 

@@ -30,7 +30,9 @@ class FlexibleStage(Rigid):
     signatures: ClassVar[tuple[Signature, ...]] = (
         Signature((("current", "A"),), (("hub", "rad"), ("beam", "rad")), ("hub", "beam")),
     )
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = ((ViscousFriction, {"coefficient": "B_{joint}"}),)
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
+        (ViscousFriction, {"coefficient": "B_{joint}"}),
+    )
     equations: ClassVar[str] = (
         "(J_hub + J_load) hub'' + J_load beam'' + B_hub hub' = gear k_t current\\n"
         "J_load (hub'' + beam'') + stiffness beam + B_beam beam' = 0"
@@ -55,15 +57,23 @@ class FlexibleStage(Rigid):
 def dataset() -> Dataset:
     import pandas as pd
 
-    root = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+    root = Path(
+        os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
+    )
     if not (root / "quanser_2dsfl").is_dir():
         raise FileNotFoundError("quanser_2dsfl is not there; set JAXID_DATA")
     runs = []
-    for name, split, stop in (("psf", "fit", 7000), ("fsf", "validation", 7000), ("psf", "report", None)):
+    for name, split, stop in (
+        ("psf", "fit", 7000),
+        ("fsf", "validation", 7000),
+        ("psf", "report", None),
+    ):
         d = pd.read_parquet(root / "quanser_2dsfl" / f"manual_{name}.parquet")
         d = d.iloc[:stop] if stop else d.iloc[7000:]
         y = np.deg2rad(d[["th11_deg", "th12_deg"]].to_numpy())
-        runs.append(Experiment(f"{name} {split}", split, d.t.to_numpy(), d[["I1_meas_A"]].to_numpy(), y))
+        runs.append(
+            Experiment(f"{name} {split}", split, d.t.to_numpy(), d[["I1_meas_A"]].to_numpy(), y)
+        )
     channels = (
         Channel("current", "input", "A"),
         Channel("hub", "output", "rad", noise_std=1e-3),
@@ -79,18 +89,40 @@ MAKER = {"stiffness": "40.0 (theory), 27.0 (older test)", "B_hub": "4.0", "B_bea
 def main() -> dict[str, Any]:
     d = jaxid.diagnose(FlexibleStage(), dataset())
     rows: list[dict[str, Any]] = [
-        {"what": "verdict", "measured": f"{d.which.verdict}: {', '.join(map(str, d.which.effects)) or 'nothing named'}"},
-        {"what": "cannot be told apart from it", "measured": ", ".join(map(str, d.which.confusable_with)) or "nothing"},
+        {
+            "what": "verdict",
+            "measured": f"{d.which.verdict}: {', '.join(map(str, d.which.effects)) or 'nothing named'}",
+        },
+        {
+            "what": "cannot be told apart from it",
+            "measured": ", ".join(map(str, d.which.confusable_with)) or "nothing",
+        },
     ]
     for split in ("fit", "validation", "report"):
         for channel in ("hub", "beam"):
             before, after = (1e3 * f.scores[split][channel].rmse for f in (d.nominal, d.final))
-            rows.append({"what": f"free run, {split}, {channel}", "measured": f"{before:.3g} mrad, then {after:.3g} mrad"})
+            rows.append(
+                {
+                    "what": f"free run, {split}, {channel}",
+                    "measured": f"{before:.3g} mrad, then {after:.3g} mrad",
+                }
+            )
     for name, p in d.final.parameters.items():
-        rows.append({"what": name, "measured": f"{p.value:.4g} ± {p.std or 0:.2g} {p.unit}", "maker": MAKER.get(name, "")})
+        rows.append(
+            {
+                "what": name,
+                "measured": f"{p.value:.4g} ± {p.std or 0:.2g} {p.unit}",
+                "maker": MAKER.get(name, ""),
+            }
+        )
     for e in d.final.effects:
         for name, p in e.parameters.items():
-            rows.append({"what": f"{e.effect}.{name} at {e.location}", "measured": f"{p.value:.4g} ± {p.std or 0:.2g} {p.unit}"})
+            rows.append(
+                {
+                    "what": f"{e.effect}.{name} at {e.location}",
+                    "measured": f"{p.value:.4g} ± {p.std or 0:.2g} {p.unit}",
+                }
+            )
     return {
         "title": "Real recording of a flexible stage (Quanser): its hub's dry friction",
         "text": " ".join((__doc__ or "").split()),

@@ -23,7 +23,10 @@ def rows_of(name: str, channel: str, unit: float) -> list[dict[str, Any]]:
     data = jaxid.load_dataset(folder)
     d = jaxid.diagnose(None, data)
     out = []
-    for label, fit in (("nominal, re-tuned", d.nominal), (" + ".join(map(str, d.which.effects)) or "nothing named", d.final)):
+    for label, fit in (
+        ("nominal, re-tuned", d.nominal),
+        (" + ".join(map(str, d.which.effects)) or "nothing named", d.final),
+    ):
         rmse = [unit * run[channel] for run in jaxid.simulate(None, data, fit).rmse]
         out.append(
             {

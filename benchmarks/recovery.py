@@ -50,7 +50,9 @@ def study(seeds: int) -> dict[str, np.ndarray]:
     def dataset(y: np.ndarray) -> Dataset:
         """The recording, and a piece of it as validation run, so that nothing is cut off the fitted one."""
         piece = slice(60, 120)
-        return Dataset.from_arrays([t, t[:60]], {"tau": [u[:, 0], u[piece, 0]]}, {"q": [y, y[piece]]}, **settings)
+        return Dataset.from_arrays(
+            [t, t[:60]], {"tau": [u[:, 0], u[piece, 0]]}, {"q": [y, y[piece]]}, **settings
+        )
 
     binding = bind(None, dataset(ref.measured(q[:, 0], NOISE, 0)))
     benches = []

@@ -45,7 +45,14 @@ def main() -> dict:
         with tempfile.TemporaryDirectory() as folder:
             write_dataset(Path(folder) / "small")
             what, promised, found = check(Path(folder))
-        rows.append({"what": what, "promised": promised, "measured": found, "seconds": round(time.perf_counter() - began)})
+        rows.append(
+            {
+                "what": what,
+                "promised": promised,
+                "measured": found,
+                "seconds": round(time.perf_counter() - began),
+            }
+        )
         print(rows[-1], flush=True)
     return {
         "title": "What a study survives",
@@ -73,7 +80,9 @@ def killed(study: Path, command: list[str], rng: random.Random, longest_s: float
     return alive
 
 
-def many_kills(home: Path, study: Path, command, count: int, longest_s: float, plain: list[dict]) -> tuple[int, int, int]:
+def many_kills(
+    home: Path, study: Path, command, count: int, longest_s: float, plain: list[dict]
+) -> tuple[int, int, int]:
     """(kills that hit, studies completed, acknowledged results that were lost); each completed table is compared."""
     rng, hits, studies, lost = random.Random(11), 0, 0, 0
     known: set[str] = set()
@@ -88,9 +97,13 @@ def many_kills(home: Path, study: Path, command, count: int, longest_s: float, p
         known = now
         if len(known) == total:
             subprocess.run(command(study), stdout=subprocess.DEVNULL, check=True)
-            assert table(home / "out") == plain, "the table differs from that of an uninterrupted run"
+            assert table(home / "out") == plain, (
+                "the table differs from that of an uninterrupted run"
+            )
             with sqlite3.connect(home / "out" / "study.sqlite") as db:
-                assert db.execute("SELECT count(*), count(DISTINCT key) FROM results").fetchone() == (total, total)
+                assert db.execute(
+                    "SELECT count(*), count(DISTINCT key) FROM results"
+                ).fetchone() == (total, total)
             assert not list((home / "out").rglob("*.partial"))
             studies, known = studies + 1, set()
             shutil.rmtree(home / "out")
@@ -104,7 +117,17 @@ def kills(home: Path) -> tuple[str, str, str]:
     assert [r["loss"] for r in plain] == [1 + number(k) for k in read_study(study).tasks]
     shutil.rmtree(home / "out")
     solver = str(Path(SOLVE[0]))
-    command = lambda study: [sys.executable, solver, "run", str(study), "--workers", "2", "--", "--sleep", "0.2"]
+    command = lambda study: [
+        sys.executable,
+        solver,
+        "run",
+        str(study),
+        "--workers",
+        "2",
+        "--",
+        "--sleep",
+        "0.2",
+    ]
     hits, studies, lost = many_kills(home, study, command, times(200), 6.0, plain)
     return (
         f"kill -9 at {hits} random moments of a 200-task study",
@@ -115,7 +138,16 @@ def kills(home: Path) -> tuple[str, str, str]:
 
 def kills_of_fits(home: Path) -> tuple[str, str, str]:
     study = write_study(home, "effects = [[], ['dead_zone']]", "seeds = 60", store="out")
-    command = lambda study: [sys.executable, "-m", "jaxid.cli", "batch", str(study), "--workers", "2", "--quiet"]
+    command = lambda study: [
+        sys.executable,
+        "-m",
+        "jaxid.cli",
+        "batch",
+        str(study),
+        "--workers",
+        "2",
+        "--quiet",
+    ]
     subprocess.run(command(study), check=True)
     plain = table(home / "out")
     shutil.rmtree(home / "out")
@@ -163,9 +195,15 @@ def flips(home: Path) -> tuple[str, str, str]:
         damaged[clean.index(row.body) + rng.randrange(len(row.body))] ^= 1 << rng.randrange(8)
         (folder / "study.sqlite").write_bytes(damaged)
         with Store(folder) as store:
-            found += store.acquire() == 1 and {r.key for r in store.rows()} == {r.key for r in rows_of(100)} - {row.key}
+            found += store.acquire() == 1 and {r.key for r in store.rows()} == {
+                r.key for r in rows_of(100)
+            } - {row.key}
     assert found == count
-    return f"{count} random bits flipped in payloads", "each found, all others kept", f"{found} found"
+    return (
+        f"{count} random bits flipped in payloads",
+        "each found, all others kept",
+        f"{found} found",
+    )
 
 
 def full_disk(home: Path) -> tuple[str, str, str]:
@@ -177,7 +215,9 @@ def full_disk(home: Path) -> tuple[str, str, str]:
         for room in range(60):
             store.db.execute(f"PRAGMA max_page_count = {pages + room}")
             try:
-                store.save([Row(f"new {k}", r.status, r.body) for k, r in enumerate(rows_of(400, 2000))])
+                store.save(
+                    [Row(f"new {k}", r.status, r.body) for k, r in enumerate(rows_of(400, 2000))]
+                )
             except StoreError as error:
                 refused += "the disk is full" in str(error)
             assert len(list(store.rows())) == 50
@@ -198,9 +238,15 @@ def coordinators(home: Path) -> tuple[str, str, str]:
         started = [start(study, "--sleep", "0.01") for _ in range(4)]
         for p in started:
             _, err = p.communicate(timeout=300)
-            ran, refused = ran + (p.returncode == 0), refused + (p.returncode == 2 and "is being run by process" in err)
+            ran, refused = (
+                ran + (p.returncode == 0),
+                refused + (p.returncode == 2 and "is being run by process" in err),
+            )
         with sqlite3.connect(home / "out" / "study.sqlite") as db:
-            assert db.execute("SELECT count(*), count(DISTINCT key) FROM results").fetchone() == (100, 100)
+            assert db.execute("SELECT count(*), count(DISTINCT key) FROM results").fetchone() == (
+                100,
+                100,
+            )
     assert ran + refused == 4 * count
     return (
         f"4 coordinators started on one store, {count} times",

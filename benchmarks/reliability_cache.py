@@ -45,19 +45,35 @@ def main() -> dict:
         for seed in range(PROCESSES):
             home = Path(folder, str(seed))
             home.mkdir()
-            own = {"JAXID_CACHE_DIR": f"{home}/cache", "PYTHONPATH": f"{HERE.parent}{os.pathsep}{HERE.parent / 'tests'}"}
+            own = {
+                "JAXID_CACHE_DIR": f"{home}/cache",
+                "PYTHONPATH": f"{HERE.parent}{os.pathsep}{HERE.parent / 'tests'}",
+            }
             given = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"} | own
             count = max(1, round(SHARE * FLIPS / PROCESSES))
-            started.append((home, subprocess.Popen([sys.executable, __file__, str(home), str(count), str(seed)], env=given)))
+            started.append(
+                (
+                    home,
+                    subprocess.Popen(
+                        [sys.executable, __file__, str(home), str(count), str(seed)], env=given
+                    ),
+                )
+            )
         assert all(process.wait() == 0 for _, process in started)
         found = [json.loads((home / "counts.json").read_text()) for home, _ in started]
     counts: dict[str, Counter] = {}
     for part in found:
         for key, count in part["counts"].items():
             counts.setdefault(key, Counter()).update(count)
-    counts = {f"all, over {found[0]['cache']}|": sum(counts.values(), Counter()), **dict(sorted(counts.items()))}
+    counts = {
+        f"all, over {found[0]['cache']}|": sum(counts.values(), Counter()),
+        **dict(sorted(counts.items())),
+    }
     columns = ("flips", *ENDS, "made anew")
-    rows = [dict(zip(("hit", "asked by"), key.split("|"), strict=True)) | {c: n[c] for c in columns} for key, n in counts.items()]
+    rows = [
+        dict(zip(("hit", "asked by"), key.split("|"), strict=True)) | {c: n[c] for c in columns}
+        for key, n in counts.items()
+    ]
     return {"title": "Flipped bits in the cache of programs", "text": TEXT, "rows": rows}
 
 
@@ -71,7 +87,11 @@ def flip(cache: Path, rng: random.Random) -> tuple[Path, bytes, str]:
     at = rng.randrange(len(content))
     content[at] ^= 1 << rng.randrange(8)
     file.write_bytes(content)
-    return file, bytes(content), f"{file.parent.name} program{', its hash' if at < len(MARK) + HASH_BYTES else ''}"
+    return (
+        file,
+        bytes(content),
+        f"{file.parent.name} program{', its hash' if at < len(MARK) + HASH_BYTES else ''}",
+    )
 
 
 def by_fork(data: Path, out: Path) -> int:
@@ -86,17 +106,32 @@ def by_fork(data: Path, out: Path) -> int:
         os.dup2(os.open(out / "said", os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
         found = jaxid.fit(None, jaxid.load_dataset(data), budget=BUDGET)
         (out / "answer.json").write_text(json.dumps([p.value for p in found.parameters.values()]))
-        (out / "modules.json").write_text(json.dumps([m for m in sys.modules if m.split(".")[0] != "__main__"]))
+        (out / "modules.json").write_text(
+            json.dumps([m for m in sys.modules if m.split(".")[0] != "__main__"])
+        )
         code = 0
     os._exit(code)
 
 
 def by_command(data: Path, out: Path) -> int:
     """The same by the command."""
-    command = [sys.executable, "-m", "jaxid.cli", "fit", str(data), "--out", str(out), "--quiet", "--budget", str(BUDGET)]
+    command = [
+        sys.executable,
+        "-m",
+        "jaxid.cli",
+        "fit",
+        str(data),
+        "--out",
+        str(out),
+        "--quiet",
+        "--budget",
+        str(BUDGET),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, cwd=HERE.parent, check=False)
     if done.returncode == 0:
-        values = [p["value"] for p in json.loads((out / "fit.json").read_text())["parameters"].values()]
+        values = [
+            p["value"] for p in json.loads((out / "fit.json").read_text())["parameters"].values()
+        ]
         (out / "answer.json").write_text(json.dumps(values))
     return done.returncode
 
@@ -124,12 +159,18 @@ def counted(home: Path, flips: int, seed: int) -> dict:
     files = [p.stat().st_size for p in cache.rglob("*") if p.is_file()]
     rng, counts = random.Random(31 + seed), {}
     for k in range(flips):
-        way, asked = (by_command, "`jaxid fit`") if k % COMMAND_EVERY == COMMAND_EVERY - 1 else (by_fork, "`jaxid.fit`")
+        way, asked = (
+            (by_command, "`jaxid fit`")
+            if k % COMMAND_EVERY == COMMAND_EVERY - 1
+            else (by_fork, "`jaxid.fit`")
+        )
         file, flipped, hit = flip(cache, rng)
         (out / "answer.json").unlink(missing_ok=True)
         kind = kind_of(way(data, out), out, right)
         mended = file.exists() and file.read_bytes() != flipped
-        counts.setdefault(f"{hit}|{asked}", Counter()).update({"flips": 1, kind: 1, "made anew": int(mended)})
+        counts.setdefault(f"{hit}|{asked}", Counter()).update(
+            {"flips": 1, kind: 1, "made anew": int(mended)}
+        )
         if k % 50 == 49 or kind != "right":
             print(k + 1, kind, {key: dict(n) for key, n in counts.items()}, flush=True)
     return {"cache": f"{len(files)} files of {sum(files) / 1e6:.2f} MB", "counts": counts}
@@ -137,4 +178,6 @@ def counted(home: Path, flips: int, seed: int) -> dict:
 
 if __name__ == "__main__":
     place = Path(sys.argv[1])
-    (place / "counts.json").write_text(json.dumps(counted(place, int(sys.argv[2]), int(sys.argv[3]))))
+    (place / "counts.json").write_text(
+        json.dumps(counted(place, int(sys.argv[2]), int(sys.argv[3])))
+    )

@@ -57,7 +57,14 @@ def main() -> dict:
         with tempfile.TemporaryDirectory() as folder:
             write_dataset(Path(folder) / "small")
             what, promised, found = check(Path(folder))
-        rows.append({"what": what, "promised": promised, "measured": found, "seconds": round(time.perf_counter() - began)})
+        rows.append(
+            {
+                "what": what,
+                "promised": promised,
+                "measured": found,
+                "seconds": round(time.perf_counter() - began),
+            }
+        )
         print(rows[-1], flush=True)
     return {
         "title": "What a result survives",
@@ -85,8 +92,21 @@ def started(command: str, home: Path, out: Path, seed: int, told: Path, ready: b
             setattr(jaxid, command, lambda *a, seed, **k: replace(result, seed=seed))
         else:
             setattr(jaxid, command, lambda *a, **k: kept(verb(*a, **k), stored))
-        sys.stdout, sys.stderr = (io.TextIOWrapper(io.FileIO(fd, "w", closefd=False), write_through=True) for fd in (1, 2))
-        code = command_line([command, str(home / "small"), "--out", str(out), "--seed", str(seed), "--quiet", *COMMANDS[command]])
+        sys.stdout, sys.stderr = (
+            io.TextIOWrapper(io.FileIO(fd, "w", closefd=False), write_through=True) for fd in (1, 2)
+        )
+        code = command_line(
+            [
+                command,
+                str(home / "small"),
+                "--out",
+                str(out),
+                "--seed",
+                str(seed),
+                "--quiet",
+                *COMMANDS[command],
+            ]
+        )
     finally:
         os._exit(code)
 
@@ -110,13 +130,19 @@ def ended(pid: int) -> int:
 def seed_of(out: Path, stem: str) -> int:
     """The seed of the one whole result in the folder; page and JSON belong together."""
     content = (out / f"{stem}.json").read_bytes()
-    assert result_of((out / "report.html").read_bytes()) == (f"{stem}.json", hashlib.sha256(content).hexdigest())
+    assert result_of((out / "report.html").read_bytes()) == (
+        f"{stem}.json",
+        hashlib.sha256(content).hexdigest(),
+    )
     return json.loads(content)["seed"]
 
 
 def others(out: Path, stem: str) -> set[str]:
     """Whatever else lies there."""
-    return {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} - {f"{stem}.json", "report.html"}
+    return {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} - {
+        f"{stem}.json",
+        "report.html",
+    }
 
 
 def kills(home: Path) -> tuple[str, str, str]:
@@ -137,7 +163,10 @@ def kills(home: Path) -> tuple[str, str, str]:
             if k % 8 < 4:
                 time.sleep(rng.uniform(0.0, 1.05 * lengths[1 if whole else 2]))
             else:
-                while not (done := os.waitpid(pid, os.WNOHANG)[0] == pid) and not (out / STAGE).exists():
+                while (
+                    not (done := os.waitpid(pid, os.WNOHANG)[0] == pid)
+                    and not (out / STAGE).exists()
+                ):
                     time.sleep(0.0005)
                 time.sleep(rng.uniform(0.0, 0.01))
             sent = time.monotonic()
@@ -152,7 +181,9 @@ def kills(home: Path) -> tuple[str, str, str]:
             left = others(out, stem) - {"notes.txt"}
             partial += any(name.startswith("partial/") for name in left)
             stray = {name for name in left if not name.startswith(("partial/", STAGE))}
-            assert not stray and (number == signal.SIGKILL or not any(name.startswith(STAGE) for name in left)), left
+            assert not stray and (
+                number == signal.SIGKILL or not any(name.startswith(STAGE) for name in left)
+            ), left
             settle(out)
             assert seed_of(out, stem) == now and not (out / STAGE).exists()
             found["new" if now == new else "old"] += 1
@@ -176,7 +207,9 @@ def full_disk(home: Path) -> tuple[str, str, str]:
     size = sum(p.stat().st_size for p in (home / "ready").iterdir())
     for point in range(points):
         room = int(size * (1 + 3.5 * point / points)) // 4096 * 4096 + 4096
-        subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", str(place)], check=True)
+        subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", str(place)], check=True
+        )
         try:
             out = place / "o"
             shutil.copytree(home / "ready", out)
@@ -186,7 +219,9 @@ def full_disk(home: Path) -> tuple[str, str, str]:
             assert not others(out, "fit") - {"partial/fit.json"}, others(out, "fit")
             assert (code, now) in ((0, 2), (1, 1)), (code, now, words)
             if code:
-                assert str(out) in words and "bytes are needed" in words and "inertia" in words, words
+                assert str(out) in words and "bytes are needed" in words and "inertia" in words, (
+                    words
+                )
                 refused += 1
                 kept += bool(others(out, "fit"))
             else:

@@ -129,7 +129,9 @@ class Recording:
             split=["fit", "fit", "validation", "report"][: len(self.y)], at_rest=not self.layout.spins,
             check_model=False, **settings,
         )  # fmt: skip
-        return replace(data, model=ModelSpec(constants=dict(self.layout.constants), free=not own.inputs))
+        return replace(
+            data, model=ModelSpec(constants=dict(self.layout.constants), free=not own.inputs)
+        )
 
 
 def record(name: str, seed: int, withheld: str = "", runs: int = 4) -> Recording:
@@ -145,12 +147,16 @@ def record(name: str, seed: int, withheld: str = "", runs: int = 4) -> Recording
     for run in range(runs):
         u = layout.inputs(rng, t)
         n = len(own.joints)
-        start = np.array([layout.spins[run] * rng.uniform(0.9, 1.1)]) if layout.spins else np.zeros(n)
+        start = (
+            np.array([layout.spins[run] * rng.uniform(0.9, 1.1)]) if layout.spins else np.zeros(n)
+        )
         q, v = motion(plant, t, u, np.zeros(n), start, delay)
         exact = v if own.speeds else q
         step = np.array([layout.steps[c] for c, _ in own.outputs])
         inputs.append(u)
-        phase = 0.0 if own.speeds else rng.uniform(-0.5, 0.5, step.size)  # of an encoder's first edge
+        phase = (
+            0.0 if own.speeds else rng.uniform(-0.5, 0.5, step.size)
+        )  # of an encoder's first edge
         readings.append(np.round(exact / step + phase) * step)
     return Recording(layout, t, inputs, readings)
 
@@ -162,7 +168,9 @@ def record(name: str, seed: int, withheld: str = "", runs: int = 4) -> Recording
 class Broken:
     """A convention broken: how, and the findings (kind, channels of which one is named) that say it; none where nobody can."""
 
-    change: Callable[[list[np.ndarray], list[np.ndarray]], tuple[list[np.ndarray], list[np.ndarray]]]
+    change: Callable[
+        [list[np.ndarray], list[np.ndarray]], tuple[list[np.ndarray], list[np.ndarray]]
+    ]
     found: tuple[str, tuple[str, ...]] | None
 
 
@@ -186,7 +194,9 @@ SWAPPED = lambda u, y: ([x[:, ::-1].copy() for x in u], y)
 def drifting(u, y):
     """Inputs by a clock that is 1500 ppm fast, at 100 Hz."""
     t = np.arange(len(u[0])) / 100
-    return [np.stack([np.interp(t / 1.0015, t, x[:, k]) for k in range(x.shape[1])], 1) for x in u], y
+    return [
+        np.stack([np.interp(t / 1.0015, t, x[:, k]) for k in range(x.shape[1])], 1) for x in u
+    ], y
 
 
 def two_joints(first: str, second: str) -> dict[str, Broken]:
@@ -219,7 +229,9 @@ CONVENTIONS = {
         "size of i alone": Broken(SIZE, ("unsigned", ("i",))),
         "i in mA": Broken(times("u", 0, 1000.0), None),  # mass and friction take it up
     },
-    "wheel, spin-down": {"speed in rpm": Broken(times("y", 0, 30 / pi), None)},  # friction takes it up
+    "wheel, spin-down": {
+        "speed in rpm": Broken(times("y", 0, 30 / pi), None)
+    },  # friction takes it up
 }
 
 
@@ -234,7 +246,10 @@ def fitted(name: str, seeds: Sequence[int]) -> dict[str, Any]:
         own = {k: fit.parameters[k] for k in layout.truth}
         off += [abs(p.value - layout.truth[k]) / p.std for k, p in own.items() if p.std]
         states.append(fit.state)
-        print(f"{name}, seed {seed}: {fit.state}, loss {fit.loss:.3g}, off by {max(off[-len(own) :]):.2g}", file=sys.stderr)
+        print(
+            f"{name}, seed {seed}: {fit.state}, loss {fit.loss:.3g}, off by {max(off[-len(own) :]):.2g}",
+            file=sys.stderr,
+        )
     return {
         "question": "fit, nothing missing", "asked": f"{len(states)} fits",
         "right": f"{states.count('converged')} converged, {sum(d < 1.96 for d in off)} of {len(off)} intervals hold the truth",
@@ -270,7 +285,9 @@ def conventions(name: str, withheld: str, seed: int) -> dict[str, Any]:
             continue
         u, y = broken.change(whole.u, whole.y)
         own = replace(whole, t=whole.t[: len(y[0])], u=u, y=y)
-        findings = run_check(layout.model(), own.dataset(), layout.without.get(withheld, ())).findings
+        findings = run_check(
+            layout.model(), own.dataset(), layout.without.get(withheld, ())
+        ).findings
         kind, channels = broken.found or ("", ())
         # A run whose first row was lost does begin in motion; what is but asked claims nothing.
         hit = [f for f in findings if f.kind == kind and f.channel in channels]
@@ -289,7 +306,9 @@ def conventions(name: str, withheld: str, seed: int) -> dict[str, Any]:
 QUESTIONS = "fit", "none", "withheld", "check"
 
 
-def main(seeds: int = 8, layouts: Sequence[str] = (), questions: Sequence[str] = QUESTIONS) -> dict[str, Any]:
+def main(
+    seeds: int = 8, layouts: Sequence[str] = (), questions: Sequence[str] = QUESTIONS
+) -> dict[str, Any]:
     rows = []
     for name in (n for n in LAYOUTS if not layouts or any(part in n for part in layouts)):
         asked: list[Callable[[], dict[str, Any]]] = []

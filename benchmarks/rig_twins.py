@@ -21,15 +21,23 @@ from jaxid.models.effects import CoulombFriction, StribeckFriction, ViscousFrict
 
 # ---- the models that users would write
 
-OF_ONE_AXIS = ((ViscousFriction, {"coefficient": "viscous"}), (CoulombFriction, {"level": "coulomb"}))
-OF_EACH_JOINT = ((ViscousFriction, {"coefficient": "viscous_{joint}"}), (CoulombFriction, {"level": "coulomb_{joint}"}))
+OF_ONE_AXIS = (
+    (ViscousFriction, {"coefficient": "viscous"}),
+    (CoulombFriction, {"level": "coulomb"}),
+)
+OF_EACH_JOINT = (
+    (ViscousFriction, {"coefficient": "viscous_{joint}"}),
+    (CoulombFriction, {"level": "coulomb_{joint}"}),
+)
 
 
 class CartPole(Lagrangian):
     """A cart on a rail, driven by a motor's volts through a pinion; a pole hangs from it (theta = 0 hangs down)."""
 
     name: ClassVar[str] = "cart_pole"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("x", "m"), ("theta", "rad")), ("x", "theta")),)
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((("u", "V"),), (("x", "m"), ("theta", "rad")), ("x", "theta")),
+    )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = OF_EACH_JOINT
     equations: ClassVar[str] = "Lagrange's, with force = gear k / (R r) (u - gear k v / r)"
     source: ClassVar[str] = "textbook"
@@ -79,7 +87,12 @@ class Furuta(Rigid):
         s, c = jnp.sin(q[1]), jnp.cos(q[1])
         across = self.mass * self.arm * self.centre
         off = across * c
-        M = jnp.array([[self.J_arm + self.mass * self.arm**2 + self.J_pendulum * s**2, off], [off, self.J_pendulum]])
+        M = jnp.array(
+            [
+                [self.J_arm + self.mass * self.arm**2 + self.J_pendulum * s**2, off],
+                [off, self.J_pendulum],
+            ]
+        )
         turning = 2 * self.J_pendulum * s * c * qd[0] * qd[1] - across * s * qd[1] ** 2
         swinging = -self.J_pendulum * s * c * qd[0] ** 2 + self.mass * 9.81 * self.centre * s
         return M, jnp.stack([turning, swinging])
@@ -110,8 +123,13 @@ class Rack(Rigid):
     """A slide that a motor's current moves by a pinion."""
 
     name: ClassVar[str] = "rack"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("i", "A"),), (("position", "m"),), ("position",)),)
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (*OF_ONE_AXIS, (StribeckFriction, {}))
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((("i", "A"),), (("position", "m"),), ("position",)),
+    )
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
+        *OF_ONE_AXIS,
+        (StribeckFriction, {}),
+    )
     equations: ClassVar[str] = "mass qdd = k / r i - friction"
     source: ClassVar[str] = "textbook"
     mass: Array = param(3.0, 0.01, 100.0, unit="kg", log=True)
@@ -129,7 +147,9 @@ class Wheel(Rigid):
     """A wheel of known inertia that was spun up and let go; a tachometer reads its speed."""
 
     name: ClassVar[str] = "wheel"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((), (("qd", "rad/s"),), ("q",), speeds=(0,)),)
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((), (("qd", "rad/s"),), ("q",), speeds=(0,)),
+    )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = OF_ONE_AXIS
     equations: ClassVar[str] = "inertia qdd = -friction"
     source: ClassVar[str] = "textbook"
@@ -153,7 +173,9 @@ class CartPoleTwin:
         motor = v[0] / 0.00635 * 3.71
         force = 3.71 * 0.00767 * (volts - 0.00767 * motor) / 2.6 / 0.00635
         mass, length, J = 0.23, 0.33, 0.0335
-        M = np.array([[0.82 + mass, mass * length * np.cos(q[1])], [mass * length * np.cos(q[1]), J]])
+        M = np.array(
+            [[0.82 + mass, mass * length * np.cos(q[1])], [mass * length * np.cos(q[1]), J]]
+        )
         cart = force - 3.0 * v[0] + mass * length * np.sin(q[1]) * v[1] ** 2
         return M, np.array([cart, -0.0024 * v[1] - mass * 9.81 * length * np.sin(q[1])])
 
@@ -189,7 +211,9 @@ class SlideTwin:
 
     def __call__(self, q, v, u):
         force = float(self.gains @ u) if len(self.gains) else 0.0
-        return np.array([[self.mass]]), np.array([force - self.load - self.viscous * v[0] - self.drag * v[0] * abs(v[0])])
+        return np.array([[self.mass]]), np.array(
+            [force - self.load - self.viscous * v[0] - self.drag * v[0] * abs(v[0])]
+        )
 
     def dry(self, speed: float) -> float:
         return self.level + self.more * np.exp(-((speed / self.at) ** 2))
@@ -226,7 +250,9 @@ def motion(plant, t: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray, de
         command = u[k] if k >= 0 else 0 * u[0]
         while b - a > 1e-10:
             way = next_way(x, command)
-            slope = lambda s, x, w=way, c=command: np.concatenate([x[n:], accelerations(x, c, w)[0]])
+            slope = lambda s, x, w=way, c=command: np.concatenate(
+                [x[n:], accelerations(x, c, w)[0]]
+            )
             if way:
                 stop = lambda s, x, w=way: w * x[n] + (1e-12 if s == start else 0.0)
             else:
@@ -244,7 +270,9 @@ def motion(plant, t: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray, de
     return states[:, :n], states[:, n:]
 
 
-def multisine(rng: np.random.Generator, t: np.ndarray, size: float, low: float, high: float) -> np.ndarray:
+def multisine(
+    rng: np.random.Generator, t: np.ndarray, size: float, low: float, high: float
+) -> np.ndarray:
     """Five sines, then steps for the last third."""
     f, phase = np.exp(rng.uniform(np.log(low), np.log(high), 5)), rng.uniform(0, 2 * pi, 5)
     u = np.sin(2 * pi * t[:, None] * f + phase).sum(1) / 2

@@ -60,8 +60,17 @@ class Arm:
             com = (m * c + load * np.asarray(at)) / total
             I = m * self.length[k] ** 2 / 12
             apart = [(m, c - com), (load, np.asarray(at) - com)]
-            inertia = np.diag([0.1 * I + 1e-5, I, I]) + sum(w * (d @ d * np.eye(3) - np.outer(d, d)) for w, d in apart)
-            full = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+            inertia = np.diag([0.1 * I + 1e-5, I, I]) + sum(
+                w * (d @ d * np.eye(3) - np.outer(d, d)) for w, d in apart
+            )
+            full = [
+                inertia[0, 0],
+                inertia[1, 1],
+                inertia[2, 2],
+                inertia[0, 1],
+                inertia[0, 2],
+                inertia[1, 2],
+            ]
             place = f"{self.length[k - 1]} 0 0" if k else "0 0 0.2"
             numbers = " ".join(f"{v:.9g}" for v in full)
             own = (f'<joint name="j{k + 1}" axis="{self.axes[k]}" armature="{self.armature[k]}" damping="{self.damping[k]}" '
@@ -78,7 +87,13 @@ class Arm:
                 close = "</body>" + close
         acts = "".join(f'<position name="a{k + 1}" joint="j{k + 1}" kp="{self.kp[k]}" kv="{self.kv[k]}" '
                        f'forcerange="-{self.limit[k]} {self.limit[k]}"/>' for k in range(self.n))  # fmt: skip
-        g = 9.81 * np.array([np.sin(tilt[1]), -np.sin(tilt[0]) * np.cos(tilt[1]), -np.cos(tilt[0]) * np.cos(tilt[1])])
+        g = 9.81 * np.array(
+            [
+                np.sin(tilt[1]),
+                -np.sin(tilt[0]) * np.cos(tilt[1]),
+                -np.cos(tilt[0]) * np.cos(tilt[1]),
+            ]
+        )
         option = f'<option timestep="{STEP}" integrator="implicitfast" gravity="{" ".join(f"{v:.9g}" for v in g)}"/>'
         firm = f'<default><joint solreffriction="{2 * STEP} 1" solimpfriction=".99 .9999 .001"/></default>'
         return (f'<mujoco model="arm"><compiler angle="radian"/>{option}{firm}<worldbody>{open_}{close}</worldbody>'
@@ -172,7 +187,9 @@ def recorded(
     return out + noise * rng.standard_normal(out.shape)
 
 
-def limited(arm: Arm, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
+def limited(
+    arm: Arm, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.random.Generator
+) -> dict[str, Any]:
     """`beside` with the most torque that a drive gives which gives less than the file says: a share of what a motion asks for."""
     if "clip" not in beside:
         return beside
@@ -181,7 +198,9 @@ def limited(arm: Arm, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.ran
     return beside | {"top": beside["clip"] * float(np.abs(asked).max())}
 
 
-def case(seed: int, number: int, seconds: float, off: float = 0.0, more: float = 0.0) -> dict[str, Any]:
+def case(
+    seed: int, number: int, seconds: float, off: float = 0.0, more: float = 0.0
+) -> dict[str, Any]:
     """A case with its key: file, goals, readings. `off`: the share by which armature, damping and dry friction of the file are
     wrong at most; `more` seconds of the motion that goes on."""
     rng = np.random.default_rng([seed, number])
@@ -220,11 +239,21 @@ def as_named(arm: Arm, found: Any) -> tuple[Arm, str, int, dict[str, Any]] | Non
         for numbers in (real.kp, real.kv, real.limit):
             numbers[j] *= 1 + p["gain"]
     elif e.effect == "payload":
-        end = arm.length[j] * (0.5 if j == arm.n - 1 else 1.0)  # from the next joint, else from the link's centre of mass
-        real.more["payload"] = {j: (p["mass"], np.array([end + p.get("dx", 0.0), p.get("dy", 0.0), p.get("dz", 0.0)]))}
+        end = arm.length[j] * (
+            0.5 if j == arm.n - 1 else 1.0
+        )  # from the next joint, else from the link's centre of mass
+        real.more["payload"] = {
+            j: (p["mass"], np.array([end + p.get("dx", 0.0), p.get("dy", 0.0), p.get("dz", 0.0)]))
+        }
     elif e.effect == "gravity_offset":
         real.more["tilt"] = (0.0, p["tilt"])
-    elif e.effect in ("input_delay", "sensor_bias", "constant_torque", "stribeck_friction", "saturation"):
+    elif e.effect in (
+        "input_delay",
+        "sensor_bias",
+        "constant_torque",
+        "stribeck_friction",
+        "saturation",
+    ):
         beside = {"top" if name == "limit" else name: value for name, value in p.items()}
         if "torque" in p:
             beside["torque"] = -p["torque"]  # as friction, against the motion

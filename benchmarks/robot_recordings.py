@@ -28,12 +28,23 @@ def recording(name: str) -> jaxid.Dataset:
     return jaxid.load_dataset(DATA / name)
 
 
-def table(name: str, per_joint: Sequence[Mapping[str, Any]], said: str, split: str = "report") -> list[dict[str, Any]]:
+def table(
+    name: str, per_joint: Sequence[Mapping[str, Any]], said: str, split: str = "report"
+) -> list[dict[str, Any]]:
     """Free runs of the joints of a robot under its law; the row of all joints has what was `said`."""
-    columns = {"file as it stands": "as_it_stands", "re-tuned": "retuned", "with effects": "with_effects"}
+    columns = {
+        "file as it stands": "as_it_stands",
+        "re-tuned": "retuned",
+        "with effects": "with_effects",
+    }
     own = [r for r in per_joint if r["split"] == split]
     rows = [
-        {"recording": name, "joint": r["joint"], **{c: r.get(k) or r["retuned"] for c, k in columns.items()}, "unit": r["unit"]}
+        {
+            "recording": name,
+            "joint": r["joint"],
+            **{c: r.get(k) or r["retuned"] for c, k in columns.items()},
+            "unit": r["unit"],
+        }
         for r in own
     ]
     total = {c: float(np.sqrt(np.mean([r[c] ** 2 for r in rows]))) for c in columns}
@@ -45,7 +56,9 @@ def diagnosed(name: str) -> list[dict[str, Any]]:
     found = jaxid.diagnose(None, recording(name))
     effects = ", ".join(f"{e.effect} at {e.location}" for e in found.which.effects)
     seconds = f"{time.process_time() - spent:.0f} s of processor time, {time.perf_counter() - began:.0f} s"
-    return table(name, found.how_far.per_joint, f"{found.which.verdict}: {effects or 'no name'}; {seconds}")
+    return table(
+        name, found.how_far.per_joint, f"{found.which.verdict}: {effects or 'no name'}; {seconds}"
+    )
 
 
 def identified(name: str) -> list[dict[str, Any]]:
@@ -61,7 +74,11 @@ def identified(name: str) -> list[dict[str, Any]]:
 
 def main() -> dict[str, Any]:
     rows = [*identified("kinova_gen3"), *diagnosed("so101_chirps"), *diagnosed("go2_chirp")]
-    return {"title": "Recorded robots: their files as they stand", "text": " ".join((__doc__ or "").split()), "rows": rows}
+    return {
+        "title": "Recorded robots: their files as they stand",
+        "text": " ".join((__doc__ or "").split()),
+        "rows": rows,
+    }
 
 
 if __name__ == "__main__":

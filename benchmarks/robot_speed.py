@@ -66,10 +66,19 @@ def diagnosed(dataset: str, model: str | None) -> None:
     found = jaxid.diagnose(model, data)
     seconds = time.perf_counter() - began
     joints = [j for j in found.to_dict()["how_far"]["per_joint"] if j["split"] == "report"]
-    rms = {key: float(np.sqrt(np.mean([j[key] ** 2 for j in joints]))) for key in ("retuned", "with_effects") if joints[0][key]}
-    runs = next(int(re.split(r"\D", note)[0]) for note in found.notes if "free runs were simulated" in note)
+    rms = {
+        key: float(np.sqrt(np.mean([j[key] ** 2 for j in joints])))
+        for key in ("retuned", "with_effects")
+        if joints[0][key]
+    }
+    runs = next(
+        int(re.split(r"\D", note)[0]) for note in found.notes if "free runs were simulated" in note
+    )
     named = f"{found.which.verdict}: {', '.join(map(str, found.which.effects)) or 'no effect'}"
-    part = next((m[1] for note in found.notes if (m := re.search(r"rows in all \(([\d.]+) %\)", note))), "100")
+    part = next(
+        (m[1] for note in found.notes if (m := re.search(r"rows in all \(([\d.]+) %\)", note))),
+        "100",
+    )
     print(json.dumps({"seconds": seconds, "said": named, "runs": runs, "part": part, **rms}))
 
 
@@ -77,7 +86,11 @@ def _changes(robot: Any, tree: Any) -> dict[str, Any]:
     """By the first part of a number's name how `mujoco.sysid` sets it: (spec, joint or link, value)."""
 
     def body(spec: Any, link: str) -> Any:
-        return spec.body(f"body of {tree.joints[tree.links.index(link)]}") if tree.file.endswith(".urdf") else spec.body(link)
+        return (
+            spec.body(f"body of {tree.joints[tree.links.index(link)]}")
+            if tree.file.endswith(".urdf")
+            else spec.body(link)
+        )
 
     def actuator(spec: Any, joint: str) -> Any:
         return spec.actuators[robot.actuator(joint)]
@@ -110,7 +123,9 @@ def _held(t: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.nda
     return fine, u[np.clip(np.searchsorted(t - t[0], fine + 1e-9, side="right") - 1, 0, len(t) - 1)]
 
 
-def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) -> dict[str, Any] | None:
+def by_mujoco(
+    dataset: Path, file: Path | None, longest_s: float = LONGEST_S
+) -> dict[str, Any] | None:
     """The same fit by `mujoco.sysid`, stopped after `longest_s`: seconds, how many numbers, rms that its best model leaves on the
     report runs; None where it is not installed."""
     from mujoco import sysid
@@ -135,7 +150,12 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
     spec, columns = robot.spec, [inputs.index(f"{j}_cmd") for j in joints]
     linear = [data.inputs[c].hold == "linear" for c in columns]
     for j in joints:
-        spec.add_sensor(name=j, type=robot.mj.mjtSensor.mjSENS_JOINTPOS, objtype=robot.mj.mjtObj.mjOBJ_JOINT, objname=j)
+        spec.add_sensor(
+            name=j,
+            type=robot.mj.mjtSensor.mjSENS_JOINTPOS,
+            objtype=robot.mj.mjtObj.mjOBJ_JOINT,
+            objname=j,
+        )
     spec.option.gravity = _gravity(tree, data)
     model = spec.compile()
     acts = [robot.actuator(j) for j in joints]
@@ -145,13 +165,22 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
         y = e.y[:, b.chain.joint_outputs]
         first = slice(0, 5)
         at, dof = map(np.array, zip(*(robot.address(j) for j in joints), strict=True))
-        state.qpos[at], state.qvel[dof] = y[0], 0.0 if e.at_rest else np.polyfit(e.t[first], y[first], 1)[0]
+        state.qpos[at], state.qvel[dof] = (
+            y[0],
+            0.0 if e.at_rest else np.polyfit(e.t[first], y[first], 1)[0],
+        )
         u = np.zeros((len(e.t), model.nu))
         u[:, acts] = e.u[:, columns]
         t, u = (e.t - e.t[0], u) if any(linear) else _held(e.t, u, model.opt.timestep)
         begin = sysid.create_initial_state(model, state.qpos, state.qvel, state.act)
-        read = e.t - e.t[0] + model.opt.timestep  # what it reads as a step begins it gives the time at which that ends
-        return begin, sysid.TimeSeries(t, u), sysid.TimeSeries.from_names(read, y, model, list(joints))
+        read = (
+            e.t - e.t[0] + model.opt.timestep
+        )  # what it reads as a step begins it gives the time at which that ends
+        return (
+            begin,
+            sysid.TimeSeries(t, u),
+            sysid.TimeSeries.from_names(read, y, model, list(joints)),
+        )
 
     change, parameters, told = _changes(robot, tree), sysid.ParameterDict(), []
     for i in b.free:
@@ -160,15 +189,21 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
         if kind not in change:
             continue
         low, high = np.clip([b.lower[i], b.upper[i]], -1e3, 1e3)
-        modifier = lambda spec, p, kind=kind, place=place: change[kind](spec, place, float(p.value[0]))
+        modifier = lambda spec, p, kind=kind, place=place: change[kind](
+            spec, place, float(p.value[0])
+        )
         start = float(np.clip(b.theta[i], low, high))
-        parameters.add(sysid.Parameter(name, nominal=start, min_value=low, max_value=high, modifier=modifier))
+        parameters.add(
+            sysid.Parameter(name, nominal=start, min_value=low, max_value=high, modifier=modifier)
+        )
         told.append(name)
     parameters.move_off_bounds()
     fitted = [*b.experiments("fit"), *(e for e in b.experiments("validation") if e.past is None)]
     begins, controls, seen = zip(*(series(e) for e in fitted), strict=True)
     names = [f"run {k}" for k in range(len(fitted))]
-    sequences = sysid.ModelSequences("robot", spec, names, list(begins), list(controls), list(seen), allow_missing_sensors=True)
+    sequences = sysid.ModelSequences(
+        "robot", spec, names, list(begins), list(controls), list(seen), allow_missing_sensors=True
+    )
     plain = sysid.build_residual_fn(models_sequences=[sequences])
     best: list[Any] = [np.inf, None]
     began = time.perf_counter()
@@ -176,7 +211,9 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
     def residual(x: np.ndarray, p: Any, **more: Any) -> Any:
         found = plain(x, p, **more)
         points = np.asarray(x).reshape(len(told), -1)
-        cost = np.sum([np.sum(np.asarray(r).reshape(-1, points.shape[1]) ** 2, 0) for r in found[0]], axis=0)
+        cost = np.sum(
+            [np.sum(np.asarray(r).reshape(-1, points.shape[1]) ** 2, 0) for r in found[0]], axis=0
+        )
         k = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
         if cost[k] < best[0]:
             best[:] = cost[k], points[:, k].copy()
@@ -187,7 +224,9 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
     stopped = ""
     with contextlib.redirect_stdout(io.StringIO()):
         try:
-            sysid.optimize(initial_params=parameters, residual_fn=residual, optimizer="mujoco", verbose=False)
+            sysid.optimize(
+                initial_params=parameters, residual_fn=residual, optimizer="mujoco", verbose=False
+            )
         except TimeoutError:
             stopped = ", stopped"
     seconds = time.perf_counter() - began
@@ -196,10 +235,15 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
         change[kind](spec, place, float(value))
     robot.model = spec.compile()
     drive, left = Driven("goal" if law is None else "law", law, robot), []
-    for cut, e in ((len(e.t), e.whole) for e in b.experiments("report")):  # from where a recording begins, at rest if it can be
+    for cut, e in (
+        (len(e.t), e.whole) for e in b.experiments("report")
+    ):  # from where a recording begins, at rest if it can be
         begin, _, _ = series(e)
         state = robot.mj.MjData(robot.model)
-        state.qpos[:], state.qvel[:] = begin[1 : 1 + robot.model.nq], begin[1 + robot.model.nq :][: robot.model.nv]
+        state.qpos[:], state.qvel[:] = (
+            begin[1 : 1 + robot.model.nq],
+            begin[1 + robot.model.nq :][: robot.model.nv],
+        )
         at, dof = map(np.array, zip(*(robot.address(j) for j in joints), strict=True))
         y = robot.run(joints, e.t, e.u[:, columns], linear, drive, state.qpos[at], state.qvel[dof])
         left.append((e.y[:, b.chain.joint_outputs] - y)[-cut:])
@@ -207,15 +251,31 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
     return {"seconds": seconds, "numbers": len(told), "rms": rms, "stopped": stopped}
 
 
-def in_processes(dataset: Path, file: Path | None, cache: Path) -> tuple[dict[str, Any], dict[str, Any], float]:
+def in_processes(
+    dataset: Path, file: Path | None, cache: Path
+) -> tuple[dict[str, Any], dict[str, Any], float]:
     """What a diagnosis says and takes with no compiled programs on disk and with them, and seconds of the whole command."""
-    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"} | {"JAXID_CACHE_DIR": str(cache)}
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"} | {
+        "JAXID_CACHE_DIR": str(cache)
+    }
     one = [sys.executable, __file__, "one", str(dataset), *([str(file)] if file else [])]
-    runs = [subprocess.run(one, env=environment, capture_output=True, text=True, check=True) for _ in range(2)]
+    runs = [
+        subprocess.run(one, env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
     cold, warm = (json.loads(r.stdout.splitlines()[-1]) for r in runs)
-    command = [sys.executable, "-m", "jaxid", "diagnose", str(dataset), *(["--model", str(file)] if file else [])]
+    command = [
+        sys.executable,
+        "-m",
+        "jaxid",
+        "diagnose",
+        str(dataset),
+        *(["--model", str(file)] if file else []),
+    ]
     began = time.perf_counter()
-    subprocess.run([*command, "--out", str(cache / "page")], env=environment, capture_output=True, check=True)
+    subprocess.run(
+        [*command, "--out", str(cache / "page")], env=environment, capture_output=True, check=True
+    )
     return cold, warm, time.perf_counter() - began
 
 
@@ -226,12 +286,15 @@ def row(name: str, folder: Path) -> dict[str, Any]:
     peer = by_mujoco(dataset, file)
     left = [f"{1e3 * warm[k]:.3g}" for k in ("retuned", "with_effects") if k in warm]
     return {
-        "recording": f"{name}, {about}" + (f" (jaxid looks at {warm['part']} % of it)" if warm["part"] != "100" else ""),
+        "recording": f"{name}, {about}"
+        + (f" (jaxid looks at {warm['part']} % of it)" if warm["part"] != "100" else ""),
         "jaxid cold / warm / command [s]": f"{cold['seconds']:.0f} / {warm['seconds']:.0f} / {command:.0f}",
         "free runs": warm["runs"],
         "answer": warm["said"],
         "left on held-out runs, re-tuned / with effects [mrad]": " / ".join(left),
-        "mujoco.sysid [s]": "not installed" if peer is None else f"{peer['seconds']:.0f}{peer['stopped']}",
+        "mujoco.sysid [s]": "not installed"
+        if peer is None
+        else f"{peer['seconds']:.0f}{peer['stopped']}",
         "its numbers": "" if peer is None else peer["numbers"],
         "left by it [mrad]": "" if peer is None else f"{1e3 * peer['rms']:.3g}",
     }
@@ -245,7 +308,11 @@ def main(*names: str) -> dict[str, Any]:
             rows.append(row(name, Path(folder)))
             print(rows[-1], file=sys.stderr, flush=True)
     text = (__doc__ or "").split("\n\n")
-    return {"title": "Robots under goals: time, beside mujoco.sysid", "text": " ".join(text[1].split()), "rows": rows}
+    return {
+        "title": "Robots under goals: time, beside mujoco.sysid",
+        "text": " ".join(text[1].split()),
+        "rows": rows,
+    }
 
 
 if __name__ == "__main__":

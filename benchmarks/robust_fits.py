@@ -47,7 +47,9 @@ class VoltAxis(Rigid):
     """mass qdd = gain u - back_emf qd - friction."""
 
     name: ClassVar[str] = "volt_axis"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("position", "m"),), ("position",)),)
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((("u", "V"),), (("position", "m"),), ("position",)),
+    )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),
@@ -69,7 +71,12 @@ KINDS = (
     (Joint, {}, {"inertia": 0.02, "viscous": 0.03, "coulomb": 0.05}, 0.5),
     (Joint, {"qd": "rad/s"}, {"inertia": 0.02, "viscous": 0.03, "coulomb": 0.05}, 0.5),
     (Pendulum, {}, {"inertia": 0.08, "gravity_torque": 1.5, "viscous": 0.05, "coulomb": 0.08}, 1.2),
-    (Pendulum, {"qd": "rad/s"}, {"inertia": 0.08, "gravity_torque": 1.5, "viscous": 0.05, "coulomb": 0.08}, 1.2),
+    (
+        Pendulum,
+        {"qd": "rad/s"},
+        {"inertia": 0.08, "gravity_torque": 1.5, "viscous": 0.05, "coulomb": 0.08},
+        1.2,
+    ),
     (VoltAxis, {}, {"mass": 2.0, "viscous": 4.0, "coulomb": 3.0}, 2.0),
     (VoltAxis, {"velocity": "m/s"}, {"mass": 2.0, "viscous": 4.0, "coulomb": 3.0}, 2.0),
     (Servo, {}, {"viscous": 0.02, "coulomb": 0.03, "armature": 0.004}, 0.8),
@@ -90,11 +97,18 @@ def one_case(number: int, rng: np.random.Generator):
     blind = number % 10 == 9
     t = np.arange(0, 8, 0.01)
     u = size * np.sin(2 * np.pi * np.cumsum(np.interp(t, [0, 8], rng.uniform(0.1, 1.5, 2))) * 0.01)
-    u = size * np.tanh(t) if blind else np.where((t > 3) & (t < 4.5), 0.0, u)  # one way only; or no force for a while
+    u = (
+        size * np.tanh(t) if blind else np.where((t > 3) & (t < 4.5), 0.0, u)
+    )  # one way only; or no force for a while
     sim = Simulator(chain, t, u[:, None], size=2048)
     clean = sim.outputs([truth])[0]
-    channels = {name: clean[:, k] + NOISE[unit] * rng.standard_normal(len(t)) for k, (name, unit) in enumerate(signature.outputs)}
-    parameters = {k: ParameterPrior(v * 10 ** rng.uniform(-1, 1), v / 1e3, v * 1e3) for k, v in truth.items()}
+    channels = {
+        name: clean[:, k] + NOISE[unit] * rng.standard_normal(len(t))
+        for k, (name, unit) in enumerate(signature.outputs)
+    }
+    parameters = {
+        k: ParameterPrior(v * 10 ** rng.uniform(-1, 1), v / 1e3, v * 1e3) for k, v in truth.items()
+    }
     free = [e.name for e in sim.layout.entries if not e.spec.fixed and e.name not in truth]
     constants = {name: float(sim.layout.values[sim.layout.index(name)]) for name in free}
     data = jaxid.Dataset.from_arrays(
@@ -107,11 +121,15 @@ def one_case(number: int, rng: np.random.Generator):
 
 def right(found: dict[str, tuple[float, float | None]], truth: dict[str, float]) -> bool:
     return all(
-        std is None or abs(value - truth[k]) <= max(4 * std, 0.02 * truth[k]) for k, (value, std) in found.items() if k in truth
+        std is None or abs(value - truth[k]) <= max(4 * std, 0.02 * truth[k])
+        for k, (value, std) in found.items()
+        if k in truth
     )
 
 
-def by_scipy(chain: Chain, data: jaxid.Dataset) -> tuple[bool, dict[str, tuple[float, float | None]]]:
+def by_scipy(
+    chain: Chain, data: jaxid.Dataset
+) -> tuple[bool, dict[str, tuple[float, float | None]]]:
     """Whether SciPy says success, and its numbers, on the residuals of the fit from its start."""
     b = bind(chain, data)
     problem = Bench(b).problem(OutputError(), "fit", b.free, b.theta)
@@ -132,7 +150,8 @@ def by_scipy(chain: Chain, data: jaxid.Dataset) -> tuple[bool, dict[str, tuple[f
     variance = np.diag(np.linalg.pinv(J.T @ J)) * max(1.0, float(np.mean(r**2)))
     theta, slope = problem.theta(end.x), problem.dtheta(end.x)
     numbers: dict[str, tuple[float, float | None]] = {
-        b.layout.names[i]: (float(theta[i]), float(np.sqrt(variance[k]) * slope[k])) for k, i in enumerate(problem.free)
+        b.layout.names[i]: (float(theta[i]), float(np.sqrt(variance[k]) * slope[k]))
+        for k, i in enumerate(problem.free)
     }
     return bool(end.success), numbers
 
@@ -174,7 +193,12 @@ def main(count: int = 500, seed: int = 0) -> dict[str, Any]:
     return result(*counted(range(count), seed))
 
 
-OUTCOMES = ("right", "right, says it did not converge", "wrong, says it did not converge", "wrong, says converged")
+OUTCOMES = (
+    "right",
+    "right, says it did not converge",
+    "wrong, says it did not converge",
+    "wrong, says converged",
+)
 
 
 def outcome(good: bool, state: str) -> str:

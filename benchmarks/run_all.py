@@ -28,13 +28,19 @@ def machine() -> str:
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():
-        lines = [x.split(":", 1)[1].strip() for x in info.read_text().splitlines() if x.startswith("model name")]
+        lines = [
+            x.split(":", 1)[1].strip()
+            for x in info.read_text().splitlines()
+            if x.startswith("model name")
+        ]
         name = lines[0] if lines else name
     return f"{name}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
 def modules() -> list[str]:
-    return sorted(p.stem for p in HERE.glob("*.py") if p.stem != "run_all" and "\ndef main(" in p.read_text())
+    return sorted(
+        p.stem for p in HERE.glob("*.py") if p.stem != "run_all" and "\ndef main(" in p.read_text()
+    )
 
 
 def run(name: str) -> None:
@@ -60,7 +66,9 @@ def cell(value: object) -> str:
 
 def write() -> None:
     """RESULTS.md from every kept result."""
-    parts = ["# Measured results\n\nWritten by `make benchmark` (benchmarks/run_all.py); do not edit.\n"]
+    parts = [
+        "# Measured results\n\nWritten by `make benchmark` (benchmarks/run_all.py); do not edit.\n"
+    ]
     for path in sorted((HERE / "results").glob("*.json")):
         r = json.loads(path.read_text())
         parts.append(f"## {r['title']}\n\n{r.get('text', '')}\n")
@@ -68,10 +76,14 @@ def write() -> None:
         if rows:
             columns = list(dict.fromkeys(c for row in rows for c in row))
             lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
-            lines += ["| " + " | ".join(cell(row.get(c, "")) for c in columns) + " |" for row in rows]
+            lines += [
+                "| " + " | ".join(cell(row.get(c, "")) for c in columns) + " |" for row in rows
+            ]
             parts.append("\n".join(lines) + "\n")
         spent = f"{r['wall_time_s']} s, " if "wall_time_s" in r else ""
-        parts.append(f"`benchmarks/{path.stem}.py`, {r.get('date', '')}, {spent}{r.get('machine', '')}\n")
+        parts.append(
+            f"`benchmarks/{path.stem}.py`, {r.get('date', '')}, {spent}{r.get('machine', '')}\n"
+        )
     (HERE / "RESULTS.md").write_text("\n".join(parts))
 
 

@@ -14,7 +14,10 @@ from typing import Any
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path[:0] = [
+    str(Path(__file__).resolve().parents[1]),
+    str(Path(__file__).resolve().parents[1] / "tests"),
+]
 
 from jaxid.runtime import prepare  # noqa: E402
 
@@ -43,7 +46,11 @@ BOUNDS = {
 }  # fmt: skip
 BODY = ("m2", "hx", "hy", "I2")
 RATE, SECONDS, GOAL, CAP = 100, 20.0, 1e-3, 10_000
-BLOCK, BLOCKS, CHANGE = 250, 14, 7  # samples, blocks, and the first block after the payload was dropped
+BLOCK, BLOCKS, CHANGE = (
+    250,
+    14,
+    7,
+)  # samples, blocks, and the first block after the payload was dropped
 DROPPED = 0.6
 
 
@@ -72,8 +79,15 @@ def problem_of(
     motions: list[tuple[np.ndarray, ...]], torques: list[np.ndarray], noise: float, seed: int = 0
 ) -> tuple[Dataset, Problem]:
     rng = np.random.default_rng(seed)
-    torques = [tau + noise * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape) for tau in torques]
-    priors = {k + j: ParameterPrior(None, *b) for k, b in BOUNDS.items() for j in (("",) if k in BODY else "12")}
+    torques = [
+        tau + noise * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape)
+        for tau in torques
+    ]
+    priors = {
+        k + j: ParameterPrior(None, *b)
+        for k, b in BOUNDS.items()
+        for j in (("",) if k in BODY else "12")
+    }
     known = {k: SPACE[k] for k in ("l1", "I1")}
     data = Dataset.from_arrays(
         [m[0] for m in motions], {f"tau{j + 1}": [tau[:, j] for tau in torques] for j in (0, 1)},
@@ -88,7 +102,9 @@ def race(seeds: int) -> list[dict]:
     """Evaluations until the residual is below a thousandth of the torque (rms), from a random population or start."""
     motion = path(1, SECONDS)
     data, problem = problem_of([motion], [torque(motion, np.ones(len(motion[0])))], 0.0)
-    base = fitters.LevenbergMarquardt(restarts=40).minimise(problem, [problem.z(problem.base)], jax.random.key(0))
+    base = fitters.LevenbergMarquardt(restarts=40).minimise(
+        problem, [problem.z(problem.base)], jax.random.key(0)
+    )
     typical = np.mean((measured_torque(data, problem.runs, problem.base) / problem.runs.noise) ** 2)
     size: Any = {"popsize": 60, "generations": 10**4, "stall": 0}
     methods: dict[str, AbstractFitter] = {
@@ -104,8 +120,13 @@ def race(seeds: int) -> list[dict]:
     low, high = sampling_box(problem, problem.z(problem.base))
     rows = []
     for label, method in methods.items():
-        starts = [low + (high - low) * np.random.default_rng(s).uniform(size=problem.size) for s in range(seeds)]
-        found = method.minimise_each([(problem, [z], jax.random.key(s)) for s, z in enumerate(starts)], CAP)
+        starts = [
+            low + (high - low) * np.random.default_rng(s).uniform(size=problem.size)
+            for s in range(seeds)
+        ]
+        found = method.minimise_each(
+            [(problem, [z], jax.random.key(s)) for s, z in enumerate(starts)], CAP
+        )
         reached = [next((n for n, loss in f.history if loss <= goal), None) for f in found]
         counts = [n for n in reached if n is not None]
         rows.append(
@@ -127,7 +148,10 @@ def chase(seeds: int) -> list[dict]:
     methods: dict[str, tuple[AbstractPopulation, int | None]] = {
         "DE, window of 3 blocks": (fitters.DifferentialEvolution(F=(0.5, 0.5), **size), 3),
         "ADE, window of 3 blocks": (fitters.RandToBestDE(**size), 3),
-        "RDE target, window of 3 blocks": (fitters.RecursiveDE(variant="target", F=(0.5, 0.5), **size), 3),
+        "RDE target, window of 3 blocks": (
+            fitters.RecursiveDE(variant="target", F=(0.5, 0.5), **size),
+            3,
+        ),
         "RDE self, window of 3 blocks": (fitters.RecursiveDE(**size), 3),
         "RDE self, growing data (paper)": (fitters.RecursiveDE(**size), None),
     }
@@ -137,7 +161,12 @@ def chase(seeds: int) -> list[dict]:
         _, problem = problem_of(motions, cut(tau), 0.01, seed)
         layout = problem.runs.layout
         for label, (method, window) in methods.items():
-            steps = follow(method, stretches(problem, 2, window), [problem.z(problem.base)], jax.random.key(seed))
+            steps = follow(
+                method,
+                stretches(problem, 2, window),
+                [problem.z(problem.base)],
+                jax.random.key(seed),
+            )
             row = []
             for block, step in enumerate(steps, start=2):
                 theta = problem.theta(step.z)
@@ -148,7 +177,10 @@ def chase(seeds: int) -> list[dict]:
     rows = []
     for label, error in errors.items():
         middle = np.median(error, 0)
-        columns = {f"error in block {b}, % of range": round(float(m), 2) for b, m in zip(shown, middle, strict=True)}
+        columns = {
+            f"error in block {b}, % of range": round(float(m), 2)
+            for b, m in zip(shown, middle, strict=True)
+        }
         rows.append({"part": "payload drops with block 7", "method": label} | columns)
     return rows
 
@@ -160,7 +192,11 @@ def main() -> dict:
         f"part: 4 seeds, {BLOCKS} blocks of {BLOCK / RATE:g} s with 1 % torque noise, 60 generations on the first two blocks, "
         "then five a block; the last body's numbers drop to 60 % with block 7 (median over seeds of the largest error)."
     )
-    return {"title": "Space manipulator: recursive differential evolution", "text": text, "rows": race(20) + chase(4)}
+    return {
+        "title": "Space manipulator: recursive differential evolution",
+        "text": text,
+        "rows": race(20) + chase(4),
+    }
 
 
 if __name__ == "__main__":

@@ -46,7 +46,9 @@ def by_hand(folder: str, count: int, search_alone: bool) -> None:
         bench = benches.of(2.5e-3)
         guesses = benches.starts(bench, residual, "sum_of_squares", 0)
         problem = bench.problem(residual, "fit", binding.free, guesses[0])
-        fitter.minimise_each([(problem, [problem.z(g) for g in guesses], jax.random.key(s)) for s in seeds], None)
+        fitter.minimise_each(
+            [(problem, [problem.z(g) for g in guesses], jax.random.key(s)) for s in seeds], None
+        )
 
 
 def timed(command: list[str]) -> tuple[float, float]:
@@ -54,16 +56,37 @@ def timed(command: list[str]) -> tuple[float, float]:
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.perf_counter() - began, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return (
+        time.perf_counter() - began,
+        after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+    )
 
 
 def fits(home: Path) -> list[dict]:
     from tests.test_batch import write_dataset, write_study
 
     write_dataset(home / "small")
-    hand = lambda count, *more: [sys.executable, __file__, "by_hand", str(home / "small"), str(count), *more]
-    batch = lambda count: [sys.executable, "-m", "jaxid.cli", "batch", str(write_study(home, f"seeds = {count}")), "--quiet"]
-    programs = {"one hand-written program": hand, "its search alone": lambda count: hand(count, "search"), "jaxid batch": batch}
+    hand = lambda count, *more: [
+        sys.executable,
+        __file__,
+        "by_hand",
+        str(home / "small"),
+        str(count),
+        *more,
+    ]
+    batch = lambda count: [
+        sys.executable,
+        "-m",
+        "jaxid.cli",
+        "batch",
+        str(write_study(home, f"seeds = {count}")),
+        "--quiet",
+    ]
+    programs = {
+        "one hand-written program": hand,
+        "its search alone": lambda count: hand(count, "search"),
+        "jaxid batch": batch,
+    }
     best: dict[str, tuple[float, float]] = {}
     for count in (8, COUNT):  # the first fills the cache of compiled programs
         for name, program in programs.items():
@@ -112,7 +135,9 @@ def fleet(home: Path) -> list[dict]:
     from tests.test_batch import write_dataset, write_study
 
     write_dataset(home / "small", samples=20)
-    many = [f"[[runs]]\ncommand = 'fit'\ndatasets = ['small']\nbudget = {k + 1}" for k in range(1, 2000)]
+    many = [
+        f"[[runs]]\ncommand = 'fit'\ndatasets = ['small']\nbudget = {k + 1}" for k in range(1, 2000)
+    ]
     cases = (
         ("tasks that share their programs, in batches", ("seeds = 5000",), 2, 1, 0.0),
         ("empty tasks that share nothing", ("budget = 1", *many), 2, 1, 0.0),
@@ -125,7 +150,11 @@ def fleet(home: Path) -> list[dict]:
 
         supervisor.run_batch, PAUSE_S[0] = nothing, seconds
         try:
-            with Store(study.store) as store, Stop() as stop, local_cluster(workers, threads) as cluster:
+            with (
+                Store(study.store) as store,
+                Stop() as stop,
+                local_cluster(workers, threads) as cluster,
+            ):
                 store.acquire()
                 coordinator = Coordinator(store, list(study.tasks.values()), cluster)
                 began, spent = time.perf_counter(), time.process_time()
@@ -141,7 +170,9 @@ def fleet(home: Path) -> list[dict]:
                 "processor s": round(spent, 2),
                 "ms a task": round(1000 * spent / count, 2),
                 "tasks a second": round(count / wall),
-                "of the workers' time used": f"{100 * seconds * count / (wall * slots):.0f} %" if seconds else "",
+                "of the workers' time used": f"{100 * seconds * count / (wall * slots):.0f} %"
+                if seconds
+                else "",
             }
         )
     return rows
@@ -156,14 +187,24 @@ def evaluations(home: Path) -> list[dict]:
 
     rows = []
     examples = HERE.parent / "examples" / "servo_pendulum"
-    for what, folder in (("2 s of one joint", write_dataset(home / "small")), ("the shipped servo recording", examples)):
+    for what, folder in (
+        ("2 s of one joint", write_dataset(home / "small")),
+        ("the shipped servo recording", examples),
+    ):
         data = jaxid.load_dataset(folder)
         binding = bind(None, data)
-        problem = Bench(binding).problem(default_residual(binding), "fit", binding.free, binding.theta)
+        problem = Bench(binding).problem(
+            default_residual(binding), "fit", binding.free, binding.theta
+        )
         z = problem.z(binding.theta)[None].repeat(256, 0)
         problem.losses(z)
         began = min(_once(problem, z) for _ in range(5))
-        rows.append({"what": f"one evaluation of the loss: {what}", "ms a task": round(1000 * began / 256, 4)})
+        rows.append(
+            {
+                "what": f"one evaluation of the loss: {what}",
+                "ms a task": round(1000 * began / 256, 4),
+            }
+        )
     return rows
 
 

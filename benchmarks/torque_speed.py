@@ -51,10 +51,13 @@ def cases() -> Iterator[tuple[str, Any, Any, dict[str, Any]]]:
 
 def error(d: Any) -> dict[str, float]:
     """Model -> relative error over all joints of the report runs, in percent."""
-    own = [t for t in d.traces if t.split == "report"] or [t for t in d.traces if t.split == "validation"]
+    own = [t for t in d.traces if t.split == "report"] or [
+        t for t in d.traces if t.split == "validation"
+    ]
     size = sum(float(np.sum(t.measured**2)) for t in own)
     return {
-        k: 100 * np.sqrt(sum(float(np.sum((t.measured - t.simulated[k]) ** 2)) for t in own) / size) for k in own[0].simulated
+        k: 100 * np.sqrt(sum(float(np.sum((t.measured - t.simulated[k]) ** 2)) for t in own) / size)
+        for k in own[0].simulated
     }
 
 
@@ -66,15 +69,28 @@ def main() -> dict[str, Any]:
         for state in ("first", "again"):
             began, spent = time.perf_counter(), time.process_time()
             d = jaxid.diagnose(model, data, residual="inverse_dynamics", **settings)
-            times = {"wall time": time.perf_counter() - began, "CPU time": time.process_time() - spent}
+            times = {
+                "wall time": time.perf_counter() - began,
+                "CPU time": time.process_time() - spent,
+            }
             row = {"recording": label, "run": state} | {k: f"{v:.1f} s" for k, v in times.items()}
-            row["verdict"] = f"{d.which.verdict}: {', '.join(str(e) for e in d.which.effects) or '-'}"
+            row["verdict"] = (
+                f"{d.which.verdict}: {', '.join(str(e) for e in d.which.effects) or '-'}"
+            )
             row["error re-tuned, and after"] = ", ".join(f"{v:.3g} %" for v in error(d).values())
-            row["gap re-tuned, and after"] = f"{d.how_far.gap_retuned:.3g}, {d.how_far.gap_after:.3g}"
-            row["ceiling"] = "-" if d.how_far.ceiling is None else f"{100 * d.how_far.ceiling:.0f} %"
+            row["gap re-tuned, and after"] = (
+                f"{d.how_far.gap_retuned:.3g}, {d.how_far.gap_after:.3g}"
+            )
+            row["ceiling"] = (
+                "-" if d.how_far.ceiling is None else f"{100 * d.how_far.ceiling:.0f} %"
+            )
             rows.append(row)
             print(row, flush=True)
-    return {"title": "Time of a diagnosis by torque", "text": " ".join((__doc__ or "").split()), "rows": rows}
+    return {
+        "title": "Time of a diagnosis by torque",
+        "text": " ".join((__doc__ or "").split()),
+        "rows": rows,
+    }
 
 
 if __name__ == "__main__":

@@ -89,7 +89,10 @@ def _planar(q, v, p):
             jx, jy, turn = [c * np.cos(a), 0 * a], [c * np.sin(a), 0 * a], (1.0, 0.0)
             ax, ay = -c * np.sin(a) * w1**2, c * np.cos(a) * w1**2
         else:
-            jx, jy = [l1 * np.cos(a) + c * np.cos(b), c * np.cos(b)], [l1 * np.sin(a) + c * np.sin(b), c * np.sin(b)]
+            jx, jy = (
+                [l1 * np.cos(a) + c * np.cos(b), c * np.cos(b)],
+                [l1 * np.sin(a) + c * np.sin(b), c * np.sin(b)],
+            )
             ax = -l1 * np.sin(a) * w1**2 - c * np.sin(b) * w2**2
             ay = l1 * np.cos(a) * w1**2 + c * np.cos(b) * w2**2
             turn = (1.0, 1.0)
@@ -137,24 +140,51 @@ NEUTRAL: dict[str, float] = {
 
 def smooth(p: Lanes, q, v, z: Lanes, time: float) -> np.ndarray:
     """Torque against motion that is continuous in v."""
-    f = (p["viscous"] + p["back_emf"]) * v + p["viscous_asymmetry"] * abs(v) + p["drag"] * abs(v) * v + p["offset"]
-    f = f + p["ripple"] * np.sin(p["ripple_order"] * q) + p["ripple_cosine"] * np.cos(p["ripple_order"] * q)
+    f = (
+        (p["viscous"] + p["back_emf"]) * v
+        + p["viscous_asymmetry"] * abs(v)
+        + p["drag"] * abs(v) * v
+        + p["offset"]
+    )
+    f = (
+        f
+        + p["ripple"] * np.sin(p["ripple_order"] * q)
+        + p["ripple_cosine"] * np.cos(p["ripple_order"] * q)
+    )
     f = f + p["spring"] * q + p["power"] * (v * v + 1e-6) ** ((p["exponent"] - 1) / 2) * v
     f = f + p["warm"] * z["warm"] * v + p["loop"] * z["loop"] + p["swing"] * z["swing_acceleration"]
-    f = f + p["lugre"] * (z["lugre"] + p["relaxation"] * (v - abs(v) * z["lugre"]) / p["presliding"])
+    f = f + p["lugre"] * (
+        z["lugre"] + p["relaxation"] * (v - abs(v) * z["lugre"]) / p["presliding"]
+    )
     if q.shape[1] > 1:
         w = v.sum(1, keepdims=True)
-        f = f + p["shared_viscous"][:, :1] * w + p["shared_dry"][:, :1] * np.tanh(w / p["shared_speed"][:, :1])
+        f = (
+            f
+            + p["shared_viscous"][:, :1] * w
+            + p["shared_dry"][:, :1] * np.tanh(w / p["shared_speed"][:, :1])
+        )
         f = f + p["other_joint"] * q[:, ::-1]
     acting = (time >= p["outside_from"]) & (time < p["outside_until"])
     f = f + np.where(acting, p["outside"], 0) * np.sin(2 * pi * p["outside_hz"] * time + 0.4)
-    return f + p["bent_damping"] * np.sin(3 * q) * v + p["later_damping"] * (time > p["outside_from"]) * v
+    return (
+        f
+        + p["bent_damping"] * np.sin(3 * q) * v
+        + p["later_damping"] * (time > p["outside_from"]) * v
+    )
 
 
 def dry(p: Lanes, q, v, tau) -> tuple[np.ndarray, np.ndarray]:
     """Levels of dry friction backwards and forwards."""
-    level = p["coulomb"] + p["stribeck"] * np.exp(-((v / p["stribeck_speed"]) ** 2)) + p["load"] * abs(tau)
-    level = level + p["uneven"] * np.sin(p["uneven_order"] * q) + p["uneven_cosine"] * np.cos(p["uneven_order"] * q)
+    level = (
+        p["coulomb"]
+        + p["stribeck"] * np.exp(-((v / p["stribeck_speed"]) ** 2))
+        + p["load"] * abs(tau)
+    )
+    level = (
+        level
+        + p["uneven"] * np.sin(p["uneven_order"] * q)
+        + p["uneven_cosine"] * np.cos(p["uneven_order"] * q)
+    )
     return np.maximum(level - p["dry_asymmetry"], 0), np.maximum(level + p["dry_asymmetry"], 0)
 
 
@@ -169,10 +199,14 @@ def remember(p: Lanes, z: Lanes, q, v, h: float) -> None:
     path = abs(v) * h / p["presliding"]
     z["lugre"] = np.sign(v) + (z["lugre"] - np.sign(v)) * np.exp(-path)
     grows = z["loop"] * v > 0
-    z["loop"] = np.clip(z["loop"] + np.where(grows, 1 - abs(z["loop"]), 1.0) * v * h / p["loop_width"], -1, 1)
+    z["loop"] = np.clip(
+        z["loop"] + np.where(grows, 1 - abs(z["loop"]), 1.0) * v * h / p["loop_width"], -1, 1
+    )
     z["warm"] = v * v + (z["warm"] - v * v) * np.exp(-h / p["warm_time"])
     w = 2 * pi * p["swing_frequency"]
-    z["swing_acceleration"] = w * w * (q - z["swing"]) + 2 * p["swing_damping"] * w * (v - z["swing_speed"])
+    z["swing_acceleration"] = w * w * (q - z["swing"]) + 2 * p["swing_damping"] * w * (
+        v - z["swing_speed"]
+    )
     z["swing_speed"] = z["swing_speed"] + h * z["swing_acceleration"]
     z["swing"] = z["swing"] + h * z["swing_speed"]
 
@@ -195,7 +229,10 @@ def fine(u: np.ndarray, p: Lanes, parts: int, h: float) -> np.ndarray:
 
 def recorded(plant: Plant, u: np.ndarray, p: Lanes, rng: np.random.Generator) -> np.ndarray:
     """What the sensors write down [lanes samples ny] under commands u [lanes samples nu], from rest at zero."""
-    p = {k: np.broadcast_to(np.asarray(x, float), (len(u), plant.n)) for k, x in ({**NEUTRAL, **p}).items()}
+    p = {
+        k: np.broadcast_to(np.asarray(x, float), (len(u), plant.n))
+        for k, x in ({**NEUTRAL, **p}).items()
+    }
     parts = round(1 / plant.rate / plant.step)
     h = 1 / plant.rate / parts
     q = flexible(u, p, parts, h) if plant.model == "flexible_link" else rigid(plant, u, p, parts, h)
@@ -208,7 +245,10 @@ def rigid(plant: Plant, u: np.ndarray, p: Lanes, parts: int, h: float) -> np.nda
     lanes, steps, n = table.shape
     q, v, lagged = np.zeros((lanes, n)), np.zeros((lanes, n)), table[:, 0].copy()
     link, dlink = q.copy(), v.copy()
-    z = {k: np.zeros((lanes, n)) for k in ("lugre", "loop", "warm", "swing", "swing_speed", "swing_acceleration")}
+    z = {
+        k: np.zeros((lanes, n))
+        for k in ("lugre", "loop", "warm", "swing", "swing_speed", "swing_acceleration")
+    }
     out = np.empty((lanes, steps, n))
     M0 = plant.matrices(q, v, p)[0]
     soft = p["compliance"] > 0
@@ -238,7 +278,12 @@ def rigid(plant: Plant, u: np.ndarray, p: Lanes, parts: int, h: float) -> np.nda
         a = np.einsum("lij,lj->li", inverse, np.where(soft, spring, tau - against) - bias)
         own = np.where(soft, (tau - against - spring) / np.where(soft, motor, 1.0), a)
         mobility = np.where(soft[:, :, None], eye / np.where(soft, motor, 1.0)[:, :, None], inverse)
-        return own, a, np.where(soft[:, None, :], eye * mobility, mobility), np.where(soft[:, None, :], 0.0, inverse)
+        return (
+            own,
+            a,
+            np.where(soft[:, None, :], eye * mobility, mobility),
+            np.where(soft[:, None, :], 0.0, inverse),
+        )
 
     f = np.zeros((lanes, n))
     for k in range(steps):
@@ -248,7 +293,9 @@ def rigid(plant: Plant, u: np.ndarray, p: Lanes, parts: int, h: float) -> np.nda
         tau = torque_of(plant, p, driven(p, command), q, v)
         minus, plus = dry(p, q, v, tau)
         a1, b1, first, reach = acceleration(q, v, link, dlink, tau, time)
-        held, pulled = (a - np.einsum("lij,lj->li", m, f) for a, m in ((a1, first), (b1, reach)))  # with the last step's friction
+        held, pulled = (
+            a - np.einsum("lij,lj->li", m, f) for a, m in ((a1, first), (b1, reach))
+        )  # with the last step's friction
         qa, va = q + h * v + h * h / 2 * held, v + h * held
         la, da = link + h * dlink + h * h / 2 * pulled, dlink + h * pulled
         tau2 = torque_of(plant, p, driven(p, command), qa, va) if plant.model == "servo" else tau
@@ -276,7 +323,14 @@ def torque_of(plant: Plant, p: Lanes, u, q, v) -> np.ndarray:
 # ---- the flexible link of paper 002
 
 
-LINK = {"E": 5.7002e10, "I_m": 0.0053, "viscous": 6.3e-3, "coulomb": 0.03, "alpha": 1.824, "beta": 7.6275e-5}
+LINK = {
+    "E": 5.7002e10,
+    "I_m": 0.0053,
+    "viscous": 6.3e-3,
+    "coulomb": 0.03,
+    "alpha": 1.824,
+    "beta": 7.6275e-5,
+}
 PLANTS["flexible_link"] = Plant(
     "flexible_link", (("tau", "N m"),), (("phi", "rad"), ("tip_acceleration", "m/s^2")), _joint, (0.15,), (8.0,), (0.01,),
     {k: (x,) for k, x in LINK.items()}, 500, 5e-4, 2 * pi / 2**14,
@@ -293,13 +347,32 @@ def link_matrices(payload: float, n: int = 4):
     for e in range(n):
         part = slice(2 * e, 2 * e + 4)
         for s, w in zip((points + 1) / 2, weights / 2 * le, strict=True):
-            N = np.array([1 - 3 * s**2 + 2 * s**3, le * (s - 2 * s**2 + s**3), 3 * s**2 - 2 * s**3, le * (s**3 - s**2)])
-            slope = np.array([6 * s**2 - 6 * s, le * (1 - 4 * s + 3 * s**2), 6 * s - 6 * s**2, le * (3 * s**2 - 2 * s)]) / le
+            N = np.array(
+                [
+                    1 - 3 * s**2 + 2 * s**3,
+                    le * (s - 2 * s**2 + s**3),
+                    3 * s**2 - 2 * s**3,
+                    le * (s**3 - s**2),
+                ]
+            )
+            slope = (
+                np.array(
+                    [
+                        6 * s**2 - 6 * s,
+                        le * (1 - 4 * s + 3 * s**2),
+                        6 * s - 6 * s**2,
+                        le * (3 * s**2 - 2 * s),
+                    ]
+                )
+                / le
+            )
             bend = np.array([12 * s - 6, le * (6 * s - 4), 6 - 12 * s, le * (6 * s - 2)]) / le**2
             x = (e + s) * le
             M[part, part] += w * RHO * AREA * np.outer(N, N)
             K[part, part] += w * SECOND * np.outer(bend, bend)
-            G[part, part] += w * (tip * LONG + RHO * AREA * (LONG**2 - x**2) / 2) * np.outer(slope, slope)
+            G[part, part] += (
+                w * (tip * LONG + RHO * AREA * (LONG**2 - x**2) / 2) * np.outer(slope, slope)
+            )
     turn = np.zeros(size)
     turn[0::2], turn[1::2] = np.arange(n + 1) * le, 1.0
     M[-2, -2] += tip
@@ -329,7 +402,10 @@ def flexible(u: np.ndarray, p: Lanes, parts: int, h: float) -> np.ndarray:
     A, B, Bt = np.array(A), np.array(B), np.array(Bt)
     n = A.shape[1] // 2
     x, lagged = np.zeros((lanes, 2 * n)), table[:, :1].copy()
-    z = {k: np.zeros((lanes, 1)) for k in ("lugre", "loop", "warm", "swing", "swing_speed", "swing_acceleration")}
+    z = {
+        k: np.zeros((lanes, 1))
+        for k in ("lugre", "loop", "warm", "swing", "swing_speed", "swing_acceleration")
+    }
     follow = np.where(p["lag"] > 0, np.exp(-h / np.maximum(p["lag"], 1e-12)), 0.0)
     out = np.empty((lanes, steps, 2))
     for k in range(steps):
@@ -350,14 +426,20 @@ def flexible(u: np.ndarray, p: Lanes, parts: int, h: float) -> np.ndarray:
 # ---- sensors
 
 
-def sensed(plant: Plant, q: np.ndarray, p: Lanes, parts: int, h: float, rng: np.random.Generator) -> np.ndarray:
+def sensed(
+    plant: Plant, q: np.ndarray, p: Lanes, parts: int, h: float, rng: np.random.Generator
+) -> np.ndarray:
     lanes, steps, ny = q.shape
     at = np.arange(0, steps, parts)
     out = np.empty((lanes, at.size, ny))
     for lane in range(lanes):
         for c in range(ny):
             j = min(c, p["bias"].shape[1] - 1)
-            own = (lambda name, lane=lane, j=j: float(p[name][lane, j])) if c == j else (lambda name: NEUTRAL[name])
+            own = (
+                (lambda name, lane=lane, j=j: float(p[name][lane, j]))
+                if c == j
+                else (lambda name: NEUTRAL[name])
+            )
             x = q[lane, :, c]
             if own("sensor_lag") > 0:
                 share, y, slow = 1 - np.exp(-h / own("sensor_lag")), np.empty(steps), x[0]
@@ -368,6 +450,8 @@ def sensed(plant: Plant, q: np.ndarray, p: Lanes, parts: int, h: float, rng: np.
             when = at * h - own("sensor_delay") + own("jitter") * rng.standard_normal(at.size)
             read = np.interp(when, np.arange(steps) * h, x)
             noise, step = (plant.noise, plant.resolution) if c == j else (0.05, 0.0)
-            read = (1 + own("gain_error")) * read + own("bias") + noise * rng.standard_normal(at.size)
+            read = (
+                (1 + own("gain_error")) * read + own("bias") + noise * rng.standard_normal(at.size)
+            )
             out[lane, :, c] = np.round(read / step) * step if step else read
     return out

@@ -38,11 +38,19 @@ Own = dict[str, np.ndarray]  # numbers of one lane: [joints]
 
 def recorded(plant: Plant, u: np.ndarray, p: Lanes, rng: np.random.Generator) -> np.ndarray:
     """What the sensors write down [lanes samples ny] under commands u [lanes samples nu], from rest at zero."""
-    p = {k: np.broadcast_to(np.asarray(x, float), (len(u), plant.n)) for k, x in ({**NEUTRAL, **p}).items()}
+    p = {
+        k: np.broadcast_to(np.asarray(x, float), (len(u), plant.n))
+        for k, x in ({**NEUTRAL, **p}).items()
+    }
     parts = round(1 / plant.rate / STEP)
     h = 1 / plant.rate / parts
     table = fine(u, p, parts, h)
-    q = np.stack([simulated(plant, table[k], {name: x[k] for name, x in p.items()}, h) for k in range(len(u))])
+    q = np.stack(
+        [
+            simulated(plant, table[k], {name: x[k] for name, x in p.items()}, h)
+            for k in range(len(u))
+        ]
+    )
     return sensed(plant, q, p, parts, h, rng)
 
 
@@ -51,7 +59,10 @@ def simulated(plant: Plant, table: np.ndarray, p: Own, h: float) -> np.ndarray:
     model = _MJ.MjModel.from_xml_string(machine(plant, p, h))
     data = _MJ.MjData(model)
     dofs = [int(model.joint(f"motor{j}").dofadr[0]) for j in range(plant.n)]
-    drives = [Drive(plant, {k: float(x[j]) for k, x in p.items()}, float(table[0, j]), h) for j in range(plant.n)]
+    drives = [
+        Drive(plant, {k: float(x[j]) for k, x in p.items()}, float(table[0, j]), h)
+        for j in range(plant.n)
+    ]
     out = np.empty(table.shape)
     for k, commands in enumerate(table.tolist()):
         out[k] = data.qpos[dofs]
@@ -79,9 +90,17 @@ class Drive:
         if self.servo:
             tau = p["k_t"] * 7.4 * min(max(p["gain"] * 400.0 * (tau - q), -1.0), 1.0) - p["k_e"] * v
         smooth = p["drag"] * abs(v) * v + p["viscous_asymmetry"] * abs(v) + p["offset"]
-        smooth += p["ripple"] * sin(p["ripple_order"] * q) + p["ripple_cosine"] * cos(p["ripple_order"] * q)
-        level = p["coulomb"] + p["stribeck"] * exp(-((v / p["stribeck_speed"]) ** 2)) + p["load"] * abs(tau)
-        level += p["uneven"] * sin(p["uneven_order"] * q) + p["uneven_cosine"] * cos(p["uneven_order"] * q)
+        smooth += p["ripple"] * sin(p["ripple_order"] * q) + p["ripple_cosine"] * cos(
+            p["ripple_order"] * q
+        )
+        level = (
+            p["coulomb"]
+            + p["stribeck"] * exp(-((v / p["stribeck_speed"]) ** 2))
+            + p["load"] * abs(tau)
+        )
+        level += p["uneven"] * sin(p["uneven_order"] * q) + p["uneven_cosine"] * cos(
+            p["uneven_order"] * q
+        )
         minus, plus = max(level - p["dry_asymmetry"], 0.0), max(level + p["dry_asymmetry"], 0.0)
         return tau - smooth - (plus - minus) / 2, (plus + minus) / 2
 
@@ -110,7 +129,9 @@ def _down(tilt: float) -> tuple[float, float, float]:
     return -9.81 * sin(tilt), 0.0, -9.81 * cos(tilt)
 
 
-def _jointed(p: Own, j: int, place: str, axis: str, link: str, effective: float, armature: float = 0.0) -> str:
+def _jointed(
+    p: Own, j: int, place: str, axis: str, link: str, effective: float, armature: float = 0.0
+) -> str:
     """A link on joint j, with what its numbers put into the joint: a rotor behind a spring, with play, or a swinging mass."""
     v = lambda name: float(p[name][j]) if name in p else 0.0
     joint = (
@@ -145,12 +166,16 @@ def _pendulum(p: Own) -> tuple[tuple[float, float, float], str]:
     J, distance = float(p["J"][0]), 0.3
     mass = float(p["mgl"][0]) / 9.81 / distance
     own = J - mass * distance**2
-    return _down(float(p["tilt"][0])), _jointed(p, 0, "", "0 -1 0", _inertial(mass, (0, 0, -distance), (own, own, own)), J)
+    return _down(float(p["tilt"][0])), _jointed(
+        p, 0, "", "0 -1 0", _inertial(mass, (0, 0, -distance), (own, own, own)), J
+    )
 
 
 def _servo(p: Own) -> tuple[tuple[float, float, float], str]:
     mass, back = float(p["mass"][0]), -float(p["q_offset"][0])
-    link = _inertial(mass, (0, 0, -0.1), (1e-7, 1e-7, 1e-7)) + _point(float(p["payload"][0]), (0, 0, -0.1))
+    link = _inertial(mass, (0, 0, -0.1), (1e-7, 1e-7, 1e-7)) + _point(
+        float(p["payload"][0]), (0, 0, -0.1)
+    )
     armature = float(p["armature"][0])
     body = _jointed(p, 0, "", "0 -1 0", link, mass * 0.01 + armature, armature)
     return _down(back), body
@@ -162,7 +187,9 @@ def _tracker(p: Own) -> tuple[tuple[float, float, float], str]:
     J, total = float(p["J"][1]), m + mc
     at = (m * length / 2 + mc * c) / total
     across = J - total * at**2
-    barrel = _inertial(total, (-at, 0, 0), (1e-6, across, across)) + _point(float(p["payload"][1]), (-length, 0, 0))
+    barrel = _inertial(total, (-at, 0, 0), (1e-6, across, across)) + _point(
+        float(p["payload"][1]), (-length, 0, 0)
+    )
     tilt = _jointed(p, 1, f'pos="{R} 0 0"', "0 1 0", barrel, J)
     J0 = float(p["J"][0])
     base = _inertial(1.0, (0, 0, 0), (J0, J0, J0)) + tilt
@@ -175,7 +202,9 @@ def _planar(p: Own) -> tuple[tuple[float, float, float], str]:
 
     def link(j: int, length: float) -> str:
         inertia = (float(own[j]),) * 3
-        return _inertial(float(m[j]), (0, 0, -float(c[j])), inertia) + _point(float(extra[j]), (0, 0, -length))
+        return _inertial(float(m[j]), (0, 0, -float(c[j])), inertia) + _point(
+            float(extra[j]), (0, 0, -length)
+        )
 
     J2 = float(own[1] + m[1] * c[1] ** 2)
     J1 = float(own[0] + m[0] * c[0] ** 2) + J2 + float(m[1]) * l1**2
@@ -184,7 +213,13 @@ def _planar(p: Own) -> tuple[tuple[float, float, float], str]:
 
 
 #: Plants that are expressed: model -> numbers -> gravity, bodies.
-PLANTS = {"joint": _wheel, "pendulum": _pendulum, "servo": _servo, "tracker": _tracker, "planar_arm": _planar}
+PLANTS = {
+    "joint": _wheel,
+    "pendulum": _pendulum,
+    "servo": _servo,
+    "tracker": _tracker,
+    "planar_arm": _planar,
+}
 
 
 def expressed(model: str, effect: str) -> bool:

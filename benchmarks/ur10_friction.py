@@ -50,9 +50,14 @@ def main() -> dict[str, Any]:
     rows = []
     for name, (load, exponent, linear, power) in CASES.items():
         data = recordings(load, exponent, np.array(power))
-        found = {law: jaxid.identify(None, data, friction=law, cutoff_hz=40.0) for law in ("linear", "power")}
+        found = {
+            law: jaxid.identify(None, data, friction=law, cutoff_hz=40.0)
+            for law in ("linear", "power")
+        }
         chosen = jaxid.identify(None, data, cutoff_hz=40.0).law
-        left = {law: np.array(r.experiments[1].unfiltered_rmse_per_joint) for law, r in found.items()}
+        left = {
+            law: np.array(r.experiments[1].unfiltered_rmse_per_joint) for law, r in found.items()
+        }
         estimates = found["power"].exponents
         assert estimates is not None
         for j in range(6):
@@ -69,7 +74,11 @@ def main() -> dict[str, Any]:
                 }
             )
     text = " ".join((__doc__ or "").split())
-    return {"title": "Friction laws of a UR10 twin (paper 001, Table VIII)", "text": text, "rows": rows}
+    return {
+        "title": "Friction laws of a UR10 twin (paper 001, Table VIII)",
+        "text": text,
+        "rows": rows,
+    }
 
 
 if __name__ == "__main__":

@@ -28,7 +28,9 @@ NOISE = np.array([3.7817, 4.1789, 3.0339, 1.7334, 1.0670, 0.9896])
 #: Both payloads of the paper in frame 6; the second one's shape is not given: scaled from the first.
 LOADS = {
     "3.5256 kg": about_origin(3.5256, [0, 0, 0.0296], [0.0064, 0, 0, 0.0064, 0, 0.0045]),
-    "3.223 kg": about_origin(3.223, [0, 0, 0.0296], np.array([0.0064, 0, 0, 0.0064, 0, 0.0045]) * 3.223 / 3.5256),
+    "3.223 kg": about_origin(
+        3.223, [0, 0, 0.0296], np.array([0.0064, 0, 0, 0.0064, 0, 0.0045]) * 3.223 / 3.5256
+    ),
 }
 SEEDS = 100
 Z95 = 1.959963984540054
@@ -64,7 +66,9 @@ def arm_of(load: np.ndarray | None = None) -> Any:
     model: Any = twin(table)
     model.armature = table.drive_inertia
     data = model.createData()
-    return lambda q, qd, qdd: np.array([pin.rnea(model, data, *s) for s in zip(q, qd, qdd, strict=True)])  # pyright: ignore
+    return lambda q, qd, qdd: np.array(
+        [pin.rnea(model, data, *s) for s in zip(q, qd, qdd, strict=True)]
+    )  # pyright: ignore
 
 
 def made(design: Any) -> Twin:
@@ -83,7 +87,9 @@ def made(design: Any) -> Twin:
     return Twin(q, qd, qdd, W, arm_of()(q, qd, qdd) + friction(qd), theta, base)
 
 
-def static_mass(rng: np.random.Generator, load: np.ndarray, poses: int = 30, seconds: float = 1.0) -> tuple[float, float]:
+def static_mass(
+    rng: np.random.Generator, load: np.ndarray, poses: int = 30, seconds: float = 1.0
+) -> tuple[float, float]:
     """Algorithm 2 (Gaz): gravity torque at rest in static poses with and without the load, `seconds` of samples averaged; m and
     m r by weighted least squares. Friction at rest may take any value; here, to the method's favour, it takes none."""
     arm = UR10()
@@ -128,18 +134,32 @@ def estimates(
     rows = published_rows(with_load[:40] - unloaded[:40], twin.base)
     assert rows is not None
     out["its three rows after least squares"] = float(rows[9]), None
-    theta, _, met = replay(twin.W, b, unloaded, noise_var=100.0, prior_var=10.0, watched=watched_of(twin.base, 6), rule=Rule())
+    theta, _, met = replay(
+        twin.W,
+        b,
+        unloaded,
+        noise_var=100.0,
+        prior_var=10.0,
+        watched=watched_of(twin.base, 6),
+        rule=Rule(),
+    )
     found = published_rows(theta[:40] - unloaded[:40], twin.base)
     assert found is not None
     out["paper 001: recursion, P0 10, xi 100, three rows"] = float(found[9]), None
     if met is not None:
-        seen = np.arange(len(b)) < met  # rows of zeros move nothing, and keep the shape of the compiled program
+        seen = (
+            np.arange(len(b)) < met
+        )  # rows of zeros move nothing, and keep the shape of the compiled program
         W = np.where(seen[:, None, None], twin.W, 0.0)
-        stopped, _, _ = replay(W, b, unloaded, noise_var=100.0, prior_var=10.0, watched=watched_of(twin.base, 6))
+        stopped, _, _ = replay(
+            W, b, unloaded, noise_var=100.0, prior_var=10.0, watched=watched_of(twin.base, 6)
+        )
         early = published_rows(stopped[:40] - unloaded[:40], twin.base)
         assert early is not None
         out["the same, where its stop rule fires"] = float(early[9]), None
-    Y = torque_columns(UR10(), twin.q, twin.qd, twin.qdd).reshape(len(twin.q), 6, 6, 11)[:, :, 5, :10]
+    Y = torque_columns(UR10(), twin.q, twin.qd, twin.qdd).reshape(len(twin.q), 6, 6, 11)[
+        :, :, 5, :10
+    ]
     L = (Y * w[:, None]).reshape(-1, 10)
     kept = independent_columns(L, range(10))
     assert len(kept) == 10
@@ -179,7 +199,9 @@ def main() -> dict:
                     "mean error %": f"{error.mean():+.3f}",
                     "scatter %": f"{error.std(ddof=1) if len(error) > 1 else 0:.3f}",
                     "worst %": f"{np.abs(error).max():.2f}",
-                    "95 % interval holds it": f"{100 * np.mean(covered):.0f} %" if covered else "none given",
+                    "95 % interval holds it": f"{100 * np.mean(covered):.0f} %"
+                    if covered
+                    else "none given",
                 }
             )
     text = (

@@ -27,7 +27,11 @@ def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     a, phase = rng.uniform(0.1, 0.3, (5, 6)), rng.uniform(0, 6, (5, 6))
     angle = w * t[:, None, None] + phase
-    return (a * np.sin(angle)).sum(1), (a * w * np.cos(angle)).sum(1), -(a * w * w * np.sin(angle)).sum(1)
+    return (
+        (a * np.sin(angle)).sum(1),
+        (a * w * np.cos(angle)).sum(1),
+        -(a * w * w * np.sin(angle)).sum(1),
+    )
 
 
 #: How long before a sample its update is rehearsed, s.
@@ -124,9 +128,13 @@ def batches() -> list[dict[str, Any]]:
 
     with float64():
         inverse = jax.jit(lambda q, qd, x: arm.inverse(q, qd, x))
-        columns = jax.jit(lambda q, qd, x: regressor(arm.placements(q), arm.prismatic, arm.free_fall(), qd, x))
+        columns = jax.jit(
+            lambda q, qd, x: regressor(arm.placements(q), arm.prismatic, arm.free_fall(), qd, x)
+        )
         forward = jax.jit(
-            lambda q, qd, u: jax.lax.map(lambda s: arm.vector_field(0.0, (s[0], s[1]), s[2])[1], (q, qd, u), batch_size=128)
+            lambda q, qd, u: jax.lax.map(
+                lambda s: arm.vector_field(0.0, (s[0], s[1]), s[2])[1], (q, qd, u), batch_size=128
+            )
         )
         Q, V, X = (jnp.asarray(np.ascontiguousarray(x.T)) for x in (q, qd, qdd))
         rows = [jnp.asarray(x) for x in (q, qd, tau)]
@@ -138,15 +146,25 @@ def batches() -> list[dict[str, Any]]:
         count = 3000
 
         def loop(f: Callable[..., Any], *args: np.ndarray) -> float:
-            return best(lambda: [f(model, data, *s) for s in zip(*args, strict=True)], 3) / len(args[0])
+            return best(lambda: [f(model, data, *s) for s in zip(*args, strict=True)], 3) / len(
+                args[0]
+            )
 
         P: Any = pin
-        inverse_s, forward_s = best(run(inverse, Q, V, X)) / SAMPLES, best(run(forward, *rows)) / SAMPLES
+        inverse_s, forward_s = (
+            best(run(inverse, Q, V, X)) / SAMPLES,
+            best(run(forward, *rows)) / SAMPLES,
+        )
         columns_s = best(run(columns, *small)) / count
         short = [x[:count] for x in (q, qd, qdd)]
         for what, own, other, name in (
             ("inverse dynamics", inverse_s, loop(P.rnea, q, qd, qdd), "Pinocchio rnea"),
-            ("torque regressor", columns_s, loop(P.computeJointTorqueRegressor, *short), "Pinocchio's joint torque regressor"),
+            (
+                "torque regressor",
+                columns_s,
+                loop(P.computeJointTorqueRegressor, *short),
+                "Pinocchio's joint torque regressor",
+            ),
             ("forward dynamics", forward_s, best(mujoco_forward, 3) / SAMPLES, "MuJoCo mj_forward"),
             ("forward dynamics", forward_s, loop(P.aba, q, qd, tau), "Pinocchio aba"),
         ):

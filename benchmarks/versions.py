@@ -40,9 +40,16 @@ EQUAL = 0.01
 
 def interpreters() -> dict[str, str]:
     """Version -> interpreter."""
-    found = subprocess.run([ROOT / ".ci" / "pythons"], capture_output=True, text=True, check=True).stdout.splitlines()
+    found = subprocess.run(
+        [ROOT / ".ci" / "pythons"], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
     asks = "import sys; print('%d.%d' % sys.version_info[:2])"
-    return {subprocess.run([p, "-c", asks], capture_output=True, text=True, check=True).stdout.strip(): p for p in found}
+    return {
+        subprocess.run(
+            [p, "-c", asks], capture_output=True, text=True, check=True
+        ).stdout.strip(): p
+        for p in found
+    }
 
 
 def run(command: list[Any], cache: Path, timeout_s: float = 1800) -> tuple[int, str]:
@@ -62,15 +69,37 @@ def row(python: str, interpreter: str, jax: str, tests: bool) -> dict[str, Any]:
     result: dict[str, Any] = {"python": python, "jax": jax}
     if not own.exists():
         run([interpreter, "-m", "venv", environment], cache)
-    code, said = run([own, "-m", "pip", "install", "-q", "--disable-pip-version-check", "-e", ".[test]", f"jax=={jax}"], cache)
+    code, said = run(
+        [
+            own,
+            "-m",
+            "pip",
+            "install",
+            "-q",
+            "--disable-pip-version-check",
+            "-e",
+            ".[test]",
+            f"jax=={jax}",
+        ],
+        cache,
+    )
     if code:
         none = "No matching distribution found for jax==" in said
-        return {**result, "problem": f"no release for Python {python}" if none else f"pip: {said.strip().splitlines()[-1]}"}
+        return {
+            **result,
+            "problem": f"no release for Python {python}"
+            if none
+            else f"pip: {said.strip().splitlines()[-1]}",
+        }
     asks = "import json, sys; from importlib.metadata import version; print(json.dumps({n: version(n) for n in sys.argv[1:]}))"
     result["beside"] = json.loads(run([own, "-c", asks, *BESIDE], cache)[1])
-    result["python_exact"] = run([own, "-c", "import platform; print(platform.python_version())"], cache)[1].strip()
+    result["python_exact"] = run(
+        [own, "-c", "import platform; print(platform.python_version())"], cache
+    )[1].strip()
     began = time.perf_counter()
-    code, said = run([own, "-c", DIAGNOSE, "diagnose", "examples/servo_pendulum", "--out", out], cache)
+    code, said = run(
+        [own, "-c", DIAGNOSE, "diagnose", "examples/servo_pendulum", "--out", out], cache
+    )
     result["seconds"] = round(time.perf_counter() - began)
     if code:
         return {**result, "problem": f"exit {code}: {said.strip().splitlines()[-1][:200]}"}
@@ -80,23 +109,37 @@ def row(python: str, interpreter: str, jax: str, tests: bool) -> dict[str, Any]:
     result["effects"] = [f"{e['effect']} at {e['location']}" for e in diagnosis["which"]["effects"]]
     if tests:
         core = re.findall(r"^CORE := (.*)$", (ROOT / "Makefile").read_text(), re.M)[0].split()
-        code, said = run([own, "-m", "pytest", "-q", "-p", "no:cacheprovider", *core], FOLDER / f"tests_{python}_{jax}")
+        code, said = run(
+            [own, "-m", "pytest", "-q", "-p", "no:cacheprovider", *core],
+            FOLDER / f"tests_{python}_{jax}",
+        )
         ends = re.findall(r"(\d+ (?:passed|failed)[^\n]*?) in ", said)
-        result["tests"] = ends[-1] if ends else f"exit {code}: {said.strip().splitlines()[-1][:100]}"
+        result["tests"] = (
+            ends[-1] if ends else f"exit {code}: {said.strip().splitlines()[-1][:100]}"
+        )
     return result
 
 
 def numbers(diagnosis: dict[str, Any]) -> dict[str, list[float]]:
     """Value and standard deviation of every parameter."""
-    groups = {"": diagnosis["parameters"], **{f"{e['effect']}.": e["parameters"] for e in diagnosis["which"]["effects"]}}
-    return {group + name: [p["value"], p["std"]] for group, found in groups.items() for name, p in found.items()}
+    groups = {
+        "": diagnosis["parameters"],
+        **{f"{e['effect']}.": e["parameters"] for e in diagnosis["which"]["effects"]},
+    }
+    return {
+        group + name: [p["value"], p["std"]]
+        for group, found in groups.items()
+        for name, p in found.items()
+    }
 
 
 def deviation(found: dict[str, list[float]], reference: dict[str, list[float]]) -> float:
     """Largest difference of two answers in standard deviations; infinite where they name other numbers."""
     if found.keys() != reference.keys():
         return float("inf")
-    return max(abs(value - reference[name][0]) / reference[name][1] for name, (value, _) in found.items())
+    return max(
+        abs(value - reference[name][0]) / reference[name][1] for name, (value, _) in found.items()
+    )
 
 
 def page(rows: list[dict[str, Any]]) -> str:
@@ -120,15 +163,27 @@ def page(rows: list[dict[str, Any]]) -> str:
         "| --- " * 12 + "|",
     ]
     for r in rows:
-        head = [r.get("python_exact", r["python"]), r["jax"], *(r.get("beside", {}).get(n, "") for n in BESIDE)]
+        head = [
+            r.get("python_exact", r["python"]),
+            r["jax"],
+            *(r.get("beside", {}).get(n, "") for n in BESIDE),
+        ]
         if "problem" in r:
             lines.append("| " + " | ".join([*head, r["problem"], *[""] * 5]) + " |")
             continue
         far = deviation(r["numbers"], reference["numbers"])
-        told = [r["verdict"], ", ".join(r["effects"]), f"{far:.1g}", "yes" if r["quick"] else "no", str(r["seconds"])]
+        told = [
+            r["verdict"],
+            ", ".join(r["effects"]),
+            f"{far:.1g}",
+            "yes" if r["quick"] else "no",
+            str(r["seconds"]),
+        ]
         lines.append("| " + " | ".join([*head, *told, r.get("tests", "not run")]) + " |")
     done = [r for r in rows if "numbers" in r]
-    alike = all((r["verdict"], r["effects"]) == (reference["verdict"], reference["effects"]) for r in done)
+    alike = all(
+        (r["verdict"], r["effects"]) == (reference["verdict"], reference["effects"]) for r in done
+    )
     worst = max(deviation(r["numbers"], reference["numbers"]) for r in done)
     lines += [
         "",
@@ -145,13 +200,19 @@ def page(rows: list[dict[str, Any]]) -> str:
 
 def order(r: dict[str, Any]) -> tuple:
     """Rows by JAX, newest first, then by Python."""
-    return [-int(n) for n in (r["jax"] + ".0").split(".")[:4]], [int(n) for n in r["python"].split(".")]
+    return [-int(n) for n in (r["jax"] + ".0").split(".")[:4]], [
+        int(n) for n in r["python"].split(".")
+    ]
 
 
 def run_all() -> None:
     found = interpreters()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--python", action="append", choices=found, help="default: each that is found")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--python", action="append", choices=found, help="default: each that is found"
+    )
     parser.add_argument("--jax", action="append", help=f"default: {', '.join(JAX)}")
     parser.add_argument("--no-tests", action="store_true", help="the example alone")
     arguments = parser.parse_args()
@@ -161,7 +222,9 @@ def run_all() -> None:
             new = row(python, found[python], jax, not arguments.no_tests)
             print(json.dumps({k: v for k, v in new.items() if k != "numbers"}), flush=True)
             rows = json.loads(ROWS.read_text()) if ROWS.exists() else []
-            rows = sorted([r for r in rows if (r["python"], r["jax"]) != (python, jax)] + [new], key=order)
+            rows = sorted(
+                [r for r in rows if (r["python"], r["jax"]) != (python, jax)] + [new], key=order
+            )
             ROWS.write_text(json.dumps(rows, indent=1))
             if any("numbers" in r for r in rows):
                 PAGE.write_text(page(rows))

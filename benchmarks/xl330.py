@@ -36,12 +36,17 @@ PRIORS = {
 }
 MODELS = {
     "Coulomb and viscous": (),
-    "with load-dependent and Stribeck friction": ("load_dependent_friction@q", "stribeck_friction@q"),
+    "with load-dependent and Stribeck friction": (
+        "load_dependent_friction@q",
+        "stribeck_friction@q",
+    ),
 }
 
 
 def file() -> Path:
-    root = Path(os.environ.get("JAXID_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
+    root = Path(
+        os.environ.get("JAXID_DATA", Path(__file__).parent.parent.parent / "shared" / "data")
+    )
     return root / "xl330_pendulum" / "xl330.parquet"
 
 
@@ -59,12 +64,17 @@ def data(held_out: int | None = None) -> jaxid.Dataset:
         units={"q_cmd": "rad", "enable": "1", "q": "rad"},
         noise_std={"q": 1e-3},
         names=[str(one.log.iloc[0]) for one in logs],
-        constants=[{"kp": k, "supply_voltage": float(one.vin.iloc[0])} for k, one in zip(kp, logs, strict=True)],
+        constants=[
+            {"kp": k, "supply_voltage": float(one.vin.iloc[0])}
+            for k, one in zip(kp, logs, strict=True)
+        ],
         initial=[{"q": float(one.q_rad.iloc[0]), "qd": 0.0} for one in logs],
         split=["report" if k == held_out else "fit" for k in kp],
     )
     constants = {"mass": 0.49, "length": 0.1, "gravity": 9.81}
-    model = ModelSpec("servo", constants=constants, parameters={k: ParameterPrior(*v) for k, v in PRIORS.items()})
+    model = ModelSpec(
+        "servo", constants=constants, parameters={k: ParameterPrior(*v) for k, v in PRIORS.items()}
+    )
     return replace(dataset, model=model)
 
 
@@ -87,7 +97,9 @@ def diagnosed() -> dict[str, Any]:
     dataset = data(200)
     d = jaxid.diagnose(None, dataset)
     found = errors(d.final, dataset)
-    mean = lambda report: float(np.mean([found[e.name] for e in dataset.experiments if (e.split == "report") == report]))
+    mean = lambda report: float(
+        np.mean([found[e.name] for e in dataset.experiments if (e.split == "report") == report])
+    )
     return {
         "friction": f"{d.which.verdict}: {', '.join(str(e) for e in d.which.effects)}",
         "MAE of the fitted logs, rad": mean(False),
@@ -106,7 +118,9 @@ def main() -> dict:
             found = errors(fit, dataset)
             part = lambda split: [found[e.name] for e in dataset.experiments if e.split == split]
             row = {"friction": label, "MAE of the fitted logs, rad": float(np.mean(part("fit")))}
-            row["MAE of the logs with gain 200, held out, rad"] = "" if held_out is None else float(np.mean(part("report")))
+            row["MAE of the logs with gain 200, held out, rad"] = (
+                "" if held_out is None else float(np.mean(part("report")))
+            )
             rows.append(row | numbers(fit))
     rows.append(diagnosed())
     return {

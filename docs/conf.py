@@ -31,14 +31,22 @@ exclude_patterns = ["*.py", "notebooks/budget.py", "**/__pycache__"]
 BUDGET = hashlib.sha256((ROOT / "notebooks" / "budget.py").read_bytes()).hexdigest()[:16]
 
 nb_custom_formats = {".py": "generate.notebook"}
-nb_execution_mode = os.environ.get("JAXID_DOCS_NOTEBOOKS", "cache")  # off: pages without outputs, in seconds
+nb_execution_mode = os.environ.get(
+    "JAXID_DOCS_NOTEBOOKS", "cache"
+)  # off: pages without outputs, in seconds
 nb_execution_cache_path = str(ROOT / "out" / "docs_cache" / f"notebooks-{BUDGET}")
 nb_execution_timeout = 3600
-nb_execution_show_tb = True  # a notebook that fails is a warning, which -W makes an error once all pages are built
+nb_execution_show_tb = (
+    True  # a notebook that fails is a warning, which -W makes an error once all pages are built
+)
 nb_merge_streams = True
 
 shutil.rmtree(HERE / "notebooks", ignore_errors=True)
-shutil.copytree(ROOT / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns("__pycache__", ".ipynb_checkpoints"))
+shutil.copytree(
+    ROOT / "notebooks",
+    HERE / "notebooks",
+    ignore=shutil.ignore_patterns("__pycache__", ".ipynb_checkpoints"),
+)
 generate.write(HERE / "generated", ROOT)
 
 

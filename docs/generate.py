@@ -54,7 +54,9 @@ def write(folder: Path, root: Path) -> None:
     (folder / "fitters.md").write_text(fitters(), encoding="utf-8")
     (folder / "thresholds.md").write_text(thresholds(), encoding="utf-8")
     results = (root / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
-    (folder / "benchmarks.md").write_text(results.replace("# Measured results", "# Benchmarks", 1), encoding="utf-8")
+    (folder / "benchmarks.md").write_text(
+        results.replace("# Measured results", "# Benchmarks", 1), encoding="utf-8"
+    )
     (folder / "results").mkdir(exist_ok=True)
     for picture in (root / "benchmarks" / "results").glob("*.png"):
         shutil.copy(picture, folder / "results")
@@ -114,16 +116,43 @@ def effects(pictures: Path, alike: dict) -> str:
     for family, title in FAMILIES.items():
         out += [f"## {title}", ""]
         for info in (i for i in infos if i.family == family):
-            out += [f"### {info.name}", "", plain(info.text), "", "```text", info.equation, "```", ""]
+            out += [
+                f"### {info.name}",
+                "",
+                plain(info.text),
+                "",
+                "```text",
+                info.equation,
+                "```",
+                "",
+            ]
             if (pictures / f"{info.name}.svg").is_file():
-                out += [f"```{{image}} signatures/{info.name}.svg", f":alt: missing force left by {info.name}", "```", ""]
-            out += ["Signature", f": {plain(info.signature)}", "", "What to record", f": {plain(info.what_to_record)}", ""]
+                out += [
+                    f"```{{image}} signatures/{info.name}.svg",
+                    f":alt: missing force left by {info.name}",
+                    "```",
+                    "",
+                ]
+            out += [
+                "Signature",
+                f": {plain(info.signature)}",
+                "",
+                "What to record",
+                f": {plain(info.what_to_record)}",
+                "",
+            ]
             if mates := _mates(info.name, alike):
                 out += ["Cannot be told from", f": {mates}", ""]
             out += ["Where", f": {info.locations}", "", "Source", f": {plain(info.source)}", ""]
             if info.parameters:
                 rows = [
-                    [f"`{p.name}`", plain(p.unit), f"{p.neutral:g}", plain(f"{p.lower} … {p.upper}"), plain(p.meaning)]
+                    [
+                        f"`{p.name}`",
+                        plain(p.unit),
+                        f"{p.neutral:g}",
+                        plain(f"{p.lower} … {p.upper}"),
+                        plain(p.meaning),
+                    ]
                     for p in info.parameters
                 ]
                 out += [table(["parameter", "unit", "neutral", "bounds", "meaning"], rows), ""]
@@ -133,7 +162,12 @@ def effects(pictures: Path, alike: dict) -> str:
 def _mates(effect: str, alike: dict) -> str:
     said = []
     for model, found in alike.items():
-        mates = {p["effect"] for group in found["equivalent"] if effect in {p["effect"] for p in group} for p in group} - {effect}
+        mates = {
+            p["effect"]
+            for group in found["equivalent"]
+            if effect in {p["effect"] for p in group}
+            for p in group
+        } - {effect}
         if mates:
             said.append(f"{', '.join(f'`{m}`' for m in sorted(mates))} on `{model}`")
         if effect in {p["effect"] for p in found["absorbed"]}:
@@ -145,22 +179,44 @@ def models() -> str:
     from jaxid import catalogue
     from jaxid.cli import listing
 
-    out = ["# Models", "", "`jaxid models NAME` prints the same. Every model also runs from Python: `jaxid.models`.", ""]
+    out = [
+        "# Models",
+        "",
+        "`jaxid models NAME` prints the same. Every model also runs from Python: `jaxid.models`.",
+        "",
+    ]
     for name in catalogue.model_names():
         info = catalogue.describe(name)
         out += [f"## {name}", "", plain(info.text), "", "```text", info.equations, "```", ""]
-        out += ["Inputs → outputs", ": " + "; ".join(plain(listing.signature(s)) for s in info.signatures), ""]
-        out += ["Friction and offsets it contains", ": " + (", ".join(f"`{e}`" for e in info.builtin_effects) or "none"), ""]
+        out += [
+            "Inputs → outputs",
+            ": " + "; ".join(plain(listing.signature(s)) for s in info.signatures),
+            "",
+        ]
+        out += [
+            "Friction and offsets it contains",
+            ": " + (", ".join(f"`{e}`" for e in info.builtin_effects) or "none"),
+            "",
+        ]
         out += ["Source", f": {plain(info.source)}", ""]
         rows = [
-            [f"`{p.name}`", plain(p.unit), f"{p.neutral:g}", plain(f"{p.lower} … {p.upper}"), plain(p.meaning)]
+            [
+                f"`{p.name}`",
+                plain(p.unit),
+                f"{p.neutral:g}",
+                plain(f"{p.lower} … {p.upper}"),
+                plain(p.meaning),
+            ]
             for p in info.parameter_info[:40]
         ]
         if rows:
             out += [table(["fitted parameter", "unit", "start", "bounds", "meaning"], rows), ""]
         if len(info.parameter_info) > 40:
             out += [f"and {len(info.parameter_info) - 40} more of the other joints.", ""]
-        rows = [[f"`{p.name}`", plain(p.unit), f"{p.neutral:g}", plain(p.meaning)] for p in info.constant_info[:30]]
+        rows = [
+            [f"`{p.name}`", plain(p.unit), f"{p.neutral:g}", plain(p.meaning)]
+            for p in info.constant_info[:30]
+        ]
         out += [table(["constant", "unit", "default", "meaning"], rows), ""]
     return "\n".join(out)
 
@@ -168,7 +224,12 @@ def models() -> str:
 def fitters() -> str:
     from jaxid.fitters.by_name import describe_fitter, fitter_names
 
-    out = ["# Fitters", "", "`jaxid fitters NAME` prints the same; which to take says [Choosing](../choosing.md).", ""]
+    out = [
+        "# Fitters",
+        "",
+        "`jaxid fitters NAME` prints the same; which to take says [Choosing](../choosing.md).",
+        "",
+    ]
     for name in fitter_names():
         info = describe_fitter(name)
         out += [f"## {name}", "", plain(info.text), "", "Source", f": {plain(info.source)}", ""]
@@ -181,9 +242,19 @@ def fitters() -> str:
 def thresholds() -> str:
     from jaxid.diagnosis.thresholds import LIMITS
 
-    out = ["# Thresholds of the diagnosis", "", "What a diagnosis decides by (`jaxid.diagnosis.thresholds`), and why.", ""]
-    rows = [[f"`{name}`", f"{value:g}", unit, plain(reason), plain(case)] for name, value, unit, reason, case in LIMITS.table()]
-    return "\n".join([*out, table(["name", "value", "unit", "reason", "the case it came from"], rows), ""])
+    out = [
+        "# Thresholds of the diagnosis",
+        "",
+        "What a diagnosis decides by (`jaxid.diagnosis.thresholds`), and why.",
+        "",
+    ]
+    rows = [
+        [f"`{name}`", f"{value:g}", unit, plain(reason), plain(case)]
+        for name, value, unit, reason, case in LIMITS.table()
+    ]
+    return "\n".join(
+        [*out, table(["name", "value", "unit", "reason", "the case it came from"], rows), ""]
+    )
 
 
 def notebooks(names: list[str]) -> str:
@@ -194,4 +265,14 @@ def notebooks(names: list[str]) -> str:
         "makes a Jupyter file, and `jupyter lab notebooks` opens it.",
         "",
     ]
-    return "\n".join([*lines, "```{toctree}", ":maxdepth: 1", "", *(f"../notebooks/{n}" for n in names), "```", ""])
+    return "\n".join(
+        [
+            *lines,
+            "```{toctree}",
+            ":maxdepth: 1",
+            "",
+            *(f"../notebooks/{n}" for n in names),
+            "```",
+            "",
+        ]
+    )

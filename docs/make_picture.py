@@ -34,15 +34,27 @@ def picture(diagnosis: jaxid.Diagnosis) -> str:
 
     def draw(figure):
         left, right = figure.subplots(1, 2, width_ratios=[3, 2])
-        left.plot(*plot.thin(trace.t, trace.measured, 600), color=plot.BLACK, lw=2.6, label="measured")
-        left.plot(*plot.thin(trace.t, trace.simulated[before], 600), color=plot.VERMILLION, lw=1.3, label="nominal model")
+        left.plot(
+            *plot.thin(trace.t, trace.measured, 600), color=plot.BLACK, lw=2.6, label="measured"
+        )
+        left.plot(
+            *plot.thin(trace.t, trace.simulated[before], 600),
+            color=plot.VERMILLION,
+            lw=1.3,
+            label="nominal model",
+        )
         left.plot(
             *plot.thin(trace.t, trace.simulated[after], 600), color=plot.SKY, lw=1.2, ls=(0, (4, 2)),
             label=f"with {named.effect.replace('_', ' ')}",
         )  # fmt: skip
-        left.set(xlabel="time in a recording that was never fitted (s)", ylabel=plot.with_unit(trace.channel, trace.unit))
+        left.set(
+            xlabel="time in a recording that was never fitted (s)",
+            ylabel=plot.with_unit(trace.channel, trace.unit),
+        )
         left.margins(x=0)
-        left.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.5, borderaxespad=0.2)
+        left.legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.5, borderaxespad=0.2
+        )
         draw_gap(right, diagnosis.how_far, diagnosis.which.verdict)
         closed = wording.percent(diagnosis.how_far.shrinkage)
         right.set_title(f"{closed} of the gap closed", fontsize=9, loc="left")
@@ -52,6 +64,8 @@ def picture(diagnosis: jaxid.Diagnosis) -> str:
 
 
 if __name__ == "__main__":
-    diagnosis = jaxid.diagnose(None, jaxid.load_dataset(ROOT / "examples" / "servo_pendulum"), effects=CANDIDATES)
+    diagnosis = jaxid.diagnose(
+        None, jaxid.load_dataset(ROOT / "examples" / "servo_pendulum"), effects=CANDIDATES
+    )
     assert np.isfinite(diagnosis.how_far.gap_after)
     (ROOT / "docs" / "_static" / "gap.svg").write_text(picture(diagnosis), encoding="utf-8")

@@ -33,9 +33,14 @@ def draw(figure) -> None:
     axes = figure.subplots()
     axes.set_axis_off()
     axes.set(xlim=(-0.55, 5.55), ylim=(-0.62, 1.7))
-    for y, name, stops, colour in ((1.0, "a sample", SAMPLE, plot.BLUE), (0.0, "a number", NUMBER, plot.VERMILLION)):
+    for y, name, stops, colour in (
+        (1.0, "a sample", SAMPLE, plot.BLUE),
+        (0.0, "a number", NUMBER, plot.VERMILLION),
+    ):
         axes.plot([0, 5], [y, y], color=colour, lw=2, zorder=1)
-        axes.annotate("", (5.3, y), (5.0, y), arrowprops={"arrowstyle": "->", "color": colour, "lw": 2})
+        axes.annotate(
+            "", (5.3, y), (5.0, y), arrowprops={"arrowstyle": "->", "color": colour, "lw": 2}
+        )
         axes.text(-0.5, y + 0.46, name, color=colour, weight="bold", va="bottom")
         for x, (package, what) in enumerate(stops):
             axes.plot(x, y, "o", color=colour, ms=8, zorder=3)

@@ -15,7 +15,13 @@ import numpy as np
 #: Models whose candidates are shown: the first that offers an effect shows it.
 MODELS = ("pendulum", "planar_arm", "flexible_link", "space_manipulator")
 #: What the missing force is computed by.
-FORCE = ("dynamics/chain.py", "dynamics/effect.py", "dynamics/dry_friction.py", "problem/torque_filter.py", "diagnosis/where.py")
+FORCE = (
+    "dynamics/chain.py",
+    "dynamics/effect.py",
+    "dynamics/dry_friction.py",
+    "problem/torque_filter.py",
+    "diagnosis/where.py",
+)
 
 
 def key(root: Path) -> str:
@@ -47,14 +53,18 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
 
     owner = catalogue.model_class(model)()
     chain = Chain(owner)
-    library = [k for n in names if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
+    library = [
+        k for n in names if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))
+    ]
     if not library:
         return set()
     data, _ = _rich_motion(chain, model, owner)
     binding = bind(model, data, candidates=library, splits=False)
     bench = Bench(binding)
     theta = _with_friction(binding)
-    pool = {c.effect: c for c in reversed(candidates(bench, [k.name for k in library]))}  # at its first location
+    pool = {
+        c.effect: c for c in reversed(candidates(bench, [k.name for k in library]))
+    }  # at its first location
     effects = {e.name: e for e in binding.chain.effects}
     shown = list(pool)
     thetas = [theta, *(probes(binding, effects[n], pool[n].location, theta)[-1] for n in shown)]
@@ -69,7 +79,15 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
     forces = binding.motions and not binding.chain.mechanism.hidden_states
     for name, y in zip(shown, outputs[1:], strict=True):
         draw_one = _force if forces else _change
-        draw_one(folder / f"{name}.svg", bench, e, theta, np.asarray(y), np.asarray(outputs[0]), pool[name].location)
+        draw_one(
+            folder / f"{name}.svg",
+            bench,
+            e,
+            theta,
+            np.asarray(y),
+            np.asarray(outputs[0]),
+            pool[name].location,
+        )
     return set(shown)
 
 
@@ -81,7 +99,11 @@ def _force(path: Path, bench, e, theta, y: np.ndarray, nominal: np.ndarray, loca
 
     b = bench.binding
     joints = b.chain.signature.joints
-    places = (joints, [n for n, _ in b.chain.signature.inputs], [n for n, _ in b.chain.signature.outputs])
+    places = (
+        joints,
+        [n for n, _ in b.chain.signature.inputs],
+        [n for n, _ in b.chain.signature.outputs],
+    )
     j = next((p.index(location) for p in map(list, places) if location in p), 0)
     j = min(j, len(joints) - 1)
     problem = bench.problem(InverseDynamics(decimate=1), "fit", [], theta)

@@ -69,7 +69,9 @@ def fade(t: np.ndarray, still_s: float = 0.4) -> np.ndarray:
     return np.clip((t - still_s) / 0.5, 0.0, 1.0)
 
 
-def multisine(t: np.ndarray, rng: np.random.Generator, peak: float, lowest: float = 0.15, highest: float = 3.0):
+def multisine(
+    t: np.ndarray, rng: np.random.Generator, peak: float, lowest: float = 0.15, highest: float = 3.0
+):
     f = np.geomspace(lowest, highest, 9) * rng.uniform(0.93, 1.07, 9)
     u = sum(np.sin(2 * np.pi * f_k * t + rng.uniform(0, 2 * np.pi)) / f_k**0.3 for f_k in f)
     return peak * u / np.max(np.abs(u)) * fade(t)
@@ -80,7 +82,9 @@ def steps(t: np.ndarray, rng: np.random.Generator, peak: float) -> np.ndarray:
     u, begin = np.zeros(len(t)), 0.4
     while begin < t[-1]:
         length = rng.uniform(0.25, 0.8)
-        level = 0.0 if rng.uniform() < 0.25 else rng.choice([-1.0, 1.0]) * rng.uniform(0.15, 1.0) * peak
+        level = (
+            0.0 if rng.uniform() < 0.25 else rng.choice([-1.0, 1.0]) * rng.uniform(0.15, 1.0) * peak
+        )
         u[(t >= begin) & (t < begin + length)] = level
         begin += length
     return u

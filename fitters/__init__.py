@@ -12,7 +12,13 @@ from .ga import GeneticAlgorithm
 from .hybrid import Hybrid
 from .linear import InstrumentalVariables, LeastSquares, RecursiveLeastSquares, WeightedLeastSquares
 from .lm import LevenbergMarquardt
-from .optimistix import Optimistix, OptimistixBFGS, OptimistixDogleg, OptimistixLM, OptimistixNelderMead
+from .optimistix import (
+    Optimistix,
+    OptimistixBFGS,
+    OptimistixDogleg,
+    OptimistixLM,
+    OptimistixNelderMead,
+)
 from .pso import ParticleSwarm
 from .rde import RecursiveDE
 from .shade import Shade

@@ -20,11 +20,15 @@ class RandToBestDE(AbstractPopulation):
     """
 
     name: ClassVar[str] = "ade"
-    source: ClassVar[str] = "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935 (ADE); F, K, CR are not given there"
+    source: ClassVar[str] = (
+        "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935 (ADE); F, K, CR are not given there"
+    )
 
     popsize: int = option(60, "members of the population", 4)
     generations: int = option(400, "most generations", 1)
-    F: tuple[float, float] = option((0.4, 0.9), "range that a difference's weight is drawn from; one number: always that", 0)
+    F: tuple[float, float] = option(
+        (0.4, 0.9), "range that a difference's weight is drawn from; one number: always that", 0
+    )
     K: float = option(0.5, "weight of the way towards the best member", 0)
     CR: float = option(0.9, "probability that a coordinate comes from the mutant", 0, 1)
 

@@ -20,7 +20,9 @@ class BFGS(AbstractFitter):
     """Bounded BFGS with multistart, for every loss: sum of squares, of norms, of absolute values."""
 
     name: ClassVar[str] = "bfgs"
-    source: ClassVar[str] = "Nocedal and Wright, Numerical Optimization, 2006, chapters 4 and 6; damping by Powell 1978"
+    source: ClassVar[str] = (
+        "Nocedal and Wright, Numerical Optimization, 2006, chapters 4 and 6; damping by Powell 1978"
+    )
 
     restarts: int = option(4, "random starts beside the given ones", 0)
     iterations: int = option(150, "most steps of a descent", 1)

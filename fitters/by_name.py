@@ -56,11 +56,22 @@ def labelled(
     for given in COMPARED if fitters is None else fitters:
         fitter = fitter_of(given) if isinstance(given, str) else given
         full = label_of(fitter)
-        if isinstance(given, str) and isinstance(fitter, AbstractPopulation) and "generations" not in parsed(given)[1]:
-            fitter = replace(fitter, generations=10**6 if budget is None else max(1, budget // fitter.offspring))
+        if (
+            isinstance(given, str)
+            and isinstance(fitter, AbstractPopulation)
+            and "generations" not in parsed(given)[1]
+        ):
+            fitter = replace(
+                fitter, generations=10**6 if budget is None else max(1, budget // fitter.offspring)
+            )
         if seconds is not None and "seconds" not in inspect.signature(fitter.minimise).parameters:
-            raise UsageError(f"the fitter {fitter.name} has no limit of time (an argument `seconds` of minimise): give a budget")
-        label, count = full if isinstance(given, str) or fitter.name in dict(out) else fitter.name, 2
+            raise UsageError(
+                f"the fitter {fitter.name} has no limit of time (an argument `seconds` of minimise): give a budget"
+            )
+        label, count = (
+            full if isinstance(given, str) or fitter.name in dict(out) else fitter.name,
+            2,
+        )
         while label in dict(out):
             label, count = f"{full} {count}", count + 1
         out.append((label, fitter))

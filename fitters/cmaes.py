@@ -64,7 +64,18 @@ class CMAES(AbstractPopulation):
         scale = jnp.maximum(jnp.std(population, 0), 1e-300)
         eye, zero = jnp.eye(dim), jnp.zeros(dim)
         start = population[jnp.argmin(losses)]
-        return State(start, jnp.asarray(0.8), eye, eye, jnp.ones(dim), zero, zero, scale, jnp.zeros((), jnp.int32), population)
+        return State(
+            start,
+            jnp.asarray(0.8),
+            eye,
+            eye,
+            jnp.ones(dim),
+            zero,
+            zero,
+            scale,
+            jnp.zeros((), jnp.int32),
+            population,
+        )
 
     def ask(self, key, state, lower, upper):
         normal = jax.random.normal(key, (self.popsize, state.mean.shape[0]))
@@ -82,14 +93,23 @@ class CMAES(AbstractPopulation):
         step = w @ steps
         mean = state.mean + state.scale * state.sigma * step
         white = state.basis @ ((state.basis.T @ step) / state.lengths)
-        path_sigma = (1 - c_sigma) * state.path_sigma + np.sqrt(c_sigma * (2 - c_sigma) * mu_eff) * white
-        length, expected = jnp.linalg.norm(path_sigma), np.sqrt(dim) * (1 - 1 / (4 * dim) + 1 / (21 * dim**2))
+        path_sigma = (1 - c_sigma) * state.path_sigma + np.sqrt(
+            c_sigma * (2 - c_sigma) * mu_eff
+        ) * white
+        length, expected = (
+            jnp.linalg.norm(path_sigma),
+            np.sqrt(dim) * (1 - 1 / (4 * dim) + 1 / (21 * dim**2)),
+        )
         grown = 1 - (1 - c_sigma) ** (2.0 * (state.generation + 1))
         calm = length / jnp.sqrt(grown) < (1.4 + 2 / (dim + 1)) * expected
         path_C = (1 - c_C) * state.path_C + calm * np.sqrt(c_C * (2 - c_C) * mu_eff) * step
-        C = (1 - c_1 - c_mu) * state.C + c_1 * (jnp.outer(path_C, path_C) + (1 - calm) * c_C * (2 - c_C) * state.C)
+        C = (1 - c_1 - c_mu) * state.C + c_1 * (
+            jnp.outer(path_C, path_C) + (1 - calm) * c_C * (2 - c_C) * state.C
+        )
         C = C + c_mu * (steps * w[:, None]).T @ steps
-        sigma = state.sigma * jnp.exp(jnp.clip(c_sigma / d_sigma * (length / expected - 1), -1.0, 1.0))
+        sigma = state.sigma * jnp.exp(
+            jnp.clip(c_sigma / d_sigma * (length / expected - 1), -1.0, 1.0)
+        )
         sigma = jnp.clip(sigma, 1e-15, 1e3)
         generation = state.generation + 1
         period = max(1, int(1 / (10 * dim * (c_1 + c_mu))))
@@ -98,8 +118,12 @@ class CMAES(AbstractPopulation):
             values, vectors = jnp.linalg.eigh((C + C.T) / 2)
             return vectors, jnp.sqrt(jnp.clip(values, 1e-16 * values[-1], None))
 
-        basis, lengths = jax.lax.cond(generation % period == 0, decomposed, lambda _: (state.basis, state.lengths), None)
-        return State(mean, sigma, C, basis, lengths, path_sigma, path_C, state.scale, generation, candidates)
+        basis, lengths = jax.lax.cond(
+            generation % period == 0, decomposed, lambda _: (state.basis, state.lengths), None
+        )
+        return State(
+            mean, sigma, C, basis, lengths, path_sigma, path_C, state.scale, generation, candidates
+        )
 
     def spread(self, state):
         return extent(state.last)

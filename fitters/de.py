@@ -33,11 +33,15 @@ class DifferentialEvolution(AbstractPopulation):
     """
 
     name: ClassVar[str] = "de"
-    source: ClassVar[str] = "Storn and Price 1997; dither of F: Das and Suganthan, IEEE Trans. Evol. Comp. 15, 2011"
+    source: ClassVar[str] = (
+        "Storn and Price 1997; dither of F: Das and Suganthan, IEEE Trans. Evol. Comp. 15, 2011"
+    )
 
     popsize: int = option(60, "members of the population", 4)
     generations: int = option(400, "most generations", 1)
-    F: tuple[float, float] = option((0.5, 0.9), "range that a difference's weight is drawn from; one number: always that", 0)
+    F: tuple[float, float] = option(
+        (0.5, 0.9), "range that a difference's weight is drawn from; one number: always that", 0
+    )
     CR: float = option(0.9, "probability that a coordinate comes from the mutant", 0, 1)
     strategy: str = option("rand/1", "rand/1, best/1 or current-to-best/1", static=True)
     crossover: str = option("bin", "bin or exp", static=True)
@@ -66,7 +70,9 @@ class DifferentialEvolution(AbstractPopulation):
             "current-to-best/1": lambda: x + dithered(self.F, u[0]) * (best - x) + difference,
         }[self.strategy]()
         cross = (
-            binomial(k_member, x.shape, self.CR, u[1]) if self.crossover == "bin" else exponential(x.shape, self.CR, u[1], u[2])
+            binomial(k_member, x.shape, self.CR, u[1])
+            if self.crossover == "bin"
+            else exponential(x.shape, self.CR, u[1], u[2])
         )
         return jnp.where(cross, mutant, x)
 
@@ -77,7 +83,9 @@ class DifferentialEvolution(AbstractPopulation):
         return extent(state.population)
 
 
-def donors(key: PRNGKeyArray, x: Float[Array, "pop dim"], count: int = 3) -> list[Float[Array, "pop dim"]]:
+def donors(
+    key: PRNGKeyArray, x: Float[Array, "pop dim"], count: int = 3
+) -> list[Float[Array, "pop dim"]]:
     """For each member `count` others, all different: the population rolled by distinct random distances."""
     pop = x.shape[0]
     draw = jax.random.uniform(key, (count,), jnp.float32)
@@ -99,7 +107,9 @@ def dithered(F: tuple[float, float], u: Array) -> Array:
     return F[0] + (F[1] - F[0]) * u
 
 
-def binomial(key: PRNGKeyArray, shape: tuple[int, int], CR: float | Array, forced: Float[Array, "pop 1"]) -> Array:
+def binomial(
+    key: PRNGKeyArray, shape: tuple[int, int], CR: float | Array, forced: Float[Array, "pop 1"]
+) -> Array:
     """Crossover mask: every coordinate with probability CR (a number, or one a member [pop 1]), and one for sure; `forced`
     uniform draws for that."""
     level = (jnp.asarray(CR) * LARGEST).astype(jnp.uint32)
@@ -121,7 +131,9 @@ def _hash(x: Array) -> Array:
     return x ^ (x >> 15)
 
 
-def exponential(shape: tuple[int, int], CR: float, start: Float[Array, "pop 1"], length: Float[Array, "pop 1"]) -> Array:
+def exponential(
+    shape: tuple[int, int], CR: float, start: Float[Array, "pop 1"], length: Float[Array, "pop 1"]
+) -> Array:
     """Crossover mask: a cyclic run of coordinates that begins anywhere and goes on with probability CR."""
     _, dim = shape
     run = 1 + jnp.floor(jnp.log(jnp.maximum(length, 1e-30)) / np.log(min(max(CR, 1e-9), 1 - 1e-9)))
@@ -129,10 +141,15 @@ def exponential(shape: tuple[int, int], CR: float, start: Float[Array, "pop 1"],
     return jnp.where(after < 0, after + dim, after) < jnp.minimum(run, dim)
 
 
-def select(state: State, candidates: Float[Array, "pop dim"], losses: Float[Array, " pop"]) -> State:
+def select(
+    state: State, candidates: Float[Array, "pop dim"], losses: Float[Array, " pop"]
+) -> State:
     """Every member is replaced by its candidate unless that is worse."""
     better = losses <= state.losses
-    return State(jnp.where(better[:, None], candidates, state.population), jnp.where(better, losses, state.losses))
+    return State(
+        jnp.where(better[:, None], candidates, state.population),
+        jnp.where(better, losses, state.losses),
+    )
 
 
 def extent(population: Float[Array, "pop dim"]) -> Float[Array, ""]:

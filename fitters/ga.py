@@ -47,7 +47,10 @@ class GeneticAlgorithm(AbstractPopulation):
     generations: int = option(400, "most generations", 1)
     keep: float = option(0.5, "share of the population that stays and is parent (blend)", 0, 1)
     crossover: float = option(
-        0.8, "probability that a gene is mixed (blend), or share of children by crossover (scattered)", 0, 1
+        0.8,
+        "probability that a gene is mixed (blend), or share of children by crossover (scattered)",
+        0,
+        1,
     )
     mutation: float = option(0.2, "share of the genes drawn anew (blend)", 0, 1)
     scheme: str = option("blend", "blend or scattered", static=True)
@@ -68,14 +71,20 @@ class GeneticAlgorithm(AbstractPopulation):
     @property
     def survivors(self) -> int:
         """Members that stay unchanged."""
-        return 1 if self.scheme == "scattered" else min(self.popsize - 1, max(2, round(self.keep * self.popsize)))
+        return (
+            1
+            if self.scheme == "scattered"
+            else min(self.popsize - 1, max(2, round(self.keep * self.popsize)))
+        )
 
     @property
     def offspring(self):
         return self.popsize - self.survivors
 
     def ask(self, key, state, lower, upper):
-        return (self._blend if self.scheme == "blend" else self._scattered)(key, state, lower, upper)
+        return (self._blend if self.scheme == "blend" else self._scattered)(
+            key, state, lower, upper
+        )
 
     def _blend(self, key, state, lower, upper):
         keep, dim = self.survivors, state.population.shape[1]
@@ -85,10 +94,14 @@ class GeneticAlgorithm(AbstractPopulation):
         weight = np.cumsum(np.arange(keep, 0, -1.0)) / (keep * (keep + 1) / 2)
         mates = jnp.searchsorted(weight, jax.random.uniform(k_mates, (2, pairs)))
         a, b = state.population[jnp.minimum(mates, keep - 1)]
-        mix = jax.random.uniform(k_mix, (pairs, dim)) * (jax.random.uniform(k_which, (pairs, 1)) < self.crossover)
+        mix = jax.random.uniform(k_mix, (pairs, dim)) * (
+            jax.random.uniform(k_which, (pairs, 1)) < self.crossover
+        )
         children = jnp.concatenate([a + mix * (b - a), b + mix * (a - b)])[:count]
         new = lower + (upper - lower) * jax.random.uniform(k_new, children.shape)
-        return jnp.where(jax.random.uniform(k_mutate, children.shape) < self.mutation, new, children)
+        return jnp.where(
+            jax.random.uniform(k_mutate, children.shape) < self.mutation, new, children
+        )
 
     def _scattered(self, key, state, lower, upper):
         pop, dim = state.population.shape
@@ -97,14 +110,18 @@ class GeneticAlgorithm(AbstractPopulation):
         weight = 1 / np.sqrt(1 + np.arange(pop))
         wheel = np.cumsum(weight) / weight.sum()
         marks = (jnp.arange(2 * count) + jax.random.uniform(k_wheel)) / (2 * count)
-        parents = jax.random.permutation(k_shuffle, jnp.minimum(jnp.searchsorted(wheel, marks), pop - 1))
+        parents = jax.random.permutation(
+            k_shuffle, jnp.minimum(jnp.searchsorted(wheel, marks), pop - 1)
+        )
         a, b = state.population[parents[:count]], state.population[parents[count:]]
         crossed = jnp.where(jax.random.bernoulli(k_gene, 0.5, (count, dim)), a, b)
         if self.mutate == "feasible":
             mutated = _feasible(k_step, a, state.step, lower, upper)
         else:
             size = 0.3 * jnp.maximum(1 - state.generation / self.generations, 0.0)
-            mutated = jnp.clip(a + size * (upper - lower) * jax.random.normal(k_step, (count, dim)), lower, upper)
+            mutated = jnp.clip(
+                a + size * (upper - lower) * jax.random.normal(k_step, (count, dim)), lower, upper
+            )
         first = (jnp.arange(count) < round(self.crossover * count))[:, None]
         return jnp.where(first, crossed, mutated)
 
@@ -113,14 +130,18 @@ class GeneticAlgorithm(AbstractPopulation):
         losses = jnp.concatenate([state.losses[: self.survivors], losses])
         order = jnp.argsort(losses)
         gained = losses[order[0]] < state.losses[0]
-        step = jnp.where(gained, jnp.minimum(4 * state.step, 1.0), jnp.maximum(state.step / 4, 1e-6))
+        step = jnp.where(
+            gained, jnp.minimum(4 * state.step, 1.0), jnp.maximum(state.step / 4, 1e-6)
+        )
         return State(population[order], losses[order], state.generation + 1, step)
 
     def spread(self, state):
         return extent(state.population)
 
 
-def _feasible(key: Array, x: Array, step: Array, lower: Array, upper: Array) -> Float[Array, "count dim"]:
+def _feasible(
+    key: Array, x: Array, step: Array, lower: Array, upper: Array
+) -> Float[Array, "count dim"]:
     """Each x moved by `step` along the first of some random directions that stays within the bounds; where none does, x."""
     d = jax.random.normal(key, (TRIED, *x.shape))
     moved = x + step * (upper - lower) * d / jnp.sqrt(jnp.sum(d * d, -1, keepdims=True))

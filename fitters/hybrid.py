@@ -27,11 +27,15 @@ class Hybrid(AbstractFitter):
     name: ClassVar[str] = "hybrid"
     source: ClassVar[str] = "this library; population and descent as their own fitters"
 
-    population: AbstractPopulation = option(Shade(popsize=32, generations=40), "the population, as a text like 'de(popsize=20)'")
+    population: AbstractPopulation = option(
+        Shade(popsize=32, generations=40), "the population, as a text like 'de(popsize=20)'"
+    )
     descents: int = option(6, "best points of the population from which descents begin", 1)
     iterations: int = option(60, "most steps of a descent", 1)
     tolerance: float = option(1e-10, "relative gain of the loss below which a descent ends", 0)
-    share: float = option(0.6, "most of what is left of the budget that the population takes in a round", 0, 1)
+    share: float = option(
+        0.6, "most of what is left of the budget that the population takes in a round", 0, 1
+    )
     rounds: int = option(8, "most rounds, each with a new population", 1)
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
@@ -43,12 +47,15 @@ class Hybrid(AbstractFitter):
                 break
             with log.shared(self.share):
                 course, _, why, stuck = answered(
-                    self.population.searching(problem, given, jax.random.fold_in(key, number), log), problem
+                    self.population.searching(problem, given, jax.random.fold_in(key, number), log),
+                    problem,
                 )
             ends = [(course.best[0], False, why, stuck)]
             if not log.exhausted:
                 points = basins(problem, course, self.descents) + given
-                (path,), _ = search([[(problem, z) for z in points]], self.iterations, self.tolerance, [log])
+                (path,), _ = search(
+                    [[(problem, z) for z in points]], self.iterations, self.tolerance, [log]
+                )
                 ends.append((path.z, path.converged, path.stopped, False))
             losses = problem.losses(np.array([z for z, *_ in ends]))
             k = int(np.argmin(losses))

@@ -62,13 +62,17 @@ class Blocks:
     @property
     def stacked(self) -> tuple[np.ndarray, np.ndarray]:
         k = self.W[0].shape[-1]
-        return np.concatenate([W.reshape(-1, k) for W in self.W]), np.concatenate([b.ravel() for b in self.b])
+        return np.concatenate([W.reshape(-1, k) for W in self.W]), np.concatenate(
+            [b.ravel() for b in self.b]
+        )
 
 
 def of_runs(problem: AbstractProblem, name: str) -> Problem:
     """The problem, if it is one of a model and its runs."""
     if not isinstance(problem, Problem):
-        raise UsageError(f"{name} solves the torque residual of a model; a function needs lm or another search")
+        raise UsageError(
+            f"{name} solves the torque residual of a model; a function needs lm or another search"
+        )
     return problem
 
 
@@ -118,11 +122,15 @@ class RecursiveLeastSquares(AbstractFitter):
     """
 
     name: ClassVar[str] = "rls"
-    source: ClassVar[str] = "textbook; paper 001, equations (8) to (11), from parameters of which nothing is known"
+    source: ClassVar[str] = (
+        "textbook; paper 001, equations (8) to (11), from parameters of which nothing is known"
+    )
     residual_name: ClassVar[str] = "inverse_dynamics"
 
     forgetting: float = option(1.0, "weight of the last but one sample against the last", 0, 1)
-    prior_var: float = option(1e10, "variance of each parameter before the first sample, in squares of its unit", 0)
+    prior_var: float = option(
+        1e10, "variance of each parameter before the first sample, in squares of its unit", 0
+    )
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         problem = of_runs(problem, self.name)
@@ -133,7 +141,12 @@ class RecursiveLeastSquares(AbstractFitter):
         rest = b - Y @ at
         lower, upper = bounds(problem)
         delta, _, _ = replay(
-            Y / scale, rest, np.zeros(at.size), noise_var=1.0, prior_var=self.prior_var, forgetting=self.forgetting
+            Y / scale,
+            rest,
+            np.zeros(at.size),
+            noise_var=1.0,
+            prior_var=self.prior_var,
+            forgetting=self.forgetting,
         )
         theta = np.clip(at + delta / scale, lower, upper)
         stopped = "all samples seen"
@@ -187,7 +200,9 @@ class InstrumentalVariables(AbstractFitter):
                 return Minimum(at, PENALTY, False, why, number + 1)
             instruments = made
             if self.corrected:
-                blocks = Blocks(plain.W, [b + r for b, r in zip(plain.b, made.errors(theta), strict=True)])
+                blocks = Blocks(
+                    plain.W, [b + r for b, r in zip(plain.b, made.errors(theta), strict=True)]
+                )
             old, theta = theta, solve(problem, at, blocks, instruments)
             if progress:
                 progress(self.name, number + 1, self.iterations, f"change {change(old, theta):.1e}")
@@ -197,7 +212,9 @@ class InstrumentalVariables(AbstractFitter):
             # A joint that sticks one sample longer or shorter keeps the last digits moving.
             z = at_theta(problem, theta)
             std = sandwich(problem, z, blocks, instruments, theta).std * problem.dtheta(z)
-            if number >= 2 and np.all(np.abs(theta - old) < STILL * np.where(np.isfinite(std), std, np.inf)):
+            if number >= 2 and np.all(
+                np.abs(theta - old) < STILL * np.where(np.isfinite(std), std, np.inf)
+            ):
                 stopped = f"the estimate moves by less than {STILL:g} of its standard deviation"
                 break
         return finish(problem, at, blocks, instruments, theta, self.name, stopped, number + 2)
@@ -205,7 +222,9 @@ class InstrumentalVariables(AbstractFitter):
 
 def change(old: np.ndarray, new: np.ndarray) -> float:
     """Largest relative change of an estimate."""
-    return float(np.max(np.abs(new - old) / np.maximum(np.abs(new), 1e-9 * np.max(np.abs(new)) + 1e-300)))
+    return float(
+        np.max(np.abs(new - old) / np.maximum(np.abs(new), 1e-9 * np.max(np.abs(new)) + 1e-300))
+    )
 
 
 def bounds(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -222,9 +241,13 @@ def at_theta(problem: Problem, theta: np.ndarray) -> np.ndarray:
 
 def _torque_runs(problem: Problem, name: str) -> Runs:
     if problem.loss_name != "sum_of_squares":
-        raise UsageError(f"{name} minimises sums of squares; the loss {problem.loss_name!r} needs a population (fitter de)")
+        raise UsageError(
+            f"{name} minimises sums of squares; the loss {problem.loss_name!r} needs a population (fitter de)"
+        )
     if problem.runs.setting is None or problem.start_rows.size:
-        raise UsageError(f"{name} is linear: it needs the residual inverse_dynamics; for the others use fitter lm")
+        raise UsageError(
+            f"{name} is linear: it needs the residual inverse_dynamics; for the others use fitter lm"
+        )
     return problem.runs
 
 
@@ -233,7 +256,10 @@ def linearised(problem: Problem, guess: np.ndarray, name: str) -> tuple[np.ndarr
     _torque_runs(problem, name)
     lower, upper = bounds(problem)
     # A dry level at its bound 0 has half a derivative: step a little inside.
-    inside = 0.01 * np.minimum(upper - lower, np.maximum(np.abs(problem.theta(guess)[problem.free]), 0.01 * (upper - lower)))
+    inside = 0.01 * np.minimum(
+        upper - lower,
+        np.maximum(np.abs(problem.theta(guess)[problem.free]), 0.01 * (upper - lower)),
+    )
     theta = np.clip(problem.theta(guess)[problem.free], lower + inside, upper - inside)
     blocks = _blocks(problem, theta)
     away = np.where(theta + 2 * inside < upper, theta + 2 * inside, theta - inside)
@@ -301,7 +327,9 @@ def _instruments(problem: Problem, theta: np.ndarray) -> Blocks | None:
         experiments.append(replace(e, y=y, u=drive))
     same = InverseDynamics(runs.setting.cutoff_hz, runs.setting.decimate)
     size = len(runs.weights), runs.engine.length
-    made = same.runs(runs.dataset, experiments, runs.layout, np.ones(len(runs.channels)), None, shape=size)
+    made = same.runs(
+        runs.dataset, experiments, runs.layout, np.ones(len(runs.channels)), None, shape=size
+    )
     twin = Problem(made, problem.base, problem.free, *_boxes(problem), records=problem.records)
     back = made.noise / runs.noise  # weighted as the data are
     return _blocks(twin, theta).weighted([back] * len(experiments))
@@ -328,16 +356,34 @@ def finish(
     z = at_theta(problem, theta)
     loss = problem.loss(z)
     if not np.isfinite(loss) or loss >= PENALTY:
-        return Minimum(z, loss, False, "the torque residual is not finite; check the recorded motion", evaluations)
+        return Minimum(
+            z,
+            loss,
+            False,
+            "the torque residual is not finite; check the recorded motion",
+            evaluations,
+        )
     plain = np.concatenate([part.r.ravel() for part in rows([(problem, z)])])
     linear = np.concatenate([r.ravel() for r in _blocks(problem, at).errors(theta)])
     if np.linalg.norm(plain - linear) > LINEAR * max(np.linalg.norm(plain), 1e-300):
-        raise UsageError(f"{name} needs a model that is linear in its parameters over their whole range: use fitter lm")
+        raise UsageError(
+            f"{name} needs a model that is linear in its parameters over their whole range: use fitter lm"
+        )
     found = sandwich(problem, z, blocks, instruments, theta)
-    return LinearMinimum(z, loss, stopped != "iteration limit", stopped, evaluations, [(evaluations, loss)], covariance=found)
+    return LinearMinimum(
+        z,
+        loss,
+        stopped != "iteration limit",
+        stopped,
+        evaluations,
+        [(evaluations, loss)],
+        covariance=found,
+    )
 
 
-def sandwich(problem: Problem, z: np.ndarray, blocks: Blocks, instruments: Blocks, theta: np.ndarray) -> Covariance:
+def sandwich(
+    problem: Problem, z: np.ndarray, blocks: Blocks, instruments: Blocks, theta: np.ndarray
+) -> Covariance:
     """(Z'W)^-1 S (W'Z)^-1 in the search scale: S the long-run covariance of the scores Z'r, s^2 Z'Z where r is white."""
     slope = problem.dtheta(z)
     W, Z = blocks.stacked[0] * slope, instruments.stacked[0] * slope
@@ -354,21 +400,37 @@ def sandwich(problem: Problem, z: np.ndarray, blocks: Blocks, instruments: Block
     dof = max(1, count - n)
     s2 = float(sum(np.sum(r**2) for r in residuals)) / dof
     columns = list(range(n))
-    scores = [(columns, np.einsum("tc,tck->tk", r, A * slope)) for r, A in zip(residuals, instruments.W, strict=True)]
+    scores = [
+        (columns, np.einsum("tc,tck->tk", r, A * slope))
+        for r, A in zip(residuals, instruments.W, strict=True)
+    ]
     S = Z.T @ Z * s2 if white else long_run(scores, n, memory) * count / dof
     matrix = np.full((n, n), np.nan)
-    for kept in (~at_bound & seen, seen):  # those at a bound get their own figures from the full matrix
+    for kept in (
+        ~at_bound & seen,
+        seen,
+    ):  # those at a bound get their own figures from the full matrix
         index = np.flatnonzero(kept)
         if not index.size:
             continue
         part = np.ix_(index, index)
-        inverse = np.linalg.pinv((Z.T @ W / scale / scale[:, None])[part], rcond=1e-10) / scale[index] / scale[index][:, None]
+        inverse = (
+            np.linalg.pinv((Z.T @ W / scale / scale[:, None])[part], rcond=1e-10)
+            / scale[index]
+            / scale[index][:, None]
+        )
         cov = inverse @ S[part] @ inverse.T
-        floor = s2 * np.diag(inverse @ (Z.T @ Z)[part] @ inverse.T)  # never narrower than white residuals of that size
+        floor = s2 * np.diag(
+            inverse @ (Z.T @ Z)[part] @ inverse.T
+        )  # never narrower than white residuals of that size
         stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
-        matrix[part] = np.where(np.isnan(matrix[part]), cov * stretch * stretch[:, None], matrix[part])
+        matrix[part] = np.where(
+            np.isnan(matrix[part]), cov * stretch * stretch[:, None], matrix[part]
+        )
     std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     std[~identifiable] = np.nan
     how = "white" if white else f"coloured (memory {memory} samples)"
-    statement = f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"
+    statement = (
+        f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"
+    )
     return Covariance(matrix, std, identifiable, at_bound, groups, white, statement)

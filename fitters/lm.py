@@ -28,7 +28,9 @@ class LevenbergMarquardt(AbstractFitter):
     """
 
     name: ClassVar[str] = "lm"
-    source: ClassVar[str] = "Levenberg 1944, Marquardt 1963, More 1978; bounds by an active set; reweighting of Lawson 1961"
+    source: ClassVar[str] = (
+        "Levenberg 1944, Marquardt 1963, More 1978; bounds by an active set; reweighting of Lawson 1961"
+    )
     linearises: ClassVar[bool] = True
 
     restarts: int = option(4, "random starts beside the given ones", 0)
@@ -45,20 +47,33 @@ class LevenbergMarquardt(AbstractFitter):
     def minimise_each(self, jobs, budget=None, progress=None):
         """`minimise` of several (problem, starts, key) on the same runs, each with the budget: the same bits as one by one, with
         all linearisations in the same batches."""
-        return self._search(jobs, [Log(problem, self.name, budget, None, progress) for problem, _, _ in jobs])
+        return self._search(
+            jobs, [Log(problem, self.name, budget, None, progress) for problem, _, _ in jobs]
+        )
 
     def path(
-        self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: Any, progress: Progress | None = None
+        self,
+        problem: AbstractProblem,
+        starts: Sequence[np.ndarray],
+        key: Any,
+        progress: Progress | None = None,
     ) -> tuple[Path, Log]:
         """The best descent itself and its course, for who goes on from there."""
         log = Log(problem, self.name, progress=progress)
         return self._paths([(problem, starts, key)], [log])[0], log
 
-    def _paths(self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]) -> list[Path]:
-        groups = [[(problem, z) for z in guesses(problem, starts, self.restarts, key)] for problem, starts, key in jobs]
+    def _paths(
+        self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]
+    ) -> list[Path]:
+        groups = [
+            [(problem, z) for z in guesses(problem, starts, self.restarts, key)]
+            for problem, starts, key in jobs
+        ]
         return search(groups, self.iterations, self.tolerance, logs)[0]
 
-    def _search(self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]) -> list[Minimum]:
+    def _search(
+        self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]
+    ) -> list[Minimum]:
         compiled = jobs[0][0].compile_losses()
         best = self._paths(jobs, logs)
         compiled()

@@ -39,7 +39,9 @@ class Bounded(NamedTuple):
     step: Any  # [size size]
 
     @classmethod
-    def around(cls, problem: AbstractProblem, z: np.ndarray, scale: float = 1.0, margin: float = 0.05) -> Bounded:
+    def around(
+        cls, problem: AbstractProblem, z: np.ndarray, scale: float = 1.0, margin: float = 0.05
+    ) -> Bounded:
         """`z` is x = 0; within `margin` typical steps of a bound, at which the slope is none, it moves inside. A unit of x is
         `scale` typical steps, inward."""
         lower, upper = problem.lower, problem.upper
@@ -90,7 +92,9 @@ class AbstractOptimistix(AbstractFitter):
     """
 
     steps: int = eqx.field(default=256, kw_only=True, metadata=about("most steps of a run", 1))
-    restarts: int = eqx.field(default=0, kw_only=True, metadata=about("random starts beside the best given one", 0))
+    restarts: int = eqx.field(
+        default=0, kw_only=True, metadata=about("random starts beside the best given one", 0)
+    )
 
     #: Scales of runs in turn, each of which begins where the last ended.
     scales: ClassVar[tuple[float, ...]] = (1.0,)
@@ -100,7 +104,10 @@ class AbstractOptimistix(AbstractFitter):
         """The solver."""
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
-        log, rng = Log(problem, self.name, budget, seconds, progress), np.random.default_rng(seed_of(key))
+        log, rng = (
+            Log(problem, self.name, budget, seconds, progress),
+            np.random.default_rng(seed_of(key)),
+        )
         best = _first(problem, starts, log, rng)
         if best.loss >= PENALTY:
             return log.minimum(best.z, False, best.because)
@@ -113,12 +120,18 @@ class AbstractOptimistix(AbstractFitter):
             with log.shared(SHARE):
                 while not log.exhausted and log.left > 4 * (1 + problem.size) + 10 * problem.size:
                     best = self._better(problem, best, _drawn(problem, first, log, rng).z, log)
-        return log.minimum(best.z, best.done, best.because, stalled=not best.done and not best.limited)
+        return log.minimum(
+            best.z, best.done, best.because, stalled=not best.done and not best.limited
+        )
 
     def _better(self, problem: AbstractProblem, best: Run, z: np.ndarray, log: Log) -> Run:
         """The lower one of the best so far and of a descent from z."""
         found = self._descent(problem, Run(np.inf, z, ""), log, best.loss)
-        if found.loss < best.loss and best.done and gain(problem, best.loss, found.loss) <= MATERIAL / 100:
+        if (
+            found.loss < best.loss
+            and best.done
+            and gain(problem, best.loss, found.loss) <= MATERIAL / 100
+        ):
             return best._replace(loss=found.loss, z=found.z)  # the same minimum once more
         return found if found.loss < best.loss else best
 
@@ -126,11 +139,16 @@ class AbstractOptimistix(AbstractFitter):
         """Runs of the solver, each from where the last ended, until none gains; given up after one that ends above `rival`."""
         for scale in itertools.islice(itertools.cycle(self.scales), RUNS):
             new = self._from(problem, best.z, log, scale)
-            gained = new.loss < best.loss and gain(problem, min(best.loss, PENALTY), new.loss) > MATERIAL / 100
+            gained = (
+                new.loss < best.loss
+                and gain(problem, min(best.loss, PENALTY), new.loss) > MATERIAL / 100
+            )
             best = new if new.loss < best.loss else new._replace(loss=best.loss, z=best.z)
             if new.limited or not gained or not best.loss < rival:
                 return best
-        return best._replace(because="begun anew again and again it still falls", done=False, limited=True)
+        return best._replace(
+            because="begun anew again and again it still falls", done=False, limited=True
+        )
 
     def _from(self, problem: AbstractProblem, start: np.ndarray, log: Log, scale: float) -> Run:
         """One run of the solver."""
@@ -139,7 +157,9 @@ class AbstractOptimistix(AbstractFitter):
         solver = self.made()
         square = isinstance(solver, optx.AbstractLeastSquaresSolver)
         if square and problem.loss_name != "sum_of_squares":
-            raise UsageError(f"{self.name} minimises sums of squares, not {problem.loss_name}: take optimistix_bfgs")
+            raise UsageError(
+                f"{self.name} minimises sums of squares, not {problem.loss_name}: take optimistix_bfgs"
+            )
         simplex, slope = isinstance(solver, optx.NelderMead), 1 + problem.size
         bounded = Bounded.around(problem, start, scale, 0.0 if simplex else 0.05)
         if isinstance(solver, optx.AbstractQuasiNewton) and log.left >= 2 * slope:
@@ -153,12 +173,19 @@ class AbstractOptimistix(AbstractFitter):
             f_struct, aux_struct = jax.eval_shape(fn, x, args)
             options, tags = {"autodiff_mode": "fwd", "jac": "fwd"}, frozenset()
             began, known = time.perf_counter(), len(problem.programs)
-            init, step, over = _programs(problem, self, solver, fn, options, f_struct, aux_struct, tags)
+            init, step, over = _programs(
+                problem, self, solver, fn, options, f_struct, aux_struct, tags
+            )
             state = init(x, args)
             best, z, rejected = np.inf, start, 0
             for count in range(self.steps):
                 if log.exhausted or log.left < slope + 2 * simplex:
-                    return Run(best, z, log.exhausted or "the budget of evaluations is used up", limited=True)
+                    return Run(
+                        best,
+                        z,
+                        log.exhausted or "the budget of evaluations is used up",
+                        limited=True,
+                    )
                 before, last = x, state
                 x, state, loss = step(x, args, state)
                 value = float(state.best[0] if simplex else loss)
@@ -168,7 +195,9 @@ class AbstractOptimistix(AbstractFitter):
                     problem.add_compile_time(time.perf_counter() - began)
                 same = not simplex and count > 0 and np.array_equal(before, x)
                 rejected = rejected + 1 if same else 0
-                log.add(_evaluations(last, state, slope) if simplex else 1 if same else slope, value)
+                log.add(
+                    _evaluations(last, state, slope) if simplex else 1 if same else slope, value
+                )
                 log.show(count, self.steps)
                 done, result = over(x, args, state)
                 fine = bool(result == optx.RESULTS.successful)
@@ -181,7 +210,9 @@ class AbstractOptimistix(AbstractFitter):
 
 def _first(problem: AbstractProblem, starts: Any, log: Log, rng: np.random.Generator) -> Run:
     """The best start; a random point of the box where none has a finite loss."""
-    z = np.clip(np.array(starts[: None if log.budget is None else log.budget]), problem.lower, problem.upper)
+    z = np.clip(
+        np.array(starts[: None if log.budget is None else log.budget]), problem.lower, problem.upper
+    )
     losses = problem.losses(z)
     log.add(len(z), float(losses.min()))
     best = Run(float(losses.min()), z[int(np.argmin(losses))], "the simulation diverges")
@@ -192,10 +223,18 @@ def _first(problem: AbstractProblem, starts: Any, log: Log, rng: np.random.Gener
     return best
 
 
-def _drawn(problem: AbstractProblem, guess: np.ndarray, log: Log, rng: np.random.Generator, wide: bool = False) -> Run:
+def _drawn(
+    problem: AbstractProblem,
+    guess: np.ndarray,
+    log: Log,
+    rng: np.random.Generator,
+    wide: bool = False,
+) -> Run:
     """The best of some random points around the guess or, `wide`, of all the box; unknown starts of runs stay as guessed."""
     lower, upper = (problem.lower, problem.upper) if wide else sampling_box(problem, guess)
-    z = lower + (upper - lower) * rng.uniform(size=(int(min(CANDIDATES, 10 * problem.size, log.left)), problem.size))
+    z = lower + (upper - lower) * rng.uniform(
+        size=(int(min(CANDIDATES, 10 * problem.size, log.left)), problem.size)
+    )
     z[:, problem.free.size :] = guess[problem.free.size :]
     losses = problem.losses(z)
     log.add(len(z), float(losses.min()))
@@ -204,7 +243,9 @@ def _drawn(problem: AbstractProblem, guess: np.ndarray, log: Log, rng: np.random
 
 def _evaluations(before: Any, state: Any, corners: int) -> int:
     """Of a step of the simplex: two points, but for the first step, and all corners where it shrinks."""
-    return 2 * (not bool(before.first_pass)) + corners * int(state.stats.n_shrink - before.stats.n_shrink)
+    return 2 * (not bool(before.first_pass)) + corners * int(
+        state.stats.n_shrink - before.stats.n_shrink
+    )
 
 
 def _message(optx: Any, result: Any) -> str:
@@ -242,7 +283,11 @@ def _spanned(solver: Any, x: Any, state: Any) -> Any:
     here each goes along one axis."""
     if not hasattr(state, "simplex"):
         return state
-    return eqx.tree_at(lambda s: s.simplex, state, x + jnp.eye(x.size + 1, x.size, -1) * (solver.adelta + solver.rdelta * x))
+    return eqx.tree_at(
+        lambda s: s.simplex,
+        state,
+        x + jnp.eye(x.size + 1, x.size, -1) * (solver.adelta + solver.rdelta * x),
+    )
 
 
 def _mended(x: Any, state: Any, aux: Any) -> tuple[Any, Any, Any]:
@@ -254,12 +299,16 @@ def _mended(x: Any, state: Any, aux: Any) -> tuple[Any, Any, Any]:
     return corners[0], eqx.tree_at(lambda s: (s.best[1], s.worst[1]), state, corners), aux
 
 
-def _programs(problem, fitter, solver, fn, options, f_struct, aux_struct, tags) -> tuple[Callable, ...]:
+def _programs(
+    problem, fitter, solver, fn, options, f_struct, aux_struct, tags
+) -> tuple[Callable, ...]:
     """init, step and terminate of a solver, compiled once for all starts of problems of one structure."""
     key = "optimistix", type(fitter), repr(fitter), problem.loss_name, problem.size, str(f_struct)
     if key not in problem.programs:
         rest = {"options": options, "tags": tags}
-        init = lambda x, args: _spanned(solver, x, solver.init(fn, x, args, options, f_struct, aux_struct, tags))
+        init = lambda x, args: _spanned(
+            solver, x, solver.init(fn, x, args, options, f_struct, aux_struct, tags)
+        )
         step = lambda x, args, state: _mended(*solver.step(fn, x, args, state=state, **rest))
         over = lambda x, args, state: solver.terminate(fn, x, args, state=state, **rest)
         functions: Any = (init, step, over)
@@ -274,13 +323,17 @@ class Optimistix(AbstractOptimistix):
     """
 
     name: ClassVar[str] = "optimistix"
-    source: ClassVar[str] = "Rader, Lyons, Kidger, Optimistix: modular optimisation in JAX and Equinox, arXiv 2402.09983, 2024"
+    source: ClassVar[str] = (
+        "Rader, Lyons, Kidger, Optimistix: modular optimisation in JAX and Equinox, arXiv 2402.09983, 2024"
+    )
 
     solver: Any = option(None, "a solver of optimistix, given in Python")
 
     def made(self):
         if self.solver is None:
-            raise UsageError("Optimistix needs a solver: Optimistix(optimistix.Dogleg(rtol=1e-8, atol=1e-8))")
+            raise UsageError(
+                "Optimistix needs a solver: Optimistix(optimistix.Dogleg(rtol=1e-8, atol=1e-8))"
+            )
         return self.solver
 
 
@@ -291,7 +344,11 @@ class OptimistixLM(AbstractOptimistix):
     source: ClassVar[str] = Optimistix.source
 
     rtol: float = option(1e-8, "relative tolerance", 0)
-    atol: float = option(1e-8, "absolute tolerance, of the search vector in typical steps and of the sum of squares", 0)
+    atol: float = option(
+        1e-8,
+        "absolute tolerance, of the search vector in typical steps and of the sum of squares",
+        0,
+    )
 
     def made(self):
         import optimistix
@@ -306,7 +363,11 @@ class OptimistixDogleg(AbstractOptimistix):
     source: ClassVar[str] = Optimistix.source
 
     rtol: float = option(1e-8, "relative tolerance", 0)
-    atol: float = option(1e-8, "absolute tolerance, of the search vector in typical steps and of the sum of squares", 0)
+    atol: float = option(
+        1e-8,
+        "absolute tolerance, of the search vector in typical steps and of the sum of squares",
+        0,
+    )
 
     def made(self):
         import optimistix
@@ -321,7 +382,9 @@ class OptimistixBFGS(AbstractOptimistix):
     source: ClassVar[str] = Optimistix.source
 
     rtol: float = option(1e-7, "relative tolerance", 0)
-    atol: float = option(1e-7, "absolute tolerance, of the search vector in typical steps and of the loss", 0)
+    atol: float = option(
+        1e-7, "absolute tolerance, of the search vector in typical steps and of the loss", 0
+    )
 
     def made(self):
         import optimistix
@@ -340,7 +403,9 @@ class OptimistixNelderMead(AbstractOptimistix):
     source: ClassVar[str] = Optimistix.source
 
     rtol: float = option(1e-6, "relative tolerance", 0)
-    atol: float = option(1e-6, "absolute tolerance, of the search vector in typical steps and of the loss", 0)
+    atol: float = option(
+        1e-6, "absolute tolerance, of the search vector in typical steps and of the loss", 0
+    )
     steps: int = eqx.field(default=4000, kw_only=True, metadata=about("most steps of a run", 1))
 
     def made(self):

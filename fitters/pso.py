@@ -28,7 +28,9 @@ class ParticleSwarm(AbstractPopulation):
     """
 
     name: ClassVar[str] = "pso"
-    source: ClassVar[str] = "Kennedy and Eberhart 1995; constriction: Clerc and Kennedy, IEEE Trans. Evol. Comp. 6, 2002"
+    source: ClassVar[str] = (
+        "Kennedy and Eberhart 1995; constriction: Clerc and Kennedy, IEEE Trans. Evol. Comp. 6, 2002"
+    )
 
     popsize: int = option(60, "members of the swarm", 2)
     generations: int = option(400, "most generations", 1)
@@ -45,7 +47,9 @@ class ParticleSwarm(AbstractPopulation):
     def _velocity(self, key, state):
         own, swarm = jax.random.uniform(key, (2, *state.position.shape), jnp.float32)
         leader = state.best[jnp.argmin(state.losses)]
-        pull = self.c1 * own * (state.best - state.position) + self.c2 * swarm * (leader - state.position)
+        pull = self.c1 * own * (state.best - state.position) + self.c2 * swarm * (
+            leader - state.position
+        )
         return self.w * state.velocity + pull
 
     def tell(self, state, candidates, losses):

@@ -47,15 +47,24 @@ class RecursiveDE(AbstractPopulation):
     """
 
     name: ClassVar[str] = "rde"
-    source: ClassVar[str] = "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935; metric and settings: this library"
+    source: ClassVar[str] = (
+        "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935; metric and settings: this library"
+    )
     guided: ClassVar[bool] = True
 
     popsize: int = option(60, "members of the population", 4)
     generations: int = option(200, "most generations", 1)
-    F: tuple[float, float] = option((0.4, 0.9), "range that a difference's weight is drawn from; one number: always that", 0)
+    F: tuple[float, float] = option(
+        (0.4, 0.9), "range that a difference's weight is drawn from; one number: always that", 0
+    )
     K: float = option(0.5, "weight of the way towards the best member", 0)
     CR: float = option(0.9, "probability that a coordinate comes from the mutant", 0, 1)
-    looks: float = option(0.1, "share of the members that look along a Gauss-Newton step in a generation (variant self)", 0, 1)
+    looks: float = option(
+        0.1,
+        "share of the members that look along a Gauss-Newton step in a generation (variant self)",
+        0,
+        1,
+    )
     variant: str = option("self", "self, target or shift", static=True)
 
     def __check_init__(self):

@@ -30,7 +30,9 @@ class Shade(AbstractPopulation):
     archive of replaced members. Nothing to tune: the population to take where the others need their settings looked after."""
 
     name: ClassVar[str] = "shade"
-    source: ClassVar[str] = "Tanabe and Fukunaga, Success-history based parameter adaptation for DE, CEC 2013"
+    source: ClassVar[str] = (
+        "Tanabe and Fukunaga, Success-history based parameter adaptation for DE, CEC 2013"
+    )
 
     popsize: int = option(60, "members of the population", 4)
     generations: int = option(400, "most generations", 1)
@@ -51,7 +53,9 @@ class Shade(AbstractPopulation):
         slot = jax.random.randint(k_slot, (self.popsize,), 0, self.memory)
         F = state.F_memory[slot] + 0.1 * jax.random.cauchy(k_F, (self.popsize,))
         F = jnp.where(F > 0, jnp.minimum(F, 1.0), 0.5 * state.F_memory[slot])
-        CR = jnp.clip(state.CR_memory[slot] + 0.1 * jax.random.normal(k_CR, (self.popsize,)), 0.0, 1.0)
+        CR = jnp.clip(
+            state.CR_memory[slot] + 0.1 * jax.random.normal(k_CR, (self.popsize,)), 0.0, 1.0
+        )
         return state._replace(F=F, CR=CR, key=key)
 
     def ask(self, key, state, lower, upper):
@@ -75,7 +79,9 @@ class Shade(AbstractPopulation):
         won = (losses < state.losses) * jnp.where(jnp.isfinite(gain), gain, 0.0)
         any_won, total = jnp.sum(won) > 0, jnp.maximum(jnp.sum(won), 1e-300)
         lehmer = jnp.sum(won * state.F**2) / jnp.maximum(jnp.sum(won * state.F), 1e-300)
-        keep = lambda memory, value: memory.at[state.slot].set(jnp.where(any_won, value, memory[state.slot]))
+        keep = lambda memory, value: memory.at[state.slot].set(
+            jnp.where(any_won, value, memory[state.slot])
+        )
         return self._drawn(
             state._replace(
                 population=jnp.where(better[:, None], candidates, state.population),

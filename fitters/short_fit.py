@@ -16,14 +16,18 @@ from .lm import LevenbergMarquardt
 SHORT = 400  # evaluations
 
 
-def left_by_short_fit(binding: Binding, data: Dataset, effects: tuple[str, ...] = ()) -> float | None:
+def left_by_short_fit(
+    binding: Binding, data: Dataset, effects: tuple[str, ...] = ()
+) -> float | None:
     """What a model, with more effects, leaves of a dataset after a short fit, times the noise; None without a simulation."""
     try:
         own = bind(binding.chain, data, effects=effects)
         residual = default_residual(own)
         if residual.torques:
             return None
-        found = fit_binding(own, LevenbergMarquardt(restarts=0), residual, "sum_of_squares", 0, SHORT, None)
+        found = fit_binding(
+            own, LevenbergMarquardt(restarts=0), residual, "sum_of_squares", 0, SHORT, None
+        )
     except UsageError:
         return None
     return float(np.sqrt(found.loss)) if np.isfinite(found.loss) and found.loss < 1e30 else None

@@ -96,7 +96,9 @@ _FORMER = {
     "residual": "problem.residual",
     "urdf": "dynamics.urdf",
 }
-_sys.meta_path.append(_Moved({f"jaxid.{former}": f"jaxid.{place}" for former, place in _FORMER.items()}))
+_sys.meta_path.append(
+    _Moved({f"jaxid.{former}": f"jaxid.{place}" for former, place in _FORMER.items()})
+)
 
 # Installed, models/ and fitters/ lie in this folder; in a checkout beside it (in it are only stubs for type checkers).
 if not (_Path(__file__).parent / "models" / "__init__.py").is_file():

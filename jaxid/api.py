@@ -94,7 +94,9 @@ def fit(
     return replace(found, data=checked.findings, wall_time_s=time.perf_counter() - began)
 
 
-def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recorded: bool) -> Checked:
+def _checked(
+    model: object, dataset: Dataset, without: tuple[str, ...], as_recorded: bool
+) -> Checked:
     """The check that comes before every answer."""
     from jaxid.conventions.checking import run_check
     from jaxid.fitters.short_fit import left_by_short_fit
@@ -103,7 +105,15 @@ def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recor
 
 
 def _fit(
-    binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress, solver: Any = None, along: Any = None
+    binding: Binding,
+    fitter,
+    residual,
+    loss,
+    seed: int,
+    budget: int | None,
+    progress,
+    solver: Any = None,
+    along: Any = None,
 ) -> Fit:
     from jaxid.fitting.run import fit_binding
 
@@ -118,8 +128,19 @@ def _fit(
     if along is not None:
         from jaxid.fitting.recursion import fit_recursively
 
-        return fit_recursively(with_solver(binding, solver, resolved), chosen, resolved, loss, seed, budget, progress, along)
-    return fit_binding(with_solver(binding, solver, resolved), chosen, resolved, loss, seed, budget, progress)
+        return fit_recursively(
+            with_solver(binding, solver, resolved),
+            chosen,
+            resolved,
+            loss,
+            seed,
+            budget,
+            progress,
+            along,
+        )
+    return fit_binding(
+        with_solver(binding, solver, resolved), chosen, resolved, loss, seed, budget, progress
+    )
 
 
 def diagnose(
@@ -169,14 +190,18 @@ def diagnose(
     try:
         known = None if reference is None else Reference.read(reference)
         compared = resolve_residual(residual, cutoff_hz)
-        found = run_diagnosis(model, data, max_effects, effects, without, compared, seed, progress, known)
+        found = run_diagnosis(
+            model, data, max_effects, effects, without, compared, seed, progress, known
+        )
     except Interrupted as stop:
         partial = None if stop.partial is None else replace(stop.partial, data=checked.findings)
         raise Interrupted(partial) from stop
     return replace(found, data=checked.findings)
 
 
-def check(model: object, dataset: Dataset, *, without: Iterable[str] = (), as_recorded: bool = False) -> Checked:
+def check(
+    model: object, dataset: Dataset, *, without: Iterable[str] = (), as_recorded: bool = False
+) -> Checked:
     """What a recording says about itself before any effect is looked for: signs, zeros, units, rows, clocks, glitches …
 
     `model` as in `fit`; without one, what the samples show by themselves is found alone. The result's `mended` is the dataset
@@ -265,7 +290,9 @@ def compare(
     )  # fmt: skip
 
 
-def resolve_fitter(fitter: AbstractFitter | str | None, loss: str = "sum_of_squares") -> AbstractFitter:
+def resolve_fitter(
+    fitter: AbstractFitter | str | None, loss: str = "sum_of_squares"
+) -> AbstractFitter:
     """The fitter given, named by a text, or the default for a loss."""
     from jaxid.fitters.by_name import fitter_of
 

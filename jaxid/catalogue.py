@@ -94,13 +94,20 @@ def enrolled(effect: Any) -> str:
         return effect
     kind = effect if isinstance(effect, type) else type(effect)
     if not issubclass(kind, Effect):
-        raise UsageError(f"an effect is an id (`dead_zone@tau`), a class or one of an effect, not {kind.__name__}")
+        raise UsageError(
+            f"an effect is an id (`dead_zone@tau`), a class or one of an effect, not {kind.__name__}"
+        )
     if not isinstance(effect, type):
         kind = kind_with(kind, tuple((k, getattr(effect, k)) for k in settings(kind)))
     library = _effects()
-    if library.get(kind.name) is not kind and library.get(kind.name.partition("(")[0]) not in kind.__mro__:
+    if (
+        library.get(kind.name) is not kind
+        and library.get(kind.name.partition("(")[0]) not in kind.__mro__
+    ):
         if kind.name in library:
-            raise UsageError(f"{kind.__name__} has the name {kind.name!r} of an effect of the library: give it another one")
+            raise UsageError(
+                f"{kind.__name__} has the name {kind.name!r} of an effect of the library: give it another one"
+            )
         _OWN_EFFECTS[kind.name] = kind
     return kind.name
 
@@ -108,7 +115,11 @@ def enrolled(effect: Any) -> str:
 def pick(kind: str, table: dict[str, type], name: str) -> type:
     """What `name` stands for in a table; raises `UsageError` with the nearest name for an unknown one."""
     if name not in table:
-        own = "; a model of your own is named by its file: mymodel.py, or mymodel.py:MyModel" if kind == "model" else ""
+        own = (
+            "; a model of your own is named by its file: mymodel.py, or mymodel.py:MyModel"
+            if kind == "model"
+            else ""
+        )
         raise UsageError(f"there is no {kind} {name!r}{nearest(name, table)}{own}")
     return table[name]
 
@@ -138,12 +149,16 @@ def effect_class(name: str, mechanism: Any = None) -> Any:
     from jaxid.dynamics.parameter import kind_with
 
     plain, bracket, stated = name.partition("(")
-    kind = pick("effect", {**_effects(), **_OWN_EFFECTS, **getattr(mechanism, "variants", {})}, plain)
+    kind = pick(
+        "effect", {**_effects(), **_OWN_EFFECTS, **getattr(mechanism, "variants", {})}, plain
+    )
     if not bracket:
         return kind
     pairs = [p.partition("=") for p in stated.removesuffix(")").split(",")]
     if not stated.endswith(")") or not all(sign for _, sign, _ in pairs):
-        raise UsageError(f"{name!r}: settings are written as in `load_dependent_friction(load=drive)`")
+        raise UsageError(
+            f"{name!r}: settings are written as in `load_dependent_friction(load=drive)`"
+        )
     return kind_with(kind, tuple((k.strip(), v.strip().strip("'\"")) for k, _, v in pairs))
 
 
@@ -160,7 +175,9 @@ def describe(name: str, model: Any = None) -> ModelInfo:
     one = kind() if model is None else model
     for signature in one.signatures:
         for e in Layout(Chain(one, signature=signature)).entries:
-            info = ParameterInfo(e.name, e.unit, e.spec.value, str(e.spec.lower), str(e.spec.upper), e.spec.meaning)
+            info = ParameterInfo(
+                e.name, e.unit, e.spec.value, str(e.spec.lower), str(e.spec.upper), e.spec.meaning
+            )
             table = constants if e.spec.fixed else parameters
             if e.name in table and table[e.name].unit != e.unit:
                 info = info._replace(unit=f"{table[e.name].unit} or {e.unit}")
@@ -168,7 +185,9 @@ def describe(name: str, model: Any = None) -> ModelInfo:
     for setting, spec in settings(kind).items():
         default, lower, upper = (str(v).lower() for v in (spec.default, spec.lower, spec.upper))
         bounds = ("false", "true") if isinstance(spec.default, bool) else (lower, upper)
-        constants[setting] = ParameterInfo(setting, "1", float(spec.default), *bounds, f"{spec.meaning} (default {default})")
+        constants[setting] = ParameterInfo(
+            setting, "1", float(spec.default), *bounds, f"{spec.meaning} (default {default})"
+        )
     constants[SMOOTHING.name] = SMOOTHING
     states: list[str] = []
     for signature in one.signatures:
@@ -205,7 +224,12 @@ def describe_effect(name: str) -> EffectInfo:
 
     kind = effect_class(name)
     own = [
-        EffectSetting(k, str(s.default), ", ".join(s.words) or f"{s.lower} to {s.upper}", f"{s.meaning}; {kind.name}({k}=…)")
+        EffectSetting(
+            k,
+            str(s.default),
+            ", ".join(s.words) or f"{s.lower} to {s.upper}",
+            f"{s.meaning}; {kind.name}({k}=…)",
+        )
         for k, s in settings(kind).items()
     ]
     family, port, locations = next(_PORTS[b.__name__] for b in kind.__mro__ if b.__name__ in _PORTS)
@@ -222,7 +246,9 @@ def describe_effect(name: str) -> EffectInfo:
         unit = spec.unit
         for token, text in units.items():
             unit = unit.replace(token, f"({text})" if unit != token else text)
-        parameters.append(ParameterInfo(field, unit, spec.value, str(spec.lower), str(spec.upper), spec.meaning))
+        parameters.append(
+            ParameterInfo(field, unit, spec.value, str(spec.lower), str(spec.upper), spec.meaning)
+        )
     return EffectInfo(
         name,
         text_of(kind),
@@ -243,7 +269,14 @@ def text_of(kind: type) -> str:
     return " ".join((kind.__doc__ or "").split())
 
 
-RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop", "momentum")
+RESIDUALS = (
+    "output_error",
+    "multiple_shooting",
+    "inverse_dynamics",
+    "frequency_response",
+    "closed_loop",
+    "momentum",
+)
 
 
 LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")

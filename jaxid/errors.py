@@ -11,7 +11,9 @@ class UsageError(ValueError):
 class NotSaved(OSError):
     """Files could not be written; older ones are as they were. `needed` and `free` are in bytes, `free` None if unknown."""
 
-    def __init__(self, number: int | None, reason: str, path: str, needed: int, free: int | None = None):
+    def __init__(
+        self, number: int | None, reason: str, path: str, needed: int, free: int | None = None
+    ):
         super().__init__(number, reason, path)
         self.needed, self.free = needed, free
 
@@ -44,7 +46,9 @@ class Problem:
         if self.row is not None:
             place.append(f"row {self.row}")
         if self.column is not None:
-            place.append(f"column {self.column}" if not self.file.endswith(".toml") else self.column)
+            place.append(
+                f"column {self.column}" if not self.file.endswith(".toml") else self.column
+            )
         return f"{', '.join(place)}: {self.message}. {self.remedy}"
 
 
@@ -58,7 +62,9 @@ class DatasetError(ValueError):
     def __str__(self) -> str:
         if len(self.problems) == 1:
             return str(self.problems[0])
-        return "\n".join([f"{len(self.problems)} problems in the data:", *(f"- {p}" for p in self.problems)])
+        return "\n".join(
+            [f"{len(self.problems)} problems in the data:", *(f"- {p}" for p in self.problems)]
+        )
 
     def __reduce__(self):
         return (type(self), (self.problems,))
@@ -84,7 +90,10 @@ def explain(error: Exception) -> tuple[int, str]:
         return (BAD_INPUT, f"{error.filename}: {why}") if error.filename else (FAILED, why)
     if isinstance(error, MemoryError):
         return FAILED, "not enough memory"
-    return FAILED, f"internal error, {type(error).__name__}: {error} (JAXID_TRACEBACK=1 shows where; please report it)"
+    return (
+        FAILED,
+        f"internal error, {type(error).__name__}: {error} (JAXID_TRACEBACK=1 shows where; please report it)",
+    )
 
 
 SUCCESS, FAILED = 0, 1

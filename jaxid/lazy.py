@@ -12,7 +12,9 @@ from types import ModuleType
 from typing import Any
 
 
-def attach(package: str, home: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def attach(
+    package: str, home: Mapping[str, str]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """`__getattr__`, `__dir__` and `__all__` of a package whose names live in other modules. `home`: name -> module."""
 
     def get(name: str) -> Any:

@@ -42,17 +42,25 @@ def prepare(streaming: bool = False) -> None:
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     if os.environ.get("JAXID_XLA") != "0":
         cpu = os.environ["JAX_PLATFORMS"] == "cpu"  # the level is that of other platforms, too
-        ours = [f for f in (LOOP_FLAG, *([LEVEL_FLAG] if cpu else [])) if f.split("=")[0].lstrip("-") not in flags]
+        ours = [
+            f
+            for f in (LOOP_FLAG, *([LEVEL_FLAG] if cpu else []))
+            if f.split("=")[0].lstrip("-") not in flags
+        ]
         os.environ["XLA_FLAGS"] = " ".join([*flags.split(), *ours])
     # NumPy's matrices are small here; more threads only wait for each other (measured: 3 to 5 times the CPU time).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    folder = cache_folder() if not chosen else own_folder(Path(chosen)) if "://" not in chosen else None
+    folder = (
+        cache_folder() if not chosen else own_folder(Path(chosen)) if "://" not in chosen else None
+    )
     if folder is not None:
         want(folder)
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
-        os.environ.setdefault("JAX_PERSISTENT_CACHE_ENABLE_XLA_CACHES", "none")  # XLA reads those itself, unchecked
+        os.environ.setdefault(
+            "JAX_PERSISTENT_CACHE_ENABLE_XLA_CACHES", "none"
+        )  # XLA reads those itself, unchecked
     # Tracing a program makes hundreds of thousands of objects that live on; going through them again and again takes a tenth.
     gc.set_threshold(100_000, 50, 50)
     if streaming:

@@ -33,7 +33,11 @@ def model_digest(sha256: str) -> dict[str, str]:
 def with_effects(content: Any) -> Any:
     """The content of a result with the effects that it adds to its model under `effects`, where a fit has them: those of a
     diagnosis stand under what it names."""
-    which = content.get("which") if isinstance(content, dict) and content.get("kind") == "diagnosis" else None
+    which = (
+        content.get("which")
+        if isinstance(content, dict) and content.get("kind") == "diagnosis"
+        else None
+    )
     named = which.get("effects") if isinstance(which, dict) else None
     return content if named is None or "effects" in content else {**content, "effects": named}
 

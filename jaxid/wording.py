@@ -33,7 +33,9 @@ def number(value: float | None, digits: int = 3) -> str:
     if value == 0:
         return "0"
     if 1e-4 <= abs(value) < 1e5:
-        exponent = int(f"{value:.{digits - 1}e}".split("e")[1])  # of the rounded number: 0.09999 has that of 0.1
+        exponent = int(
+            f"{value:.{digits - 1}e}".split("e")[1]
+        )  # of the rounded number: 0.09999 has that of 0.1
         return f"{value:.{max(0, digits - 1 - exponent)}f}"
     return f"{value:.{digits - 1}e}"
 
@@ -78,7 +80,13 @@ def times(multiple: float | None) -> str:
     """A multiple of the noise, as exact as a person reads it."""
     if multiple is None or not math.isfinite(multiple):
         return "–"
-    return f"{multiple:.2f}" if abs(multiple) < 2 else f"{multiple:.1f}" if abs(multiple) < 9.95 else number(multiple, 2)
+    return (
+        f"{multiple:.2f}"
+        if abs(multiple) < 2
+        else f"{multiple:.1f}"
+        if abs(multiple) < 9.95
+        else number(multiple, 2)
+    )
 
 
 def percent(fraction: float | None) -> str:
@@ -99,7 +107,9 @@ def percent(fraction: float | None) -> str:
 def listed(names: Iterable[str]) -> str:
     """`a`, `a and b`, `a, b and c`."""
     names = list(names)
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
+    return (
+        names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
+    )
 
 
 def by_effect(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
@@ -113,7 +123,10 @@ def by_effect(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
 def placed(names: Iterable[str]) -> str:
     """`lag at tau1 and tau2 and drag at q1` of `lag at tau1`, `lag at tau2`, `drag at q1`: every effect once, with its places."""
     pairs = ((effect, place) for effect, _, place in (name.partition(" at ") for name in names))
-    return " and ".join(f"{effect} at {listed(at)}" if any(at) else effect for effect, at in by_effect(pairs).items())
+    return " and ".join(
+        f"{effect} at {listed(at)}" if any(at) else effect
+        for effect, at in by_effect(pairs).items()
+    )
 
 
 def regime_words(regime: str) -> str:
@@ -124,7 +137,9 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Left-aligned columns, two spaces apart."""
     cells = [[one_line(c) for c in row] for row in (header, *rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells)
+    return "\n".join(
+        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells
+    )
 
 
 def paragraph(label: str, sentences: Iterable[str]) -> str:
@@ -137,7 +152,9 @@ def paragraph(label: str, sentences: Iterable[str]) -> str:
 
 def wrapped(sentence: str, first: str = "", others: str = "") -> str:
     width = max(40, min(shutil.get_terminal_size((100, 24)).columns, 110))
-    lines = textwrap.TextWrapper(width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
+    lines = textwrap.TextWrapper(
+        width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False
+    )
     return "\n".join(lines.wrap(one_line(sentence)))
 
 

@@ -24,7 +24,9 @@ def _ur10() -> ArmTable:
     """Table III of paper 001: modified table, theta_j = q_j; the same chain as the maker's standard table, turned by pi about
     the first and last z. Inertial parameters: physically consistent and closest in torque to the paper's Table VI, whose own
     drive inertias are partly negative and cannot be simulated."""
-    content = json.loads((Path(__file__).parent / "ur10_consistent.json").read_text(encoding="utf-8"))
+    content = json.loads(
+        (Path(__file__).parent / "ur10_consistent.json").read_text(encoding="utf-8")
+    )
     phi = np.array(content["phi"]).reshape(6, 11)
     return modified_dh(
         a=[0, 0, 0.6120, 0.5723, 0, 0],
@@ -64,7 +66,9 @@ class UR10e(AbstractArm):
 
     name: ClassVar[str] = "ur10e"
     signatures: ClassVar[tuple[Signature, ...]] = _SIX
-    source: ClassVar[str] = "Universal Robots, DH parameters for calculations of kinematics and dynamics (standard table)"
+    source: ClassVar[str] = (
+        "Universal Robots, DH parameters for calculations of kinematics and dynamics (standard table)"
+    )
 
     def __init__(self):
         table = standard_dh(
@@ -80,7 +84,9 @@ class Panda(AbstractArm):
 
     name: ClassVar[str] = "panda"
     signatures: ClassVar[tuple[Signature, ...]] = _SEVEN
-    source: ClassVar[str] = "Franka Control Interface documentation, robot and interface specifications (modified table)"
+    source: ClassVar[str] = (
+        "Franka Control Interface documentation, robot and interface specifications (modified table)"
+    )
     motor_side: ClassVar[bool] = False
 
     def __init__(self):

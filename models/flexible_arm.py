@@ -89,15 +89,25 @@ class FlexibleArm(Mechanism):
         "from T - V of both links, of the second motor at the end of the first and of the payload; D = alpha M_e + beta K_e\n"
         "strain = h/2 times the curvature at the clamped end; tip_x along the straight arm, tip_y across"
     )
-    source: ClassVar[str] = "the beam of paper 002 (Machines 12(6), 409, 2024) twice; De Luca, Siciliano 1991 for the kinematics"
+    source: ClassVar[str] = (
+        "the beam of paper 002 (Machines 12(6), 409, 2024) twice; De Luca, Siciliano 1991 for the kinematics"
+    )
     hidden_states: ClassVar[bool] = True
 
     E1: Array = param(7e10, 5e9, 3e11, unit="Pa", meaning="elastic modulus of link 1", log=True)
     E2: Array = param(7e10, 5e9, 3e11, unit="Pa", meaning="elastic modulus of link 2", log=True)
-    I_m1: Array = param(0.01, 1e-4, 1.0, unit="kg m^2", meaning="inertia of hub and rotor at joint 1", log=True)
-    I_m2: Array = param(0.001, 1e-5, 1.0, unit="kg m^2", meaning="inertia of hub and rotor at joint 2", log=True)
-    alpha: Array = param(0.3, 1e-3, 4.0, unit="1/s", meaning="damping in proportion to mass", log=True)
-    beta: Array = param(1e-4, 1e-7, 1e-2, unit="s", meaning="damping in proportion to stiffness", log=True)
+    I_m1: Array = param(
+        0.01, 1e-4, 1.0, unit="kg m^2", meaning="inertia of hub and rotor at joint 1", log=True
+    )
+    I_m2: Array = param(
+        0.001, 1e-5, 1.0, unit="kg m^2", meaning="inertia of hub and rotor at joint 2", log=True
+    )
+    alpha: Array = param(
+        0.3, 1e-3, 4.0, unit="1/s", meaning="damping in proportion to mass", log=True
+    )
+    beta: Array = param(
+        1e-4, 1e-7, 1e-2, unit="s", meaning="damping in proportion to stiffness", log=True
+    )
     L1: Array = constant(0.5, unit="m", meaning="length of link 1")
     L2: Array = constant(0.4, unit="m", meaning="length of link 2")
     h1: Array = constant(0.003, unit="m", meaning="thickness of link 1 in the direction of bending")
@@ -114,7 +124,9 @@ class FlexibleArm(Mechanism):
     n_elements: int = setting(3, 1, 16, meaning="finite elements of each link")
     n_modes: int = setting(2, 0, 32, meaning="elastic modes kept of each link; 0: all")
 
-    prepared: Any = eqx.field(default=None, repr=False)  # integrals over the links; their stiffness and damping
+    prepared: Any = eqx.field(
+        default=None, repr=False
+    )  # integrals over the links; their stiffness and damping
 
     def links(self) -> tuple[Link, Link]:
         """Both links' integrals."""
@@ -126,12 +138,16 @@ class FlexibleArm(Mechanism):
             (self.L2, self.E2, self.b2, self.h2, self.rho2, self.m_p, self.J_p),
         )
         each = (jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(*sizes, strict=True))
-        own = lambda L, E, b, h, rho, m, J: Link.of(Beam(L, E * b * h**3 / 12, rho * b * h, m, J), self.n_elements, count)
+        own = lambda L, E, b, h, rho, m, J: Link.of(
+            Beam(L, E * b * h**3 / 12, rho * b * h, m, J), self.n_elements, count
+        )
         both = jax.vmap(own)(*each)  # side by side: half the program
         return Link(*(v[0] for v in both)), Link(*(v[1] for v in both))
 
     def prepare(self, h):
-        return eqx.tree_at(lambda s: s.prepared, self, (self.links(), self._elastic()), is_leaf=lambda x: x is None)
+        return eqx.tree_at(
+            lambda s: s.prepared, self, (self.links(), self._elastic()), is_leaf=lambda x: x is None
+        )
 
     def _elastic(self) -> tuple[Array, Array]:
         """Stiffness and damping [2 modes, 2 modes] of both links."""
@@ -147,7 +163,9 @@ class FlexibleArm(Mechanism):
         e, z = (v[2:].reshape(2, -1) for v in (p, pd))
         base = Frame(jnp.zeros(2), p[0], jnp.zeros(2), pd[0])
         elbow = _end(first, base, e[0], z[0])
-        turned = elbow._replace(angle=elbow.angle + p[1], velocity=_seen(p[1], elbow.velocity), rate=elbow.rate + pd[1])
+        turned = elbow._replace(
+            angle=elbow.angle + p[1], velocity=_seen(p[1], elbow.velocity), rate=elbow.rate + pd[1]
+        )
         return base, turned, _end(second, turned, e[1], z[1])
 
     def kinetic_energy(self, p: Float[Array, " n"], pd: Float[Array, " n"]) -> Float[Array, ""]:
@@ -177,7 +195,9 @@ class FlexibleArm(Mechanism):
         e = p[2:]
         return dot(e, dot(self._elastic()[0], e)) / 2
 
-    def matrices(self, p: Float[Array, " n"], pd: Float[Array, " n"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
+    def matrices(
+        self, p: Float[Array, " n"], pd: Float[Array, " n"]
+    ) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
         """M(p) and h(p, pd) of joints and modes; stiffness and damping of the links are not in h.
 
         d'Alembert's forces of every point, which are Lagrange's equations: along a link's axes a point moves with
@@ -193,9 +213,13 @@ class FlexibleArm(Mechanism):
         M = self.I_m1 * turn[:, None] * turn
         h = jnp.zeros_like(p)
         for k, link in enumerate((first, second)):
-            own_M, own_h = _inertia_forces(link, turn, move, pull, e[k], z[k], dot(turn, pd), modal[k])
+            own_M, own_h = _inertia_forces(
+                link, turn, move, pull, e[k], z[k], dot(turn, pd), modal[k]
+            )
             M, h = M + own_M, h + own_h
-            turn, move, pull, M, h = _carried(link, turn, move, pull, e[k], z[k], pd, modal[k], M, h)
+            turn, move, pull, M, h = _carried(
+                link, turn, move, pull, e[k], z[k], pd, modal[k], M, h
+            )
             if k == 0:
                 angle = dot(link.slope, e[0]) + p[1]
                 turn, move, pull = turn + one[1], _seen(angle, move), _seen(angle, pull)
@@ -256,7 +280,9 @@ class FlexibleArm(Mechanism):
     def output(self, x, tau, rests):
         first, second = self.links()
         e = x[2].reshape(2, -1)
-        strains = jnp.stack([self.h1 / 2 * dot(first.curvature, e[0]), self.h2 / 2 * dot(second.curvature, e[1])])
+        strains = jnp.stack(
+            [self.h1 / 2 * dot(first.curvature, e[0]), self.h2 / 2 * dot(second.curvature, e[1])]
+        )
         _, _, tip = self._frames(jnp.concatenate([x[0], x[2]]), jnp.zeros(2 + x[2].shape[0]))
         return jnp.concatenate([x[0], strains, tip.at])
 
@@ -292,30 +318,52 @@ def _end(link: Link, frame: Frame, e: Array, z: Array) -> Frame:
     """The far end of a bent link, with the frame that it carries."""
     across, bend, s, c = dot(link.tip, e), dot(link.slope, e), *_sincos(frame.angle)
     at = frame.at + jnp.stack([c * link.length - s * across, s * link.length + c * across])
-    u = frame.velocity + jnp.stack([-frame.rate * across, frame.rate * link.length + dot(link.tip, z)])
+    u = frame.velocity + jnp.stack(
+        [-frame.rate * across, frame.rate * link.length + dot(link.tip, z)]
+    )
     return Frame(at, frame.angle + bend, _seen(bend, u), frame.rate + dot(link.slope, z))
 
 
 def _kinetic(link: Link, frame: Frame, e: Array, z: Array) -> Array:
     """Energy of a bent link without what it carries: points move with (ux - rate w, uy + rate x + wd) along its axes."""
     (ux, uy), rate = frame.velocity, frame.rate
-    alone = link.mass * (ux**2 + uy**2) + rate**2 * (link.inertia + dot(e, dot(link.M, e))) + dot(z, dot(link.M, z))
-    mixed = uy * (rate * link.moment + dot(link.shift, z)) - ux * rate * dot(link.shift, e) + rate * dot(link.turn, z)
+    alone = (
+        link.mass * (ux**2 + uy**2)
+        + rate**2 * (link.inertia + dot(e, dot(link.M, e)))
+        + dot(z, dot(link.M, z))
+    )
+    mixed = (
+        uy * (rate * link.moment + dot(link.shift, z))
+        - ux * rate * dot(link.shift, e)
+        + rate * dot(link.turn, z)
+    )
     return alone / 2 + mixed
 
 
-def _inertia_forces(link: Link, turn: Array, move: Array, pull: Array, e: Array, z: Array, rate: Array, own: Array):
+def _inertia_forces(
+    link: Link, turn: Array, move: Array, pull: Array, e: Array, z: Array, rate: Array, own: Array
+):
     """(M, h) of a bent link without what it carries. `turn` [n] and `move` [2 n]: how its frame turns and moves with each
     coordinate; `pull` [2]: acceleration of the frame; `own` [modes n]: its modes among the coordinates."""
     shift, turning, bent = link.shift @ own, link.turn @ own, dot(link.M, e)
     across, leaned = dot(link.shift, e), dot(link.turn, e)
-    mixed = move[1][:, None] * (link.moment * turn + shift) - move[0][:, None] * turn * across + turn[:, None] * turning
+    mixed = (
+        move[1][:, None] * (link.moment * turn + shift)
+        - move[0][:, None] * turn * across
+        + turn[:, None] * turning
+    )
     M = link.mass * (move[0][:, None] * move[0] + move[1][:, None] * move[1]) + mixed + mixed.T
     M = M + (link.inertia + dot(e, bent)) * turn[:, None] * turn + own.T @ link.M @ own
     ax = link.mass * pull[0] - rate**2 * link.moment - 2 * rate * dot(link.shift, z)
     ay = link.mass * pull[1] - rate**2 * across
-    about = link.moment * pull[1] - rate**2 * leaned - (across * pull[0] - rate**2 * leaned - 2 * rate * dot(bent, z))
-    return M, move[0] * ax + move[1] * ay + turn * about + (link.shift * pull[1] - rate**2 * bent) @ own
+    about = (
+        link.moment * pull[1]
+        - rate**2 * leaned
+        - (across * pull[0] - rate**2 * leaned - 2 * rate * dot(bent, z))
+    )
+    return M, move[0] * ax + move[1] * ay + turn * about + (
+        link.shift * pull[1] - rate**2 * bent
+    ) @ own
 
 
 def _carried(link: Link, turn, move, pull, e, z, pd, own, M, h):

@@ -32,7 +32,16 @@ class ModalStep(NamedTuple):
         exact, G = decay(kept.squares, damping, h), kept.participation
         bent, pushed = (1 - exact.a) / kept.squares * G / h, exact.b * G / h
         borne = jnp.sum(G * pushed)
-        return cls(exact.a, exact.b, kept.squares * exact.b, exact.d, bent, pushed, borne, 1 / (inertia - borne))
+        return cls(
+            exact.a,
+            exact.b,
+            kept.squares * exact.b,
+            exact.d,
+            bent,
+            pushed,
+            borne,
+            1 / (inertia - borne),
+        )
 
 
 class FlexibleLink(Mechanism):
@@ -58,26 +67,42 @@ class FlexibleLink(Mechanism):
         "h_phi = 2 phid psi' M_psi psid,  h_psi = -phid^2 (M_psi - K_G) psi,  K_G times stiffening\n"
         "tip_acceleration = L phidd + undd (and - un phid^2 with rotating_sensor = true)"
     )
-    source: ClassVar[str] = "paper 002, Machines 12(6), 409, 2024: equations (3) to (6), Table 1 for the bounds"
+    source: ClassVar[str] = (
+        "paper 002, Machines 12(6), 409, 2024: equations (3) to (6), Table 1 for the bounds"
+    )
     hidden_states: ClassVar[bool] = True
 
     E: Array = param(5e10, 20e9, 100e9, unit="Pa", meaning="elastic modulus", log=True)
-    I_m: Array = param(0.006, 1e-3, 0.2, unit="kg m^2", meaning="inertia of hub and rotor", log=True)
-    alpha: Array = param(1.0, 1e-3, 4.0, unit="1/s", meaning="damping in proportion to mass", log=True)
-    beta: Array = param(5e-5, 1e-7, 2e-4, unit="s", meaning="damping in proportion to stiffness", log=True)
+    I_m: Array = param(
+        0.006, 1e-3, 0.2, unit="kg m^2", meaning="inertia of hub and rotor", log=True
+    )
+    alpha: Array = param(
+        1.0, 1e-3, 4.0, unit="1/s", meaning="damping in proportion to mass", log=True
+    )
+    beta: Array = param(
+        5e-5, 1e-7, 2e-4, unit="s", meaning="damping in proportion to stiffness", log=True
+    )
     L: Array = constant(0.197, unit="m", meaning="length of the link")
     h: Array = constant(0.001, unit="m", meaning="thickness in the direction of bending")
     b: Array = constant(0.0266, unit="m", meaning="width")
     rho: Array = constant(6404.3, unit="kg/m^3", meaning="density")
     m_p: Array = constant(0.09466, unit="kg", meaning="payload at the tip")
     J_p: Array = constant(0.0, unit="kg m^2", meaning="rotary inertia of the payload")
-    stiffening: Array = constant(0.0, unit="1", meaning="share of the centrifugal tension's stiffening that counts (nonlinear)")
+    stiffening: Array = constant(
+        0.0,
+        unit="1",
+        meaning="share of the centrifugal tension's stiffening that counts (nonlinear)",
+    )
     n_elements: int = setting(4, 1, 32, meaning="finite elements")
     n_modes: int = setting(0, 0, 64, meaning="elastic modes kept; 0: all")
     nonlinear: bool = setting(False, meaning="centrifugal and Coriolis terms of the deflection")
-    rotating_sensor: bool = setting(False, meaning="the tip accelerometer also senses the deflection's rotation")
+    rotating_sensor: bool = setting(
+        False, meaning="the tip accelerometer also senses the deflection's rotation"
+    )
 
-    prepared: Any = eqx.field(default=None, repr=False)  # modes, and with a step length their exponentials
+    prepared: Any = eqx.field(
+        default=None, repr=False
+    )  # modes, and with a step length their exponentials
 
     def beam(self) -> Beam:
         area = self.b * self.h
@@ -85,13 +110,17 @@ class FlexibleLink(Mechanism):
 
     def prepare(self, h):
         beam = self.beam()
-        m = matrices(beam._replace(stiffness=1.0), self.n_elements)  # a stiffer beam has the same shapes
+        m = matrices(
+            beam._replace(stiffness=1.0), self.n_elements
+        )  # a stiffer beam has the same shapes
         kept = modes(m, min(self.n_modes or 2 * self.n_elements, 2 * self.n_elements))
         kept = kept._replace(squares=beam.stiffness * kept.squares)
         damping = self.alpha + self.beta * kept.squares
         inertia = self.I_m + m.inertia
         exact = None if h is None else ModalStep.of(kept, damping, inertia, h)
-        return eqx.tree_at(lambda s: s.prepared, self, (kept, damping, inertia, exact), is_leaf=lambda x: x is None)
+        return eqx.tree_at(
+            lambda s: s.prepared, self, (kept, damping, inertia, exact), is_leaf=lambda x: x is None
+        )
 
     def _parts(self) -> tuple[Modes, Array, Array, Any]:
         return self.prepared if self.prepared is not None else self.prepare(None).prepared
@@ -132,7 +161,9 @@ class FlexibleLink(Mechanism):
         if self.nonlinear:
             turned = self._rotation(e)
             inertia, tau = inertia + jnp.sum(e * turned), tau - 2 * w * jnp.sum(turned * z)
-        phidd = (tau - jnp.sum(kept.participation * pull)) / (inertia - jnp.sum(kept.participation * kept.participation))
+        phidd = (tau - jnp.sum(kept.participation * pull)) / (
+            inertia - jnp.sum(kept.participation * kept.participation)
+        )
         return phidd, pull - kept.participation * phidd
 
     def vector_field(self, t, x, tau):
@@ -166,7 +197,9 @@ class FlexibleLink(Mechanism):
             change, _ = hub(force, momentum - 2 * h * w * jnp.sum(turned * z), moving)
             after = e1 + bend * force - step.bent * change
             force = (w + change / 2) ** 2 * self._rotation((e + after) / 2)
-            change, compliance = hub(force, momentum, inertia + jnp.sum(after * self._rotation(after)))
+            change, compliance = hub(
+                force, momentum, inertia + jnp.sum(after * self._rotation(after))
+            )
             e1, z1 = e1 + bend * force, z1 + push * force
         return Free(w + change, (h * compliance)[None, None], (e1, z1, step.bent, step.pushed))
 
@@ -179,7 +212,12 @@ class FlexibleLink(Mechanism):
         """Sum over the clamped modes, in real arithmetic: eta / phi = omega^2 G / (squares - omega^2 + i omega damping)."""
         kept, damping, inertia, _ = self._parts()
         w2 = omega**2
-        jr, ji, tr, ti = inertia, 0.0, self.L, 0.0  # inertia seen at the hub, and tip deflection per hub angle
+        jr, ji, tr, ti = (
+            inertia,
+            0.0,
+            self.L,
+            0.0,
+        )  # inertia seen at the hub, and tip deflection per hub angle
         for k in range(kept.squares.shape[0]):
             a, b = kept.squares[k] - w2, omega * damping[k]
             scale = w2 * kept.participation[k] / (a * a + b * b)

@@ -26,7 +26,9 @@ class Joint(Rigid):
         (ConstantTorque, {"torque": "offset"}),
     )
     equations: ClassVar[str] = "inertia qdd + viscous qd + coulomb sign(qd) + offset = u"
-    source: ClassVar[str] = "Janot, Gautier, Brunot, Data Set and Reference Models of EMPS, 2019 (sign conventions)"
+    source: ClassVar[str] = (
+        "Janot, Gautier, Brunot, Data Set and Reference Models of EMPS, 2019 (sign conventions)"
+    )
 
     inertia: Array = param(0.1, 1e-7, 1e5, unit="{I}", meaning="moving inertia or mass", log=True)
 

@@ -18,17 +18,25 @@ class Pendulum(Rigid):
     """inertia qdd + gravity_torque sin q = u - friction - offset."""
 
     name: ClassVar[str] = "pendulum"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("tau", "N m"),), (("q", "rad"),), ("q",)),)
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((("tau", "N m"),), (("q", "rad"),), ("q",)),
+    )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),
         (ConstantTorque, {"torque": "offset"}),
     )
-    equations: ClassVar[str] = "inertia qdd + gravity_torque sin(q) + viscous qd + coulomb sign(qd) + offset = tau"
+    equations: ClassVar[str] = (
+        "inertia qdd + gravity_torque sin(q) + viscous qd + coulomb sign(qd) + offset = tau"
+    )
     source: ClassVar[str] = "textbook"
 
-    inertia: Array = param(0.08, 1e-6, 1e4, unit="kg m^2", meaning="inertia about the pivot", log=True)
-    gravity_torque: Array = param(1.5, 0.0, 1e5, unit="N m", meaning="m g l: gravity torque at q = 90 deg", scale=0.1)
+    inertia: Array = param(
+        0.08, 1e-6, 1e4, unit="kg m^2", meaning="inertia about the pivot", log=True
+    )
+    gravity_torque: Array = param(
+        1.5, 0.0, 1e5, unit="N m", meaning="m g l: gravity torque at q = 90 deg", scale=0.1
+    )
 
     def outline(self, x, signature):
         q = x[0][0]

@@ -57,7 +57,9 @@ class PlanarArm(Rigid):
         g2 = self.gravity * self.m2 * self.c2 * s12
         g1 = self.gravity * (self.m1 * self.c1 + self.m2 * self.l1) * s1 + g2
         M = jnp.stack([jnp.stack([M11, M12]), jnp.stack([M12, M22])])
-        bias = jnp.stack([-k * s2 * (2 * qd[0] * qd[1] + qd[1] ** 2) + g1, k * s2 * qd[0] ** 2 + g2])
+        bias = jnp.stack(
+            [-k * s2 * (2 * qd[0] * qd[1] + qd[1] ** 2) + g1, k * s2 * qd[0] ** 2 + g2]
+        )
         return M, bias
 
     def loaded(self, mass):
@@ -68,7 +70,11 @@ class PlanarArm(Rigid):
             (2, self.m2, self.c2, self.I2, mass[1], self.l2),
         ):
             share = p / (m + p)
-            held |= {f"m{k}": m + p, f"c{k}": c + share * (l - c), f"I{k}": I + share * m * (l - c) ** 2}
+            held |= {
+                f"m{k}": m + p,
+                f"c{k}": c + share * (l - c),
+                f"I{k}": I + share * m * (l - c) ** 2,
+            }
         return with_fields(self, held)
 
     def tilted(self, angle):

@@ -43,7 +43,9 @@ class Robot(Staged):
     """
 
     name: ClassVar[str] = "robot"
-    source: ClassVar[str] = "Featherstone 2008; joints, drives and dissipation with MuJoCo's meaning"
+    source: ClassVar[str] = (
+        "Featherstone 2008; joints, drives and dissipation with MuJoCo's meaning"
+    )
     equations: ClassVar[str] = (
         "M(q) qdd + bias(q, qd) + armature qdd + stiffness (q - springref) + damping qd + frictionloss sign(qd) = tau\n"
         "tau the recorded torque, or gain clip(kp (goal(t - delay) - q) + kd (rate - qd) + offset, lowest, highest);\n"
@@ -51,35 +53,102 @@ class Robot(Staged):
     )
     builtin: tuple[tuple[type, dict[str, str]], ...] = eqx.field(
         static=True,
-        default=((ViscousFriction, {"coefficient": "damping@{joint}"}), (CoulombFriction, {"level": "frictionloss@{joint}"})),
+        default=(
+            (ViscousFriction, {"coefficient": "damping@{joint}"}),
+            (CoulombFriction, {"level": "frictionloss@{joint}"}),
+        ),
     )
     signatures: tuple[Signature, ...] = eqx.field(static=True, default=())
     variants: ClassVar[dict[str, type]] = {"payload": PlacedPayload}
 
-    mass: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="kg", meaning="mass of the link and of what is fixed to it")
-    com_x: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="its centre of mass in the link's frame, x")
-    com_y: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="its centre of mass in the link's frame, y")
-    com_z: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="its centre of mass in the link's frame, z")
-    gyration_xx: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="m", meaning="spread of its mass about its centre: factor xx")
-    gyration_yx: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor yx")
-    gyration_yy: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor yy")
-    gyration_zx: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor zx")
-    gyration_zy: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor zy")
-    gyration_zz: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor zz")
-    armature: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="{I}", meaning="inertia of the drive, reflected through its gear")
-    encoder_bias: Array = param(0.0, -0.3, 0.3, scale=0.01, unit="{X}", meaning="reading of the encoder at the joint's zero")
-    stiffness: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="{F}/{X}", meaning="spring at the joint")
+    mass: Array = param(
+        0.0,
+        0.0,
+        np.inf,
+        scale=1.0,
+        unit="kg",
+        meaning="mass of the link and of what is fixed to it",
+    )
+    com_x: Array = param(
+        0.0,
+        -np.inf,
+        np.inf,
+        scale=1.0,
+        unit="m",
+        meaning="its centre of mass in the link's frame, x",
+    )
+    com_y: Array = param(
+        0.0,
+        -np.inf,
+        np.inf,
+        scale=1.0,
+        unit="m",
+        meaning="its centre of mass in the link's frame, y",
+    )
+    com_z: Array = param(
+        0.0,
+        -np.inf,
+        np.inf,
+        scale=1.0,
+        unit="m",
+        meaning="its centre of mass in the link's frame, z",
+    )
+    gyration_xx: Array = param(
+        0.0,
+        0.0,
+        np.inf,
+        scale=1.0,
+        unit="m",
+        meaning="spread of its mass about its centre: factor xx",
+    )
+    gyration_yx: Array = param(
+        0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor yx"
+    )
+    gyration_yy: Array = param(
+        0.0, 0.0, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor yy"
+    )
+    gyration_zx: Array = param(
+        0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor zx"
+    )
+    gyration_zy: Array = param(
+        0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor zy"
+    )
+    gyration_zz: Array = param(
+        0.0, 0.0, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor zz"
+    )
+    armature: Array = param(
+        0.0,
+        0.0,
+        np.inf,
+        scale=1.0,
+        unit="{I}",
+        meaning="inertia of the drive, reflected through its gear",
+    )
+    encoder_bias: Array = param(
+        0.0, -0.3, 0.3, scale=0.01, unit="{X}", meaning="reading of the encoder at the joint's zero"
+    )
+    stiffness: Array = param(
+        0.0, 0.0, np.inf, scale=1.0, unit="{F}/{X}", meaning="spring at the joint"
+    )
     springref: Array = constant(0.0, unit="{X}", meaning="where that spring is at rest")
-    cubic_damping: Array = constant(0.0, unit="{F} s^3/{X}^3", meaning="torque per cube of the speed")
+    cubic_damping: Array = constant(
+        0.0, unit="{F} s^3/{X}^3", meaning="torque per cube of the speed"
+    )
 
-    x: Array = constant(0.0, unit="m", meaning="origin of the joint in the frame of the link before")
+    x: Array = constant(
+        0.0, unit="m", meaning="origin of the joint in the frame of the link before"
+    )
     y: Array = constant(0.0, unit="m")
     z: Array = constant(0.0, unit="m")
-    roll: Array = constant(0.0, unit="rad", meaning="turn of the joint's frame, Rz(yaw) Ry(pitch) Rx(roll)")
+    roll: Array = constant(
+        0.0, unit="rad", meaning="turn of the joint's frame, Rz(yaw) Ry(pitch) Rx(roll)"
+    )
     pitch: Array = constant(0.0, unit="rad")
     yaw: Array = constant(0.0, unit="rad")
     gravity: Array = constant(0.0, unit="m/s^2", meaning="vector of free fall in the world")
-    base_roll: Array = param(0.0, -3.2, 3.2, scale=0.01, unit="rad", meaning="base tilted about the world's x")
+    base_roll: Array = param(
+        0.0, -3.2, 3.2, scale=0.01, unit="rad", meaning="base tilted about the world's x"
+    )
     base_pitch: Array = param(0.0, -3.2, 3.2, scale=0.01, unit="rad", meaning="then about its y")
     base_yaw: Array = constant(0.0, unit="rad", meaning="then about its z")
 
@@ -91,18 +160,32 @@ class Robot(Staged):
     axes: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
     anchors: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
     reference: tuple[float, ...] = eqx.field(static=True, default=())
-    coupling: tuple[tuple[float, ...], ...] | None = eqx.field(static=True, default=None)  # all joints = coupling q + shift
+    coupling: tuple[tuple[float, ...], ...] | None = eqx.field(
+        static=True, default=None
+    )  # all joints = coupling q + shift
     shift: tuple[float, ...] = eqx.field(static=True, default=())
-    fitted: tuple[Any, ...] = eqx.field(static=True, default=())  # numbers of the law: `drives.Fitted`
+    fitted: tuple[Any, ...] = eqx.field(
+        static=True, default=()
+    )  # numbers of the law: `drives.Fitted`
     prepared: Any = None
     added: Any = None  # ten numbers more at each node
     tilt: Any = None  # (angle, axis): the base turned further
-    floats: bool = eqx.field(static=True, default=False)  # on a free base: see `jaxid.robots.floating`
+    floats: bool = eqx.field(
+        static=True, default=False
+    )  # on a free base: see `jaxid.robots.floating`
     tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `Stated`
     drive_law: Any = eqx.field(static=True, default=None)
-    rides: bool = eqx.field(static=True, default=False)  # whether the last inputs are the motion of the base
+    rides: bool = eqx.field(
+        static=True, default=False
+    )  # whether the last inputs are the motion of the base
 
-    def __init__(self, tree: Tree | None = None, driven: bool | None = None, law: Any = None, rides: bool = False):
+    def __init__(
+        self,
+        tree: Tree | None = None,
+        driven: bool | None = None,
+        law: Any = None,
+        rides: bool = False,
+    ):
         tree = chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # slender links in a plane
         leading = tree.leading
         S, c = tree.follow()
@@ -114,10 +197,14 @@ class Robot(Staged):
         self.axes, self.anchors = rounded(tree.axis), rounded(tree.anchor[list(self.carriers)])
         self.reference, self.shift = tuple(map(float, tree.reference)), tuple(map(float, c))
         self.coupling = rounded(S) if tree.couplings or tree.floats else None
-        bodies = np.array([body_of(tree.inertia[k], tree.anchor[k])[0] for k in self.carriers]).reshape(-1, 10)
+        bodies = np.array(
+            [body_of(tree.inertia[k], tree.anchor[k])[0] for k in self.carriers]
+        ).reshape(-1, 10)
         for k, name in enumerate(BODY):
             setattr(self, name, bodies[:, k])
-        places = np.array([[*T[:3, 3], *roll_pitch_yaw(T[:3, :3])] for T in tree.place]).reshape(-1, 6)
+        places = np.array([[*T[:3, 3], *roll_pitch_yaw(T[:3, :3])] for T in tree.place]).reshape(
+            -1, 6
+        )
         for k, name in enumerate(PLACE):
             setattr(self, name, places[:, k])
         numbers = {
@@ -134,7 +221,9 @@ class Robot(Staged):
         self.prepared = self.added = self.tilt = self.drive_law = None
         self.fitted = ()
         if driven is None:
-            driven = law is not None or all(j in tree.actuators and tree.actuators[j].kind == "position" for j in tree.driven)
+            driven = law is not None or all(
+                j in tree.actuators and tree.actuators[j].kind == "position" for j in tree.driven
+            )
         self.rides = rides
         self.signatures = (signature_of(tree, driven, () if law is None else law.rates, rides),)
         own: list[tuple[type, dict[str, str]]] = [
@@ -152,7 +241,15 @@ class Robot(Staged):
     def _drive(self, law: Any, own: list) -> None:
         """Sets a drive law (a `drives.Law`), its numbers and which of them are fitted."""
         self.drive_law = law
-        own.append((PositionLaw, {k: f"{k}@{{joint}}" for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")}))
+        own.append(
+            (
+                PositionLaw,
+                {
+                    k: f"{k}@{{joint}}"
+                    for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")
+                },
+            )
+        )
         if law.delayed:
             own.append((InputDelay, {"delay": "delay@{joint}"}))
         if any(law.lag):
@@ -164,7 +261,14 @@ class Robot(Staged):
         return type(self)(self.tree.tree, law=law, rides=self.rides)
 
     @classmethod
-    def from_mjcf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None, free: bool = False) -> Robot:
+    def from_mjcf(
+        cls,
+        path: str | Path,
+        *,
+        tip: str | None = None,
+        text: str | None = None,
+        free: bool = False,
+    ) -> Robot:
         """The robot of an MJCF file; with `tip` only the joints up to that link move. `free`: its base floats, and its angles
         base_roll, base_pitch, base_yaw are the last joints. Needs no meshes.
 
@@ -175,7 +279,14 @@ class Robot(Staged):
         return cls(based(up_to(read_mjcf(path, text), tip), free))
 
     @classmethod
-    def from_urdf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None, free: bool = False) -> Robot:
+    def from_urdf(
+        cls,
+        path: str | Path,
+        *,
+        tip: str | None = None,
+        text: str | None = None,
+        free: bool = False,
+    ) -> Robot:
         """The robot of a URDF file; `tip`, `free` and errors as of `from_mjcf`."""
         from jaxid.robots.urdf_tree import read_urdf_tree
 
@@ -185,7 +296,9 @@ class Robot(Staged):
         """`lower`, `upper` (rad, m), `velocity` and `effort` [joints] of the joints that move by themselves, by the file."""
         tree: Tree = self.tree.tree
         own = [tree.joints.index(j) for j in tree.leading]
-        return SimpleNamespace(**{k: getattr(tree, k)[own] for k in ("lower", "upper", "velocity", "effort")})
+        return SimpleNamespace(
+            **{k: getattr(tree, k)[own] for k in ("lower", "upper", "velocity", "effort")}
+        )
 
     def matched(self, dataset: Dataset) -> Chain:
         """The model of a recording: its joints by name, joints that it lacks held, its drive law. See `jaxid.robots.match`."""
@@ -238,7 +351,9 @@ class Robot(Staged):
             return GRAVITY[place]
         if field in BODY:
             return f"{field}@{self.links[place]}"
-        names = self.signatures[0].joints if field in ("encoder_bias", "cubic_damping") else self.joints
+        names = (
+            self.signatures[0].joints if field in ("encoder_bias", "cubic_damping") else self.joints
+        )
         return f"{field}@{names[place]}"
 
     def held(self) -> frozenset[str]:
@@ -255,13 +370,22 @@ class Robot(Staged):
 
     def inertia(self) -> Float[Array, "n 10"]:
         """Ten numbers of every node about its joint."""
-        own = ten_numbers(jnp.stack([jnp.asarray(getattr(self, k)) for k in BODY]), np.array(self.anchors).reshape(-1, 3))
+        own = ten_numbers(
+            jnp.stack([jnp.asarray(getattr(self, k)) for k in BODY]),
+            np.array(self.anchors).reshape(-1, 3),
+        )
         own = jnp.zeros((len(self.joints), 10)).at[np.array(self.carriers, int)].set(own)
         return own if self.added is None else own + self.added
 
     def body(self) -> dynamics.Body:
         place = jnp.stack([jnp.asarray(getattr(self, k)) for k in PLACE])
-        return dynamics.body(plan_of(self.parent), self.slides, np.array(self.axes).reshape(-1, 3), place, self.inertia())
+        return dynamics.body(
+            plan_of(self.parent),
+            self.slides,
+            np.array(self.axes).reshape(-1, 3),
+            place,
+            self.inertia(),
+        )
 
     def standing(self) -> dynamics.Base:
         """Gravity in the frame of the tilted base."""
@@ -269,7 +393,9 @@ class Robot(Staged):
 
     def riding(self, ride: Float[Array, " 9"]) -> dynamics.Base:
         """Gravity and the base's own motion (`RIDE`), turned about its origin, in its frame."""
-        offset = jnp.stack([jnp.asarray(self.base_roll), jnp.asarray(self.base_pitch), jnp.asarray(self.base_yaw)])
+        offset = jnp.stack(
+            [jnp.asarray(self.base_roll), jnp.asarray(self.base_pitch), jnp.asarray(self.base_yaw)]
+        )
         angles, rates = ride[:3] + offset, ride[3:6]
         w, wd = jax.jvp(dynamics.angular_velocity, (angles, rates), (rates, ride[6:]))
         fall = self._fall(tuple(angles))
@@ -281,7 +407,9 @@ class Robot(Staged):
         return dynamics.falling(angles, jnp.asarray(self.gravity), self.tilt)
 
     def prepare(self, h):
-        return eqx.tree_at(lambda m: m.prepared, self, (self.body(), self.standing()), is_leaf=lambda x: x is None)
+        return eqx.tree_at(
+            lambda m: m.prepared, self, (self.body(), self.standing()), is_leaf=lambda x: x is None
+        )
 
     def _worked_out(self) -> tuple[dynamics.Body, dynamics.Base]:
         return (self.body(), self.standing()) if self.prepared is None else self.prepared
@@ -305,7 +433,9 @@ class Robot(Staged):
         q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         M = dynamics.mass_matrix(plan, body, E) + jnp.diag(jnp.asarray(self.armature))
-        bias = dynamics.inverse_dynamics(plan, body, E, base, qd, jnp.zeros_like(qd)) + self._spring(q)
+        bias = dynamics.inverse_dynamics(
+            plan, body, E, base, qd, jnp.zeros_like(qd)
+        ) + self._spring(q)
         if self.floats:
             M, bias = without_slides(M, bias)
         if self.coupling is None:
@@ -327,7 +457,11 @@ class Robot(Staged):
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [nq], dissipation excluded."""
         (body, base), plan = self._worked_out(), plan_of(self.parent)
-        q, qd, qdd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, True), self.all_joints(qdd, True)
+        q, qd, qdd = (
+            self.all_joints(q - self.encoder_bias),
+            self.all_joints(qd, True),
+            self.all_joints(qdd, True),
+        )
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         force = lambda a: dynamics.inverse_dynamics(plan, body, E, base, qd, a)
         tau = balanced(force, qdd, body) if self.floats else force(qdd)
@@ -359,34 +493,63 @@ class Robot(Staged):
         (body, base), plan = self._worked_out(), plan_of(self.parent)
         q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
         E, still = dynamics.frames(plan, body, q - np.array(self.reference)), jnp.zeros_like(qd)
-        moving, resting = (dynamics.inverse_dynamics(plan, body, E, b, qd, still) for b in (self.riding(ride), base))
+        moving, resting = (
+            dynamics.inverse_dynamics(plan, body, E, b, qd, still)
+            for b in (self.riding(ride), base)
+        )
         return self._leading(moving - resting)
 
     def outline(self, x, signature):
         """The tree as one line that goes out along each limb and back."""
         E = dynamics.frames(
-            plan_of(self.parent), self.body(), self.all_joints(x[0] - self.encoder_bias) - np.array(self.reference)
+            plan_of(self.parent),
+            self.body(),
+            self.all_joints(x[0] - self.encoder_bias) - np.array(self.reference),
         )
         p = jnp.stack(dynamics.poses(plan_of(self.parent), E, plan_of(self.parent).route).p, -1)
-        R = jnp.stack([jnp.stack(row) for row in dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)])
+        R = jnp.stack(
+            [
+                jnp.stack(row)
+                for row in dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
+            ]
+        )
         p = jnp.concatenate([p, jnp.zeros((1, 3))]) @ R.T
         return p[np.array(dynamics.tour(self.parent))]
 
     # ---- where effects of the mechanism act
 
-    def loaded(self, mass: Float[Array, " nq"], beyond: Float[Array, "nq 3"] | None = None) -> Robot:
+    def loaded(
+        self, mass: Float[Array, " nq"], beyond: Float[Array, "nq 3"] | None = None
+    ) -> Robot:
         """The same with a point mass `beyond` the end of each joint's link: the next joint, else the link's centre of mass."""
         added = jnp.zeros((len(self.joints), 10))
         for k, joint in enumerate(self.signatures[0].joints):
             node = self.joints.index(joint)
             while node not in self.carriers:
                 node = self.parent.index(node)
-            place, ends = self.carriers.index(node), [i for i, up in enumerate(self.parent) if up == node]
-            com = [getattr(self, name)[place] - a for name, a in zip(BODY[1:4], self.anchors[place], strict=True)]
+            place, ends = (
+                self.carriers.index(node),
+                [i for i, up in enumerate(self.parent) if up == node],
+            )
+            com = [
+                getattr(self, name)[place] - a
+                for name, a in zip(BODY[1:4], self.anchors[place], strict=True)
+            ]
             x, y, z = ([getattr(self, name)[ends[0]] for name in PLACE[:3]]) if ends else com
             if beyond is not None:
                 x, y, z = x + beyond[k, 0], y + beyond[k, 1], z + beyond[k, 2]
-            own = (y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y, x, y, z, 1.0 + 0 * x)
+            own = (
+                y * y + z * z,
+                -x * y,
+                -x * z,
+                x * x + z * z,
+                -y * z,
+                x * x + y * y,
+                x,
+                y,
+                z,
+                1.0 + 0 * x,
+            )
             added = added.at[node].add(mass[k] * jnp.stack([jnp.asarray(v) for v in own]))
         return self._with("added", added)
 

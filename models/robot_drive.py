@@ -29,19 +29,36 @@ class PositionLaw(InputEffect):
     name: ClassVar[str] = "position_law"
     stage: ClassVar[int] = 5
     reads_encoders: ClassVar[bool] = True
-    equation: ClassVar[str] = "tau = gain clip(kp (goal - q) + kd (rate - qd) + ki integral + offset, lowest, highest)"
+    equation: ClassVar[str] = (
+        "tau = gain clip(kp (goal - q) + kd (rate - qd) + ki integral + offset, lowest, highest)"
+    )
     signature: ClassVar[str] = "none: it is stated with the recording or by the robot's file"
     source: ClassVar[str] = "textbook; MuJoCo's position actuator"
     excitation: ClassVar[str] = "the same motion under two gains"
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ()
     contains: ClassVar[tuple[str, ...]] = ()
 
-    kp: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="{F}/{X}", meaning="torque per position error")
-    kd: Array = param(0.0, 0.0, np.inf, scale=0.1, unit="{F} s/{X}", meaning="torque per speed error")
-    ki: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="{F}/({X} s)", meaning="torque per integral of the position error")
+    kp: Array = param(
+        0.0, 0.0, np.inf, scale=1.0, unit="{F}/{X}", meaning="torque per position error"
+    )
+    kd: Array = param(
+        0.0, 0.0, np.inf, scale=0.1, unit="{F} s/{X}", meaning="torque per speed error"
+    )
+    ki: Array = param(
+        0.0,
+        0.0,
+        np.inf,
+        scale=1.0,
+        unit="{F}/({X} s)",
+        meaning="torque per integral of the position error",
+    )
     gain: Array = constant(1.0, unit="1", meaning="joint torque per unit of the law's output")
-    lowest: Array = param(-np.inf, -np.inf, 0.0, scale=0.1, unit="{F}", meaning="lower limit of the law's output")
-    highest: Array = param(np.inf, 0.0, np.inf, scale=0.1, unit="{F}", meaning="upper limit of the law's output")
+    lowest: Array = param(
+        -np.inf, -np.inf, 0.0, scale=0.1, unit="{F}", meaning="lower limit of the law's output"
+    )
+    highest: Array = param(
+        np.inf, 0.0, np.inf, scale=0.1, unit="{F}", meaning="upper limit of the law's output"
+    )
     offset: Array = constant(0.0, unit="{F}", meaning="added to the law's output")
 
     kind: str = eqx.field(static=True, default="pd")
@@ -68,7 +85,9 @@ class PositionLaw(InputEffect):
             return z
         u = jnp.clip(u, *np.array(self.control).T) if self.control else u
         n = u.shape[0]
-        integral = jnp.where(self.ki > 0, hold()[:n] / self.gain - self._output(u - q[:n], 0.0), 0.0)
+        integral = jnp.where(
+            self.ki > 0, hold()[:n] / self.gain - self._output(u - q[:n], 0.0), 0.0
+        )
         return integral if self.period <= 0 else (*z[:2], z[2].at[4].set(integral))
 
     def __call__(self, u, s, z):
@@ -104,9 +123,15 @@ class PositionLaw(InputEffect):
         goal = jnp.where(first, u, goal)
         count = jnp.floor(elapsed / T + 0.5 * jnp.minimum(1.0, s.h / T))
         now = count > ticks
-        measured = {"measured": qd, "difference": (q - last) / T, "averaged_difference": (q - before) / (2 * T)}[self.velocity]
+        measured = {
+            "measured": qd,
+            "difference": (q - last) / T,
+            "averaged_difference": (q - before) / (2 * T),
+        }[self.velocity]
         wanted = s.beside[: u.shape[0]] if self.recorded else (u - goal) / T if self.rate else 0.0
         output = self._output(u - q, wanted - measured) + integral
-        new = jnp.stack([self._limited(output), q, last, u, self._integrated(integral, output, u - q, T)])
+        new = jnp.stack(
+            [self._limited(output), q, last, u, self._integrated(integral, output, u - q, T)]
+        )
         kept = jnp.where(now, new, jnp.stack([held, last, before, goal, integral]))
         return kept[0], (elapsed + s.h, jnp.maximum(count, ticks), kept)

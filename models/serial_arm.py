@@ -48,11 +48,15 @@ class DriveGain(InputEffect):
 def signatures_of(prismatic: tuple[bool, ...]) -> tuple[Signature, ...]:
     """Channels of a chain: torques (forces) or motor currents in, joint positions out."""
     joints = tuple(f"q{j + 1}" for j in range(len(prismatic)))
-    outputs = tuple((q, "m" if slides else "rad") for q, slides in zip(joints, prismatic, strict=True))
+    outputs = tuple(
+        (q, "m" if slides else "rad") for q, slides in zip(joints, prismatic, strict=True)
+    )
     torques = tuple((f"tau{j + 1}", "N" if slides else "N m") for j, slides in enumerate(prismatic))
     currents = tuple((f"current{j + 1}", "A") for j in range(len(prismatic)))
     slides = prismatic if any(prismatic) else ()
-    return tuple(Signature(inputs, outputs, joints, prismatic=slides) for inputs in (torques, currents))
+    return tuple(
+        Signature(inputs, outputs, joints, prismatic=slides) for inputs in (torques, currents)
+    )
 
 
 def ends_of(table: ArmTable) -> tuple[tuple[float, ...], ...]:
@@ -76,26 +80,54 @@ class AbstractArm(Staged):
     """
 
     prismatic: tuple[bool, ...] = eqx.field(static=True)
-    far: tuple[tuple[float, ...], ...] = eqx.field(static=True)  # where each link ends, in its own frame, m
+    far: tuple[tuple[float, ...], ...] = eqx.field(
+        static=True
+    )  # where each link ends, in its own frame, m
 
-    Ixx: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m^2", meaning="inertia of the link about its frame's origin")
+    Ixx: Array = param(
+        0.0,
+        -np.inf,
+        np.inf,
+        scale=1.0,
+        unit="kg m^2",
+        meaning="inertia of the link about its frame's origin",
+    )
     Ixy: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m^2", meaning="its product x y")
     Ixz: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m^2", meaning="its product x z")
     Iyy: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m^2", meaning="inertia about y")
     Iyz: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m^2", meaning="its product y z")
-    Izz: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m^2", meaning="inertia about the joint axis")
-    mx: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m", meaning="mass times centre of mass, x")
-    my: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m", meaning="mass times centre of mass, y")
-    mz: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m", meaning="mass times centre of mass, z")
+    Izz: Array = param(
+        0.0, -np.inf, np.inf, scale=1.0, unit="kg m^2", meaning="inertia about the joint axis"
+    )
+    mx: Array = param(
+        0.0, -np.inf, np.inf, scale=1.0, unit="kg m", meaning="mass times centre of mass, x"
+    )
+    my: Array = param(
+        0.0, -np.inf, np.inf, scale=1.0, unit="kg m", meaning="mass times centre of mass, y"
+    )
+    mz: Array = param(
+        0.0, -np.inf, np.inf, scale=1.0, unit="kg m", meaning="mass times centre of mass, z"
+    )
     m: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="kg", meaning="mass of the link")
-    Ia: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="{I}", meaning="inertia of the drive, reflected through its gear")
+    Ia: Array = param(
+        0.0,
+        0.0,
+        np.inf,
+        scale=1.0,
+        unit="{I}",
+        meaning="inertia of the drive, reflected through its gear",
+    )
 
     a: Array = constant(0.0, unit="m", meaning="offset along x of the frame before")
     alpha: Array = constant(0.0, unit="rad", meaning="twist about x of the frame before")
     d: Array = constant(0.0, unit="m", meaning="offset along the joint axis")
     theta: Array = constant(0.0, unit="rad", meaning="turn about the joint axis at q = 0")
-    b: Array = constant(0.0, unit="m", meaning="offset along z of the frame before (frames of a URDF)")
-    gamma: Array = constant(0.0, unit="rad", meaning="turn about z of the frame before (frames of a URDF)")
+    b: Array = constant(
+        0.0, unit="m", meaning="offset along z of the frame before (frames of a URDF)"
+    )
+    gamma: Array = constant(
+        0.0, unit="rad", meaning="turn about z of the frame before (frames of a URDF)"
+    )
     gravity: Array = constant(9.81, unit="m/s^2")
     base_roll: Array = constant(0.0, unit="rad", meaning="base tilted about the world's x, z up")
     base_pitch: Array = constant(0.0, unit="rad", meaning="then about the world's y")
@@ -125,7 +157,15 @@ class AbstractArm(Staged):
         setattr(self, "Ia", table.drive_inertia.copy())
         for name in ("a", "alpha", "d", "theta", "b", "gamma"):
             setattr(self, name, getattr(table, name).copy())
-        for name in ("gravity", "base_roll", "base_pitch", "payload", "payload_x", "payload_y", "payload_z"):
+        for name in (
+            "gravity",
+            "base_roll",
+            "base_pitch",
+            "payload",
+            "payload_x",
+            "payload_y",
+            "payload_z",
+        ):
             setattr(self, name, np.float64(9.81 if name == "gravity" else 0.0))
 
     # ---- what a fit may move
@@ -148,7 +188,9 @@ class AbstractArm(Staged):
         offsets = (np.abs(np.asarray(getattr(self, k))) for k in ("a", "d", "b"))
         reach = max(float(sum(np.sum(o) for o in offsets)), 1e-2)
         slides = field == "Ia" and self.prismatic[place]
-        size = mass * (1.0 if field == "m" or slides else reach if field in ("mx", "my", "mz") else reach**2)
+        size = mass * (
+            1.0 if field == "m" or slides else reach if field in ("mx", "my", "mz") else reach**2
+        )
         lower = 0.0 if field in ("m", "Ia") else -10 * size
         return spec._replace(lower=lower, upper=10 * size, scale=0.01 * size)
 
@@ -167,20 +209,40 @@ class AbstractArm(Staged):
     def loaded(self, mass: Float[Array, " n"]) -> AbstractArm:
         """With a point mass at the far end of each link: where the next one begins, or the tool."""
         x, y, z = jnp.asarray(self.far).T
-        ten = [y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y, x, y, z, jnp.ones_like(x)]
-        return with_fields(self, {name: getattr(self, name) + mass * v for name, v in zip(INERTIA, ten, strict=True)})
+        ten = [
+            y * y + z * z,
+            -x * y,
+            -x * z,
+            x * x + z * z,
+            -y * z,
+            x * x + y * y,
+            x,
+            y,
+            z,
+            jnp.ones_like(x),
+        ]
+        return with_fields(
+            self,
+            {name: getattr(self, name) + mass * v for name, v in zip(INERTIA, ten, strict=True)},
+        )
 
     def tilted(self, angle: Float[Array, " n"]) -> AbstractArm:
         """On a base turned by angle[0] about the world's x, then by angle[1] about its y."""
         turned = {"base_roll": self.base_roll + angle[0]}
-        return with_fields(self, turned | ({"base_pitch": self.base_pitch + angle[1]} if len(self.prismatic) > 1 else {}))
+        return with_fields(
+            self,
+            turned
+            | ({"base_pitch": self.base_pitch + angle[1]} if len(self.prismatic) > 1 else {}),
+        )
 
     def placements(self, q: Float[Array, "n ..."]) -> Placements:
         """Frame of each link in the frame before it."""
         return placements(self, self.prismatic, q)
 
     def outline(self, x, signature):
-        return jnp.concatenate([jnp.zeros((1, 3)), jnp.stack([jnp.asarray(p) for p in self.frames(x[0]).p], -1)])
+        return jnp.concatenate(
+            [jnp.zeros((1, 3)), jnp.stack([jnp.asarray(p) for p in self.frames(x[0]).p], -1)]
+        )
 
     def frames(self, q: Float[Array, "n ..."]) -> Placements:
         """Frame of each link in the base frame."""
@@ -198,7 +260,12 @@ class AbstractArm(Staged):
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [n ...] (any number of samples behind the joints), friction excluded."""
         Ia = jnp.asarray(self.Ia).reshape(-1, *(1,) * (qdd.ndim - 1))
-        return inverse_dynamics(self.placements(q), self.prismatic, self.inertia(), self.free_fall(), qd, qdd) + Ia * qdd
+        return (
+            inverse_dynamics(
+                self.placements(q), self.prismatic, self.inertia(), self.free_fall(), qd, qdd
+            )
+            + Ia * qdd
+        )
 
     def rotors(self):
         return jnp.asarray(self.Ia)
@@ -216,8 +283,12 @@ class SerialArm(AbstractArm):
     """Any serial chain: `SerialArm(modified_dh(...))`, `SerialArm(standard_dh(...))` or `SerialArm.from_urdf("arm.urdf")`."""
 
     name: ClassVar[str] = "serial_arm"
-    source: ClassVar[str] = "Luh, Walker, Paul 1980; Featherstone 2008; frames of Khalil and Kleinfinger 1986"
-    signatures: tuple[Signature, ...] = eqx.field(static=True, default=signatures_of(_DEFAULT.prismatic))
+    source: ClassVar[str] = (
+        "Luh, Walker, Paul 1980; Featherstone 2008; frames of Khalil and Kleinfinger 1986"
+    )
+    signatures: tuple[Signature, ...] = eqx.field(
+        static=True, default=signatures_of(_DEFAULT.prismatic)
+    )
 
     friction: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
     joint_names: tuple[str, ...] = eqx.field(static=True, default=())
@@ -226,7 +297,9 @@ class SerialArm(AbstractArm):
         self._set(table)
         self.signatures = signatures_of(table.prismatic)
         self.joint_names = tuple(table.joints)
-        self.friction = tuple(zip(map(float, table.coulomb), map(float, table.viscous), strict=True))
+        self.friction = tuple(
+            zip(map(float, table.coulomb), map(float, table.viscous), strict=True)
+        )
 
     def nominal_effects(self):
         """Friction starts from what the table (a URDF's dynamics) says."""
@@ -236,7 +309,9 @@ class SerialArm(AbstractArm):
         return [DriveGain(), CoulombFriction(level), PowerLawFriction(viscous), ConstantTorque()]  # pyright: ignore
 
     @classmethod
-    def from_urdf(cls, path: str | Path, tip: str | None = None, root: str | None = None) -> SerialArm:
+    def from_urdf(
+        cls, path: str | Path, tip: str | None = None, root: str | None = None
+    ) -> SerialArm:
         """The chain of a URDF from `root` (default: its root link) to `tip` (default: the only leaf)."""
         from jaxid.dynamics.urdf import read_urdf
 

@@ -34,19 +34,33 @@ class Servo(Rigid):
         "tau = torque_constant U - back_emf qd, 0 while released;  U = supply_voltage duty, at most current_limit\n"
         "duty = gain_scale kp (q_cmd - q), at most 1"
     )
-    source: ClassVar[str] = "DC motor behind a gear; structure of Duclusaud et al., arXiv 2410.08650"
+    source: ClassVar[str] = (
+        "DC motor behind a gear; structure of Duclusaud et al., arXiv 2410.08650"
+    )
 
-    torque_constant: Array = param(0.1, 0.005, 2.0, unit="N m/V", meaning="stall torque per volt, k_t / R", log=True)
-    back_emf: Array = param(0.04, 1e-4, 2.0, unit="N m s/rad", meaning="torque lost per speed, k_t k_e / R", log=True)
-    armature: Array = param(0.002, 1e-5, 0.5, unit="kg m^2", meaning="rotor inertia seen at the horn", log=True)
-    q_offset: Array = param(0.0, -0.5, 0.5, scale=0.02, unit="rad", meaning="angle at which the load hangs")
-    gain_scale: Array = param(1e-3, 1e-5, 1e-1, unit="1/rad", meaning="duty per position error and unit of kp", log=True)
+    torque_constant: Array = param(
+        0.1, 0.005, 2.0, unit="N m/V", meaning="stall torque per volt, k_t / R", log=True
+    )
+    back_emf: Array = param(
+        0.04, 1e-4, 2.0, unit="N m s/rad", meaning="torque lost per speed, k_t k_e / R", log=True
+    )
+    armature: Array = param(
+        0.002, 1e-5, 0.5, unit="kg m^2", meaning="rotor inertia seen at the horn", log=True
+    )
+    q_offset: Array = param(
+        0.0, -0.5, 0.5, scale=0.02, unit="rad", meaning="angle at which the load hangs"
+    )
+    gain_scale: Array = param(
+        1e-3, 1e-5, 1e-1, unit="1/rad", meaning="duty per position error and unit of kp", log=True
+    )
     kp: Array = constant(400.0, unit="1", meaning="proportional gain in the firmware's unit")
     supply_voltage: Array = constant(7.4, unit="V")
     mass: Array = constant(0.5, unit="kg", meaning="load")
     length: Array = constant(0.1, unit="m", meaning="its distance from the axis")
     gravity: Array = constant(9.81, unit="m/s^2")
-    current_limit: Array = constant(1e6, unit="V", meaning="highest voltage over the winding that the current limit admits")
+    current_limit: Array = constant(
+        1e6, unit="V", meaning="highest voltage over the winding that the current limit admits"
+    )
 
     def loaded(self, mass: Array) -> Servo:
         """The same with mass [1] more at the load's place."""
@@ -58,7 +72,9 @@ class Servo(Rigid):
 
     def matrices(self, q, qd):
         inertia = self.mass * self.length**2 + self.armature
-        return jnp.reshape(inertia, (1, 1)), self.mass * self.gravity * self.length * sin(q - self.q_offset)
+        return jnp.reshape(inertia, (1, 1)), self.mass * self.gravity * self.length * sin(
+            q - self.q_offset
+        )
 
     def drive(self, signature, u, q, qd):
         if not signature.inputs:

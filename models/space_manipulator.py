@@ -22,7 +22,9 @@ class StribeckLevels(JointEffect):
     name: ClassVar[str] = "stribeck_friction"
     contains: ClassVar[tuple[str, ...]] = ("coulomb_friction", "viscous_friction")
     equation: ClassVar[str] = "f = (F_c + (F_s - F_c) exp(-(qd / v_s)^2)) sign(qd) + F_v qd"
-    signature: ClassVar[str] = "a bump of the missing torque at low speed; breakaway above the sliding level"
+    signature: ClassVar[str] = (
+        "a bump of the missing torque at low speed; breakaway above the sliding level"
+    )
     source: ClassVar[str] = "paper 000 (which names the law; form by Armstrong-Helouvry 1991)"
     excitation: ClassVar[str] = "slow ramps through zero speed"
     probes: ClassVar[tuple] = ()
@@ -49,7 +51,11 @@ class SpaceManipulator(Rigid):
 
     name: ClassVar[str] = "space_manipulator"
     signatures: ClassVar[tuple[Signature, ...]] = (
-        Signature((("tau1", "N m"), ("tau2", "N m")), (("q1", "rad"), ("q2", "rad"), ("base_attitude", "rad")), ("q1", "q2")),
+        Signature(
+            (("tau1", "N m"), ("tau2", "N m")),
+            (("q1", "rad"), ("q2", "rad"), ("base_attitude", "rad")),
+            ("q1", "q2"),
+        ),
         Signature((("tau1", "N m"), ("tau2", "N m")), (("q1", "rad"), ("q2", "rad")), ("q1", "q2")),
     )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
@@ -62,7 +68,9 @@ class SpaceManipulator(Rigid):
         "       + l1 (hx (c (qdd1 + qdd2) - s (qd1 + qd2)^2) + hy (-s (qdd1 + qdd2) - c (qd1 + qd2)^2)) + f1\n"
         "f = (F_c + (F_s - F_c) exp(-(qd / v_s)^2)) sign qd + F_v qd;  floating base: M_r = M_mm - M_mb M_bb^-1 M_bm"
     )
-    source: ClassVar[str] = "paper 000 (Int. J. Adv. Robotic Systems, 2016, doi 10.5772/63935); its lost equations rederived"
+    source: ClassVar[str] = (
+        "paper 000 (Int. J. Adv. Robotic Systems, 2016, doi 10.5772/63935); its lost equations rederived"
+    )
 
     m2: Array = param(30.0, 5.0, 100.0, unit="kg", meaning="mass of the last body", log=True)
     hx: Array = param(10.0, 0.0, 60.0, unit="kg m", meaning="its first moment along the body")
@@ -73,8 +81,12 @@ class SpaceManipulator(Rigid):
     m1: Array = constant(5.0, unit="kg", meaning="mass of link 1 (floating base)")
     c1: Array = constant(0.5, unit="m", meaning="its centre of mass along the link (floating base)")
     base_mass: Array = constant(2500.0, unit="kg", meaning="mass of the base (floating base)")
-    base_inertia: Array = constant(2000.0, unit="kg m^2", meaning="inertia of the base about its centre (floating base)")
-    base_x: Array = constant(0.6, unit="m", meaning="joint 1 from the base's centre, along the base")
+    base_inertia: Array = constant(
+        2000.0, unit="kg m^2", meaning="inertia of the base about its centre (floating base)"
+    )
+    base_x: Array = constant(
+        0.6, unit="m", meaning="joint 1 from the base's centre, along the base"
+    )
     base_y: Array = constant(0.2, unit="m", meaning="joint 1 from the base's centre, across")
     floating: bool = setting(False, meaning="the base floats freely; false: it stands still")
 
@@ -91,19 +103,34 @@ class SpaceManipulator(Rigid):
         frame, from the Jacobians of the three centres."""
         s, c = sincos(jnp.stack([q[0], q[0] + q[1]]))
         x1, y1 = self.base_x + self.l1 * c[0], self.base_y + self.l1 * s[0]  # joint 2
-        hx, hy = self.hx * c[1] - self.hy * s[1], self.hx * s[1] + self.hy * c[1]  # first moment of the last body
+        hx, hy = (
+            self.hx * c[1] - self.hy * s[1],
+            self.hx * s[1] + self.hy * c[1],
+        )  # first moment of the last body
         gx, gy = self.m1 * self.c1 * c[0], self.m1 * self.c1 * s[0]  # of link 1 about joint 1
-        arm = self.I1 + self.m2 * self.l1**2  # link 1 and the last body's mass at its end, about joint 1
+        arm = (
+            self.I1 + self.m2 * self.l1**2
+        )  # link 1 and the last body's mass at its end, about joint 1
         swing = self.l1 * (c[0] * hx + s[0] * hy)  # l1 . h
-        ox, oy = gx + self.m2 * self.l1 * c[0] + hx, gy + self.m2 * self.l1 * s[0] + hy  # about joint 1, both bodies
+        ox, oy = (
+            gx + self.m2 * self.l1 * c[0] + hx,
+            gy + self.m2 * self.l1 * s[0] + hy,
+        )  # about joint 1, both bodies
         a11 = arm + self.I2 + 2 * swing
         a12 = self.I2 + swing
         carried = self.m1 + self.m2
         lever = self.base_x * ox + self.base_y * oy
         short = self.base_x * hx + self.base_y * hy
         a00 = self.base_inertia + carried * (self.base_x**2 + self.base_y**2) + a11 + 2 * lever
-        rows = [[a00, a11 + lever, a12 + short], [a11 + lever, a11, a12], [a12 + short, a12, self.I2]]
-        px, py = self.m1 * self.base_x + gx + self.m2 * x1 + hx, self.m1 * self.base_y + gy + self.m2 * y1 + hy
+        rows = [
+            [a00, a11 + lever, a12 + short],
+            [a11 + lever, a11, a12],
+            [a12 + short, a12, self.I2],
+        ]
+        px, py = (
+            self.m1 * self.base_x + gx + self.m2 * x1 + hx,
+            self.m1 * self.base_y + gy + self.m2 * y1 + hy,
+        )
         mixed = [[-py, -oy, -hy], [px, ox, hx]]
         return jnp.stack([jnp.stack(r) for r in rows]), jnp.stack([jnp.stack(r) for r in mixed])
 
@@ -124,7 +151,9 @@ class SpaceManipulator(Rigid):
         c, s = jnp.cos(turn), jnp.sin(turn)
         first = jnp.stack([c * self.base_x - s * self.base_y, s * self.base_x + c * self.base_y])
         second = first + self.l1 * jnp.stack([jnp.cos(a), jnp.sin(a)])
-        return jnp.stack([jnp.zeros(2), first, second, second + jnp.stack([jnp.cos(b), jnp.sin(b)])])
+        return jnp.stack(
+            [jnp.zeros(2), first, second, second + jnp.stack([jnp.cos(b), jnp.sin(b)])]
+        )
 
     def mass(self, q):
         if not self.floating:
@@ -142,7 +171,9 @@ class SpaceManipulator(Rigid):
         # bias = dM/dt qd - d/dq (qd' M qd) / 2
         slopes = [jax.jvp(self.mass, (q,), (e,))[1] for e in jnp.eye(2)]
         rate = slopes[0] * qd[0] + slopes[1] * qd[1]
-        return self.mass(q), dot(rate, qd) - jnp.stack([jnp.sum(qd * dot(s, qd)) for s in slopes]) / 2
+        return self.mass(q), dot(rate, qd) - jnp.stack(
+            [jnp.sum(qd * dot(s, qd)) for s in slopes]
+        ) / 2
 
     def free(self, h, x, tau):
         return super().free(h, x[:2], tau)

@@ -28,17 +28,29 @@ class Tracker(Lagrangian):
 
     name: ClassVar[str] = "tracker"
     signatures: ClassVar[tuple[Signature, ...]] = (
-        Signature((("tau_theta", "N m"), ("tau_alpha", "N m")), (("theta", "rad"), ("alpha", "rad")), ("theta", "alpha")),
-        Signature((("u_theta", "V"), ("u_alpha", "V")), (("theta", "rad"), ("alpha", "rad")), ("theta", "alpha")),
+        Signature(
+            (("tau_theta", "N m"), ("tau_alpha", "N m")),
+            (("theta", "rad"), ("alpha", "rad")),
+            ("theta", "alpha"),
+        ),
+        Signature(
+            (("u_theta", "V"), ("u_alpha", "V")),
+            (("theta", "rad"), ("alpha", "rad")),
+            ("theta", "alpha"),
+        ),
     )
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = ((ViscousFriction, {"coefficient": "b_{joint}"}),)
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
+        (ViscousFriction, {"coefficient": "b_{joint}"}),
+    )
     equations: ClassVar[str] = (
         "with k = m l + 2 m_c u:\n"
         "T_theta = (J_theta + (m + m_c) R^2 - k R cos a + J cos^2 a) thetadd + s ad thetad + b_theta thetad\n"
         "T_alpha = J_alpha add - s thetad^2 / 2 + b_alpha ad + (m l / 2 + m_c u) gravity cos a,  s = (k R - 2 J cos a) sin a\n"
         "a = alpha, J = J_alpha - rotor_alpha;  driven by voltage: T = gain (v - v0 sign v) for |v| >= v0, else 0"
     )
-    source: ClassVar[str] = "paper 003, equations (4) with its printed m + 2 m_c u corrected, (5), (6), Tables 1 and 2"
+    source: ClassVar[str] = (
+        "paper 003, equations (4) with its printed m + 2 m_c u corrected, (5), (6), Tables 1 and 2"
+    )
 
     J_theta: Array = param(0.1, 0.005, 0.5, unit="kg m^2", meaning="yaw inertia", log=True)
     J_alpha: Array = param(0.05, 0.001, 0.5, unit="kg m^2", meaning="tilt inertia", log=True)
@@ -51,13 +63,18 @@ class Tracker(Lagrangian):
     rotor_alpha: Array = constant(0.0, unit="kg m^2", meaning="part of J_alpha that only tilts")
     gain: Array = constant(0.1, unit="N m/V", meaning="torque of the motors per volt")
     v0: Array = constant(1.68, unit="V", meaning="dead zone of the motors")
-    motor_table: bool = setting(False, meaning="the measured torques of Table 1 instead of equation (6)")
+    motor_table: bool = setting(
+        False, meaning="the measured torques of Table 1 instead of equation (6)"
+    )
 
     def loaded(self, mass: Array) -> Tracker:
         """The same with mass [2] more: at the tilt joint, and at the end of the barrel."""
         total = self.m_c + mass[1]
         centre = self.u + mass[1] * (self.l - self.u) / jnp.where(total > 0, total, 1.0)
-        more = {"J_theta": self.J_theta + mass[0] * self.R**2, "J_alpha": self.J_alpha + mass[1] * self.l**2}
+        more = {
+            "J_theta": self.J_theta + mass[0] * self.R**2,
+            "J_alpha": self.J_alpha + mass[1] * self.l**2,
+        }
         return with_fields(self, {**more, "m_c": total, "u": centre})
 
     def outline(self, x, signature):
@@ -70,7 +87,12 @@ class Tracker(Lagrangian):
     def kinetic_energy(self, q, qd):
         _, c = sincos(q)
         k = self.m * self.l + 2 * self.m_c * self.u
-        yaw = self.J_theta + (self.m + self.m_c) * self.R**2 - k * self.R * c[1] + (self.J_alpha - self.rotor_alpha) * c[1] ** 2
+        yaw = (
+            self.J_theta
+            + (self.m + self.m_c) * self.R**2
+            - k * self.R * c[1]
+            + (self.J_alpha - self.rotor_alpha) * c[1] ** 2
+        )
         return (yaw * qd[0] ** 2 + self.J_alpha * qd[1] ** 2) / 2
 
     def potential_energy(self, q):

@@ -83,7 +83,9 @@ print("cannot be told from:", [str(e) for e in diagnosis.which.confusable_with])
 print("gap:", diagnosis.how_far.gap_before, "→", diagnosis.how_far.gap_after, "times the noise")
 
 # %%
-assert diagnosis.which.verdict == "named" and "dead_zone" in [e.effect for e in diagnosis.which.effects]
+assert diagnosis.which.verdict == "named" and "dead_zone" in [
+    e.effect for e in diagnosis.which.effects
+]
 
 # %% [markdown]
 # ## What was missing, in the plane of position and velocity
@@ -106,7 +108,9 @@ reported = next(t for t in diagnosis.traces if t.split == "report")
 figure, (top, bottom) = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained")
 reported.plot(ax=top).set_xlabel("")
 final = list(reported.simulated)[-1]
-ax = type(reported)(**{**vars(reported), "simulated": {final: reported.simulated[final]}}).plot(ax=bottom)
+ax = type(reported)(**{**vars(reported), "simulated": {final: reported.simulated[final]}}).plot(
+    ax=bottom
+)
 
 # %% [markdown]
 # ## The mechanism in motion

@@ -9,15 +9,21 @@ from pathlib import Path
 
 
 SMALL = os.environ.get("JAXID_NOTEBOOKS") == "small"
-ROOT = next(p for p in Path(__file__).resolve().parents if (p / "examples" / "servo_pendulum").is_dir())
+ROOT = next(
+    p for p in Path(__file__).resolve().parents if (p / "examples" / "servo_pendulum").is_dir()
+)
 EXAMPLE = ROOT / "examples" / "servo_pendulum"
-sys.path.insert(0, str(ROOT))  # the twins in notebooks/ and benchmarks/ are separately written equations
+sys.path.insert(
+    0, str(ROOT)
+)  # the twins in notebooks/ and benchmarks/ are separately written equations
 
 #: Candidates of a diagnosis: None is the whole library.
 CANDIDATES = ("dead_zone", "input_delay", "stribeck_friction", "quadratic_drag") if SMALL else None
 
 #: Comparison of fitters: which, how many seeds, how many evaluations each.
-COMPARED = ("lm", "de", "rde") if SMALL else ("lm", "hybrid", "de", "rde", "pso", "ga", "cmaes", "shade")
+COMPARED = (
+    ("lm", "de", "rde") if SMALL else ("lm", "hybrid", "de", "rde", "pso", "ga", "cmaes", "shade")
+)
 SEEDS = 2 if SMALL else 5
 EVALUATIONS = 600 if SMALL else 3_000
 
@@ -39,4 +45,6 @@ ARM_BLOCKS, ARM_GENERATIONS = (8, 30) if SMALL else (12, 200)
 FRAMES = 6 if SMALL else 60
 
 #: Candidates of a robot's diagnosis: None is the whole library.
-ROBOT_CANDIDATES = ("input_delay", "torque_scale", "stribeck_friction", "constant_torque") if SMALL else None
+ROBOT_CANDIDATES = (
+    ("input_delay", "torque_scale", "stribeck_friction", "constant_torque") if SMALL else None
+)

@@ -42,10 +42,14 @@ def bench(seed: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * 200) + 1) / 200
     f, phase = np.geomspace(0.2, 2.5, 8), rng.uniform(0, 2 * np.pi, 8)
-    current = np.round(0.15 * np.sin(2 * np.pi * np.outer(t, f) + phase).sum(1) * np.clip((t - 0.3) / 0.5, 0, 1), 3)
+    current = np.round(
+        0.15 * np.sin(2 * np.pi * np.outer(t, f) + phase).sum(1) * np.clip((t - 0.3) / 0.5, 0, 1), 3
+    )
 
     def field(x, u):
-        return np.array([x[1], (1.6 * u - 0.9 * np.sin(x[0]) - 0.05 * x[1] - 0.012 * abs(x[1]) * x[1]) / 0.045])
+        return np.array(
+            [x[1], (1.6 * u - 0.9 * np.sin(x[0]) - 0.05 * x[1] - 0.012 * abs(x[1]) * x[1]) / 0.045]
+        )
 
     x, h, angle = np.zeros(2), 1 / 400, []
     for u in current:  # Runge and Kutta, two steps a sample, current held between samples
@@ -63,7 +67,12 @@ for name, seed in (("monday", 1), ("tuesday", 2)):
     t, current, angle = bench(seed)
     rows = np.column_stack([t, 1e3 * current, np.rad2deg(angle)])
     np.savetxt(
-        folder / f"{name}.csv", rows, fmt=["%.3f", "%.0f", "%.4f"], delimiter=",", header="time_s,motor_mA,enc_deg", comments=""
+        folder / f"{name}.csv",
+        rows,
+        fmt=["%.3f", "%.0f", "%.4f"],
+        delimiter=",",
+        header="time_s,motor_mA,enc_deg",
+        comments="",
     )
 
 print((folder / "monday.csv").read_text()[:90])
@@ -125,7 +134,12 @@ ax = data.plot("q", ax=bottom)
 lines = (folder / "monday.csv").read_text().splitlines()
 lines[40], lines[90] = lines[40].replace(",", ",oops", 1), lines[89]
 (folder / "broken.csv").write_text("\n".join(lines))
-toml = (folder / "dataset.toml").read_text().replace("monday.csv", "broken.csv").replace('"deg"', '"degs"')
+toml = (
+    (folder / "dataset.toml")
+    .read_text()
+    .replace("monday.csv", "broken.csv")
+    .replace('"deg"', '"degs"')
+)
 (folder / "broken").mkdir()
 (folder / "broken" / "dataset.toml").write_text(toml)
 for file in ("broken.csv", "tuesday.csv"):

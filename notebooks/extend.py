@@ -52,7 +52,11 @@ def cart(seed: int) -> tuple[np.ndarray, ...]:
     rng = np.random.default_rng(seed)
     t = np.arange(401) / 100
     f = np.geomspace(0.4, 4.0, 6)
-    force = 4.0 * np.sin(2 * np.pi * np.outer(t, f) + rng.uniform(0, 6, 6)).sum(1) * np.clip(t / 0.3, 0, 1)
+    force = (
+        4.0
+        * np.sin(2 * np.pi * np.outer(t, f) + rng.uniform(0, 6, 6)).sum(1)
+        * np.clip(t / 0.3, 0, 1)
+    )
     x, position = np.zeros(2), []
     for u in force:
         position.append(x[0])
@@ -81,8 +85,13 @@ class SpringCart(Rigid):
     """mass qdd + stiffness q = force - friction."""
 
     name: ClassVar[str] = "spring_cart"
-    signatures: ClassVar = (Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),)
-    builtin: ClassVar = ((ViscousFriction, {"coefficient": "viscous"}), (CoulombFriction, {"level": "coulomb"}))
+    signatures: ClassVar = (
+        Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),
+    )
+    builtin: ClassVar = (
+        (ViscousFriction, {"coefficient": "viscous"}),
+        (CoulombFriction, {"level": "coulomb"}),
+    )
     equations: ClassVar[str] = "mass qdd + stiffness q + viscous qd + coulomb sign(qd) = force"
     source: ClassVar[str] = "textbook"
 
@@ -186,7 +195,9 @@ class RandomSearch(AbstractPopulation):
         return state.radius
 
 
-comparison = jaxid.compare(SpringCart(), data, fitters=[RandomSearch(), "de", "lm"], seeds=2, budget=1500)
+comparison = jaxid.compare(
+    SpringCart(), data, fitters=[RandomSearch(), "de", "lm"], seeds=2, budget=1500
+)
 ax = comparison.plot()
 
 # %% [markdown]

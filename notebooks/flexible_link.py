@@ -63,7 +63,9 @@ if SMALL:
     methods = {k: v for k, v in methods.items() if k in ("DE", "PSO")}
 runs = {r.label: r for r in race(paper.problem(), methods, range(LINK_SEEDS))}
 for name, r in runs.items():
-    print(f"{name:12} J {mean_sd(r.losses):18} E {r.numbers['E'] / 1e9:.1f} GPa, I_m {r.numbers['I_m']:.4f} kg m²")
+    print(
+        f"{name:12} J {mean_sd(r.losses):18} E {r.numbers['E'] / 1e9:.1f} GPa, I_m {r.numbers['I_m']:.4f} kg m²"
+    )
 
 # %%
 palette = dict(zip(methods, ("#009e73", "#e69f00", "#d55e00", "#0072b2"), strict=False))
@@ -104,29 +106,50 @@ record = Experiment("pulse", "fit", t, u[:, None], y, at_rest=True, initial={"ph
 held = [record.piece(0, 100, name=n, split=n) for n in ("validation", "report")]
 pulsed = Dataset("pulse", data.channels, (record, *held), (), data.model)
 linear, simulated = (
-    jaxid.fit(None, pulsed, residual=FrequencyResponseError(linear=k, timed=("phi",), band_hz=(0.0, 20.0)), loss="sum_of_norms")
+    jaxid.fit(
+        None,
+        pulsed,
+        residual=FrequencyResponseError(linear=k, timed=("phi",), band_hz=(0.0, 20.0)),
+        loss="sum_of_norms",
+    )
     for k in (True, False)
 )
 print("            linear response     simulated response     truth")
 for name in ("E", "I_m", "tau_c"):
     a, b = linear.parameters[name].value, simulated.parameters[name].value
     truth = twin.DE[name]
-    print(f"{name:6} {a:12.4g} ({100 * (a / truth - 1):+4.0f} %) {b:12.4g} ({100 * (b / truth - 1):+4.0f} %) {truth:12.4g}")
+    print(
+        f"{name:6} {a:12.4g} ({100 * (a / truth - 1):+4.0f} %) {b:12.4g} ({100 * (b / truth - 1):+4.0f} %) {truth:12.4g}"
+    )
 
 # %%
 f = np.fft.rfftfreq(t.size, 2e-3)
 measured = np.fft.rfft(y[:, 1]) / np.where(np.abs(np.fft.rfft(u)) > 0, np.fft.rfft(u), 1)
 band = (f > 0) & (f < 10) & (np.abs(np.fft.rfft(u)) > 0.1 * np.abs(np.fft.rfft(u)).max())
 figure, ax = plt.subplots(figsize=(7, 3.4), layout="constrained")
-ax.semilogy(f[band], np.abs(measured[band]), "o", ms=4, color="#d55e00", label="estimated from the pulse, with dry friction")
-ax.semilogy(f[1:51], np.abs(twin.direct(f[1:51])), color="#0072b2", label="the same link without dry friction")
+ax.semilogy(
+    f[band],
+    np.abs(measured[band]),
+    "o",
+    ms=4,
+    color="#d55e00",
+    label="estimated from the pulse, with dry friction",
+)
+ax.semilogy(
+    f[1:51],
+    np.abs(twin.direct(f[1:51])),
+    color="#0072b2",
+    label="the same link without dry friction",
+)
 ax.set(xlabel="frequency (Hz)", ylabel="|tip acceleration / torque|\n(m/s² per N m)")
 _ = _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
 
 # %%
 free = np.abs(twin.direct(np.maximum(f, f[1])))  # at rest there is no response
 at = lambda x: f[band][int(np.argmax(x[band]))]
-print(f"the estimated response peaks at {at(np.abs(measured)):.1f} Hz, the linear one at {at(free):.1f} Hz")
+print(
+    f"the estimated response peaks at {at(np.abs(measured)):.1f} Hz, the linear one at {at(free):.1f} Hz"
+)
 
 # %% [markdown]
 # ## The link in motion
@@ -145,4 +168,6 @@ HTML(moving.animate(seconds=5, frames=FRAMES).to_jshtml(default_mode="loop"))
 spread = {k: r.losses.std(ddof=1) for k, r in runs.items()}
 print("least spread first:", ", ".join(sorted(spread, key=spread.get)))
 for way, result in (("linear", linear), ("simulated", simulated)):
-    print(f"by the {way} response E is {100 * (result.parameters['E'].value / twin.DE['E'] - 1):+.1f} % off")
+    print(
+        f"by the {way} response E is {100 * (result.parameters['E'].value / twin.DE['E'] - 1):+.1f} % off"
+    )

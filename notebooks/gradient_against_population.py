@@ -41,7 +41,9 @@ data = jaxid.load_dataset(EXAMPLE)
 # the loss has more than one valley.
 
 # %%
-comparison = jaxid.compare(None, data, fitters=COMPARED, seeds=SEEDS, budget=EVALUATIONS, effects=["dead_zone"])
+comparison = jaxid.compare(
+    None, data, fitters=COMPARED, seeds=SEEDS, budget=EVALUATIONS, effects=["dead_zone"]
+)
 comparison
 
 # %% [markdown]

@@ -75,7 +75,9 @@ q = 7.0e-4  # rad, before the encoder rounds to 1.5e-3
 effect = "dead_zone"
 parameters = { width = 0.12 }
 """)
-emulator, port = emulate("dynamixel", "--plant", str(folder / "servo.toml"), "--return-delay", "0", "--latency", "0.0005")
+emulator, port = emulate(
+    "dynamixel", "--plant", str(folder / "servo.toml"), "--return-delay", "0", "--latency", "0.0005"
+)
 
 # %% [markdown]
 # The experiment: `excite` chooses the torque over time that shows most of a pendulum's parameters, for what is known of this
@@ -85,7 +87,9 @@ emulator, port = emulate("dynamixel", "--plant", str(folder / "servo.toml"), "--
 # %%
 guess = {"parameters": {"inertia": 0.03, "gravity_torque": 0.8, "viscous": 0.06, "coulomb": 0.08}}
 reach = Limits(lower=(-1.0,), upper=(1.0,), speed=(2.5,))
-design = jaxid.excite("pendulum", duration_s=12.0, rate_hz=100.0, parameters=guess, limits=reach, gain=[1.77])
+design = jaxid.excite(
+    "pendulum", duration_s=12.0, rate_hz=100.0, parameters=guess, limits=reach, gain=[1.77]
+)
 design.save(folder / "servo_excitation")
 excitation = Trajectory.read(folder / "servo_excitation", kind="current")
 print(f"condition number {design.condition_number:.3g}")
@@ -100,7 +104,13 @@ print(record(Dynamixel(port, **servo), folder / "servo", play=excitation).text)
 
 # %%
 recording = record(
-    Dynamixel(port, **servo), folder / "servo", play=excitation, live=True, limits=limits, model="pendulum", gain=1.77
+    Dynamixel(port, **servo),
+    folder / "servo",
+    play=excitation,
+    live=True,
+    limits=limits,
+    model="pendulum",
+    gain=1.77,
 )
 leave(emulator)
 print(recording.text)
@@ -143,12 +153,23 @@ parameters = { coefficient = 5.0 }
 """)
 emulator, host = emulate("ur10", "--host", "127.0.0.40", "--plant", str(folder / "arm.toml"))
 
-gentle = Limits(speed=(1.5, 1.5, 2.2, 2.2, 2.2, 2.2))  # below the arm's own limits: what is late here catches up in leaps
+gentle = Limits(
+    speed=(1.5, 1.5, 2.2, 2.2, 2.2, 2.2)
+)  # below the arm's own limits: what is late here catches up in leaps
 motion = jaxid.excite("ur10", starts=4, iterations=50, limits=gentle)
 motion.save(folder / "arm_excitation")
 path = Trajectory.read(folder / "arm_excitation", joints=6)
 print(f"condition number {motion.condition_number:.3g}")
-recording = record(UR(host), folder / "arm", play=path, live=True, limits=limits, model="pendulum", joint=3, gain=8.5)
+recording = record(
+    UR(host),
+    folder / "arm",
+    play=path,
+    live=True,
+    limits=limits,
+    model="pendulum",
+    joint=3,
+    gain=8.5,
+)
 leave(emulator)
 print(recording.text)
 

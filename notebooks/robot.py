@@ -93,7 +93,9 @@ def recorded(seed, seconds, late=0.012, noise=2e-4):
     for k in range(len(t)):
         read.append(data.qpos.copy())
         for n in range(every):
-            at = k + n / every - np.array([0.0, late]) / (step * every)  # a goal is held until the next is there
+            at = (
+                k + n / every - np.array([0.0, late]) / (step * every)
+            )  # a goal is held until the next is there
             data.ctrl[:] = command[np.maximum(0, np.floor(at + 1e-6)).astype(int), [0, 1]]
             mujoco.mj_step(model, data)
     q = np.array(read) + noise * np.random.default_rng(seed + 100).standard_normal((len(t), 2))
@@ -101,7 +103,14 @@ def recorded(seed, seconds, late=0.012, noise=2e-4):
 
 
 def written(path, rows):
-    np.savetxt(path, rows, delimiter=",", header="t,shoulder_cmd,elbow_cmd,shoulder,elbow", comments="", fmt="%.9g")
+    np.savetxt(
+        path,
+        rows,
+        delimiter=",",
+        header="t,shoulder_cmd,elbow_cmd,shoulder,elbow",
+        comments="",
+        fmt="%.9g",
+    )
 
 
 runs = {"first": "fit", "second": "validation", "third": "report"}
@@ -112,8 +121,12 @@ channels = "".join(
     f'[channels.{n}]\nrole = "output"\nunit = "rad"\n[channels.{n}_cmd]\nrole = "input"\nunit = "rad"\n'
     for n in ("shoulder", "elbow")
 )
-experiments = "".join(f'[[experiments]]\nfile = "{n}.csv"\nsplit = "{s}"\nat_rest = true\n' for n, s in runs.items())
-(FOLDER / "dataset.toml").write_text(f'name = "arm"\n[model]\nrobot = "robot.xml"\n{channels}{experiments}')
+experiments = "".join(
+    f'[[experiments]]\nfile = "{n}.csv"\nsplit = "{s}"\nat_rest = true\n' for n, s in runs.items()
+)
+(FOLDER / "dataset.toml").write_text(
+    f'name = "arm"\n[model]\nrobot = "robot.xml"\n{channels}{experiments}'
+)
 dataset = jaxid.load_dataset(FOLDER)
 dataset
 
@@ -157,13 +170,23 @@ print(after)
 
 # %%
 errors = {
-    label: [1e3 * np.sqrt(np.mean([r["mujoco"] ** 2 for r in found.rows if r["joint"] == j])) for j in ("shoulder", "elbow")]
+    label: [
+        1e3 * np.sqrt(np.mean([r["mujoco"] ** 2 for r in found.rows if r["joint"] == j]))
+        for j in ("shoulder", "elbow")
+    ]
     for label, found in (("the file as it was", before), ("the patched file", after))
 }
 axes = plt.figure(figsize=(7.5, 2.6), layout="constrained").add_subplot()
 for k, (label, values) in enumerate(errors.items()):
-    axes.barh(np.arange(2) + 0.38 * k, values, height=0.36, label=label, color=("#d55e00", "#0072b2")[k])
-axes.set(yticks=np.arange(2) + 0.19, yticklabels=("shoulder", "elbow"), xlabel="rms error in MuJoCo (mrad)", xscale="log")
+    axes.barh(
+        np.arange(2) + 0.38 * k, values, height=0.36, label=label, color=("#d55e00", "#0072b2")[k]
+    )
+axes.set(
+    yticks=np.arange(2) + 0.19,
+    yticklabels=("shoulder", "elbow"),
+    xlabel="rms error in MuJoCo (mrad)",
+    xscale="log",
+)
 axes.axvline(0.2, color="k", ls="--", lw=1, label="the encoders' noise")
 axes.legend(frameon=False, loc="lower left", bbox_to_anchor=(0, 1), ncols=3)
 

@@ -73,7 +73,12 @@ for name, truth in BODY.items():
 
 # %%
 comparison = jaxid.compare(
-    None, data, fitters=("lm", "de", "ade", "rde"), seeds=ARM_SEEDS, budget=ARM_EVALUATIONS, residual="inverse_dynamics"
+    None,
+    data,
+    fitters=("lm", "de", "ade", "rde"),
+    seeds=ARM_SEEDS,
+    budget=ARM_EVALUATIONS,
+    residual="inverse_dynamics",
 )
 ax = comparison.plot()
 
@@ -88,7 +93,11 @@ cost = {row.fitter: row.expected_evaluations for row in comparison.table}
 order = sorted((name for name in cost if np.isfinite(cost[name])), key=lambda name: cost[name])
 print("fewest evaluations per success first:", ", ".join(order) or "none succeeded")
 if np.isfinite(cost["rde"]):
-    other = f"{cost['de'] / cost['rde']:.2g} times as many" if np.isfinite(cost["de"]) else "no success at all"
+    other = (
+        f"{cost['de'] / cost['rde']:.2g} times as many"
+        if np.isfinite(cost["de"])
+        else "no success at all"
+    )
     print(f"the paper says that RDE needs less than DE; here DE has {other}")
 
 # %% [markdown]
@@ -116,8 +125,14 @@ share = np.linalg.norm(difference) / np.linalg.norm(measured)
 print(f"the floating base changes the torque by {100 * share:.0f} %; the mass found on a fixed base is off by "
       f"{100 * (wrong.parameters['m2'].value / BODY['m2'] - 1):+.0f} %")  # fmt: skip
 
-rest = {label: result.scores["fit"]["tau1"].relative_error for label, result in (("stands still", wrong), ("floats", right))}
-print("error of the first joint's torque with a base that", ", that ".join(f"{k}: {100 * v:.1f} %" for k, v in rest.items()))
+rest = {
+    label: result.scores["fit"]["tau1"].relative_error
+    for label, result in (("stands still", wrong), ("floats", right))
+}
+print(
+    "error of the first joint's torque with a base that",
+    ", that ".join(f"{k}: {100 * v:.1f} %" for k, v in rest.items()),
+)
 
 # %% [markdown]
 # The two errors say how much of the base's motion the free parameters absorb, the masses what that costs. Where the first is small
@@ -158,15 +173,25 @@ from jaxid.problem.residual import InverseDynamics
 
 
 part = {k: (v * 0.6 if k != "m2" else v * 0.8) for k, v in BODY.items()}
-blocks = [tuple(np.asarray(x)[k : k + 50] for x in path(4, seconds=32.0)) for k in range(0, 50 * ARM_BLOCKS, 50)]
+blocks = [
+    tuple(np.asarray(x)[k : k + 50] for x in path(4, seconds=32.0))
+    for k in range(0, 50 * ARM_BLOCKS, 50)
+]
 truths = [BODY if 2 * k < ARM_BLOCKS else part for k in range(ARM_BLOCKS)]
-stream = dataset(blocks, [torque(m, body=b) for m, b in zip(blocks, truths, strict=True)], noise=0.01)
+stream = dataset(
+    blocks, [torque(m, body=b) for m, b in zip(blocks, truths, strict=True)], noise=0.01
+)
 binding = bind(None, stream, splits=False)
 problem = Bench(binding).problem(InverseDynamics(), "fit", binding.free, binding.theta)
 courses = {}
 for label, window in (("window of three blocks", 3), ("all data, as in the paper", None)):
     method = fitters.RecursiveDE(generations=ARM_GENERATIONS)
-    steps = follow(method, stretches(problem, first=3, window=window), [problem.z(binding.theta)], jax.random.key(0))
+    steps = follow(
+        method,
+        stretches(problem, first=3, window=window),
+        [problem.z(binding.theta)],
+        jax.random.key(0),
+    )
     courses[label] = [problem.theta(s.z)[binding.layout.index("I2")] for s in steps]
 
 # %%
@@ -174,7 +199,15 @@ figure, ax = plt.subplots(figsize=(7, 3.2), layout="constrained")
 at = np.arange(3, len(blocks) + 1)
 for (label, found), color, mark in zip(courses.items(), ("#0072b2", "#d55e00"), "os", strict=True):
     ax.plot(at, found, mark + "-", color=color, label=label)
-ax.step(np.arange(1, len(blocks) + 1), [b["I2"] for b in truths], where="mid", color="k", ls="--", lw=1, label="truth")
+ax.step(
+    np.arange(1, len(blocks) + 1),
+    [b["I2"] for b in truths],
+    where="mid",
+    color="k",
+    ls="--",
+    lw=1,
+    label="truth",
+)
 ax.set(xlabel="block of data", ylabel="inertia I2 (kg m²)")
 _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
 

@@ -61,7 +61,10 @@ methods = {
     "PSO": fitters.ParticleSwarm(**size),
     "SHADE": fitters.Shade(**size),
 }
-runs = {k: [jaxid.fit(None, data, fitter=f, loss="sum_of_abs", seed=s) for s in range(TRACKER_SEEDS)] for k, f in methods.items()}
+runs = {
+    k: [jaxid.fit(None, data, fitter=f, loss="sum_of_abs", seed=s) for s in range(TRACKER_SEEDS)]
+    for k, f in methods.items()
+}
 gradient = jaxid.fit(None, data)
 samples = sum(2 * len(e) for e in data.split("fit"))
 for name, fits in runs.items():
@@ -69,7 +72,9 @@ for name, fits in runs.items():
     print(
         f"{name:6} F median {np.median(losses):8.4g}, {losses.min():.4g} to {losses.max():.4g} degrees; {fits[0].evaluations} evaluations"
     )
-print(f"lm     {gradient.evaluations} evaluations, {gradient.wall_time_s - gradient.compile_time_s:.2f} s")
+print(
+    f"lm     {gradient.evaluations} evaluations, {gradient.wall_time_s - gradient.compile_time_s:.2f} s"
+)
 
 # %%
 colors = {"GA": "#d55e00", "PSO": "#0072b2", "SHADE": "#009e73"}
@@ -79,7 +84,9 @@ for name, fits in runs.items():
     curves = np.rad2deg([np.interp(grid, *np.array(f.history).T) for f in fits])
     ax.fill_between(grid, curves.min(0), curves.max(0), color=colors[name], alpha=0.15, lw=0)
     ax.plot(grid, np.median(curves, 0), color=colors[name], label=name)
-ax.set(xscale="log", yscale="log", xlabel="evaluations of the loss", ylabel="F, best so far (degrees)")
+ax.set(
+    xscale="log", yscale="log", xlabel="evaluations of the loss", ylabel="F, best so far (degrees)"
+)
 _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
 
 # %%
@@ -87,7 +94,9 @@ F = {name: np.rad2deg([f.loss for f in fits]) for name, fits in runs.items()}
 print(
     f"mean F of PSO over that of GA: {F['PSO'].mean() / F['GA'].mean():.2f}; the paper has {paper.COST['PSO'] / paper.COST['GA']:.2f}"
 )
-print(f"evaluations: GA {runs['GA'][0].evaluations}, PSO {runs['PSO'][0].evaluations}, by gradient {gradient.evaluations}")
+print(
+    f"evaluations: GA {runs['GA'][0].evaluations}, PSO {runs['PSO'][0].evaluations}, by gradient {gradient.evaluations}"
+)
 
 # %% [markdown]
 # ## What the experiment can tell
@@ -146,14 +155,19 @@ def recorded(of, u: np.ndarray, t: np.ndarray, seed: int) -> np.ndarray:
 def with_runs(of) -> jaxid.Dataset:
     """The dataset above, its recordings made by another twin."""
     runs = [replace(e, y=recorded(of, e.u, e.t, k)) for k, e in enumerate(data.split("fit"))]
-    held = [runs[0].piece(0, 60, name="held", split="validation"), runs[1].piece(0, 60, name="report", split="report")]
+    held = [
+        runs[0].piece(0, 60, name="held", split="validation"),
+        runs[1].piece(0, 60, name="report", split="report"),
+    ]
     return replace(data, experiments=(*runs, *held))
 
 
 misled = jaxid.fit(None, with_runs(run_with_rotor))
 print(f"loss {misled.loss:.3f} (1 = down to the noise)")
 for name in TRACKER:
-    print(f"{name:8} {misled.parameters[name].value:.4f} ± {misled.parameters[name].std:.4f}   (truth {TRACKER[name]})")
+    print(
+        f"{name:8} {misled.parameters[name].value:.4f} ± {misled.parameters[name].std:.4f}   (truth {TRACKER[name]})"
+    )
 
 # %% [markdown]
 # In the paper's tests the barrel stays near the horizontal while the base turns, so only the sum of both inertias is seen. No residual can tell. A
@@ -186,4 +200,6 @@ print(
     f"- the paper's model: J_theta {100 * (gradient.parameters['J_theta'].value / TRACKER['J_theta'] - 1):+.1f} % off, by gradient"
 )
 print(f"- mean F of PSO over that of GA: {F['PSO'].mean() / F['GA'].mean():.2f} here")
-print(f"- with the rotor in its place: loss {misled.loss:.2f} (1: the noise), J_theta {100 * off:+.0f} % off")
+print(
+    f"- with the rotor in its place: loss {misled.loss:.2f} (1: the noise), J_theta {100 * off:+.0f} % off"
+)

@@ -55,7 +55,11 @@ def torque(motion: tuple[np.ndarray, ...], load: np.ndarray | None = None) -> np
     """By the paper's modified Denavit-Hartenberg table with the bodies that jaxid ships."""
     arm = UR10()
     with float64():
-        bodies, drives, table = np.array(arm.inertia()), np.array(arm.Ia), [np.array(x) for x in (arm.alpha, arm.a, arm.d)]
+        bodies, drives, table = (
+            np.array(arm.inertia()),
+            np.array(arm.Ia),
+            [np.array(x) for x in (arm.alpha, arm.a, arm.d)],
+        )
     if load is not None:
         bodies[-1] += load
     _, q, qd, qdd = motion
@@ -103,7 +107,9 @@ for e in empty.experiments:
 # %%
 loaded = jaxid.identify(None, recording(True, 1), friction=empty.law, reference=empty)
 m, std = loaded.payload.mass
-print(f"payload {m:.3f} ± {std:.3f} kg, truth {MASS}; by the paper's three rows {loaded.payload.published[9]:.3f} kg")
+print(
+    f"payload {m:.3f} ± {std:.3f} kg, truth {MASS}; by the paper's three rows {loaded.payload.published[9]:.3f} kg"
+)
 
 # %% [markdown]
 # ## The same experiment again and again
@@ -127,11 +133,19 @@ for label, color in (("white noise", 0.0), ("coloured noise", 0.97)):
 # %%
 figure, ax = plt.subplots(figsize=(7.5, 2.8), layout="constrained")
 for row, (label, found) in enumerate(masses.items()):
-    for shift, column, color, name in ((-0.12, 0, "#0072b2", "all 22 rows"), (0.12, 1, "#d55e00", "the paper's three rows")):
+    for shift, column, color, name in (
+        (-0.12, 0, "#0072b2", "all 22 rows"),
+        (0.12, 1, "#d55e00", "the paper's three rows"),
+    ):
         ax.plot(100 * (found[:, column] / MASS - 1), np.full(len(found), row + shift), "o", ms=5, alpha=0.6, color=color,
                 label=name if row == 0 else None)  # fmt: skip
 ax.axvspan(-0.04, 0.04, color="0.6", lw=0, label="the published 0.04 %")
-ax.set(yticks=range(len(masses)), yticklabels=list(masses), ylim=(1.5, -0.5), xlabel="error of the payload's mass (%)")
+ax.set(
+    yticks=range(len(masses)),
+    yticklabels=list(masses),
+    ylim=(1.5, -0.5),
+    xlabel="error of the payload's mass (%)",
+)
 _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
 
 # %% [markdown]

@@ -6,5 +6,7 @@ from pathlib import Path
 from jaxid.runtime import prepare
 
 
-os.environ.setdefault("JAXID_CACHE_DIR", str(Path(__file__).resolve().parents[1] / ".pytest_cache" / "programs"))
+os.environ.setdefault(
+    "JAXID_CACHE_DIR", str(Path(__file__).resolve().parents[1] / ".pytest_cache" / "programs")
+)
 prepare()  # before anything imports JAX

@@ -30,8 +30,18 @@ class Emulator:
     def __init__(self, folder: Path, *arguments: str):
         self.log_file = folder / f"emulator_{next(_NUMBER)}.jsonl"
         self.log_file.touch()
-        command = [sys.executable, "-m", "jaxid.cli", "emulate", *arguments, "--log", str(self.log_file)]
-        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        command = [
+            sys.executable,
+            "-m",
+            "jaxid.cli",
+            "emulate",
+            *arguments,
+            "--log",
+            str(self.log_file),
+        ]
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         assert self.process.stdout is not None
         self.address = self.process.stdout.readline().strip()
         assert self.address, "the emulator did not start"
@@ -58,7 +68,11 @@ class Emulator:
         return typed
 
     def log(self, *what: str, since: float = 0.0) -> list[dict]:
-        entries = [json.loads(line) for line in self.log_file.read_text().splitlines() if line.endswith("}")]
+        entries = [
+            json.loads(line)
+            for line in self.log_file.read_text().splitlines()
+            if line.endswith("}")
+        ]
         return [e for e in entries if e["at"] >= since and (not what or e["what"] in what)]
 
     def wait_for(self, condition: Callable[[list[dict]], bool], seconds: float = 20.0) -> None:
@@ -97,7 +111,9 @@ def signed(data: list[int]) -> int:
     return int.from_bytes(bytes(data), "little", signed=True)
 
 
-def hand_over(driver: Driver, rows: np.ndarray | Sequence[Sequence[float]], seconds: float = 10.0) -> int:
+def hand_over(
+    driver: Driver, rows: np.ndarray | Sequence[Sequence[float]], seconds: float = 10.0
+) -> int:
     """Gives a driver the table of a path; returns in how many pieces."""
     path = Sender(np.array(rows, float), driver.send)
     until, pieces, others = time.monotonic() + seconds, 0, []

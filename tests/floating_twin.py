@@ -49,7 +49,11 @@ def angles_of(quaternion: np.ndarray) -> np.ndarray:
 
 
 def motion(
-    t: np.ndarray, torque: np.ndarray, start: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], inside: int = 4, **file: Any
+    t: np.ndarray,
+    torque: np.ndarray,
+    start: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    inside: int = 4,
+    **file: Any,
 ) -> np.ndarray:
     """Joints and unwrapped angles [time 7] under torque [time 4] that is held from sample to sample; `inside` steps each."""
     model = mujoco.MjModel.from_xml_string(text(step=float(t[1] - t[0]) / inside, **file))
@@ -73,7 +77,13 @@ def torques(t: np.ndarray, seed: int, size: float = 0.3) -> np.ndarray:
 
 
 def recording(
-    torque: list[np.ndarray], runs: list[np.ndarray], t: np.ndarray, noise: float, seed: int = 0, numbers: Any = None, **file: Any
+    torque: list[np.ndarray],
+    runs: list[np.ndarray],
+    t: np.ndarray,
+    noise: float,
+    seed: int = 0,
+    numbers: Any = None,
+    **file: Any,
 ) -> Dataset:
     """A dataset of runs with angle noise `noise` (rad, m)."""
     rng = np.random.default_rng(seed)
@@ -85,7 +95,9 @@ def recording(
         {n: [y[:, k] for y in read] for k, n in enumerate(names)},
         noise_std=dict.fromkeys(names, max(noise, 1e-9)),
         split="fit",
-        units=dict.fromkeys(names, "rad") | dict.fromkeys([f"{j}_tau" for j in JOINTS], "N m") | {"s1_tau": "N", "s1": "m"},
+        units=dict.fromkeys(names, "rad")
+        | dict.fromkeys([f"{j}_tau" for j in JOINTS], "N m")
+        | {"s1_tau": "N", "s1": "m"},
     )
     spec = ModelSpec(
         "robot", geometry=Geometry(file="craft.xml", robot=text(**file)), base={"kind": "free"},
@@ -119,8 +131,14 @@ def holding(target: Target, mass: float = 1.1, **file: Any) -> str:
     for k, d in ((mass, own - c), (target.mass, com - c)):
         I = I + k * (d @ d * np.eye(3) - np.outer(d, d))
     full = " ".join(repr(float(v)) for v in (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]))
-    there = f'<inertial pos="{c[0]!r} {c[1]!r} {c[2]!r}" mass="{m!r}" fullinertia="{full}"/>'.replace("np.float64", "")
-    return text(mass=mass, **file).replace(HAND.format(mass=mass), there.replace("(", "").replace(")", ""))
+    there = (
+        f'<inertial pos="{c[0]!r} {c[1]!r} {c[2]!r}" mass="{m!r}" fullinertia="{full}"/>'.replace(
+            "np.float64", ""
+        )
+    )
+    return text(mass=mass, **file).replace(
+        HAND.format(mass=mass), there.replace("(", "").replace(")", "")
+    )
 
 
 def capture(
@@ -184,7 +202,12 @@ def catch(seed: int, seconds: float = 20.0, caught: bool = True) -> Catch:
             tuple(rng.normal(size=3) * 0.05), tuple(rng.normal(size=3) * 0.15),
         )  # fmt: skip
         at = int(rng.integers(500, 801))
-        start = (np.array([0.2, -0.3, 0.5]), np.array([0.1, 0.4, 0.0, 0.05]), rng.normal(size=3) * 0.02, np.zeros(4))
+        start = (
+            np.array([0.2, -0.3, 0.5]),
+            np.array([0.1, 0.4, 0.0, 0.05]),
+            rng.normal(size=3) * 0.02,
+            np.zeros(4),
+        )
         torque = torques(t, 100 * seed + k, 0.3)
         y = capture(t, torque, start, at if caught else len(t), target, damping=0.2)
         if np.abs(y[:, 5]).max() < 1.3:

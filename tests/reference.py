@@ -89,7 +89,11 @@ def spring_cart(mass: float = 2.0, stiffness: float = 40.0) -> Plant:
     return lambda q, v: (M, stiffness * q)
 
 
-PLANTS: dict[str, Callable[..., Plant]] = {"pendulum": pendulum, "joint": joint, "planar_arm": planar_arm}
+PLANTS: dict[str, Callable[..., Plant]] = {
+    "pendulum": pendulum,
+    "joint": joint,
+    "planar_arm": planar_arm,
+}
 
 
 # ---- drive and friction
@@ -131,8 +135,17 @@ class Truth:
 
     def smooth(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Torque against motion that is continuous in v."""
-        f = (self.viscous + self.back_emf) * v + self.viscous_asymmetry * abs(v) + self.drag * abs(v) * v + self.offset
-        f = f + self.ripple * np.sin(self.ripple_order * q) + self.ripple_cosine * np.cos(self.ripple_order * q)
+        f = (
+            (self.viscous + self.back_emf) * v
+            + self.viscous_asymmetry * abs(v)
+            + self.drag * abs(v) * v
+            + self.offset
+        )
+        f = (
+            f
+            + self.ripple * np.sin(self.ripple_order * q)
+            + self.ripple_cosine * np.cos(self.ripple_order * q)
+        )
         f = f + self.spring * q + self.thinning(v)
         if np.any(self.shared_viscous) or np.any(self.shared_dry):
             w = v[0] + v[1]
@@ -146,8 +159,16 @@ class Truth:
 
     def dry(self, q: np.ndarray, v: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Levels of dry friction (backwards, forwards)."""
-        level = self.coulomb + self.stribeck * np.exp(-((v / self.stribeck_speed) ** 2)) + self.load * abs(drive)
-        level = level + self.uneven * np.sin(self.uneven_order * q) + self.uneven_cosine * np.cos(self.uneven_order * q)
+        level = (
+            self.coulomb
+            + self.stribeck * np.exp(-((v / self.stribeck_speed) ** 2))
+            + self.load * abs(drive)
+        )
+        level = (
+            level
+            + self.uneven * np.sin(self.uneven_order * q)
+            + self.uneven_cosine * np.cos(self.uneven_order * q)
+        )
         return np.maximum(level - self.dry_asymmetry, 0), np.maximum(level + self.dry_asymmetry, 0)
 
     @property
@@ -173,7 +194,11 @@ EFFECTS: dict[str, dict[str, str]] = {
     "load_dependent_friction": {"mu": "load"},
     "power_law_friction": {"coefficient": "power", "exponent": "exponent"},
     "quadratic_drag": {"coefficient": "drag"},
-    "position_dependent_friction": {"sine": "uneven", "cosine": "uneven_cosine", "order": "uneven_order"},
+    "position_dependent_friction": {
+        "sine": "uneven",
+        "cosine": "uneven_cosine",
+        "order": "uneven_order",
+    },
     "coupled_friction": {"viscous": "shared_viscous", "dry": "shared_dry", "speed": "shared_speed"},
     "constant_torque": {"torque": "offset"},
     "spring_torque": {"stiffness": "spring"},
@@ -207,7 +232,11 @@ def drive(t: np.ndarray, u: np.ndarray, truth: Truth, hold: str = "zero") -> lis
         else:
             origin = t[k] + truth.delay
             base = u[k].astype(float)
-            slope = shares["linear"] * (u[min(k + 1, len(u) - 1)] - u[k]) / (t[min(k + 1, len(t) - 1)] - t[k])
+            slope = (
+                shares["linear"]
+                * (u[min(k + 1, len(u) - 1)] - u[k])
+                / (t[min(k + 1, len(t) - 1)] - t[k])
+            )
 
         command: Any = lambda x, base=base, slope=slope, origin=origin: base + slope * (x - origin)
         if np.any(truth.lag_s > 0):  # first order, exact for a constant command
@@ -222,7 +251,11 @@ def driven(u: np.ndarray, truth: Truth) -> np.ndarray:
     u = (1 + truth.scale) * u
     u = u - truth.droop * abs(u) * u
     u = np.minimum(np.maximum(u, -np.asarray(truth.limit)), truth.limit)
-    return np.where(u > truth.dead_zone, u - truth.dead_zone, np.where(u < -truth.dead_zone, u + truth.dead_zone, 0.0))
+    return np.where(
+        u > truth.dead_zone,
+        u - truth.dead_zone,
+        np.where(u < -truth.dead_zone, u + truth.dead_zone, 0.0),
+    )
 
 
 # ---- the simulator
@@ -301,13 +334,22 @@ def _breaks_away(plant, truth, piece, n, j, held):
 def _through(plant, truth, piece, q, v, mode, rtol, atol):
     n, t = len(q), piece.begin
     if not truth.is_dry:
-        free = lambda x, s: np.concatenate([s[n:], _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], np.ones(n))[0]])
-        s = solve_ivp(free, (t, piece.end), np.concatenate([q, v]), "DOP853", rtol=rtol, atol=atol).y[:, -1]
+        free = lambda x, s: np.concatenate(
+            [s[n:], _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], np.ones(n))[0]]
+        )
+        s = solve_ivp(
+            free, (t, piece.end), np.concatenate([q, v]), "DOP853", rtol=rtol, atol=atol
+        ).y[:, -1]
         return s[:n], s[n:], np.ones(n, int)
     longest = LONGEST_STEP
     for _ in range(200):
         mode = _settled(plant, truth, piece.torque(t), q, v, mode)
-        if not mode.any() and np.all(truth.other_hold == 0) and np.all(truth.lag_s == 0) and np.all(v == 0):
+        if (
+            not mode.any()
+            and np.all(truth.other_hold == 0)
+            and np.all(truth.lag_s == 0)
+            and np.all(v == 0)
+        ):
             return q, v, mode  # everything sticks under a constant torque
         held = mode.copy()
 
@@ -317,7 +359,9 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
 
         events = []
         for j in range(n):
-            event: Any = _stops(n + j, held[j]) if held[j] else _breaks_away(plant, truth, piece, n, j, held)
+            event: Any = (
+                _stops(n + j, held[j]) if held[j] else _breaks_away(plant, truth, piece, n, j, held)
+            )
             event.terminal, event.direction = True, -1
             events.append(event)
         until = piece.end if longest == LONGEST_STEP else min(piece.end, t + 20 * longest)
@@ -356,14 +400,18 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
 # ---- signals and recordings
 
 
-def multisine(t: np.ndarray, amplitudes: Any, seed: int = 0, periods: float = 1.0, lines: int = 6) -> np.ndarray:
+def multisine(
+    t: np.ndarray, amplitudes: Any, seed: int = 0, periods: float = 1.0, lines: int = 6
+) -> np.ndarray:
     """A command [time nu] of some sines with random phases, `periods` of the lowest in the record."""
     rng = np.random.default_rng(seed)
     u = np.zeros((len(t), len(amplitudes)))
     for j, amplitude in enumerate(amplitudes):
         for k in range(1, lines + 1):
             f = k * periods / (t[-1] - t[0]) * rng.uniform(0.7, 1.3)
-            u[:, j] += amplitude * np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(lines)
+            u[:, j] += (
+                amplitude * np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(lines)
+            )
     return u
 
 

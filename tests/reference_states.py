@@ -27,7 +27,11 @@ class Memory:
 
 def lugre(level, presliding, relaxation=0.0) -> Memory:
     rate = lambda z, q, v: (v - abs(v) * z[0]) / presliding
-    return Memory(1, lambda z, q, v: rate(z, q, v)[None], lambda z, r, q, v: level * (z[0] + relaxation * r[0]))
+    return Memory(
+        1,
+        lambda z, q, v: rate(z, q, v)[None],
+        lambda z, r, q, v: level * (z[0] + relaxation * r[0]),
+    )
 
 
 def hysteresis(level, width) -> Memory:
@@ -39,14 +43,18 @@ def hysteresis(level, width) -> Memory:
 
 
 def warm_friction(change, time) -> Memory:
-    return Memory(1, lambda z, q, v: ((v**2 - z[0]) / time)[None], lambda z, r, q, v: change * z[0] * v)
+    return Memory(
+        1, lambda z, q, v: ((v**2 - z[0]) / time)[None], lambda z, r, q, v: change * z[0] * v
+    )
 
 
 def swinging_mass(inertia, frequency, damping_ratio) -> Memory:
     """States: position and speed of the mass."""
     w = 2 * np.pi * np.asarray(frequency)
     pull = lambda z, q, v: w * w * (q - z[0]) + 2 * damping_ratio * w * (v - z[1])
-    return Memory(2, lambda z, q, v: np.stack([z[1], pull(z, q, v)]), lambda z, r, q, v: inertia * r[1])
+    return Memory(
+        2, lambda z, q, v: np.stack([z[1], pull(z, q, v)]), lambda z, r, q, v: inertia * r[1]
+    )
 
 
 @dataclass(frozen=True)
@@ -124,10 +132,23 @@ def simulate(
 
     count = 2 + sum(sizes) + (2 if coupling else 0) + (1 if lagging else 0)
     s = np.zeros(count * n)
-    found = {"q": np.zeros((len(at), n)), "y": np.zeros((len(at), n)), "qdd": np.zeros((len(at), 2, n))}
+    found = {
+        "q": np.zeros((len(at), n)),
+        "y": np.zeros((len(at), n)),
+        "qdd": np.zeros((len(at), 2, n)),
+    }
     for piece in drive(t, u, truth):
         f = lambda x, s, p=piece: rates(p.torque(x), s)
-        run = solve_ivp(f, (piece.begin, piece.end), s, "DOP853", rtol=1e-10, atol=1e-13, dense_output=True, max_step=longest)
+        run = solve_ivp(
+            f,
+            (piece.begin, piece.end),
+            s,
+            "DOP853",
+            rtol=1e-10,
+            atol=1e-13,
+            dense_output=True,
+            max_step=longest,
+        )
         for i in np.flatnonzero((at >= piece.begin - 1e-12) & (at <= piece.end + 1e-12)):
             x = min(max(at[i], piece.begin), piece.end)
             here = s if x == piece.begin else run.y[:, -1] if x == piece.end else run.sol(x)

@@ -6,7 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.diagnosis.result import ChannelGap, Diagnosis, Finding, HowFar, MissingForce, Ranked, Regime, Which
+from jaxid.diagnosis.result import (
+    ChannelGap,
+    Diagnosis,
+    Finding,
+    HowFar,
+    MissingForce,
+    Ranked,
+    Regime,
+    Which,
+)
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.simulation import Simulation
 
@@ -74,7 +83,9 @@ def sample_diagnosis(samples: int = 4000) -> Diagnosis:
     q = 0.6 * np.sin(1.9 * t) + 0.3 * np.sin(4.3 * t + 1.0)
     rest = 0.012 * rng.standard_normal(samples)
     before = 0.11 * np.tanh(qd / 0.05) + rest
-    coulomb = EffectEstimate("coulomb_friction", "q", {"level": Estimate(0.1123, 0.0016, "N m", 0.0, 3.0)})
+    coulomb = EffectEstimate(
+        "coulomb_friction", "q", {"level": Estimate(0.1123, 0.0016, "N m", 0.0, 3.0)}
+    )
     nominal = sample_fit(samples=samples)
     final = replace(nominal, effects=(coulomb,))
     others = (
@@ -109,8 +120,18 @@ def sample_diagnosis(samples: int = 4000) -> Diagnosis:
             (EffectEstimate("stribeck_friction", "q"),),
             (
                 Ranked("coulomb_friction", "q", 1.04, -5123.0, 41.2, "Takes the gap to the noise."),
-                Ranked("stribeck_friction", "q", 1.04, -5110.4, 41.1, "As good; the data hold no slow motion."),
-                *(Ranked(e, loc, gap, -4000.0 - 10 * i, evidence, s) for i, (e, loc, gap, evidence, s) in enumerate(others)),
+                Ranked(
+                    "stribeck_friction",
+                    "q",
+                    1.04,
+                    -5110.4,
+                    41.1,
+                    "As good; the data hold no slow motion.",
+                ),
+                *(
+                    Ranked(e, loc, gap, -4000.0 - 10 * i, evidence, s)
+                    for i, (e, loc, gap, evidence, s) in enumerate(others)
+                ),
             ),
         ),
         how_far=HowFar(
@@ -130,7 +151,20 @@ def sample_diagnosis(samples: int = 4000) -> Diagnosis:
         final=final,
         traces=sample_traces(samples, ("nominal model", "with coulomb_friction at q")),
         missing_force=(
-            MissingForce("q", "N m", "rad", "rad/s", "step_2", t, q, qd, 1.2 * np.sin(q), before, rest, np.full_like(t, 0.012)),
+            MissingForce(
+                "q",
+                "N m",
+                "rad",
+                "rad/s",
+                "step_2",
+                t,
+                q,
+                qd,
+                1.2 * np.sin(q),
+                before,
+                rest,
+                np.full_like(t, 0.012),
+            ),
         ),
         regimes=(
             Regime("q", "velocity_reversal", 2.4, (0.8, 1.2), 410),
@@ -144,16 +178,27 @@ def sample_diagnosis(samples: int = 4000) -> Diagnosis:
 
 def sample_simulation() -> Simulation:
     t = np.linspace(0.0, 1.0, 11)
-    return Simulation("pendulum", ({"t": t, "q": np.sin(t)}, {"t": t, "q": np.cos(t)}), ({"q": 1e-3}, {"q": 2e-3}), {"q": "rad"})
+    return Simulation(
+        "pendulum",
+        ({"t": t, "q": np.sin(t)}, {"t": t, "q": np.cos(t)}),
+        ({"q": 1e-3}, {"q": 2e-3}),
+        {"q": "rad"},
+    )
 
 
 def hostile(diagnosis: Diagnosis) -> Diagnosis:
     """The same diagnosis with names that attack a page, a terminal, math text and a spreadsheet."""
     bad = "<script>alert(1)</script>$\\frac{1$\x1b[31m=cmd()\u202e"
     effect = EffectEstimate(bad, bad, {bad: Estimate(1.0, 0.1, bad, 0.0, 2.0)})
-    how_far = replace(diagnosis.how_far, per_channel={bad: ChannelGap(bad, 1.0, 1.0, 1.0, 1.0, bad)}, text=bad)
+    how_far = replace(
+        diagnosis.how_far, per_channel={bad: ChannelGap(bad, 1.0, 1.0, 1.0, 1.0, bad)}, text=bad
+    )
     nominal = replace(
-        diagnosis.nominal, model=bad, dataset=bad, notes=(bad,), parameters={bad: Estimate(1.0, 0.1, bad, 0.0, 2.0)}
+        diagnosis.nominal,
+        model=bad,
+        dataset=bad,
+        notes=(bad,),
+        parameters={bad: Estimate(1.0, 0.1, bad, 0.0, 2.0)},
     )
     return replace(
         diagnosis,
@@ -165,8 +210,13 @@ def hostile(diagnosis: Diagnosis) -> Diagnosis:
         next_experiment=bad,
         nominal=nominal,
         final=nominal,
-        traces=tuple(replace(x, experiment=bad, channel=bad, unit=bad, simulated={bad: x.measured}) for x in diagnosis.traces),
-        missing_force=tuple(replace(m, joint=bad, unit=bad, experiment=bad) for m in diagnosis.missing_force),
+        traces=tuple(
+            replace(x, experiment=bad, channel=bad, unit=bad, simulated={bad: x.measured})
+            for x in diagnosis.traces
+        ),
+        missing_force=tuple(
+            replace(m, joint=bad, unit=bad, experiment=bad) for m in diagnosis.missing_force
+        ),
         regimes=tuple(replace(r, joint=bad, regime=bad) for r in diagnosis.regimes),
         notes=(bad,),
     )

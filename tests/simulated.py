@@ -38,11 +38,21 @@ class Simulator:
         run = Experiment("run", "fit", t, u, np.zeros((len(t), len(signature.outputs))))
         dataset = Dataset("data", tuple(channels), (run,))
         self.layout = Layout(chain)
-        buffers, (self.positions,) = samples.build(dataset, [run], chain, np.ones(len(signature.outputs)), step, size=size)
+        buffers, (self.positions,) = samples.build(
+            dataset, [run], chain, np.ones(len(signature.outputs)), step, size=size
+        )
         nq, count = chain.nq, samples.step_count(run, step)
         still, known = np.zeros(nq), np.zeros(2 * nq, bool)
         record = Record(0, 0, count, 0, count - 1, 0, still, still, known, self.positions)
-        self.engine = Engine(self.layout, buffers, [record], np.full((1, len(self.layout)), np.nan), simulate_lane, size, whole)
+        self.engine = Engine(
+            self.layout,
+            buffers,
+            [record],
+            np.full((1, len(self.layout)), np.nan),
+            simulate_lane,
+            size,
+            whole,
+        )
 
     def theta(self, values: Mapping[str, float]) -> np.ndarray:
         """All numbers of the chain: its own start values, and these."""
@@ -51,19 +61,31 @@ class Simulator:
             out[self.layout.index(name)] = value
         return out
 
-    def outputs(self, values: Sequence[Mapping[str, float]] | np.ndarray, start: Sequence[float] | None = None) -> np.ndarray:
+    def outputs(
+        self,
+        values: Sequence[Mapping[str, float]] | np.ndarray,
+        start: Sequence[float] | None = None,
+    ) -> np.ndarray:
         """Outputs [sets time ny] of several parameter sets; `start` (q, qd)."""
-        theta = values if isinstance(values, np.ndarray) else np.array([self.theta(v) for v in values])
+        theta = (
+            values if isinstance(values, np.ndarray) else np.array([self.theta(v) for v in values])
+        )
         x = np.zeros(2 * self.layout.chain.nq) if start is None else np.asarray(start, float)
         y = self.engine.outputs(theta, np.tile(x, (len(theta), 1)), np.zeros(len(theta), int))
         return y[:, self.positions]
 
-    def tangents(self, theta: np.ndarray, start: Sequence[float] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def tangents(
+        self, theta: np.ndarray, start: Sequence[float] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Outputs [time ny] at one parameter set and their derivatives [size time ny] by each of its numbers."""
         size, nx = len(theta), 2 * self.layout.chain.nq
         x = np.zeros(nx) if start is None else np.asarray(start, float)
         y, dy = self.engine.tangents(
-            np.tile(theta, (size, 1)), np.tile(x, (size, 1)), np.eye(size), np.zeros((size, nx)), np.zeros(size, int)
+            np.tile(theta, (size, 1)),
+            np.tile(x, (size, 1)),
+            np.eye(size),
+            np.zeros((size, nx)),
+            np.zeros(size, int),
         )
         return y[0][self.positions], dy[:, self.positions]
 
@@ -73,7 +95,15 @@ def flow(field: Callable[[Any], Any], x0: Any, seconds: float) -> Any:
     tight = diffrax.PIDController(rtol=1e-11, atol=1e-13)
     term, forward = diffrax.ODETerm(lambda t, x, args: field(x)), diffrax.ForwardMode()
     found = diffrax.diffeqsolve(
-        term, diffrax.Dopri8(), 0.0, seconds, 1e-4, x0, stepsize_controller=tight, max_steps=10**6, adjoint=forward
+        term,
+        diffrax.Dopri8(),
+        0.0,
+        seconds,
+        1e-4,
+        x0,
+        stepsize_controller=tight,
+        max_steps=10**6,
+        adjoint=forward,
     )
     return jax.tree.map(lambda x: x[-1], found.ys)
 
@@ -87,12 +117,18 @@ def relative(a: np.ndarray, b: np.ndarray) -> float:
 REFERENCE = Reference(torque=1.0, speed=3.0, angle=1.0, duration=1.0, step=0.01)
 
 
-def within_bounds(layout: Layout, references: list[Reference], rng: np.random.Generator, power: int = 1) -> np.ndarray:
+def within_bounds(
+    layout: Layout, references: list[Reference], rng: np.random.Generator, power: int = 1
+) -> np.ndarray:
     """A random draw of all numbers but the known constants; `power` > 1 prefers the lower end."""
     lower, upper, _ = layout.boxes(references)
     theta = layout.values.copy()
     for i, e in enumerate(layout.entries):
         x = rng.uniform() ** power
         if not e.spec.fixed:
-            theta[i] = lower[i] * (upper[i] / lower[i]) ** x if e.spec.log else lower[i] + x * (upper[i] - lower[i])
+            theta[i] = (
+                lower[i] * (upper[i] / lower[i]) ** x
+                if e.spec.log
+                else lower[i] + x * (upper[i] - lower[i])
+            )
     return theta

@@ -43,7 +43,9 @@ def solve(arguments: list[str]) -> None:
     parser.add_argument("--sleep", type=float, default=0.0)
     for name in ("poison", "hang", "fail", "raise"):
         parser.add_argument(f"--{name}", type=int, default=-1, help="seed of the task that does so")
-    parser.add_argument("--together", action="store_true", help="begin whole batches, as fits of many seeds do")
+    parser.add_argument(
+        "--together", action="store_true", help="begin whole batches, as fits of many seeds do"
+    )
     parser.add_argument("--broken", action="store_true", help="do not even start")
     o = parser.parse_args(arguments)
     if o.broken:
@@ -88,7 +90,11 @@ def run(arguments: list[str]) -> int:
     except UsageError as error:
         print(error, file=sys.stderr)
         return 2
-    print(json.dumps(result.status.to_dict() | {"new": result.new, "cpu_s": time.process_time() - began}))
+    print(
+        json.dumps(
+            result.status.to_dict() | {"new": result.new, "cpu_s": time.process_time() - began}
+        )
+    )
     return 130 if result.interrupted else 1 if result.status.failed else 0
 
 

@@ -26,7 +26,11 @@ EFFECTS = {
     "spring": at(1, lambda q, v, r: 1.5 * q),
     "wrist": wrist,
 }
-ARMS = {"three": lambda: SerialArm(THREE), "six": UR10e, "seven": lambda: SerialArm(table_of(Panda()))}
+ARMS = {
+    "three": lambda: SerialArm(THREE),
+    "six": UR10e,
+    "seven": lambda: SerialArm(table_of(Panda())),
+}
 
 
 @cache
@@ -40,7 +44,11 @@ def sound(name: str, effect: str = "") -> jaxid.Dataset:
 
 
 def findings(name: str, effect: str, fault: Mending) -> list[Any]:
-    return list(checking.run_check(arm(name), mended(sound(name, effect), fault), gap=left_by_short_fit).findings)
+    return list(
+        checking.run_check(
+            arm(name), mended(sound(name, effect), fault), gap=left_by_short_fit
+        ).findings
+    )
 
 
 def scaled(channel: str, factor: float) -> Mending:
@@ -51,14 +59,24 @@ def scaled(channel: str, factor: float) -> Mending:
 @pytest.mark.parametrize(
     ("name", "kind", "channel", "fault", "line"),
     [
-        pytest.param("seven", "sign", "tau2", scaled("tau2", -1.0), "scale = -1", marks=pytest.mark.slow),
+        pytest.param(
+            "seven", "sign", "tau2", scaled("tau2", -1.0), "scale = -1", marks=pytest.mark.slow
+        ),
         ("seven", "sign", "q3", scaled("q3", -1.0), "scale = -1"),
         ("seven", "zero", "q4", Mending({"q4": {"offset": 1.5708}}), "offset = -1.5708"),
-        pytest.param("seven", "scale", "q2", scaled("q2", 180 / pi), 'unit = "deg"', marks=pytest.mark.slow),
+        pytest.param(
+            "seven", "scale", "q2", scaled("q2", 180 / pi), 'unit = "deg"', marks=pytest.mark.slow
+        ),
         ("seven", "scale", "tau3", scaled("tau3", 1000.0), 'unit = "mN m"'),
         ("three", "sign", "tau1", scaled("tau1", -1.0), "scale = -1"),
         ("three", "scale", "q1", scaled("q1", 180 / pi), 'unit = "deg"'),
-        ("three", "swapped_channels", "tau2", Mending(exchanged=(("tau2", "tau3"),)), 'column = "tau3"  # of tau2'),
+        (
+            "three",
+            "swapped_channels",
+            "tau2",
+            Mending(exchanged=(("tau2", "tau3"),)),
+            'column = "tau3"  # of tau2',
+        ),
     ],
 )
 def test_a_broken_channel_of_an_arm_is_found(name, kind, channel, fault, line, effect):

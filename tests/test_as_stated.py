@@ -61,14 +61,20 @@ def test_what_mujoco_makes_of_a_file_is_known_whatever_the_file_lacks(tmp_path):
     stepped = by_its_steps(bench, LedStudy(b, []), plain)
     assert stepped is not None
     h = 1e-3
-    for k, joint in enumerate(("j1", "j2")):  # what implicit steps add to inertias, which are the armature here
+    for k, joint in enumerate(
+        ("j1", "j2")
+    ):  # what implicit steps add to inertias, which are the armature here
         more = stepped.theta[b.layout.index(f"armature@{joint}")] - ARM.armature[k]
         assert more == pytest.approx(h / 2 * (ARM.damping[k] + ARM.kv[k]), rel=0.2)
     wide = bind(written(tmp_path), data, effects=["payload@j2"])
     theta = wide.theta.copy()
     for name, value in zip(b.layout.names, stepped.theta, strict=True):
         theta[wide.layout.index(name)] = value
-    true = {"mass": load[0], "dx": load[1][0] - 0.1, "dz": load[1][2]}  # beyond its own centre of mass
+    true = {
+        "mass": load[0],
+        "dx": load[1][0] - 0.1,
+        "dz": load[1][2],
+    }  # beyond its own centre of mass
     for field, value in true.items():
         theta[wide.layout.index(f"payload.{field}@j2")] = value
     off = stepped.off(Bench(wide, step, differences=1, together=True))
@@ -90,7 +96,9 @@ def test_the_first_moments_of_a_held_out_run_are_at_the_noise_for_what_recorded_
     stepped = by_its_steps(bench, LedStudy(b, []), plain)
     assert stepped is not None
     splits = stepped.by_split.items()
-    only_after = {split: replace(d, before=[np.zeros_like(x) for x in d.before]) for split, d in splits}
+    only_after = {
+        split: replace(d, before=[np.zeros_like(x) for x in d.before]) for split, d in splits
+    }
 
     def left(found: Difference) -> float:
         off = found.off(Bench(b, step, differences=1, together=True))
@@ -112,20 +120,30 @@ CHANGES = {
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(k, marks=[] if k in ("encoder", "nothing") else pytest.mark.slow) for k in CHANGES]
+    "kind",
+    [
+        pytest.param(k, marks=[] if k in ("encoder", "nothing") else pytest.mark.slow)
+        for k in CHANGES
+    ],
 )
 def test_the_one_thing_that_is_different_is_named_with_all_else_as_it_stands(kind, tmp_path):
     beside, more, lacking = CHANGES[kind]
     c = case(10.0, beside, **more)
     found = jaxid.diagnose(written(tmp_path), dataset(c))
-    told = {(r.parameter, r.joint) for r in found.nominal.stated if r.deviation and abs(r.deviation) > 3}
+    told = {
+        (r.parameter, r.joint) for r in found.nominal.stated if r.deviation and abs(r.deviation) > 3
+    }
     if lacking is None:
         assert found.which.verdict == "none" and not found.which.effects
         assert told == ({("armature", "j2")} if kind == "armature" else set())
         assert ("armature@j2" in found.which.text) == (kind == "armature")
         return
     (effect,) = found.which.effects
-    assert (found.which.verdict, effect.effect, effect.location.split("_")[0]) == ("named", lacking[0], "j2")
+    assert (found.which.verdict, effect.effect, effect.location.split("_")[0]) == (
+        "named",
+        lacking[0],
+        "j2",
+    )
     for name, value in lacking[1].items():
         e = effect.parameters[name]
         assert e.std is not None and abs(e.value - value) < max(3 * e.std, 0.01 * abs(value)), name
@@ -138,7 +156,9 @@ def test_a_load_on_the_axis_of_a_joint_is_as_well_one_of_the_link_before_it(tmp_
     arm = replace(ARM, axes=["0 1 0", "1 0 0"])
     rng = np.random.default_rng(7)
     u = goals(2, 10.0, rng)
-    q = recorded(replace(arm, more={"payload": {1: (0.2, np.array([0.08, 0.0, 0.0]))}}), "", 1, {}, u, rng)
+    q = recorded(
+        replace(arm, more={"payload": {1: (0.2, np.array([0.08, 0.0, 0.0]))}}), "", 1, {}, u, rng
+    )
     path = tmp_path / "arm.xml"
     path.write_text(arm.xml())
     found = jaxid.diagnose(str(path), dataset({"arm": arm, "u": u, "q": q})).which

@@ -8,7 +8,13 @@ from hypothesis import given, settings, strategies as st
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from jaxid.fitting.noise_model import Autoregression, autoregressions, Part, score_covariance, student
+from jaxid.fitting.noise_model import (
+    Autoregression,
+    autoregressions,
+    Part,
+    score_covariance,
+    student,
+)
 
 
 @settings(max_examples=30, deadline=None)
@@ -27,14 +33,20 @@ def test_autocovariance_is_that_of_the_spectrum(radius, angle, real, size):
 
 def regressors(n: int, rng: np.random.Generator) -> np.ndarray:
     t = 0.01 * np.arange(n)
-    return np.stack([np.ones(n)] + [np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for f in (0.4, 0.9, 1.7)], 1)[:, None]
+    return np.stack(
+        [np.ones(n)] + [np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for f in (0.4, 0.9, 1.7)], 1
+    )[:, None]
 
 
 def test_score_covariance_is_that_of_the_dense_matrices():
     rng = np.random.default_rng(1)
     noise = [Autoregression(np.array([0.9]), 0.3), Autoregression(np.array([1.2, -0.4]), 2.0)]
     parts = [Part(rng.normal(size=(n, 2)), rng.normal(size=(n, 2, 3))) for n in (40, 17)]
-    dense = sum(p.J[:, c].T @ toeplitz(noise[c].covariance(len(p.r))) @ p.J[:, c] for p in parts for c in range(2))
+    dense = sum(
+        p.J[:, c].T @ toeplitz(noise[c].covariance(len(p.r))) @ p.J[:, c]
+        for p in parts
+        for c in range(2)
+    )
     assert np.allclose(score_covariance(parts, noise), dense)
 
 
@@ -54,7 +66,11 @@ def test_intervals_of_linear_fits_hold_the_truth(colour):
     for _ in range(120):
         J = [regressors(n, rng) for n in (201, 160)]
         inverse = np.linalg.inv(sum(j[:, 0].T @ j[:, 0] for j in J))
-        e = [lfilter([1.0], [1.0, *-ar], rng.normal(size=len(j) + 500))[500:] + white * rng.normal(size=len(j)) for j in J]
+        e = [
+            lfilter([1.0], [1.0, *-ar], rng.normal(size=len(j) + 500))[500:]
+            + white * rng.normal(size=len(j))
+            for j in J
+        ]
         theta = inverse @ sum(j[:, 0].T @ x for j, x in zip(J, e, strict=True))
         parts = [Part((x - j[:, 0] @ theta)[:, None], j) for j, x in zip(J, e, strict=True)]
         noise = autoregressions(parts, inverse)

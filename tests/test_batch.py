@@ -67,7 +67,9 @@ def write_study(folder: Path, *lines: str, name: str = "study", store: str = "ou
     runs = lines or ("seeds = 4",)
     path = folder / "study.toml"
     body = "\n".join(runs)
-    path.write_text(f"name = {quoted(name)}\nstore = {quoted(store)}\n[[runs]]\ncommand = 'fit'\ndatasets = ['small']\n{body}\n")
+    path.write_text(
+        f"name = {quoted(name)}\nstore = {quoted(store)}\n[[runs]]\ncommand = 'fit'\ndatasets = ['small']\n{body}\n"
+    )
     return path
 
 
@@ -80,7 +82,9 @@ def home(tmp_path):
 def start(study: Path, *solver: str, workers: int = 2, **more) -> subprocess.Popen[str]:
     """A process that coordinates solvers which only calculate."""
     command = [sys.executable, FLEET, "run", str(study), "--workers", str(workers), "--", *solver]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more
+    )
     STARTED.append(process)
     return process
 
@@ -120,18 +124,25 @@ def acknowledged(study: Path) -> set[str]:
 
 def test_product_in_order_and_keys(home):
     write_dataset(home / "other", "other", 150)
-    study = write_study(home, "effects = [[], ['dead_zone']]", "fitters = ['lm', 'de']", "seeds = 3")
+    study = write_study(
+        home, "effects = [[], ['dead_zone']]", "fitters = ['lm', 'de']", "seeds = 3"
+    )
     study.write_text(study.read_text().replace("['small']", "['small', 'other']"))
     tasks = list(read_study(study).tasks.values())
     assert len(tasks) == 2 * 2 * 2 * 3
-    assert [t.seed for t in tasks[:4]] == [0, 1, 2, 0] and {t.label for t in tasks} == {"small", "other"}
+    assert [t.seed for t in tasks[:4]] == [0, 1, 2, 0] and {t.label for t in tasks} == {
+        "small",
+        "other",
+    }
     assert all(t.system == "joint" for t in tasks)
     for t in tasks:
         assert t.dataset_sha256 == jaxid.load_dataset(t.dataset).sha256
     before = set(read_study(study).tasks)
     with open(home / "other" / "run.csv", "a") as file:
         file.write("1.51,0.1,0.2\n")
-    assert len(before & set(read_study(study).tasks)) == 12  # only what depends on the changed recording is new
+    assert (
+        len(before & set(read_study(study).tasks)) == 12
+    )  # only what depends on the changed recording is new
     study.write_text(study.read_text().replace("seeds = 3", "seeds = [7, 1, 2, 0]"))
     assert len(before & set(read_study(study).tasks)) == 12  # of `small`: the seeds 0 to 2
     study.write_text(study.read_text().replace("['lm', 'de']", "['lm', 'de']\nbudget = 50"))
@@ -148,7 +159,8 @@ def test_every_mistake_at_once_with_the_nearest_name(home):
         "residual = 'output_error'",
     )
     study.write_text(
-        study.read_text().replace("['small']", "['small', 'smal']") + "[[runs]]\ncommand = 'diagnos'\ndatasets = []\n"
+        study.read_text().replace("['small']", "['small', 'smal']")
+        + "[[runs]]\ncommand = 'diagnos'\ndatasets = []\n"
     )
     with pytest.raises(StudyError) as refused:
         from jaxid.study import check_study
@@ -188,13 +200,30 @@ def test_fits_equal_those_of_the_function(home, capsys, monkeypatch):
     found = json.loads(capsys.readouterr().out)
     assert found["done"] == 3 and found["new"] == 3 and found["fitters"][0]["fitter"] == "lm"
     data = jaxid.load_dataset(home / "small")
-    names = ["dataset", "model", "effects", "fitter", "seed", "status", "loss", "evaluations", "wall_time_s", "compile_time_s"]
+    names = [
+        "dataset",
+        "model",
+        "effects",
+        "fitter",
+        "seed",
+        "status",
+        "loss",
+        "evaluations",
+        "wall_time_s",
+        "compile_time_s",
+    ]
     rows = pyarrow.parquet.read_table(home / "out" / "runs.parquet")
     assert rows.column_names == [*names, "inertia", "viscous", "coulomb", "offset"]
     for row in rows.to_pylist():
         fit = jaxid.fit("joint", data, seed=row["seed"])
-        assert row["loss"] == fit.loss and row["evaluations"] == fit.evaluations and row["status"] == "converged"
-        assert {n: row[n] for n in fit.parameters} == {n: p.value for n, p in fit.parameters.items()}
+        assert (
+            row["loss"] == fit.loss
+            and row["evaluations"] == fit.evaluations
+            and row["status"] == "converged"
+        )
+        assert {n: row[n] for n in fit.parameters} == {
+            n: p.value for n, p in fit.parameters.items()
+        }
     study.write_text(study.read_text().replace("seeds = 3", "seeds = 4"))
     assert cli.main(["batch", str(study), "--status", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"total": 4, "done": 3, "failed": 0, "running": 0}
@@ -220,7 +249,9 @@ def test_ten_kills(home):
         until = time.monotonic() + rng.uniform(0.6, 2.0)
         while time.monotonic() < until and process.poll() is None:
             time.sleep(0.02)
-        children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+        children = (
+            psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+        )
         process.kill()
         process.communicate()
         kills += 1
@@ -231,11 +262,18 @@ def test_ten_kills(home):
         assert not any(c.is_running() for c in children)  # no solver is left behind
     code, status, err = fleet(study)
     assert code == 0 and status["done"] == 60 and status["new"] == 60 - len(known), err
-    assert [row["loss"] for row in table(home / "out")] == [1 + number(k) for k in read_study(study).tasks]
-    assert [r["loss"] for r in table(home / "out")] == [r["loss"] for r in uninterrupted(home, study)]
+    assert [row["loss"] for row in table(home / "out")] == [
+        1 + number(k) for k in read_study(study).tasks
+    ]
+    assert [r["loss"] for r in table(home / "out")] == [
+        r["loss"] for r in uninterrupted(home, study)
+    ]
     assert not list((home / "out").rglob("*.partial"))
     with sqlite3.connect(home / "out" / "study.sqlite") as db:
-        assert db.execute("SELECT count(*), count(DISTINCT key) FROM results").fetchone() == (60, 60)
+        assert db.execute("SELECT count(*), count(DISTINCT key) FROM results").fetchone() == (
+            60,
+            60,
+        )
 
 
 def uninterrupted(home: Path, study: Path) -> list[dict]:
@@ -250,7 +288,9 @@ def uninterrupted(home: Path, study: Path) -> list[dict]:
 def test_poison_and_random_deaths(home, together):
     """One task kills its process each time, and processes are killed at random: all others have a result."""
     study = write_study(home, "seeds = 100")
-    process = start(study, "--sleep", "0.01", "--poison", "37", *(["--together"] if together else []))
+    process = start(
+        study, "--sleep", "0.01", "--poison", "37", *(["--together"] if together else [])
+    )
     rng, killed, done = random.Random(2), 0, 0
     while process.poll() is None and killed < 5:
         time.sleep(rng.uniform(0.1, 0.4))
@@ -268,13 +308,23 @@ def test_poison_and_random_deaths(home, together):
     assert all(o.status == "crashed" and "2 times" in o.reason for o in failed.values())
     others = len(failed) - 1
     assert 37 in failed and others <= killed // 2
-    assert (status["done"], status["failed"], process.returncode) == (99 - others, 1 + others, 1), err
+    assert (status["done"], status["failed"], process.returncode) == (99 - others, 1 + others, 1), (
+        err
+    )
     code, status, _ = fleet(study)  # a crash is a result too
     assert code == 1 and status["new"] == 0
-    poison = run_study(study, workers=2, retry=True, solver=(*SOLVE, "--poison", "37"), check=False)  # and nobody kills
+    poison = run_study(
+        study, workers=2, retry=True, solver=(*SOLVE, "--poison", "37"), check=False
+    )  # and nobody kills
     assert poison.new == 1 + others and poison.status.failed == 1
-    crashed = study_status(study)[1][next(t.key for t in read_study(study).tasks.values() if t.seed == 37)]
-    assert crashed.status == "crashed" and "SIGABRT, 2 times" in crashed.reason and "about to die of seed 37" in crashed.log
+    crashed = study_status(study)[1][
+        next(t.key for t in read_study(study).tasks.values() if t.seed == 37)
+    ]
+    assert (
+        crashed.status == "crashed"
+        and "SIGABRT, 2 times" in crashed.reason
+        and "about to die of seed 37" in crashed.log
+    )
     result = run_study(study, workers=1, retry=True, solver=SOLVE, check=False)
     assert result.new == 1 and result.status.failed == 0
 
@@ -287,7 +337,11 @@ def test_time_limit_failures_and_exceptions(home):
         by_seed = {t.seed: study_status(study)[1][k] for k, t in read_study(study).tasks.items()}
         assert by_seed[3].status == "timeout" and "3 s" in by_seed[3].reason
         assert by_seed[5].status == "failed" and by_seed[5].reason == "it diverges"
-        assert by_seed[7].status == "failed" and "a solver's mistake" in by_seed[7].reason and "RuntimeError" in by_seed[7].log
+        assert (
+            by_seed[7].status == "failed"
+            and "a solver's mistake" in by_seed[7].reason
+            and "RuntimeError" in by_seed[7].log
+        )
         study.write_text(study.read_text().replace('"out"', '"out2"'))
     page = (home / "out" / "report.html").read_text()
     assert "it diverges" in page and "took more than 3 s" in page
@@ -295,18 +349,30 @@ def test_time_limit_failures_and_exceptions(home):
 
 def test_a_solver_that_never_starts_ends_the_study(home):
     study = write_study(home, "seeds = 20")
-    with pytest.raises(RuntimeError, match="no solver can be started: its process ended with code 3\nno module named jax"):
+    with pytest.raises(
+        RuntimeError,
+        match="no solver can be started: its process ended with code 3\nno module named jax",
+    ):
         run_study(study, workers=2, solver=(*SOLVE, "--broken"), check=False)
     assert run_study(study, workers=2, solver=SOLVE, check=False).status.done == 20
 
 
-@pytest.mark.parametrize("number, ignored", [(signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False)])
+@pytest.mark.parametrize(
+    "number, ignored", [(signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False)]
+)
 def test_signals_save_and_leave(home, number, ignored):
     """Within 2 s even where a task takes minutes, also as a background job of a shell, with SIGINT ignored; what was finished
     is there, and the study goes on."""
     study = write_study(home, "seeds = 40")
     handler = signal.SIG_IGN if ignored else signal.SIG_DFL
-    process = start(study, "--sleep", "0.05", "--hang", "30", preexec_fn=lambda: signal.signal(signal.SIGINT, handler))
+    process = start(
+        study,
+        "--sleep",
+        "0.05",
+        "--hang",
+        "30",
+        preexec_fn=lambda: signal.signal(signal.SIGINT, handler),
+    )
     until = time.monotonic() + 100
     while time.monotonic() < until and study_status(study)[2].done < 5:
         time.sleep(0.1)
@@ -315,14 +381,19 @@ def test_signals_save_and_leave(home, number, ignored):
     process.send_signal(number)
     began = time.monotonic()
     out, err = process.communicate(timeout=20)
-    assert process.returncode == 130 and time.monotonic() - began < 4, err  # 2 s, and a loaded machine
+    assert process.returncode == 130 and time.monotonic() - began < 4, (
+        err
+    )  # 2 s, and a loaded machine
     assert json.loads(out)["done"] >= live.done
     assert study_status(study)[2].running == 0
     code, status, _ = fleet(study)
     assert code == 0 and status["done"] == 40
 
 
-@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals come to the main thread")
+@pytest.mark.skipif(
+    threading.current_thread() is not threading.main_thread(),
+    reason="signals come to the main thread",
+)
 def test_a_cluster_that_does_not_close_holds_nothing_up(home, monkeypatch):
     """On a crowded computer dask takes all the time that it is given; what was finished is on the disk long before."""
     import distributed
@@ -344,7 +415,13 @@ def test_a_cluster_that_does_not_close_holds_nothing_up(home, monkeypatch):
 
     study = write_study(home, "seeds = 200")
     try:
-        result = run_study(study, workers=2, solver=(*SOLVE, "--sleep", "0.02", "--hang", "20"), check=False, heard=heard)
+        result = run_study(
+            study,
+            workers=2,
+            solver=(*SOLVE, "--sleep", "0.02", "--hang", "20"),
+            check=False,
+            heard=heard,
+        )
         ((began, finished),) = sent
         assert result.interrupted and len(left) == 2 and time.monotonic() - began < 2.5
         assert len(acknowledged(study)) == result.new >= finished
@@ -359,7 +436,10 @@ def test_a_cluster_that_does_not_close_holds_nothing_up(home, monkeypatch):
 
 
 def rows_of(n: int, size: int = 200) -> list[Row]:
-    return [Row(f"{k:032x}", "converged", json.dumps({"loss": k, "reason": "x" * size}).encode()) for k in range(n)]
+    return [
+        Row(f"{k:032x}", "converged", json.dumps({"loss": k, "reason": "x" * size}).encode())
+        for k in range(n)
+    ]
 
 
 def test_status_while_the_store_is_being_made(home):
@@ -380,7 +460,10 @@ def test_two_coordinators(home, monkeypatch):
     assert process.wait(timeout=60) == 0
     process.communicate()
     with sqlite3.connect(home / "out" / "study.sqlite") as db:
-        assert db.execute("SELECT count(*), count(DISTINCT key) FROM results").fetchone() == (40, 40)
+        assert db.execute("SELECT count(*), count(DISTINCT key) FROM results").fetchone() == (
+            40,
+            40,
+        )
     # A process that slept through its lease finds that another took over, and saves nothing.
     first = Store(home / "out")
     first.acquire()
@@ -402,7 +485,9 @@ def test_lease_of_the_dead_and_of_other_machines(tmp_path):
         store.db.execute("UPDATE lease SET pid = 999999999")
         with Store(tmp_path) as other:
             other.acquire()  # its process is gone
-            other.db.execute("UPDATE lease SET host = 'elsewhere/1', renewed = ?", (time.time() - 10,))
+            other.db.execute(
+                "UPDATE lease SET host = 'elsewhere/1', renewed = ?", (time.time() - 10,)
+            )
             with pytest.raises(StoreError, match="on elsewhere"), Store(tmp_path) as third:
                 third.acquire()
             other.db.execute("UPDATE lease SET renewed = ?", (time.time() - 2 * lease.LEASE_S,))
@@ -433,7 +518,11 @@ def test_any_damage_leaves_sound_rows_or_a_clear_message(tmp_path):
     with Store(tmp_path) as store:
         store.acquire()
         store.save(rows_of(200, 600))
-    clean, rng, truth = (tmp_path / "study.sqlite").read_bytes(), random.Random(4), {r.key: r for r in rows_of(200, 600)}
+    clean, rng, truth = (
+        (tmp_path / "study.sqlite").read_bytes(),
+        random.Random(4),
+        {r.key: r for r in rows_of(200, 600)},
+    )
     kept = []
     for trial in range(30):
         damaged = bytearray(clean)
@@ -476,9 +565,15 @@ def test_full_disk(tmp_path):
         (pages,) = store.db.execute("PRAGMA page_count").fetchone()
         for room in range(6):
             store.db.execute(f"PRAGMA max_page_count = {pages + room}")
-            with pytest.raises(StoreError, match="the disk is full; 400 finished tasks could not be saved") as error:
-                store.save([Row(f"new {k}", r.status, r.body) for k, r in enumerate(rows_of(400, 2000))])
-            assert str(tmp_path) in str(error.value) and "start the same command again" in str(error.value)
+            with pytest.raises(
+                StoreError, match="the disk is full; 400 finished tasks could not be saved"
+            ) as error:
+                store.save(
+                    [Row(f"new {k}", r.status, r.body) for k, r in enumerate(rows_of(400, 2000))]
+                )
+            assert str(tmp_path) in str(error.value) and "start the same command again" in str(
+                error.value
+            )
             assert len(list(store.rows())) == 50
         store.db.execute("PRAGMA max_page_count = 1000000")
         store.save([Row("new", "converged", b"{}")])
@@ -501,7 +596,9 @@ def test_read_only_store(home, monkeypatch):
     study = write_study(home)
     run_study(study, workers=1, solver=SOLVE, check=False)
     connect = sqlite3.connect
-    only = lambda name, **more: connect(name.replace("mode=rwc", "mode=ro").replace("mode=rw", "mode=ro"), **more)
+    only = lambda name, **more: connect(
+        name.replace("mode=rwc", "mode=ro").replace("mode=rw", "mode=ro"), **more
+    )
     monkeypatch.setattr(stores.sqlite3, "connect", only)
     assert study_status(study)[2].done == 4
     with pytest.raises(StoreError, match="cannot be written .*readonly.*check its permissions"):
@@ -549,7 +646,10 @@ def test_store_without_the_right_to_write(locked):
                 assert not all(os.access(out / part, os.W_OK) for part in locked)
                 known = study_status(more)[2]
                 assert (known.done, known.total) == (4, 5)
-                with pytest.raises(StoreError, match=r"study.sqlite: cannot be written .*check its permissions, or name another"):
+                with pytest.raises(
+                    StoreError,
+                    match=r"study.sqlite: cannot be written .*check its permissions, or name another",
+                ):
                     run_study(more, workers=1, solver=SOLVE, check=False)
         finally:
             for folder in (out, out / "arrays"):
@@ -562,18 +662,25 @@ def test_schema(tmp_path, monkeypatch):
         store.acquire()
         store.save(rows_of(5))
     monkeypatch.setattr(
-        stores, "MIGRATIONS", (*stores.MIGRATIONS, "ALTER TABLE meta ADD COLUMN note TEXT; CREATE TABLE more (x);")
+        stores,
+        "MIGRATIONS",
+        (*stores.MIGRATIONS, "ALTER TABLE meta ADD COLUMN note TEXT; CREATE TABLE more (x);"),
     )
     monkeypatch.setattr(stores, "SCHEMA", len(stores.MIGRATIONS))
     with pytest.raises(StoreError, match="older schema"):
         Store(tmp_path, writable=False)
     with Store(tmp_path) as store:
-        assert store.db.execute("SELECT count(note) FROM meta").fetchone() == (0,) and len(list(store.rows())) == 5
+        assert (
+            store.db.execute("SELECT count(note) FROM meta").fetchone() == (0,)
+            and len(list(store.rows())) == 5
+        )
     monkeypatch.undo()
     with pytest.raises(StoreError, match="written by a newer jaxid"):
         Store(tmp_path)
     with sqlite3.connect(
-        tmp_path / "other" / "study.sqlite" if (tmp_path / "other").mkdir() else tmp_path / "other/study.sqlite"
+        tmp_path / "other" / "study.sqlite"
+        if (tmp_path / "other").mkdir()
+        else tmp_path / "other/study.sqlite"
     ) as db:
         db.execute("CREATE TABLE mine (x)")
     with pytest.raises(StoreError, match="is not the store of a study"):
@@ -599,7 +706,9 @@ def test_a_store_is_looked_at_as_it_was_at_one_time(tmp_path, monkeypatch):
     sqlite3.connect(tmp_path / "study.sqlite").close()
     connect = Store._connect
     monkeypatch.setattr(stores, "BUSY_S", 0.05)
-    monkeypatch.setattr(Store, "_connect", lambda self: connect(self) if self.writable else Slow(connect(self)))
+    monkeypatch.setattr(
+        Store, "_connect", lambda self: connect(self) if self.writable else Slow(connect(self))
+    )
     with pytest.raises(stores.NotBegun):
         Store(tmp_path, writable=False)
 
@@ -629,10 +738,19 @@ def running_scheduler(tmp_path):
     """A scheduler and two workers as processes of their own: (address, pids of the workers)."""
     file = tmp_path / "scheduler.json"
     part = lambda name, *more: subprocess.Popen(
-        [sys.executable, "-m", f"distributed.cli.dask_{name}", "--no-dashboard", *more], stderr=subprocess.DEVNULL
+        [sys.executable, "-m", f"distributed.cli.dask_{name}", "--no-dashboard", *more],
+        stderr=subprocess.DEVNULL,
     )
     parts = [part("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))]
-    own = ("--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
+    own = (
+        "--scheduler-file",
+        str(file),
+        "--nthreads",
+        "1",
+        "--no-nanny",
+        "--local-directory",
+        str(tmp_path),
+    )
     try:
         until = time.monotonic() + 60
         while not file.exists() and time.monotonic() < until:
@@ -656,13 +774,20 @@ def test_on_a_running_cluster(home, running_scheduler, monkeypatch):
             os.kill(pids[0], signal.SIGKILL)
 
     study = write_study(home, "seeds = 60")
-    result = run_study(study, scheduler=address, solver=(*SOLVE, "--sleep", "0.05"), check=False, heard=heard)
+    result = run_study(
+        study, scheduler=address, solver=(*SOLVE, "--sleep", "0.05"), check=False, heard=heard
+    )
     assert killed and result.complete and result.status.done == 60
     psutil.wait_procs(killed[0], timeout=5)
     assert not any(c.is_running() for c in killed[0])
     monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
     with pytest.raises(jaxid.UsageError, match="no scheduler answers there"):
-        run_study(write_study(home, "seeds = 61"), scheduler="tcp://127.0.0.1:9", solver=SOLVE, check=False)
+        run_study(
+            write_study(home, "seeds = 61"),
+            scheduler="tcp://127.0.0.1:9",
+            solver=SOLVE,
+            check=False,
+        )
 
 
 def test_overhead_of_the_coordinator(home):

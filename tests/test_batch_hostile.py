@@ -44,7 +44,11 @@ def visible(text: str) -> bool:
 
 
 def harmless_cell(value: str) -> bool:
-    return not value.startswith(FORMULA[:-1]) and visible(value) and not value.strip().startswith(FORMULA[:-1])
+    return (
+        not value.startswith(FORMULA[:-1])
+        and visible(value)
+        and not value.strip().startswith(FORMULA[:-1])
+    )
 
 
 @pytest.mark.slow
@@ -55,12 +59,19 @@ def test_forty_names_in_every_field(tmp_path, capsys):
         home = tmp_path / str(k)
         write_dataset(home / "small", name, samples=30)
         study = write_study(home, "seeds = 2", name=name)
-        study.write_text(study.read_text().replace("[[runs]]", f"description = {quoted(name)}\n[[runs]]"))
+        study.write_text(
+            study.read_text().replace("[[runs]]", f"description = {quoted(name)}\n[[runs]]")
+        )
         result = run_study(study, workers=1, solver=SOLVE, check=False) if k == 0 else None
         if result is None:  # the same outcomes without the processes
             read = study_status(study)[0]
             outcomes = {
-                t: Outcome(t, "failed", f"{name} {CONTROL[k % len(CONTROL)]}", log=f"{name}\n{CONTROL[k % len(CONTROL)]}")
+                t: Outcome(
+                    t,
+                    "failed",
+                    f"{name} {CONTROL[k % len(CONTROL)]}",
+                    log=f"{name}\n{CONTROL[k % len(CONTROL)]}",
+                )
                 for t in read.tasks
             }
             result = type(FIRST["result"])(read, outcomes, True, notes=(name,))
@@ -68,18 +79,33 @@ def test_forty_names_in_every_field(tmp_path, capsys):
         from jaxid.study.page import write_study as write_page
 
         page = assert_harmless(write_page(result, home / "page.html").read_text(encoding="utf-8"))
-        assert name != "{{7*7}}" or name in page.text  # as it was written; "49" alone may be part of a time or a hash
+        assert (
+            name != "{{7*7}}" or name in page.text
+        )  # as it was written; "49" alone may be part of a time or a hash
         rows = list(csv.reader(io.StringIO(csv_text(*table_rows(result)), newline="")))
         assert len(rows) == 3 and all(harmless_cell(c) for c in rows[1][:4]), rows[1]
-        for text in (result_text(result), status_text(result.study, result.outcomes, result.status)):
+        for text in (
+            result_text(result),
+            status_text(result.study, result.outcomes, result.status),
+        ):
             terminal.say(text)
             assert visible(capsys.readouterr().out)
         if k % 4:  # every page and table, and the command for some
             continue
-        bad = write_study(home, f"effects = [[{quoted(name)}]]", f"models = [{quoted(name)}]", f"fitters = [{quoted(name)}]")
+        bad = write_study(
+            home,
+            f"effects = [[{quoted(name)}]]",
+            f"models = [{quoted(name)}]",
+            f"fitters = [{quoted(name)}]",
+        )
         assert cli.main(["batch", str(bad)]) == 2
         told = capsys.readouterr()
-        assert visible(told.err) and "there is no model" in told.err and "there is no effect" in told.err and not told.out
+        assert (
+            visible(told.err)
+            and "there is no model" in told.err
+            and "there is no effect" in told.err
+            and not told.out
+        )
 
 
 FIRST: dict = {}
@@ -152,7 +178,9 @@ def mutated(text: bytes, rng: random.Random) -> bytes:
     return bytes(content)
 
 
-def survives(folder: Path, files: tuple[Path, ...], rng: random.Random, count: int, limit_s: float) -> dict[str, int]:
+def survives(
+    folder: Path, files: tuple[Path, ...], rng: random.Random, count: int, limit_s: float
+) -> dict[str, int]:
     """Mutates one of the files `count` times; the study is either read or refused with a clear error."""
     study, ends = folder / "study.toml", {"read": 0, "refused": 0}
     for _ in range(count):
@@ -187,7 +215,9 @@ def rich_study(folder: Path) -> tuple[Path, ...]:
 def test_names_that_no_disk_can_hold(tmp_path):
     write_dataset(tmp_path / "small", samples=40)
     study = write_study(tmp_path, store="x" * 400)
-    with pytest.raises(jaxid.UsageError, match=r"row \d+.*cannot be a folder \(File name too long\)"):
+    with pytest.raises(
+        jaxid.UsageError, match=r"row \d+.*cannot be a folder \(File name too long\)"
+    ):
         check_study(study)
 
 
@@ -217,7 +247,10 @@ def test_nothing_in_the_package_runs_what_it_reads():
         for path in (ROOT / top).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Import | ast.ImportFrom):
-                    names = {getattr(node, "module", "") or "", *(alias.name for alias in node.names)}
+                    names = {
+                        getattr(node, "module", "") or "",
+                        *(alias.name for alias in node.names),
+                    }
                     assert path == tensors or not names & {
                         "pickle",
                         "cPickle",
@@ -232,7 +265,10 @@ def test_nothing_in_the_package_runs_what_it_reads():
                     assert path == own_models or called not in ("eval", "exec", "compile"), path
                     for keyword in node.keywords:
                         value = getattr(keyword.value, "value", None)
-                        assert (keyword.arg, value) not in (("shell", True), ("allow_pickle", True)), path
+                        assert (keyword.arg, value) not in (
+                            ("shell", True),
+                            ("allow_pickle", True),
+                        ), path
 
 
 def test_progress_names_no_escape(tmp_path):

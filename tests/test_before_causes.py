@@ -24,7 +24,8 @@ def found(r: Recording) -> list:
 
 
 @pytest.mark.parametrize(
-    ("model", "rows", "effect"), [("joint", 1.5, ""), ("joint", 5.5, "drag"), ("joint", 13.3, ""), ("pendulum", 3.4, "drag")]
+    ("model", "rows", "effect"),
+    [("joint", 1.5, ""), ("joint", 5.5, "drag"), ("joint", 13.3, ""), ("pendulum", 3.4, "drag")],
 )
 def test_a_motion_before_its_cause_is_told_in_time(model, rows, effect):
     r = moved(recording(model, 0, effect), rows)
@@ -34,20 +35,26 @@ def test_a_motion_before_its_cause_is_told_in_time(model, rows, effect):
     assert finding.value is not None and finding.interval_95 is not None
     low, high = finding.interval_95
     assert low < rows < high
-    assert float(finding.line.removeprefix("delay_s = ")) == pytest.approx(rows * r.t[1], abs=0.1 * r.t[1])
+    assert float(finding.line.removeprefix("delay_s = ")) == pytest.approx(
+        rows * r.t[1], abs=0.1 * r.t[1]
+    )
     assert f"{1e3 * finding.value * r.t[1]:.3g} ±" in finding.text
 
 
 @pytest.mark.parametrize("rows", [-4.4, 0.0, 0.4])
 def test_a_cause_that_comes_first_is_no_finding(rows):
-    assert not [f for seed in range(2) for f in found(moved(recording("joint", seed), rows)) if f[2]]
+    assert not [
+        f for seed in range(2) for f in found(moved(recording("joint", seed), rows)) if f[2]
+    ]
 
 
 def test_a_line_composes_with_the_delay_that_is_stated():
     r = moved(recording("joint", 0), 5.5)
     stated = r.dataset(delay_s={"tau": 2 * float(r.t[1])})
     (finding,) = checking.run_check(None, stated).findings
-    assert float(finding.line.removeprefix("delay_s = ")) == pytest.approx(5.5 * r.t[1], abs=0.1 * r.t[1])
+    assert float(finding.line.removeprefix("delay_s = ")) == pytest.approx(
+        5.5 * r.t[1], abs=0.1 * r.t[1]
+    )
     mended = r.dataset(delay_s={"tau": float(finding.line.removeprefix("delay_s = "))})
     assert checking.run_check(None, mended).findings == ()
 
@@ -58,8 +65,15 @@ def test_uneven_clocks_and_what_is_missing_make_no_cause_late():
     f, phase = rng.uniform(0.15, 1.6, 6), rng.uniform(0, 6.28, 6)
     x, w = 2 * np.pi * f * t[:, None] + phase, 2 * np.pi * f
     q, v, a = np.sin(x).sum(1), (w * np.cos(x)).sum(1), -(w * w * np.sin(x)).sum(1)
-    for lacking in (0 * q, 0.3 * np.sin(q), 0.02 * v * np.abs(v), 0.2 * np.exp(-(v**2)) * np.sign(v)):
+    for lacking in (
+        0 * q,
+        0.3 * np.sin(q),
+        0.02 * v * np.abs(v),
+        0.2 * np.exp(-(v**2)) * np.sign(v),
+    ):
         u = 0.05 * a + 0.1 * v + 0.1 * np.sign(v) + lacking
         noisy = q + 2e-4 * rng.standard_normal(len(t))
-        data = jaxid.Dataset.from_arrays(t, {"tau": u}, {"q": noisy}, units={"tau": "N m", "q": "rad"}, hold={"tau": "linear"})
+        data = jaxid.Dataset.from_arrays(
+            t, {"tau": u}, {"q": noisy}, units={"tau": "N m", "q": "rad"}, hold={"tau": "linear"}
+        )
         assert not [f for f in checking.run_check("joint", data).findings if f.decisive]

@@ -30,7 +30,9 @@ def test_intervals_hold_the_truth():
     ids=["pendulum", "planar_arm"],
 )
 def test_scan_agrees_with_diffrax(kind, values, amplitude, smoothing, limit):
-    to_diffrax, to_sticking = diffrax_reference.agreement(kind, values, amplitude, smoothing, 5e-4, count=250)
+    to_diffrax, to_sticking = diffrax_reference.agreement(
+        kind, values, amplitude, smoothing, 5e-4, count=250
+    )
     assert to_diffrax <= limit
     assert limit < to_sticking < 0.02
 
@@ -61,14 +63,22 @@ def test_the_arms_twin_is_as_good_as_its_noise():
     plant = twins.PLANTS["planar_arm"]
     t = np.arange(200) / plant.rate
     u = ref.multisine(t, [22.0, 7.0], 5, periods=0.8, lines=5)
-    p = {k: np.array([plant.nominal.get(k, (x, x))] * 2, float) for k, x in (twins.NEUTRAL | plant.nominal).items()}
-    p["compliance"][1, 0], p["spring_damping"][1, 0] = 5e-5, 0.1  # a motor of its own behind a stiff spring
+    p = {
+        k: np.array([plant.nominal.get(k, (x, x))] * 2, float)
+        for k, x in (twins.NEUTRAL | plant.nominal).items()
+    }
+    p["compliance"][1, 0], p["spring_damping"][1, 0] = (
+        5e-5,
+        0.1,
+    )  # a motor of its own behind a stiff spring
     parts = round(1 / plant.rate / plant.step)
     y, soft = twins.rigid(plant, np.tile(u, (2, 1, 1)), p, parts, plant.step)[:, ::parts]
     friction = {k: np.array(plant.nominal[k]) for k in ("viscous", "coulomb")}
     q, _ = ref.simulate(ref.planar_arm(), ref.Truth(**friction), t, u)
     assert np.ptp(q, axis=0).min() > 0.5 and np.abs(y - q).max() < 0.3 * plant.noise
-    assert np.abs(soft - q).max() < 0.02  # the other joint's dry friction reaches the link behind the spring
+    assert (
+        np.abs(soft - q).max() < 0.02
+    )  # the other joint's dry friction reaches the link behind the spring
 
 
 @pytest.mark.parametrize("model", twins_mujoco.PLANTS)
@@ -77,15 +87,28 @@ def test_the_twins_of_mujoco_are_the_same_machines(model):
     """For 1.5 s, with what MuJoCo has itself and what is set anew before every step; the arm swings over the top."""
     plant = twins.PLANTS[model]
     u = commands(plant, np.random.default_rng(4), 1)[:, : int(1.5 * plant.rate)]
-    own = {"payload": 0.05, "spring": 0.03, "reflected": 0.002, "tilt": 0.02, "load": 0.1, "drag": 0.002, "dry_asymmetry": 0.005}
+    own = {
+        "payload": 0.05,
+        "spring": 0.03,
+        "reflected": 0.002,
+        "tilt": 0.02,
+        "load": 0.1,
+        "drag": 0.002,
+        "dry_asymmetry": 0.005,
+    }
     own |= {"ripple": 0.02, "ripple_order": 6.0, "dead_zone": 0.02, "lag": 0.01, "droop": 0.02}
     if model in ("joint", "tracker"):
-        own |= {"payload": 0.0, "tilt": 0.0}  # no gravity; payloads of the tracker are of its barrel alone
+        own |= {
+            "payload": 0.0,
+            "tilt": 0.0,
+        }  # no gravity; payloads of the tracker are of its barrel alone
     p = {k: np.full((1, plant.n), float(x)) for k, x in (twins.NEUTRAL | own).items()}
     p |= {k: np.array([x]) for k, x in plant.nominal.items()}
     fast, slow = round(1 / plant.rate / twins_mujoco.STEP), round(1 / plant.rate / plant.step)
     h = 1 / plant.rate / fast
-    q = twins_mujoco.simulated(plant, twins.fine(u, p, fast, h)[0], {k: x[0] for k, x in p.items()}, h)[::fast]
+    q = twins_mujoco.simulated(
+        plant, twins.fine(u, p, fast, h)[0], {k: x[0] for k, x in p.items()}, h
+    )[::fast]
     reference = twins.rigid(plant, u, p, slow, plant.step)[0, ::slow]
     assert np.ptp(reference, 0).min() > 0.05 and np.abs(q - reference).max() < 5 * plant.noise
 
@@ -95,14 +118,18 @@ def test_cases_that_begin_in_motion_state_neither_rest_nor_splits(monkeypatch):
     monkeypatch.setattr(blind_cases, "BEFORE_S", 0.5)
     (data,), _, _ = recordings(plan("joint", 3, ("moving_control",))[:1], 3)
     plant = twins.PLANTS["joint"]
-    assert [(e.split, e.at_rest, e.initial, len(e)) for e in data.experiments] == [("fit", False, None, plant.rate // 2)] * 3
+    assert [(e.split, e.at_rest, e.initial, len(e)) for e in data.experiments] == [
+        ("fit", False, None, plant.rate // 2)
+    ] * 3
     assert sum(abs(e.y[20, 0] - e.y[0, 0]) > 30 * plant.noise for e in data.experiments) >= 2
 
 
 def test_results_are_written_from_what_was_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(run_all, "HERE", tmp_path)
     (tmp_path / "results").mkdir()
-    (tmp_path / "results" / "a.json").write_text('{"title": "A", "text": "t", "rows": [{"x": 1.23456, "y": "a|b"}, {"z": 2}]}')
+    (tmp_path / "results" / "a.json").write_text(
+        '{"title": "A", "text": "t", "rows": [{"x": 1.23456, "y": "a|b"}, {"z": 2}]}'
+    )
     run_all.write()
     text = (tmp_path / "RESULTS.md").read_text()
     assert "## A" in text and "| x | y | z |" in text and "| 1.235 | a\\|b |  |" in text

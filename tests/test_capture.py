@@ -40,7 +40,11 @@ def test_what_momentum_cannot_tell_of_a_change():
         Momentum().runs(data, data.experiments, changed.layout, changed.readings, None)
     change = Change.of(changed)
     told = unexplained(changed, change, 46.7)
-    assert "46.7 times the noise" in told and "step_change@com_x@a2" in told and "step_change@mass@a2" not in told
+    assert (
+        "46.7 times the noise" in told
+        and "step_change@com_x@a2" in told
+        and "step_change@mass@a2" not in told
+    )
     assert start_values(Bench(changed), changed.free, 0, residual=Momentum())[0] is changed.theta
 
 
@@ -52,7 +56,10 @@ def test_a_jump_of_speed_is_in_neither_side():
     sigma = np.full(7, capture.NOISE)
     whole, cut = (Momentum(moment=s).rates(data, chain, sigma)[1] for s in (None, 0.01 * run.at))
     assert cut < 0.6 * whole
-    assert [len(p) for p in sides(data.experiments[0], 0.01 * run.at, cut)] == [run.at, len(run.t) - run.at]
+    assert [len(p) for p in sides(data.experiments[0], 0.01 * run.at, cut)] == [
+        run.at,
+        len(run.t) - run.at,
+    ]
     assert [len(p) for p in sides(data.experiments[0], 0.3, cut)] == [len(run.t) - 30]
 
 
@@ -70,6 +77,11 @@ def test_when_and_what_is_caught(seed: int):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_fit_that_knows_of_no_catch_does_not_say_converged():
-    fit = jaxid.fit(None, capture.recorded(catch(3), 3, numbers=KNOWN), residual="momentum", fitter="lm(restarts=0)")
+    fit = jaxid.fit(
+        None,
+        capture.recorded(catch(3), 3, numbers=KNOWN),
+        residual="momentum",
+        fitter="lm(restarts=0)",
+    )
     assert fit.state == "stalled" and "something changed" in fit.stopped_because
     assert "--effect step_change@mass@a2 --effect step_change@com_x@a2" in fit.notes[0]

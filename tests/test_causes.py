@@ -25,13 +25,24 @@ def estimate(name: str, value: float = 0.25, std: float | None = 0.01) -> Effect
 @pytest.mark.parametrize("name", catalogue.effect_names())
 def test_every_effect_speaks(name):
     kind, found = catalogue.effect_class(name), estimate(name)
-    assert variable(found) in ("speed", "position", "load", "command", "acceleration", "reading", "time")
+    assert variable(found) in (
+        "speed",
+        "position",
+        "load",
+        "command",
+        "acceleration",
+        "reading",
+        "time",
+    )
     for field in ("seen", "plain", "check"):
         told = words(found, field)
         assert told and "{" not in told and "0.25000" not in told
         used = {part.split(":")[0] for part in re.findall(r"{([^}]*)}", getattr(kind, field))}
         assert used <= set(found.parameters), field
-    assert words(found, "plain")[-1] == words(found, "check")[-1] == "." and words(found, "seen")[-1] != "."
+    assert (
+        words(found, "plain")[-1] == words(found, "check")[-1] == "."
+        and words(found, "seen")[-1] != "."
+    )
     assert words(EffectEstimate("of_my_own", "q", found.parameters), "plain") == ""
     limits = span(found)
     assert limits is None or limits[0] is None or limits[1] is None or limits[0] < limits[1]
@@ -39,21 +50,34 @@ def test_every_effect_speaks(name):
 
 def test_numbers_bear_as_many_digits_as_are_known():
     known = lambda value, std: words(estimate("dead_zone", value, std), "plain")
-    for value, std, told in ((0.2969, 0.0026, "0.297"), (0.31, 0.15, "0.3"), (0.0999951, 7e-6, "0.1000"), (0.25, None, "0.250")):
+    for value, std, told in (
+        (0.2969, 0.0026, "0.297"),
+        (0.31, 0.15, "0.3"),
+        (0.0999951, 7e-6, "0.1000"),
+        (0.25, None, "0.250"),
+    ):
         assert f"needs {told} N m" in known(value, std)
 
 
 def test_a_wave_number_is_said_as_its_period():
-    ten = EffectEstimate("torque_ripple", "q", {"order": Estimate(10.0, 0.01, "rad/rad", 0.0, 400.0)})
+    ten = EffectEstimate(
+        "torque_ripple", "q", {"order": Estimate(10.0, 0.01, "rad/rad", 0.0, 400.0)}
+    )
     assert "once every 0.6283 rad" in words(ten, "seen")
-    rail = EffectEstimate("torque_ripple", "x", {"order": Estimate(10.0, 0.01, "rad/m", 0.0, 400.0)})
+    rail = EffectEstimate(
+        "torque_ripple", "x", {"order": Estimate(10.0, 0.01, "rad/m", 0.0, 400.0)}
+    )
     assert "once every 0.6283 m" in words(rail, "seen")
 
 
 @pytest.mark.parametrize(
     ("variable", "law", "told"),
     [
-        ("position", lambda q, qd: (0.3 + 0.1 * q) * np.sign(qd), (0.2, -1.0, 0.4, 1.0, -0.2, -1.0, -0.4, 1.0)),
+        (
+            "position",
+            lambda q, qd: (0.3 + 0.1 * q) * np.sign(qd),
+            (0.2, -1.0, 0.4, 1.0, -0.2, -1.0, -0.4, 1.0),
+        ),
         ("speed", lambda q, qd: 0.1 * qd, (-0.1, -1.0, 0.1, 1.0)),
     ],
 )
@@ -65,7 +89,11 @@ def test_what_the_effects_supply_is_said_with_its_size_and_place(variable, law, 
     sentence = law_sentence([force], variable)
     found = [float(x.replace("−", "-")) for x in re.findall(r"[-−]?\d+\.\d+", sentence)]
     assert np.allclose(found, told, atol=0.08) and sentence.count("N m at") == len(told) // 2
-    assert law_sentence([replace(force, after=before)], variable) == "" == law_sentence([force], "reading")
+    assert (
+        law_sentence([replace(force, after=before)], variable)
+        == ""
+        == law_sentence([force], "reading")
+    )
 
 
 def test_means_count_visits_not_samples():
@@ -77,6 +105,8 @@ def test_means_count_visits_not_samples():
     m = binned.means([(x, np.tanh(4 * x) + slow, np.ones(6000, bool))], edges)
     assert len(m.x) == 10 and np.mean(np.abs(m.mean - np.tanh(4 * m.x)) < m.half) >= 0.7
     once = binned.means([(np.linspace(-0.95, 0.94, 6000), slow, np.ones(6000, bool))], edges)
-    assert len(once.x) == 10 and np.isnan(once.half).all()  # a mean that was seen once has no interval
+    assert (
+        len(once.x) == 10 and np.isnan(once.half).all()
+    )  # a mean that was seen once has no interval
     none = binned.means([(x, slow, np.zeros(6000, bool))], edges)
     assert len(none.x) == len(none.mean) == len(none.half) == 0

@@ -50,7 +50,9 @@ def motion(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """t, joint positions and torques [time n] of a motion."""
     t = np.arange(0, 4, 0.01)
     phase = 2 * np.pi * np.outer(t, 0.3 + 0.11 * np.arange(n))
-    q = 0.5 * np.sin(phase + np.arange(n)) + 1e-5 * np.random.default_rng(0).standard_normal(phase.shape)
+    q = 0.5 * np.sin(phase + np.arange(n)) + 1e-5 * np.random.default_rng(0).standard_normal(
+        phase.shape
+    )
     return t, q, 8.0 * np.cos(phase) + 3.0 * np.sign(np.cos(phase)) + 0.05 * np.sin(41 * phase)
 
 
@@ -60,15 +62,27 @@ def recorded(arm: Any, unit: str) -> jaxid.Dataset:
     t, q, tau = motion(n)
     outputs = {f"q{j + 1}": q[:, j] for j in range(n)}
     names = [f"tau{j + 1}" if unit == "N m" else f"current{j + 1}" for j in range(n)]
-    amperes = {"N m": 1 / gains, "A": np.ones(n), "mA": np.full(n, 1e-3), "count": np.full(n, COUNT)}[unit]
+    amperes = {
+        "N m": 1 / gains,
+        "A": np.ones(n),
+        "mA": np.full(n, 1e-3),
+        "count": np.full(n, COUNT),
+    }[unit]
     raw = tau / gains / amperes
     if unit == "count":  # recorded as counts, with a scale that was stated
         raw = raw * COUNT
     inputs = dict(zip(names, raw.T, strict=True))
-    constants = {} if unit == "N m" else {f"drive_gain{j + 1}": float(gain) for j, gain in enumerate(gains)}
+    constants = (
+        {} if unit == "N m" else {f"drive_gain{j + 1}": float(gain) for j, gain in enumerate(gains)}
+    )
     units = dict.fromkeys(inputs, "A" if unit == "count" else unit) | dict.fromkeys(outputs, "rad")
     return jaxid.Dataset.from_arrays(
-        t, inputs, outputs, units=units, model=ModelSpec(arm.name, constants=constants), check_model=False
+        t,
+        inputs,
+        outputs,
+        units=units,
+        model=ModelSpec(arm.name, constants=constants),
+        check_model=False,
     )
 
 
@@ -82,7 +96,10 @@ def same(found: Any, wanted: Any) -> None:
 @pytest.fixture(scope="module")
 def two() -> dict[str, Any]:
     """The arm of two joints bound to its recording in each unit."""
-    return {unit: bind(ARMS["two"], recorded(ARMS["two"], unit), splits=False) for unit in ("N m", *UNITS)}
+    return {
+        unit: bind(ARMS["two"], recorded(ARMS["two"], unit), splits=False)
+        for unit in ("N m", *UNITS)
+    }
 
 
 @pytest.mark.parametrize("kind", ARMS)
@@ -92,7 +109,10 @@ def test_every_arm_and_unit_gives_the_torque(kind: str) -> None:
         data = recorded(arm, unit)
         chain = _chain(arm, data)
         assert chain.direct and all(u == "N m" for _, u in chain.torque_channels)
-        same(drive_torque(Layout(chain), None, data.experiments[0].u, np.concatenate([q, 0 * q], 1)), tau)
+        same(
+            drive_torque(Layout(chain), None, data.experiments[0].u, np.concatenate([q, 0 * q], 1)),
+            tau,
+        )
 
 
 def _chain(arm: Any, data: jaxid.Dataset) -> Chain:
@@ -114,12 +134,16 @@ def _missing(binding: Any) -> np.ndarray:
 def _by_torque(binding: Any) -> np.ndarray:
     study = Study(binding, [CoulombFriction, ViscousFriction, DeadZone], None, None, False)
     rows, _ = study.rows_with_effects(study.theta)
-    return np.concatenate([study.theta[binding.free], study.noise, *(x[:, :, -1].ravel() for x in rows.rows)])
+    return np.concatenate(
+        [study.theta[binding.free], study.noise, *(x[:, :, -1].ravel() for x in rows.rows)]
+    )
 
 
 def _identified(binding: Any) -> np.ndarray:
     chain = binding.chain
-    return read_run(binding.dataset, binding.dataset.experiments[0], chain, chain.mechanism.base(), 5.0, 10.0).tau
+    return read_run(
+        binding.dataset, binding.dataset.experiments[0], chain, chain.mechanism.base(), 5.0, 10.0
+    ).tau
 
 
 def _load(binding: Any) -> np.ndarray:
@@ -140,7 +164,9 @@ ROADS = {
 
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("road", ROADS)
-def test_every_road_takes_a_current_for_its_torque(road: str, unit: str, two: dict[str, Any]) -> None:
+def test_every_road_takes_a_current_for_its_torque(
+    road: str, unit: str, two: dict[str, Any]
+) -> None:
     same(ROADS[road](two[unit]), ROADS[road](two["N m"]))
 
 
@@ -148,7 +174,11 @@ def test_every_road_takes_a_current_for_its_torque(road: str, unit: str, two: di
 def test_a_joint_in_other_units_of_torque(unit: str, size: float) -> None:
     t, q, tau = motion(1)
     bound = [
-        bind(Joint(), jaxid.Dataset.from_arrays(t, {"tau": tau[:, 0] / s}, {"q": q[:, 0]}, units={"tau": u}), splits=False)
+        bind(
+            Joint(),
+            jaxid.Dataset.from_arrays(t, {"tau": tau[:, 0] / s}, {"q": q[:, 0]}, units={"tau": u}),
+            splits=False,
+        )
         for u, s in (("N m", 1.0), (unit, size))
     ]
     for road in (lambda b: _residual(b, InverseDynamics()), _missing):
@@ -208,11 +238,17 @@ def test_the_share_of_the_gains_is_in_the_interval_of_a_load() -> None:
     assert shares == {"N m": 0.0, **dict.fromkeys(UNITS, USUAL_GAIN_STD)}
     values = np.array([3.0, 0.03, 0.0, 0.3, *[0.1] * 6])
     unit = Unit("payload", "q2", BODY, np.zeros(10), np.zeros(10), np.ones(10), {}, (0, 1), [])
-    exact, counted = (_body(unit, values, 1e-6 * np.eye(10), share)["mass"].std for share in (0.0, 0.05))
+    exact, counted = (
+        _body(unit, values, 1e-6 * np.eye(10), share)["mass"].std for share in (0.0, 0.05)
+    )
     assert exact == pytest.approx(1e-3) and counted == pytest.approx(np.hypot(1e-3, 0.15))
     phi = np.concatenate([values[4:], values[1:4], values[:1]])
     load = Payload(phi, 1e-6 * np.eye(10), phi, None, 0.05, 3)
-    assert load.mass[1] == pytest.approx(counted) and "5 %" in load.counted_gains and not load.exact_gains
+    assert (
+        load.mass[1] == pytest.approx(counted)
+        and "5 %" in load.counted_gains
+        and not load.exact_gains
+    )
 
 
 def test_warnings_of_arithmetic_reach_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
@@ -230,5 +266,7 @@ def test_a_joint_under_another_role_is_named() -> None:
     beside = tuple(replace(c, role="auxiliary") if c.name == "q2" else c for c in data.channels)
     (e,) = data.experiments
     moved = replace(e, y=e.y[:, :1], auxiliary={"q2": e.y[:, 1]})
-    with pytest.raises(UsageError, match=r'q2: recorded as auxiliary; state role = "output" under \[channels.q2\]'):
+    with pytest.raises(
+        UsageError, match=r'q2: recorded as auxiliary; state role = "output" under \[channels.q2\]'
+    ):
         bind(arm, replace(data, channels=beside, experiments=(moved,)))

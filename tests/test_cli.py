@@ -42,7 +42,9 @@ def calls(monkeypatch):
 
         monkeypatch.setattr(jaxid, name, function, raising=False)
 
-    monkeypatch.setattr("jaxid.problem.binding.foreseen", lambda *_: SimpleNamespace(large=False))  # the dataset is none
+    monkeypatch.setattr(
+        "jaxid.problem.binding.foreseen", lambda *_: SimpleNamespace(large=False)
+    )  # the dataset is none
     answer("load_dataset", "the dataset")
     answer("fit", sample_fit(samples=200))
     answer("diagnose", sample_diagnosis(200))
@@ -83,7 +85,9 @@ def test_help_is_quick():
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
-    assert any(seconds() <= 0.2 for _ in range(12))  # its own time, in the best of a busy machine's moments
+    assert any(
+        seconds() <= 0.2 for _ in range(12)
+    )  # its own time, in the best of a busy machine's moments
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -143,7 +147,19 @@ def test_fit(calls, tmp_path, capsys):
 
 
 def test_diagnose(calls, tmp_path, capsys):
-    assert run("diagnose", "data", "--out", tmp_path, "--effects", "dead_zone, input_delay", "--max-effects", "2") == 0
+    assert (
+        run(
+            "diagnose",
+            "data",
+            "--out",
+            tmp_path,
+            "--effects",
+            "dead_zone, input_delay",
+            "--max-effects",
+            "2",
+        )
+        == 0
+    )
     args, kwargs = calls["diagnose"]
     kwargs.pop("progress")
     assert args == (None, "the dataset")
@@ -162,7 +178,14 @@ def test_diagnose(calls, tmp_path, capsys):
     assert (tmp_path / "report.html").is_file()
     out = capsys.readouterr().out
     assert 6 <= len(out.splitlines()) <= 16
-    for words in ("WHERE", "WHICH", "coulomb_friction at q (level 0.1123 ± 0.0016 N m)", "99.8 %", "stribeck", "NEXT"):
+    for words in (
+        "WHERE",
+        "WHICH",
+        "coulomb_friction at q (level 0.1123 ± 0.0016 N m)",
+        "99.8 %",
+        "stribeck",
+        "NEXT",
+    ):
         assert words in out
 
 
@@ -170,9 +193,15 @@ def test_simulate(calls, tmp_path, capsys):
     import pyarrow.parquet
 
     (tmp_path / "p.json").write_text('{"parameters": {"inertia": {"value": 0.08}}, "effects": []}')
-    assert run("simulate", "data", "--parameters", tmp_path / "p.json", "--out", tmp_path / "out") == 0
+    assert (
+        run("simulate", "data", "--parameters", tmp_path / "p.json", "--out", tmp_path / "out") == 0
+    )
     args, kwargs = calls["simulate"]
-    assert args == (None, "the dataset", {"parameters": {"inertia": {"value": 0.08}}, "effects": []})
+    assert args == (
+        None,
+        "the dataset",
+        {"parameters": {"inertia": {"value": 0.08}}, "effects": []},
+    )
     assert kwargs == {"solver": None}
     names = ["run_1.parquet", "run_2.parquet", "simulation.json"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == names
@@ -186,8 +215,12 @@ def test_a_diagnosis_is_simulated_with_what_it_names(calls, tmp_path):
     named = sample_diagnosis(200)
     assert named.which.effects
     (tmp_path / "d.json").write_bytes(json_bytes(named))
-    assert run("simulate", "data", "--parameters", tmp_path / "d.json", "--out", tmp_path / "out") == 0
-    assert [e["effect"] for e in calls["simulate"][0][2]["effects"]] == [e.effect for e in named.which.effects]
+    assert (
+        run("simulate", "data", "--parameters", tmp_path / "d.json", "--out", tmp_path / "out") == 0
+    )
+    assert [e["effect"] for e in calls["simulate"][0][2]["effects"]] == [
+        e.effect for e in named.which.effects
+    ]
 
 
 @pytest.mark.parametrize("command", ["fit", "diagnose"])
@@ -206,13 +239,20 @@ def test_quiet_prints_nothing(calls, command, tmp_path, capsys):
 
 
 def test_json_holds_no_nan(calls, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(jaxid, "fit", lambda *a, **k: replace(sample_fit(samples=200), loss=float("nan")))
+    monkeypatch.setattr(
+        jaxid, "fit", lambda *a, **k: replace(sample_fit(samples=200), loss=float("nan"))
+    )
     assert run("fit", "data", "--out", tmp_path, "--json") == 0
     assert json.loads(capsys.readouterr().out)["loss"] is None
 
 
 def test_failed_fit_is_saved_and_exits_1(calls, monkeypatch, tmp_path, capsys):
-    failed = replace(sample_fit(samples=200), failed=True, converged=False, stopped_because="every start diverged")
+    failed = replace(
+        sample_fit(samples=200),
+        failed=True,
+        converged=False,
+        stopped_because="every start diverged",
+    )
     monkeypatch.setattr(jaxid, "fit", lambda *a, **k: failed)
     assert run("fit", "data", "--out", tmp_path) == 1
     assert (tmp_path / "fit.json").is_file()
@@ -222,7 +262,11 @@ def test_failed_fit_is_saved_and_exits_1(calls, monkeypatch, tmp_path, capsys):
 def test_a_warning_on_the_users_file_is_a_sentence_said_once(calls, monkeypatch, tmp_path, capsys):
     def warns(*args, **kwargs):
         for level in (1, 2, 3):  # from three of our lines
-            warnings.warn("arm.urdf: link 'a' has principal moments that no body can have", DatasetWarning, stacklevel=level)
+            warnings.warn(
+                "arm.urdf: link 'a' has principal moments that no body can have",
+                DatasetWarning,
+                stacklevel=level,
+            )
         return sample_fit(samples=200)
 
     monkeypatch.setattr(jaxid, "fit", warns)
@@ -236,13 +280,19 @@ def test_a_warning_on_the_users_file_is_a_sentence_said_once(calls, monkeypatch,
     [
         (jaxid.UsageError("there is no effect 'x'"), 2, "there is no effect 'x'"),
         (jaxid.DatasetError([]), 2, ""),
-        (PermissionError(13, "Permission denied", "data/a.csv"), 2, "data/a.csv: Permission denied"),
+        (
+            PermissionError(13, "Permission denied", "data/a.csv"),
+            2,
+            "data/a.csv: Permission denied",
+        ),
         (KeyboardInterrupt(), 130, "interrupted"),
         (MemoryError(), 1, "memory"),
         (TypeError("deep inside"), 1, "internal error, TypeError: deep inside"),
     ],
 )
-def test_errors_have_a_sentence_and_no_traceback(calls, monkeypatch, tmp_path, capsys, error, code, words):
+def test_errors_have_a_sentence_and_no_traceback(
+    calls, monkeypatch, tmp_path, capsys, error, code, words
+):
     def broken(*args, **kwargs):
         raise error
 
@@ -302,7 +352,9 @@ def test_out_that_is_read_only(calls, tmp_path, capsys):
 )
 def test_broken_parameters(calls, tmp_path, capsys, content):
     (tmp_path / "p.json").write_bytes(content)
-    assert run("simulate", "data", "--parameters", tmp_path / "p.json", "--out", tmp_path / "out") == 2
+    assert (
+        run("simulate", "data", "--parameters", tmp_path / "p.json", "--out", tmp_path / "out") == 2
+    )
     captured = capsys.readouterr()
     assert "p.json" in captured.err and "Traceback" not in captured.err and captured.out == ""
 
@@ -325,7 +377,11 @@ def test_import(monkeypatch, tmp_path, capsys):
 
     t = np.arange(50) * 1e-3
     data = Dataset.from_arrays(
-        [t], {"force": [np.sin(t)]}, {"position": [np.cos(9 * t)]}, units={"force": "N", "position": "m"}, name="emps"
+        [t],
+        {"force": [np.sin(t)]},
+        {"position": [np.cos(9 * t)]},
+        units={"force": "N", "position": "m"},
+        name="emps",
     )
     seen = []
 
@@ -337,7 +393,10 @@ def test_import(monkeypatch, tmp_path, capsys):
     assert run("import", "emps", "a.mat", "b.mat", "--out", tmp_path / "emps", "--json") == 0
     assert seen == [((Path("a.mat"), Path("b.mat")), False)]
     content = json.loads(capsys.readouterr().out)
-    assert content["channels"] == {"force": "N", "position": "m"} and content["experiments"][0]["samples"] == 50
+    assert (
+        content["channels"] == {"force": "N", "position": "m"}
+        and content["experiments"][0]["samples"] == 50
+    )
 
 
 @pytest.mark.parametrize("kind", ["models", "effects", "fitters"])
@@ -397,5 +456,8 @@ def test_a_pipe_gets_a_line_every_half_minute(capsys, monkeypatch):
         for done in range(4):
             progress.callback("effects", done, 9, "best dead_zone\x1b[2J")
     lines = capsys.readouterr().err.splitlines()
-    assert lines == ["jaxid: effects 1 of 9, best dead_zone?[2J (31 s)", "jaxid: effects 3 of 9, best dead_zone?[2J (62 s)"]
+    assert lines == [
+        "jaxid: effects 1 of 9, best dead_zone?[2J (31 s)",
+        "jaxid: effects 3 of 9, best dead_zone?[2J (62 s)",
+    ]
     assert terminal.Progress(quiet=True).callback is None

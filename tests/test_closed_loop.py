@@ -62,7 +62,10 @@ def test_a_wrong_controller_is_refused_by_name(quiet, kind, settings, words):
 
 
 def test_a_controller_slower_than_the_recording_holds_its_output(quiet):
-    data = replace(quiet, controller=Controller("pid", {**LAW, "ki": 1.0, "sample_time": 0.01, "saturation": 0.3}))
+    data = replace(
+        quiet,
+        controller=Controller("pid", {**LAW, "ki": 1.0, "sample_time": 0.01, "saturation": 0.3}),
+    )
     b = bind("joint", data, splits=False)
     ((_, u),) = simulate_closed_loop(data, data.experiments, b.layout, b.theta, b.sigma)
     assert np.isfinite(u).all() and np.max(np.abs(u)) <= 0.3
@@ -85,7 +88,9 @@ def test_recursion_ends_where_least_squares_does(quiet):
     """Without forgetting; with it the later samples count more, and the estimate of a clean twin stays."""
     batch = jaxid.fit("joint", quiet, fitter="ls")
     stream = jaxid.fit("joint", quiet, fitter="rls")
-    forgets = jaxid.fit("joint", quiet, fitter=jaxid.fitters.RecursiveLeastSquares(forgetting=0.999))
+    forgets = jaxid.fit(
+        "joint", quiet, fitter=jaxid.fitters.RecursiveLeastSquares(forgetting=0.999)
+    )
     assert stream.residual == "inverse_dynamics" and stream.fitter == "rls"
     for name, p in batch.parameters.items():
         assert stream.parameters[name].value == pytest.approx(p.value, rel=1e-5, abs=1e-7), name
@@ -103,7 +108,9 @@ def test_least_squares_is_the_minimum_that_lm_finds_and_keeps_bounds(quiet):
     assert quiet.model is not None
     tight = replace(quiet.model, parameters={"viscous": ParameterPrior(0.1, 0.0, 0.15)})
     bounded = jaxid.fit("joint", replace(quiet, model=tight), fitter="ls")
-    assert bounded.parameters["viscous"].at_bound and bounded.parameters["viscous"].value == pytest.approx(0.15)
+    assert bounded.parameters["viscous"].at_bound and bounded.parameters[
+        "viscous"
+    ].value == pytest.approx(0.15)
     assert bounded.loss > linear.loss
 
 
@@ -116,7 +123,9 @@ def test_instruments_remove_the_bias_of_least_squares():
     assert np.mean(iv["coverage"]) >= 0.8, iv
 
 
-@pytest.mark.skipif(not emps.folder().is_dir(), reason="the EMPS recordings are not here (JAXID_DATA)")
+@pytest.mark.skipif(
+    not emps.folder().is_dir(), reason="the EMPS recordings are not here (JAXID_DATA)"
+)
 def test_emps_least_squares_agrees_with_the_published_estimate():
     data = emps.load()
     fit = emps.nominal(data)

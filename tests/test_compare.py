@@ -24,7 +24,9 @@ from test_report import assert_harmless
 
 @pytest.fixture(scope="module")
 def small() -> Comparison:
-    return jaxid.compare(None, data_of("joint"), fitters=["lm", "hybrid", "ade"], seeds=3, budget=900)
+    return jaxid.compare(
+        None, data_of("joint"), fitters=["lm", "hybrid", "ade"], seeds=3, budget=900
+    )
 
 
 def made(losses: dict[str, list[float]], best: float = 1.0) -> Comparison:
@@ -34,10 +36,37 @@ def made(losses: dict[str, list[float]], best: float = 1.0) -> Comparison:
         for seed, end in enumerate(ends):
             n = 10 * np.arange(1, 11)
             history = np.stack([n, n / 100, end + 64 * 0.5 ** (n / 10) - 64 * 0.5**10], 1)
-            runs.append(Run(fitter, seed, "stopped", "budget", end, 100, 1.0, 2.0, 1.0, {"a": end, "b": 2 * end}, history))
+            runs.append(
+                Run(
+                    fitter,
+                    seed,
+                    "stopped",
+                    "budget",
+                    end,
+                    100,
+                    1.0,
+                    2.0,
+                    1.0,
+                    {"a": end, "b": 2 * end},
+                    history,
+                )
+            )
     known = {"a": Known(1.0, 0.1, "kg", 0.0, 5.0), "b": Known(2.0, None, "N m", 0.0, 5.0)}
     return Comparison(
-        "m", "d", "0" * 64, (), "output_error", "sum_of_squares", 100, None, "random", 0.01, best, known, tuple(runs), 3.0
+        "m",
+        "d",
+        "0" * 64,
+        (),
+        "output_error",
+        "sum_of_squares",
+        100,
+        None,
+        "random",
+        0.01,
+        best,
+        known,
+        tuple(runs),
+        3.0,
     )
 
 
@@ -53,7 +82,9 @@ def test_wilson_interval(n, share):
     assert 0 <= low <= k / n <= high <= 1 and high - low < 1
     for p in (low, high):
         if 0 < p < 1:
-            assert (k / n - p) ** 2 == pytest.approx(1.959964**2 * p * (1 - p) / n, rel=1e-6, abs=1e-12)
+            assert (k / n - p) ** 2 == pytest.approx(
+                1.959964**2 * p * (1 - p) / n, rel=1e-6, abs=1e-12
+            )
 
 
 def test_interval_of_a_median_covers():
@@ -70,13 +101,22 @@ def test_interval_of_a_median_covers():
 
 
 def test_summaries_of_known_runs():
-    c = made({"good": [1.0, 1.005, 1.0, 1.0], "mixed": [1.0, 2.0, 2.0, 2.0], "never": [4.0, 4.0, 4.0, 4.0]})
+    c = made(
+        {
+            "good": [1.0, 1.005, 1.0, 1.0],
+            "mixed": [1.0, 2.0, 2.0, 2.0],
+            "never": [4.0, 4.0, 4.0, 4.0],
+        }
+    )
     good, mixed, never = c.table
     assert [s.fitter for s in c.table] == ["good", "mixed", "never"]
     assert (good.successes, mixed.successes, never.successes) == (4, 1, 0)
     assert c.target == pytest.approx(1.01)
     # 64 * 0.5^k - 0.0625 <= 0.01 first holds at the last point
-    assert good.evaluations_to_target.median == 100 and good.seconds_to_target.median == pytest.approx(1.0)
+    assert (
+        good.evaluations_to_target.median == 100
+        and good.seconds_to_target.median == pytest.approx(1.0)
+    )
     assert mixed.expected_evaluations == 400 and np.isinf(mixed.evaluations_to_target.median)
     assert np.isinf(never.expected_evaluations) and never.success_interval_95[0] == 0
     assert json.loads(json.dumps(c.to_dict()["fitters"][0]))["successes"] == 4
@@ -102,16 +142,26 @@ def test_the_drawn_median_never_rises():
 def test_comparison_of_three_fitters(small, tmp_path):
     assert small.fitters == ("lm", "hybrid", "ade") and len(small.runs) == 9
     assert all(0 < r.evaluations <= 900 for r in small.runs)
-    assert all(np.all(np.diff(r.history[:, 2]) <= 0) and np.all(np.diff(r.history[:, :2], axis=0) >= 0) for r in small.runs)
+    assert all(
+        np.all(np.diff(r.history[:, 2]) <= 0) and np.all(np.diff(r.history[:, :2], axis=0) >= 0)
+        for r in small.runs
+    )
     assert all(r.loss >= small.best_loss * (1 - 1e-9) for r in small.runs)
     assert small.table[0].fitter in ("lm", "hybrid") and small.table[0].successes >= 2
     assert 0.7 < small.best_loss < 1.3
-    assert small.best["inertia"].value == pytest.approx(0.12, rel=0.05) and small.best["inertia"].unit == "kg m^2"
+    assert (
+        small.best["inertia"].value == pytest.approx(0.12, rel=0.05)
+        and small.best["inertia"].unit == "kg m^2"
+    )
     # all but the first run of a fitter find its programs compiled
     assert all(r.compile_time_s == 0 for r in small.runs if r.seed > 0)
 
     folder = small.save(tmp_path / "out")
-    assert sorted(p.name for p in folder.iterdir()) == ["comparison.json", "report.html", "runs.parquet"]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "comparison.json",
+        "report.html",
+        "runs.parquet",
+    ]
     content = json.loads((folder / "comparison.json").read_text())
     assert content["schema"] == 1 and content["kind"] == "comparison" and len(content["runs"]) == 9
     table = pyarrow.parquet.read_table(folder / "runs.parquet")
@@ -146,7 +196,9 @@ def test_plot_and_notebook(small):
     for by in ("evaluations", "seconds"):
         axes = Figure().add_subplot()
         assert small.plot(by, axes) is axes
-        assert len(axes.get_lines()) == 4 and by in axes.get_xlabel()  # three fitters and the target
+        assert (
+            len(axes.get_lines()) == 4 and by in axes.get_xlabel()
+        )  # three fitters and the target
     with pytest.raises(jaxid.UsageError, match="seconds"):
         small.plot("hours", Figure().add_subplot())
     html = small._repr_html_()
@@ -165,7 +217,11 @@ def test_a_comparison_shows_itself_short_and_escaped():
     page = assert_harmless(html)
     assert "<script>alert(1)</script>" in page.text and "good" in page.text and "<html" not in html
     words = repr(c)
-    assert "good" in words and len(words.splitlines()) < 20 and not any(x in words for x in "\x1b\x07\u202e")
+    assert (
+        "good" in words
+        and len(words.splitlines()) < 20
+        and not any(x in words for x in "\x1b\x07\u202e")
+    )
 
 
 def test_ctrl_c_keeps_what_was_finished(tmp_path, monkeypatch, capsys):
@@ -187,7 +243,23 @@ def test_ctrl_c_keeps_what_was_finished(tmp_path, monkeypatch, capsys):
 
     count.clear()
     monkeypatch.setattr(jaxid, "load_dataset", lambda *_: data_of("joint"), raising=False)
-    assert cli.main(["compare", "x", "--out", str(tmp_path), "--fitters", "lm", "--seeds", "5", "--budget", "300"]) == 130
+    assert (
+        cli.main(
+            [
+                "compare",
+                "x",
+                "--out",
+                str(tmp_path),
+                "--fitters",
+                "lm",
+                "--seeds",
+                "5",
+                "--budget",
+                "300",
+            ]
+        )
+        == 130
+    )
     assert "partial" in capsys.readouterr().err
     assert len(json.loads((tmp_path / "partial" / "comparison.json").read_text())["runs"]) == 2
     assert not (tmp_path / "comparison.json").exists()
@@ -197,10 +269,13 @@ def test_command(tmp_path, monkeypatch, capsys):
     seen = {}
     monkeypatch.setattr(jaxid, "load_dataset", lambda *_: "the dataset", raising=False)
     result = made({"lm": [1.0, 1.0], "de": [1.0, 3.0]})
-    monkeypatch.setattr(jaxid, "compare", lambda *args, **kwargs: seen.update(args=args, **kwargs) or result, raising=False)
-    line = (
-        "compare data --fitters lm,de --seeds 2 --budget 50 --seconds 3 --effect dead_zone@tau --loss sum_of_abs --starts guess"
+    monkeypatch.setattr(
+        jaxid,
+        "compare",
+        lambda *args, **kwargs: seen.update(args=args, **kwargs) or result,
+        raising=False,
     )
+    line = "compare data --fitters lm,de --seeds 2 --budget 50 --seconds 3 --effect dead_zone@tau --loss sum_of_abs --starts guess"
     assert cli.main([*line.split(), "--out", str(tmp_path), "--model", "joint"]) == 0
     assert seen["args"] == ("joint", "the dataset") and seen["fitters"] == ("lm", "de")
     assert (seen["seeds"], seen["budget"], seen["seconds"], seen["starts"]) == (2, 50, 3.0, "guess")
@@ -232,12 +307,19 @@ def test_senseless_arguments_are_refused(settings, words):
 def test_two_settings_of_one_method_have_two_labels():
     from jaxid.fitters.by_name import labelled
 
-    labels = [label for label, _ in labelled([DifferentialEvolution(CR=0.5), "de", LevenbergMarquardt()], 600, None)]
+    labels = [
+        label
+        for label, _ in labelled(
+            [DifferentialEvolution(CR=0.5), "de", LevenbergMarquardt()], 600, None
+        )
+    ]
     assert labels == ["de", "de 2", "lm"]
     assert dict(labelled(["de"], 600, None))["de"].generations == 10  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_import_stays_light():
     code = "import sys; from jaxid.cli.app import main; main(['compare', '--help'])\nprint({'jax', 'numpy'} & set(sys.modules))"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[1])
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[1]
+    )
     assert result.stdout.strip().endswith("set()") and "--seeds" in result.stdout

@@ -32,7 +32,10 @@ from jaxid.models.effects import ConstantTorque, CoulombFriction, ViscousFrictio
 from jaxid.problem.binding import bind
 
 
-CASES = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[2] / "shared" / "data")).parent / "cases"
+CASES = (
+    Path(os.environ.get("JAXID_DATA", Path(__file__).parents[2] / "shared" / "data")).parent
+    / "cases"
+)
 LINES = {
     "sign": "scale = -1",
     "zero": "offset = -1.5708", "scale": 'unit = "deg"', "row_shift": "shift = 1", "wrapped": "unwrap = true",
@@ -45,7 +48,9 @@ QUESTIONS = ("time_unit", "does_not_move", "unsigned", "filtered", "saturated")
 
 def case(name: str) -> Path:
     if not (CASES / name).is_dir():
-        pytest.skip(f"{name} is not in {CASES}: set JAXID_DATA to the folder of recordings beside them")
+        pytest.skip(
+            f"{name} is not in {CASES}: set JAXID_DATA to the folder of recordings beside them"
+        )
     return CASES / name
 
 
@@ -55,11 +60,15 @@ def checked(dataset: jaxid.Dataset):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("model", "effect"), [("pendulum", ""), ("pendulum", "drag"), ("planar_arm", "")])
+@pytest.mark.parametrize(
+    ("model", "effect"), [("pendulum", ""), ("pendulum", "drag"), ("planar_arm", "")]
+)
 def test_each_kind_is_found_with_its_size_and_its_line(model, effect, kind):
     if kind == "swapped_channels" and model == "pendulum":
         pytest.skip("a pendulum has one input and one output")
-    r, channel, value = broken(kind, recording(model, 5, effect), np.random.default_rng(KINDS.index(kind)))
+    r, channel, value = broken(
+        kind, recording(model, 5, effect), np.random.default_rng(KINDS.index(kind))
+    )
     findings = found(r)
     anywhere = kind in ("not_at_rest", "row_shift", "clock")  # all inputs, or any output
     own = [f for f in findings if f.kind == kind and (anywhere or f.channel == channel)]
@@ -97,13 +106,17 @@ class Lever(Rigid):
     """A pendulum on a motor: how much torque a volt makes is fitted."""
 
     name: ClassVar[str] = "lever"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("q", "rad"),), ("q",)),)
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((("u", "V"),), (("q", "rad"),), ("q",)),
+    )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),
         (ConstantTorque, {"torque": "offset"}),
     )
-    equations: ClassVar[str] = "inertia qdd + gravity_torque sin(q) + viscous qd + coulomb sign(qd) + offset = gain u"
+    equations: ClassVar[str] = (
+        "inertia qdd + gravity_torque sin(q) + viscous qd + coulomb sign(qd) + offset = gain u"
+    )
     source: ClassVar[str] = "textbook"
     inertia: Array = param(0.02, 1e-4, 10.0, unit="kg m^2", log=True)
     gain: Array = param(0.1, 1e-3, 10.0, unit="N m/V", log=True)
@@ -116,7 +129,9 @@ class Lever(Rigid):
         return self.inertia[None, None], self.gravity_torque * jnp.sin(q)
 
 
-@pytest.mark.parametrize(("turned", "late", "found"), [(0.0, 1.2, []), (pi / 2, 0.0, [("zero", "q", pi / 2)])])
+@pytest.mark.parametrize(
+    ("turned", "late", "found"), [(0.0, 1.2, []), (pi / 2, 0.0, [("zero", "q", pi / 2)])]
+)
 def test_no_scale_of_an_angle_hides_what_a_drive_of_volts_lacks(turned, late, found):
     """The larger the motion is taken, the more it takes: what remains is compared with that, not with what it took before."""
     r = recording("pendulum", 5)
@@ -136,7 +151,9 @@ def test_degrees_of_a_servo_under_goals_are_told_from_other_units():
     goal = r.y + (r.u + 0.04 * speed) / (0.12 * 7.4 * 0.4)
     noisy = r.y + 3e-4 * np.random.default_rng(0).standard_normal(r.y.shape)
     (finding,) = [f for f in found(replace(r, u=goal, y=np.degrees(noisy))) if f.decisive]
-    assert (finding.kind, finding.channel) == ("scale", "q") and finding.value == pytest.approx(180 / pi)
+    assert (finding.kind, finding.channel) == ("scale", "q") and finding.value == pytest.approx(
+        180 / pi
+    )
 
 
 def test_a_slow_sensor_is_no_sign():
@@ -148,19 +165,29 @@ def test_a_slow_sensor_is_no_sign():
 @pytest.mark.parametrize("kind", ["row_shift", "sign"])
 def test_what_a_simulation_does_not_bear_out_is_a_question(kind):
     r, _, _ = broken(kind, recording("pendulum", 5, "spring"), np.random.default_rng(0))
-    (finding,) = [f for f in checking.run_check(None, r.dataset(), gap=lambda *_: 20.0).findings if f.kind == kind]
+    (finding,) = [
+        f
+        for f in checking.run_check(None, r.dataset(), gap=lambda *_: 20.0).findings
+        if f.kind == kind
+    ]
     assert not finding.decisive and finding.gap_before == finding.gap_if_mended == 20.0
 
 
 def test_what_is_found_beside_laws_is_simulated_beside_them():
     """A row's delay is a hundredth of what a spring leaves that the model lacks: without the spring no simulation shows it."""
     r, _, _ = broken("row_shift", recording("pendulum", 5, "spring"), np.random.default_rng(0))
-    (finding,) = [f for f in checking.run_check(None, r.dataset(), gap=left_by_short_fit).findings if f.kind == "row_shift"]
+    (finding,) = [
+        f
+        for f in checking.run_check(None, r.dataset(), gap=left_by_short_fit).findings
+        if f.kind == "row_shift"
+    ]
     assert finding.decisive and finding.gap_if_mended is not None and finding.gap_before is not None
     assert finding.gap_if_mended < 0.7 * finding.gap_before
 
 
-@pytest.mark.parametrize(("corner", "said"), [(0.1, True), (0.2, True), (0.35, False), (0.45, False)])
+@pytest.mark.parametrize(
+    ("corner", "said"), [(0.1, True), (0.2, True), (0.35, False), (0.45, False)]
+)
 def test_a_filter_is_told_only_far_below_the_rate(corner, said):
     r = recording("pendulum", 5)
     noise = 0.01 * np.random.default_rng(1).standard_normal(r.y.shape)
@@ -178,7 +205,12 @@ def test_a_reading_has_to_hold_in_the_runs_that_are_kept_back():
 
 def test_small_faults_stay_the_effects_that_they_are():
     r = recording("pendulum", 3)
-    for u, y in ((r.u, r.y + 0.03), (r.u, 1.07 * r.y), (1.07 * r.u, r.y), (r.u[:, :-3], r.y[:, 3:] + 0.0)):
+    for u, y in (
+        (r.u, r.y + 0.03),
+        (r.u, 1.07 * r.y),
+        (1.07 * r.u, r.y),
+        (r.u[:, :-3], r.y[:, 3:] + 0.0),
+    ):
         late = replace(r, t=r.t[: u.shape[1]], u=u, y=y)
         claimed = [f for f in found(late) if f.decisive and f.kind != "row_shift"]
         assert not claimed
@@ -219,7 +251,9 @@ def test_lines_compose_with_what_the_file_says():
 def test_mending_is_what_the_line_would_do():
     r = recording("pendulum", 5)
     data = r.dataset()
-    change = Mending({"tau": {"scale": -1.0, "shift": 1}}).then(Mending({"q": {"scale": 2.0, "offset": 0.5}}))
+    change = Mending({"tau": {"scale": -1.0, "shift": 1}}).then(
+        Mending({"q": {"scale": 2.0, "offset": 0.5}})
+    )
     got = mended(data, change)
     want = r.dataset(scale={"tau": -1.0, "q": 2.0}, offset={"q": 0.5}, shift={"tau": 1})
     for a, b in zip(got.experiments, want.experiments, strict=True):
@@ -239,7 +273,12 @@ def test_mending_is_what_the_line_would_do():
 )
 def test_shared_cases(name, kind, channel, line):
     (finding,) = checked(jaxid.load_dataset(case(name))).findings
-    assert (finding.kind, finding.channel, finding.line, finding.applied) == (kind, channel, line, True)
+    assert (finding.kind, finding.channel, finding.line, finding.applied) == (
+        kind,
+        channel,
+        line,
+        True,
+    )
 
 
 @pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
@@ -267,7 +306,15 @@ def test_command_writes_findings_and_exit_codes(tmp_path, capsys):
         text = file.read_text()
         if file.suffix == ".csv":
             head, *rows = text.splitlines()
-            text = "\n".join([head, *(f"{1000 * float(r.split(',')[0])},{','.join(r.split(',')[1:])}" for r in rows)])
+            text = "\n".join(
+                [
+                    head,
+                    *(
+                        f"{1000 * float(r.split(',')[0])},{','.join(r.split(',')[1:])}"
+                        for r in rows
+                    ),
+                ]
+            )
         (slow / file.name).write_text(text.replace('time_unit = "s"', ""))
     assert main(["check", str(slow), "--json"]) == 1
     (finding,) = json.loads(capsys.readouterr().out)["data"]["findings"]
@@ -279,11 +326,17 @@ def test_command_writes_findings_and_exit_codes(tmp_path, capsys):
 def test_an_answer_begins_with_what_was_applied_and_names_the_effect_after_it():
     r, _, _ = broken("sign", recording("pendulum", 5, "drag"), np.random.default_rng(0))
     data = r.dataset()
-    result = jaxid.diagnose(None, data, effects=["quadratic_drag", "spring_torque", "torque_ripple"])
-    assert [e.effect for e in result.which.effects] == ["quadratic_drag"] and result.which.verdict == "named"
+    result = jaxid.diagnose(
+        None, data, effects=["quadratic_drag", "spring_torque", "torque_ripple"]
+    )
+    assert [e.effect for e in result.which.effects] == [
+        "quadratic_drag"
+    ] and result.which.verdict == "named"
     (finding,) = result.to_dict()["data"]["findings"]
     assert finding["applied"] and finding["gap_if_mended"] < 0.5 * finding["gap_before"]
-    assert repr(result).startswith("DATA: tau has the opposite sign; everything below takes it negated.")
+    assert repr(result).startswith(
+        "DATA: tau has the opposite sign; everything below takes it negated."
+    )
     plain = jaxid.fit(None, data, budget=20, as_recorded=True)
     assert [f.applied for f in plain.data] == [False] and not repr(plain).startswith("DATA")
 
@@ -292,12 +345,18 @@ def test_effects_that_cannot_be_believed_are_said_so():
     from jaxid.diagnosis.believable import doubts
     from jaxid.fitting.result import Covariance, EffectEstimate, Estimate
 
-    number = lambda value, std, lower=-1.0, upper=1.0, at_bound=False: Estimate(value, std, "1", lower, upper, at_bound)
+    number = lambda value, std, lower=-1.0, upper=1.0, at_bound=False: Estimate(
+        value, std, "1", lower, upper, at_bound
+    )
     off = EffectEstimate("torque_scale", "tau", {"gain": number(-0.895, 0.001, -0.9, 5.0)})
     nothing = EffectEstimate(
-        "torque_ripple", "q", {"sine": number(0.2, 0.49), "cosine": number(0.1, 0.3), "order": number(3, 0.1)}
+        "torque_ripple",
+        "q",
+        {"sine": number(0.2, 0.49), "cosine": number(0.1, 0.3), "order": number(3, 0.1)},
     )
-    pushed = EffectEstimate("spring_torque", "q", {"stiffness": number(4.0, 0.1, -4.0, 4.0, at_bound=True)})
+    pushed = EffectEstimate(
+        "spring_torque", "q", {"stiffness": number(4.0, 0.1, -4.0, 4.0, at_bound=True)}
+    )
     sound = [
         EffectEstimate("spring_torque", "q", {"stiffness": number(0.4, 0.01)}),
         EffectEstimate("input_hold", "tau", {"linear": number(1.0, 0.01, 0.0, 1.0, at_bound=True)}),
@@ -307,8 +366,12 @@ def test_effects_that_cannot_be_believed_are_said_so():
     assert not doubts(sound)
     # A sine and a cosine of unknown phase: neither is sure, both together are.
     names = ("torque_ripple.sine@q", "torque_ripple.cosine@q")
-    together = lambda share: Covariance(names, np.array([[0.49**2, share * 0.49 * 0.3], [share * 0.49 * 0.3, 0.3**2]]))
-    assert str(nothing) in doubts([nothing], together(0.0)) and not doubts([nothing], together(-0.999))
+    together = lambda share: Covariance(
+        names, np.array([[0.49**2, share * 0.49 * 0.3], [share * 0.49 * 0.3, 0.3**2]])
+    )
+    assert str(nothing) in doubts([nothing], together(0.0)) and not doubts(
+        [nothing], together(-0.999)
+    )
     assert str(nothing) in doubts([nothing], together(1.0)) and str(nothing) in doubts(
         [nothing], Covariance((), np.zeros((0, 0)))
     )
@@ -318,13 +381,19 @@ def test_an_effect_beside_a_number_at_its_bound_may_stand_in_for_it():
     from jaxid.diagnosis.believable import beside_bounds
     from jaxid.fitting.result import EffectEstimate, Estimate
 
-    effect = EffectEstimate("constant_torque", "q", {"torque": Estimate(0.1, 0.001, "N m", -1.0, 1.0)})
-    at = lambda value, lower, upper, at_bound=True: Estimate(value, 0.01, "m", lower, upper, at_bound)
+    effect = EffectEstimate(
+        "constant_torque", "q", {"torque": Estimate(0.1, 0.001, "N m", -1.0, 1.0)}
+    )
+    at = lambda value, lower, upper, at_bound=True: Estimate(
+        value, 0.01, "m", lower, upper, at_bound
+    )
     pushed = {"com_x@l1": at(0.28, -0.1, 0.28)}
     (why,) = beside_bounds([effect], pushed, ()).values()
     assert why.startswith("com_x@l1 was pushed to its bound (0.280 m)")
     assert not beside_bounds([effect], pushed, {"com_x@l1"})  # the user's own bound
-    assert not beside_bounds([effect], {"viscous": at(0.0, 0.0, 3.0), "inertia": at(0.3, 0.1, 3.0, False)}, ())
+    assert not beside_bounds(
+        [effect], {"viscous": at(0.0, 0.0, 3.0), "inertia": at(0.3, 0.1, 3.0, False)}, ()
+    )
     assert beside_bounds([effect], {"com_x@l1": at(-0.1, -0.1, 0.28)}, ())
 
 
@@ -346,15 +415,25 @@ def recorded_arm() -> jaxid.Dataset:
         (Mending({"q3": {"scale": pi / 180}}), "scale", "scale = 57.2958"),
         (Mending({"tau3": {"scale": 1000.0}}), "scale", 'unit = "mN m"'),
         (Mending({"q2": {"offset": pi / 2}}), "zero", "offset = -1.5708"),
-        (Mending(exchanged=(("tau4", "tau5"),)), "swapped_channels", 'column = "i5"  # of tau4\ncolumn = "i4"  # of tau5'),
+        (
+            Mending(exchanged=(("tau4", "tau5"),)),
+            "swapped_channels",
+            'column = "i5"  # of tau4\ncolumn = "i4"  # of tau5',
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
 def test_faults_of_an_arm_with_many_numbers(recorded_arm, fault, kind, line):
     """Six joints, 58 numbers, in a few seconds each."""
-    findings = [f for f in jaxid.check(None, mended(recorded_arm, fault)).findings if f.kind != "glitch"]
+    findings = [
+        f for f in jaxid.check(None, mended(recorded_arm, fault)).findings if f.kind != "glitch"
+    ]
     assert [f.kind for f in findings] == ([kind] if kind else [])
-    assert not kind or (findings[0].decisive and findings[0].line == line and findings[0].channel in line + str(fault))
+    assert not kind or (
+        findings[0].decisive
+        and findings[0].line == line
+        and findings[0].channel in line + str(fault)
+    )
 
 
 def test_columns_are_made_once_and_give_the_force():
@@ -364,10 +443,19 @@ def test_columns_are_made_once_and_give_the_force():
     assert motion is not None
     forces = Forces(binding, binding.free, motion)
     theta = binding.theta.copy()
-    theta[binding.free] = np.clip(1.3 * theta[binding.free] + 0.01, binding.lower[binding.free], binding.upper[binding.free])
-    for m in (motion, scaled_input(motion, 0, -1.0), scaled_joint(motion, 0, -1.0), motion.thinned(100)):
+    theta[binding.free] = np.clip(
+        1.3 * theta[binding.free] + 0.01, binding.lower[binding.free], binding.upper[binding.free]
+    )
+    for m in (
+        motion,
+        scaled_input(motion, 0, -1.0),
+        scaled_joint(motion, 0, -1.0),
+        motion.thinned(100),
+    ):
         straight = forces.at(theta[None], m)[0]
-        assert np.allclose(forces.missing(theta, m), straight, rtol=0, atol=1e-8 * np.abs(straight).max())
+        assert np.allclose(
+            forces.missing(theta, m), straight, rtol=0, atol=1e-8 * np.abs(straight).max()
+        )
     assert forces.linear and forces.additive
     assert forces.columns(motion)[1] is forces.columns(scaled_input(motion, 0, -1.0))[1]
     few = motion.thinned(100)
@@ -375,7 +463,9 @@ def test_columns_are_made_once_and_give_the_force():
     assert np.array_equal(few.q, motion.q[at]) and np.array_equal(few.u, motion.u[at])
 
 
-@pytest.mark.parametrize(("error", "noted"), [(UsageError("too short"), True), (ValueError("a slip"), False)])
+@pytest.mark.parametrize(
+    ("error", "noted"), [(UsageError("too short"), True), (ValueError("a slip"), False)]
+)
 def test_only_what_the_data_do_not_allow_becomes_a_note(monkeypatch, error, noted):
     def fails(*_):
         raise error
@@ -392,7 +482,9 @@ def test_only_what_the_data_do_not_allow_becomes_a_note(monkeypatch, error, note
 def test_a_current_is_no_torque_whatever_its_channel_is_called():
     """A dataset that names no model states units of its own; a model that is given beside it is held to them."""
     t = np.arange(400) / 100
-    data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.sin(t) ** 2}, units={"tau": "mA"})
+    data = jaxid.Dataset.from_arrays(
+        t, {"tau": np.sin(t)}, {"q": np.sin(t) ** 2}, units={"tau": "mA"}
+    )
     with pytest.raises(UsageError, match="'tau' is in A, but model 'joint' needs N m"):
         jaxid.fit("joint", data)
     checked = jaxid.check("joint", data)
@@ -401,7 +493,8 @@ def test_a_current_is_no_torque_whatever_its_channel_is_called():
 
 
 @pytest.mark.parametrize(
-    ("as_read", "other", "late", "decisive"), [(71, 1.5, 27, True), (71, 20, 1.5, False), (71, 60, 71, None), (1.1, 0.7, 1, None)]
+    ("as_read", "other", "late", "decisive"),
+    [(71, 1.5, 27, True), (71, 20, 1.5, False), (71, 60, 71, None), (1.1, 0.7, 1, None)],
 )
 def test_a_law_is_read_otherwise_where_no_delay_comes_near(as_read, other, late, decisive):
     data = jaxid.Dataset.from_arrays(
@@ -410,12 +503,18 @@ def test_a_law_is_read_otherwise_where_no_delay_comes_near(as_read, other, late,
     )  # fmt: skip
 
     def driven(**law: Any) -> Any:
-        return SimpleNamespace(chain=SimpleNamespace(mechanism=SimpleNamespace(drive_law=SimpleNamespace(**law))))
+        return SimpleNamespace(
+            chain=SimpleNamespace(mechanism=SimpleNamespace(drive_law=SimpleNamespace(**law)))
+        )
 
     assert law.is_open(driven(rate=True, kd=(0.0, 1.5)), data)
     assert not law.is_open(driven(rate=True, kd=(1.5,)), law.read_as(data, "none"))
-    assert not law.is_open(driven(rate=False, kd=(1.5,)), data) and not law.is_open(driven(rate=True, kd=(0.0,)), data)
-    left = lambda d, effects: late if effects else other if "reference_velocity" in d.controller.settings else as_read
+    assert not law.is_open(driven(rate=False, kd=(1.5,)), data) and not law.is_open(
+        driven(rate=True, kd=(0.0,)), data
+    )
+    left = lambda d, effects: (
+        late if effects else other if "reference_velocity" in d.controller.settings else as_read
+    )
     found = law.law_reading(data, left, ("q_cmd",))
     assert (found and found.decisive) == decisive
     if found is not None:

@@ -30,7 +30,9 @@ class Winch(Rigid):
     """A drum on a motor whose winding and back EMF are known."""
 
     name: ClassVar[str] = "winch"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("q", "rad"),), ("q",)),)
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((("u", "V"),), (("q", "rad"),), ("q",)),
+    )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = FRICTION
     equations: ClassVar[str] = "inertia qdd = k (u - k qd) / R - friction"
     source: ClassVar[str] = "textbook"
@@ -70,8 +72,14 @@ def moved(seed: int, size: float, force) -> tuple[list[np.ndarray], list[np.ndar
     rng, h = np.random.default_rng(seed), T[1]
     q, f = [], []
     for _ in SPLITS:
-        w, phase, a = 2 * pi * rng.uniform(0.2, 1.6, 6), rng.uniform(0, 2 * pi, 6), size * rng.uniform(0.3, 1.0, 6)
-        wave = lambda t, k, w=w, p=phase, a=a: (a * w**k * np.sin(w * t[:, None] + p + k * pi / 2)).sum(1)
+        w, phase, a = (
+            2 * pi * rng.uniform(0.2, 1.6, 6),
+            rng.uniform(0, 2 * pi, 6),
+            size * rng.uniform(0.3, 1.0, 6),
+        )
+        wave = lambda t, k, w=w, p=phase, a=a: (
+            a * w**k * np.sin(w * t[:, None] + p + k * pi / 2)
+        ).sum(1)
         q.append(wave(T, 0) + 1e-4 * size * rng.standard_normal(len(T)))
         f.append(force(wave(T + h / 2, 1), wave(T + h / 2, 2)))
     return q, f
@@ -80,7 +88,12 @@ def moved(seed: int, size: float, force) -> tuple[list[np.ndarray], list[np.ndar
 def found(model: type, u: dict[str, list[np.ndarray]], y: dict[str, list[np.ndarray]]):
     units = dict((*model.signatures[0].inputs, *model.signatures[0].outputs))
     data = jaxid.Dataset.from_arrays(
-        [T[: len(x)] for x in next(iter(y.values()))], u, y, units=units, split=SPLITS, check_model=False
+        [T[: len(x)] for x in next(iter(y.values()))],
+        u,
+        y,
+        units=units,
+        split=SPLITS,
+        check_model=False,
     )
     return data, checking.run_check(model(), data).findings
 
@@ -90,7 +103,9 @@ def volts(seed: int):
     return q, [20.0 * x for x in tau]  # 0.005 is back EMF
 
 
-@pytest.mark.parametrize(("broken", "kinds"), [(lambda u: u, []), (np.abs, ["unsigned"]), (lambda u: -u, ["sign"])])
+@pytest.mark.parametrize(
+    ("broken", "kinds"), [(lambda u: u, []), (np.abs, ["unsigned"]), (lambda u: -u, ["sign"])]
+)
 def test_volts_without_their_sign_are_told(broken, kinds):
     q, u = volts(1)
     _, findings = found(Winch, {"u": [broken(x) for x in u]}, {"q": q})
@@ -119,7 +134,9 @@ def spun(fault: str, angle: bool = False) -> jaxid.Dataset:
     for seed in range(3):
         rng = np.random.default_rng(seed)
         f, phase = rng.uniform(0.15, 2.0, 7), rng.uniform(0, 6.28, 7)
-        wave = lambda t, f=f, p=phase: 8 / np.sqrt(7) * np.sin(2 * np.pi * np.multiply.outer(t, f) + p).sum(-1)
+        wave = lambda t, f=f, p=phase: (
+            8 / np.sqrt(7) * np.sin(2 * np.pi * np.multiply.outer(t, f) + p).sum(-1)
+        )
         v = wave(t + 0.0025)  # a held input acts by its mean over the step
         a = (wave(t + 0.003) - wave(t + 0.002)) / 1e-3
         tau = 0.02 * a + 0.06 * v + 0.25 * np.tanh(v / 0.02) + 0.01 * v * np.abs(v)
@@ -127,22 +144,44 @@ def spun(fault: str, angle: bool = False) -> jaxid.Dataset:
     late = lambda x: np.concatenate([x[:1], x[:1], x[:-2]])
     change = {"sign": np.negative, "row_shift": late, "unsigned": np.abs}.get(fault, lambda x: x)
     rates = [y for _, y in runs]
-    turned = [cumulative_trapezoid(y, t, initial=0.0) + 1e-4 * np.sin(40 * t) for y in rates] if angle else []
-    scale, turn = {"qd": (-1, 1), "q": (1, -1), "rpm": (30 / pi, 1), "deg": (1, 180 / pi), "gear": (41.5, 1)}.get(fault, (1, 1))
+    turned = (
+        [cumulative_trapezoid(y, t, initial=0.0) + 1e-4 * np.sin(40 * t) for y in rates]
+        if angle
+        else []
+    )
+    scale, turn = {
+        "qd": (-1, 1),
+        "q": (1, -1),
+        "rpm": (30 / pi, 1),
+        "deg": (1, 180 / pi),
+        "gear": (41.5, 1),
+    }.get(fault, (1, 1))
     units = {"tau": "N m", "qd": "rad/s"} | ({"q": "rad"} if angle else {})
     read = {"qd": [scale * y for y in rates]} | ({"q": [turn * x for x in turned]} if angle else {})
     return jaxid.Dataset.from_arrays(
-        [t] * 3, {"tau": [change(u) for u, _ in runs]}, read, units=units, split=["fit", "validation", "report"], model="joint"
+        [t] * 3,
+        {"tau": [change(u) for u, _ in runs]},
+        read,
+        units=units,
+        split=["fit", "validation", "report"],
+        model="joint",
     )
 
 
 @pytest.mark.parametrize(
     ("fault", "value", "line"),
-    [("", None, ""), ("sign", -1.0, "scale = -1"), ("row_shift", 2.0, "shift = 2"), ("unsigned", None, "")],
+    [
+        ("", None, ""),
+        ("sign", -1.0, "scale = -1"),
+        ("row_shift", 2.0, "shift = 2"),
+        ("unsigned", None, ""),
+    ],
 )
 def test_a_tachometer_alone_tells_what_is_wrong_with_the_torque(fault, value, line):
     found = jaxid.check(None, spun(fault)).findings
-    assert [(f.kind, f.channel, f.value, f.line) for f in found] == ([(fault, "tau", value, line)] if fault else [])
+    assert [(f.kind, f.channel, f.value, f.line) for f in found] == (
+        [(fault, "tau", value, line)] if fault else []
+    )
 
 
 @pytest.mark.parametrize(
@@ -155,7 +194,9 @@ def test_a_speed_that_is_not_the_rate_of_its_position(fault, kind, channel, line
     found = jaxid.check(None, spun(fault, angle=True)).findings
     told = [(f.kind, f.channel, f.line[:14], f.same_as, f.applied) for f in found]
     asked = fault == "gear"  # by a gear either of them may be meant
-    assert told == ([(kind, channel, line[:14], (("scale", "q"),) * asked, not asked)] if kind else [])
+    assert told == (
+        [(kind, channel, line[:14], (("scale", "q"),) * asked, not asked)] if kind else []
+    )
 
 
 @pytest.mark.parametrize("wrong", ["qd1", "q1"])

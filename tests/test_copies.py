@@ -19,10 +19,16 @@ STEP = 2 * np.pi / 4096
 
 def motion(seed: int = 0, noise: float = 2e-4, size: float = 1.0) -> np.ndarray:
     """A smooth motion with its noise."""
-    return size * (np.sin(3 * T) + 0.4 * np.sin(7.3 * T + 1)) + noise * np.random.default_rng(seed).standard_normal(len(T))
+    return size * (np.sin(3 * T) + 0.4 * np.sin(7.3 * T + 1)) + noise * np.random.default_rng(
+        seed
+    ).standard_normal(len(T))
 
 
-def recorded(*q: np.ndarray, splits: tuple[str, ...] = ("fit", "validation"), tau: list[np.ndarray] | None = None):
+def recorded(
+    *q: np.ndarray,
+    splits: tuple[str, ...] = ("fit", "validation"),
+    tau: list[np.ndarray] | None = None,
+):
     """Runs of a joint under one command, without a model."""
     command = np.round(np.cos(3 * T), 3)
     inputs = tau or [command[: len(x)] for x in q]
@@ -52,7 +58,9 @@ def of_four_digits(q: np.ndarray) -> np.ndarray:
     "copy", [lambda q: q, lambda q: q[:300], rounded_in_degrees, lambda q: np.float32(q).astype(float), of_four_digits],
     ids=["whole", "cut", "rounded", "float32", "digits"],
 )  # fmt: skip
-@pytest.mark.parametrize("sensor", [lambda q: q, lambda q: np.round(q / STEP) * STEP], ids=["white", "counts"])
+@pytest.mark.parametrize(
+    "sensor", [lambda q: q, lambda q: np.round(q / STEP) * STEP], ids=["white", "counts"]
+)
 def test_a_copy_counts_neither_as_validation_nor_as_repeat(sensor, copy):
     q = sensor(motion())
     (found,), checked = found_copies(recorded(q, copy(q)))
@@ -79,7 +87,9 @@ def test_a_copy_under_other_time_stamps_is_one():
     assert found.applied
 
 
-@pytest.mark.parametrize("sensor", [lambda q: q, lambda q: np.round(q / STEP) * STEP, lambda q: np.round(q, 2)])
+@pytest.mark.parametrize(
+    "sensor", [lambda q: q, lambda q: np.round(q / STEP) * STEP, lambda q: np.round(q, 2)]
+)
 def test_repeats_of_a_run_are_no_copies(sensor):
     found, checked = found_copies(recorded(sensor(motion(0)), sensor(motion(1))))
     assert not found and checked.mended is not None and len(checked.mended.experiments) == 2
@@ -87,7 +97,9 @@ def test_repeats_of_a_run_are_no_copies(sensor):
 
 def test_a_simulation_that_is_run_twice_is_asked_about():
     (found,), checked = found_copies(recorded(motion(noise=0.0), motion(noise=0.0)))
-    assert not found.decisive and checked.mended is not None and len(checked.mended.experiments) == 2
+    assert (
+        not found.decisive and checked.mended is not None and len(checked.mended.experiments) == 2
+    )
 
 
 @pytest.mark.parametrize("blurred", [False, True])
@@ -97,7 +109,9 @@ def test_motion_on_an_odd_clock_is_no_noise_of_a_copy(blurred):
     true = T if blurred else np.cumsum(np.tile([0.004, 0.006], len(T) // 2))
     stamps = T + 1e-4 * rng.standard_normal(len(T)) if blurred else true
     q = np.sin(5 * true) + 0.4 * np.sin(9 * true)
-    data = jaxid.Dataset.from_arrays([stamps, stamps + 3.0], {"tau": [np.cos(3 * true)] * 2}, {"q": [q, q]})
+    data = jaxid.Dataset.from_arrays(
+        [stamps, stamps + 3.0], {"tau": [np.cos(3 * true)] * 2}, {"q": [q, q]}
+    )
     (found,), _ = found_copies(data)
     assert not found.decisive
 
@@ -108,15 +122,24 @@ def test_motion_on_an_odd_clock_is_no_noise_of_a_copy(blurred):
 def warming(runs: int, order: list[int] | None = None):
     """Repeats whose motion grows as friction falls."""
     size = [1 - 0.3 * np.exp(-k / 2) for k in (order or range(runs))]
-    data = recorded(*(motion(k, size=s) for k, s in enumerate(size)), splits=("fit",) * (runs - 1) + ("validation",))
-    return replace(data, experiments=tuple(replace(e, initial={"q": 0.0}) for e in data.experiments))
+    data = recorded(
+        *(motion(k, size=s) for k, s in enumerate(size)),
+        splits=("fit",) * (runs - 1) + ("validation",),
+    )
+    return replace(
+        data, experiments=tuple(replace(e, initial={"q": 0.0}) for e in data.experiments)
+    )
 
 
 @pytest.mark.parametrize("runs", [4, 6])
 def test_what_drifts_from_run_to_run_is_said_and_is_no_scatter(runs):
     data = warming(runs)
     noise = noise_floor(data)["q"]
-    assert noise.source == "sensor" and noise.std == pytest.approx(2e-4, rel=0.15) and "one way" in noise.text
+    assert (
+        noise.source == "sensor"
+        and noise.std == pytest.approx(2e-4, rel=0.15)
+        and "one way" in noise.text
+    )
     checked = run_check(None, data)
     assert not checked.findings and checked.mended is not None
     (note,) = [n for n in checked.notes if "one way" in n]
@@ -133,4 +156,8 @@ def test_flicker_is_the_sensors_however_repeats_differ():
     """Runs that travel radians and end wherever friction leaves them: none of them stands still."""
     data = warming(4, [3, 0, 2, 1])
     far = [replace(e, y=e.y * (1 + 0.8 * k * (-1) ** k)) for k, e in enumerate(data.experiments)]
-    assert not [f for f in run_check(None, replace(data, experiments=tuple(far))).findings if f.kind == "does_not_move"]
+    assert not [
+        f
+        for f in run_check(None, replace(data, experiments=tuple(far))).findings
+        if f.kind == "does_not_move"
+    ]

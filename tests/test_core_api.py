@@ -41,7 +41,9 @@ def as_parameters(numbers: dict[str, float]) -> dict[str, Any]:
     return {"parameters": {name: {"value": value} for name, value in numbers.items()}}
 
 
-def recorded(y: np.ndarray | None = None, u: np.ndarray | None = None, **settings: Any) -> jaxid.Dataset:
+def recorded(
+    y: np.ndarray | None = None, u: np.ndarray | None = None, **settings: Any
+) -> jaxid.Dataset:
     t = np.arange(0, 1.5, 0.01)
     u = 2.5 * np.sin(6 * t) * (t > 0.1) if u is None else u
     return jaxid.Dataset.from_arrays(
@@ -62,7 +64,9 @@ def problem(data) -> Problem:
 
 
 def central(f: Any, z: Any, h: float = 1e-6) -> np.ndarray:
-    return np.array([float(f(z.at[i].add(h)) - f(z.at[i].add(-h))) / (2 * h) for i in range(z.size)])
+    return np.array(
+        [float(f(z.at[i].add(h)) - f(z.at[i].add(-h))) / (2 * h) for i in range(z.size)]
+    )
 
 
 # ---- a problem
@@ -76,10 +80,14 @@ def test_gradients_of_a_problem_agree_with_central_differences(problem):
         differences = central(loss, z)
         both = jax.vmap(loss)(jnp.stack([z, z]))
         physical = problem.to_physical(z)
-    np.testing.assert_allclose(reverse, differences, rtol=1e-6, atol=1e-6 * np.abs(differences).max())
+    np.testing.assert_allclose(
+        reverse, differences, rtol=1e-6, atol=1e-6 * np.abs(differences).max()
+    )
     np.testing.assert_allclose(forward, reverse, rtol=1e-9)
     assert both[0] == both[1] and physical["coulomb"] == 0.22
-    assert problem.names == tuple(TRUTH) and np.all((problem.lower <= problem.z0) & (problem.z0 <= problem.upper))
+    assert problem.names == tuple(TRUTH) and np.all(
+        (problem.lower <= problem.z0) & (problem.z0 <= problem.upper)
+    )
 
 
 def test_optimistix_solves_a_problem_to_the_noise(problem):
@@ -88,7 +96,9 @@ def test_optimistix_solves_a_problem_to_the_noise(problem):
         found = optimistix.least_squares(problem.residual, solver, jnp.asarray(problem.z0))
         loss, numbers = float(problem.loss(found.value)), problem.to_physical(found.value)
     assert 0.7 < loss < 1.3
-    assert {name: float(numbers[name]) for name in TRUTH} == pytest.approx(TRUTH, rel=0.05, abs=0.02)
+    assert {name: float(numbers[name]) for name in TRUTH} == pytest.approx(
+        TRUTH, rel=0.05, abs=0.02
+    )
 
 
 def test_a_random_walk_samples_the_posterior(problem):
@@ -104,7 +114,9 @@ def test_a_random_walk_samples_the_posterior(problem):
         constant = float(density(z0) + problem.residual(z0) @ problem.residual(z0) / 2)
         outside = float(density(jnp.asarray(problem.upper + 1)))
     assert inside > 5 and outside == -np.inf
-    assert constant == pytest.approx(-len(problem._weights) * (np.log(NOISE) + np.log(2 * np.pi) / 2))
+    assert constant == pytest.approx(
+        -len(problem._weights) * (np.log(NOISE) + np.log(2 * np.pi) / 2)
+    )
 
 
 def test_a_problem_in_float32_says_what_to_type(problem):
@@ -129,11 +141,17 @@ def test_a_prior_of_a_parameter_is_in_the_density(problem):
 @pytest.mark.parametrize("v0", [[0.5, -0.4], [0.0, 0.02], [0.0, 0.5], [0.0, 0.0]])
 def test_sticking_joints_are_differentiable_in_reverse(eps, v0):
     with float64():
-        A, levels, weights = jnp.array([[0.5, 0.2], [0.2, 0.4]]), jnp.array([0.3, 0.1]), jnp.arange(1.0, 7.0).reshape(3, 2)
+        A, levels, weights = (
+            jnp.array([[0.5, 0.2], [0.2, 0.4]]),
+            jnp.array([0.3, 0.1]),
+            jnp.arange(1.0, 7.0).reshape(3, 2),
+        )
 
         def total(x):
             with in_reverse():
-                solved = solve_dry(jnp.array(v0), x[:2], A * x[2], levels * x[3], levels, jnp.zeros(2), eps)
+                solved = solve_dry(
+                    jnp.array(v0), x[:2], A * x[2], levels * x[3], levels, jnp.zeros(2), eps
+                )
             return jnp.sum(weights * jnp.stack(solved))
 
         x = jnp.array([0.3, -0.2, 1.1, 0.9])
@@ -145,7 +163,13 @@ def test_sticking_joints_are_differentiable_in_reverse(eps, v0):
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(m, marks=pytest.mark.slow if m in (UR10e, Panda, FlexibleArm) else (), id=m.name) for m in MODELS]
+    "kind",
+    [
+        pytest.param(
+            m, marks=pytest.mark.slow if m in (UR10e, Panda, FlexibleArm) else (), id=m.name
+        )
+        for m in MODELS
+    ],
 )
 def test_diffrax_solves_every_model_as_its_own_stepping_does(kind):
     with float64():
@@ -160,14 +184,25 @@ def test_diffrax_solves_every_model_as_its_own_stepping_does(kind):
             stepsize_controller=diffrax.PIDController(1e-9, 1e-11),
         )  # fmt: skip
         last = jax.tree.map(lambda a: a[-1], found.ys)
-        h = jnp.asarray(2e-5 if kind is FlexibleArm else 2e-4)  # whose highest modes turn a quarter of the way in the longer one
+        h = jnp.asarray(
+            2e-5 if kind is FlexibleArm else 2e-4
+        )  # whose highest modes turn a quarter of the way in the longer one
         body = chain.body().prepare(h)
-        step = lambda carry, k: (chain.advance(body, carry, Command(k * h, h, u, u, lambda d: u))[0], None)
+        step = lambda carry, k: (
+            chain.advance(body, carry, Command(k * h, h, u, u, lambda d: u))[0],
+            None,
+        )
         start = chain.start(jnp.full(chain.nq, 0.2), jnp.full(chain.nq, 0.1), u, body)
-        own = jax.jit(lambda start: jax.lax.scan(step, start, jnp.arange(round(0.1 / float(h))))[0])(start).x
+        own = jax.jit(
+            lambda start: jax.lax.scan(step, start, jnp.arange(round(0.1 / float(h))))[0]
+        )(start).x
         q, qd = body.port(own)
-        np.testing.assert_allclose(body.port(last)[0], q, atol=2e-6 * max(1.0, float(np.abs(q).max())))
-        np.testing.assert_allclose(body.port(last)[1], qd, atol=2e-4 * max(1.0, float(np.abs(qd).max())))
+        np.testing.assert_allclose(
+            body.port(last)[0], q, atol=2e-6 * max(1.0, float(np.abs(q).max()))
+        )
+        np.testing.assert_allclose(
+            body.port(last)[1], qd, atol=2e-4 * max(1.0, float(np.abs(qd).max()))
+        )
         assert ode.outputs(0.1, last, args).shape == (len(chain.signature.outputs),)
 
 
@@ -177,18 +212,29 @@ def test_gradients_flow_through_parameters_and_input():
     def end(x):
         args = (ode.with_parameters(inertia=x[0]), lambda t: x[1] * jnp.sin(5 * t)[None])
         solved = diffrax.diffeqsolve(
-            diffrax.ODETerm(ode), diffrax.Tsit5(), 0.0, 0.5, 5e-3, ode.y0(0.1, 0.0, args), args, max_steps=128
+            diffrax.ODETerm(ode),
+            diffrax.Tsit5(),
+            0.0,
+            0.5,
+            5e-3,
+            ode.y0(0.1, 0.0, args),
+            args,
+            max_steps=128,
         )
         return jnp.asarray(solved.ys[0])[-1, 0]  # pyright: ignore[reportOptionalSubscript]
 
     with float64():
         x = jnp.array([0.08, 1.0])
-        np.testing.assert_allclose(jax.jit(jax.grad(end))(x), central(jax.jit(end), x, 1e-5), rtol=1e-6)
+        np.testing.assert_allclose(
+            jax.jit(jax.grad(end))(x), central(jax.jit(end), x, 1e-5), rtol=1e-6
+        )
 
 
 def test_an_effect_that_remembers_extends_the_state():
     with float64():
-        chain = Chain(Joint()).without("coulomb_friction").with_effects(ActuatorLag(jnp.array([0.05])))
+        chain = (
+            Chain(Joint()).without("coulomb_friction").with_effects(ActuatorLag(jnp.array([0.05])))
+        )
         ode = chain.ode()
         args = (None, lambda t: jnp.ones(1))
         (q, qd), (lagged,) = ode.y0(0.0, 0.0)
@@ -212,9 +258,16 @@ def test_a_solver_of_diffrax_checks_the_own_stepping(data):
     model = Chain(Pendulum(), smoothing_velocity=0.05)
     own = jaxid.simulate(model, data)
     other = jaxid.simulate(model, data, solver=diffrax.Tsit5())
-    assert other.solver == "diffrax:Tsit5" == other.to_dict()["solver"] and own.to_dict()["solver"] == "own"
+    assert (
+        other.solver == "diffrax:Tsit5" == other.to_dict()["solver"]
+        and own.to_dict()["solver"] == "own"
+    )
     np.testing.assert_allclose(own.runs[0]["q"], other.runs[0]["q"], atol=1e-6)
-    for wrong, message in (("diffrax:Tsit", "did you mean 'Tsit5'"), ("scipy", "diffrax:NAME"), (3, "one of diffrax")):
+    for wrong, message in (
+        ("diffrax:Tsit", "did you mean 'Tsit5'"),
+        ("scipy", "diffrax:NAME"),
+        (3, "one of diffrax"),
+    ):
         with pytest.raises(jaxid.UsageError, match=message):
             jaxid.simulate(model, data, solver=wrong)
     with pytest.raises(jaxid.UsageError, match="true sticking"):
@@ -230,7 +283,10 @@ def test_a_fit_by_a_solver_of_diffrax_finds_the_same(data):
     other = jaxid.fit(model, data, solver=diffrax.Tsit5(), fitter="lm(restarts=0)")
     assert other.solver == "diffrax:Tsit5" and other.fitter == "lm(restarts=0)"
     for name, found in own.parameters.items():
-        assert found.std is not None and abs(other.parameters[name].value - found.value) < 0.1 * found.std, name
+        assert (
+            found.std is not None
+            and abs(other.parameters[name].value - found.value) < 0.1 * found.std
+        ), name
 
 
 # ---- fitters
@@ -249,7 +305,9 @@ def test_fitters_of_optimistix_reach_the_noise(data, fitter):
 def test_the_simplex_of_optimistix_finds_the_bottom_of_a_bent_valley():
     valley = lambda z: jnp.stack([10 * (z[1] - z[0] ** 2), 1 - z[0]])
     found = fitter_of("optimistix_nelder_mead").minimise(
-        FunctionProblem(valley, [-3.0, -3.0], [3.0, 3.0]), [np.array([-1.2, 1.0])], jax.random.key(0)
+        FunctionProblem(valley, [-3.0, -3.0], [3.0, 3.0]),
+        [np.array([-1.2, 1.0])],
+        jax.random.key(0),
     )
     assert found.loss < 1e-6 and found.z == pytest.approx([1.0, 1.0], abs=5e-3), found
 
@@ -257,7 +315,9 @@ def test_the_simplex_of_optimistix_finds_the_bottom_of_a_bent_valley():
 @pytest.mark.slow
 def test_any_solver_of_optimistix_is_a_fitter(data):
     solver = optimistix.GaussNewton(rtol=1e-8, atol=1e-8)
-    found = jaxid.compare("pendulum", data, fitters=[Optimistix(solver), "lm"], seeds=1, starts="guess")
+    found = jaxid.compare(
+        "pendulum", data, fitters=[Optimistix(solver), "lm"], seeds=1, starts="guess"
+    )
     assert {r.fitter: r.loss < 1.3 for r in found.runs} == {"optimistix": True, "lm": True}
     frame = found.to_frame()
     assert list(frame["fitter"]) == ["optimistix", "lm"] and not any(frame["inertia"].isna())
@@ -266,9 +326,19 @@ def test_any_solver_of_optimistix_is_a_fitter(data):
 def test_settings_of_a_fitter_are_written_as_a_text():
     made = fitter_of("de(popsize=20, F=0.5, CR=0.8, strategy='best/1')")
     assert made == DifferentialEvolution(20, F=(0.5, 0.5), CR=0.8, strategy="best/1")
-    assert label_of(made) == "de(popsize=20, F=(0.5, 0.5), CR=0.8, strategy='best/1')" and fitter_of(label_of(made)) == made
-    assert label_of(fitter_of("hybrid(population='shade(popsize=8)', rounds=2)")) == "hybrid(Shade, rounds=2)"
-    assert split_outside_brackets("lm, de(popsize=20, F=(0.5, 0.9)),pso") == ("lm", "de(popsize=20, F=(0.5, 0.9))", "pso")
+    assert (
+        label_of(made) == "de(popsize=20, F=(0.5, 0.5), CR=0.8, strategy='best/1')"
+        and fitter_of(label_of(made)) == made
+    )
+    assert (
+        label_of(fitter_of("hybrid(population='shade(popsize=8)', rounds=2)"))
+        == "hybrid(Shade, rounds=2)"
+    )
+    assert split_outside_brackets("lm, de(popsize=20, F=(0.5, 0.9)),pso") == (
+        "lm",
+        "de(popsize=20, F=(0.5, 0.9))",
+        "pso",
+    )
 
 
 @pytest.mark.parametrize(
@@ -300,9 +370,20 @@ def test_every_setting_has_a_meaning_and_can_be_given():
 
 def test_the_command_line_takes_settings(data, tmp_path, capsys):
     jaxid.save_dataset(data, tmp_path / "data")
-    run = ["fit", str(tmp_path / "data"), "--out", str(tmp_path / "out"), "--quiet", "--fitter", "lm(restarts=0, iterations=9)"]
+    run = [
+        "fit",
+        str(tmp_path / "data"),
+        "--out",
+        str(tmp_path / "out"),
+        "--quiet",
+        "--fitter",
+        "lm(restarts=0, iterations=9)",
+    ]
     assert main(run) == 0
-    assert json.loads((tmp_path / "out" / "fit.json").read_text())["fitter"] == "lm(restarts=0, iterations=9)"
+    assert (
+        json.loads((tmp_path / "out" / "fit.json").read_text())["fitter"]
+        == "lm(restarts=0, iterations=9)"
+    )
     assert main([*run[:-1], "de(popsize=1)"]) == 2 and "at least 4" in capsys.readouterr().err
     assert main(["fitters", "de"]) == 0 and "members of the population" in capsys.readouterr().out
     assert "F,…" in CliRunner().invoke(compare_command, ["--help"]).output
@@ -332,7 +413,10 @@ class Droop(InputEffect):
 def test_a_fit_gives_its_model_and_a_table(data):
     fit = jaxid.fit("pendulum", data)
     zone = EffectEstimate("dead_zone", "tau", {"width": Estimate(0.1, 0.01, "N m", 0.0, 1.0)})
-    assert list(replace(fit, effects=(zone,)).to_frame()["parameter"]) == [*TRUTH, "dead_zone.width@tau"]
+    assert list(replace(fit, effects=(zone,)).to_frame()["parameter"]) == [
+        *TRUTH,
+        "dead_zone.width@tau",
+    ]
     again, before = jaxid.simulate(fit.chain, data), jaxid.simulate(None, data, parameters=fit)
     np.testing.assert_allclose(again.runs[0]["q"], before.runs[0]["q"], atol=1e-12)
     with pytest.warns(DeprecationWarning, match=r"jaxid.simulate\(model, dataset"):
@@ -344,16 +428,28 @@ def test_an_effect_of_ones_own_is_a_candidate_that_is_found():
     t = np.arange(0, 8, 0.01)
     u = np.concatenate([(1 + 0.4 * k) * np.sin((3 + k) * t[:200]) for k in range(4)])
     free = lambda y: jaxid.Dataset.from_arrays(
-        t, {"tau": u}, {"q": y}, initial={"q": 0.0, "qd": 0.0}, noise_std={"q": NOISE}, model="pendulum"
+        t,
+        {"tau": u},
+        {"q": y},
+        initial={"q": 0.0, "qd": 0.0},
+        noise_std={"q": NOISE},
+        model="pendulum",
     )
-    true = {**as_parameters(TRUTH), "effects": [{"effect": "supply_droop", "location": "tau", "parameters": {"droop": 0.15}}]}
+    true = {
+        **as_parameters(TRUTH),
+        "effects": [{"effect": "supply_droop", "location": "tau", "parameters": {"droop": 0.15}}],
+    }
     y = jaxid.simulate("pendulum", free(np.sin(t)), true).runs[0]["q"]
     found = jaxid.diagnose(
-        "pendulum", free(y + NOISE * np.random.default_rng(0).normal(size=t.size)), effects=[Droop(), "dead_zone"]
+        "pendulum",
+        free(y + NOISE * np.random.default_rng(0).normal(size=t.size)),
+        effects=[Droop(), "dead_zone"],
     )
     assert [str(e) for e in found.which.effects] == ["my_droop at tau"]
     assert found.to_frame()["named"].iloc[0] and found.final.chain is not None
-    assert "my_droop" in found.final.chain.contents and "dead_zone" not in found.final.chain.contents
+    assert (
+        "my_droop" in found.final.chain.contents and "dead_zone" not in found.final.chain.contents
+    )
 
 
 def test_an_effect_with_several_places_asks_for_one():
@@ -363,7 +459,10 @@ def test_an_effect_with_several_places_asks_for_one():
     arm = Chain(PlanarArm())
     with pytest.raises(jaxid.UsageError, match="say where, as in dead_zone@"):
         parse_effect("dead_zone", arm)
-    assert parse_effect(f"dead_zone@{arm.signature.inputs[1][0]}", arm)[1] == arm.signature.inputs[1][0]
+    assert (
+        parse_effect(f"dead_zone@{arm.signature.inputs[1][0]}", arm)[1]
+        == arm.signature.inputs[1][0]
+    )
     with pytest.raises(jaxid.UsageError, match="has the name 'dead_zone'"):
         parse_effect(type("Mine", (Droop,), {"name": "dead_zone"}), arm)
 

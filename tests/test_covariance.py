@@ -53,12 +53,22 @@ def is_distribution(C: np.ndarray) -> bool:
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(0, 6), st.integers(0, 6), st.booleans())
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 6),
+    st.integers(0, 6),
+    st.integers(0, 6),
+    st.booleans(),
+)
 def test_a_covariance_is_one_of_some_distribution(seed, n, rank, active, coloured):
     """Of random Jacobians, also of less than full rank and of columns of any size, with any numbers at their bounds."""
     rng = np.random.default_rng(seed)
     rank, active = min(rank, n), min(active, n)
-    J = rng.standard_normal((120, rank)) @ rng.standard_normal((rank, n)) * 10 ** rng.uniform(-4, 4, n)
+    J = (
+        rng.standard_normal((120, rank))
+        @ rng.standard_normal((rank, n))
+        * 10 ** rng.uniform(-4, 4, n)
+    )
     r = rng.standard_normal(120)
     r = np.cumsum(r) if coloured else r
     z, width = rng.standard_normal(n), 10 ** rng.uniform(-3, 3, n)
@@ -90,7 +100,9 @@ def test_two_that_the_data_tell_only_as_a_sum_are_bounded_by_it():
     J = np.full((200, 2), 50.0)
     rng = np.random.default_rng(0)
     z = np.array([0.0, total])
-    found = Linear(J, J @ z - rng.standard_normal(200), np.zeros(2), np.array([14.0, 7.0])).covariance(z)
+    found = Linear(
+        J, J @ z - rng.standard_normal(200), np.zeros(2), np.array([14.0, 7.0])
+    ).covariance(z)
     assert is_distribution(found.matrix)
     assert np.all(np.sqrt(np.diag(found.matrix)) < 0.8 * total)
     of_sum = float(np.sqrt(np.ones(2) @ found.matrix @ np.ones(2)))
@@ -113,10 +125,14 @@ def test_a_number_that_is_pushed_against_its_bound_frees_the_others():
     assert std[0][1] > 1.2 * held
 
 
-@pytest.mark.parametrize("a, b", [(-np.inf, np.inf), (0.0, np.inf), (-1.0, 2.0), (3.0, 3.5), (-np.inf, -20.0)])
+@pytest.mark.parametrize(
+    "a, b", [(-np.inf, np.inf), (0.0, np.inf), (-1.0, 2.0), (3.0, 3.5), (-np.inf, -20.0)]
+)
 def test_moments_of_a_normal_variable_between_bounds(a, b):
     mean, variance = truncnorm.stats(a, b)
-    assert moments_within(a, b) == pytest.approx((float(mean), float(variance)), rel=1e-6, abs=1e-12)
+    assert moments_within(a, b) == pytest.approx(
+        (float(mean), float(variance)), rel=1e-6, abs=1e-12
+    )
 
 
 def test_moments_in_a_box_are_those_of_draws_inside_it():

@@ -77,7 +77,13 @@ def samples(count: int = 120, phase: float = 0.0) -> list[list[str]]:
     rows = [["t", "tau", "q"]]
     for i in range(count):
         t = 0.01 * i
-        rows.append([f"{t:.4f}", f"{math.sin(9 * t + phase):.6f}", f"{0.3 * math.sin(4 * t + phase) + 0.01:.6f}"])
+        rows.append(
+            [
+                f"{t:.4f}",
+                f"{math.sin(9 * t + phase):.6f}",
+                f"{0.3 * math.sin(4 * t + phase) + 0.01:.6f}",
+            ]
+        )
     return rows
 
 
@@ -95,7 +101,9 @@ class Folder:
         (self.path / "dataset.toml").write_text(self.toml, encoding="utf-8")
         for name, rows in (("fit.csv", self.fit), ("check.csv", self.check)):
             if not (self.path / name).exists():
-                (self.path / name).write_text("\n".join(",".join(r) for r in rows) + "\n", encoding="utf-8")
+                (self.path / name).write_text(
+                    "\n".join(",".join(r) for r in rows) + "\n", encoding="utf-8"
+                )
         return self.path
 
     def replace(self, old: str, new: str) -> None:
@@ -183,7 +191,9 @@ EXPERIMENT = '[[experiments]]\nfile = "fit.csv"\n'
 RESPONSE = '[[experiments]]\nfile = "frf.csv"\nkind = "frequency_response"\ninput = "tau"\noutput = "q"\nsplit = "report"\n'
 
 
-def response(head: str = "omega,gain,phase", row: str = "2.0,0.5,-0.1", more: str = "") -> Callable[[Folder], object]:
+def response(
+    head: str = "omega,gain,phase", row: str = "2.0,0.5,-0.1", more: str = ""
+) -> Callable[[Folder], object]:
     def mutate(f: Folder) -> None:
         f.toml += RESPONSE + more
         f.bytes(f"{head}\n1.0,0.9,-0.05\n{row}\n3.0,0.2,-0.3\n".encode(), "frf.csv")
@@ -309,7 +319,11 @@ def test_one_fault_is_one_problem_at_its_place(broken: Broken, folder: Folder, p
     problems = caught.value.problems
     assert len(problems) == 1, str(caught.value)
     problem = problems[0]
-    assert (problem.file, problem.row, problem.column) == (broken.file, broken.row, broken.column), str(problem)
+    assert (problem.file, problem.row, problem.column) == (
+        broken.file,
+        broken.row,
+        broken.column,
+    ), str(problem)
     assert broken.words in problem.message, str(problem)
     assert problem.remedy and "Traceback" not in str(problem)
 
@@ -397,9 +411,15 @@ def test_loads_what_the_file_says(folder, pendulum):
     assert dataset.outputs == (Channel("q", "output", "rad", np.deg2rad(2e-4)),)
     assert dataset.inputs == (Channel("tau", "input", "N m"),)
     assert dataset.model == ModelSpec(
-        "pendulum", ("coulomb_friction",), False, {"inertia": 0.08}, {"viscous": ParameterPrior(0.3, 0.0, 3.0)}
+        "pendulum",
+        ("coulomb_friction",),
+        False,
+        {"inertia": 0.08},
+        {"viscous": ParameterPrior(0.3, 0.0, 3.0)},
     )
-    assert dataset.controller == Controller("pd", {"kp": 12.0, "kd": [1.0, 2.0], "sample_time": 0.002})
+    assert dataset.controller == Controller(
+        "pd", {"kp": 12.0, "kd": [1.0, 2.0], "sample_time": 0.002}
+    )
     first = dataset.experiments[0]
     assert first.at_rest and first.initial is None and first.source == "fit.csv, rows 2 to 121"
     assert not first.y.flags.writeable and len(dataset.sha256) == 64
@@ -460,7 +480,9 @@ def test_a_joint_held_in_one_run_is_sound(folder):
 
 
 def test_g_is_decided_by_the_model(folder, pendulum):
-    sys.modules["jaxid.catalogue"].describe("pendulum").signatures = (Signature((("tau", "N m"),), (("q", "m/s^2"),), ("q",)),)
+    sys.modules["jaxid.catalogue"].describe("pendulum").signatures = (
+        Signature((("tau", "N m"),), (("q", "m/s^2"),), ("q",)),
+    )
     folder.replace('unit = "rad"', 'unit = "g"')
     dataset = load_dataset(folder.write())
     assert dataset.outputs[0].unit == "m/s^2"
@@ -491,7 +513,11 @@ def test_frequency_response_in_every_form(folder, pendulum):
 def test_model_is_not_asked_when_told_so(folder):
     folder.replace('"pendulum"', '"my_own"')
     assert load_dataset(folder.write(), check_model=False).model == ModelSpec(
-        "my_own", ("coulomb_friction",), False, {"inertia": 0.08}, {"viscous": ParameterPrior(0.3, 0.0, 3.0)}
+        "my_own",
+        ("coulomb_friction",),
+        False,
+        {"inertia": 0.08},
+        {"viscous": ParameterPrior(0.3, 0.0, 3.0)},
     )
 
 
@@ -513,7 +539,11 @@ PIECES = [b"", b"[", b"]", b'"', b"\n", b",", b";", b"=", b"\x00", b"\xff", b"na
 
 
 @given(data=st.data())
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=150,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
 def test_random_damage_is_refused_or_harmless(tmp_path_factory, pendulum, data):
     folder = Folder(tmp_path_factory.mktemp("damage") / "d")
     folder.fit = folder.fit[:40]

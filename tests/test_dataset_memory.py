@@ -16,7 +16,15 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
-from jaxid.data.dataset import Channel, Controller, Dataset, Experiment, FrequencyResponse, ModelSpec, ParameterPrior
+from jaxid.data.dataset import (
+    Channel,
+    Controller,
+    Dataset,
+    Experiment,
+    FrequencyResponse,
+    ModelSpec,
+    ParameterPrior,
+)
 from jaxid.data.io import load_dataset, save_dataset
 from jaxid.errors import DatasetError, Problem
 
@@ -27,7 +35,9 @@ DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[2] / "shared" / 
 # splits
 
 
-def run(count: int, split: str, dt: float = 0.01, name: str = "run", start: float = 0.0) -> Experiment:
+def run(
+    count: int, split: str, dt: float = 0.01, name: str = "run", start: float = 0.0
+) -> Experiment:
     t = start + dt * np.arange(count)
     return Experiment(name, split, t, np.sin(t)[:, None], np.cos(t)[:, None], at_rest=True)
 
@@ -42,7 +52,9 @@ def test_one_run_is_cut_in_three():
     assert [e.split for e in dataset.experiments] == ["fit", "validation", "report"]
     assert [e.name for e in dataset.experiments] == ["run#fit", "run#validation", "run#report"]
     assert len(fit) == 700 and fit.at_rest
-    assert validation.t[0] == pytest.approx(7.2) and len(validation) == 140 and not validation.at_rest
+    assert (
+        validation.t[0] == pytest.approx(7.2) and len(validation) == 140 and not validation.at_rest
+    )
     assert report.t[0] == pytest.approx(7.2 + 1.4 + 0.2) and report.t[-1] == pytest.approx(9.99)
     assert len(dataset.notes) == 2 and "20 samples (0.2 s) left out" in dataset.notes[0]
     assert dataset.with_splits() is dataset
@@ -57,7 +69,11 @@ def test_guard_gap_is_a_tenth_of_a_second_where_sampling_is_fast():
 def test_report_runs_are_left_alone_and_validation_is_not_halved_then():
     runs = (run(1000, "fit"), run(300, "report", name="r"))
     dataset = dataset_of(*runs).with_splits()
-    assert [(e.split, len(e)) for e in dataset.experiments] == [("fit", 700), ("validation", 280), ("report", 300)]
+    assert [(e.split, len(e)) for e in dataset.experiments] == [
+        ("fit", 700),
+        ("validation", 280),
+        ("report", 300),
+    ]
     full = dataset_of(run(100, "fit"), run(100, "validation"), run(100, "report"))
     assert full.with_splits() is full
 
@@ -67,14 +83,22 @@ def test_parts_know_what_went_before_them():
     fit, validation, report = whole.with_splits().experiments
     assert fit.past is None and fit.whole is fit
     source = whole.experiments[0]
-    for part, samples in ((validation, 500), (report, int(np.searchsorted(source.t, report.t[0])))):  # five seconds, or all of it
+    for part, samples in (
+        (validation, 500),
+        (report, int(np.searchsorted(source.t, report.t[0]))),
+    ):  # five seconds, or all of it
         assert part.past is not None and len(part.past) == samples
         first = int(np.searchsorted(source.t, part.t[0]))
         np.testing.assert_array_equal(part.whole.t, source.t[first - samples : first + len(part)])
         np.testing.assert_array_equal(part.whole.y, source.y[first - samples : first + len(part)])
     assert validation.piece(10, 100, name="n", split="fit").past is None  # unless it is asked for
     _, fast, last = dataset_of(run(30_000, "fit", dt=1e-4)).with_splits().experiments
-    assert fast.past is not None and len(fast.past) == 1000 and last.past is not None and len(last.past) == 20_000
+    assert (
+        fast.past is not None
+        and len(fast.past) == 1000
+        and last.past is not None
+        and len(last.past) == 20_000
+    )
 
 
 def test_short_runs_stay_whole_and_the_note_says_so():
@@ -91,7 +115,10 @@ def test_splits_never_share_a_sample_nor_invent_one(count, dt):
     times = np.concatenate([p.t for p in pieces])
     assert len(np.unique(times)) == len(times) and set(times) <= set(whole.experiments[0].t)
     for a, b in zip(pieces[:-1], pieces[1:], strict=True):
-        gap, rest = b.t[0] - a.t[-1], pieces[-1].t[-1] - a.t[-1]  # of what is over soon a third at most
+        gap, rest = (
+            b.t[0] - a.t[-1],
+            pieces[-1].t[-1] - a.t[-1],
+        )  # of what is over soon a third at most
         assert gap >= 20 * dt * (1 - 1e-9) and gap >= min(0.1, rest / 3 - dt) - 1e-9
     assert all(len(p) >= 20 for p in pieces)
 
@@ -109,7 +136,11 @@ def test_arrays_in_three_lines():
     dataset = Dataset.from_arrays(t, {"tau": tau}, {"q": q}, noise_std={"q": 1e-3}, at_rest=True)
     assert dataset.channels == (Channel("tau", "input", "N m"), Channel("q", "output", "rad", 1e-3))
     np.testing.assert_array_equal(dataset.experiments[0].y[:, 0], q)
-    assert dataset.experiments[0].at_rest and dataset.experiments[0].name == "data" and len(dataset.sha256) == 64
+    assert (
+        dataset.experiments[0].at_rest
+        and dataset.experiments[0].name == "data"
+        and len(dataset.sha256) == 64
+    )
 
 
 def test_several_runs_of_arrays():
@@ -120,7 +151,11 @@ def test_several_runs_of_arrays():
     )  # fmt: skip
     first, second = dataset.experiments
     assert (first.name, second.name, second.split) == ("run_1", "run_2", "validation")
-    assert first.initial == {"q": 0.2} and second.initial is None and first.constants == {"gravity": 9.8}
+    assert (
+        first.initial == {"q": 0.2}
+        and second.initial is None
+        and first.constants == {"gravity": 9.8}
+    )
     np.testing.assert_allclose(second.y[:, 0], 2 * q)
 
 
@@ -162,7 +197,9 @@ def test_broken_arrays(name):
         call()
     assert len(caught.value.problems) == 1, str(caught.value)
     problem = caught.value.problems[0]
-    assert (problem.file, problem.row, problem.column) == place and words in problem.message, str(problem)
+    assert (problem.file, problem.row, problem.column) == place and words in problem.message, str(
+        problem
+    )
 
 
 def test_an_unknown_argument_is_named():
@@ -172,7 +209,9 @@ def test_an_unknown_argument_is_named():
 
 def test_frames_of_pandas_and_pyarrow():
     table = pa.table({"time": T, "motor": TAU, "q": np.rad2deg(Q)})
-    settings: dict[str, Any] = dict(inputs={"tau": "motor"}, outputs=["q"], time="time", units={"q": "deg"})
+    settings: dict[str, Any] = dict(
+        inputs={"tau": "motor"}, outputs=["q"], time="time", units={"q": "deg"}
+    )
     one = Dataset.from_frame(table, **settings)
     two = Dataset.from_frame([table, table], split=["fit", "report"], **settings)
     np.testing.assert_allclose(one.experiments[0].y[:, 0], Q)
@@ -186,7 +225,9 @@ def test_frames_of_pandas_and_pyarrow():
 
 # saving
 
-word = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")), min_size=1, max_size=12).filter(str.strip)
+word = st.text(
+    st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")), min_size=1, max_size=12
+).filter(str.strip)
 value = st.floats(-1e6, 1e6)
 
 
@@ -194,9 +235,16 @@ value = st.floats(-1e6, 1e6)
 def datasets(draw) -> Dataset:
     count = draw(st.integers(20, 40))
     free = draw(st.booleans())
-    inputs = () if free else (Channel("tau", "input", "N m", hold=draw(st.sampled_from(["zero", "linear"]))),)
+    inputs = (
+        ()
+        if free
+        else (Channel("tau", "input", "N m", hold=draw(st.sampled_from(["zero", "linear"]))),)
+    )
     width = st.none() | st.floats(1e-6, 1.0)
-    outputs = tuple(Channel(f"q{i + 1}", "output", "rad", draw(width), draw(width)) for i in range(draw(st.integers(1, 2))))
+    outputs = tuple(
+        Channel(f"q{i + 1}", "output", "rad", draw(width), draw(width))
+        for i in range(draw(st.integers(1, 2)))
+    )
     extra = (Channel("temperature1", "auxiliary", "K"),) if draw(st.booleans()) else ()
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     names = draw(st.lists(word, min_size=1, max_size=3, unique=True))
@@ -217,7 +265,9 @@ def datasets(draw) -> Dataset:
     )
     omega = np.sort(rng.uniform(0.1, 100, 5))
     gain = rng.standard_normal(5) + 1j * rng.standard_normal(5)
-    responses = () if free else (FrequencyResponse("\u2192 response", "report", omega, gain, "tau", "q1"),)
+    responses = (
+        () if free else (FrequencyResponse("\u2192 response", "report", omega, gain, "tau", "q1"),)
+    )
     spec = ModelSpec(
         draw(st.none() | st.just("arm")),
         draw(st.sampled_from([(), ("coulomb_friction",)])),
@@ -225,10 +275,16 @@ def datasets(draw) -> Dataset:
         draw(st.dictionaries(st.sampled_from(["gravity", "inertia"]), value)),
         draw(st.sampled_from([{}, {"viscous": ParameterPrior(0.1, None, 2.0)}])),
     )
-    controller = draw(st.none() | st.just(Controller("pd", {"kp": [1.0, 2.0], "sample_time": 1e-3})))
+    controller = draw(
+        st.none() | st.just(Controller("pd", {"kp": [1.0, 2.0], "sample_time": 1e-3}))
+    )
     source = draw(st.none() | word | st.just({"source": "a bench", "licence": "CC0"}))
-    description = draw(st.text(st.characters(codec="utf-8", exclude_categories=("Cs",)), max_size=20))
-    return Dataset(draw(word), inputs + outputs + extra, runs, responses, spec, controller, description, source)
+    description = draw(
+        st.text(st.characters(codec="utf-8", exclude_categories=("Cs",)), max_size=20)
+    )
+    return Dataset(
+        draw(word), inputs + outputs + extra, runs, responses, spec, controller, description, source
+    )
 
 
 @given(dataset=datasets(), form=st.sampled_from(["parquet", "csv"]))
@@ -261,7 +317,9 @@ def test_saving_overwrites_only_when_told_so(tmp_path):
 
 def test_a_failed_save_leaves_nothing(tmp_path):
     dataset = Dataset.from_arrays(T, {"tau": TAU}, {"q": Q})
-    bad = replace(dataset, experiments=(replace(dataset.experiments[0], auxiliary={"x": np.zeros(3)}),))
+    bad = replace(
+        dataset, experiments=(replace(dataset.experiments[0], auxiliary={"x": np.zeros(3)}),)
+    )
     with pytest.raises((ValueError, pa.ArrowInvalid)):
         save_dataset(bad, tmp_path / "d")
     assert list(tmp_path.iterdir()) == []
@@ -270,7 +328,10 @@ def test_a_failed_save_leaves_nothing(tmp_path):
 def test_errors_survive_pickling():
     error = DatasetError([Problem("a.csv", 3, "q", "is bad", "Mend it")])
     again = pickle.loads(pickle.dumps(error))
-    assert str(again) == str(error) == "a.csv, row 3, column q: is bad. Mend it" and again.problems == error.problems
+    assert (
+        str(again) == str(error) == "a.csv, row 3, column q: is bad. Mend it"
+        and again.problems == error.problems
+    )
 
 
 # recordings of others, where they are at hand
@@ -278,7 +339,12 @@ def test_errors_survive_pickling():
 RECORDINGS = {
     "emps": (2, 24841, ("force",), ("position",)),
     "multiarm_single_pendulum": (2, 36668, (), ("q",)),
-    "panda_exciting": (2, 13778, tuple(f"tau{i}" for i in range(1, 8)), tuple(f"q{i}" for i in range(1, 8))),
+    "panda_exciting": (
+        2,
+        13778,
+        tuple(f"tau{i}" for i in range(1, 8)),
+        tuple(f"q{i}" for i in range(1, 8)),
+    ),
     "ur10e": (3, 2875, tuple(f"tau{i}" for i in range(1, 7)), tuple(f"q{i}" for i in range(1, 7))),
 }
 
@@ -291,7 +357,10 @@ def test_real_recordings_load(name):
     count, samples, inputs, outputs = RECORDINGS[name]
     dataset = load_dataset(DATA / name, check_model=False)
     assert len(dataset.experiments) == count and len(dataset.experiments[0]) == samples
-    assert tuple(c.name for c in dataset.inputs) == inputs and tuple(c.name for c in dataset.outputs) == outputs
+    assert (
+        tuple(c.name for c in dataset.inputs) == inputs
+        and tuple(c.name for c in dataset.outputs) == outputs
+    )
     assert {e.split for e in dataset.with_splits().experiments} == {"fit", "validation", "report"}
 
 
@@ -301,7 +370,10 @@ def test_where_on_a_real_recording(tmp_path):
         pytest.skip(f"xl330_pendulum is not in {DATA}: set JAXID_DATA to the folder of recordings")
     (tmp_path / "xl330.parquet").write_bytes(source.read_bytes())
     logs = list(dict.fromkeys(pq.read_table(source).column("log").to_pylist()))
-    experiments = "".join(f'[[experiments]]\nfile = "xl330.parquet"\nwhere = {{ log = {json.dumps(x)} }}\n' for x in logs)
+    experiments = "".join(
+        f'[[experiments]]\nfile = "xl330.parquet"\nwhere = {{ log = {json.dumps(x)} }}\n'
+        for x in logs
+    )
     (tmp_path / "dataset.toml").write_text(
         'name = "xl330"\n[channels.q_cmd]\ncolumn = "q_goal_rad"\nrole = "input"\nunit = "rad"\n'
         '[channels.q]\ncolumn = "q_rad"\nrole = "output"\nunit = "rad"\n' + experiments

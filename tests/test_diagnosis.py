@@ -57,11 +57,18 @@ def recording(model: str, seed: int, **truth) -> jaxid.Dataset:
         u = multisine(t, [0.4], seed=100 * seed + k, periods=rng.uniform(1.5, 3), lines=8)
         for _ in range(3):
             a = int(rng.integers(0, 1000))
-            u[a : a + int(rng.integers(40, 160))] = rng.uniform(-0.5, 0.5) if rng.uniform() < 0.6 else 0.0
+            u[a : a + int(rng.integers(40, 160))] = (
+                rng.uniform(-0.5, 0.5) if rng.uniform() < 0.6 else 0.0
+            )
         us.append(u)
     plant = dataclasses.replace(twins.PLANTS[model], rate=200, noise=NOISE, resolution=0.0)
     numbers = plant.nominal | {k: np.array([x]) for k, x in truth.items()}
-    y = twins.recorded(plant, np.array(us), {k: np.tile(x, (4, 1)) for k, x in numbers.items()}, np.random.default_rng(seed))
+    y = twins.recorded(
+        plant,
+        np.array(us),
+        {k: np.tile(x, (4, 1)) for k, x in numbers.items()},
+        np.random.default_rng(seed),
+    )
     return jaxid.Dataset.from_arrays(
         [t] * 4, {"tau": [u[:, 0] for u in us]}, {"q": list(y[:, :, 0])}, units={"tau": "N m", "q": "rad"}, split=splits,
         at_rest=True, noise_std={"q": NOISE}, model=model,
@@ -72,7 +79,9 @@ def recording(model: str, seed: int, **truth) -> jaxid.Dataset:
     ("effect", "place", "truth", "parameters"),
     [
         ("load_dependent_friction", "q", {"load": 0.1}, {"mu": 0.1}),
-        pytest.param("input_delay", "tau", {"delay": 0.004}, {"delay": 0.004}, marks=pytest.mark.slow),
+        pytest.param(
+            "input_delay", "tau", {"delay": 0.004}, {"delay": 0.004}, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_withheld_effect_is_named(effect, place, truth, parameters):
@@ -100,7 +109,9 @@ def test_the_order_of_a_ripple_is_read_off_the_missing_torque():
     assert np.ptp(data.experiments[0].y) * 27.7 > 12 * 2 * np.pi  # periods
     fit = jaxid.fit("joint", data, effects=["torque_ripple"])
     found = fit.effects[0].parameters["order"]
-    assert fit.loss < 1.2 and found.std is not None and abs(found.value - 27.7) < 4 * found.std + 1e-4
+    assert (
+        fit.loss < 1.2 and found.std is not None and abs(found.value - 27.7) < 4 * found.std + 1e-4
+    )
 
 
 @pytest.mark.slow
@@ -113,7 +124,9 @@ def test_a_ripple_on_a_long_travel_is_named():
 def test_windows_name_the_same_effect():
     data = recording("pendulum", 1, load=0.1)
     d = jaxid.diagnose("pendulum", data, residual="multiple_shooting", effects=CHOICE)
-    assert [e.effect for e in d.which.effects] == ["load_dependent_friction"] and d.residual == "multiple_shooting"
+    assert [e.effect for e in d.which.effects] == [
+        "load_dependent_friction"
+    ] and d.residual == "multiple_shooting"
     assert d.traces and all(t.windows and len(t.simulated) == 2 for t in d.traces)
 
 
@@ -138,9 +151,16 @@ def test_an_arm_thrown_over_the_top():
     t, rng = np.arange(1200) / 200, np.random.default_rng(3)
     plant = dataclasses.replace(twins.PLANTS["planar_arm"], rate=200)
     lines = 2 * np.pi * rng.uniform(0.3, 1.5, (4, 2, 6)), rng.uniform(0, 6, (4, 2, 6))
-    u = np.array([22.0, 7.0]) * np.sin(lines[0][:, None] * t[:, None, None] + lines[1][:, None]).sum(3) / np.sqrt(6)
+    u = (
+        np.array([22.0, 7.0])
+        * np.sin(lines[0][:, None] * t[:, None, None] + lines[1][:, None]).sum(3)
+        / np.sqrt(6)
+    )
     numbers = plant.nominal | {"scale": (0.0, 0.07)}
-    every = {k: np.tile(numbers.get(k, (twins.NEUTRAL.get(k, 0.0),) * 2), (4, 1)) for k in {**twins.NEUTRAL, **numbers}}
+    every = {
+        k: np.tile(numbers.get(k, (twins.NEUTRAL.get(k, 0.0),) * 2), (4, 1))
+        for k in {**twins.NEUTRAL, **numbers}
+    }
     y = twins.recorded(plant, u, every, rng)
     data = jaxid.Dataset.from_arrays(
         [t] * 4, {f"tau{j + 1}": list(u[:, :, j]) for j in (0, 1)}, {f"q{j + 1}": list(y[:, :, j]) for j in (0, 1)},
@@ -148,10 +168,17 @@ def test_an_arm_thrown_over_the_top():
         resolution={f"q{j}": plant.resolution for j in (1, 2)}, model="planar_arm",
     )  # fmt: skip
     assert np.ptp(y[:, :, 0], axis=1).max() > 2 * np.pi
-    d = jaxid.diagnose(None, data, effects=["torque_scale", "supply_droop", "back_emf", "torque_ripple", "sensor_bias"])
+    d = jaxid.diagnose(
+        None,
+        data,
+        effects=["torque_scale", "supply_droop", "back_emf", "torque_ripple", "sensor_bias"],
+    )
     # A drive that gives 7 % more at one joint is one that gives 7 % less at the other, on an arm heavier by as much.
     assert d.which.verdict == "named" and len(d.which.effects) == 1
-    assert {str(e) for e in (*d.which.effects, *d.which.confusable_with)} == {"torque_scale at tau1", "torque_scale at tau2"}
+    assert {str(e) for e in (*d.which.effects, *d.which.confusable_with)} == {
+        "torque_scale at tau1",
+        "torque_scale at tau2",
+    }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,51 +201,99 @@ class Answer:
     ],
 )  # fmt: skip
 @pytest.mark.slow
-def test_windows_are_asked_where_chaotic_free_runs_find_nothing(monkeypatch, given, first, left, grown, second, expected):
+def test_windows_are_asked_where_chaotic_free_runs_find_nothing(
+    monkeypatch, given, first, left, grown, second, expected
+):
     asked = []
 
     def answer(question, *_):
         asked.append(question.residual.name)
-        return Answer(SimpleNamespace(verdict=second if len(asked) > 1 else first), SimpleNamespace(gap_after=left)), grown
+        return Answer(
+            SimpleNamespace(verdict=second if len(asked) > 1 else first),
+            SimpleNamespace(gap_after=left),
+        ), grown
 
     monkeypatch.setattr("jaxid.diagnosis.run._diagnosed", answer)
-    monkeypatch.setattr("jaxid.diagnosis.run.asked_last", lambda found, *_: found)  # tests/test_late_effects.py
+    monkeypatch.setattr(
+        "jaxid.diagnosis.run.asked_last", lambda found, *_: found
+    )  # tests/test_late_effects.py
     d = jaxid.diagnose("pendulum", recording("pendulum", 2), residual=given)
-    assert d.which.verdict == expected and asked == ["output_error", "multiple_shooting"][: 2 if second else 1]
+    assert (
+        d.which.verdict == expected
+        and asked == ["output_error", "multiple_shooting"][: 2 if second else 1]
+    )
     assert bool(d.notes) == (second == expected != first)
 
 
 def answer_of(d: Any) -> list[tuple[str, str, dict[str, float]]]:
     """Verdict and effects with their numbers."""
-    named = [(e.effect, e.location, {k: p.value for k, p in e.parameters.items()}) for e in d.which.effects]
-    return [(d.which.verdict, "", {"before": d.how_far.gap_retuned, "after": d.how_far.gap_after}), *named]
+    named = [
+        (e.effect, e.location, {k: p.value for k, p in e.parameters.items()})
+        for e in d.which.effects
+    ]
+    return [
+        (d.which.verdict, "", {"before": d.how_far.gap_retuned, "after": d.how_far.gap_after}),
+        *named,
+    ]
 
 
-def written(folder: Path, data: jaxid.Dataset, order: list[int], names: dict[str, str], units: dict[str, tuple[str, float]]):
+def written(
+    folder: Path,
+    data: jaxid.Dataset,
+    order: list[int],
+    names: dict[str, str],
+    units: dict[str, tuple[str, float]],
+):
     """A dataset on disk: runs in this order, channels under these column names, in these units (name, size in SI)."""
     folder.mkdir()
     signals = {"tau": lambda e: e.u[:, 0], "q": lambda e: e.y[:, 0]}
     lines = ["name = 'written'", "[model]", "name = 'pendulum'"]
     for channel, role in (("tau", "input"), ("q", "output")):
-        lines += [f"[channels.{channel}]", f"role = '{role}'", f"unit = '{units[channel][0]}'", f"column = '{names[channel]}'"]
+        lines += [
+            f"[channels.{channel}]",
+            f"role = '{role}'",
+            f"unit = '{units[channel][0]}'",
+            f"column = '{names[channel]}'",
+        ]
     lines += [f"noise_std = {NOISE / units['q'][1]!r}"]
     for k in order:
         e = data.experiments[k]
         columns = [e.t, *(signals[c](e) / units[c][1] for c in names)]
-        rows = "\n".join(",".join(repr(float(x)) for x in row) for row in zip(*columns, strict=True))
+        rows = "\n".join(
+            ",".join(repr(float(x)) for x in row) for row in zip(*columns, strict=True)
+        )
         (folder / f"{e.name}.csv").write_text(f"t,{','.join(names.values())}\n{rows}\n")
-        lines += ["[[experiments]]", f"name = '{e.name}'", f"file = '{e.name}.csv'", f"split = '{e.split}'", "at_rest = true"]
+        lines += [
+            "[[experiments]]",
+            f"name = '{e.name}'",
+            f"file = '{e.name}.csv'",
+            f"split = '{e.split}'",
+            "at_rest = true",
+        ]
     (folder / "dataset.toml").write_text("\n".join(lines) + "\n")
     return folder
 
 
 def test_names_units_and_order_change_no_answer(tmp_path):
     data = recording("pendulum", 1, load=0.1)
-    plain = written(tmp_path / "a", data, [0, 1, 2, 3], {"tau": "tau", "q": "q"}, {"tau": ("N m", 1.0), "q": ("rad", 1.0)})
-    other = written(
-        tmp_path / "b", data, [3, 1, 2, 0], {"q": "enc_1", "tau": "cmd"}, {"tau": ("mN m", 1e-3), "q": ("deg", np.pi / 180)}
+    plain = written(
+        tmp_path / "a",
+        data,
+        [0, 1, 2, 3],
+        {"tau": "tau", "q": "q"},
+        {"tau": ("N m", 1.0), "q": ("rad", 1.0)},
     )
-    first, second = (answer_of(jaxid.diagnose(None, jaxid.load_dataset(f), effects=CHOICE)) for f in (plain, other))
+    other = written(
+        tmp_path / "b",
+        data,
+        [3, 1, 2, 0],
+        {"q": "enc_1", "tau": "cmd"},
+        {"tau": ("mN m", 1e-3), "q": ("deg", np.pi / 180)},
+    )
+    first, second = (
+        answer_of(jaxid.diagnose(None, jaxid.load_dataset(f), effects=CHOICE))
+        for f in (plain, other)
+    )
     assert first[0][0] == "named" and [x[:2] for x in first] == [x[:2] for x in second]
     for (_, _, a), (_, _, b) in zip(first, second, strict=True):
         assert a == pytest.approx(b, rel=1e-3)
@@ -237,35 +312,65 @@ print(json.dumps([d.which.verdict, d.how_far.gap_after, [[e.effect, {k: p.value 
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system ties no process to a core")
+@pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity"), reason="this system ties no process to a core"
+)
 def test_one_core_and_all_give_the_same_bits(tmp_path):
     data = recording("pendulum", 1, load=0.1)
-    folder = written(tmp_path / "a", data, [0, 1, 2, 3], {"tau": "tau", "q": "q"}, {"tau": ("N m", 1.0), "q": ("rad", 1.0)})
+    folder = written(
+        tmp_path / "a",
+        data,
+        [0, 1, 2, 3],
+        {"tau": "tau", "q": "q"},
+        {"tau": ("N m", 1.0), "q": ("rad", 1.0)},
+    )
     command = [sys.executable, "-c", DIAGNOSED, str(folder)]
-    said = [subprocess.run([*command, n, ",".join(CHOICE)], capture_output=True, text=True, check=True) for n in ("1", "all")]
+    said = [
+        subprocess.run([*command, n, ",".join(CHOICE)], capture_output=True, text=True, check=True)
+        for n in ("1", "all")
+    ]
     assert said[0].stdout == said[1].stdout and "load_dependent_friction" in said[0].stdout
 
 
 def test_a_model_that_lacks_nothing_gets_none():
     d = jaxid.diagnose("pendulum", recording("pendulum", 2))
     assert d.which.verdict == "none" and not d.which.effects and not d.which.confusable_with
-    assert d.how_far.shrinkage is None and d.how_far.gap_after == pytest.approx(d.how_far.gap_retuned)
+    assert d.how_far.shrinkage is None and d.how_far.gap_after == pytest.approx(
+        d.how_far.gap_retuned
+    )
     assert not d.where
 
 
 def commanded_arm(drag: tuple[float, float]) -> jaxid.Dataset:
     """A two-link arm along prescribed motion without rests, its torque by the twin's equations with noise: three runs of 6 s."""
     t, plant = np.arange(1200) / 200, twins.PLANTS["planar_arm"]
-    numbers = {k: np.tile(x, (len(t), 1)) for k, x in {"payload": (0.0, 0.0), "tilt": (0.0, 0.0), **plant.nominal}.items()}
+    numbers = {
+        k: np.tile(x, (len(t), 1))
+        for k, x in {"payload": (0.0, 0.0), "tilt": (0.0, 0.0), **plant.nominal}.items()
+    }
     taus, qs = [], []
     for k in range(3):
         rng = np.random.default_rng(k)
-        a, w, phase = rng.uniform(0.2, 0.5, (3, 2)), 2 * np.pi * rng.uniform(0.3, 1.2, (3, 2)), rng.uniform(0, 6, (3, 2))
+        a, w, phase = (
+            rng.uniform(0.2, 0.5, (3, 2)),
+            2 * np.pi * rng.uniform(0.3, 1.2, (3, 2)),
+            rng.uniform(0, 6, (3, 2)),
+        )
         angle = w * t[:, None, None] + phase
-        q, qd, qdd = (a * np.sin(angle)).sum(1), (a * w * np.cos(angle)).sum(1), -(a * w * w * np.sin(angle)).sum(1)
+        q, qd, qdd = (
+            (a * np.sin(angle)).sum(1),
+            (a * w * np.cos(angle)).sum(1),
+            -(a * w * w * np.sin(angle)).sum(1),
+        )
         M, bias = plant.matrices(q, qd, numbers)
-        friction = numbers["viscous"] * qd + numbers["coulomb"] * np.sign(qd) + np.array(drag) * np.abs(qd) * qd
-        taus.append(np.einsum("tij,tj->ti", M, qdd) + bias + friction + 0.05 * rng.standard_normal(q.shape))
+        friction = (
+            numbers["viscous"] * qd
+            + numbers["coulomb"] * np.sign(qd)
+            + np.array(drag) * np.abs(qd) * qd
+        )
+        taus.append(
+            np.einsum("tij,tj->ti", M, qdd) + bias + friction + 0.05 * rng.standard_normal(q.shape)
+        )
         qs.append(q + 1e-6 * rng.standard_normal(q.shape))
     return jaxid.Dataset.from_arrays(
         [t] * 3, {f"tau{j + 1}": [x[:, j] for x in taus] for j in (0, 1)}, {f"q{j + 1}": [x[:, j] for x in qs] for j in (0, 1)},
@@ -277,14 +382,26 @@ def commanded_arm(drag: tuple[float, float]) -> jaxid.Dataset:
 def test_an_arm_is_diagnosed_by_its_torque(drag, places):
     """Nothing is simulated; an effect that is found at one joint is looked for at the others."""
     data = commanded_arm(drag)
-    d = jaxid.diagnose(None, data, residual="inverse_dynamics", effects=["quadratic_drag", "spring_torque"])
+    d = jaxid.diagnose(
+        None, data, residual="inverse_dynamics", effects=["quadratic_drag", "spring_torque"]
+    )
     assert d.which.verdict == "named" and d.residual == "inverse_dynamics"
-    assert {(e.effect, e.location) for e in d.which.effects} == {("quadratic_drag", p) for p in places}
+    assert {(e.effect, e.location) for e in d.which.effects} == {
+        ("quadratic_drag", p) for p in places
+    }
     for e in d.which.effects:
         found = e.parameters["coefficient"]
-        assert found.std is not None and abs(found.value - drag[int(e.location[1]) - 1]) < 4 * found.std
-    assert set(d.how_far.per_channel) == {"tau1", "tau2"} and d.how_far.gap_after < 1.2 < d.how_far.gap_retuned
-    assert {t.channel for t in d.traces} == {"tau1", "tau2"} and "report" in {t.split for t in d.traces}
+        assert (
+            found.std is not None
+            and abs(found.value - drag[int(e.location[1]) - 1]) < 4 * found.std
+        )
+    assert (
+        set(d.how_far.per_channel) == {"tau1", "tau2"}
+        and d.how_far.gap_after < 1.2 < d.how_far.gap_retuned
+    )
+    assert {t.channel for t in d.traces} == {"tau1", "tau2"} and "report" in {
+        t.split for t in d.traces
+    }
     assert d.where[0].location in places
 
 
@@ -303,7 +420,9 @@ def test_what_refines_an_effect_that_is_missing_comes_with_it(dry):
     choice = ["coulomb_friction", "stribeck_friction", *CHOICE]
     d = jaxid.diagnose("pendulum", data, without=["coulomb_friction"], effects=choice)
     found = {e.effect: e.parameters for e in d.which.effects}
-    assert d.which.verdict == "named" and set(found) == {"stribeck_friction"} | ({"coulomb_friction"} if dry else set())
+    assert d.which.verdict == "named" and set(found) == {"stribeck_friction"} | (
+        {"coulomb_friction"} if dry else set()
+    )
     extra = found["stribeck_friction"]["extra"]
     assert extra.std is not None and abs(extra.value - 0.02) < 4 * extra.std
 
@@ -314,7 +433,9 @@ def test_of_two_effects_neither_need_help_alone():
     what a lag of the sensor explains is less, of both."""
     data = recording("joint", 3, lag=0.0138, dry_asymmetry=0.0143, viscous_asymmetry=0.002)
     timing = ["input_delay", "sensor_delay", "actuator_lag", "sensor_lag"]
-    d = jaxid.diagnose("joint", data, effects=[*timing, "asymmetric_friction", "position_dependent_friction"])
+    d = jaxid.diagnose(
+        "joint", data, effects=[*timing, "asymmetric_friction", "position_dependent_friction"]
+    )
     assert d.which.verdict == "named" and d.how_far.gap_after < 1.2
     assert {e.effect for e in d.which.effects} == {"actuator_lag", "asymmetric_friction"}
 
@@ -336,7 +457,9 @@ def test_what_was_passed_over_is_tried_again_beside_a_later_effect():
     names = ["input_delay", "actuator_lag", "spring_torque", "quadratic_drag"]
     data = recording("pendulum", 1, load=0.1)
     bench = Bench(bind("pendulum", data, candidates=[catalogue.effect_class(n) for n in names]))
-    delay, lag, spring, drag = (next(c for c in candidates(bench, names) if c.effect == n) for n in names)
+    delay, lag, spring, drag = (
+        next(c for c in candidates(bench, names) if c.effect == n) for n in names
+    )
     theta = bench.binding.theta
 
     def hypothesis(*effects, **numbers):
@@ -362,7 +485,9 @@ def test_what_was_passed_over_is_tried_again_beside_a_later_effect():
 def test_a_cause_outside_the_library_is_not_named():
     data = recording("pendulum", 4)
     t = data.experiments[0].t
-    pushed = [e.y[:, 0] + 0.02 * np.sin(2 * np.pi * 1.3 * t + k) for k, e in enumerate(data.experiments)]
+    pushed = [
+        e.y[:, 0] + 0.02 * np.sin(2 * np.pi * 1.3 * t + k) for k, e in enumerate(data.experiments)
+    ]
     data = jaxid.Dataset.from_arrays(
         [t] * 4, {"tau": [e.u[:, 0] for e in data.experiments]}, {"q": pushed}, units={"tau": "N m", "q": "rad"},
         split=["fit", "fit", "validation", "report"], noise_std={"q": NOISE}, model="pendulum",
@@ -388,7 +513,12 @@ def test_wrong_arguments_are_named():
         with pytest.raises(jaxid.UsageError, match=word):
             jaxid.diagnose("joint", data, **arguments)
     # By torque, half a second at each end goes to the filter: the first tenth of a run holds no row.
-    assert jaxid.diagnose("joint", data, residual="inverse_dynamics", effects=["spring_torque"]).residual == "inverse_dynamics"
+    assert (
+        jaxid.diagnose(
+            "joint", data, residual="inverse_dynamics", effects=["spring_torque"]
+        ).residual
+        == "inverse_dynamics"
+    )
 
 
 @pytest.mark.slow
@@ -427,7 +557,9 @@ def test_an_interval_holds_a_further_run():
         return HeldOut(before, before, 900.0, 300 * count), HeldOut(after, after, 1.25, 300 * count)
 
     square = lambda r: float(np.mean(r**2))
-    shares = lambda b, a: [shrink(square(x), square(y)) for x, y in zip(b.residual, a.residual, strict=True)]
+    shares = lambda b, a: [
+        shrink(square(x), square(y)) for x, y in zip(b.residual, a.residual, strict=True)
+    ]
     for spread in (0.0, 1.5):
         hits = []
         for _ in range(60):
@@ -443,7 +575,13 @@ def test_runs_that_begin_in_motion_are_not_taken_for_a_gap():
     later = [(e.t[400:] - e.t[400], e.u[400:, 0], e.y[400:, 0]) for e in runs]
     t, u, q = zip(*later, strict=True)
     cut = lambda **more: jaxid.Dataset.from_arrays(
-        t, {"tau": u}, {"q": q}, units={"tau": "N m", "q": "rad"}, noise_std={"q": NOISE}, model="joint", **more
+        t,
+        {"tau": u},
+        {"q": q},
+        units={"tau": "N m", "q": "rad"},
+        noise_std={"q": NOISE},
+        model="joint",
+        **more,
     )
     stated, parts = cut(split=[e.split for e in runs]), cut()
     d, by_parts = (jaxid.diagnose(None, data, effects=CHOICE) for data in (stated, parts))
@@ -466,10 +604,18 @@ def test_what_contains_a_hypothesis_leads_it_out_of_a_local_minimum():
     theta = searcher.nominal.theta.copy()
     theta[list(dry.index)] = 0.03
     poor, rich = searcher.problem((dry,), theta), searcher.problem((dry, bend), theta)
-    paths = [descend([(poor, poor.z(theta))], 0, 1e-8)[0], descend([(rich, rich.z(theta))], 20, 1e-8)[0]]
+    paths = [
+        descend([(poor, poor.z(theta))], 0, 1e-8)[0],
+        descend([(rich, rich.z(theta))], 20, 1e-8)[0],
+    ]
     found = searcher._hypotheses([((dry,), paths[0]), ((dry, bend), paths[1])])
     led = searcher._led(list(found))
-    assert found[0].fit_loss > 10 and led[0].fit_loss < 1.1 and led[0].effects == (dry,) and led[1] is found[1]
+    assert (
+        found[0].fit_loss > 10
+        and led[0].fit_loss < 1.1
+        and led[0].effects == (dry,)
+        and led[1] is found[1]
+    )
 
 
 def test_an_interval_needs_blocks():
@@ -477,11 +623,19 @@ def test_an_interval_needs_blocks():
     white = rng.normal(size=(4000, 1))
     slow = np.convolve(rng.normal(size=4050), np.ones(50) / np.sqrt(50), "valid")[:4000, None]
     held = HeldOut([white], [white], 1.0, 4000)
-    interval, made_of, reason = interval_of_further_run(HeldOut([10 * white], [white], 100.0, 4000), held)
+    interval, made_of, reason = interval_of_further_run(
+        HeldOut([10 * white], [white], 100.0, 4000), held
+    )
     assert (made_of, reason) == ("blocks", "") and interval is not None
-    assert interval[0] < shrink(100.0 * float(np.mean(white**2)), float(np.mean(white**2))) < interval[1]
+    assert (
+        interval[0]
+        < shrink(100.0 * float(np.mean(white**2)), float(np.mean(white**2)))
+        < interval[1]
+    )
     short = HeldOut([slow[:300]], [slow[:300]], 1.0, 300)
-    interval, made_of, reason = interval_of_further_run(HeldOut([10 * slow[:300]], [slow[:300]], 100.0, 300), short)
+    interval, made_of, reason = interval_of_further_run(
+        HeldOut([10 * slow[:300]], [slow[:300]], 100.0, 300), short
+    )
     assert interval is None and not made_of and "blocks" in reason
 
 
@@ -523,11 +677,16 @@ def test_emps_lacks_a_friction_effect():
         errors.append(runs[1]["position"])
     assert errors[1] <= 5.5e-3 and errors[1] <= 0.6 * errors[0]
     if errors[1] > 5.0e-3:
-        pytest.xfail(f"{1e3 * errors[1]:.2f} mm, 5.0 mm asked: the least squares of the fit run lie there")
+        pytest.xfail(
+            f"{1e3 * errors[1]:.2f} mm, 5.0 mm asked: the least squares of the fit run lie there"
+        )
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (DATA / "multiarm_single_pendulum").is_dir(), reason="the free pendulum is not in $JAXID_DATA")
+@pytest.mark.skipif(
+    not (DATA / "multiarm_single_pendulum").is_dir(),
+    reason="the free pendulum is not in $JAXID_DATA",
+)
 def test_free_pendulum_has_dry_friction_and_drag_for_its_viscous_term():
     d = jaxid.diagnose(None, jaxid.load_dataset(DATA / "multiarm_single_pendulum"))
     named = {e.effect for e in d.which.effects}
@@ -537,7 +696,9 @@ def test_free_pendulum_has_dry_friction_and_drag_for_its_viscous_term():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (DATA / "xl330_pendulum").is_dir(), reason="the XL330 recording is not in $JAXID_DATA")
+@pytest.mark.skipif(
+    not (DATA / "xl330_pendulum").is_dir(), reason="the XL330 recording is not in $JAXID_DATA"
+)
 def test_a_recorded_servo_lacks_load_dependent_friction():
     """Neither model comes near the noise, and the nominal one must not be bent to the runs that choose."""
     from benchmarks import xl330
@@ -549,11 +710,19 @@ def test_a_recorded_servo_lacks_load_dependent_friction():
 
 def test_a_delay_at_either_end_of_a_plant_is_the_same_to_any_recording():
     names = ["input_delay", "sensor_delay", "spring_torque"]
-    bench = Bench(bind("pendulum", recording("pendulum", 1), candidates=[catalogue.effect_class(n) for n in names]))
+    bench = Bench(
+        bind(
+            "pendulum",
+            recording("pendulum", 1),
+            candidates=[catalogue.effect_class(n) for n in names],
+        )
+    )
     pool = candidates(bench, names)
     into, out, spring = (next(c for c in pool if c.effect == n) for n in names)
     named = lambda *effects: cast(Any, SimpleNamespace(effects=effects))
-    assert mirrored(bench, named(into), pool) == [out] and mirrored(bench, named(out, spring), pool) == [into]
+    assert mirrored(bench, named(into), pool) == [out] and mirrored(
+        bench, named(out, spring), pool
+    ) == [into]
     assert mirrored(bench, named(spring), pool) == mirrored(bench, named(into, out), pool) == []
 
 
@@ -569,31 +738,50 @@ def test_a_run_that_diverges_is_held_against_no_other():
 def leaving(fit_loss: float, loss: float, *effects: str) -> Any:
     """What a verdict sees of a hypothesis that leaves these mean squares of fit and validation runs."""
     path, held = SimpleNamespace(count=4000), SimpleNamespace(loss=loss, count=4000)
-    return SimpleNamespace(effects=effects, size=len(effects), fit_loss=fit_loss, path=path, validation=held)
+    return SimpleNamespace(
+        effects=effects, size=len(effects), fit_loss=fit_loss, path=path, validation=held
+    )
 
 
-@pytest.mark.parametrize(("several", "left", "verdict"), [(False, 9.0, "named"), (True, 9.0, "partly"), (True, 2.0, "named")])
+@pytest.mark.parametrize(
+    ("several", "left", "verdict"),
+    [(False, 9.0, "named"), (True, 9.0, "partly"), (True, 2.0, "named")],
+)
 def test_several_effects_must_come_down_to_the_noise(several, left, verdict):
     """Three effects that leave three times the noise of two thousand come close to something else."""
-    found = judge(Search(leaving(4e6, 4e6), leaving(left, left, "one", "two", "three"), several=several))
+    found = judge(
+        Search(leaving(4e6, 4e6), leaving(left, left, "one", "two", "three"), several=several)
+    )
     assert found.name == verdict and "100 %" not in found.text
 
 
 @pytest.mark.parametrize(
     ("zeros", "wave", "verdict"),
-    [((0.5, -0.4), 0.0, "none"), ((0.5, -0.4), 0.6, "unknown"), ((1.2, -0.4), 0.0, "unknown"), ((0.0, 0.0), 0.0, "none")],
+    [
+        ((0.5, -0.4), 0.0, "none"),
+        ((0.5, -0.4), 0.6, "unknown"),
+        ((1.2, -0.4), 0.0, "unknown"),
+        ((0.0, 0.0), 0.0, "none"),
+    ],
 )
 def test_where_an_encoder_counts_from_within_a_step_is_no_gap(zeros, wave, verdict):
     """Each run reads its own zero, in steps; more than half a step, or anything that moves, is a gap."""
     rng = np.random.default_rng(0)
-    error = [rng.uniform(-0.5, 0.5, (2000, 1)) + z + wave * np.sin(np.arange(2000) / 50)[:, None] for z in zeros]
+    error = [
+        rng.uniform(-0.5, 0.5, (2000, 1)) + z + wave * np.sin(np.arange(2000) / 50)[:, None]
+        for z in zeros
+    ]
     residual = [np.sqrt(12) * e for e in error]
     loss = float(np.mean(np.square(residual)))
-    path = SimpleNamespace(count=4000, z=None, problem=SimpleNamespace(residuals=lambda z: residual))
+    path = SimpleNamespace(
+        count=4000, z=None, problem=SimpleNamespace(residuals=lambda z: residual)
+    )
     held = SimpleNamespace(loss=loss, count=4000, settled=residual)
     model: Any = SimpleNamespace(effects=(), size=0, fit_loss=loss, path=path, validation=held)
     assert judge(Search(model, model), np.array([True])).name == verdict
-    assert judge(Search(model, model)).name == ("none" if loss < 1.2 else "unknown")  # of a channel with noise it is one
+    assert judge(Search(model, model)).name == (
+        "none" if loss < 1.2 else "unknown"
+    )  # of a channel with noise it is one
 
 
 @pytest.mark.parametrize(
@@ -619,14 +807,21 @@ def test_a_part_of_the_effects_is_enough_where_the_rest_is_within_the_noise(fit_
     """Dry friction came down to the noise; with Stribeck's share of 0.2 % of it the validation runs were 25 units better."""
     both, alone = leaving(0.98, 0.945, "dry", "stribeck"), leaving(fit_loss, loss, "dry")
     assert simpler(cast(Any, None), leaving(9e4, 9e4), alone, both) == plain
-    other = leaving(fit_loss, loss, "order one")  # or another law that explains all but nothing of the same
+    other = leaving(
+        fit_loss, loss, "order one"
+    )  # or another law that explains all but nothing of the same
     assert simpler(cast(Any, None), leaving(9e4, 9e4), other, both) == plain
 
 
-@pytest.mark.parametrize("fit_loss, verdict", [(1.0, "named"), (2.0, "named"), (8.0, "named"), (15.5, "partly")])
+@pytest.mark.parametrize(
+    "fit_loss, verdict", [(1.0, "named"), (2.0, "named"), (8.0, "named"), (15.5, "partly")]
+)
 def test_what_is_named_closes_the_gap_of_the_fit_runs_too(fit_loss, verdict):
     """On a tracker whose motors are not as their formula has them, one effect left 15.5 of 429 there."""
-    assert judge(Search(leaving(429.0, 366.0), leaving(fit_loss, 7.1, "one"), several=False)).name == verdict
+    assert (
+        judge(Search(leaving(429.0, 366.0), leaving(fit_loss, 7.1, "one"), several=False)).name
+        == verdict
+    )
 
 
 @pytest.mark.parametrize(
@@ -649,8 +844,12 @@ def test_report_data_withdraw_what_does_not_hold_on_them(retuned, after, verdict
     judged, gaps = Verdict("named", (Lacks("drag", 1.0),)), Gaps(np.inf, retuned, after)
     found = upheld(judged, gaps)
     assert found.name == verdict and "drag" in found.text
-    assert found.text.startswith("The model lacks drag") != (verdict == "unknown" and after < retuned)
-    assert upheld(judged, gaps, several=True).name == ("partly" if verdict == "named" and after > 1.5 else verdict)
+    assert found.text.startswith("The model lacks drag") != (
+        verdict == "unknown" and after < retuned
+    )
+    assert upheld(judged, gaps, several=True).name == (
+        "partly" if verdict == "named" and after > 1.5 else verdict
+    )
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
@@ -680,7 +879,9 @@ def test_what_the_data_leave_open_stays_where_the_user_put_it():
     assert np.allclose(astray.z, [3.5, -2.5, 0.3], atol=0.01)
     found = brought_back([astray], np.zeros(3), [0, 1, 2])[0]
     assert np.allclose(found.z, [0.5, 0.5, 0.3], atol=1e-3) and found.cost <= astray.cost + 1e-3
-    determined = descend([(Named(lambda z: 1e3 * (z - 0.2), [-5.0] * 3, [5.0] * 3), np.ones(3))], 20, 1e-9)
+    determined = descend(
+        [(Named(lambda z: 1e3 * (z - 0.2), [-5.0] * 3, [5.0] * 3), np.ones(3))], 20, 1e-9
+    )
     assert brought_back(determined, np.zeros(3), [0, 1, 2])[0] is determined[0]
 
 
@@ -703,7 +904,11 @@ def test_a_number_that_went_as_far_as_the_data_let_it_is_put_back():
     )
     numbers = {"parameters": {n: {"value": v} for n, v in truth.items()}, "effects": []}
     q = jaxid.simulate(None, recorded(goal), numbers).runs[0]["q"]
-    bench = Bench(bind(None, recorded(q + NOISE * np.random.default_rng(0).standard_normal(800)), splits=False))
+    bench = Bench(
+        bind(
+            None, recorded(q + NOISE * np.random.default_rng(0).standard_normal(800)), splits=False
+        )
+    )
     b = bench.binding
     problem = lambda free, theta: bench.problem(OutputError(), "fit", free, theta)
     gain, constant = (b.layout.index(n) for n in ("gain_scale", "torque_constant"))
@@ -720,9 +925,13 @@ def test_a_number_that_went_as_far_as_the_data_let_it_is_put_back():
 def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     """A limit that the fit run does not reach: the validation run does, and says where it is."""
     t = np.arange(800) / 200
-    u = [a * multisine(t, [0.4], seed=k, periods=2, lines=6)[:, 0] for k, a in enumerate((0.35, 1.0))]
+    u = [
+        a * multisine(t, [0.4], seed=k, periods=2, lines=6)[:, 0] for k, a in enumerate((0.35, 1.0))
+    ]
     plant = dataclasses.replace(twins.PLANTS["pendulum"], rate=200, noise=NOISE, resolution=0.0)
-    numbers = {k: np.tile(x, (2, 1)) for k, x in (plant.nominal | {"limit": np.array([0.3])}).items()}
+    numbers = {
+        k: np.tile(x, (2, 1)) for k, x in (plant.nominal | {"limit": np.array([0.3])}).items()
+    }
     y = twins.recorded(plant, np.array(u)[:, :, None], numbers, np.random.default_rng(3))
     data = jaxid.Dataset.from_arrays(
         [t] * 2, {"tau": u}, {"q": list(y[:, :, 0])}, units={"tau": "N m", "q": "rad"}, split=["fit", "validation"],
@@ -737,9 +946,15 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     path = descend([(p, p.z(theta))], 30, 1e-8)[0]
     assert 2 * path.cost / path.count < 1.2
     told, theta = [knowledge(path)], p.theta(path.z)
-    first, followed = (held_out(bench, "validation", [theta], None, told, follow)[0] for follow in (None, [path]))
+    first, followed = (
+        held_out(bench, "validation", [theta], None, told, follow)[0] for follow in (None, [path])
+    )
     assert first.gap > 5 and followed.gap == first.gap  # the prediction is what it is
-    assert followed.loss < 1.2 and followed.theta is not None and abs(followed.theta[limit] - 0.3) < 2e-3
+    assert (
+        followed.loss < 1.2
+        and followed.theta is not None
+        and abs(followed.theta[limit] - 0.3) < 2e-3
+    )
 
 
 def test_a_limit_far_below_the_commands_is_found():
@@ -747,26 +962,54 @@ def test_a_limit_far_below_the_commands_is_found():
     t = np.arange(1200) / 200
     u = [2 * multisine(t, [1.0], seed=k, periods=2, lines=6)[:, 0] for k in range(3)]
     plant = dataclasses.replace(twins.PLANTS["servo"], rate=200, noise=NOISE, resolution=0.0)
-    numbers = {k: np.tile(x, (3, 1)) for k, x in (plant.nominal | {"limit": np.array([0.25])}).items()}
+    numbers = {
+        k: np.tile(x, (3, 1)) for k, x in (plant.nominal | {"limit": np.array([0.25])}).items()
+    }
     y = twins.recorded(plant, np.array(u)[:, :, None], numbers, np.random.default_rng(3))
     data = jaxid.Dataset.from_arrays(
         [t] * 3, {"q_cmd": u}, {"q": list(y[:, :, 0])}, units={"q_cmd": "rad", "q": "rad"},
         split=["fit", "validation", "report"], at_rest=True, noise_std={"q": NOISE}, model="servo",
     )  # fmt: skip
-    d = jaxid.diagnose("servo", data, effects=["saturation", "torque_scale", "sensor_bias"], max_effects=1)
+    d = jaxid.diagnose(
+        "servo", data, effects=["saturation", "torque_scale", "sensor_bias"], max_effects=1
+    )
     (found,) = d.which.effects
     (limit,) = found.parameters.values()
-    assert found.effect == "saturation" and limit.std and abs(limit.value - 0.25) < 4 * limit.std + 1e-3
+    assert (
+        found.effect == "saturation"
+        and limit.std
+        and abs(limit.value - 0.25) < 4 * limit.std + 1e-3
+    )
 
 
 def test_what_leads_a_screen_and_what_may_equal_it_is_refitted_however_many_there_are(monkeypatch):
-    names = ["quadratic_drag", "dead_zone", "saturation", "asymmetric_friction", "spring_torque", "power_law_friction"]
-    bench = Bench(bind("pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class(n) for n in names]))
+    names = [
+        "quadratic_drag",
+        "dead_zone",
+        "saturation",
+        "asymmetric_friction",
+        "spring_torque",
+        "power_law_friction",
+    ]
+    bench = Bench(
+        bind(
+            "pendulum",
+            recording("pendulum", 2),
+            candidates=[catalogue.effect_class(n) for n in names],
+        )
+    )
     ranked = [(1 / (1 + k), c, []) for k, n in enumerate(names) for c in candidates(bench, [n])]
-    kept = lambda free, torque: [c.effect for _, c, _ in shortlist.shortlist(bench, free, torque, lambda c: False, False)]
+    kept = lambda free, torque: [
+        c.effect for _, c, _ in shortlist.shortlist(bench, free, torque, lambda c: False, False)
+    ]
     assert kept(ranked, []) == names  # one screen only
     monkeypatch.setattr(shortlist, "MINIMUM", 1)
-    assert kept(ranked, ranked[4:5]) == ["quadratic_drag", "spring_torque", *names[1:4], "power_law_friction"]
+    assert kept(ranked, ranked[4:5]) == [
+        "quadratic_drag",
+        "spring_torque",
+        *names[1:4],
+        "power_law_friction",
+    ]
     monkeypatch.setattr(shortlist, "FRONT", 1)
     monkeypatch.setattr(shortlist, "MAXIMUM", 1)
     assert kept(ranked, ranked[4:5]) == ["quadratic_drag", "spring_torque", "power_law_friction"]
@@ -779,24 +1022,48 @@ def test_an_effect_is_left_out_with_the_others_where_they_end_without_it():
     (scale,), (zone,) = (candidates(bench, [k.name]) for k in kinds)
     own, theta = bench.binding.free, bench.binding.theta.copy()
     theta[list(zone.index)] = 0.05
-    less, more = (bench.problem(OutputError(), "fit", [*own, *zone.index, *i], theta) for i in ((), scale.index))
+    less, more = (
+        bench.problem(OutputError(), "fit", [*own, *zone.index, *i], theta)
+        for i in ((), scale.index)
+    )
     end = descend([(less, less.z(theta))], 40, 1e-8)[0]
     theta = less.theta(end.z)
     theta[own] *= 1.01  # along the valley
     theta[list(scale.index)] = 0.01
     path = descend([(more, more.z(theta))], 0, 1e-8)[0]
-    effects, (retuned, plain) = left_out(bench, cast(Any, SimpleNamespace(path=path, theta=theta, effects=(scale, zone))), scale)
+    effects, (retuned, plain) = left_out(
+        bench, cast(Any, SimpleNamespace(path=path, theta=theta, effects=(scale, zone))), scale
+    )
     there, here = descend([(less, less.z(t)) for t in (retuned, plain)], 0, 1e-6)
-    assert effects == (zone,) and not retuned[list(scale.index)].any() and not plain[list(scale.index)].any()
+    assert (
+        effects == (zone,)
+        and not retuned[list(scale.index)].any()
+        and not plain[list(scale.index)].any()
+    )
     assert path.loss < 10 and there.loss < 1.1 * path.loss and here.loss > 10 * path.loss
     path.hessian = None
-    assert len(left_out(bench, cast(Any, SimpleNamespace(path=path, theta=theta, effects=(scale, zone))), scale)[1]) == 1
+    assert (
+        len(
+            left_out(
+                bench,
+                cast(Any, SimpleNamespace(path=path, theta=theta, effects=(scale, zone))),
+                scale,
+            )[1]
+        )
+        == 1
+    )
 
 
 def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):
     """All single effects are asked in any case; what would come beside them is not, where nothing may be simulated any more."""
     both = recording("pendulum", 5, load=0.1, lag=0.03)
-    effects = ["load_dependent_friction", "actuator_lag", "quadratic_drag", "input_delay", "spring_torque"]
+    effects = [
+        "load_dependent_friction",
+        "actuator_lag",
+        "quadratic_drag",
+        "input_delay",
+        "spring_torque",
+    ]
     whole = jaxid.diagnose("pendulum", both, effects=effects)
     assert {e.effect for e in whole.which.effects} == {"load_dependent_friction", "actuator_lag"}
     assert "ended" not in whole.which.text
@@ -806,12 +1073,16 @@ def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):
     assert len(short.which.effects) < 2 and short.which.verdict != "named"
     assert "The search ended at what it may simulate" in short.which.text
     one = jaxid.diagnose("pendulum", recording("pendulum", 1, load=0.1), effects=effects)
-    assert [e.effect for e in one.which.effects] == ["load_dependent_friction"] and "ended" not in one.which.text
+    assert [e.effect for e in one.which.effects] == [
+        "load_dependent_friction"
+    ] and "ended" not in one.which.text
 
 
 def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
     """Of a model that lacks nothing: from where one with an effect ended it comes down to the noise, and then stays there."""
-    binding = bind("pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")])
+    binding = bind(
+        "pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")]
+    )
     bench = Bench(binding, differences=1)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     start = p.z(start_values(bench, binding.free, 0)[0])
@@ -825,13 +1096,17 @@ def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
     assert searcher._freed(freed, richer) is freed
     # The same where it follows the fit runs, and others along what these leave open only.
     for loss in (1e3, 4.0):
-        astray = dataclasses.replace(freed, validation=dataclasses.replace(freed.validation, loss=loss))
+        astray = dataclasses.replace(
+            freed, validation=dataclasses.replace(freed.validation, loss=loss)
+        )
         assert searcher._freed(astray, richer).validation.loss < 1.2
 
 
 def test_a_small_effect_has_to_show_on_report_data_too():
     """Beside another, next to the noise; far from it, or where nothing is kept for the report, it is no question."""
-    binding = bind("pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")])
+    binding = bind(
+        "pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")]
+    )
     bench = Bench(binding, differences=1)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     right = descend([(p, p.z(start_values(bench, binding.free, 0)[0]))], 20, 1e-8)[0]
@@ -841,7 +1116,9 @@ def test_a_small_effect_has_to_show_on_report_data_too():
     off = dataclasses.replace(searcher.nominal, theta=theta)
     assert not_borne_out(bench, OutputError(), off, [searcher.nominal]) == [searcher.nominal]
     assert not not_borne_out(bench, OutputError(), searcher.nominal, [off])
-    far = dataclasses.replace(searcher.nominal, validation=dataclasses.replace(off.validation, loss=9.0))
+    far = dataclasses.replace(
+        searcher.nominal, validation=dataclasses.replace(off.validation, loss=9.0)
+    )
     assert not not_borne_out(bench, OutputError(), off, [far])
 
 
@@ -858,7 +1135,9 @@ class Held(Searcher):
 
 def test_an_effect_that_only_led_out_of_a_local_minimum_is_not_named(monkeypatch):
     """The effect's refit comes down to the noise and is accepted; once the model without it gets there too, it names nothing."""
-    binding = bind("pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")])
+    binding = bind(
+        "pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")]
+    )
     bench = Bench(binding, differences=1)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     right = descend([(p, p.z(start_values(bench, binding.free, 0)[0]))], 20, 1e-8)[0]

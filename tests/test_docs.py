@@ -52,7 +52,10 @@ def test_python_blocks_run(tmp_path, monkeypatch, capsys, request):
     for page in PAGES:
         if page.name == "README.md" or page in ELSEWHERE:
             continue
-        for code in [*blocks(page, "python"), *(b for b in blocks(page, "text") if b.startswith("import jaxid"))]:
+        for code in [
+            *blocks(page, "python"),
+            *(b for b in blocks(page, "text") if b.startswith("import jaxid")),
+        ]:
             if "jaxid." not in code:
                 continue
             exec(compile(code, page.name, "exec"), {})
@@ -67,7 +70,9 @@ def test_blocks_that_need_more_than_this_computer_import_what_there_is():
             for node in ast.walk(ast.parse(code)):
                 if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("jaxid"):
                     module = importlib.import_module(node.module or "")
-                    assert [a.name for a in node.names if not hasattr(module, a.name)] == [], page.name
+                    assert [a.name for a in node.names if not hasattr(module, a.name)] == [], (
+                        page.name
+                    )
 
 
 def test_the_picture_is_one():
@@ -75,7 +80,9 @@ def test_the_picture_is_one():
     from xml.dom import minidom
 
     picture = minidom.parse(str(ROOT / "docs" / "_static" / "gap.svg"))
-    words = " ".join(n.firstChild.data for n in picture.getElementsByTagName("text") if n.firstChild)  # type: ignore[attr-defined]
+    words = " ".join(
+        n.firstChild.data for n in picture.getElementsByTagName("text") if n.firstChild
+    )  # type: ignore[attr-defined]
     assert picture.documentElement.tagName == "svg"  # type: ignore[union-attr]
     assert "measured" in words and "with dead zone" in words and "noise" in words
 
@@ -109,7 +116,9 @@ def test_commands_of_the_pages_parse(page, line):
 def test_every_command_is_documented():
     from jaxid.cli.app import cli
 
-    readme, contract = ((ROOT / f).read_text(encoding="utf-8") for f in ("README.md", "docs/contract.md"))
+    readme, contract = (
+        (ROOT / f).read_text(encoding="utf-8") for f in ("README.md", "docs/contract.md")
+    )
     for name in cli.list_commands(cli.make_context("jaxid", [], resilient_parsing=True)):
         assert f"`jaxid {name}" in readme, f"README: jaxid {name}"
         assert f"`jaxid {name}" in contract, f"docs/contract.md: jaxid {name}"
@@ -123,14 +132,24 @@ def test_the_contract_names_what_there_is():
 
 def test_links_lead_somewhere():
     for page in PAGES:
-        for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#]+)", page.read_text(encoding="utf-8")):
+        for target in re.findall(
+            r"\]\((?!https?:|#|mailto:)([^)#]+)", page.read_text(encoding="utf-8")
+        ):
             if target.startswith("generated/"):
-                assert target.removeprefix("generated/") in ("effects", "models", "fitters", "benchmarks", "notebooks"), target
+                assert target.removeprefix("generated/") in (
+                    "effects",
+                    "models",
+                    "fitters",
+                    "benchmarks",
+                    "notebooks",
+                ), target
             elif target.startswith("notebooks/") and page.parent == ROOT / "docs":
                 assert (ROOT / f"{target}.py").is_file(), target
             else:
                 near = page.parent / target
-                assert near.exists() or near.with_suffix(".md").exists(), f"{page.name} links to {target}"
+                assert near.exists() or near.with_suffix(".md").exists(), (
+                    f"{page.name} links to {target}"
+                )
 
 
 def test_every_effect_has_a_place_in_the_atlas(monkeypatch, tmp_path):
@@ -138,7 +157,13 @@ def test_every_effect_has_a_place_in_the_atlas(monkeypatch, tmp_path):
     import generate  # pyright: ignore[reportMissingImports]
 
     page = generate.effects(
-        tmp_path, {"pendulum": {"equivalent": [[{"effect": "input_delay"}, {"effect": "sensor_delay"}]], "absorbed": []}}
+        tmp_path,
+        {
+            "pendulum": {
+                "equivalent": [[{"effect": "input_delay"}, {"effect": "sensor_delay"}]],
+                "absorbed": [],
+            }
+        },
     )
     for name in catalogue.effect_names():
         info = catalogue.describe_effect(name)
@@ -160,7 +185,9 @@ def test_the_site_builds_without_warnings(tmp_path):
     for folder in ("docs", "notebooks", "examples"):
         shutil.copytree(ROOT / folder, source / folder, ignore=leave)
     pictures = shutil.ignore_patterns("*.json", "*.jsonl")
-    shutil.copytree(ROOT / "benchmarks" / "results", source / "benchmarks" / "results", ignore=pictures)
+    shutil.copytree(
+        ROOT / "benchmarks" / "results", source / "benchmarks" / "results", ignore=pictures
+    )
     shutil.copy(ROOT / "benchmarks" / "RESULTS.md", source / "benchmarks")
     for folder in ("jaxid", "models"):
         (source / folder).symlink_to(ROOT / folder)
@@ -169,9 +196,19 @@ def test_the_site_builds_without_warnings(tmp_path):
         capture_output=True, text=True, env={**os.environ, "JAXID_DOCS_NOTEBOOKS": "off"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    for page in ("index", "getting_started", "generated/effects", "generated/benchmarks", "notebooks/00_tour", "contract", "faq"):
+    for page in (
+        "index",
+        "getting_started",
+        "generated/effects",
+        "generated/benchmarks",
+        "notebooks/00_tour",
+        "contract",
+        "faq",
+    ):
         assert (tmp_path / "site" / f"{page}.html").is_file(), page
-    assert "dead_zone" in (tmp_path / "site" / "generated" / "effects.html").read_text(encoding="utf-8")
+    assert "dead_zone" in (tmp_path / "site" / "generated" / "effects.html").read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.slow
@@ -200,5 +237,7 @@ def test_every_stop_of_the_walk_exists_and_so_does_its_picture():
         tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
         found = [n for n in tree.body if getattr(n, "name", "") == owner]
         assert found, f"docs/walk.md: {file} has no {owner}"
-        assert not method or any(getattr(n, "name", "") == method for n in ast.walk(found[0])), f"docs/walk.md: no {name}"
+        assert not method or any(getattr(n, "name", "") == method for n in ast.walk(found[0])), (
+            f"docs/walk.md: no {name}"
+        )
     assert minidom.parse(str(ROOT / "docs" / "_static" / "walk.svg")).documentElement

@@ -12,7 +12,12 @@ from jaxid.dynamics.parameter import Reference, resolve, specs
 @pytest.mark.parametrize(
     "effect, field, least, most",
     [
-        ("temperature_dependent_friction", "time", 1.0, None),  # a winding warms in seconds, a gear in minutes
+        (
+            "temperature_dependent_friction",
+            "time",
+            1.0,
+            None,
+        ),  # a winding warms in seconds, a gear in minutes
         ("lugre_friction", "presliding", None, 0.1),  # bristles give, rad or m; more is a spring
         ("lugre_friction", "relaxation", None, 0.01),
         ("sensor_lag", "lag", None, 0.1),  # a slower filter shows no motion

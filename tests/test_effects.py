@@ -37,7 +37,11 @@ CASES: dict[str, Any] = {
 }
 TORQUE = {"pendulum": np.ones(1), "joint": np.ones(1), "planar_arm": np.array([14.0, 5.0])}
 SPEED = 3.0
-INERTIA = {"pendulum": np.array([0.08]), "joint": np.array([0.1]), "planar_arm": np.array([0.5, 0.1])}
+INERTIA = {
+    "pendulum": np.array([0.08]),
+    "joint": np.array([0.1]),
+    "planar_arm": np.array([0.5, 0.1]),
+}
 ONLY = {"planar_arm": ("coupled_friction", "payload", "reflected_inertia")}
 
 #: Three settings of each effect: (number, power of the torque, power of the speed, power of the inertia).
@@ -119,7 +123,10 @@ TOLERANCE = 1e-6
 
 def settings_of(effect: str, case: str) -> list[dict[str, np.ndarray]]:
     torque, inertia = TORQUE[case], INERTIA[case]
-    return [{p: c * torque**a * SPEED**b * inertia**i for p, (c, a, b, i) in one.items()} for one in SETTINGS[effect]]
+    return [
+        {p: c * torque**a * SPEED**b * inertia**i for p, (c, a, b, i) in one.items()}
+        for one in SETTINGS[effect]
+    ]
 
 
 def named(layout: Layout, effect: str, values: dict[str, np.ndarray]) -> dict[str, float]:
@@ -132,7 +139,11 @@ def named(layout: Layout, effect: str, values: dict[str, np.ndarray]) -> dict[st
     if effect == "position_dependent_friction":
         out |= {
             n: 0.1 * t
-            for n, t in zip([layout.names[i] for i in layout.of_effect("coulomb_friction")], mean_level(layout), strict=True)
+            for n, t in zip(
+                [layout.names[i] for i in layout.of_effect("coulomb_friction")],
+                mean_level(layout),
+                strict=True,
+            )
         }
     return out
 
@@ -163,19 +174,36 @@ class Product:
         self.outputs = dict(zip(keys, self.s.outputs(values), strict=True))
         self.neutral = self.s.outputs([{}])[0]
         fine = [e for e in self.kinds if e.name in FINE]
-        s = Simulator(self.bare.with_effects(*(e() for e in fine)), self.t, self.u, self.step / FINER, size=32768)
+        s = Simulator(
+            self.bare.with_effects(*(e() for e in fine)),
+            self.t,
+            self.u,
+            self.step / FINER,
+            size=32768,
+        )
         for e in fine:
             y = s.outputs([named(s.layout, e.name, v) for v in settings_of(e.name, case)])
             self.outputs |= {(e.name, k): y[k] for k in range(3)}
 
 
-@pytest.fixture(scope="module", params=["pendulum", *(pytest.param(c, marks=pytest.mark.slow) for c in ("joint", "planar_arm"))])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "pendulum",
+        *(pytest.param(c, marks=pytest.mark.slow) for c in ("joint", "planar_arm")),
+    ],
+)
 def product(request):
     return Product(request.param)
 
 
 def truth(
-    effect: str, case: str, values: dict[str, np.ndarray], t: np.ndarray, u: np.ndarray, viscous: float = 0.0
+    effect: str,
+    case: str,
+    values: dict[str, np.ndarray],
+    t: np.ndarray,
+    u: np.ndarray,
+    viscous: float = 0.0,
 ) -> np.ndarray:
     """What the sensors read [time nq] by the separately written equations."""
     plant, n = ref.PLANTS[case], u.shape[1]
@@ -192,7 +220,15 @@ def truth(
     if effect in ("joint_elasticity", "backlash"):
         rename = {"motor_share": "share", "contact_compliance": "compliance"}
         coupling = states.Coupling(**{rename.get(p, p): v for p, v in values.items()})
-        return states.simulate(plant(), free, t, u, t, coupling=coupling, longest=5e-4 if effect == "backlash" else np.inf)["q"]
+        return states.simulate(
+            plant(),
+            free,
+            t,
+            u,
+            t,
+            coupling=coupling,
+            longest=5e-4 if effect == "backlash" else np.inf,
+        )["q"]
     if effect == "sensor_lag":
         return states.simulate(plant(), free, t, u, t, sensor_lag=values["lag"])["y"]
     if effect == "sensor_delay":
@@ -214,7 +250,9 @@ def truth(
     if effect == "sensor_scale":
         return ref.simulate(plant(), free, t, u)[0] * (1 + values["gain"])
     fields = {ref.EFFECTS[effect][p]: v for p, v in values.items()}
-    fields |= {name: float(np.ravel(fields[name])[0]) for name in ("delay", "other_hold") if name in fields}
+    fields |= {
+        name: float(np.ravel(fields[name])[0]) for name in ("delay", "other_hold") if name in fields
+    }
     if effect == "position_dependent_friction":
         fields["coulomb"] = 0.1 * TORQUE[case]
     return ref.simulate(plant(), ref.Truth(**({"viscous": viscous} | fields)), t, u)[0]
@@ -245,7 +283,9 @@ def test_effect_against_its_equation(product, effect):
 
 def alike(product: Product, a: np.ndarray, b: np.ndarray) -> bool:
     """Bitwise equal; for the arm but for rounding: some compilers join products and sums in one program of it only."""
-    return np.array_equal(a, b) or (product.case == "planar_arm" and np.abs(a - b).max() <= 1e-13 * np.abs(b).max())
+    return np.array_equal(a, b) or (
+        product.case == "planar_arm" and np.abs(a - b).max() <= 1e-13 * np.abs(b).max()
+    )
 
 
 def test_neutral_effects_are_absent(product):
@@ -256,7 +296,11 @@ def test_neutral_effects_are_absent(product):
 def test_neutral_effects_beside_the_builtin_ones_are_absent(product):
     nominal = Simulator(product.nominal, product.t, product.u, product.step, size=8192)
     torque = float(np.min(TORQUE[product.case]))
-    values = {n: 0.05 * torque for n in nominal.layout.names if n.startswith(("viscous", "coulomb", "offset"))}
+    values = {
+        n: 0.05 * torque
+        for n in nominal.layout.names
+        if n.startswith(("viscous", "coulomb", "offset"))
+    }
     assert alike(product, product.s.outputs([values]), nominal.outputs([values]))
 
 
@@ -291,9 +335,20 @@ def test_effects_of_the_drive_act_in_the_order_given_after_those_of_time():
 
     t = np.arange(61) * 0.01
     u = ref.multisine(t, [1.5], 5, periods=0.7, lines=4)
-    kinds = (library.TorqueScale, library.SupplyDroop, library.Saturation, library.DeadZone, library.InputDelay)
+    kinds = (
+        library.TorqueScale,
+        library.SupplyDroop,
+        library.Saturation,
+        library.DeadZone,
+        library.InputDelay,
+    )
     s = Simulator(Chain(Pendulum(), ()).with_effects(*(k() for k in kinds)), t, u, 2e-4, size=4096)
-    values = {"torque_scale.gain": 0.2, "supply_droop.droop": 0.1, "saturation.limit": 1.0, "dead_zone.width": 0.1}
+    values = {
+        "torque_scale.gain": 0.2,
+        "supply_droop.droop": 0.1,
+        "saturation.limit": 1.0,
+        "dead_zone.width": 0.1,
+    }
     y = s.outputs([{f"{n}@tau": v for n, v in (values | {"input_delay.delay": 0.013}).items()}])[0]
     truth = ref.Truth(scale=0.2, droop=0.1, limit=1.0, dead_zone=0.1, delay=0.013)
     assert relative(y, ref.simulate(ref.pendulum(), truth, t, u)[0]) < 1e-6
@@ -304,7 +359,15 @@ def test_effects_of_the_drive_act_in_the_order_given_after_those_of_time():
 
 NOISE, VISCOUS = 2e-4, 0.05
 #: What re-tuning cannot tell from parameters of the pendulum or from its unknown start: those are known here.
-KNOWN = ("backlash", "torque_scale", "back_emf", "reflected_inertia", "sensor_bias", "sensor_scale", "gravity_offset")
+KNOWN = (
+    "backlash",
+    "torque_scale",
+    "back_emf",
+    "reflected_inertia",
+    "sensor_bias",
+    "sensor_scale",
+    "gravity_offset",
+)
 FOUND: dict[str, dict[str, float]] = {
     "dead_zone": {"width": 0.1}, "saturation": {"limit": 0.7}, "torque_scale": {"gain": 0.1}, "supply_droop": {"droop": 0.1},
     "back_emf": {"constant": 0.1}, "actuator_lag": {"lag": 0.02}, "input_delay": {"delay": 0.008}, "input_hold": {"share": 0.7},
@@ -328,14 +391,22 @@ T_FIT = np.arange(201) * 0.01
 QUICK = ("dead_zone", "input_delay", "quadratic_drag", "flexible_mode", "sensor_lag")
 
 
-@pytest.mark.parametrize("effect", [e if e in QUICK else pytest.param(e, marks=pytest.mark.slow) for e in FOUND])
+@pytest.mark.parametrize(
+    "effect", [e if e in QUICK else pytest.param(e, marks=pytest.mark.slow) for e in FOUND]
+)
 def test_an_effect_is_found_again(effect):
     """From noisy data with viscous friction beside it, by a fit that starts without it (dry laws: test_diagnosis.py)."""
     u = ref.multisine(T_FIT, [1.2], 3, periods=2, lines=8)
     u[:10] = 0.0
     values = {p: np.array([v]) for p, v in FOUND[effect].items()}
     y = ref.measured(truth(effect, "pendulum", values, T_FIT, u, VISCOUS), NOISE, 7)
-    known = {"inertia": 0.08, "gravity_torque": 1.5, "viscous": VISCOUS, "coulomb": 0.0, "offset": 0.0}
+    known = {
+        "inertia": 0.08,
+        "gravity_torque": 1.5,
+        "viscous": VISCOUS,
+        "coulomb": 0.0,
+        "offset": 0.0,
+    }
     data = jaxid.Dataset.from_arrays(
         T_FIT, {"tau": u[:, 0]}, {"q": y[:, 0]}, units={"tau": "N m", "q": "rad"}, noise_std={"q": NOISE},
         at_rest=effect not in KNOWN,
@@ -356,9 +427,14 @@ def test_an_effect_is_found_again(effect):
         starts.insert(0, problem.z(near))
     found = LevenbergMarquardt(restarts=0).minimise(problem, starts, jax.random.key(0))
     assert 0.7 < found.loss < 1.3, found.loss
-    values, std = problem.theta(found.z), covariance(problem, found.z).std[: problem.free.size] * problem.dtheta(found.z)
+    values, std = (
+        problem.theta(found.z),
+        covariance(problem, found.z).std[: problem.free.size] * problem.dtheta(found.z),
+    )
     for name, value in FOUND[effect].items():
-        i = binding.layout.index(f"{effect}.{name}@{binding.chain.offers(next(e for e in LIBRARY if e.name == effect))[0]}")
+        i = binding.layout.index(
+            f"{effect}.{name}@{binding.chain.offers(next(e for e in LIBRARY if e.name == effect))[0]}"
+        )
         s = std[list(problem.free).index(i)]
         assert s < 0.5 * abs(value), (name, s)
         bias = 0.03 * abs(value) if effect == "backlash" else 0.0  # contacts shorter than the step
@@ -372,7 +448,9 @@ def test_delay_on_equal_steps_is_the_same_interpolation(steps, seed):
     t = 2.0 + 0.004 * np.arange(64)
     y = np.cumsum(np.random.default_rng(seed).normal(size=64))
     with jax.enable_x64(True):
-        by_search = sensor.interpolated(jnp.asarray(t), jnp.asarray(y), jnp.asarray(t - 0.004 * steps), jnp.asarray(0.7))
+        by_search = sensor.interpolated(
+            jnp.asarray(t), jnp.asarray(y), jnp.asarray(t - 0.004 * steps), jnp.asarray(0.7)
+        )
         shifted = sensor.shifted(jnp.asarray(y), jnp.asarray(steps), jnp.asarray(0.7 * 0.004))
         np.testing.assert_allclose(shifted, by_search, atol=1e-9)
 
@@ -382,12 +460,23 @@ def test_a_sensor_that_is_late_in_a_run_that_begins_in_motion(effect):
     """Before the run the signal ran straight, with the speed that it begins with."""
     t, late, q0, v0 = np.arange(81) * 0.005, 0.03, 0.4, 2.5
     swing = lambda t, x: [x[1], -0.9 * np.sin(x[0]) / 0.08, (x[0] - x[2]) / late]
-    found = solve_ivp(swing, (0, 0.4), [q0, v0, q0 - late * v0], dense_output=True, rtol=1e-11, atol=1e-12).sol
+    found = solve_ivp(
+        swing, (0, 0.4), [q0, v0, q0 - late * v0], dense_output=True, rtol=1e-11, atol=1e-12
+    ).sol
     before = q0 + v0 * (t - late)
-    expected = found(t)[2] if effect == "sensor_lag" else np.where(t < late, before, found(np.maximum(t - late, 0.0))[0])
+    expected = (
+        found(t)[2]
+        if effect == "sensor_lag"
+        else np.where(t < late, before, found(np.maximum(t - late, 0.0))[0])
+    )
 
     kind = next(e for e in LIBRARY if e.name == effect)
-    s = Simulator(Chain(Pendulum(), (), signature=Pendulum.signatures[0]).with_effects(kind()), t, np.zeros((81, 1)), 2e-4)
+    s = Simulator(
+        Chain(Pendulum(), (), signature=Pendulum.signatures[0]).with_effects(kind()),
+        t,
+        np.zeros((81, 1)),
+        2e-4,
+    )
     field = {"sensor_lag": "lag", "sensor_delay": "delay"}[effect]
     values = {"inertia": 0.08, "gravity_torque": 0.9, f"{effect}.{field}@q": late}
     assert relative(s.outputs([values], (q0, v0))[0], expected[:, None]) < 1e-6

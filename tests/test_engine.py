@@ -35,7 +35,9 @@ def test_programs_do_not_pile_up(monkeypatch):
 def test_how_many_lanes_there_are_changes_no_bit(model):
     """A lane comes out the same in a call of few lanes and among many."""
     t = np.arange(200) / 200
-    chain = Chain(model(), [CoulombFriction(level=jnp.asarray(0.02)), InputDelay(delay=jnp.asarray(0.01))])
+    chain = Chain(
+        model(), [CoulombFriction(level=jnp.asarray(0.02)), InputDelay(delay=jnp.asarray(0.01))]
+    )
     u = 0.3 * np.sin(7 * t)[:, None] * np.ones(len(chain.signature.inputs))
     run = Simulator(chain, t, u, step=5e-3)
     theta = np.tile(run.layout.values, (2 * engine.LANES + 8, 1))
@@ -68,16 +70,26 @@ def test_a_call_that_does_not_come_again_needs_one_program_for_what_would_need_m
     chain = Chain(Pendulum()).with_effects(DeadZone(), Backlash(), SensorLag())
     t = np.arange(200) / 100
     run = Simulator(chain, t, 0.4 * np.sin(3 * t)[:, None], step=1e-2, size=512)
-    both = {"dead_zone.width@tau": 0.05, "sensor_lag.lag@q": 0.03}, {"dead_zone.width@tau": 0.05, "backlash.play@q": 0.02}
+    both = (
+        {"dead_zone.width@tau": 0.05, "sensor_lag.lag@q": 0.03},
+        {"dead_zone.width@tau": 0.05, "backlash.play@q": 0.02},
+    )
     theta = np.array([run.theta(v) for v in ({}, *both)])
     busy = theta != np.array([e.spec.value for e in run.layout.entries])
     none, *mixed = groups = run.engine._at_work(busy)
     steps, everything = np.full(3, 200), frozenset(run.engine._families)
     merged = run.engine._merged(groups, steps)
-    assert not none and {k: v.tolist() for k, v in merged.items()} == {none: [0], everything: [1, 2]}
-    assert run.engine._merged({mixed[0]: np.array([1])}, steps) == {mixed[0]: np.array([1])}  # one is compiled as it is
+    assert not none and {k: v.tolist() for k, v in merged.items()} == {
+        none: [0],
+        everything: [1, 2],
+    }
+    assert run.engine._merged({mixed[0]: np.array([1])}, steps) == {
+        mixed[0]: np.array([1])
+    }  # one is compiled as it is
     args = theta, np.zeros((3, 2)), np.zeros(3, int)
-    np.testing.assert_allclose(run.engine.outputs(*args, once=True), run.engine.outputs(*args), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        run.engine.outputs(*args, once=True), run.engine.outputs(*args), rtol=0, atol=1e-12
+    )
     monkeypatch.setattr(engine, "ONCE", 300)
     assert run.engine._merged(groups, steps) is groups
 
@@ -89,14 +101,31 @@ def test_only_what_remembers_follows_the_motion_before_a_record():
     u = 0.4 * np.sin(3 * t)[:, None]
     run = Simulator(chain, t, u, step=1e-2, size=512)
     x = np.column_stack([0.3 * np.cos(3 * t), -0.9 * np.sin(3 * t)])
-    record = replace(run.engine.records[0], offset=100, count=200, lead=100, samples=np.arange(100, 300))
-    samples = run.engine.samples._replace(x=np.pad(x, [(0, len(run.engine.samples.t) - 300), (0, 0)], mode="edge"))
+    record = replace(
+        run.engine.records[0], offset=100, count=200, lead=100, samples=np.arange(100, 300)
+    )
+    samples = run.engine.samples._replace(
+        x=np.pad(x, [(0, len(run.engine.samples.t) - 300), (0, 0)], mode="edge")
+    )
     nothing_stated = np.full((1, len(run.layout)), np.nan)
-    sparing, whole = (engine.Engine(run.layout, samples, [record], nothing_stated, simulate_lane, 512, w) for w in (False, True))
-    sets = [run.theta(v) for v in ({"dead_zone.width@tau": 0.05}, {"sensor_lag.lag@q": 0.03}, {"backlash.play@q": 0.02})]
+    sparing, whole = (
+        engine.Engine(run.layout, samples, [record], nothing_stated, simulate_lane, 512, w)
+        for w in (False, True)
+    )
+    sets = [
+        run.theta(v)
+        for v in (
+            {"dead_zone.width@tau": 0.05},
+            {"sensor_lag.lag@q": 0.03},
+            {"backlash.play@q": 0.02},
+        )
+    ]
     theta, start, at = np.array(sets), np.tile(x[100], (3, 1)), np.zeros(3, int)
     busy = theta != np.array([e.spec.value for e in run.layout.entries])
-    assert sparing._where(busy, at)[:, 3].tolist() == [0, 0, 100] and whole._where(busy, at)[:, 3].tolist() == [100] * 3
+    assert (
+        sparing._where(busy, at)[:, 3].tolist() == [0, 0, 100]
+        and whole._where(busy, at)[:, 3].tolist() == [100] * 3
+    )
     found, expected = (e.outputs(theta, start, at)[:, :200] for e in (sparing, whole))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
     assert np.abs(found[2] - found[0]).max() > 1e-3 and np.ptp(found[:, :, 0], 1).min() > 0.1

@@ -11,7 +11,9 @@ from jaxid.diagnosis.equivalence import equivalences
 def test_classes_are_those_of_mechanics(model):
     found = equivalences(model)
     classes = {frozenset(map(str, c)) for c in found.classes}
-    assert frozenset({"input_delay at tau", "sensor_delay at q"}) in classes  # from rest, nothing else runs on time
+    assert (
+        frozenset({"input_delay at tau", "sensor_delay at q"}) in classes
+    )  # from rest, nothing else runs on time
     # A motor with its link on a spring is a joint with a swinging mass, unless the link alone has weight.
     both = frozenset({"joint_elasticity at q", "flexible_mode at q"})
     assert (both in classes) == (model == "joint")

@@ -48,7 +48,9 @@ def test_the_motion_keeps_its_limits_and_rests_at_both_ends(arm):
     qd, qdd = differences(q, t)
     known = KNOWN["ur10"]
     assert (q >= np.array(known.lower)).all() and (q <= np.array(known.upper)).all()
-    assert (np.abs(qd).max(0) <= known.speed).all() and (np.abs(qdd).max(0) <= np.array(known.acceleration) + 1e-3).all()
+    assert (np.abs(qd).max(0) <= known.speed).all() and (
+        np.abs(qdd).max(0) <= np.array(known.acceleration) + 1e-3
+    ).all()
     for k in (0, -1):
         assert np.abs(qd[k]).max() < 1e-3 and np.abs(qdd[k]).max() < 0.05
     assert np.allclose(q[0], q[-1], atol=1e-9)
@@ -65,7 +67,11 @@ def test_the_condition_number_is_that_of_the_written_out_regressor(arm):
     W = np.zeros((len(q), 6, 58))
     W[:, :, :40] = torque_columns(model, q, qd, qdd)[:, :, list(model.base().kept)]
     j = np.arange(6)
-    W[:, j, 40 + j], W[:, j, 46 + j], W[:, j, 52 + j] = np.tanh(qd / 0.01), qd * (qd**2 + 1e-6) ** ((EXPONENT - 1) / 2), 1.0
+    W[:, j, 40 + j], W[:, j, 46 + j], W[:, j, 52 + j] = (
+        np.tanh(qd / 0.01),
+        qd * (qd**2 + 1e-6) ** ((EXPONENT - 1) / 2),
+        1.0,
+    )
     assert arm.condition_number == pytest.approx(np.linalg.cond(W.reshape(-1, 58)), rel=1e-6)
     noise = np.array([3.7817, 4.1789, 3.0339, 1.7334, 1.0670, 0.9896])
     A = (W / noise[:, None]).reshape(-1, 58)
@@ -121,13 +127,19 @@ def test_default_boxes_are_clear_of_self_collision(kind):
 def test_any_numbers_become_a_feasible_motion(seed, harmonics):
     rng = np.random.default_rng(seed)
     bounds = bounds_of("panda", Panda.signatures[0], None)
-    numbers: list[Any] = [10 ** rng.uniform(-3, 3) * rng.normal(size=(harmonics, 7)) for _ in range(2)]
+    numbers: list[Any] = [
+        10 ** rng.uniform(-3, 3) * rng.normal(size=(harmonics, 7)) for _ in range(2)
+    ]
     shape = Shape(*numbers, *rng.normal(size=(2, 7)))
     with float64():
-        setting = Setting(bounds, np.ones(7), None, 0.06, 0.0, 1.0, links_of(Panda()), "condition", 10)
+        setting = Setting(
+            bounds, np.ones(7), None, 0.06, 0.0, 1.0, links_of(Panda()), "condition", 10
+        )
         t = np.linspace(0, 2 * np.pi, 64 * harmonics)
         a, b, middle = (np.asarray(x) for x in feasible(shape, setting, t))
-    assert np.allclose(a.sum(0), 0, atol=1e-9) and np.allclose(np.arange(1, harmonics + 1) @ b, 0, atol=1e-9)
+    assert np.allclose(a.sum(0), 0, atol=1e-9) and np.allclose(
+        np.arange(1, harmonics + 1) @ b, 0, atol=1e-9
+    )
     from jaxid.excitation.trajectories import series
 
     q, qd, qdd = series(a, b, middle, 1.0, t)
@@ -178,7 +190,18 @@ def test_limits_of_a_file_count(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("mine")
     refused = CliRunner().invoke(
-        cli, ["excite", "--model", "planar_arm", "--out", str(tmp_path / "mine"), "--starts", "2", "--iterations", "25"]
+        cli,
+        [
+            "excite",
+            "--model",
+            "planar_arm",
+            "--out",
+            str(tmp_path / "mine"),
+            "--starts",
+            "2",
+            "--iterations",
+            "25",
+        ],
     )
     assert refused.exit_code != 0 and (tmp_path / "mine" / "notes.txt").read_text() == "mine"
 
@@ -190,12 +213,23 @@ def test_files_of_a_ur(arm, tmp_path):
     data = jaxid.load_dataset(folder)
     assert data.model is not None and data.model.name == "ur10"
     path = Trajectory.read(folder, joints=6)
-    assert path.check(Limits(speed=(2.09, 2.09, 3.14, 3.14, 3.14, 3.14), acceleration=(40.0,)), 0.008) == []
-    slow, fast = (np.loadtxt(folder / f"ur_{r}hz.csv", delimiter=",", skiprows=1) for r in (125, 500))
-    assert slow.shape == (1251, 7) and fast.shape == (5001, 7) and np.allclose(fast[::4], slow, atol=1e-8)
+    assert (
+        path.check(Limits(speed=(2.09, 2.09, 3.14, 3.14, 3.14, 3.14), acceleration=(40.0,)), 0.008)
+        == []
+    )
+    slow, fast = (
+        np.loadtxt(folder / f"ur_{r}hz.csv", delimiter=",", skiprows=1) for r in (125, 500)
+    )
+    assert (
+        slow.shape == (1251, 7)
+        and fast.shape == (5001, 7)
+        and np.allclose(fast[::4], slow, atol=1e-8)
+    )
     script = (folder / "ur.script").read_text()
     assert script.count("servoj(") == 1250 and script.rstrip().endswith("end")
-    r = jaxid.identify(None, data, friction="power", cutoff_hz=8.0)  # its own torques identify its own arm
+    r = jaxid.identify(
+        None, data, friction="power", cutoff_hz=8.0
+    )  # its own torques identify its own arm
     phi = np.column_stack([np.asarray(UR10().inertia()), np.asarray(UR10().Ia)])
     truth = UR10().base().values(phi.ravel())
     assert np.abs(r.theta[:40] - truth).max() < 0.4
@@ -204,9 +238,17 @@ def test_files_of_a_ur(arm, tmp_path):
 @pytest.mark.slow
 def test_inputs_show_what_they_claim():
     """Least squares on noisy simulations scatter as the design says they will."""
-    known = {"inertia": 0.06, "gravity_torque": 1.3, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
+    known = {
+        "inertia": 0.06,
+        "gravity_torque": 1.3,
+        "viscous": 0.05,
+        "coulomb": 0.1,
+        "offset": 0.02,
+    }
     parameters = {"parameters": {name: {"value": value} for name, value in known.items()}}
-    made = excite("pendulum", duration_s=6.0, rate_hz=100.0, gain=[1.5], parameters=parameters, seed=3)
+    made = excite(
+        "pendulum", duration_s=6.0, rate_hz=100.0, gain=[1.5], parameters=parameters, seed=3
+    )
     assert made.content["assumed_values"] == known
     e = made.dataset.experiments[0]
     assert np.allclose(e.auxiliary["current_cmd"], e.u[:, 0] / 1.5)
@@ -227,10 +269,15 @@ def test_inputs_show_what_they_claim():
 
 
 def test_a_servo_is_commanded_within_its_speed(tmp_path):
-    made = excite("servo", duration_s=8.0, rate_hz=125.0, limits=Limits(speed=(2.0,), acceleration=(20.0,)))
+    made = excite(
+        "servo", duration_s=8.0, rate_hz=125.0, limits=Limits(speed=(2.0,), acceleration=(20.0,))
+    )
     made.save(tmp_path / "servo")
     path = Trajectory.read(tmp_path / "servo")
-    assert path.kind == "position" and path.check(Limits(speed=(2.0,), acceleration=(20.0,)), 0.008) == []
+    assert (
+        path.kind == "position"
+        and path.check(Limits(speed=(2.0,), acceleration=(20.0,)), 0.008) == []
+    )
     assert np.ptp(path.values) > 0.5
 
 
@@ -243,7 +290,9 @@ def test_open_loop_models(model, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["tracker", "space_manipulator", "panda", "serial_arm", "robot", "flexible_arm"])
+@pytest.mark.parametrize(
+    "model", ["tracker", "space_manipulator", "panda", "serial_arm", "robot", "flexible_arm"]
+)
 def test_every_other_model(model, tmp_path):
     made = excite(model, starts=2, iterations=25, duration_s=5.0)
     jaxid.load_dataset(made.save(tmp_path / "plan"))
@@ -260,23 +309,49 @@ def test_the_objective_of_paper_001():
     """(18) and its constraints, worked out here from the coefficients alone; the search lowers it."""
     made: Any
     made, other = (
-        excite("ur10", criterion="paper001", harmonics=5, starts=n, iterations=steps, seed=1, floor=-10.0, radius=0.0)
+        excite(
+            "ur10",
+            criterion="paper001",
+            harmonics=5,
+            starts=n,
+            iterations=steps,
+            seed=1,
+            floor=-10.0,
+            radius=0.0,
+        )
         for n, steps in ((4, 50), (1, 1))
     )
-    condition = excite("ur10", criterion="condition", harmonics=5, starts=4, iterations=50, seed=1, floor=-10.0, radius=0.0)
+    condition = excite(
+        "ur10",
+        criterion="condition",
+        harmonics=5,
+        starts=4,
+        iterations=50,
+        seed=1,
+        floor=-10.0,
+        radius=0.0,
+    )
     known, home = KNOWN["ur10"], np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
     told = made.content["paper001"]
     l, w = np.arange(1, 6)[:, None], 2 * np.pi * 0.1
     a, b = np.asarray(made.fourier.a), np.asarray(made.fourier.b)
     for total in (a.sum(0), (b / l).sum(0), (l * b).sum(0)):
         assert np.abs(total).max() < 1e-9
-    assert np.allclose(made.fourier.middle, home) and np.allclose(made.fourier(np.zeros(1))[0], home)
+    assert np.allclose(made.fourier.middle, home) and np.allclose(
+        made.fourier(np.zeros(1))[0], home
+    )
     size = np.hypot(a, b)
     room = np.minimum(np.array(known.upper) - home, home - np.array(known.lower))
-    assert (np.sum(size / (w * l), 0) <= room + 1e-9).all() and (size.sum(0) <= np.array(known.speed) + 1e-9).all()
-    assert np.allclose(told["sums"]["speed"], size.sum(0)) and np.allclose(told["sums"]["acceleration"], (w * l * size).sum(0))
+    assert (np.sum(size / (w * l), 0) <= room + 1e-9).all() and (
+        size.sum(0) <= np.array(known.speed) + 1e-9
+    ).all()
+    assert np.allclose(told["sums"]["speed"], size.sum(0)) and np.allclose(
+        told["sums"]["acceleration"], (w * l * size).sum(0)
+    )
     assert objective(other) > told["objective"] == pytest.approx(objective(made), rel=1e-6)
-    assert told["objective"] < 1.1 * objective(condition)  # another search may find a little better, and does
+    assert told["objective"] < 1.1 * objective(
+        condition
+    )  # another search may find a little better, and does
 
 
 def objective(made: Any) -> float:
@@ -285,10 +360,18 @@ def objective(made: Any) -> float:
     base = UR10().base()
     Y = torque_columns(UR10(), q, qd, qdd)[:, :, list(base.kept)]
     F = [np.tanh(qd / 0.01), qd * (qd**2 + 1e-6) ** ((EXPONENT - 1) / 2), np.ones_like(qd)]
-    W = np.concatenate([Y, *(f[:, :, None] * np.eye(6) for f in F)], 2) / np.array(KNOWN["ur10"].torque_noise)[:, None]
+    W = (
+        np.concatenate([Y, *(f[:, :, None] * np.eye(6) for f in F)], 2)
+        / np.array(KNOWN["ur10"].torque_noise)[:, None]
+    )
     W = W.reshape(-1, 58)
     kinds = np.array([n[0] for n in base.names])
-    groups = [np.arange(58), np.flatnonzero(kinds == "I"), np.flatnonzero(kinds == "m"), np.arange(40, 58)]
+    groups = [
+        np.arange(58),
+        np.flatnonzero(kinds == "I"),
+        np.flatnonzero(kinds == "m"),
+        np.arange(40, 58),
+    ]
     return float(np.dot([10, 5, 1, 1], [np.linalg.cond(W[:, g]) for g in groups]))
 
 

@@ -52,7 +52,12 @@ def recordings():
 
 @pytest.fixture(scope="module")
 def diagnosis(recordings):
-    return jaxid.diagnose(None, dataset(recordings), effects=["actuator_lag", "input_delay"], without=["coulomb_friction"])
+    return jaxid.diagnose(
+        None,
+        dataset(recordings),
+        effects=["actuator_lag", "input_delay"],
+        without=["coulomb_friction"],
+    )
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +84,10 @@ def test_the_input_stays_within_what_was_recorded(made, recordings, tmp_path):
     folder = made.save(tmp_path / "next")
     jaxid.load_dataset(folder)
     assert Trajectory.read(folder).values.shape[0] == len(u)
-    assert json.loads((folder / "excitation.json").read_text())["separates"] == made.content["separates"]
+    assert (
+        json.loads((folder / "excitation.json").read_text())["separates"]
+        == made.content["separates"]
+    )
 
 
 @pytest.mark.slow
@@ -127,13 +135,26 @@ def test_the_command_writes_it(monkeypatch, diagnosis, tmp_path: Path):
     data = tmp_path / "data"
     jaxid.save_dataset(dataset([(T[:50], T[:50], "fit")]), data)
     monkeypatch.setattr(jaxid, "diagnose", lambda *a, **k: diagnosis)
-    command = ["diagnose", str(data), "--out", str(tmp_path / "out"), "--next", str(tmp_path / "next")]
+    command = [
+        "diagnose",
+        str(data),
+        "--out",
+        str(tmp_path / "out"),
+        "--next",
+        str(tmp_path / "next"),
+    ]
     limits = tmp_path / "limits.toml"
     limits.write_text("speed = [0.5]\n")
     result = CliRunner().invoke(cli, [*command, "--limits", str(limits)], standalone_mode=False)
     assert result.exception is None and result.return_value == 0, result.output
     made = json.loads((tmp_path / "next" / "excitation.json").read_text())
     assert "stated limits" in made["limits_from"] and "standard deviations apart" in result.output
-    monkeypatch.setattr(jaxid, "diagnose", lambda *a, **k: dataclasses.replace(diagnosis, rivals=None))
+    monkeypatch.setattr(
+        jaxid, "diagnose", lambda *a, **k: dataclasses.replace(diagnosis, rivals=None)
+    )
     result = CliRunner().invoke(cli, [*command[:-1], str(tmp_path / "none")], standalone_mode=False)
-    assert result.return_value == 0 and "no two hypotheses" in result.output and not (tmp_path / "none").exists()
+    assert (
+        result.return_value == 0
+        and "no two hypotheses" in result.output
+        and not (tmp_path / "none").exists()
+    )

@@ -29,7 +29,9 @@ class SpringCart(Rigid):
     """A cart on a rail, tied to the wall by a spring."""
 
     name: ClassVar[str] = "spring_cart"
-    signatures: ClassVar[tuple] = (Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),)
+    signatures: ClassVar[tuple] = (
+        Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),
+    )
     builtin: ClassVar[tuple] = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),
@@ -56,7 +58,9 @@ class ActuatorLag(InputEffect):
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "steps of the command"
     probes: ClassVar[tuple] = ({"lag": 0.003}, {"lag": 0.03})
-    lag: Array = param(0.0, 0.0, 0.1 * DURATION, scale=0.01, unit="s", meaning="time constant of the drive")
+    lag: Array = param(
+        0.0, 0.0, 0.1 * DURATION, scale=0.01, unit="s", meaning="time constant of the drive"
+    )
 
     def start(self, u):
         return u
@@ -127,11 +131,23 @@ class Bfgs(AbstractFitter):
             solver = optimistix.BFGS(1e-8, 1e-8)
             x0 = jnp.zeros(problem.size)
             found = optimistix.minimise(
-                loss, solver, x0, data, options={"autodiff_mode": "fwd"}, max_steps=self.steps, throw=False
+                loss,
+                solver,
+                x0,
+                data,
+                options={"autodiff_mode": "fwd"},
+                max_steps=self.steps,
+                throw=False,
             )
             z = np.asarray(inside(found.value))
         done = bool(found.result == optimistix.RESULTS.successful)
-        return Minimum(z, problem.loss(z), done, "tolerance" if done else "step limit", int(found.stats["num_steps"]))
+        return Minimum(
+            z,
+            problem.loss(z),
+            done,
+            "tolerance" if done else "step limit",
+            int(found.stats["num_steps"]),
+        )
 
 
 # ---- used in fits
@@ -170,7 +186,9 @@ def lagging():
 
 
 def near(fit: jaxid.Fit, truth: dict[str, float], sigmas: float = 4.5) -> None:
-    found = dict(fit.parameters) | {f"{e.effect}.{k}": p for e in fit.effects for k, p in e.parameters.items()}
+    found = dict(fit.parameters) | {
+        f"{e.effect}.{k}": p for e in fit.effects for k, p in e.parameters.items()
+    }
     for name, value in truth.items():
         p = found[name]
         assert p.std is not None
@@ -187,7 +205,9 @@ def with_lag(lag: float = 0.01) -> jaxid.Chain:
     return jaxid.Chain(SpringCart()).with_effects(ActuatorLag(lag=lag))  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize("residual", ["output_error", pytest.param("multiple_shooting", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "residual", ["output_error", pytest.param("multiple_shooting", marks=pytest.mark.slow)]
+)
 def test_an_effect_with_a_state(lagging, residual):
     """Also in windows, whose starts bring the state of the effect along."""
     fit = jaxid.fit(with_lag(), lagging, residual=residual)

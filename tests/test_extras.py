@@ -59,11 +59,16 @@ def test_what_the_core_requires_is_in_no_extra():
     "words, extra",
     [
         (("record", "dynamixel", "--port", "/dev/null", "--id", "1", "--out", "OUT"), "hardware"),
-        (("record", "ur10", "--host", "127.0.0.1", "--play", "P", "--live", "--out", "OUT"), "hardware"),
+        (
+            ("record", "ur10", "--host", "127.0.0.1", "--play", "P", "--live", "--out", "OUT"),
+            "hardware",
+        ),
         (("batch", "STUDY"), "batch"),
     ],
 )
-def test_a_command_names_the_extra_that_it_misses(words: tuple[str, ...], extra: str, tmp_path: Path):
+def test_a_command_names_the_extra_that_it_misses(
+    words: tuple[str, ...], extra: str, tmp_path: Path
+):
     study = tmp_path / "study.toml"
     study.write_text('name = "x"\nstore = "store"\n[[runs]]\ncommand = "fit"\ndatasets = ["d"]\n')
     places = {"OUT": str(tmp_path / "out"), "STUDY": str(study)}

@@ -23,16 +23,26 @@ def test_nothing_is_applied_to_clean_twins():
 def quick_moves(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A servo that steps every 0.2 s, and rests in between."""
     goals = rng.uniform(-1, 1, int(t[-1] / 0.2) + 2)
-    return np.interp(t, np.ravel([[0.2 * k, 0.2 * k + 0.07] for k in range(len(goals))]), np.repeat(goals, 2)[: 2 * len(goals)])
+    return np.interp(
+        t,
+        np.ravel([[0.2 * k, 0.2 * k + 0.07] for k in range(len(goals))]),
+        np.repeat(goals, 2)[: 2 * len(goals)],
+    )
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_sample_on_the_curve_is_no_glitch_whatever_the_clock(clock):
-    form = Form("joint", clock, "steps", "fine", "none", 100.0, 8.0, 1, False, 0.0, 0.0, 0.0, 0.0, 0)
+    form = Form(
+        "joint", clock, "steps", "fine", "none", 100.0, 8.0, 1, False, 0.0, 0.0, 0.0, 0.0, 0
+    )
     for seed in range(20):
         rng = np.random.default_rng(seed)
         true, stamps = instants(form, rng)
-        smooth = np.sin(5 * true) * np.where(true % 0.7 < 0.1, 1.0, 0.0) if seed % 2 else quick_moves(true, rng)
+        smooth = (
+            np.sin(5 * true) * np.where(true % 0.7 < 0.1, 1.0, 0.0)
+            if seed % 2
+            else quick_moves(true, rng)
+        )
         q = smooth + 2e-4 * rng.standard_normal(len(true))
         assert not _lone(q, stamps).any(), (clock, seed)
 
@@ -50,6 +60,12 @@ def test_glitches_on_an_uneven_clock_are_found_where_they_are():
 def test_a_gap_at_the_beginning_is_no_speed(first):
     """From rest under a constant force: at even times it goes one, three, five; after a gap it does not."""
     t = np.concatenate([[0.0], first + 0.01 * np.arange(200)])
-    q = 0.5 * np.minimum(t, 0.16) ** 2 + np.maximum(t - 0.16, 0) * 0.1 + 1e-5 * np.random.default_rng(0).standard_normal(len(t))
+    q = (
+        0.5 * np.minimum(t, 0.16) ** 2
+        + np.maximum(t - 0.16, 0) * 0.1
+        + 1e-5 * np.random.default_rng(0).standard_normal(len(t))
+    )
     assert _first_speed(t, q, 1e-5)[0] == 0.0
-    assert _first_speed(t, q + 0.4 * t, 1e-5)[0] == pytest.approx(0.0 if first > 0.1 else 0.4, abs=0.02)
+    assert _first_speed(t, q + 0.4 * t, 1e-5)[0] == pytest.approx(
+        0.0 if first > 0.1 else 0.4, abs=0.02
+    )

@@ -32,7 +32,13 @@ from benchmarks import twins  # noqa: E402
 
 
 NOISE = 1e-3
-PENDULUM = {"inertia": 0.06, "gravity_torque": 1.3, "viscous": 0.04, "coulomb": 0.12, "offset": -0.03}
+PENDULUM = {
+    "inertia": 0.06,
+    "gravity_torque": 1.3,
+    "viscous": 0.04,
+    "coulomb": 0.12,
+    "offset": -0.03,
+}
 JOINT = {"inertia": 0.12, "viscous": 0.3, "coulomb": 0.15, "offset": 0.02}
 SLIDE = {"inertia": 4.0, "viscous": 9.0, "coulomb": 5.0, "offset": -0.6}
 
@@ -41,7 +47,16 @@ def truth_of(values: dict[str, float]) -> ref.Truth:
     return ref.Truth(viscous=values["viscous"], coulomb=values["coulomb"], offset=values["offset"])
 
 
-def recording(values, plant, names=("tau", "q"), amplitude=1.0, noise=NOISE, seeds=(0,), seconds=4.0, **settings):
+def recording(
+    values,
+    plant,
+    names=("tau", "q"),
+    amplitude=1.0,
+    noise=NOISE,
+    seeds=(0,),
+    seconds=4.0,
+    **settings,
+):
     """One dataset of runs at 100 Hz, each with another command and noise."""
     t = np.arange(round(seconds * 100) + 1) * 0.01
     us, ys = [], []
@@ -54,7 +69,10 @@ def recording(values, plant, names=("tau", "q"), amplitude=1.0, noise=NOISE, see
     one = len(seeds) == 1
     settings = {"at_rest": True, "check_model": False, "noise_std": {names[1]: noise}} | settings
     return jaxid.Dataset.from_arrays(
-        t if one else [t] * len(seeds), {names[0]: us[0] if one else us}, {names[1]: ys[0] if one else ys}, **settings
+        t if one else [t] * len(seeds),
+        {names[0]: us[0] if one else us},
+        {names[1]: ys[0] if one else ys},
+        **settings,
     )
 
 
@@ -68,10 +86,19 @@ def near(fit: jaxid.Fit, truth: dict[str, float], sigmas: float = 4.0) -> None:
 @pytest.fixture(scope="module")
 def swing():
     """Recording of the driven pendulum."""
-    known = {"inertia": (0.01, 0.5), "gravity_torque": (0.1, 5.0), "viscous": (0.0, 1.0), "coulomb": (0.0, 1.0)}
+    known = {
+        "inertia": (0.01, 0.5),
+        "gravity_torque": (0.1, 5.0),
+        "viscous": (0.0, 1.0),
+        "coulomb": (0.0, 1.0),
+    }
     known["offset"] = (-0.5, 0.5)
-    model = ModelSpec("pendulum", parameters={k: ParameterPrior(None, *v) for k, v in known.items()})
-    return recording(PENDULUM, ref.pendulum(PENDULUM["inertia"], PENDULUM["gravity_torque"]), model=model)
+    model = ModelSpec(
+        "pendulum", parameters={k: ParameterPrior(None, *v) for k, v in known.items()}
+    )
+    return recording(
+        PENDULUM, ref.pendulum(PENDULUM["inertia"], PENDULUM["gravity_torque"]), model=model
+    )
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +119,9 @@ def test_pendulum(swing):
 
 
 def test_a_recording_that_is_not_for_fitting_can_be_simulated(swing):
-    alone = dataclasses.replace(swing, experiments=tuple(dataclasses.replace(e, split="report") for e in swing.experiments))
+    alone = dataclasses.replace(
+        swing, experiments=tuple(dataclasses.replace(e, split="report") for e in swing.experiments)
+    )
     known = {"parameters": {k: {"value": v} for k, v in PENDULUM.items()}}
     assert jaxid.simulate(None, alone, known).rmse[0]["q"] < 1.3 * NOISE
 
@@ -100,7 +129,9 @@ def test_a_recording_that_is_not_for_fitting_can_be_simulated(swing):
 def test_rotary_and_linear_joint():
     rotary = recording(JOINT, ref.joint(JOINT["inertia"]), model="joint")
     near(jaxid.fit(None, rotary), JOINT)
-    slide = recording(SLIDE, ref.joint(SLIDE["inertia"]), ("force", "position"), 30.0, model="joint")
+    slide = recording(
+        SLIDE, ref.joint(SLIDE["inertia"]), ("force", "position"), 30.0, model="joint"
+    )
     fit = jaxid.fit(None, slide)
     near(fit, SLIDE)
     assert fit.parameters["inertia"].unit == "kg" and fit.parameters["viscous"].unit == "N s/m"
@@ -130,7 +161,15 @@ def test_planar_arm():
         ),
     )
     fit = jaxid.fit(None, data, fitter=LevenbergMarquardt(restarts=0))
-    truth = {"m1": 3.6, "m2": 2.5, "I2": 0.06, "viscous1": 1.0, "viscous2": 0.5, "coulomb1": 2.0, "coulomb2": 0.5}
+    truth = {
+        "m1": 3.6,
+        "m2": 2.5,
+        "I2": 0.06,
+        "viscous1": 1.0,
+        "viscous2": 0.5,
+        "coulomb1": 2.0,
+        "coulomb2": 0.5,
+    }
     near(fit, truth)
     assert set(fit.parameters) == set(truth)
 
@@ -174,7 +213,9 @@ def test_residuals_agree(swing):
             assert fit.parameters[name].value == pytest.approx(PENDULUM[name], rel=0.02)
         for trace in fit.traces:  # the picture shows what was compared
             rms = np.sqrt(np.mean((trace.measured - trace.simulated["fit"]) ** 2))
-            assert trace.windows and rms == pytest.approx(fit.scores[trace.split]["q"].rmse, rel=1e-6)
+            assert trace.windows and rms == pytest.approx(
+                fit.scores[trace.split]["q"].rmse, rel=1e-6
+            )
         assert bool(fit.traces) == (residual == "multiple_shooting")
 
 
@@ -183,9 +224,21 @@ def test_residuals_agree(swing):
 
 def free_swing(**model) -> jaxid.Dataset:
     t = np.arange(401) * 0.01
-    q, _ = ref.simulate(ref.pendulum(0.06, 1.3), ref.Truth(viscous=0.01, coulomb=0.02), t, np.zeros((401, 0)), 1.2, 0.0, nq=1)
+    q, _ = ref.simulate(
+        ref.pendulum(0.06, 1.3),
+        ref.Truth(viscous=0.01, coulomb=0.02),
+        t,
+        np.zeros((401, 0)),
+        1.2,
+        0.0,
+        nq=1,
+    )
     return jaxid.Dataset.from_arrays(
-        t, {}, {"q": ref.measured(q[:, 0], NOISE, 5)}, noise_std={"q": NOISE}, model=ModelSpec("pendulum", free=True, **model)
+        t,
+        {},
+        {"q": ref.measured(q[:, 0], NOISE, 5)},
+        noise_std={"q": NOISE},
+        model=ModelSpec("pendulum", free=True, **model),
     )
 
 
@@ -238,11 +291,15 @@ def test_loss_is_the_same_number_in_every_batch(problem):
 @pytest.mark.parametrize(("order", "error"), [(1, 1e-5), (2, 1e-6)])
 def test_differences_agree_with_tangents(swing, order, error):
     """Also of a start, of a logarithm and at a bound; the residual is the same number."""
-    free_start = dataclasses.replace(swing, experiments=tuple(dataclasses.replace(e, at_rest=False) for e in swing.experiments))
+    free_start = dataclasses.replace(
+        swing, experiments=tuple(dataclasses.replace(e, at_rest=False) for e in swing.experiments)
+    )
     binding = bind(None, free_start)
     bench = Bench(binding)
     exact = bench.problem(OutputError(), "fit", binding.free, binding.theta)
-    twin = dataclasses.replace(bench, differences=order).problem(OutputError(), "fit", binding.free, binding.theta)
+    twin = dataclasses.replace(bench, differences=order).problem(
+        OutputError(), "fit", binding.free, binding.theta
+    )
     rng = np.random.default_rng(0)
     z = exact.lower + rng.uniform(0.2, 0.8, exact.size) * (exact.upper - exact.lower)
     z[exact.names.index("viscous")] = exact.upper[exact.names.index("viscous")]
@@ -258,7 +315,9 @@ def test_gradient_method_and_population_reach_the_same_minimum(problem):
     key = jax.random.key(0)
     guess = [problem.z(problem.base)]
     lm = LevenbergMarquardt().minimise(problem, guess, key)
-    de = DifferentialEvolution(popsize=40, generations=350, strategy="best/1").minimise(problem, guess, key)
+    de = DifferentialEvolution(popsize=40, generations=350, strategy="best/1").minimise(
+        problem, guess, key
+    )
     print("loss by lm and de:", lm.loss, de.loss)
     assert lm.loss == problem.loss(lm.z) and de.loss == problem.loss(de.z)
     assert abs(lm.loss - de.loss) <= 1e-6 * lm.loss
@@ -268,7 +327,9 @@ def test_divergent_candidates_disturb_nobody(problem):
     """A tenth of a population diverges: the others get the same numbers to the last bit, at no more than three times the cost."""
     rng = np.random.default_rng(1)
     z0 = problem.z(problem.base)
-    healthy = np.clip(z0 * (1 + 0.02 * rng.normal(size=(160, problem.size))), problem.lower, problem.upper)
+    healthy = np.clip(
+        z0 * (1 + 0.02 * rng.normal(size=(160, problem.size))), problem.lower, problem.upper
+    )
     mixed = healthy.copy()
     bad = np.arange(0, 160, 10)
     mixed[bad] = np.nan
@@ -297,10 +358,21 @@ def test_fitters_keep_bounds_and_repeat(problem, kind):
     if not {"popsize", "restarts"} & fields:
         pytest.skip("not a search: models linear in their parameters only")
     small = {
-        k: v for k, v in {"popsize": 16, "generations": 10, "restarts": 2, "iterations": 6, "steps": 200}.items() if k in fields
+        k: v
+        for k, v in {
+            "popsize": 16,
+            "generations": 10,
+            "restarts": 2,
+            "iterations": 6,
+            "steps": 200,
+        }.items()
+        if k in fields
     }
     for seed in (0, 1):
-        found = [kind(**small).minimise(problem, [problem.z(problem.base)], jax.random.key(seed)) for _ in range(2)]
+        found = [
+            kind(**small).minimise(problem, [problem.z(problem.base)], jax.random.key(seed))
+            for _ in range(2)
+        ]
         assert np.array_equal(found[0].z, found[1].z) and found[0].loss == found[1].loss
         assert np.all((found[0].z >= problem.lower) & (found[0].z <= problem.upper))
         losses = [loss for _, loss in found[0].history]
@@ -312,7 +384,10 @@ def test_fitters_keep_bounds_and_repeat(problem, kind):
 
 def test_a_float32_program_beside_a_fit_is_unchanged(swing):
     """A fit computes in float64 and leaves neither the setting nor the numbers of the program around it changed."""
-    before = {k: getattr(jax.config, k) for k in ("jax_enable_x64", "jax_platforms", "jax_default_matmul_precision")}
+    before = {
+        k: getattr(jax.config, k)
+        for k in ("jax_enable_x64", "jax_platforms", "jax_default_matmul_precision")
+    }
     f = jax.jit(lambda x: jnp.sin(x) @ x)
     x = jnp.linspace(0, 1, 100)
     first = f(x)
@@ -329,23 +404,41 @@ def test_a_part_cut_from_a_run_starts_with_what_effects_remember():
     t = np.arange(801) * 0.005
     u = ref.multisine(t, [1.5], 3, periods=3, lines=12)
     u[:20] = 0.0
-    q, _ = ref.simulate(ref.joint(JOINT["inertia"]), ref.Truth(viscous=JOINT["viscous"], lag_s=0.06), t, u)
+    q, _ = ref.simulate(
+        ref.joint(JOINT["inertia"]), ref.Truth(viscous=JOINT["viscous"], lag_s=0.06), t, u
+    )
     noise = 2e-5
     data = jaxid.Dataset.from_arrays(
-        t, {"tau": u[:, 0]}, {"q": ref.measured(q[:, 0], noise, 1)}, at_rest=True, noise_std={"q": noise}, model="joint"
+        t,
+        {"tau": u[:, 0]},
+        {"q": ref.measured(q[:, 0], noise, 1)},
+        at_rest=True,
+        noise_std={"q": noise},
+        model="joint",
     )
     found = jaxid.fit(None, data, effects=["actuator_lag"])
     assert found.effects[0].parameters["lag"].value == pytest.approx(0.06, rel=0.01)
-    assert all(found.scores[split]["q"].rmse < 1.2 * noise for split in ("fit", "validation", "report"))
+    assert all(
+        found.scores[split]["q"].rmse < 1.2 * noise for split in ("fit", "validation", "report")
+    )
     blind = [dataclasses.replace(e, past=None) for e in data.with_splits().experiments]
-    without = jaxid.fit(None, dataclasses.replace(data, experiments=tuple(blind)), effects=["actuator_lag"])
+    without = jaxid.fit(
+        None, dataclasses.replace(data, experiments=tuple(blind)), effects=["actuator_lag"]
+    )
     assert without.scores["validation"]["q"].rmse > 100 * noise  # the test sees the difference
 
 
-def cut_in_time(q: np.ndarray, u: np.ndarray, t: np.ndarray, noise: float, effect: str) -> jaxid.Fit:
+def cut_in_time(
+    q: np.ndarray, u: np.ndarray, t: np.ndarray, noise: float, effect: str
+) -> jaxid.Fit:
     """A pendulum's one recording from rest, of which the last third is kept for validation and report."""
     data = jaxid.Dataset.from_arrays(
-        t, {"tau": u[:, 0]}, {"q": ref.measured(q, noise, 1)}, at_rest=True, noise_std={"q": noise}, model="pendulum"
+        t,
+        {"tau": u[:, 0]},
+        {"q": ref.measured(q, noise, 1)},
+        at_rest=True,
+        noise_std={"q": noise},
+        model="pendulum",
     )
     return jaxid.fit(None, data, effects=[effect])
 
@@ -358,11 +451,21 @@ def test_a_part_cut_from_a_run_starts_before_its_sensor():
     u[:20] = 0.0
     q, _ = ref.simulate(ref.pendulum(0.06, 0.9), ref.Truth(viscous=0.03, coulomb=0.04), t, u)
     motion = CubicSpline(t, q[:, 0])
-    read = solve_ivp(lambda t, y: (motion(t) - y) / lag, (0, t[-1]), [0.0], t_eval=t, rtol=1e-9, atol=1e-10, max_step=0.005).y[0]
+    read = solve_ivp(
+        lambda t, y: (motion(t) - y) / lag,
+        (0, t[-1]),
+        [0.0],
+        t_eval=t,
+        rtol=1e-9,
+        atol=1e-10,
+        max_step=0.005,
+    ).y[0]
     found = cut_in_time(read, u, t, noise, "sensor_lag")
     assert found.effects[0].parameters["lag"].value == pytest.approx(lag, rel=0.02)
     assert found.scores["fit"]["q"].rmse < 1.1 * noise
-    assert all(found.scores[split]["q"].rmse < 1.2 * noise for split in ("validation", "report"))  # 4500 where it is late twice
+    assert all(
+        found.scores[split]["q"].rmse < 1.2 * noise for split in ("validation", "report")
+    )  # 4500 where it is late twice
 
 
 @pytest.mark.slow
@@ -371,19 +474,32 @@ def test_a_part_cut_from_a_run_knows_how_its_spring_is_twisted():
     plant = dataclasses.replace(twins.PLANTS["pendulum"], resolution=0.0, noise=0.0)
     t, noise = np.arange(1600) * 0.005, 3e-4
     u = ref.multisine(t, [0.5], 3, periods=3, lines=8)
-    own = {"compliance": np.array([0.06]), "motor_share": np.array([0.4]), "spring_damping": np.array([0.1])}
-    q = twins.recorded(plant, u[None], {k: np.atleast_2d(x) for k, x in (plant.nominal | own).items()}, np.random.default_rng(0))[
-        0, :, 0
-    ]
+    own = {
+        "compliance": np.array([0.06]),
+        "motor_share": np.array([0.4]),
+        "spring_damping": np.array([0.1]),
+    }
+    q = twins.recorded(
+        plant,
+        u[None],
+        {k: np.atleast_2d(x) for k, x in (plant.nominal | own).items()},
+        np.random.default_rng(0),
+    )[0, :, 0]
     found = cut_in_time(q, u, t, noise, "joint_elasticity")
     assert found.effects[0].parameters["compliance"].value == pytest.approx(0.06, rel=0.02)
-    assert all(found.scores[split]["q"].rmse < 1.2 * noise for split in ("fit", "validation", "report"))
+    assert all(
+        found.scores[split]["q"].rmse < 1.2 * noise for split in ("fit", "validation", "report")
+    )
 
 
 def test_a_number_whose_derivative_is_undefined_has_no_deviation(monkeypatch):
     """At its neutral value, say; the others keep theirs."""
-    problem = FunctionProblem(lambda z: 1e2 * jnp.stack([z[0] - 1, 2 * z[0] - 2, z[0] + z[1] - 1]), [-5.0] * 2, [5.0] * 2)
-    broken = lambda jobs: (part._replace(J=np.where([False, True], np.nan, part.J)) for part in rows(jobs))
+    problem = FunctionProblem(
+        lambda z: 1e2 * jnp.stack([z[0] - 1, 2 * z[0] - 2, z[0] + z[1] - 1]), [-5.0] * 2, [5.0] * 2
+    )
+    broken = lambda jobs: (
+        part._replace(J=np.where([False, True], np.nan, part.J)) for part in rows(jobs)
+    )
     monkeypatch.setattr("jaxid.fitting.covariance.rows", broken)
     found = covariance(cast(Any, problem), np.array([1.0, 0.0]))
     assert found.identifiable.tolist() == [True, False] and np.isnan(found.std[1])

@@ -41,7 +41,11 @@ def data():
 
 
 def fitted(data, **parameters):
-    spec = ModelSpec("joint", without=("constant_torque",), parameters={k: ParameterPrior(**v) for k, v in parameters.items()})
+    spec = ModelSpec(
+        "joint",
+        without=("constant_torque",),
+        parameters={k: ParameterPrior(**v) for k, v in parameters.items()},
+    )
     return jaxid.fit(None, replace(data, model=spec))
 
 
@@ -50,7 +54,9 @@ def test_a_second_look_is_counted_and_a_budget_without_room_for_it_is_said(data)
     whole = jaxid.fit(None, spec, fitter=jaxid.fitters.LevenbergMarquardt(restarts=0))
     assert whole.state == "converged" and whole.to_dict()["state"] == "converged"
     for budget in (whole.evaluations // 3, 40):
-        fit = jaxid.fit(None, spec, fitter=jaxid.fitters.LevenbergMarquardt(restarts=0), budget=budget)
+        fit = jaxid.fit(
+            None, spec, fitter=jaxid.fitters.LevenbergMarquardt(restarts=0), budget=budget
+        )
         assert fit.evaluations <= budget and fit.state in ("budget", "converged")
     assert fit.state == "budget" and not fit.converged and not fit.failed
 
@@ -60,24 +66,44 @@ def test_a_look_at_the_same_minimum_ends_on_the_way_there(data):
     binding = bind(None, replace(data, model=ModelSpec("joint", without=("constant_torque",))))
     bench = Bench(binding)
     guess = start_values(bench, binding.free, 0)[0]
-    problem, key = bench.problem(default_residual(binding), "fit", binding.free, guess), jax.random.key(0)
-    for fitter in (LevenbergMarquardt(restarts=0), DifferentialEvolution(popsize=8, generations=60)):
+    problem, key = (
+        bench.problem(default_residual(binding), "fit", binding.free, guess),
+        jax.random.key(0),
+    )
+    for fitter in (
+        LevenbergMarquardt(restarts=0),
+        DifferentialEvolution(popsize=8, generations=60),
+    ):
         found = fitter.minimise(problem, [problem.z(guess)], key)
         if not found.converged:
             continue
         again = looked_again([(problem, [], key)], [found], fitter, None)[0]
         assert again.converged and again.loss == pytest.approx(found.loss, rel=1e-6)
-        assert 4 * (1 + problem.size) <= again.evaluations - found.evaluations <= 6 * (1 + problem.size)
+        assert (
+            4 * (1 + problem.size)
+            <= again.evaluations - found.evaluations
+            <= 6 * (1 + problem.size)
+        )
 
 
 def test_a_look_finds_a_lower_minimum_beside_the_end():
     """Three valleys, 0.4 apart, of which the outer ones are the lower ones."""
-    course = lambda z: jnp.stack([20 * (z[0] - 0.6) * (z[0] - 1.0) * (z[0] - 1.4), 1 - 3 * (z[0] - 1.0) ** 2])
-    problem, fitter, key = FunctionProblem(course, [0.0], [2.0]), LevenbergMarquardt(restarts=0), jax.random.key(0)
+    course = lambda z: jnp.stack(
+        [20 * (z[0] - 0.6) * (z[0] - 1.0) * (z[0] - 1.4), 1 - 3 * (z[0] - 1.0) ** 2]
+    )
+    problem, fitter, key = (
+        FunctionProblem(course, [0.0], [2.0]),
+        LevenbergMarquardt(restarts=0),
+        jax.random.key(0),
+    )
     found = fitter.minimise(problem, [np.array([1.05])], key)
     assert found.z[0] == pytest.approx(1.0, abs=0.01)
     again = looked_again([(problem, [], key)], [found], fitter, None)[0]
-    assert again.converged and again.loss < found.loss / 2 and abs(again.z[0] - 1.0) == pytest.approx(0.4, abs=0.1)
+    assert (
+        again.converged
+        and again.loss < found.loss / 2
+        and abs(again.z[0] - 1.0) == pytest.approx(0.4, abs=0.1)
+    )
 
 
 def test_the_first_descent_is_kept_while_it_is_looked_at(data, monkeypatch):
@@ -93,7 +119,9 @@ def test_the_first_descent_is_kept_while_it_is_looked_at(data, monkeypatch):
         jaxid.fit(None, spec)
     kept = stop.value.partial
     assert told == [kept] and any("looked at" in n for n in kept.notes)
-    assert kept.parameters["inertia"].value == pytest.approx(whole.parameters["inertia"].value, rel=1e-3)
+    assert kept.parameters["inertia"].value == pytest.approx(
+        whole.parameters["inertia"].value, rel=1e-3
+    )
 
 
 def test_a_bound_beyond_which_the_loss_falls_stalls_a_fit(data):
@@ -112,9 +140,14 @@ def test_a_prior_pulls_by_its_width_and_is_stated(data):
     wide = fitted(data, viscous={"prior": {"mean": 0.04, "std": 10.0}})
     own = free.parameters["viscous"]
     assert own.std is not None
-    assert tight.parameters["viscous"].value == pytest.approx(0.04, abs=1e-6) and (tight.parameters["viscous"].std or 1) < 2e-7
+    assert (
+        tight.parameters["viscous"].value == pytest.approx(0.04, abs=1e-6)
+        and (tight.parameters["viscous"].std or 1) < 2e-7
+    )
     assert wide.parameters["viscous"].value == pytest.approx(own.value, abs=0.05 * own.std)
-    middle = fitted(data, viscous={"prior": {"mean": own.value + 2 * own.std, "std": own.std}}).parameters["viscous"]
+    middle = fitted(
+        data, viscous={"prior": {"mean": own.value + 2 * own.std, "std": own.std}}
+    ).parameters["viscous"]
     assert middle.value == pytest.approx(own.value + own.std, abs=0.2 * own.std)
     assert middle.std == pytest.approx(own.std / np.sqrt(2), rel=0.1)
     assert any("prior of viscous" in note for note in tight.notes)
@@ -123,7 +156,9 @@ def test_a_prior_pulls_by_its_width_and_is_stated(data):
 def test_the_search_scale_is_the_users(data):
     linear = fitted(data, inertia={"log": False})
     assert any("inertia is searched linearly" in note for note in linear.notes)
-    assert linear.parameters["inertia"].value == pytest.approx(fitted(data).parameters["inertia"].value, rel=1e-4)
+    assert linear.parameters["inertia"].value == pytest.approx(
+        fitted(data).parameters["inertia"].value, rel=1e-4
+    )
     with pytest.raises(jaxid.UsageError, match="state `lower` above 0"):
         fitted(data, coulomb={"log": True})
 
@@ -131,7 +166,11 @@ def test_the_search_scale_is_the_users(data):
 def test_stated_numbers_are_answered(data):
     fit = fitted(data, inertia={"value": 0.06}, viscous={"value": 0.03})
     by_name = {s.parameter: s for s in fit.stated}
-    assert by_name["inertia"].refuted and (by_name["inertia"].deviation or 0) < -10 and fit.stated[0].parameter == "inertia"
+    assert (
+        by_name["inertia"].refuted
+        and (by_name["inertia"].deviation or 0) < -10
+        and fit.stated[0].parameter == "inertia"
+    )
     assert (
         "your stated inertia 0.0600 kg m^2 is" in by_name["inertia"].text
         and "standard deviations from" in by_name["inertia"].text
@@ -141,7 +180,10 @@ def test_stated_numbers_are_answered(data):
 
 
 def test_priors_and_scales_are_saved_and_read(tmp_path, data):
-    spec = ModelSpec("joint", parameters={"inertia": ParameterPrior(log=False, prior={"mean": 0.02, "std": 0.001})})
+    spec = ModelSpec(
+        "joint",
+        parameters={"inertia": ParameterPrior(log=False, prior={"mean": 0.02, "std": 0.001})},
+    )
     jaxid.save_dataset(replace(data, model=spec), tmp_path / "d")
     read = jaxid.load_dataset(tmp_path / "d").model
     assert read is not None and read.parameters == spec.parameters
@@ -158,8 +200,15 @@ def test_a_fast_short_record_is_cut_so_that_every_part_is_judged(recwarn):
             v += 1e-4 * (u - 30 * v - 15 * np.sign(v or u)) / 20
             x += 1e-4 * v
     y = np.array(out) + 2e-5 * np.random.default_rng(0).standard_normal(len(t))
-    fit = jaxid.fit("joint", jaxid.Dataset.from_arrays(t, {"force": force}, {"position": y}, noise_std={"position": 2e-5}))
-    assert all(np.isfinite(fit.scores[split]["position"].rmse) for split in ("fit", "validation", "report"))
+    fit = jaxid.fit(
+        "joint",
+        jaxid.Dataset.from_arrays(
+            t, {"force": force}, {"position": y}, noise_std={"position": 2e-5}
+        ),
+    )
+    assert all(
+        np.isfinite(fit.scores[split]["position"].rmse) for split in ("fit", "validation", "report")
+    )
     assert fit.parameters["inertia"].value == pytest.approx(20, rel=0.01)
     assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
 

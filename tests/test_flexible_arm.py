@@ -30,17 +30,26 @@ class Written:
         self.n, value = arm.n_elements, lambda name: float(getattr(arm, name))
         self.size, self.g = 2 + 4 * self.n, value("gravity")
         self.own = [slice(2 + 2 * k * self.n, 2 + 2 * (k + 1) * self.n) for k in (0, 1)]
-        self.x, self.shape, self.slope = [], [], []  # of points along each link, the last one its tip
+        self.x, self.shape, self.slope = (
+            [],
+            [],
+            [],
+        )  # of points along each link, the last one its tip
         self.m, self.turning = [], []
         self.K, self.D = np.zeros((2, self.size, self.size))
         nodes, weights = np.polynomial.legendre.leggauss(4)
         for k in (0, 1):
             L, area = value(f"L{k + 1}"), value(f"b{k + 1}") * value(f"h{k + 1}")
-            rho, EI = value(f"rho{k + 1}") * area, value(f"E{k + 1}") * area * value(f"h{k + 1}") ** 2 / 12
+            rho, EI = (
+                value(f"rho{k + 1}") * area,
+                value(f"E{k + 1}") * area * value(f"h{k + 1}") ** 2 / 12,
+            )
             x = np.array([*(np.arange(self.n)[:, None] + (nodes + 1) / 2).ravel() * L / self.n, L])
             w = np.array([*np.tile(weights * L / self.n / 2, self.n), 0.0])
             rows = np.stack([self.rows(L / self.n, v) for v in x], 1)
-            carried, inertia = (value("m_h"), value("J_h")) if k == 0 else (value("m_p"), value("J_p"))
+            carried, inertia = (
+                (value("m_h"), value("J_h")) if k == 0 else (value("m_p"), value("J_p"))
+            )
             self.x.append(x)
             self.shape.append(rows[0])
             self.slope.append(rows[1][-1])
@@ -48,7 +57,9 @@ class Written:
             self.turning.append((value(f"I_m{k + 1}"), inertia))
             bending = EI * (rows[2].T * w) @ rows[2]
             self.K[self.own[k], self.own[k]] = bending
-            self.D[self.own[k], self.own[k]] = value("alpha") * rho * (rows[0].T * w) @ rows[0] + value("beta") * bending
+            self.D[self.own[k], self.own[k]] = (
+                value("alpha") * rho * (rows[0].T * w) @ rows[0] + value("beta") * bending
+            )
 
     def rows(self, l, x):
         """Deflection, slope and curvature at x over the free nodes."""
@@ -106,7 +117,9 @@ def test_the_step_against_an_integration(gravity):
         peer = Written(arm)
         x0 = [np.asarray(v) for v in arm.start(jnp.array([0.3, -0.5]), jnp.zeros(2))]
         links = arm.links()
-        nodal = np.concatenate([np.asarray(l.shapes) @ x0[2].reshape(2, -1)[k] for k, l in enumerate(links)])
+        nodal = np.concatenate(
+            [np.asarray(l.shapes) @ x0[2].reshape(2, -1)[k] for k, l in enumerate(links)]
+        )
         p0 = np.concatenate([x0[0], nodal])
 
         def slope(t, s):
@@ -115,7 +128,14 @@ def test_the_step_against_an_integration(gravity):
             return np.concatenate([v, np.linalg.solve(M, f)])
 
         T = 0.3
-        fine = solve_ivp(slope, (0, T), np.concatenate([p0, np.zeros_like(p0)]), method="Radau", rtol=1e-7, atol=1e-9)
+        fine = solve_ivp(
+            slope,
+            (0, T),
+            np.concatenate([p0, np.zeros_like(p0)]),
+            method="Radau",
+            rtol=1e-7,
+            atol=1e-9,
+        )
         end = fine.y[:, -1]
         assert np.abs(end[2 : peer.size]).max() > 0.01
 
@@ -124,12 +144,18 @@ def test_the_step_against_an_integration(gravity):
             ready = arm.prepare(h)
 
             def one(x, t):
-                free = ready.free(h, x, jnp.stack([0.8 * jnp.sin(3 * t) + 0.2, 0.25 * jnp.sin(5 * t + 1)]))
+                free = ready.free(
+                    h, x, jnp.stack([0.8 * jnp.sin(3 * t) + 0.2, 0.25 * jnp.sin(5 * t + 1)])
+                )
                 return ready.close(h, x, free, jnp.zeros(2), free.qd, jnp.zeros(2)), None
 
             times = (jnp.arange(steps) + 0.5) * h
-            x, _ = jax.jit(lambda x: jax.lax.scan(one, x, times))(arm.start(jnp.array([0.3, -0.5]), jnp.zeros(2)))
-            return np.asarray(x[0]), complex(*np.asarray(ready.output(x, jnp.zeros(2), jnp.zeros(2, bool))[4:]))
+            x, _ = jax.jit(lambda x: jax.lax.scan(one, x, times))(
+                arm.start(jnp.array([0.3, -0.5]), jnp.zeros(2))
+            )
+            return np.asarray(x[0]), complex(
+                *np.asarray(ready.output(x, jnp.zeros(2), jnp.zeros(2, bool))[4:])
+            )
 
         errors = []
         for steps in (300, 600):
@@ -145,9 +171,16 @@ def test_the_matrices_are_those_of_the_energies():
         arm = arm_of(gravity=9.81, J_p=1e-3)
         lagrangian = lambda p, pd: arm.kinetic_energy(p, pd) - arm.potential_energy(p)
         for _ in range(2):
-            p, pd = jnp.array(rng.normal(size=6) * [1, 1, 0.1, 0.02, 0.1, 0.02]), jnp.array(rng.normal(size=6) * 3)
-            for own, known in zip(arm.matrices(p, pd), equations_of_motion(lagrangian, p, pd), strict=True):
-                np.testing.assert_allclose(np.asarray(own), np.asarray(known), rtol=1e-9, atol=1e-10)
+            p, pd = (
+                jnp.array(rng.normal(size=6) * [1, 1, 0.1, 0.02, 0.1, 0.02]),
+                jnp.array(rng.normal(size=6) * 3),
+            )
+            for own, known in zip(
+                arm.matrices(p, pd), equations_of_motion(lagrangian, p, pd), strict=True
+            ):
+                np.testing.assert_allclose(
+                    np.asarray(own), np.asarray(known), rtol=1e-9, atol=1e-10
+                )
 
 
 def test_welded_and_straight_it_is_one_beam():
@@ -159,7 +192,9 @@ def test_welded_and_straight_it_is_one_beam():
         M, _ = arm.matrices(jnp.zeros(n), jnp.zeros(n))
         K, _ = arm._elastic()
     found = np.sqrt(eigh(np.asarray(K), np.asarray(M)[2:, 2:], eigvals_only=True)[:3])
-    known = np.array([1.87510407, 4.69409113, 7.85475744]) ** 2 * np.sqrt(7e10 * 0.003**2 / 12 / 2700.0)
+    known = np.array([1.87510407, 4.69409113, 7.85475744]) ** 2 * np.sqrt(
+        7e10 * 0.003**2 / 12 / 2700.0
+    )
     np.testing.assert_allclose(found, known, rtol=3e-4)
 
 
@@ -179,7 +214,10 @@ def test_energy_stays_where_nothing_brakes():
 
         start = arm.start(jnp.array([1.2, -0.4]), jnp.zeros(2))
         _, over = jax.jit(lambda x: jax.lax.scan(one, x, None, 2000))(start)
-        scale = float(ready.potential_energy(jnp.array([np.pi, 0, 0, 0, 0, 0])) - ready.potential_energy(jnp.zeros(6)))
+        scale = float(
+            ready.potential_energy(jnp.array([np.pi, 0, 0, 0, 0, 0]))
+            - ready.potential_energy(jnp.zeros(6))
+        )
         before = float(energy(start))
     assert np.abs(np.asarray(over) - before).max() < 2e-3 * scale
 
@@ -194,11 +232,20 @@ def test_its_numbers_are_recovered_with_their_intervals():
     viscous = np.array([0.02, 0.01])
     with float64():
         arm = arm_of(3, 2, **truth).prepare(None)
-        field = jax.jit(lambda s, u: jnp.concatenate(arm.vector_field(0.0, parts(s), u - viscous * parts(s)[1])))
+        field = jax.jit(
+            lambda s, u: jnp.concatenate(arm.vector_field(0.0, parts(s), u - viscous * parts(s)[1]))
+        )
         read = jax.jit(lambda s: arm.output(parts(s), jnp.zeros(2), jnp.zeros(2, bool))[:4])
         states = [np.zeros(12)]
         for a, b, u in zip(t[:-1], t[1:], held[:-1], strict=True):
-            got = solve_ivp(lambda _, s, u=u: np.asarray(field(s, u)), (a, b), states[-1], method="LSODA", rtol=1e-8, atol=1e-11)
+            got = solve_ivp(
+                lambda _, s, u=u: np.asarray(field(s, u)),
+                (a, b),
+                states[-1],
+                method="LSODA",
+                rtol=1e-8,
+                atol=1e-11,
+            )
             states.append(got.y[:, -1])
         y = np.stack([np.asarray(read(s)) for s in states])
     noise = {"q1": 1e-4, "q2": 1e-4, "strain1": 1e-6, "strain2": 1e-6}

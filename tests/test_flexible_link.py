@@ -53,11 +53,17 @@ def test_the_assembled_matrices_are_those_of_the_energies():
         b = FlexibleLink(**values).beam()
         m = beam.matrices(b, 3)
         psi, psid = jnp.asarray(np.random.default_rng(1).normal(size=(2, 6)) * 1e-2)
-        turning = jax.hessian(lambda x: beam.kinetic_energy(b, x[0], psi, x[1:], rotating=False))(jnp.ones(7))
+        turning = jax.hessian(lambda x: beam.kinetic_energy(b, x[0], psi, x[1:], rotating=False))(
+            jnp.ones(7)
+        )
         bending = jax.hessian(lambda p: beam.strain_energy(b, p))(psi)
         geometric = jax.hessian(lambda p: beam.foreshortening_energy(b, 1.0, p))(psi)
         # The part that only a deflection's rotation adds is quadratic in it, with the beam's own mass matrix.
-        rotation = jax.hessian(lambda p: beam.kinetic_energy(b, 1.0, p, psid) - beam.kinetic_energy(b, 1.0, p, psid, False))(psi)
+        rotation = jax.hessian(
+            lambda p: (
+                beam.kinetic_energy(b, 1.0, p, psid) - beam.kinetic_energy(b, 1.0, p, psid, False)
+            )
+        )(psi)
     close = lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * np.abs(b).max())
     close(turning[0, 0], m.inertia)
     close(turning[0, 1:], m.coupling)
@@ -68,7 +74,13 @@ def test_the_assembled_matrices_are_those_of_the_energies():
         slopeless = beam.matrices(b._replace(payload_inertia=0.0), 3)
     close(rotation, slopeless.M)
     Mp, Kp, c, J, G = elements(3, 2e-5)
-    for own, ours in ((Mp, m.M), (OWN["E"] * Kp, m.K), (c, m.coupling), (J, m.inertia), (G, m.geometric)):
+    for own, ours in (
+        (Mp, m.M),
+        (OWN["E"] * Kp, m.K),
+        (c, m.coupling),
+        (J, m.inertia),
+        (G, m.geometric),
+    ):
         close(np.asarray(ours), own)
 
 
@@ -98,7 +110,11 @@ def analytic(count: int) -> list[float]:
             [EI * k**3 * s + PAYLOAD * w2 * c, -EI * k**3 * c + PAYLOAD * w2 * s,
              EI * k**3 * sh + PAYLOAD * w2 * ch, EI * k**3 * ch + PAYLOAD * w2 * sh],
         ]  # fmt: skip
-        return float(np.linalg.det(np.array(rows) / np.array([[1], [EI * k**2 * ch], [ch], [EI * k**3 * ch]])))
+        return float(
+            np.linalg.det(
+                np.array(rows) / np.array([[1], [EI * k**2 * ch], [ch], [EI * k**3 * ch]])
+            )
+        )
 
     grid, found = np.linspace(0.5, 500, 5000), []
     values = [determinant(f) for f in grid]
@@ -122,21 +138,34 @@ def test_centrifugal_terms_change_the_clamped_frequency():
     """Softening without, stiffening with the geometric term, by the figures derived for this link."""
     Mp, Kp, _, _, G = elements()
     with float64():
-        for stiff, table in ((False, {3: 3.466, 5: 3.407, 10: 3.116}), (True, {3: 3.505, 5: 3.517, 10: 3.569})):
+        for stiff, table in (
+            (False, {3: 3.466, 5: 3.407, 10: 3.116}),
+            (True, {3: 3.505, 5: 3.517, 10: 3.569}),
+        ):
             values: dict[str, Any] = OWN | {"stiffening": float(stiff), "nonlinear": True}
             link = FlexibleLink(**values).prepare(None)
             for speed, f in table.items():
                 still = jnp.zeros(8)
                 K = -np.asarray(jax.jacfwd(link.pull, 1)(jnp.array([float(speed)]), still, still))
-                assert np.sqrt(np.linalg.eigvals(K).real.min()) / 2 / pi == pytest.approx(f, abs=6e-4)
+                assert np.sqrt(np.linalg.eigvals(K).real.min()) / 2 / pi == pytest.approx(
+                    f, abs=6e-4
+                )
                 dense = DE["E"] * Kp - speed**2 * (Mp - stiff * G)
-                assert np.sqrt(scipy.linalg.eigvalsh(dense, Mp)[0]) / 2 / pi == pytest.approx(f, abs=6e-4)
+                assert np.sqrt(scipy.linalg.eigvalsh(dense, Mp)[0]) / 2 / pi == pytest.approx(
+                    f, abs=6e-4
+                )
 
 
 @pytest.mark.parametrize("stiffening", [0.0, 1.0])
 def test_energy_is_kept_for_20_seconds(stiffening):
     """Without damping and friction: hub at 8 rad/s, bent beam; kinetic and strain energy from the elements' integrals."""
-    undamped: dict[str, Any] = OWN | {"alpha": 0.0, "beta": 0.0, "stiffening": stiffening, "n_elements": 1, "nonlinear": True}
+    undamped: dict[str, Any] = OWN | {
+        "alpha": 0.0,
+        "beta": 0.0,
+        "stiffening": stiffening,
+        "n_elements": 1,
+        "nonlinear": True,
+    }
     with float64():
         model = FlexibleLink(**undamped).prepare(None)
         shapes = np.asarray(model.prepared[0].shapes)
@@ -149,7 +178,11 @@ def test_energy_is_kept_for_20_seconds(stiffening):
             b = model.beam()
             kinetic = beam.kinetic_energy(b, w[0], psi, psid) + DE["I_m"] * w[0] ** 2 / 2
             # Foreshortening lowers the inertia: it counts against the kinetic energy.
-            return float(kinetic + beam.strain_energy(b, psi) - stiffening * beam.foreshortening_energy(b, w[0], psi))
+            return float(
+                kinetic
+                + beam.strain_energy(b, psi)
+                - stiffening * beam.foreshortening_energy(b, w[0], psi)
+            )
 
         assert abs(energy(end) - energy(x0)) < 1e-8 * energy(x0)
 
@@ -162,7 +195,9 @@ def simulator():
     return Simulator(jaxid.Chain(FlexibleLink()), T, pulses(T)[:, None], 1e-3)
 
 
-@pytest.mark.parametrize(("tau_c", "phi", "acceleration"), [(0.0, 5e-6, 4e-4), (0.1071, 8e-5, 4e-4)])
+@pytest.mark.parametrize(
+    ("tau_c", "phi", "acceleration"), [(0.0, 5e-6, 4e-4), (0.1071, 8e-5, 4e-4)]
+)
 def test_the_step_against_fine_steps_of_all_states(simulator, tau_c, phi, acceleration):
     y = simulator.outputs([DE | {"tau_c": tau_c}])[0]
     truth = zero_order_hold(pulses(T), 1e-3, 40, DE["v"], tau_c)
@@ -201,11 +236,18 @@ def test_the_nonlinear_step_against_an_integration(stiffening):
     truth = np.append(first.y[0, :-1], second.y[0])
     chain = jaxid.Chain(FlexibleLink(n_elements=2, nonlinear=True, stiffening=stiffening))
     linear = jaxid.Chain(FlexibleLink(n_elements=2))
-    added = jaxid.Chain(FlexibleLink(n_elements=2, nonlinear=True)).with_effects(GeometricStiffening())
+    added = jaxid.Chain(FlexibleLink(n_elements=2, nonlinear=True)).with_effects(
+        GeometricStiffening()
+    )
     values = [DE | {"v": 0.0, "tau_c": 0.0}]
-    errors = [relative(Simulator(chain, t, u[:, None], h).outputs(values)[0, :, 0], truth) for h in (1e-3, 5e-4)]
+    errors = [
+        relative(Simulator(chain, t, u[:, None], h).outputs(values)[0, :, 0], truth)
+        for h in (1e-3, 5e-4)
+    ]
     assert errors[1] < 4e-5 and errors[1] < 0.3 * errors[0]
-    as_effect = Simulator(added, t, u[:, None], 5e-4).outputs([values[0] | {"geometric_stiffening.share@phi": float(stiffening)}])
+    as_effect = Simulator(added, t, u[:, None], 5e-4).outputs(
+        [values[0] | {"geometric_stiffening.share@phi": float(stiffening)}]
+    )
     assert relative(as_effect[0], Simulator(chain, t, u[:, None], 5e-4).outputs(values)[0]) < 1e-12
     assert relative(Simulator(linear, t, u[:, None], 5e-4).outputs(values)[0, :, 0], truth) > 0.01
     assert np.abs(np.diff(truth)).max() * 1e3 > 8  # rad/s: the terms count
@@ -222,7 +264,9 @@ def test_the_step_against_an_implicit_solver_on_the_vector_field():
     y = s.outputs([values])[0, :, 0]
     with float64():
         model = s.layout.model(jnp.asarray(s.theta(values)))
-        held = lambda time: jnp.asarray(u)[jnp.clip(jnp.floor(time / 1e-3 + 1e-9).astype(int), 0, 300)][None]
+        held = lambda time: jnp.asarray(u)[
+            jnp.clip(jnp.floor(time / 1e-3 + 1e-9).astype(int), 0, 300)
+        ][None]
         ode = model.ode()
         field = lambda time, x, args: ode(time, x, (None, held))
         solution = diffrax.diffeqsolve(
@@ -243,7 +287,9 @@ def test_the_step_against_an_implicit_solver_on_the_vector_field():
 def test_frequency_response_against_a_direct_solve():
     f = np.arange(0.2, 50.01, 0.2)
     truth = direct(f)
-    assert abs(truth[4]) == pytest.approx(21.98, abs=0.01) and f[np.abs(truth).argmax()] == pytest.approx(4.6)
+    assert abs(truth[4]) == pytest.approx(21.98, abs=0.01) and f[
+        np.abs(truth).argmax()
+    ] == pytest.approx(4.6)
     with float64():
         chain = jaxid.Chain(FlexibleLink(**OWN)).with_effects(ViscousFriction(coefficient=DE["v"]))
         re, im = (np.asarray(a)[:, 1, 0] for a in transfer(chain, jnp.asarray(2 * pi * f)))
@@ -253,14 +299,20 @@ def test_frequency_response_against_a_direct_solve():
     assert relative(re4 + 1j * im4, truth) < 1e-5
 
 
-def response_data(response: np.ndarray, f: np.ndarray, repeats: int = 5, noise: float = 0.02) -> jaxid.Dataset:
+def response_data(
+    response: np.ndarray, f: np.ndarray, repeats: int = 5, noise: float = 0.02
+) -> jaxid.Dataset:
     rng = np.random.default_rng(5)
     lines, values = [], []
     for _ in range(repeats):
         lines.append(2 * pi * f)
         part = noise * np.abs(response) / np.sqrt(2)
-        values.append(response + part * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size)))
-    measured = FrequencyResponse("sweep", "fit", np.concatenate(lines), np.concatenate(values), "tau", "tip_acceleration")
+        values.append(
+            response + part * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
+        )
+    measured = FrequencyResponse(
+        "sweep", "fit", np.concatenate(lines), np.concatenate(values), "tau", "tip_acceleration"
+    )
     channels = (
         Channel("tau", "input", "N m"),
         Channel("phi", "output", "rad"),
@@ -278,7 +330,9 @@ def test_a_measured_response_is_fitted_and_a_wrong_one_is_not():
         p = fit.parameters[name]
         assert p.std is not None and abs(p.value - DE[name]) < 4.5 * p.std, name
     assert jaxid.fit(None, response_data(-direct(f), f)).loss > 100 * fit.loss  # a swapped sign
-    assert jaxid.fit(None, response_data(np.conj(direct(f)), f)).loss > 100 * fit.loss  # the phase's convention
+    assert (
+        jaxid.fit(None, response_data(np.conj(direct(f)), f)).loss > 100 * fit.loss
+    )  # the phase's convention
     assert jaxid.fit(None, response_data(1e3 * direct(f), f)).loss > 100 * fit.loss  # a wrong unit
 
 
@@ -289,14 +343,18 @@ def test_repeats_give_weights_that_outliers_do_not_move():
     spoilt[:20] *= 50
     lines = merged(FrequencyResponse("s", "fit", clean.omega, spoilt, "tau", "tip_acceleration"))
     assert relative(lines.response, direct(f)) < 0.03
-    assert np.median(lines.std / np.abs(lines.response)) == pytest.approx(0.02 / np.sqrt(2) * 1.2533 / np.sqrt(10), rel=0.4)
+    assert np.median(lines.std / np.abs(lines.response)) == pytest.approx(
+        0.02 / np.sqrt(2) * 1.2533 / np.sqrt(10), rel=0.4
+    )
 
 
 def test_without_repeats_a_zero_of_the_response_does_not_outweigh_the_rest():
     f = np.arange(0.4, 20.01, 0.4)
     response = direct(f)
     response[10] = 1e-9
-    std = merged(FrequencyResponse("s", "fit", 2 * np.pi * f, response, "tau", "tip_acceleration")).std
+    std = merged(
+        FrequencyResponse("s", "fit", 2 * np.pi * f, response, "tau", "tip_acceleration")
+    ).std
     assert std[10] == pytest.approx(0.002 * np.median(np.abs(response)))
     assert np.allclose(std[11:20], 0.02 * np.abs(response[11:20]))
 
@@ -323,7 +381,9 @@ def test_the_papers_pulse_is_fitted_by_records_and_biased_by_a_linear_response()
         p = fit.parameters[name]
         assert p.std is not None and abs(p.value - DE[name]) < 4.5 * p.std, name
     band = (0.0, 20.0)
-    simulated = jaxid.fit(model, data, residual=FrequencyResponseError(timed=("phi",), band_hz=band))
+    simulated = jaxid.fit(
+        model, data, residual=FrequencyResponseError(timed=("phi",), band_hz=band)
+    )
     assert simulated.parameters["E"].value == pytest.approx(DE["E"], rel=0.01)
     linear = jaxid.fit(model, data, residual=FrequencyResponseError(linear=True, band_hz=band))
     assert linear.loss > 20 * simulated.loss  # dry friction does not exist in a linear response
@@ -335,19 +395,30 @@ def test_held_out_data_without_a_line_and_steps_finer_than_samples():
     """2 ms samples are one step apart, and two where the step is halved; 0.2 s of a constant input hold no line of a response."""
     t = np.arange(1000) * 2e-3
     u = np.where(t < 0.3, 0.241, 0.0)
-    y = zero_order_hold(u, 2e-3, 20, DE["v"], 0.0) + np.random.default_rng(1).standard_normal((t.size, 2)) * [1.5e-3, 0.3]
+    y = zero_order_hold(u, 2e-3, 20, DE["v"], 0.0) + np.random.default_rng(1).standard_normal(
+        (t.size, 2)
+    ) * [1.5e-3, 0.3]
     channels = (
         Channel("tau", "input", "N m"),
         Channel("phi", "output", "rad", 1.5e-3),
         Channel("tip_acceleration", "output", "m/s^2", 0.3),
     )
-    run = Experiment("pulse", "fit", t, u[:, None], y, at_rest=True, initial={"phi": 0.0, "qd": 0.0})
+    run = Experiment(
+        "pulse", "fit", t, u[:, None], y, at_rest=True, initial={"phi": 0.0, "qd": 0.0}
+    )
     held = [run.piece(0, 100, name=n, split=n) for n in ("validation", "report")]
-    model = ModelSpec("flexible_link", constants={"n_modes": 2, "alpha": DE["alpha"], "beta": DE["beta"], "tau_c": 0.0})
+    model = ModelSpec(
+        "flexible_link",
+        constants={"n_modes": 2, "alpha": DE["alpha"], "beta": DE["beta"], "tau_c": 0.0},
+    )
     data = jaxid.Dataset("pulse", channels, (run, *held), (), model)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        fit = jaxid.fit(None, data, residual=FrequencyResponseError(linear=True, timed=("phi",), band_hz=(0.0, 20.0)))
+        fit = jaxid.fit(
+            None,
+            data,
+            residual=FrequencyResponseError(linear=True, timed=("phi",), band_hz=(0.0, 20.0)),
+        )
     assert fit.parameters["E"].value == pytest.approx(DE["E"], rel=0.03)
     assert set(fit.scores["validation"]) == {"phi", "tip_acceleration"} < set(fit.scores["fit"])
     assert any("validation data show no line" in n for n in fit.notes)

@@ -24,7 +24,12 @@ from jaxid.robots.floating import floating
 
 
 T = np.arange(201) * 0.01
-START = (np.array([0.2, -0.3, 0.5]), np.array([0.1, 0.4, 0.0, 0.05]), np.array([0.3, -0.2, 0.5]), np.array([0.1, -0.2, 3.0, 0.0]))
+START = (
+    np.array([0.2, -0.3, 0.5]),
+    np.array([0.1, 0.4, 0.0, 0.05]),
+    np.array([0.3, -0.2, 0.5]),
+    np.array([0.1, -0.2, 3.0, 0.0]),
+)
 
 URDF = """<robot name="craft">
 <link name="craft"><inertial><origin xyz="0.05 -0.02 0.03"/><mass value="7"/>
@@ -42,16 +47,28 @@ def craft(gravity: float = 0.0) -> Robot:
     return Robot.from_mjcf("craft.xml", text=text(gravity), free=True)
 
 
-def spin_of(angles: np.ndarray, rates: np.ndarray, accelerations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def spin_of(
+    angles: np.ndarray, rates: np.ndarray, accelerations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Angular velocity and acceleration of the base in its own frame."""
-    pair = jax.jvp(dynamics.angular_velocity, (jnp.array(angles), jnp.array(rates)), (jnp.array(rates), jnp.array(accelerations)))
+    pair = jax.jvp(
+        dynamics.angular_velocity,
+        (jnp.array(angles), jnp.array(rates)),
+        (jnp.array(rates), jnp.array(accelerations)),
+    )
     return np.asarray(pair[0]), np.asarray(pair[1])
 
 
 def rates_of(angles: np.ndarray, spin: np.ndarray) -> np.ndarray:
     """Rates of roll, pitch, yaw at an angular velocity."""
     with float64():
-        A = np.stack([np.asarray(dynamics.angular_velocity(jnp.array(angles), jnp.array(e))) for e in np.eye(3)], 1)
+        A = np.stack(
+            [
+                np.asarray(dynamics.angular_velocity(jnp.array(angles), jnp.array(e)))
+                for e in np.eye(3)
+            ],
+            1,
+        )
     return np.linalg.solve(A, spin)
 
 
@@ -59,7 +76,11 @@ def compared(robot: Robot, model, n: int) -> float:
     """Largest difference of the accelerations at random states, spinning and drifting."""
     data, rng, worst = mujoco.MjData(model), np.random.default_rng(0), 0.0
     with float64():
-        solve = jax.jit(lambda q, v, tau: robot.vector_field(0.0, (q, v), robot.drive(robot.signatures[0], tau, q, v))[1])
+        solve = jax.jit(
+            lambda q, v, tau: robot.vector_field(
+                0.0, (q, v), robot.drive(robot.signatures[0], tau, q, v)
+            )[1]
+        )
         for _ in range(8):
             q, qd = rng.uniform(-1.2, 1.2, n + 3), rng.normal(size=n + 3)
             tau = rng.normal(size=n)
@@ -69,7 +90,13 @@ def compared(robot: Robot, model, n: int) -> float:
             data.qfrc_applied[6:] = tau
             mujoco.mj_forward(model, data)
             size = max(1.0, float(np.abs(data.qacc).max()))
-            worst = max(worst, float(np.abs(np.concatenate([data.qacc[6:] - a[:n], data.qacc[3:6] - change])).max() / size))
+            worst = max(
+                worst,
+                float(
+                    np.abs(np.concatenate([data.qacc[6:] - a[:n], data.qacc[3:6] - change])).max()
+                    / size
+                ),
+            )
     return worst
 
 
@@ -109,7 +136,9 @@ def test_a_rollout_is_mujocos():
             k2 = slope(add(y, h / 2, k1))
             k3 = slope(add(y, h / 2, k2))
             k4 = slope(add(y, h, k3))
-            new = jax.tree.map(lambda a, b, c, d, e: a + h / 6 * (b + 2 * c + 2 * d + e), y, k1, k2, k3, k4)
+            new = jax.tree.map(
+                lambda a, b, c, d, e: a + h / 6 * (b + 2 * c + 2 * d + e), y, k1, k2, k3, k4
+            )
             return new, y[0]
 
         found = jax.jit(lambda y: jax.lax.scan(step, y, jnp.arange(10 * len(T)))[1])(ode.y0(q, qd))
@@ -137,8 +166,14 @@ def test_gradients_are_finite_also_at_rest():
         still = jnp.zeros(7)
         field = lambda robot, q: jnp.sum(robot.vector_field(0.0, (q, still), still + 0.1)[1])
         slope = jax.jit(jax.grad(lambda q: field(robot, q)))(still + 0.2)
-        mass = jax.jit(jax.grad(lambda m: field(replace_mass(robot, m), still + 0.2)))(jnp.asarray(robot.mass))
-    assert np.isfinite(np.asarray(slope)).all() and np.isfinite(np.asarray(mass)).all() and np.any(np.asarray(mass) != 0)
+        mass = jax.jit(jax.grad(lambda m: field(replace_mass(robot, m), still + 0.2)))(
+            jnp.asarray(robot.mass)
+        )
+    assert (
+        np.isfinite(np.asarray(slope)).all()
+        and np.isfinite(np.asarray(mass)).all()
+        and np.any(np.asarray(mass) != 0)
+    )
 
 
 def replace_mass(robot: Robot, mass) -> Robot:
@@ -154,7 +189,14 @@ def runs():
     u = [torques(t, k + 1, 0.15) for k in range(2)]
     spins = (np.zeros(3), np.array([0.1, -0.05, 0.2]))
     rates = (np.zeros(4), START[3])
-    return t, u, [motion(t, a, (START[0], START[1], s, r), damping=0.2) for a, s, r in zip(u, spins, rates, strict=True)]
+    return (
+        t,
+        u,
+        [
+            motion(t, a, (START[0], START[1], s, r), damping=0.2)
+            for a, s, r in zip(u, spins, rates, strict=True)
+        ],
+    )
 
 
 def spec_of(data: jaxid.Dataset) -> ModelSpec:
@@ -167,7 +209,9 @@ TRUTH = {"mass@a2": 1.1, "com_x@a2": 0.15, "com_y@a2": 0.0}
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
+)
 def test_identification_by_momentum(runs, seed):
     """Neither torque nor acceleration: the last body's mass and centre within their intervals."""
     t, u, y = runs
@@ -205,9 +249,19 @@ def test_fit_by_torque():
     """The last body's mass and the joints' damping within their intervals; the base's rows have no torque."""
     fine = np.arange(2001) * 0.002
     smooth = torques(fine, 5, 0.15)
-    moved = motion(fine, smooth, (START[0], START[1], np.zeros(3), np.zeros(4)), inside=2, damping=0.2)
-    noisy = recording([smooth[::5]], [moved[::5]], fine[::5], 1e-5, numbers={"mass@a2": (1.6,)}, damping=0.1)
-    fit = jaxid.fit(None, noisy, residual="inverse_dynamics", fitter="lm(restarts=0)", without=["coulomb_friction"])
+    moved = motion(
+        fine, smooth, (START[0], START[1], np.zeros(3), np.zeros(4)), inside=2, damping=0.2
+    )
+    noisy = recording(
+        [smooth[::5]], [moved[::5]], fine[::5], 1e-5, numbers={"mass@a2": (1.6,)}, damping=0.1
+    )
+    fit = jaxid.fit(
+        None,
+        noisy,
+        residual="inverse_dynamics",
+        fitter="lm(restarts=0)",
+        without=["coulomb_friction"],
+    )
     truth = {"mass@a2": 1.1, "damping@j1": 0.2, "damping@j2": 0.2, "damping@s1": 0.2}
     for name, value in truth.items():
         found = fit.parameters[name]
@@ -241,8 +295,14 @@ def test_what_is_not_taken_is_said(runs):
     with pytest.raises(jaxid.UsageError, match="no number of one is fitted"):
         jaxid.fit(None, data, residual="momentum")
     with pytest.raises(jaxid.UsageError, match="of a robot on a free base"):
-        jaxid.fit("pendulum", jaxid.load_dataset(Path(__file__).parents[1] / "examples" / "servo_pendulum"), residual="momentum")
-    bare = URDF.replace('<mass value="7"/>', '<mass value="0"/>').replace('<mass value="2"/>', '<mass value="0"/>')
+        jaxid.fit(
+            "pendulum",
+            jaxid.load_dataset(Path(__file__).parents[1] / "examples" / "servo_pendulum"),
+            residual="momentum",
+        )
+    bare = URDF.replace('<mass value="7"/>', '<mass value="0"/>').replace(
+        '<mass value="2"/>', '<mass value="0"/>'
+    )
     bare = re.sub(r'ixx="0.[45]*" iyy="0.[35]*" izz="0.[35]*"', 'ixx="0" iyy="0" izz="0"', bare)
     with pytest.raises(jaxid.UsageError, match="needs mass and inertia of the base"):
         floating(Robot.from_urdf("craft.urdf", text=bare).tree.tree)

@@ -36,7 +36,13 @@ def test_the_base_and_its_arm_are_patched(tmp_path: Path, kind: str):
     last, n = ("a2", 4) if kind == "mjcf" else ("arm", 1)
     file = tmp_path / ("craft.xml" if kind == "mjcf" else "craft.urdf")
     file.write_text(text() if kind == "mjcf" else URDF)
-    numbers = {"mass@craft": 9.5, "com_y@craft": 0.03, "gyration_xx@craft": 0.2, f"mass@{last}": 1.9, f"com_x@{last}": 0.22}
+    numbers = {
+        "mass@craft": 9.5,
+        "com_y@craft": 0.03,
+        "gyration_xx@craft": 0.2,
+        f"mass@{last}": 1.9,
+        f"com_x@{last}": 0.22,
+    }
     read = Robot.from_mjcf if kind == "mjcf" else Robot.from_urdf
     robot = read(file, free=True)
     content = {
@@ -46,7 +52,9 @@ def test_the_base_and_its_arm_are_patched(tmp_path: Path, kind: str):
         "robot": origin(robot, Geometry(file=file.name, robot=file.read_text(), path=str(file))),
     }  # fmt: skip
     out = export(content, kind)
-    assert {r.effect: r.how for r in out.rows[:-1]} == dict.fromkeys([k.partition("@")[0] for k in numbers], "exact")
+    assert {r.effect: r.how for r in out.rows[:-1]} == dict.fromkeys(
+        [k.partition("@")[0] for k in numbers], "exact"
+    )
     assert out.rows[-1].how == "none" and "holds that of before" in out.rows[-1].note
     spec = mujoco.MjSpec.from_string(out.files[file.name])
     spec.option.gravity = (0, 0, 0)
@@ -66,5 +74,7 @@ def test_a_law_goes_by_the_driven_joints():
         controller=Controller("pd", {"kp": 5.0, "kd": 1.0}),
     )  # fmt: skip
     told = origin_on(None, goals)
-    assert list(told["drive"]["joints"]) == [j for j in resolve_model(None, goals).signature.joints if j not in ANGLES]
+    assert list(told["drive"]["joints"]) == [
+        j for j in resolve_model(None, goals).signature.joints if j not in ANGLES
+    ]
     assert told["base"]["kind"] == "free" and spec_of(data).base == {"kind": "free"}

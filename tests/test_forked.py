@@ -40,9 +40,19 @@ print(answer("fork"))
 @pytest.mark.parametrize("before", ["fit", "jax", "nothing"])
 def test_a_fit_in_a_forked_process(tmp_path, before):
     write_dataset(tmp_path / "small")
-    done = subprocess.run([sys.executable, "-c", CODE, before], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", CODE, before],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
     assert done.returncode == 0, done.stderr
     if before == "nothing":
         assert float(done.stdout) > 0
     else:
-        assert done.stdout.startswith("UsageError") and "use spawn" in done.stdout and "jaxid batch" in done.stdout
+        assert (
+            done.stdout.startswith("UsageError")
+            and "use spawn" in done.stdout
+            and "jaxid batch" in done.stdout
+        )

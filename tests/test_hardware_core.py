@@ -43,7 +43,11 @@ FINITE = st.floats(-1e6, 1e6)
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.lists(st.lists(st.floats(), min_size=2, max_size=2), max_size=30), FINITE, st.floats(1e-3, 10))
+@given(
+    st.lists(st.lists(st.floats(), min_size=2, max_size=2), max_size=30),
+    FINITE,
+    st.floats(1e-3, 10),
+)
 def test_whatever_is_asked_a_clamp_sends_small_finite_steps_inside(commands, start, step):
     clamp = Clamp([-1.0, -2.0], [1.0, 0.5], [step, 2 * step], [0.0, 0.0])
     before = (0.0, 0.0)
@@ -55,14 +59,23 @@ def test_whatever_is_asked_a_clamp_sends_small_finite_steps_inside(commands, sta
             assert clamp.last == before  # nothing is sent in its place
             continue
         assert np.all(np.isfinite(sent))
-        assert abs(sent[0] - before[0]) <= step + 1e-12 and abs(sent[1] - before[1]) <= 2 * step + 1e-12
+        assert (
+            abs(sent[0] - before[0]) <= step + 1e-12
+            and abs(sent[1] - before[1]) <= 2 * step + 1e-12
+        )
         assert -1 <= sent[0] <= 1 and -2 <= sent[1] <= 0.5
         before = sent
 
 
 def test_a_start_outside_the_bounds_is_led_back_in_steps():
     clamp = Clamp([-1.0], [1.0], [0.3], [2.0])
-    assert [round(clamp([5.0])[0], 9) for _ in range(5)] == [1.7, 1.4, 1.1, 1.0, 1.0] and clamp.count == 5
+    assert [round(clamp([5.0])[0], 9) for _ in range(5)] == [
+        1.7,
+        1.4,
+        1.1,
+        1.0,
+        1.0,
+    ] and clamp.count == 5
     with pytest.raises(Refused):
         clamp([0.0, 0.0])
 
@@ -71,7 +84,12 @@ def test_limits_from_a_file(tmp_path):
     file = tmp_path / "limits.toml"
     file.write_text("speed = [1.0, 2.0]\nupper = 3\ndata_age = 0.2\n")
     limits = Limits.read(file).within(Limits(speed=(1.5,), lower=(-1.0,), upper=(4.0,)), 2)
-    assert (limits.speed, limits.upper, limits.lower, limits.data_age) == ((1.0, 1.5), (3.0, 3.0), (-1.0, -1.0), 0.2)
+    assert (limits.speed, limits.upper, limits.lower, limits.data_age) == (
+        (1.0, 1.5),
+        (3.0, 3.0),
+        (-1.0, -1.0),
+        0.2,
+    )
     for text, words in [
         ("sped = 1", "no limit 'sped' .did you mean 'speed'"),
         ("speed = -1", "speed is -1; write numbers above 0"),
@@ -104,15 +122,28 @@ def test_a_path_is_read_from_files_and_folders(tmp_path):
     t = np.arange(200) * 0.01
     q = np.stack([0.1 * np.sin(t + j) for j in range(6)], axis=1)
     names = ",".join(f"q{j}_cmd" for j in range(1, 7))
-    np.savetxt(tmp_path / "path.csv", np.column_stack([t + 5, q]), delimiter=",", header="t," + names, comments="")
+    np.savetxt(
+        tmp_path / "path.csv",
+        np.column_stack([t + 5, q]),
+        delimiter=",",
+        header="t," + names,
+        comments="",
+    )
     play = Trajectory.read(tmp_path / "path.csv", 6)
     np.testing.assert_allclose(play.values, q, rtol=1e-9)
-    assert play.t[0] == 0 and play.duration == pytest.approx(1.99) and len(play.sampled(0.008)) == 250
+    assert (
+        play.t[0] == 0 and play.duration == pytest.approx(1.99) and len(play.sampled(0.008)) == 250
+    )
 
     from jaxid.data.dataset import Dataset
     from jaxid.data.io import save_dataset
 
-    data = Dataset.from_arrays(t, {f"tau{j}": q[:, 0] for j in (1, 2)}, {f"q{j}": q[:, j] for j in (1, 2)}, name="excitation")
+    data = Dataset.from_arrays(
+        t,
+        {f"tau{j}": q[:, 0] for j in (1, 2)},
+        {f"q{j}": q[:, j] for j in (1, 2)},
+        name="excitation",
+    )
     folder = save_dataset(data, tmp_path / "excitation")
     np.testing.assert_allclose(Trajectory.read(folder, 2).values, q[:, 1:3])
     for path, joints, words in [
@@ -139,14 +170,25 @@ def test_a_path_that_is_none(t, values, words):
 
 @pytest.mark.parametrize("seconds", [1.0, 2.0, 8.0])
 def test_a_multisine_rests_at_both_ends_and_has_its_size(seconds):
-    play = Trajectory.multisine([0.5, 0.2], seconds, center=[1.0, 0.0], frequencies=(0.5, 2.0), rest=0.2)
-    assert np.ptp(play.values[:100], axis=0).max() < 1e-9 and np.ptp(play.values[-100:], axis=0).max() < 1e-9
+    play = Trajectory.multisine(
+        [0.5, 0.2], seconds, center=[1.0, 0.0], frequencies=(0.5, 2.0), rest=0.2
+    )
+    assert (
+        np.ptp(play.values[:100], axis=0).max() < 1e-9
+        and np.ptp(play.values[-100:], axis=0).max() < 1e-9
+    )
     assert np.abs(play.values - [1.0, 0.0]).max(axis=0) == pytest.approx([0.5, 0.2])
     assert play.check(Limits(acceleration=(200.0,)), 0.008) == []
 
 
 def saved(folder: Path, t: np.ndarray, values: np.ndarray) -> Trajectory:
-    np.savetxt(folder / "path.csv", np.column_stack([t, values]), delimiter=",", header="t,q_cmd", comments="")
+    np.savetxt(
+        folder / "path.csv",
+        np.column_stack([t, values]),
+        delimiter=",",
+        header="t,q_cmd",
+        comments="",
+    )
     return Trajectory.read(folder / "path.csv")
 
 
@@ -175,13 +217,19 @@ def test_a_jump_is_found_with_its_row(tmp_path, row, lasting):
     q[k : None if lasting and k else k + 1] += 0.4
     speed = [p for p in saved(tmp_path, t, q).check(Limits(speed=(3.0,)), 0.008) if "speed" in p]
     found = {int(p.split("(row ")[1].split(")")[0]) for p in speed}
-    assert found & {row, row + 1} and all("the limit is" in p and "correct the row if it is a jump" in p for p in speed)
+    assert found & {row, row + 1} and all(
+        "the limit is" in p and "correct the row if it is a jump" in p for p in speed
+    )
 
 
 def test_what_is_commanded_first_and_last_counts_as_a_step():
     play = Trajectory(np.array([0.0, 1.0]), np.array([0.5, 0.5]), "velocity")
     problems = play.check(Limits(acceleration=(10.0,)), 0.01)
-    assert len(problems) == 2 and "reaches 50 rad/s^2 at 0.000 s (row 2)" in problems[0] and "(row 3)" in problems[1]
+    assert (
+        len(problems) == 2
+        and "reaches 50 rad/s^2 at 0.000 s (row 2)" in problems[0]
+        and "(row 3)" in problems[1]
+    )
     assert play.check(Limits(acceleration=(51.0,)), 0.01) == []
 
 
@@ -221,14 +269,18 @@ def test_a_recording_from_elsewhere_is_aligned_by_its_signal():
     rng = np.random.default_rng(1)
     f, phase = np.array([0.4, 0.9, 1.7, 2.9]), rng.uniform(0, 6, 4)
     angle = lambda t: np.sum(np.sin(2 * np.pi * f * t[:, None] + phase) / f, axis=1)
-    bend = lambda t: np.sum(-((2 * np.pi * f) ** 2) * np.sin(2 * np.pi * f * t[:, None] + phase) / f, axis=1)
+    bend = lambda t: np.sum(
+        -((2 * np.pi * f) ** 2) * np.sin(2 * np.pi * f * t[:, None] + phase) / f, axis=1
+    )
     t = np.arange(4000) / 200
     true = np.arange(6000) / 417 + 1.0
     other = (true - 3.2) / (1 + 200e-6)
     signal = 0.21 * bend(true) + 0.4 + 0.05 * rng.standard_normal(len(true))
     clock = from_signals(t, angle(t), other, signal, derivative=2)
     error = clock(other) - true
-    assert np.abs(error).max() < 1e-3 and np.abs(error).max() < 5 * np.hypot(clock.offset_std, clock.drift_std * 20)
+    assert np.abs(error).max() < 1e-3 and np.abs(error).max() < 5 * np.hypot(
+        clock.offset_std, clock.drift_std * 20
+    )
     with pytest.raises(ValueError, match="do not resemble"):
         from_signals(t, angle(t), other, rng.standard_normal(len(true)), derivative=2)
 
@@ -238,7 +290,9 @@ def test_a_tick_is_refined_and_never_left():
     true = 3.0 + np.cumsum(rng.uniform(0.0045, 0.0056, 2000))
     tick = np.floor(true * 1000) / 1000
     sent = 100 + true * (1 + 30e-6) - 2e-4 - rng.exponential(2e-5, 2000)
-    fine, host, blur, asked = within_tick(tick, 1e-3, sent, sent + 2e-3 + rng.exponential(1e-3, 2000))
+    fine, host, blur, asked = within_tick(
+        tick, 1e-3, sent, sent + 2e-3 + rng.exponential(1e-3, 2000)
+    )
     assert np.all((fine >= tick) & (fine < tick + 1e-3))
     assert np.std(fine - true) < 1.2e-4 < np.std(tick - true)
     assert np.abs(asked.inverse(sent) - fine).max() < 5e-4
@@ -284,7 +338,9 @@ def test_the_longest_path_goes_over_in_pieces():
     driver = Driver("jaxid.hardware.ur.driver", "test")
     try:
         assert hand_over(driver, rows, 60.0) == int(np.ceil(len(rows) / 500))
-        with pytest.raises(HardwareError, match="numbers of the path came for row"):  # not asked for
+        with pytest.raises(
+            HardwareError, match="numbers of the path came for row"
+        ):  # not asked for
             driver.ask("rows", "nothing", 10.0, at=7, content="AAAAAAAA8D8=")
     finally:
         driver.close()
@@ -347,7 +403,12 @@ def test_a_silence_is_of_the_recorder_or_of_this_computer(held):
     leash.wait(time.monotonic())
     if held:
         time.sleep(0.3)  # this process is not run: the other one is not to blame
-    with pytest.raises(Stop, match="this computer was busy for 0.3 s" if held else "recording process was silent for 0.[01]"):
+    with pytest.raises(
+        Stop,
+        match="this computer was busy for 0.3 s"
+        if held
+        else "recording process was silent for 0.[01]",
+    ):
         leash.wait(time.monotonic() + 1.0)
     here.close()
     there.close()
@@ -364,7 +425,9 @@ def test_a_pause_and_what_it_was():
     pauses.lap(doing="showing the progress")
     assert pauses.said(0.1).startswith("showing the progress took 0.2")
     assert waited(os.getpid()) >= 0.0 == waited(2**30)
-    assert kept_from_running(0.5, 0.4) == ": this computer was busy for 0.4 s" and "too busy" in kept_from_running(0.5, 0.1)
+    assert kept_from_running(
+        0.5, 0.4
+    ) == ": this computer was busy for 0.4 s" and "too busy" in kept_from_running(0.5, 0.1)
 
 
 def test_a_port_has_one_reader(tmp_path):
@@ -373,7 +436,9 @@ def test_a_port_has_one_reader(tmp_path):
     line = opened(name, 57600)
     os.write(master, b"for the first")
     time.sleep(0.05)
-    with pytest.raises(UsageError, match=f"port {name} is in use by another program.*wait until that has ended"):
+    with pytest.raises(
+        UsageError, match=f"port {name} is in use by another program.*wait until that has ended"
+    ):
         opened(name, 115200)
     (tmp_path / "tip.toml").write_text(SENSOR.format(port=name))
     with pytest.raises(UsageError, match="sensor tip: port .* is in use"):
@@ -396,11 +461,15 @@ def test_a_recording_that_finds_no_room_is_refused(tmp_path):
 
 # ---- rows on disk
 
-STREAM = Stream("thing", (Column("q", "rad", "output", 1e-3), Column("current", "A", "input")), "its own", 0.01)
+STREAM = Stream(
+    "thing", (Column("q", "rad", "output", 1e-3), Column("current", "A", "input")), "its own", 0.01
+)
 
 
 def write(folder: Path, rows: int, close: bool = True) -> Recorder:
-    recorder = Recorder(folder, [STREAM], {"name": "x", "description": "d", "source": {"hardware": "h"}})
+    recorder = Recorder(
+        folder, [STREAM], {"name": "x", "description": "d", "source": {"hardware": "h"}}
+    )
     for k in range(rows):
         recorder.append(0, 50 + 0.01 * k, 0.01 * k, (np.sin(0.1 * k), np.cos(0.1 * k)))
     if close:
@@ -426,7 +495,9 @@ def test_torn_and_damaged_rows_are_left_out(tmp_path_factory, cut, flips):
     size = len(content) // 100
     for place in flips:
         content[place % len(content)] ^= 0x10
-    file.write_bytes(bytes(content[: len(content) - cut % size]) + b"\0" * (size if cut == 7 else 0))
+    file.write_bytes(
+        bytes(content[: len(content) - cut % size]) + b"\0" * (size if cut == 7 else 0)
+    )
     rows = read_rows(folder, STREAM)
     good = np.flatnonzero(np.isin(np.round(rows.device / 0.01), np.arange(100)))
     assert len(good) == len(rows.device) >= 99 - len(flips)
@@ -440,7 +511,11 @@ def test_a_crash_is_recovered_with_its_reason(tmp_path):
     os.write(recorder._events.fileno(), b'{"host": 1, "ki')  # torn
     assert [e["kind"] for e in read_events(recorder.folder)] == ["note"]
     (result,) = recover(tmp_path / "out")
-    assert (result.rows, result.complete, result.lost) == (300, False, 0) and "a thing happened" in result.notes
+    assert (result.rows, result.complete, result.lost) == (
+        300,
+        False,
+        0,
+    ) and "a thing happened" in result.notes
     data = load_dataset(tmp_path / "out", check_model=False)
     np.testing.assert_array_equal(data.experiments[0].y[:, 0], np.sin(0.1 * np.arange(300)))
     recorder.close()
@@ -460,7 +535,9 @@ def test_a_full_disk_is_told(tmp_path):
 
 def test_gaps_and_repeats_are_reported_and_nothing_is_invented(tmp_path):
     folder = tmp_path / "out" / "run_1.recording"
-    recorder = Recorder(folder, [STREAM], {"name": "x", "description": "d", "source": {"hardware": "h"}})
+    recorder = Recorder(
+        folder, [STREAM], {"name": "x", "description": "d", "source": {"hardware": "h"}}
+    )
     for k in [*range(100), 99, 99, *range(110, 200), *range(230, 400)]:
         recorder.append(0, 50 + 0.01 * k, 0.01 * k, (np.sin(0.1 * k), np.cos(0.1 * k)))
     recorder.event("end", "over", complete=True)
@@ -476,12 +553,20 @@ def test_gaps_and_repeats_are_reported_and_nothing_is_invented(tmp_path):
 
 
 def test_channels_for_models():
-    columns = [Column(f"{n}{j}", u, r) for n, u, r in [("q", "rad", "output"), ("current", "A", "input")] for j in (1, 2)]
+    columns = [
+        Column(f"{n}{j}", u, r)
+        for n, u, r in [("q", "rad", "output"), ("current", "A", "input")]
+        for j in (1, 2)
+    ]
     plain = channel_map(None, columns, None, None)
     assert plain["q1"] == {"role": "output", "unit": "rad"} and plain["current2"]["role"] == "input"
     one = channel_map("pendulum", columns, 2, [5.0, 7.0])
     assert one["tau"] == {"role": "input", "unit": "N m", "column": "current2", "scale": 7.0}
-    assert one["q"]["column"] == "q2" and one["q1"]["role"] == one["current1"]["role"] == "auxiliary" and "q2" not in one
+    assert (
+        one["q"]["column"] == "q2"
+        and one["q1"]["role"] == one["current1"]["role"] == "auxiliary"
+        and "q2" not in one
+    )
     both = channel_map("planar_arm", columns, None, [5.0, 7.0])
     assert both["tau2"]["scale"] == 7.0 and both["q1"]["role"] == "output"
     for arguments, words in [
@@ -547,7 +632,12 @@ def test_a_sensor_and_a_file_join_the_main_clock(tmp_path):
         }
     )
     folder = tmp_path / "out" / "run_1.recording"
-    about = {"name": "x", "description": "d", "source": {"hardware": "h"}, "sensor_files": [spec.model_dump(exclude_none=True)]}
+    about = {
+        "name": "x",
+        "description": "d",
+        "source": {"hardware": "h"},
+        "sensor_files": [spec.model_dump(exclude_none=True)],
+    }
     recorder = Recorder(folder, [STREAM, tip], about)
     for t in np.arange(0, 14, 0.01):
         recorder.append(0, 1000 + t + rng.exponential(5e-4), t, (motion(t), 0.1 * np.cos(t)))
@@ -559,10 +649,15 @@ def test_a_sensor_and_a_file_join_the_main_clock(tmp_path):
     rows = pq.read_table(tmp_path / "out" / result.file)
     q, tip_, x = (rows[n].to_numpy() for n in ("q", "tip", "x"))
     speed = 2 * np.pi * (0.5 + 0.4 * 1.3)
-    assert np.abs(q - tip_).max() < 2e-3 * speed and np.abs(3 * q - x).max() < 3 * (2e-3 * speed) + 0.05
+    assert (
+        np.abs(q - tip_).max() < 2e-3 * speed
+        and np.abs(3 * q - x).max() < 3 * (2e-3 * speed) + 0.05
+    )
     about = json.loads((tmp_path / "out" / "run_1.json").read_text())
     assert "drift" in about["clocks"]["tip"] and "correlation" in about["clocks"]["other"]
-    assert len(pq.read_table(tmp_path / "out" / "run_1.tip.parquet")) == len(np.arange(0.2, 13.8, 0.003))
+    assert len(pq.read_table(tmp_path / "out" / "run_1.tip.parquet")) == len(
+        np.arange(0.2, 13.8, 0.003)
+    )
     assert any("rows without every sensor were left out" in n for n in result.notes)
 
 
@@ -593,7 +688,13 @@ def test_any_bytes_are_rows_or_one_sentence(noise, cuts):
     here, there = socket.socketpair()
     reader = RTDEReader.__new__(RTDEReader)
     here.setblocking(False)
-    reader.socket, reader._buffer, reader._fault, reader.notes, reader.where = here, bytearray(), None, [], "test"
+    reader.socket, reader._buffer, reader._fault, reader.notes, reader.where = (
+        here,
+        bytearray(),
+        None,
+        [],
+        "test",
+    )
     reader._layout, reader.recipe = struct.Struct(">2d"), 1
     good = struct.pack(">HBB2d", 20, DATA, 1, 0.5, 0.25)
     content = good * 3 + noise
@@ -625,10 +726,31 @@ def test_commands_say_what_is_wrong(tmp_path, capsys):
         (["record", "ur11"], "did you mean 'ur10'"),
         (["record", "ur10", "--host", "127.0.0.1", *out], "how many seconds"),
         (["record", "ur10", "--host", "127.250.250.250", "--seconds", "1", *out], "no connection"),
-        (["record", "dynamixel", "--port", "/dev/null", "--id", "1", "--play", "x", *out], "say with --mode"),
-        (["record", "dynamixel", "--port", "/dev/null", "--id", "1", "--zero", "up", "--seconds", "1", *out], "number of counts"),
+        (
+            ["record", "dynamixel", "--port", "/dev/null", "--id", "1", "--play", "x", *out],
+            "say with --mode",
+        ),
+        (
+            [
+                "record",
+                "dynamixel",
+                "--port",
+                "/dev/null",
+                "--id",
+                "1",
+                "--zero",
+                "up",
+                "--seconds",
+                "1",
+                *out,
+            ],
+            "number of counts",
+        ),
         (["record", "recover", str(tmp_path)], "no unfinished recording"),
-        (["record", "ur10", "--host", "x", "--seconds", "1", "--gain", "a,b", *out], "not a number"),
+        (
+            ["record", "ur10", "--host", "x", "--seconds", "1", "--gain", "a,b", *out],
+            "not a number",
+        ),
         (["emulate", "ur10", "--host", "192.168.1.1"], "loopback only"),
         (["emulate", "dynamixel", "--plant", str(tmp_path / "no.toml")], "cannot be read"),
         (["emulate", "dynamixel", "--baud", "1234"], "no baud rate 1234"),
@@ -644,7 +766,10 @@ def test_commands_say_what_is_wrong(tmp_path, capsys):
     [
         ('model = "planar_arm"', "one driven revolute joint"),
         ('model = "pendulum"\n[parameters]\ninertai = 1', "no parameter 'inertai'"),
-        ('[[effects]]\neffect = "input_delay"\nparameters = { delay = 0.01 }', "history of the command"),
+        (
+            '[[effects]]\neffect = "input_delay"\nparameters = { delay = 0.01 }',
+            "history of the command",
+        ),
         ('[[effects]]\neffect = "dead_zone"\nparameters = { widht = 0.1 }', "no parameter 'widht'"),
         ('[[effects]]\neffect = "dead_zone"\njoint = 9', "joint is 9"),
         ("[parameters]\ninertia = [1, 2]", "2 values for 1 joints"),

@@ -42,7 +42,9 @@ def servo(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def three(tmp_path_factory):
-    emulator = Emulator.servo(tmp_path_factory.mktemp("three"), "--id", "1", "--id", "2", "--id", "7")
+    emulator = Emulator.servo(
+        tmp_path_factory.mktemp("three"), "--id", "1", "--id", "2", "--id", "7"
+    )
     yield emulator
     emulator.close()
 
@@ -82,17 +84,25 @@ def test_ping_errors_action_and_reboot(three):
     sdk, port = bus.packets, bus.port
     assert bus.ping(1) == 1020 and bus.ping(9) is None
     found, result = sdk.broadcastPing(port)
-    assert result == 0 and {i: list(v) for i, v in found.items()} == {1: [1020, 46], 2: [1020, 46], 7: [1020, 46]}
+    assert result == 0 and {i: list(v) for i, v in found.items()} == {
+        1: [1020, 46],
+        2: [1020, 46],
+        7: [1020, 46],
+    }
     bus.put(1, x.OPERATING_MODE, 0)
     bus.put(1, x.TORQUE_ENABLE, 1)
-    assert sdk.write1ByteTxRx(port, 1, x.OPERATING_MODE.address, 3)[1] == 7  # access: locked while torque is on
+    assert (
+        sdk.write1ByteTxRx(port, 1, x.OPERATING_MODE.address, 3)[1] == 7
+    )  # access: locked while torque is on
     assert sdk.write2ByteTxRx(port, 1, x.GOAL_CURRENT.address, 1500)[1] == 6  # limit
     assert sdk.readTxRx(port, 1, 160, 2)[2] == 4  # range
     assert sdk.write2ByteTxRx(port, 1, x.TICK.address, 1)[1] == 7  # read only
     assert sdk.regWriteTxRx(port, 1, x.GOAL_CURRENT.address, 2, [9, 0]) == (0, 0)
     assert bus.get(1, x.GOAL_CURRENT) == 0
     sdk.action(port, 1)
-    assert bus.get(1, x.GOAL_CURRENT) == 9  # the empty answer to `action`, unread so far, comes first
+    assert (
+        bus.get(1, x.GOAL_CURRENT) == 9
+    )  # the empty answer to `action`, unread so far, comes first
     sdk.action(port, 1)
     assert bus.ping(1) == 1020
     assert sdk.reboot(port, 1) == (0, 0) and bus.get(1, x.TORQUE_ENABLE) == 0
@@ -100,7 +110,9 @@ def test_ping_errors_action_and_reboot(three):
     bus.port.closePort()
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x7E]), min_size=1, max_size=20))
 @example([0xFF, 0xFF, 0xFD, 0xFF, 0xFD, 0xFD])
 @example([0xFF, 0xFF, 0xFD, 0x00, 0xFF, 0xFF, 0xFD, 0x00])
@@ -111,7 +123,9 @@ def test_bytes_that_look_like_a_header_go_through(bus, content):
     # misses at the end is its own affair.
     sent = bytes(content)
     stuffed = sent.find(b"\xff\xff\xfd")
-    if stuffed < 0 or not (sent[stuffed:].startswith(b"\xff\xff\xfd\xfd") or b"\xff\xfd\xfd" in sent[stuffed + 1 :]):
+    if stuffed < 0 or not (
+        sent[stuffed:].startswith(b"\xff\xff\xfd\xfd") or b"\xff\xfd\xfd" in sent[stuffed + 1 :]
+    ):
         assert (list(back), result, error) == (content, 0, 0)
 
 
@@ -139,7 +153,9 @@ def check_against_log(folder: Path, emulator: Emulator, since: float) -> int:
     assert all(shifts), "a row that the servo never gave"
     # One offset between the clocks puts every row at its own time, to a tick; the row with the fewest twins offers it.
     offsets = min(shifts, key=len)
-    assert min(max(min(abs(s - c) for s in found) for found in shifts) for c in offsets) < 2 * x.TICK_S
+    assert (
+        min(max(min(abs(s - c) for s in found) for found in shifts) for c in offsets) < 2 * x.TICK_S
+    )
     return len(rows["t"])
 
 
@@ -162,7 +178,11 @@ def test_bad_answers_are_counted_and_never_stored(servo, tmp_path):
     assert result.complete and check_against_log(tmp_path / "out", servo, since) > 200
     losses = next(e["losses"] for e in report(tmp_path / "out")["events"] if "losses" in e)
     made = servo.log("corrupted", "silenced", "late", since=since)
-    assert len(made) > 5 and sum(losses.values()) > 5 and any("none of them stored" in n for n in result.notes)
+    assert (
+        len(made) > 5
+        and sum(losses.values()) > 5
+        and any("none of them stored" in n for n in result.notes)
+    )
     rows = stored(tmp_path / "out")
     assert np.all(np.diff(rows["t"]) > 0)
     goals = {signed(e["data"]) for e in writes(servo.log(since=since), x.GOAL_CURRENT.address)}
@@ -172,8 +192,12 @@ def test_bad_answers_are_counted_and_never_stored(servo, tmp_path):
     # What was told between two rows keeps its sum, also where answers were lost.
     t, at, held = rows["t"], told["t"].to_numpy(), told["current_cmd"].to_numpy()
     fine = np.arange(t[0], t[-1], 1e-4)
-    steps = np.where(fine < at[0], 0.0, held[np.maximum(np.searchsorted(at, fine, side="right") - 1, 0)])
-    assert np.sum(rows["current_cmd"][:-1] * np.diff(t)) == pytest.approx(np.sum(steps) * 1e-4, abs=1e-3)
+    steps = np.where(
+        fine < at[0], 0.0, held[np.maximum(np.searchsorted(at, fine, side="right") - 1, 0)]
+    )
+    assert np.sum(rows["current_cmd"][:-1] * np.diff(t)) == pytest.approx(
+        np.sum(steps) * 1e-4, abs=1e-3
+    )
 
 
 def test_time_goes_on_where_the_counter_wraps(servo, tmp_path):
@@ -182,7 +206,11 @@ def test_time_goes_on_where_the_counter_wraps(servo, tmp_path):
     t = stored(tmp_path / "out")["t"]
     ticks = [e["tick"] for e in servo.log("read")][-len(t) :]
     assert min(ticks) < 1000 < 32000 < max(ticks), "the counter did not wrap in this recording"
-    assert result.complete and np.all(np.diff(t) > 0) and t[-1] == pytest.approx(1.5, abs=0.2 + SLACK_S)
+    assert (
+        result.complete
+        and np.all(np.diff(t) > 0)
+        and t[-1] == pytest.approx(1.5, abs=0.2 + SLACK_S)
+    )
 
 
 def test_the_dataset_is_what_the_servo_did(servo, tmp_path):
@@ -198,20 +226,38 @@ def test_the_dataset_is_what_the_servo_did(servo, tmp_path):
     assert result.complete
     data = load_dataset(tmp_path / "out", check_model=False)
     (run,) = data.experiments
-    assert [c.name for c in data.inputs] == ["q_cmd"] and [(c.name, c.resolution) for c in data.outputs] == [("q", x.POSITION)]
-    assert np.max(np.abs(run.u[:, 0] - run.y[:, 0])) < 0.25 and run.constants == {"supply_voltage": 12.0}
-    assert run.auxiliary["voltage"][0] == pytest.approx(12.0) and run.auxiliary["temperature"][0] == pytest.approx(308.15)
+    assert [c.name for c in data.inputs] == ["q_cmd"] and [
+        (c.name, c.resolution) for c in data.outputs
+    ] == [("q", x.POSITION)]
+    assert np.max(np.abs(run.u[:, 0] - run.y[:, 0])) < 0.25 and run.constants == {
+        "supply_voltage": 12.0
+    }
+    assert run.auxiliary["voltage"][0] == pytest.approx(12.0) and run.auxiliary["temperature"][
+        0
+    ] == pytest.approx(308.15)
     log = servo.log(since=since)
     order = [(e["address"], e["data"][0] > 0) for e in writes(log)]
-    assert order.index((98, True)) < order.index((64, True)), "the watchdog is set before torque is on"
+    assert order.index((98, True)) < order.index((64, True)), (
+        "the watchdog is set before torque is on"
+    )
     assert writes(log, 64)[-1]["data"] == [0] and writes(log, 98)[-1]["data"] == [0]
 
 
 def test_a_current_stays_a_current_unless_a_gain_is_stated(servo, tmp_path):
     device = lambda: Dynamixel(servo.address, mode="current", rate=RATE)
-    with pytest.raises(UsageError, match="needs the torque 'tau', and the device has a current.*State the gain"):
+    with pytest.raises(
+        UsageError, match="needs the torque 'tau', and the device has a current.*State the gain"
+    ):
         record(device(), tmp_path / "out", play=path(), live=True, model="pendulum")
-    record(device(), tmp_path / "out", play=path(), live=True, model="pendulum", gain=1.77, limits=LIMITS)
+    record(
+        device(),
+        tmp_path / "out",
+        play=path(),
+        live=True,
+        model="pendulum",
+        gain=1.77,
+        limits=LIMITS,
+    )
     data = load_dataset(tmp_path / "out")
     rows = stored(tmp_path / "out")
     assert data.model is not None and data.model.name == "pendulum"
@@ -222,14 +268,18 @@ def test_a_current_stays_a_current_unless_a_gain_is_stated(servo, tmp_path):
 
 def test_without_live_nothing_is_written(servo, tmp_path):
     since = time.monotonic()
-    result = record(Dynamixel(servo.address, mode="current", rate=RATE), tmp_path / "out", play=path())
+    result = record(
+        Dynamixel(servo.address, mode="current", rate=RATE), tmp_path / "out", play=path()
+    )
     assert result.dry_run and not result.complete
     record(Dynamixel(servo.address, rate=RATE), tmp_path / "watched", 0.3)
     assert writes(servo.log(since=since)) == [] and not (tmp_path / "out").exists()
 
 
 def test_three_servos_in_one_row(three, tmp_path):
-    play = Trajectory.multisine([0.3, 0.2, 0.1], 1.5, frequencies=(0.5, 1.5), rest=0.1, kind="velocity")
+    play = Trajectory.multisine(
+        [0.3, 0.2, 0.1], 1.5, frequencies=(0.5, 1.5), rest=0.1, kind="velocity"
+    )
     device = Dynamixel(three.address, [1, 2, 7], mode="velocity", rate=50.0)
     record(device, tmp_path / "out", play=play, live=True, limits=LIMITS)
     rows = stored(tmp_path / "out")
@@ -242,7 +292,11 @@ def test_three_servos_in_one_row(three, tmp_path):
 
 @pytest.mark.parametrize(
     ("fault", "words"),
-    [("overload", "hardware error: overload"), ("unplug", "the port is gone"), ("silent 1", "no (data|valid answer) for")],
+    [
+        ("overload", "hardware error: overload"),
+        ("unplug", "the port is gone"),
+        ("silent 1", "no (data|valid answer) for"),
+    ],
 )
 def test_a_fault_is_one_sentence_and_torque_is_off(tmp_path, fault, words):
     servo = Emulator.servo(tmp_path)
@@ -282,13 +336,42 @@ COMMANDED = 150  # cycles of 10 ms before a fault
 
 def run_cli(servo: Emulator, folder: Path) -> subprocess.Popen:
     play = path(seconds=20.0)
-    np.savetxt(folder / "path.csv", np.column_stack([play.t, play.values]), delimiter=",", header="t,current_cmd", comments="")
+    np.savetxt(
+        folder / "path.csv",
+        np.column_stack([play.t, play.values]),
+        delimiter=",",
+        header="t,current_cmd",
+        comments="",
+    )
     (folder / "limits.toml").write_text("data_age = 0.3\n")
-    command = [sys.executable, "-m", "jaxid.cli", "record", "dynamixel", "--port", servo.address, "--id", "1", "--rate", "100"]
-    command += ["--mode", "current", "--play", str(folder / "path.csv"), "--live", "--limits", str(folder / "limits.toml")]
+    command = [
+        sys.executable,
+        "-m",
+        "jaxid.cli",
+        "record",
+        "dynamixel",
+        "--port",
+        servo.address,
+        "--id",
+        "1",
+        "--rate",
+        "100",
+    ]
+    command += [
+        "--mode",
+        "current",
+        "--play",
+        str(folder / "path.csv"),
+        "--live",
+        "--limits",
+        str(folder / "limits.toml"),
+    ]
     before = len(writes(servo.log(), x.GOAL_CURRENT.address))
     process = subprocess.Popen(
-        [*command, "--out", str(folder / "out")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*command, "--out", str(folder / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     servo.wait_for(lambda log: len(writes(log, x.GOAL_CURRENT.address)) > before + COMMANDED)
     return process
@@ -317,7 +400,9 @@ def test_the_end_of_the_recorder_stops_the_servo(servo, tmp_path, number):
 def test_the_end_of_the_driver_leaves_the_watchdog_of_the_servo(servo, tmp_path):
     process = run_cli(servo, tmp_path)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    (driver,) = [int(c) for c in children if "dynamixel.driver" in Path(f"/proc/{c}/cmdline").read_text()]
+    (driver,) = [
+        int(c) for c in children if "dynamixel.driver" in Path(f"/proc/{c}/cmdline").read_text()
+    ]
     sent = time.monotonic()
     os.kill(driver, signal.SIGKILL)
     servo.wait_for(lambda log: any(e["what"] == "watchdog" and e["at"] >= sent for e in log), 3.0)
@@ -341,7 +426,16 @@ class Moves:
     def play(self, rows) -> str:
         if self.driver is None:
             self.driver, self.last = Driver("jaxid.hardware.dynamixel.driver", "test"), 0
-            self.driver.ask("open", "opened", 10.0, port=self.port, baud=1_000_000, ids=[1], rate=200.0, form="sync")
+            self.driver.ask(
+                "open",
+                "opened",
+                10.0,
+                port=self.port,
+                baud=1_000_000,
+                ids=[1],
+                rate=200.0,
+                form="sync",
+            )
             self.driver.send("begin")
             self.driver.ask("arm", "armed", 10.0, mode="current", data_age=1.0)
         try:
@@ -369,7 +463,9 @@ def moves(servo):
     made.close()
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(rows=st.lists(st.lists(NUMBER, min_size=1, max_size=1), min_size=1, max_size=8))
 def test_nothing_beyond_a_limit_reaches_the_wire(servo, moves, rows):
     since = time.monotonic()
@@ -378,7 +474,9 @@ def test_nothing_beyond_a_limit_reaches_the_wire(servo, moves, rows):
     assert ("refused" in refused) == (good < len(rows)), refused
     sent = [signed(e["data"]) for e in writes(servo.log(since=since), x.GOAL_CURRENT.address)]
     assert all(-200 <= v <= 150 for v in sent)
-    goes_on = sent[:-1] if refused else sent  # what ends a refused path is the goal zero of the stop
+    goes_on = (
+        sent[:-1] if refused else sent
+    )  # what ends a refused path is the goal zero of the stop
     assert all(abs(a - b) <= 40 for a, b in zip(goes_on, goes_on[1:], strict=False))
     moves.last = sent[-1] if sent else moves.last
 
@@ -388,11 +486,15 @@ def test_nothing_beyond_a_limit_reaches_the_wire(servo, moves, rows):
 
 def test_a_path_of_any_length_begins(servo, tmp_path):
     """80,000 rows go over and play; the end is not waited for."""
-    play = Trajectory.multisine(0.3, 80_000 / RATE, frequencies=(0.4, 1.5), rest=0.1, kind="current", rate=200.0)
+    play = Trajectory.multisine(
+        0.3, 80_000 / RATE, frequencies=(0.4, 1.5), rest=0.1, kind="current", rate=200.0
+    )
     since = time.monotonic()
 
     def progress(stage, done, total, text):
-        moved = {signed(e["data"]) for e in writes(servo.log(since=since), x.GOAL_CURRENT.address)} - {0}
+        moved = {
+            signed(e["data"]) for e in writes(servo.log(since=since), x.GOAL_CURRENT.address)
+        } - {0}
         if len(moved) > 3:
             raise KeyboardInterrupt
 
@@ -406,7 +508,9 @@ def test_a_path_of_any_length_begins(servo, tmp_path):
             progress=progress,
         )
     about = report(tmp_path / "out")
-    assert about["end_reason"] == "interrupted" and any(e.get("name") == "play_start" for e in about["events"])
+    assert about["end_reason"] == "interrupted" and any(
+        e.get("name") == "play_start" for e in about["events"]
+    )
     assert writes(servo.log(since=since), 64)[-1]["data"] == [0]
 
 
@@ -415,8 +519,16 @@ def test_a_silence_that_is_allowed_ends_nothing(servo, tmp_path):
     since = time.monotonic()
 
     def pause() -> None:
-        servo.wait_for(lambda log: len([e for e in writes(log, x.GOAL_CURRENT.address) if e["at"] >= since]) > 20)
-        (driver,) = [p for p in psutil.Process().children() if any("dynamixel.driver" in word for word in p.cmdline())]
+        servo.wait_for(
+            lambda log: (
+                len([e for e in writes(log, x.GOAL_CURRENT.address) if e["at"] >= since]) > 20
+            )
+        )
+        (driver,) = [
+            p
+            for p in psutil.Process().children()
+            if any("dynamixel.driver" in word for word in p.cmdline())
+        ]
         driver.suspend()
         time.sleep(1.0)
         driver.resume()
@@ -424,7 +536,13 @@ def test_a_silence_that_is_allowed_ends_nothing(servo, tmp_path):
     pausing = threading.Thread(target=pause)
     pausing.start()
     limits = Limits(data_age=2.0)
-    result = record(Dynamixel(servo.address, mode="current", rate=RATE), tmp_path / "out", play=path(), live=True, limits=limits)
+    result = record(
+        Dynamixel(servo.address, mode="current", rate=RATE),
+        tmp_path / "out",
+        play=path(),
+        live=True,
+        limits=limits,
+    )
     pausing.join()
     assert result.complete and report(tmp_path / "out")["complete"]
     assert np.diff(stored(tmp_path / "out")["t_host"]).max() > 0.9
@@ -436,7 +554,18 @@ def test_a_silence_that_is_allowed_ends_nothing(servo, tmp_path):
 def test_a_second_recorder_is_told_and_the_first_goes_on(servo, tmp_path, capsys):
     first = Bus(servo.address, 1_000_000, [1], "sync")
     before = first.read()
-    arguments = ["record", "dynamixel", "--port", servo.address, "--id", "1", "--seconds", "1", "--out", str(tmp_path / "out")]
+    arguments = [
+        "record",
+        "dynamixel",
+        "--port",
+        servo.address,
+        "--id",
+        "1",
+        "--seconds",
+        "1",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main(arguments) == 2
     assert f"port {servo.address} is in use by another program" in capsys.readouterr().err
     after = [first.read() for _ in range(5)]
@@ -448,9 +577,13 @@ def test_a_second_recorder_is_told_and_the_first_goes_on(servo, tmp_path, capsys
 def test_what_slows_a_line_down_is_said_before(tmp_path):
     servo = Emulator.servo(tmp_path, "--return-delay", "250", "--baud", "57600")
     try:
-        with pytest.raises(UsageError, match="200 Hz cannot be reached: servo 1 waits 500 us.*57600 baud is slow"):
+        with pytest.raises(
+            UsageError, match="200 Hz cannot be reached: servo 1 waits 500 us.*57600 baud is slow"
+        ):
             record(Dynamixel(servo.address, baud=57600, rate=200.0), tmp_path / "out", 0.5)
-        with pytest.raises(UsageError, match="does not answer on .* at 1000000 baud; it does at 57600 baud"):
+        with pytest.raises(
+            UsageError, match="does not answer on .* at 1000000 baud; it does at 57600 baud"
+        ):
             record(Dynamixel(servo.address), tmp_path / "out", 0.5)
         with pytest.raises(UsageError, match="servo 5 does not answer .*check its id"):
             record(Dynamixel(servo.address, 5, baud=57600), tmp_path / "out", 0.5)
@@ -478,7 +611,9 @@ def test_wrong_words(settings_, words):
         Dynamixel("/dev/null", **settings_)
 
 
-@pytest.mark.skipif("JAXID_DYNAMIXEL_PORT" not in os.environ, reason="not run: JAXID_DYNAMIXEL_PORT names no servo")
+@pytest.mark.skipif(
+    "JAXID_DYNAMIXEL_PORT" not in os.environ, reason="not run: JAXID_DYNAMIXEL_PORT names no servo"
+)
 def test_a_real_servo_is_recorded(tmp_path):
     """Watches only; nothing moves. JAXID_DYNAMIXEL_BAUD and JAXID_DYNAMIXEL_ID where they differ from 1000000 and 1."""
     device = Dynamixel(

@@ -22,7 +22,9 @@ def check(diagnosis, effect: str, field: str, hidden: float, truth: dict[str, fl
     result = diagnosis.to_dict()
     first = result["which"]["effects"][0]
     assert result["which"]["verdict"] == "named" and first["effect"] == effect, result["which"]
-    entries = {name: result["parameters"][name] for name in truth} | {field: first["parameters"][field]}
+    entries = {name: result["parameters"][name] for name in truth} | {
+        field: first["parameters"][field]
+    }
     for name, value in {**truth, field: hidden}.items():
         entry = entries[name]
         print(f"{name}: {entry['value']:.6g} ± {entry['std']:.2g}, hidden {value}")
@@ -37,7 +39,13 @@ def test_what_the_emulators_hide_is_found(monkeypatch):
     pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python")
     monkeypatch.setenv("MPLBACKEND", "agg")
     found = runpy.run_path(str(NOTEBOOK))
-    truth = {"inertia": 0.034, "gravity_torque": 0.92, "viscous": 0.05, "coulomb": 0.07, "offset": 0.015}
+    truth = {
+        "inertia": 0.034,
+        "gravity_torque": 0.92,
+        "viscous": 0.05,
+        "coulomb": 0.07,
+        "offset": 0.015,
+    }
     check(found["servo_diagnosis"], "dead_zone", "width", 0.12, truth)
     truth = {"inertia": 1.3, "gravity_torque": 21.0, "viscous": 6.5, "coulomb": 4.0, "offset": 0.0}
     check(found["arm_diagnosis"], "quadratic_drag", "coefficient", 5.0, truth)

@@ -56,16 +56,22 @@ def test_nothing_is_lost_while_the_robot_moves(robot, tmp_path):
         "r = rtde_receive.RTDEReceiveInterface(sys.argv[1], 500.0, ['timestamp', 'actual_q']);"
         "r.startFileRecording(sys.argv[2], ['timestamp', 'actual_q']); time.sleep(float(sys.argv[3])); r.stopFileRecording()"
     )
-    beside = subprocess.Popen([sys.executable, "-c", code, robot.address, str(tmp_path / "own.csv"), str(SECONDS)])
+    beside = subprocess.Popen(
+        [sys.executable, "-c", code, robot.address, str(tmp_path / "own.csv"), str(SECONDS)]
+    )
     result = record(UR(robot.address), tmp_path / "out", play=path(), live=True, limits=LIMITS)
     assert beside.wait(30) == 0
     t = pq.read_table(tmp_path / "out" / "run_1.parquet")["t"].to_numpy()
     assert result.complete and (result.lost, result.duplicated, result.gaps) == (0, 0, ())
     assert np.all(np.diff(t) > 0) and len(t) == round(t[-1] * 500) + 1 and t[-1] > SECONDS
-    own = [float(line.split(",")[0]) for line in (tmp_path / "own.csv").read_text().splitlines()[1:]]
+    own = [
+        float(line.split(",")[0]) for line in (tmp_path / "own.csv").read_text().splitlines()[1:]
+    ]
     step = np.diff(np.unique(own))
     missing = int(np.sum(np.round(step * 500) - 1))
-    print(f"ours: {len(t)} rows, 0 lost; ur_rtde's file: {len(own)} rows, {missing} lost, {len(own) - len(step) - 1} duplicated")
+    print(
+        f"ours: {len(t)} rows, 0 lost; ur_rtde's file: {len(own)} rows, {missing} lost, {len(own) - len(step) - 1} duplicated"
+    )
 
 
 def test_the_dataset_holds_what_the_robot_did(robot, tmp_path):
@@ -78,9 +84,15 @@ def test_the_dataset_holds_what_the_robot_did(robot, tmp_path):
     told = run.auxiliary["q2_cmd"]
     assert np.max(np.abs(told - run.y[:, 1])) < 0.02
     assert np.ptp(told) == pytest.approx(np.ptp(play.values[:, 1]), rel=0.1)
-    assert run.auxiliary["temperature1"][0] == pytest.approx(303.15) and np.all(run.auxiliary["speed_scaling"] == 1)
+    assert run.auxiliary["temperature1"][0] == pytest.approx(303.15) and np.all(
+        run.auxiliary["speed_scaling"] == 1
+    )
     about = report(tmp_path / "out")
-    assert about["complete"] and about["excitation"]["sha256"] == play.sha256 and about["provenance"].startswith("emulated")
+    assert (
+        about["complete"]
+        and about["excitation"]["sha256"] == play.sha256
+        and about["provenance"].startswith("emulated")
+    )
     assert {"ur10"} == set(about["clocks"]) and about["limits"]["data_age"] == PATIENT_S
 
 
@@ -116,11 +128,22 @@ def test_a_fault_is_one_sentence_and_the_robot_stands(robot, tmp_path, fault, wo
 
     try:
         with pytest.raises(HardwareError, match=words) as caught:
-            record(device, tmp_path / "out", play=path(6.0), live=True, limits=Limits(data_age=0.5), progress=progress)
+            record(
+                device,
+                tmp_path / "out",
+                play=path(6.0),
+                live=True,
+                limits=Limits(data_age=0.5),
+                progress=progress,
+            )
         about = report(tmp_path / "out")
         seen = next(e for e in about["events"] if e["kind"] == "fault")
         assert seen["host"] - ordered[0] < 0.6 + SLACK_S
-        assert "\n" not in str(caught.value) and about["complete"] is False and str(caught.value) == about["end_reason"]
+        assert (
+            "\n" not in str(caught.value)
+            and about["complete"] is False
+            and str(caught.value) == about["end_reason"]
+        )
         rows = pq.read_table(tmp_path / "out" / "run_1.parquet")["t_host"].to_numpy()
         assert len(rows) > 300
         # Rows go on until the fault: the last one is at most the silence before it away.
@@ -153,7 +176,14 @@ def test_a_lost_control_line_does_not_restart_the_robot(robot, tmp_path):
             ordered.append(robot.order("drop control"))
 
     with pytest.raises(HardwareError, match="driver"):
-        record(UR(robot.address), tmp_path / "out", play=path(6.0), live=True, limits=Limits(data_age=0.5), progress=progress)
+        record(
+            UR(robot.address),
+            tmp_path / "out",
+            play=path(6.0),
+            live=True,
+            limits=Limits(data_age=0.5),
+            progress=progress,
+        )
     time.sleep(0.5)
     later = robot.log(since=ordered[0])
     assert stops(later) and not [e for e in later if e["what"] == "script"]
@@ -163,14 +193,34 @@ def run_cli(robot: Emulator, out: Path, *more: str) -> subprocess.Popen:
     file = out.parent / "path.csv"
     play = path(20.0)
     names = ",".join(f"q{j}" for j in range(1, 7))
-    np.savetxt(file, np.column_stack([play.t, play.values])[::5], delimiter=",", header="t," + names, comments="")
+    np.savetxt(
+        file,
+        np.column_stack([play.t, play.values])[::5],
+        delimiter=",",
+        header="t," + names,
+        comments="",
+    )
     limits = out.parent / "limits.toml"
     limits.write_text(f"data_age = {PATIENT_S}\n")
-    command = [sys.executable, "-m", "jaxid.cli", "record", "ur10", "--host", robot.address, "--out", str(out)]
+    command = [
+        sys.executable,
+        "-m",
+        "jaxid.cli",
+        "record",
+        "ur10",
+        "--host",
+        robot.address,
+        "--out",
+        str(out),
+    ]
     command += ["--play", str(file), "--live", "--limits", str(limits), *more]
     before = servoing(robot.log())
-    background = lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts a background job
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=background)
+    background = lambda: signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # as a shell starts a background job
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=background
+    )
     robot.wait_for(lambda log: servoing(log) > before + 60)
     return process
 
@@ -191,7 +241,9 @@ def test_an_interrupt_stops_the_robot_at_once(robot, tmp_path):
     assert process.returncode == 130 and "interrupted" in errors and "Traceback" not in errors
     assert after < 0.05 + SLACK_S
     about = report(tmp_path / "out")
-    assert about["complete"] is False and about["end_reason"] == "interrupted" and about["rows"] > 200
+    assert (
+        about["complete"] is False and about["end_reason"] == "interrupted" and about["rows"] > 200
+    )
 
 
 def test_a_killed_recorder_stops_the_robot_and_loses_at_most_a_second(robot, tmp_path):
@@ -223,7 +275,10 @@ def test_a_dead_or_hung_driver_stops_the_robot(robot, tmp_path, number):
     sent = time.monotonic()
     os.kill(driver_of(process), number)
     # Killed: its line closes at once. Hung: the recorder misses its word, ends it and asks the dashboard.
-    assert first_stop(robot, sent) < (0.2 if number == signal.SIGKILL else 1.5 * PATIENT_S + 0.3) + SLACK_S
+    assert (
+        first_stop(robot, sent)
+        < (0.2 if number == signal.SIGKILL else 1.5 * PATIENT_S + 0.3) + SLACK_S
+    )
     _, errors = process.communicate(timeout=20)
     assert process.returncode == 1 and "driver" in errors and "rows up to then are in" in errors
     rows = report(tmp_path / "out")
@@ -243,7 +298,14 @@ def test_a_path_of_any_length_begins(robot, tmp_path):
     began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         device = UR(robot.address, command_rate=500.0)
-        record(device, tmp_path / "out", play=play, live=True, limits=Limits(data_age=2.0), progress=progress)
+        record(
+            device,
+            tmp_path / "out",
+            play=play,
+            live=True,
+            limits=Limits(data_age=2.0),
+            progress=progress,
+        )
     about = report(tmp_path / "out")
     assert about["end_reason"] == "interrupted" and about["lost"] == 0 and about["rows"] > 300
 
@@ -251,7 +313,9 @@ def test_a_path_of_any_length_begins(robot, tmp_path):
 def test_a_pause_of_this_computer_is_named(robot, tmp_path):
     process = run_cli(robot, tmp_path / "out")
     sent = time.monotonic()
-    os.kill(process.pid, signal.SIGSTOP)  # as the recorder sees it, a computer that does other things
+    os.kill(
+        process.pid, signal.SIGSTOP
+    )  # as the recorder sees it, a computer that does other things
     assert first_stop(robot, sent) < PATIENT_S + 0.2 + SLACK_S
     time.sleep(max(0.0, sent + 1.5 - time.monotonic()))
     os.kill(process.pid, signal.SIGCONT)
@@ -283,7 +347,14 @@ def test_an_exception_of_the_user_stops_the_robot(robot, tmp_path):
             raise RuntimeError("a plot failed")
 
     with pytest.raises(RuntimeError, match="a plot failed"):
-        record(UR(robot.address), tmp_path / "out", play=path(6.0), live=True, limits=LIMITS, progress=progress)
+        record(
+            UR(robot.address),
+            tmp_path / "out",
+            play=path(6.0),
+            live=True,
+            limits=LIMITS,
+            progress=progress,
+        )
     assert first_stop(robot, raised[0]) < 0.05 + SLACK_S
     assert report(tmp_path / "out")["end_reason"] == "a plot failed"
 
@@ -305,7 +376,9 @@ class Moves:
             self.driver.ask("arm", "armed", 10.0, host=self.host, frequency=500.0, data_age=1.0)
         try:
             hand_over(self.driver, rows)
-            self.driver.ask("play", "done", 5.0, step=0.004, start=self.last, lookahead=0.1, gain=300, **BOUNDS)
+            self.driver.ask(
+                "play", "done", 5.0, step=0.004, start=self.last, lookahead=0.1, gain=300, **BOUNDS
+            )
         except HardwareError as error:
             self.close()
             return str(error)
@@ -325,7 +398,9 @@ def moves(robot):
     made.close()
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(rows=st.lists(st.lists(NUMBER, min_size=6, max_size=6), min_size=1, max_size=8))
 def test_nothing_beyond_a_limit_reaches_the_wire(robot, moves, rows):
     since, start = time.monotonic(), moves.last
@@ -336,7 +411,10 @@ def test_nothing_beyond_a_limit_reaches_the_wire(robot, moves, rows):
     assert len(sent) == good
     for values, before in zip(sent, [start, *sent], strict=False):
         assert all(abs(a - b) <= 0.02 + 1e-9 for a, b in zip(values, before, strict=True))
-        assert all(lo - 1e-9 <= v <= hi + 1e-9 for v, lo, hi in zip(values, BOUNDS["lower"], BOUNDS["upper"], strict=True))
+        assert all(
+            lo - 1e-9 <= v <= hi + 1e-9
+            for v, lo, hi in zip(values, BOUNDS["lower"], BOUNDS["upper"], strict=True)
+        )
     moves.last = sent[-1] if sent else start
 
 
@@ -384,11 +462,20 @@ def test_a_second_run_is_added(robot, tmp_path):
     with pytest.raises(UsageError, match="--append"):
         record(UR(robot.address), tmp_path / "out", 0.3)
     second = record(
-        UR(robot.address), tmp_path / "out", play=path(1.2, 0.05), live=True, limits=LIMITS, split="validation", append=True
+        UR(robot.address),
+        tmp_path / "out",
+        play=path(1.2, 0.05),
+        live=True,
+        limits=LIMITS,
+        split="validation",
+        append=True,
     )
     assert second.file == "run_2.parquet"
     data = load_dataset(tmp_path / "out", check_model=False)
-    assert [(e.name, e.split) for e in data.experiments] == [("run_1", "fit"), ("run_2", "validation")]
+    assert [(e.name, e.split) for e in data.experiments] == [
+        ("run_1", "fit"),
+        ("run_2", "validation"),
+    ]
 
 
 def test_a_serial_sensor_beside_the_robot(robot, tmp_path):
@@ -436,11 +523,23 @@ def test_everything_listens_on_loopback_only(robot):
             listening.append(int(fields[1].split(":")[0][6:8], 16))
     assert len(listening) == 5 and set(listening) == {127}
     with pytest.raises(subprocess.CalledProcessError):
-        command = [sys.executable, "-m", "jaxid.cli", "emulate", "ur10", "--host", "0.0.0.0", "--plant", "ideal"]  # noqa: S104
+        command = [
+            sys.executable,
+            "-m",
+            "jaxid.cli",
+            "emulate",
+            "ur10",
+            "--host",
+            "0.0.0.0",
+            "--plant",
+            "ideal",
+        ]  # noqa: S104
         subprocess.run(command, check=True, capture_output=True, timeout=20)
 
 
-@pytest.mark.skipif("JAXID_UR_HOST" not in os.environ, reason="not run: JAXID_UR_HOST names no URSim or robot")
+@pytest.mark.skipif(
+    "JAXID_UR_HOST" not in os.environ, reason="not run: JAXID_UR_HOST names no URSim or robot"
+)
 def test_a_real_controller_is_recorded(tmp_path):
     """Watches only; nothing moves."""
     result = record(UR(os.environ["JAXID_UR_HOST"]), tmp_path / "out", 10.0)

@@ -24,7 +24,9 @@ from test_serial_arm import table_of, twin
 
 pin: Any = pytest.importorskip("pinocchio")
 
-DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")).resolve()
+DATA = Path(
+    os.environ.get("JAXID_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")
+).resolve()
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 #: Paper 001: friction of Table VI (F_c2 := 0), torque noise of Table II, the first payload in frame 6.
 LEVEL = np.array([10.0037, 0.0, 5.1803, 2.7800, 2.0115, 1.7533])
@@ -45,10 +47,17 @@ def excitation(seed: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
     shrink = np.maximum((peak / w[:, None]).sum(0) / 1.4, peak.sum(0) / 2.0)
     a, b = a / shrink, b / shrink
     s, c, wide = np.sin(np.outer(t, w)), np.cos(np.outer(t, w)), w[:, None]
-    return t, HOME + s @ (a / wide) - c @ (b / wide), c @ a + s @ b, -s @ (a * wide) + c @ (b * wide)
+    return (
+        t,
+        HOME + s @ (a / wide) - c @ (b / wide),
+        c @ a + s @ b,
+        -s @ (a * wide) + c @ (b * wide),
+    )
 
 
-def torque(motion: tuple[np.ndarray, ...], load: np.ndarray | None = None, exponent: np.ndarray = EXPONENT) -> np.ndarray:
+def torque(
+    motion: tuple[np.ndarray, ...], load: np.ndarray | None = None, exponent: np.ndarray = EXPONENT
+) -> np.ndarray:
     """Joint torque by Pinocchio, plus the paper's friction."""
     table = table_of(UR10())
     if load is not None:
@@ -63,7 +72,9 @@ def torque(motion: tuple[np.ndarray, ...], load: np.ndarray | None = None, expon
     return tau + (LEVEL + VISCOUS * np.abs(qd) ** exponent) * np.sign(qd) + OFFSET
 
 
-def recording(load: np.ndarray | None, noise: float, seed: int, exponent: np.ndarray = EXPONENT) -> jaxid.Dataset:
+def recording(
+    load: np.ndarray | None, noise: float, seed: int, exponent: np.ndarray = EXPONENT
+) -> jaxid.Dataset:
     """A fitted run and one for validation, other motion."""
     rng = np.random.default_rng(seed)
     runs = [excitation(3), excitation(8)]
@@ -96,7 +107,9 @@ def test_base_parameters_and_friction_come_back(quiet, method):
     r = identify(None, quiet, method=method, friction="power")
     base = UR10().base()
     error = np.abs(r.theta[:40] - truth(base))
-    assert np.all(error < 0.02 + 0.03 * np.abs(truth(base))), dict(zip(base.names, error, strict=True))
+    assert np.all(error < 0.02 + 0.03 * np.abs(truth(base))), dict(
+        zip(base.names, error, strict=True)
+    )
     assert max(e.relative_error for e in r.experiments) < 0.01
     assert r.exponents is not None and np.abs(r.exponents - EXPONENT)[[0, 2, 3, 4, 5]].max() < 0.05
     assert r.identifiable.all()
@@ -114,7 +127,9 @@ def test_a_constrained_arm_can_be_simulated(quiet):
     from jaxid.dynamics.rigid_body import pseudo_inertia
 
     noisy = recording(None, 1.0, 5)
-    plain, bodies = (identify(None, noisy, method=m, friction="power") for m in ("wls", "constrained"))
+    plain, bodies = (
+        identify(None, noisy, method=m, friction="power") for m in ("wls", "constrained")
+    )
     assert bodies.standard is not None
     phi = np.array(list(bodies.standard.values())).reshape(6, 11)
     assert np.linalg.eigvalsh(pseudo_inertia(phi[:, :10])).min() > 0 and phi[:, 10].min() >= 0
@@ -131,7 +146,10 @@ def test_one_moving_joint_leaves_directions_open():
     tau = torque((t, hold, *rates)) + 0.01 * np.random.default_rng(0).normal(size=q.shape)
     wiggle = 1e-12 * np.sin(np.outer(t, np.ones(6)))
     data = jaxid.Dataset.from_arrays(
-        t, {f"tau{j + 1}": tau[:, j] for j in range(6)}, {f"q{j + 1}": (hold + wiggle)[:, j] for j in range(6)}, model="ur10"
+        t,
+        {f"tau{j + 1}": tau[:, j] for j in range(6)},
+        {f"q{j + 1}": (hold + wiggle)[:, j] for j in range(6)},
+        model="ur10",
     )
     r = identify(None, data, friction="linear")
     assert not r.identifiable[list(r.names).index("Ixx2")]
@@ -145,7 +163,9 @@ def test_one_moving_joint_leaves_directions_open():
 def test_payload_by_difference():
     """Mass and centre of mass within their intervals; all rows beat the paper's three at equal data."""
     empty = identify(None, recording(None, 1.0, 11), friction="power")
-    loaded = identify(None, recording(LOAD, 1.0, 12), friction="power", reference=empty, gain_std=0.0)
+    loaded = identify(
+        None, recording(LOAD, 1.0, 12), friction="power", reference=empty, gain_std=0.0
+    )
     payload = loaded.payload
     assert payload is not None and payload.rows == 22 and payload.published is not None
     m, std = payload.mass
@@ -173,9 +193,13 @@ def test_impossible_payloads_become_the_nearest_body():
     from jaxid.dynamics.rigid_body import pseudo_inertia
     from jaxid.identification.payload import nearest_body
 
-    paper = np.array([0.0023, -0.0289, -0.0480, -0.0958, 0.0265, -0.0501, -0.0751, 0.0056, 0.1819, 3.5242])
+    paper = np.array(
+        [0.0023, -0.0289, -0.0480, -0.0958, 0.0265, -0.0501, -0.0751, 0.0056, 0.1819, 3.5242]
+    )
     assert np.linalg.eigvalsh(pseudo_inertia(paper)).min() < 0
-    body = nearest_body(paper, np.diag(1 / np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.05]) ** 2))
+    body = nearest_body(
+        paper, np.diag(1 / np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.05]) ** 2)
+    )
     assert np.linalg.eigvalsh(pseudo_inertia(body)).min() >= -1e-12 and abs(body[9] - 3.5242) < 0.05
 
 
@@ -203,8 +227,14 @@ def test_feed_forward_holds_the_loaded_arm(tmp_path):
     error = forward(*motion[1:]) - expected
     moving = np.abs(motion[2]) > 0.05  # sign(qd) is smoothed
     assert np.sqrt(np.mean(error[moving] ** 2)) < 0.02 * np.sqrt(np.mean(expected[moving] ** 2))
-    model = twin(table_of(UR10()).with_inertia(table_of(UR10()).inertia + np.vstack([np.zeros((5, 10)), LOAD])))
-    g = np.array([pin.computeGeneralizedGravity(model, model.createData(), q) for q in motion[1][::100]])
+    model = twin(
+        table_of(UR10()).with_inertia(
+            table_of(UR10()).inertia + np.vstack([np.zeros((5, 10)), LOAD])
+        )
+    )
+    g = np.array(
+        [pin.computeGeneralizedGravity(model, model.createData(), q) for q in motion[1][::100]]
+    )
     assert np.abs(forward.gravity(motion[1][::100]) - g).max() < 1.0
     assert np.allclose(forward.gravity(motion[1][0]), forward.gravity(motion[1][:1])[0])
     empty = identify(None, recording(None, 0.02, 11), friction="power")
@@ -222,7 +252,9 @@ def test_feed_forward_holds_the_loaded_arm(tmp_path):
 def stream():
     """Motion, torque and the written-out regressor of the loaded arm."""
     motion = excitation(3)
-    return motion, torque(motion, LOAD) + NOISE * np.random.default_rng(4).normal(size=(len(motion[0]), 6))
+    return motion, torque(motion, LOAD) + NOISE * np.random.default_rng(4).normal(
+        size=(len(motion[0]), 6)
+    )
 
 
 def prior() -> np.ndarray:
@@ -240,14 +272,23 @@ def test_recursion_is_ridge_regression(stream):
         online.update(q[k], qd[k], qdd[k], tau[k])
     F = friction_columns(LAWS["power"], qd[:600], EXPONENT)
     W = np.zeros((600, 6, 58))
-    W[:, :, :40] = torque_columns(UR10(), q[:600], qd[:600], qdd[:600])[:, :, list(online.base.kept)]
+    W[:, :, :40] = torque_columns(UR10(), q[:600], qd[:600], qdd[:600])[
+        :, :, list(online.base.kept)
+    ]
     for i in range(3):
         W[:, np.arange(6), 40 + 6 * i + np.arange(6)] = F[:, i]
     W = W.reshape(-1, 58)
     ridge = np.linalg.solve(W.T @ W + 10 * np.eye(58), W.T @ tau[:600].ravel() + 10 * prior())
     assert np.abs(online.theta - ridge).max() < 1e-9
     assert np.allclose(online.covariance, np.linalg.inv(W.T @ W / 100 + np.eye(58) / 10), atol=1e-9)
-    assert [online.names[i] for i in online.watched] == ["Ixy6", "Ixz6", "Iyz6", "Izz6", "mx6", "my6"]  # pi_31 .. pi_36
+    assert [online.names[i] for i in online.watched] == [
+        "Ixy6",
+        "Ixz6",
+        "Iyz6",
+        "Izz6",
+        "mx6",
+        "my6",
+    ]  # pi_31 .. pi_36
 
 
 def test_a_rehearsal_changes_nothing(stream):
@@ -263,7 +304,9 @@ def test_a_rehearsal_changes_nothing(stream):
 
 def test_payload_online_and_the_stop_rule(stream):
     (t, q, qd, qdd), tau = stream
-    online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT, noise_var=NOISE**2, prior_var=10.0)
+    online = OnlineIdentification(
+        UR10(), prior(), exponent=EXPONENT, noise_var=NOISE**2, prior_var=10.0
+    )
     clean = torque((t, q, qd, qdd), LOAD)
     for k in range(len(t)):
         online.update(q[k], qd[k], qdd[k], clean[k])
@@ -281,7 +324,9 @@ def test_forgetting_follows_a_change():
     tau = np.concatenate([torque(motion, LOAD)[:half], torque(motion)[half:]])
     masses = {}
     for forgetting in (1.0, 0.99):
-        online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT, noise_var=1.0, forgetting=forgetting)
+        online = OnlineIdentification(
+            UR10(), prior(), exponent=EXPONENT, noise_var=1.0, forgetting=forgetting
+        )
         for k in range(len(tau)):
             online.update(motion[1][k], motion[2][k], motion[3][k], tau[k])
         masses[forgetting] = online.payload().mass[0]
@@ -317,10 +362,14 @@ def test_recursion_is_a_pure_function():
         Y, tau = jnp.asarray(rng.normal(size=(50, 2, 4))), jnp.asarray(rng.normal(size=(50, 2)))
         zero = jnp.zeros((), jnp.int32)
         start = Recursion(jnp.zeros(4), 3.0 * jnp.eye(4), zero, zero)
-        end, _ = jax.lax.scan(lambda s, x: (ridge_rls(s, *x, noise_var=jnp.array([1.0, 4.0])), None), start, (Y, tau))
+        end, _ = jax.lax.scan(
+            lambda s, x: (ridge_rls(s, *x, noise_var=jnp.array([1.0, 4.0])), None), start, (Y, tau)
+        )
         w = np.array([1.0, 0.25])
         H = np.einsum("tji,j,tjk->ik", Y, w, Y) + np.eye(4) / 3
-        assert np.allclose(end.theta, np.linalg.solve(H, np.einsum("tji,j,tj->i", Y, w, tau)), atol=1e-12)
+        assert np.allclose(
+            end.theta, np.linalg.solve(H, np.einsum("tji,j,tj->i", Y, w, tau)), atol=1e-12
+        )
     assert int(end.seen) == 50
 
 
@@ -328,12 +377,16 @@ def test_recursion_ends_at_weighted_least_squares(quiet):
     """`rls` sees the same rows with the same weights as `wls`, but all of them and one after the other."""
     a, b = (identify(None, quiet, method=m, friction="linear") for m in ("wls", "rls"))
     assert np.abs(a.theta - b.theta).max() < 0.3 * np.max(a.std()) + 1e-3
-    assert b.experiments[1].relative_error == pytest.approx(a.experiments[1].relative_error, rel=0.05)
+    assert b.experiments[1].relative_error == pytest.approx(
+        a.experiments[1].relative_error, rel=0.05
+    )
 
 
 def test_recursion_says_when_the_payload_has_converged():
     empty = identify(None, recording(None, 0.05, 11), friction="linear", method="rls")
-    loaded = identify(None, recording(LOAD, 0.05, 12), friction="linear", method="rls", reference=empty)
+    loaded = identify(
+        None, recording(LOAD, 0.05, 12), friction="linear", method="rls", reference=empty
+    )
     assert loaded.payload is not None
     content = loaded.to_dict()["payload"]
     assert content["converged_after_s"] is None or 2.4 < content["converged_after_s"] <= 10.0
@@ -383,7 +436,10 @@ def test_instruments_remove_the_bias_of_noisy_positions():
     )
     real = truth(UR10().base())
     settings: dict[str, Any] = {"friction": "linear", "cutoff_hz": 8.0, "motion_hz": 25.0}
-    error = {m: np.linalg.norm(identify(None, data, method=m, **settings).theta[:40] - real) for m in ("ls", "iv")}
+    error = {
+        m: np.linalg.norm(identify(None, data, method=m, **settings).theta[:40] - real)
+        for m in ("ls", "iv")
+    }
     assert error["iv"] < 0.5 * error["ls"], error
 
 
@@ -393,7 +449,10 @@ def test_instruments_remove_the_bias_of_noisy_positions():
 def test_the_command(quiet, tmp_path):
     jaxid.save_dataset(quiet, tmp_path / "data")
     out = tmp_path / "out"
-    done = CliRunner().invoke(cli, ["identify", str(tmp_path / "data"), "--out", str(out), "--friction", "power", "--json"])
+    done = CliRunner().invoke(
+        cli,
+        ["identify", str(tmp_path / "data"), "--out", str(out), "--friction", "power", "--json"],
+    )
     assert done.exit_code == 0, done.output
     content = json.loads((out / "identification.json").read_text())
     assert content == json.loads(done.stdout)
@@ -409,7 +468,14 @@ def test_the_command(quiet, tmp_path):
          "--reference", str(out / "identification.json"), "--quiet"],
     )  # fmt: skip
     assert loaded.exit_code == 0, loaded.output
-    assert abs(json.loads((tmp_path / "b" / "identification.json").read_text())["payload"]["mass"]["value"]) < 1e-6
+    assert (
+        abs(
+            json.loads((tmp_path / "b" / "identification.json").read_text())["payload"]["mass"][
+                "value"
+            ]
+        )
+        < 1e-6
+    )
 
 
 def test_an_arm_from_a_urdf(tmp_path):
@@ -431,7 +497,12 @@ def test_an_arm_from_a_urdf(tmp_path):
         -(a * w[:, None] ** 2 * np.sin(angle)).sum(1),
     )
     state = lambda s: np.r_[s[:2], np.cos(s[2]), np.sin(s[2])]
-    tau = np.array([pin.rnea(model, data, state(s), v, x) for s, v, x in zip(q, qd, qdd, strict=True)]) + 0.5 * qd
+    tau = (
+        np.array(
+            [pin.rnea(model, data, state(s), v, x) for s, v, x in zip(q, qd, qdd, strict=True)]
+        )
+        + 0.5 * qd
+    )
     tau += 0.01 * rng.normal(size=tau.shape)
     recorded = jaxid.Dataset.from_arrays(
         t, {f"tau{j + 1}": tau[:, j] for j in range(3)}, {f"q{j + 1}": q[:, j] for j in range(3)},
@@ -455,7 +526,9 @@ def arm_folder(folder: Path, model: str) -> Path:
         for n, role, unit in (("q", "output", "rad"), ("tau", "input", "N m"))
         for j in (1, 2)
     )
-    (folder / "dataset.toml").write_text(f'name = "two"\n{model}\n{channels}[[experiments]]\nfile = "run.csv"\n')
+    (folder / "dataset.toml").write_text(
+        f'name = "two"\n{model}\n{channels}[[experiments]]\nfile = "run.csv"\n'
+    )
     return folder
 
 
@@ -470,7 +543,11 @@ def test_links_in_the_dataset(tmp_path):
 
     data = jaxid.load_dataset(arm_folder(tmp_path / "dh", f"[model]\n{TABLE}"))
     arm: Any = resolve_model(None, data).mechanism
-    assert arm.prismatic == (False, False) and np.allclose(arm.a, [0, 0.4]) and np.allclose(arm.d, [0.3, 0])
+    assert (
+        arm.prismatic == (False, False)
+        and np.allclose(arm.a, [0, 0.4])
+        and np.allclose(arm.d, [0.3, 0])
+    )
     assert len(identify(None, data, friction="linear", cutoff_hz=4.0).weights) == 2
     again = jaxid.load_dataset(jaxid.save_dataset(data, tmp_path / "copy"))
     assert again == data and again.model == data.model
@@ -482,11 +559,15 @@ def test_links_in_the_dataset(tmp_path):
         jaxid.load_dataset(folder)
     tip = "slide"  # behind the second joint
     (folder / "dataset.toml").write_text(
-        (folder / "dataset.toml").read_text().replace('urdf = "arm.urdf"', f'urdf = "arm.urdf"\ntip = "{tip}"')
+        (folder / "dataset.toml")
+        .read_text()
+        .replace('urdf = "arm.urdf"', f'urdf = "arm.urdf"\ntip = "{tip}"')
     )
     data = jaxid.load_dataset(folder)
     assert resolve_model(None, data).nq == 2
-    assert jaxid.load_dataset(jaxid.save_dataset(data, tmp_path / "copy_2")).model == replace_file(data.model)
+    assert jaxid.load_dataset(jaxid.save_dataset(data, tmp_path / "copy_2")).model == replace_file(
+        data.model
+    )
 
 
 def replace_file(spec: Any) -> Any:
@@ -499,7 +580,10 @@ def replace_file(spec: Any) -> Any:
 @pytest.mark.parametrize(
     ("model", "words"),
     [
-        (TABLE.replace("alpha = [1.5707963, 0.0]", "alpha = [0.0]"), "alpha has 1 entries and a has 2"),
+        (
+            TABLE.replace("alpha = [1.5707963, 0.0]", "alpha = [0.0]"),
+            "alpha has 1 entries and a has 2",
+        ),
         (TABLE.replace("serial_arm", "ur10"), "serial_arm"),
         ('name = "serial_arm"\nurdf = "../arm.urdf"', "outside the folder"),
         ('name = "serial_arm"\nurdf = "arm.urdf"', "there is no file"),
@@ -513,7 +597,9 @@ def test_links_that_cannot_be_read_are_refused(model, words, tmp_path):
 
 def test_entities_in_a_urdf_are_refused(tmp_path):
     folder = arm_folder(tmp_path / "data", '[model]\nname = "serial_arm"\nurdf = "arm.urdf"')
-    (folder / "arm.urdf").write_text('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="r">&x;</robot>')
+    (folder / "arm.urdf").write_text(
+        '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="r">&x;</robot>'
+    )
     with pytest.raises(jaxid.DatasetError, match="entities"):
         jaxid.load_dataset(folder)
 
@@ -545,7 +631,11 @@ def test_rows_beside_what_is_known_are_a_ridge():
     from jaxid.identification.estimators import _independent, Triangles, weighted
 
     rng = np.random.default_rng(1)
-    W, true, known = rng.normal(size=(400, 2, 3)), np.array([1.0, -2.0, 0.5]), np.array([1.2, -1.5, 0.0])
+    W, true, known = (
+        rng.normal(size=(400, 2, 3)),
+        np.array([1.0, -2.0, 0.5]),
+        np.array([1.2, -1.5, 0.0]),
+    )
     W[:, :, 2] *= 1e-3  # hardly shown
     blocks = [(W, W @ true + rng.normal(size=(400, 2)) * np.array([0.1, 0.5]))]
     spread = np.array([0.1, 0.1, 0.1])
@@ -553,9 +643,13 @@ def test_rows_beside_what_is_known_are_a_ridge():
     H = np.einsum("tji,j,tjk->ik", W, w**2, W) + np.diag(spread**-2)
     b = np.einsum("tji,j,tj->i", W, w**2, blocks[0][1]) + known / spread**2
     assert np.allclose(theta, np.linalg.solve(H, b), rtol=1e-8)
-    assert abs(theta[0] - 1.0) < 0.02 and abs(theta[2]) < 0.05, "what the rows show is theirs, the rest is known"
+    assert abs(theta[0] - 1.0) < 0.02 and abs(theta[2]) < 0.05, (
+        "what the rows show is theirs, the rest is known"
+    )
     share = _independent(blocks, theta)[0]
-    assert np.all(share > 0.7) and np.allclose(w, share * Triangles.made(blocks).joint_weights(theta)[0], rtol=0.02)
+    assert np.all(share > 0.7) and np.allclose(
+        w, share * Triangles.made(blocks).joint_weights(theta)[0], rtol=0.02
+    )
 
 
 @pytest.mark.parametrize(("second", "kept"), [(0.2, True), (0.6, False)])
@@ -565,7 +659,9 @@ def test_a_file_is_trusted_only_where_every_validation_run_is_predicted_better(s
     errors = {0.3: np.array([0.2, second]), "free": np.array([0.3, 0.4])}
     near = nearer_the_file(lambda t: t, lambda s: errors.get(s, np.array([9.0, 9.0])), "free", 0.01)
     assert (near == (0.3, 0.3)) == kept
-    assert nearer_the_file(lambda t: t, lambda s: np.array([]), "free", 0.01) is None, "nothing to choose by"
+    assert nearer_the_file(lambda t: t, lambda s: np.array([]), "free", 0.01) is None, (
+        "nothing to choose by"
+    )
 
 
 @pytest.mark.slow
@@ -576,7 +672,9 @@ def test_what_short_recordings_leave_open_stays_near_the_file():
     found = identify(None, jaxid.load_dataset(DATA / "kinova_gen3"), friction="linear")
     assert "count as known to within" in " ".join(found.notes)
     rows = {(r["experiment"], r["joint"]): r for r in found.per_joint}
-    moving = rows["joint_2_trapez", "q2"]  # neither fitted nor chosen on; the one joint that moves in it
+    moving = rows[
+        "joint_2_trapez", "q2"
+    ]  # neither fitted nor chosen on; the one joint that moves in it
     assert moving["retuned"] < 0.5 * moving["as_it_stands"]
     others = [rows["RunTrajectory1", f"q{k}"] for k in range(1, 8)]
     assert all(r["retuned"] < r["as_it_stands"] for r in others)

@@ -37,5 +37,7 @@ def test_stated_numbers_of_an_arm_are_answered():
     rows = {r["parameter"]: r for r in found.to_dict()["stated"]}
     assert set(rows) == set(known)
     assert abs(rows["F_v3"]["deviation"]) < 3 < abs(rows["F_c1"]["deviation"])
-    assert "standard deviations from" in rows["F_c1"]["text"] and rows["F_c1"]["text"] in found.answers
+    assert (
+        "standard deviations from" in rows["F_c1"]["text"] and rows["F_c1"]["text"] in found.answers
+    )
     assert rows["m3"]["deviation"] is None and "neither confirmed nor refuted" in rows["m3"]["text"]

@@ -26,15 +26,22 @@ def table(columns: dict[str, list[str]]) -> str:
 def cells(values: np.ndarray, blank: np.ndarray | None = None) -> list[str]:
     """Numbers as text, nothing where `blank`."""
     written = [repr(float(v)) for v in values]
-    return written if blank is None else ["" if b else w for w, b in zip(written, blank, strict=True)]
+    return (
+        written if blank is None else ["" if b else w for w, b in zip(written, blank, strict=True)]
+    )
 
 
 @pytest.mark.parametrize("every", [2, 10])
 def test_blank_cells_are_no_readings(tmp_path, capsys, every):
     blank = np.arange(len(T)) % every == 1
-    (tmp_path / "log.csv").write_text(table({"t": cells(T), "q": cells(Q, blank), "tau": cells(TAU)}))
+    (tmp_path / "log.csv").write_text(
+        table({"t": cells(T), "q": cells(Q, blank), "tau": cells(TAU)})
+    )
     channels = [f"--channel={c}" for c in PLAIN]
-    assert main(["import", "csv", str(tmp_path / "log.csv"), *channels, f"--out={tmp_path / 'out'}"]) == 0
+    assert (
+        main(["import", "csv", str(tmp_path / "log.csv"), *channels, f"--out={tmp_path / 'out'}"])
+        == 0
+    )
     assert f"{blank.sum()} of 60 cells of q are blank, no reading there" in capsys.readouterr().err
     (e,) = load_dataset(tmp_path / "out", check_model=False).experiments
     np.testing.assert_array_equal(e.read[:, 0], ~blank)
@@ -44,7 +51,9 @@ def test_blank_cells_are_no_readings(tmp_path, capsys, every):
 
 def test_a_blank_command_holds_its_last_value(tmp_path):
     blank = np.arange(len(T)) % 7 == 3
-    (tmp_path / "log.csv").write_text(table({"t": cells(T), "q": cells(Q), "tau": cells(TAU, blank)}))
+    (tmp_path / "log.csv").write_text(
+        table({"t": cells(T), "q": cells(Q), "tau": cells(TAU, blank)})
+    )
     (e,) = run(tmp_path / "log.csv", tmp_path / "out")[0].experiments
     np.testing.assert_allclose(e.u[:, 0], np.where(blank, np.roll(TAU, 1), TAU))
 
@@ -52,10 +61,22 @@ def test_a_blank_command_holds_its_last_value(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        ({"t": cells(T, np.arange(60) == 7), "q": cells(Q), "tau": cells(TAU)}, "row 9, column t: missing"),
-        ({"t": cells(T), "q": cells(Q, np.arange(60) > 9), "tau": cells(TAU)}, "'q' holds 10 readings in 60 rows"),
-        ({"t": cells(T), "q": [*cells(Q)[:-1], "inf"], "tau": cells(TAU, np.arange(60) == 3)}, "column q: infinite"),
-        ({"t": cells(T), "q": [*cells(Q)[:-1], "off"], "tau": cells(TAU)}, "column q: not a number: 'off'"),
+        (
+            {"t": cells(T, np.arange(60) == 7), "q": cells(Q), "tau": cells(TAU)},
+            "row 9, column t: missing",
+        ),
+        (
+            {"t": cells(T), "q": cells(Q, np.arange(60) > 9), "tau": cells(TAU)},
+            "'q' holds 10 readings in 60 rows",
+        ),
+        (
+            {"t": cells(T), "q": [*cells(Q)[:-1], "inf"], "tau": cells(TAU, np.arange(60) == 3)},
+            "column q: infinite",
+        ),
+        (
+            {"t": cells(T), "q": [*cells(Q)[:-1], "off"], "tau": cells(TAU)},
+            "column q: not a number: 'off'",
+        ),
     ],
 )
 def test_what_is_no_blank_reading_is_refused(tmp_path, columns, words):
@@ -66,9 +87,18 @@ def test_what_is_no_blank_reading_is_refused(tmp_path, columns, words):
 
 def three_files(folder: Path) -> list[str]:
     for name, values in (("position", Q), ("velocity", np.gradient(Q, T)), ("effort", TAU)):
-        (folder / f"{name}.csv").write_text(table({"stamp": cells(T), f"lift_{name}": cells(values), "flag": cells(0 * T + 1)}))
+        (folder / f"{name}.csv").write_text(
+            table({"stamp": cells(T), f"lift_{name}": cells(values), "flag": cells(0 * T + 1)})
+        )
     paths = [str(folder / f"{name}.csv") for name in ("position", "velocity", "effort")]
-    return ["import", "csv", paths[0], f"--join={paths[1]}", f"--join={paths[2]}", f"--out={folder / 'out'}"]
+    return [
+        "import",
+        "csv",
+        paths[0],
+        f"--join={paths[1]}",
+        f"--join={paths[2]}",
+        f"--out={folder / 'out'}",
+    ]
 
 
 def test_every_joined_file_counts_and_stands_in_the_command(tmp_path, capsys):
@@ -88,18 +118,38 @@ def test_a_name_that_two_joined_files_have_needs_its_file(tmp_path):
     joined = [word.removeprefix("--join=") for word in command if word.startswith("--join")]
     (tmp_path / "plain.csv").write_text(table({"stamp": cells(T), "q": cells(Q)}))
     with pytest.raises(DatasetError, match="there is no column 'flag'"):
-        run(tmp_path / "plain.csv", tmp_path / "a", ("t=stamp:s", "q=q:rad", "x=flag:1:auxiliary"), join=joined)
-    data, _ = run(tmp_path / "plain.csv", tmp_path / "a", ("t=stamp:s", "q=q:rad", "x=effort.flag:1:auxiliary"), join=joined)
+        run(
+            tmp_path / "plain.csv",
+            tmp_path / "a",
+            ("t=stamp:s", "q=q:rad", "x=flag:1:auxiliary"),
+            join=joined,
+        )
+    data, _ = run(
+        tmp_path / "plain.csv",
+        tmp_path / "a",
+        ("t=stamp:s", "q=q:rad", "x=effort.flag:1:auxiliary"),
+        join=joined,
+    )
     assert data.experiments[0].auxiliary["x"].all()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "effort.csv").write_bytes((tmp_path / "effort.csv").read_bytes())
     with pytest.raises(UsageError, match="two files are called 'effort'"):
-        run(tmp_path / "plain.csv", tmp_path / "b", join=[*joined, tmp_path / "other" / "effort.csv"])
+        run(
+            tmp_path / "plain.csv",
+            tmp_path / "b",
+            join=[*joined, tmp_path / "other" / "effort.csv"],
+        )
 
 
 @pytest.mark.parametrize(
     "names",
-    [["a", "b"], [["a", "b"]], {"motors": ["a", "b"]}, {"left": {"arm": ["a"]}, "right": [["b"]]}, {"b": 1, "a": 0}],
+    [
+        ["a", "b"],
+        [["a", "b"]],
+        {"motors": ["a", "b"]},
+        {"left": {"arm": ["a"]}, "right": [["b"]]},
+        {"b": 1, "a": 0},
+    ],
 )
 def test_names_of_joints_however_deep_they_lie(names):
     assert _leaves(names) == ["a", "b"]
@@ -130,7 +180,9 @@ def test_threads_that_read_csv_hold_no_memory_of_python(monkeypatch):
 
     given = []
     reader = pyarrow.BufferReader
-    monkeypatch.setattr(pyarrow, "BufferReader", lambda buffer: given.append(buffer) or reader(buffer))
+    monkeypatch.setattr(
+        pyarrow, "BufferReader", lambda buffer: given.append(buffer) or reader(buffer)
+    )
     content = table({"t": cells(T), "q": cells(Q)}).encode()
     assert read_table(Path("log.csv"), "log.csv", content).count == 60
     assert given[0].address != pyarrow.py_buffer(content).address

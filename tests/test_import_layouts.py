@@ -22,7 +22,13 @@ CLOCKED = ("t=t", *PLAIN[1:])
 
 def rows(pattern: str, header: str) -> str:
     """One row a sample: `t`, `q`, `tau` of a pattern."""
-    return "\n".join([header, *(pattern.format(t=t, q=q, tau=tau) for t, q, tau in zip(T, Q, TAU, strict=True)), ""])
+    return "\n".join(
+        [
+            header,
+            *(pattern.format(t=t, q=q, tau=tau) for t, q, tau in zip(T, Q, TAU, strict=True)),
+            "",
+        ]
+    )
 
 
 LAYOUTS = {
@@ -46,12 +52,20 @@ def test_layouts_of_habit(tmp_path, name):
 
 
 def test_midnight_and_dates_that_cannot_be_told(tmp_path):
-    days = [f"28.02.2026 23:59:59.{k:02d}" if k < 100 else f"01.03.2026 00:00:00.{k - 100:02d}" for k in range(40, 160)]
-    (tmp_path / "a.csv").write_text("\n".join(["t,q,tau", *(f"{d},{k % 7},{k % 5}" for k, d in enumerate(days)), ""]))
+    days = [
+        f"28.02.2026 23:59:59.{k:02d}" if k < 100 else f"01.03.2026 00:00:00.{k - 100:02d}"
+        for k in range(40, 160)
+    ]
+    (tmp_path / "a.csv").write_text(
+        "\n".join(["t,q,tau", *(f"{d},{k % 7},{k % 5}" for k, d in enumerate(days)), ""])
+    )
     data, _ = run(tmp_path / "a.csv", tmp_path / "a", CLOCKED)
     np.testing.assert_allclose(data.experiments[0].t, np.arange(120) / 100, atol=1e-9)
     (tmp_path / "b.csv").write_text(
-        (tmp_path / "a.csv").read_text().replace("28.02.2026", "2/3/2026").replace("01.03.2026", "3/3/2026")
+        (tmp_path / "a.csv")
+        .read_text()
+        .replace("28.02.2026", "2/3/2026")
+        .replace("01.03.2026", "3/3/2026")
     )
     with pytest.raises(DatasetError, match="2/3/2026"):
         run(tmp_path / "b.csv", tmp_path / "b", CLOCKED)
@@ -61,7 +75,9 @@ def test_a_unit_that_no_clock_can_have_is_refused(tmp_path):
     for unit, scale in (("ns", 10**9), ("us", 10**6), ("ms", 10**3)):
         stamps = np.array([1_767_225_600 * scale + round(t * scale) for t in T])
         (tmp_path / "a.csv").write_text(
-            "\n".join(["t,q,tau", *(f"{a},{q},{u}" for a, q, u in zip(stamps, Q, TAU, strict=True)), ""])
+            "\n".join(
+                ["t,q,tau", *(f"{a},{q},{u}" for a, q, u in zip(stamps, Q, TAU, strict=True)), ""]
+            )
         )
         with pytest.raises(DatasetError, match=f"later than any clock.*--channel t=t:{unit}"):
             run(tmp_path / "a.csv", tmp_path / "out")
@@ -69,9 +85,14 @@ def test_a_unit_that_no_clock_can_have_is_refused(tmp_path):
 
 
 def test_lists_of_recordings_and_matrices(tmp_path):
-    savemat(tmp_path / "runs.mat", {"run": [{"t": T, "q": Q, "tau": TAU}, {"t": T, "q": -Q, "tau": TAU}]})
+    savemat(
+        tmp_path / "runs.mat",
+        {"run": [{"t": T, "q": Q, "tau": TAU}, {"t": T, "q": -Q, "tau": TAU}]},
+    )
     data, _ = run(tmp_path / "runs.mat", tmp_path / "a")
-    assert [len(e) for e in data.experiments] == [len(T)] * 2 and np.allclose(data.experiments[1].y[:, 0], -Q)
+    assert [len(e) for e in data.experiments] == [len(T)] * 2 and np.allclose(
+        data.experiments[1].y[:, 0], -Q
+    )
     np.save(tmp_path / "matrix.npy", np.column_stack([T, Q, TAU]))
     same(run(tmp_path / "matrix.npy", tmp_path / "b", ("t=1:s", "q=2:rad", "tau=3:N m"))[0])
     np.savez(tmp_path / "deep.npz", t=T, obs=Q[:, None, None], tau=TAU)
@@ -118,4 +139,6 @@ def test_refusals_of_what_is_packed(tmp_path):
 def test_times_of_a_frame_that_cannot_be(times, settings, words):
     frame = pd.DataFrame({"t": times, "q": Q, "tau": TAU})
     with pytest.raises(DatasetError, match=words):
-        Dataset.from_frame(frame, inputs=["tau"], outputs=["q"], units={"tau": "N m", "q": "rad"}, **settings)
+        Dataset.from_frame(
+            frame, inputs=["tau"], outputs=["q"], units={"tau": "N m", "q": "rad"}, **settings
+        )

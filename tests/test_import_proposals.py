@@ -16,7 +16,9 @@ from test_import_tables import Q, run, same, T, TAU
 
 
 def german(header: str, columns: list[np.ndarray]) -> str:
-    body = [";".join(f"{v:.6f}".replace(".", ",") for v in row) for row in zip(*columns, strict=True)]
+    body = [
+        ";".join(f"{v:.6f}".replace(".", ",") for v in row) for row in zip(*columns, strict=True)
+    ]
     return "\n".join(["Prüfstand X1;Datum 12.03.2024;", "Abtastzeit;10 ms", "", header, *body, ""])
 
 
@@ -64,7 +66,10 @@ def test_options_that_were_given_stay_in_the_proposal(tmp_path, capsys):
     (tmp_path / "a.csv").write_text(plain("t,q", [T, Q]))
     (tmp_path / "b.csv").write_text(plain("t,tau", [T, TAU]))
     given = ["--join", str(tmp_path / "b.csv"), "--rows", "5:50", "--separator", ",", "--overwrite"]
-    assert main(["import", "csv", str(tmp_path / "a.csv"), *given, "--out", str(tmp_path / "out")]) == 2
+    assert (
+        main(["import", "csv", str(tmp_path / "a.csv"), *given, "--out", str(tmp_path / "out")])
+        == 2
+    )
     command = capsys.readouterr().err.split("unit: ")[1].split(" (roles")[0]
     assert all(word in shlex.split(command) for word in given)
     assert main([*shlex.split(command)[1:], "--quiet"]) == 0
@@ -86,7 +91,10 @@ def test_more_columns_than_are_shown_are_counted(tmp_path, capsys):
     (tmp_path / "a.csv").write_text(plain(",".join(names), [T, *(Q + k for k in range(59))]))
     assert main(["import", "csv", str(tmp_path / "a.csv"), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
-    assert "and 20 more, the last 'x59y'" in said and "19 more channels are left out of the command" in said
+    assert (
+        "and 20 more, the last 'x59y'" in said
+        and "19 more channels are left out of the command" in said
+    )
 
 
 @pytest.mark.parametrize(
@@ -115,16 +123,28 @@ def trace(late: float = 0.0) -> str:
 @pytest.mark.parametrize("clock", ["t", "GVL.fTorque"])
 def test_a_trace_of_one_block_a_variable(tmp_path, capsys, clock):
     (tmp_path / "a.csv").write_text(trace())
-    same(run(tmp_path / "a.csv", tmp_path / "a", (f"t={clock}:ms", "tau=GVL.fTorque:N m:input", "q=GVL.fPos:rad:output"))[0])
+    same(
+        run(
+            tmp_path / "a.csv",
+            tmp_path / "a",
+            (f"t={clock}:ms", "tau=GVL.fTorque:N m:input", "q=GVL.fPos:rad:output"),
+        )[0]
+    )
     assert main(["import", "csv", str(tmp_path / "a.csv"), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert "a trace with one block a variable (2)" in said
-    assert "--channel t=t:ms --channel tau=GVL.fTorque:1:input --channel q=GVL.fPos:1:output" in said
+    assert (
+        "--channel t=t:ms --channel tau=GVL.fTorque:1:input --channel q=GVL.fPos:1:output" in said
+    )
 
 
 def test_blocks_with_other_times_are_read_where_they_were(tmp_path):
     (tmp_path / "a.csv").write_text(trace(late=4))
-    data, _ = run(tmp_path / "a.csv", tmp_path / "a", ("t=t:ms", "tau=GVL.fTorque:N m:input", "q=GVL.fPos:rad:output"))
+    data, _ = run(
+        tmp_path / "a.csv",
+        tmp_path / "a",
+        ("t=t:ms", "tau=GVL.fTorque:N m:input", "q=GVL.fPos:rad:output"),
+    )
     (e,) = data.experiments
     np.testing.assert_allclose(e.y[e.read[:, 0], 0], Q)
     np.testing.assert_allclose(e.t[e.read[:, 0]], T + 0.004, atol=1e-9)

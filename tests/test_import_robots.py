@@ -75,15 +75,29 @@ class Bag:
 
     def header(self, k: int) -> Any:
         stamp = START + k * 10**7
-        time = self.message("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
+        time = self.message(
+            "builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9
+        )
         return self.message("std_msgs/msg/Header", stamp=time, frame_id="")
 
     def write(self, topic: str, kind: str, k: int, message: Any, behind: bytes = b"") -> None:
         if topic not in self.topics:
             self.topics[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
-        self.writer.write(self.topics[topic], START + k * 10**7, bytes(self.store.serialize_cdr(message, kind)) + behind)
+        self.writer.write(
+            self.topics[topic],
+            START + k * 10**7,
+            bytes(self.store.serialize_cdr(message, kind)) + behind,
+        )
 
-    def states(self, topic: str, names=NAMES, q=Q, tau: np.ndarray | None = TAU, behind: bytes = b"", qd=np.zeros(0)) -> None:
+    def states(
+        self,
+        topic: str,
+        names=NAMES,
+        q=Q,
+        tau: np.ndarray | None = TAU,
+        behind: bytes = b"",
+        qd=np.zeros(0),
+    ) -> None:
         kind = "sensor_msgs/msg/JointState"
         n = len(names)
         for k in range(N):
@@ -92,7 +106,14 @@ class Bag:
                 topic,
                 kind,
                 k,
-                self.message(kind, header=self.header(k), name=list(names), position=q[k, :n], velocity=qd, effort=effort),
+                self.message(
+                    kind,
+                    header=self.header(k),
+                    name=list(names),
+                    position=q[k, :n],
+                    velocity=qd,
+                    effort=effort,
+                ),
                 behind,
             )
 
@@ -120,13 +141,26 @@ def test_topics_are_listed_and_never_mixed(tmp_path):
             match=r"2 topics hold states of joints.*/leader/joint_states \(120 messages: elbow, lift, pan\).*--topic /follower/joint_states \(and --command-topic /leader/joint_states",
         ):
             function(file, tmp_path / "out")
-    data = both(bag, tmp_path / "o", topic="/follower/joint_states", command_topic="/leader/joint_states")
+    data = both(
+        bag, tmp_path / "o", topic="/follower/joint_states", command_topic="/leader/joint_states"
+    )
     (run,) = data.experiments
     np.testing.assert_array_equal(run.y, Q)
-    np.testing.assert_allclose(run.t, T, atol=1e-12)  # stamps that count from 1970 keep their nanoseconds
-    np.testing.assert_array_equal(np.stack([run.auxiliary[f"q{k}_cmd"] for k in (1, 2, 3)], 1), Q + 1)
-    assert data.model is not None and data.model.joints == {"q1": "elbow", "q2": "lift", "q3": "pan"}
-    with pytest.raises(DatasetError, match="no topic '/folower/joint_states' .did you mean '/follower/joint_states'"):
+    np.testing.assert_allclose(
+        run.t, T, atol=1e-12
+    )  # stamps that count from 1970 keep their nanoseconds
+    np.testing.assert_array_equal(
+        np.stack([run.auxiliary[f"q{k}_cmd"] for k in (1, 2, 3)], 1), Q + 1
+    )
+    assert data.model is not None and data.model.joints == {
+        "q1": "elbow",
+        "q2": "lift",
+        "q3": "pan",
+    }
+    with pytest.raises(
+        DatasetError,
+        match="no topic '/folower/joint_states' .did you mean '/follower/joint_states'",
+    ):
         import_mcap(bag.file, tmp_path / "out", topic="/folower/joint_states")
 
 
@@ -148,7 +182,14 @@ def test_two_publishers_on_one_topic(tmp_path):
                 "/joint_states",
                 kind,
                 k,
-                bag.message(kind, header=bag.header(k), name=NAMES, position=q, velocity=np.zeros(0), effort=q),
+                bag.message(
+                    kind,
+                    header=bag.header(k),
+                    name=NAMES,
+                    position=q,
+                    velocity=np.zeros(0),
+                    effort=q,
+                ),
             )
     with pytest.raises(DatasetError, match="two publishers of the same joints are mixed"):
         quiet(import_mcap, bag.file, tmp_path / "p")
@@ -171,7 +212,10 @@ def test_commands_of_ros2_control(tmp_path):
         point, trajectory = (f"trajectory_msgs/msg/JointTrajectory{end}" for end in ("Point", ""))
         for k in range(5, N, 2):
             bag.write(
-                "/forward_position_controller/commands", commanded, k, bag.message(commanded, layout=layout, data=Q[k, ::-1] + 1)
+                "/forward_position_controller/commands",
+                commanded,
+                k,
+                bag.message(commanded, layout=layout, data=Q[k, ::-1] + 1),
             )
             due = bag.message("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
             points = [
@@ -188,12 +232,27 @@ def test_commands_of_ros2_control(tmp_path):
                 "/arm/joint_trajectory",
                 trajectory,
                 k,
-                bag.message(trajectory, header=bag.header(k), joint_names=NAMES[::-1], points=points),
+                bag.message(
+                    trajectory, header=bag.header(k), joint_names=NAMES[::-1], points=points
+                ),
             )
-    with pytest.raises(DatasetError, match="holds 3 numbers a message without names of joints.*--command-joints elbow,lift,pan"):
-        quiet(import_rosbag, bag.path, tmp_path / "o", command_topic="/forward_position_controller/commands")
+    with pytest.raises(
+        DatasetError,
+        match="holds 3 numbers a message without names of joints.*--command-joints elbow,lift,pan",
+    ):
+        quiet(
+            import_rosbag,
+            bag.path,
+            tmp_path / "o",
+            command_topic="/forward_position_controller/commands",
+        )
     last = 5 + (np.arange(5, N) - 5) // 2 * 2  # the command before each state
-    plain = both(bag, tmp_path / "a", command_topic="/forward_position_controller/commands", command_joints=NAMES[::-1])
+    plain = both(
+        bag,
+        tmp_path / "a",
+        command_topic="/forward_position_controller/commands",
+        command_joints=NAMES[::-1],
+    )
     np.testing.assert_allclose(plain.experiments[0].u, Q[last] + 1)
     np.testing.assert_array_equal(plain.experiments[0].y, Q[5:])
     assert "5 samples before the first command" in plain.description
@@ -218,18 +277,40 @@ def test_a_quadruped_by_the_definitions_in_the_recording(tmp_path):
         still = {"mode": 1, "q": 0.0, "dq": 0.0}
         for k in range(N):
             states = [
-                bag.message("unitree_go/msg/MotorState", mode=1, q=float(Q[k, j % 3]), dq=1.0, tau_est=float(TAU[k, j % 3]))
+                bag.message(
+                    "unitree_go/msg/MotorState",
+                    mode=1,
+                    q=float(Q[k, j % 3]),
+                    dq=1.0,
+                    tau_est=float(TAU[k, j % 3]),
+                )
                 for j in range(12)
             ]
             states += [bag.message("unitree_go/msg/MotorState", **still, tau_est=0.0)] * 8
             bag.write(
-                "/lowstate", "unitree_go/msg/LowState", k, bag.message("unitree_go/msg/LowState", tick=k, motor_state=states)
+                "/lowstate",
+                "unitree_go/msg/LowState",
+                k,
+                bag.message("unitree_go/msg/LowState", tick=k, motor_state=states),
             )
             goals = [
-                bag.message("unitree_go/msg/MotorCmd", mode=1, q=float(Q[k, j % 3]) + 1, dq=0.0, tau=0.0, kp=20.0, kd=0.5)
+                bag.message(
+                    "unitree_go/msg/MotorCmd",
+                    mode=1,
+                    q=float(Q[k, j % 3]) + 1,
+                    dq=0.0,
+                    tau=0.0,
+                    kp=20.0,
+                    kd=0.5,
+                )
                 for j in range(20)
             ]
-            bag.write("/lowcmd", "unitree_go/msg/LowCmd", k, bag.message("unitree_go/msg/LowCmd", motor_cmd=goals, crc=0))
+            bag.write(
+                "/lowcmd",
+                "unitree_go/msg/LowCmd",
+                k,
+                bag.message("unitree_go/msg/LowCmd", motor_cmd=goals, crc=0),
+            )
     data = both(bag, tmp_path / "o", command_topic="/lowcmd")
     assert data.model is not None and list(data.model.joints.values())[:4] == [
         "FR_hip_joint",
@@ -251,8 +332,13 @@ def lerobot(folder: Path, version: str, names, state: np.ndarray, action: np.nda
     (folder / "meta").mkdir(parents=True)
     (folder / "data" / "chunk-000").mkdir(parents=True)
     stated = {"motors": names} if version == "v2.1" else names
-    features = {k: {"dtype": "float32", "shape": [len(names)], "names": stated} for k in ("action", "observation.state")}
-    (folder / "meta" / "info.json").write_text(json.dumps({"codebase_version": version, "fps": 100, "features": features}))
+    features = {
+        k: {"dtype": "float32", "shape": [len(names)], "names": stated}
+        for k in ("action", "observation.state")
+    }
+    (folder / "meta" / "info.json").write_text(
+        json.dumps({"codebase_version": version, "fps": 100, "features": features})
+    )
     n = len(state) // 2
     for episode in (0, 1):
         own = slice(episode * n, (episode + 1) * n)
@@ -262,7 +348,9 @@ def lerobot(folder: Path, version: str, names, state: np.ndarray, action: np.nda
             "timestamp": np.arange(n) / 100,
             "episode_index": np.full(n, episode),
         }
-        name = f"episode_{episode:06d}.parquet" if version == "v2.1" else f"file-{episode:03d}.parquet"
+        name = (
+            f"episode_{episode:06d}.parquet" if version == "v2.1" else f"file-{episode:03d}.parquet"
+        )
         pq.write_table(pa.table(table), folder / "data" / "chunk-000" / name)
     return folder
 
@@ -272,7 +360,10 @@ def test_episodes_keep_their_names_and_a_unit_a_joint(tmp_path, version):
     state = np.column_stack([np.degrees(Q[:, 0]), 1e3 * Q[:, 1], 50 + 50 * Q[:, 2]])
     names = ["shoulder_pan.pos", "slide.pos", "gripper.pos"]
     data = quiet(
-        import_lerobot, lerobot(tmp_path / "ds", version, names, state, state + 1), tmp_path / "out", unit=["deg", "slide=mm"]
+        import_lerobot,
+        lerobot(tmp_path / "ds", version, names, state, state + 1),
+        tmp_path / "out",
+        unit=["deg", "slide=mm"],
     )
     assert data.model is not None and data.model.joints == {"q1": "shoulder_pan", "q2": "slide"}
     assert {c.name: (c.role, c.unit) for c in data.channels if not c.name.endswith("_cmd")} == {
@@ -286,35 +377,75 @@ def test_episodes_keep_their_names_and_a_unit_a_joint(tmp_path, version):
 
 def test_normalised_values_need_what_they_stand_for(tmp_path):
     action = np.column_stack(
-        [np.clip(130 * np.sin(3 * T), -100, 100), np.clip(120 * np.cos(3 * T), -100, 100), 50 + 50 * np.sin(T)]
+        [
+            np.clip(130 * np.sin(3 * T), -100, 100),
+            np.clip(120 * np.cos(3 * T), -100, 100),
+            50 + 50 * np.sin(T),
+        ]
     )
-    folder = lerobot(tmp_path / "ds", "v3.0", ["pan.pos", "lift.pos", "gripper.pos"], 0.9 * action, action)
+    folder = lerobot(
+        tmp_path / "ds", "v3.0", ["pan.pos", "lift.pos", "gripper.pos"], 0.9 * action, action
+    )
     with pytest.raises(
         DatasetError,
         match="normalised by the recorder: pan .within -100..100, touching its end., lift.*--calibration FILE.*--range pan=",
     ):
         quiet(import_lerobot, folder, tmp_path / "out", unit="deg")
-    small = lerobot(tmp_path / "small", "v2.1", ["pan.pos", "lift.pos", "gripper.pos"], 0.9 * action, action * [1, 0.5, 1])
-    with pytest.raises(DatasetError, match="lift .within -100..100, beside one that touches its end"):
+    small = lerobot(
+        tmp_path / "small",
+        "v2.1",
+        ["pan.pos", "lift.pos", "gripper.pos"],
+        0.9 * action,
+        action * [1, 0.5, 1],
+    )
+    with pytest.raises(
+        DatasetError, match="lift .within -100..100, beside one that touches its end"
+    ):
         quiet(import_lerobot, small, tmp_path / "out", unit="deg", ranges=["pan=-110:110"])
     with pytest.raises(UsageError, match="is no unit of a joint"):
         quiet(import_lerobot, folder, tmp_path / "out", unit="%")
     with pytest.raises(UsageError, match="joints: pan, lift, gripper"):
         quiet(import_lerobot, folder, tmp_path / "out")
-    data = quiet(import_lerobot, folder, tmp_path / "a", unit="deg", ranges=["pan=-110:110", "lift=-100:90", "gripper=0:60"])
-    np.testing.assert_allclose(data.experiments[0].u[:, 0], np.radians(1.1 * action[:60, 0]), atol=1e-6)
-    np.testing.assert_allclose(data.experiments[0].u[:, 1], np.radians(0.95 * action[:60, 1] - 5), atol=1e-6)
-    np.testing.assert_allclose(data.experiments[0].u[:, 2], np.radians(0.6 * action[:60, 2]), atol=1e-6)
+    data = quiet(
+        import_lerobot,
+        folder,
+        tmp_path / "a",
+        unit="deg",
+        ranges=["pan=-110:110", "lift=-100:90", "gripper=0:60"],
+    )
+    np.testing.assert_allclose(
+        data.experiments[0].u[:, 0], np.radians(1.1 * action[:60, 0]), atol=1e-6
+    )
+    np.testing.assert_allclose(
+        data.experiments[0].u[:, 1], np.radians(0.95 * action[:60, 1] - 5), atol=1e-6
+    )
+    np.testing.assert_allclose(
+        data.experiments[0].u[:, 2], np.radians(0.6 * action[:60, 2]), atol=1e-6
+    )
     motors = {
-        n: {"id": k, "drive_mode": int(n == "lift"), "homing_offset": 0, "range_min": 1024, "range_max": 3072}
+        n: {
+            "id": k,
+            "drive_mode": int(n == "lift"),
+            "homing_offset": 0,
+            "range_min": 1024,
+            "range_max": 3072,
+        }
         for k, n in enumerate(("pan", "lift", "gripper"))
     }
     (tmp_path / "calibration.json").write_text(json.dumps(motors))
     data = quiet(import_lerobot, folder, tmp_path / "b", calibration=tmp_path / "calibration.json")
-    np.testing.assert_allclose(data.experiments[0].u[:, 0], np.pi / 2 * action[:60, 0] / 100, atol=1e-6)
-    np.testing.assert_allclose(data.experiments[0].u[:, 1], -np.pi / 2 * action[:60, 1] / 100, atol=1e-6)
+    np.testing.assert_allclose(
+        data.experiments[0].u[:, 0], np.pi / 2 * action[:60, 0] / 100, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        data.experiments[0].u[:, 1], -np.pi / 2 * action[:60, 1] / 100, atol=1e-6
+    )
     np.testing.assert_allclose(data.experiments[0].u[:, 2], np.pi * action[:60, 2] / 100, atol=1e-6)
-    for bad, words in (("pan=1", "NAME=LO:HI"), ("pann=0:1", "did you mean 'pan'"), ("pan=1:1", "two ends that differ")):
+    for bad, words in (
+        ("pan=1", "NAME=LO:HI"),
+        ("pann=0:1", "did you mean 'pan'"),
+        ("pan=1:1", "two ends that differ"),
+    ):
         with pytest.raises(UsageError, match=words):
             quiet(import_lerobot, folder, tmp_path / "c", unit="deg", ranges=[bad])
 
@@ -338,23 +469,40 @@ def test_joints_come_in_the_order_of_the_chain():
     np.testing.assert_array_equal(run.y, Q[:, [2, 1, 0]] + [2, 1, 0])
     np.testing.assert_array_equal(run.u, TAU[:, [2, 1, 0]] + [2, 1, 0])
     np.testing.assert_array_equal(run.auxiliary["q1_cmd"], Q[:, 2] - 2)
-    np.testing.assert_array_equal(run.auxiliary["q4"], Q[:, 0] + 3)  # the gripper, which the chain lacks
+    np.testing.assert_array_equal(
+        run.auxiliary["q4"], Q[:, 0] + 3
+    )  # the gripper, which the chain lacks
     assert (
         run.initial == {"q3": 0.1, "q1": 0.3}
         and data.controller is not None
         and data.controller.settings["kp"] == [3.0, 2.0, 1.0]
     )
-    assert "the recording has elbow, lift, pan, finger; left out, for the chain lacks them: finger" in data.notes[-1]
-    assert in_chain_order(data, ("pan", "lift", "elbow")).experiments == data.experiments  # nothing left to do
+    assert (
+        "the recording has elbow, lift, pan, finger; left out, for the chain lacks them: finger"
+        in data.notes[-1]
+    )
+    assert (
+        in_chain_order(data, ("pan", "lift", "elbow")).experiments == data.experiments
+    )  # nothing left to do
 
 
 def test_names_with_what_drivers_put_around_them_and_names_that_do_not_match():
-    data = in_chain_order(recording(("Elbow.pos", "arm/lift_joint", "pan-joint")), ("pan_joint", "lift_joint", "elbow_joint"))
+    data = in_chain_order(
+        recording(("Elbow.pos", "arm/lift_joint", "pan-joint")),
+        ("pan_joint", "lift_joint", "elbow_joint"),
+    )
     np.testing.assert_array_equal(data.experiments[0].y, Q[:, [2, 1, 0]] + [2, 1, 0])
-    with pytest.raises(UsageError, match="no joint wrist of the chain pan, lift, wrist; it has elbow, lift, pan, finger"):
+    with pytest.raises(
+        UsageError,
+        match="no joint wrist of the chain pan, lift, wrist; it has elbow, lift, pan, finger",
+    ):
         in_chain_order(recording(), ("pan", "lift", "wrist"))
-    unnamed = Dataset.from_arrays(T, {"tau1": TAU[:, 0], "tau2": TAU[:, 1]}, {"q1": Q[:, 0], "q2": Q[:, 1]}, check_model=False)
-    assert "left out, for the chain has 1" not in "".join(in_chain_order(unnamed, ("pan", "lift")).notes)
+    unnamed = Dataset.from_arrays(
+        T, {"tau1": TAU[:, 0], "tau2": TAU[:, 1]}, {"q1": Q[:, 0], "q2": Q[:, 1]}, check_model=False
+    )
+    assert "left out, for the chain has 1" not in "".join(
+        in_chain_order(unnamed, ("pan", "lift")).notes
+    )
     assert "by their numbers" in in_chain_order(unnamed, ("pan", "lift")).notes[-1]
 
 
@@ -380,14 +528,20 @@ def test_a_dataset_with_its_own_urdf_is_matched_by_name(tmp_path):
         (folder / "dataset.toml")
         .read_text()
         .replace("[model]\n", "")
-        .replace("[model.joints]", '[model]\nname = "serial_arm"\nurdf = "arm.urdf"\n[model.joints]')
+        .replace(
+            "[model.joints]", '[model]\nname = "serial_arm"\nurdf = "arm.urdf"\n[model.joints]'
+        )
     )
     (folder / "dataset.toml").write_text(text)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         data = load_dataset(folder)
     np.testing.assert_array_equal(data.experiments[0].y, Q[:, [2, 1, 0]] + [2, 1, 0])
-    assert data.model is not None and data.model.joints == {"q1": "pan", "q2": "lift", "q3": "elbow"}
+    assert data.model is not None and data.model.joints == {
+        "q1": "pan",
+        "q2": "lift",
+        "q3": "elbow",
+    }
 
 
 # ---- URDF
@@ -397,10 +551,18 @@ def test_a_dataset_with_its_own_urdf_is_matched_by_name(tmp_path):
     ("content", "words"),
     [
         (urdf(["a"], inertia="0.1 -0.1 0.1"), "link 'l_a'.*none can be negative"),
-        (urdf(["a"]).replace('mass value="1"', 'mass value="-1"'), "link 'l_a' has a mass of -1 kg"),
-        (urdf(["a"], limit='<limit lower="1" upper="-1"/>'), "joint 'a' has lower = 1 above upper = -1"),
         (
-            urdf(["a"]).replace("<robot", '<robot xmlns:xacro="x"').replace('"0.1 0 0"', '"${x} 0 0"'),
+            urdf(["a"]).replace('mass value="1"', 'mass value="-1"'),
+            "link 'l_a' has a mass of -1 kg",
+        ),
+        (
+            urdf(["a"], limit='<limit lower="1" upper="-1"/>'),
+            "joint 'a' has lower = 1 above upper = -1",
+        ),
+        (
+            urdf(["a"])
+            .replace("<robot", '<robot xmlns:xacro="x"')
+            .replace('"0.1 0 0"', '"${x} 0 0"'),
             "xacro arm.urdf > arm_expanded.urdf",
         ),
         (
@@ -425,11 +587,16 @@ def test_an_inertia_that_no_body_can_have_is_named_where_it_moves(tmp_path):
     from jaxid.dynamics.urdf import read_urdf
 
     (tmp_path / "b.urdf").write_text(urdf(["a"], inertia="0.1 0.1 0.3"))
-    with pytest.warns(DatasetWarning, match="link 'l_a' has principal moments of inertia of 0.1, 0.1, 0.3.*no body can have"):
+    with pytest.warns(
+        DatasetWarning,
+        match="link 'l_a' has principal moments of inertia of 0.1, 0.1, 0.3.*no body can have",
+    ):
         read_urdf(tmp_path / "b.urdf")
 
     body = '<inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.9"/></inertial>'
-    (tmp_path / "a.urdf").write_text(urdf(["a"]).replace('<link name="base"/>', f'<link name="base">{body}</link>'))
+    (tmp_path / "a.urdf").write_text(
+        urdf(["a"]).replace('<link name="base"/>', f'<link name="base">{body}</link>')
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert read_urdf(tmp_path / "a.urdf").joints == ("a",)
@@ -454,7 +621,9 @@ def test_a_hand_within_0_and_1_is_no_angle(tmp_path):
     for name, unit, kept in (("LeftHandThumb", ["rad"], "auxiliary"), ("LeftHandThumb", ["rad", "LeftHandThumb=rad"], "output"), ("elbow", ["rad"], "output")):  # fmt: skip
         folder = lerobot(tmp_path / f"{name}{len(unit)}", "v2.1", ["shoulder", name], state, state)
         data = quiet(import_lerobot, folder, tmp_path / f"out_{name}{len(unit)}", unit=unit)
-        assert [c.role for c in data.channels if not c.name.endswith("_cmd") and c.name != "q1"] == [kept]
+        assert [
+            c.role for c in data.channels if not c.name.endswith("_cmd") and c.name != "q1"
+        ] == [kept]
         assert ("within 0..1" in data.description) == (kept == "auxiliary")
 
 

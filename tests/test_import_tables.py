@@ -67,7 +67,10 @@ TEXTS = {
         ("t=t", "q=q", "tau=tau"),
     ),
     "units in brackets": (text(header="t [s],q (rad),tau [N m]"), ("t=t", "q=q", "tau=tau")),
-    "comments": ("# bench 3\n# t,q,tau\n" + text(header="").replace("\n0.3,", "\n# note, in between\n0.3,"), PLAIN),
+    "comments": (
+        "# bench 3\n# t,q,tau\n" + text(header="").replace("\n0.3,", "\n# note, in between\n0.3,"),
+        PLAIN,
+    ),
     "percent signs": ("% made by a script\n" + text(separator="\t"), PLAIN),
     "equal column twice": (text(np.column_stack([T, Q, T, TAU]), header="t,q,t,tau"), PLAIN),
     "trailing rows": (text() + ",,\n" * 5, PLAIN),
@@ -75,19 +78,32 @@ TEXTS = {
     "CRLF": (text(end="\r\n"), PLAIN),
     "blank rows": (text().replace("\n", "\n\n"), PLAIN),
     "lvm": (
-        "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\t\n" + text(separator="\t", header="X_Value,q,tau,Comment"),
+        "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\t\n"
+        + text(separator="\t", header="X_Value,q,tau,Comment"),
         ("t=X_Value:s", *PLAIN[1:]),
     ),
     "index of pandas": (pd.DataFrame({"t": T, "q": Q, "tau": TAU}).to_csv(), PLAIN),
-    "text column": (pd.DataFrame({"type": "STATE", "t": T, "q": Q, "tau": TAU}).to_csv(index=False), PLAIN),
+    "text column": (
+        pd.DataFrame({"type": "STATE", "t": T, "q": Q, "tau": TAU}).to_csv(index=False),
+        PLAIN,
+    ),
     "ISO times": (
         pd.DataFrame(
-            {"t": [s.isoformat() for s in pd.Timestamp("2026-03-01 10:00") + pd.to_timedelta(T, unit="s")], "q": Q, "tau": TAU}
+            {
+                "t": [
+                    s.isoformat()
+                    for s in pd.Timestamp("2026-03-01 10:00") + pd.to_timedelta(T, unit="s")
+                ],
+                "q": Q,
+                "tau": TAU,
+            }
         ).to_csv(index=False),
         ("t=t", *PLAIN[1:]),
     ),
     "epoch": (
-        pd.DataFrame({"t": 1_767_225_600_000 + np.round(1e3 * T).astype(int), "q": Q, "tau": TAU}).to_csv(index=False),
+        pd.DataFrame(
+            {"t": 1_767_225_600_000 + np.round(1e3 * T).astype(int), "q": Q, "tau": TAU}
+        ).to_csv(index=False),
         ("t=t:ms", *PLAIN[1:]),
     ),
     "units of time": (text(np.column_stack([1e6 * T, Q, TAU])), ("t=t:us", *PLAIN[1:])),
@@ -111,16 +127,23 @@ def test_text_is_recognised_and_said_as_a_command(tmp_path, name, capsys):
 def test_other_encodings(tmp_path):
     for encoding in ("utf-16", "cp1252", "utf-8-sig"):
         file = tmp_path / "a.csv"
-        file.write_bytes(text(np.column_stack([T, np.degrees(Q), TAU]), header="t,q (°),tau").encode(encoding))
+        file.write_bytes(
+            text(np.column_stack([T, np.degrees(Q), TAU]), header="t,q (°),tau").encode(encoding)
+        )
         same(run(file, tmp_path / encoding, ("t=t:s", "q=q", "tau=tau:N m"))[0])
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(
     separator=st.sampled_from(",;\t|"),
     decimal=st.sampled_from(".,"),
     preamble=st.lists(
-        st.sampled_from(["Axis1", "Samples,60", "Interval (ms),10", "operator: A. B.", "", "***End***"]), max_size=4
+        st.sampled_from(
+            ["Axis1", "Samples,60", "Interval (ms),10", "operator: A. B.", "", "***End***"]
+        ),
+        max_size=4,
     ),
     header=st.booleans(),
     units=st.booleans(),
@@ -133,11 +156,17 @@ def test_any_layout_is_recognised(separator, decimal, preamble, header, units, c
     values = np.round(np.random.default_rng(columns).standard_normal((30, columns)) * scale, 9)
     lines = list(preamble)
     lines += [separator.join(f"c{k}" for k in range(columns))] if header else []
-    lines += [separator.join(["s", "rad", "N m", "A", "V", "m"][:columns])] if header and units else []
+    lines += (
+        [separator.join(["s", "rad", "N m", "A", "V", "m"][:columns])] if header and units else []
+    )
     first = len(lines) + 1
     lines += [separator.join(f"{v:.6f}".replace(".", decimal) for v in row) for row in values]
     form = recognise(lines)
-    assert form is not None and (form.separator, form.decimal, form.first) == (separator, decimal, first)
+    assert form is not None and (form.separator, form.decimal, form.first) == (
+        separator,
+        decimal,
+        first,
+    )
     if header:
         assert form.header == first - 1 - units and (form.units is not None) == units
 
@@ -159,14 +188,18 @@ def test_rows_out_of_order_are_sorted_and_mixed_recordings_refused(tmp_path):
     data, _ = run(tmp_path / "a.csv", tmp_path / "out")
     same(data)
     assert "out of order" in data.description
-    (tmp_path / "b.csv").write_text(text(np.stack([ROWS[order], ROWS[order] + [0, 1, 0]], 1).reshape(-1, 3)))
+    (tmp_path / "b.csv").write_text(
+        text(np.stack([ROWS[order], ROWS[order] + [0, 1, 0]], 1).reshape(-1, 3))
+    )
     with pytest.raises(DatasetError, match="several recordings mixed row by row"):
         run(tmp_path / "b.csv", tmp_path / "other")
 
 
 def test_rows_before_anything_is_judged(tmp_path):
     (tmp_path / "a.csv").write_text(text() + "x,y,z\n7,,\n")
-    with pytest.raises(DatasetError, match=r"row 62, column t: not a number: 'x'; so 1 rows|row 62.*--rows 0:60"):
+    with pytest.raises(
+        DatasetError, match=r"row 62, column t: not a number: 'x'; so 1 rows|row 62.*--rows 0:60"
+    ):
         run(tmp_path / "a.csv", tmp_path / "out")
     same(run(tmp_path / "a.csv", tmp_path / "out", rows=(0, N))[0])
 
@@ -184,26 +217,43 @@ def test_lists_in_cells_and_a_file_of_commands(tmp_path):
     )
     state.to_csv(tmp_path / "state.csv", index=False)
     state.to_parquet(tmp_path / "state.parquet")
-    pd.DataFrame({"timestamp": np.round(1e6 * T[::2]).astype(int) + 100, "positions": [[a, a] for a in Q[::2].tolist()]}).to_csv(
-        tmp_path / "control.csv", index=False
+    pd.DataFrame(
+        {
+            "timestamp": np.round(1e6 * T[::2]).astype(int) + 100,
+            "positions": [[a, a] for a in Q[::2].tolist()],
+        }
+    ).to_csv(tmp_path / "control.csv", index=False)
+    channels = (
+        "t=timestamp:us",
+        "q*=positions[*]:rad",
+        "tau*=torques[*]:N m",
+        "q*_cmd=control.positions[*]:rad:auxiliary",
     )
-    channels = ("t=timestamp:us", "q*=positions[*]:rad", "tau*=torques[*]:N m", "q*_cmd=control.positions[*]:rad:auxiliary")
     for file in ("state.csv", "state.parquet"):
-        data, command = run(tmp_path / file, tmp_path / f"out_{file}", channels, join=tmp_path / "control.csv")
+        data, command = run(
+            tmp_path / file, tmp_path / f"out_{file}", channels, join=tmp_path / "control.csv"
+        )
         (e,) = data.experiments
         np.testing.assert_allclose(e.y, np.stack([Q, Q + 1], 1)[1:])
-        np.testing.assert_allclose(e.auxiliary["q2_cmd"][:4], Q[[0, 0, 2, 2]])  # the last that was given
-        assert "no drift between their clocks can be told" in data.description and "--join" in command
+        np.testing.assert_allclose(
+            e.auxiliary["q2_cmd"][:4], Q[[0, 0, 2, 2]]
+        )  # the last that was given
+        assert (
+            "no drift between their clocks can be told" in data.description and "--join" in command
+        )
     np.savez(tmp_path / "wide.npz", t=T, positions=np.stack([Q, Q], 1))
     with pytest.raises(
-        DatasetError, match=r"an array of 2 columns. Name one, q=positions\[0\]:UNIT, or all: 'q\*=positions\[\*\]:UNIT'"
+        DatasetError,
+        match=r"an array of 2 columns. Name one, q=positions\[0\]:UNIT, or all: 'q\*=positions\[\*\]:UNIT'",
     ):
         run(tmp_path / "wide.npz", tmp_path / "no", ("t=t:s", "q=positions:rad"))
 
 
 def test_clocks_that_drift_are_told(tmp_path):
     pd.DataFrame({"t": T, "q": Q}).to_csv(tmp_path / "a.csv", index=False)
-    pd.DataFrame({"t": T * (1 + 400e-6) + 0.001, "tau": TAU}).to_csv(tmp_path / "b.csv", index=False)
+    pd.DataFrame({"t": T * (1 + 400e-6) + 0.001, "tau": TAU}).to_csv(
+        tmp_path / "b.csv", index=False
+    )
     data, _ = run(tmp_path / "a.csv", tmp_path / "out", join=tmp_path / "b.csv")
     assert "move apart by 4e+02" in data.description and "clock_ppm" in data.description
 
@@ -217,12 +267,23 @@ def test_arrays_of_numpy(tmp_path):
     same(run(tmp_path / "flat.npz", tmp_path / "a")[0])
     for name, array in (("rows.npz", both.T), ("columns.npz", both)):  # either axis may be the time
         np.savez(tmp_path / name, t=T[:, None], q=array, tau=TAU)
-        data, _ = run(tmp_path / name, tmp_path / name[:-4], ("t=t:s", "q*=q[*]:rad", "tau1=tau:N m"))
+        data, _ = run(
+            tmp_path / name, tmp_path / name[:-4], ("t=t:s", "q*=q[*]:rad", "tau1=tau:N m")
+        )
         np.testing.assert_allclose(data.experiments[0].y, both.T)
-    np.save(tmp_path / "table.npy", np.array([tuple(r) for r in ROWS], dtype=[("t", "f8"), ("q", "f8"), ("tau", "f8")]))
+    np.save(
+        tmp_path / "table.npy",
+        np.array([tuple(r) for r in ROWS], dtype=[("t", "f8"), ("q", "f8"), ("tau", "f8")]),
+    )
     same(run(tmp_path / "table.npy", tmp_path / "b")[0])
     np.save(tmp_path / "plain.npy", ROWS)
-    same(run(tmp_path / "plain.npy", tmp_path / "c", ("t=data[0]:s", "q=data[1]:rad", "tau=data[2]:N m"))[0])
+    same(
+        run(
+            tmp_path / "plain.npy",
+            tmp_path / "c",
+            ("t=data[0]:s", "q=data[1]:rad", "tau=data[2]:N m"),
+        )[0]
+    )
     np.savez(tmp_path / "objects.npz", t=np.array([{}], dtype=object))
     with pytest.raises(DatasetError, match="holds Python objects"):
         run(tmp_path / "objects.npz", tmp_path / "d")
@@ -233,9 +294,19 @@ def test_mat_files(tmp_path):
 
     savemat(tmp_path / "flat.mat", {"t": T, "q": Q, "tau": TAU})
     same(run(tmp_path / "flat.mat", tmp_path / "a")[0])
-    savemat(tmp_path / "struct.mat", {"log": {"t": T[:, None], "q": Q[:, None], "drive": {"tau": TAU}}})
-    same(run(tmp_path / "struct.mat", tmp_path / "b")[0])  # by the end of the path, where it is unique
-    same(run(tmp_path / "struct.mat", tmp_path / "c", ("t=log.t:s", "q=log.q:rad", "tau=log.drive.tau:N m"))[0])
+    savemat(
+        tmp_path / "struct.mat", {"log": {"t": T[:, None], "q": Q[:, None], "drive": {"tau": TAU}}}
+    )
+    same(
+        run(tmp_path / "struct.mat", tmp_path / "b")[0]
+    )  # by the end of the path, where it is unique
+    same(
+        run(
+            tmp_path / "struct.mat",
+            tmp_path / "c",
+            ("t=log.t:s", "q=log.q:rad", "tau=log.drive.tau:N m"),
+        )[0]
+    )
 
 
 def test_mat_files_of_7_3(tmp_path):
@@ -248,7 +319,9 @@ def test_mat_files_of_7_3(tmp_path):
     (tmp_path / "new.mat").write_bytes(head + (tmp_path / "new.mat").read_bytes()[512:])
     same(run(tmp_path / "new.mat", tmp_path / "a")[0])
     with h5py.File(tmp_path / "series.mat", "w") as file:
-        file.create_dataset("ts", data=np.zeros(6, "u4")).attrs["MATLAB_class"] = np.bytes_(b"timeseries")
+        file.create_dataset("ts", data=np.zeros(6, "u4")).attrs["MATLAB_class"] = np.bytes_(
+            b"timeseries"
+        )
     with pytest.raises(DatasetError, match="MATLAB object .*struct\\('t', ts.Time"):
         run(tmp_path / "series.mat", tmp_path / "b")
 
@@ -257,7 +330,9 @@ def test_json(tmp_path):
     files = {
         "arrays.json": json.dumps({"t": T.tolist(), "log": {"q": Q.tolist(), "tau": TAU.tolist()}}),
         "records.json": json.dumps([{"t": t, "q": q, "tau": u} for t, q, u in ROWS.tolist()]),
-        "lines.jsonl": "\n".join(json.dumps({"t": t, "state": {"q": q}, "tau": u}) for t, q, u in ROWS.tolist()),
+        "lines.jsonl": "\n".join(
+            json.dumps({"t": t, "state": {"q": q}, "tau": u}) for t, q, u in ROWS.tolist()
+        ),
         "rate.json": json.dumps({"hz": 100, "data": [{"q": Q.tolist(), "tau": TAU.tolist()}]}),
     }
     for name, content in files.items():
@@ -265,7 +340,9 @@ def test_json(tmp_path):
         data, command = run(tmp_path / name, tmp_path / f"out_{name}")
         same(data)
         assert ("nominal" in data.description) == ("--rate 100" in command) == (name == "rate.json")
-    (tmp_path / "two.json").write_text(json.dumps({"hz": 100, "data": [{"q": Q.tolist(), "tau": TAU.tolist()}] * 2}))
+    (tmp_path / "two.json").write_text(
+        json.dumps({"hz": 100, "data": [{"q": Q.tolist(), "tau": TAU.tolist()}] * 2})
+    )
     assert len(run(tmp_path / "two.json", tmp_path / "two")[0].experiments) == 2
     (tmp_path / "none.json").write_text(json.dumps({"q": Q.tolist(), "tau": TAU.tolist()}))
     with pytest.raises(DatasetError, match="--rate HZ"):
@@ -276,11 +353,19 @@ def test_json(tmp_path):
 def test_tdms(tmp_path):
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
-        writer.write_segment([nptdms.ChannelObject("log", n, v, properties={}) for n, v in (("t", T), ("q", Q), ("tau", TAU))])
+        writer.write_segment(
+            [
+                nptdms.ChannelObject("log", n, v, properties={})
+                for n, v in (("t", T), ("q", Q), ("tau", TAU))
+            ]
+        )
     same(run(tmp_path / "a.tdms", tmp_path / "a")[0])
     with nptdms.TdmsWriter(tmp_path / "b.tdms") as writer:
         writer.write_segment(
-            [nptdms.ChannelObject("log", n, v, properties={"wf_increment": 0.01}) for n, v in (("q", Q), ("tau", TAU))]
+            [
+                nptdms.ChannelObject("log", n, v, properties={"wf_increment": 0.01})
+                for n, v in (("q", Q), ("tau", TAU))
+            ]
         )
     data, _ = run(tmp_path / "b.tdms", tmp_path / "b", PLAIN[1:])
     same(data)
@@ -320,7 +405,9 @@ class _Pickler(_Plain):
 
     def persistent_id(self, obj):
         if isinstance(obj, _Storage):
-            kind = {"f8": "DoubleStorage", "f4": "FloatStorage", "i8": "LongStorage"}[obj.array.dtype.str[1:]]
+            kind = {"f8": "DoubleStorage", "f4": "FloatStorage", "i8": "LongStorage"}[
+                obj.array.dtype.str[1:]
+            ]
             return ("storage", _Global("torch", kind), obj.key, "cpu", obj.array.size)
         return None
 
@@ -357,7 +444,9 @@ def test_tensors_of_pytorch(tmp_path):
     with pytest.raises(DatasetError, match="plain pickle"):
         run(tmp_path / "old.pt", tmp_path / "c")
     torch = pytest.importorskip("torch")
-    torch.save({"t": torch.tensor(T), "q": torch.tensor(Q), "tau": torch.tensor(TAU)}, tmp_path / "d.pt")
+    torch.save(
+        {"t": torch.tensor(T), "q": torch.tensor(Q), "tau": torch.tensor(TAU)}, tmp_path / "d.pt"
+    )
     same(run(tmp_path / "d.pt", tmp_path / "d")[0])
 
 
@@ -374,8 +463,16 @@ def test_tensors_of_pytorch(tmp_path):
         ("a.json", b'{"t": [0, 1', "not readable as JSON"),
         ("a.csv", b"", "empty"),
         ("a.csv", b"hello\nworld\n", "no rows of numbers"),
-        ("a.csv", text(np.column_stack([1e3 * T, Q, TAU])).encode(), "is t in ms\\? say --channel t=t:ms"),
-        ("a.csv", text(header="t,q,q").encode(), "stands twice .columns 2 and 3, which differ.*q=2:rad"),
+        (
+            "a.csv",
+            text(np.column_stack([1e3 * T, Q, TAU])).encode(),
+            "is t in ms\\? say --channel t=t:ms",
+        ),
+        (
+            "a.csv",
+            text(header="t,q,q").encode(),
+            "stands twice .columns 2 and 3, which differ.*q=2:rad",
+        ),
         ("a.csv", text(header="").encode(), "no header. Name it by number"),
     ],
 )
@@ -390,7 +487,8 @@ def test_refusals_say_what_was_recognised_and_what_to_type(tmp_path, name, conte
 def test_without_channels_a_command_is_proposed(tmp_path):
     (tmp_path / "a.csv").write_text(TEXTS["preamble and units"][0])
     with pytest.raises(
-        UsageError, match=r"header in row 4, units in row 5, data from row 6\) holds: t \(s\), q \(rad\), tau \(N m\)"
+        UsageError,
+        match=r"header in row 4, units in row 5, data from row 6\) holds: t \(s\), q \(rad\), tau \(N m\)",
     ) as caught:
         run(tmp_path / "a.csv", tmp_path / "out", ())
     command = str(caught.value).split("unit: ")[1].split(" (roles")[0]
@@ -413,11 +511,20 @@ def test_the_cases_of_a_bench(tmp_path):
     assert len(files) == 11
     for path in files:
         data, _ = run(path, tmp_path / path.name, own.get(path.name, PLAIN))
-        assert len(data.experiments[0]) == 50 and abs(float(np.median(np.diff(data.experiments[0].t))) - 0.01) < 1e-9
+        assert (
+            len(data.experiments[0]) == 50
+            and abs(float(np.median(np.diff(data.experiments[0].t))) - 0.01) < 1e-9
+        )
 
 
 def test_a_column_goes_by_its_header_as_it_stands(tmp_path):
     (tmp_path / "log.csv").write_text(text(header="t [s],angle (rad),motor [N m]"))
-    same(run(tmp_path / "log.csv", tmp_path / "out", ("t=t [s]:s", "q=angle (rad):rad", "tau=motor [N m]:N m"))[0])
+    same(
+        run(
+            tmp_path / "log.csv",
+            tmp_path / "out",
+            ("t=t [s]:s", "q=angle (rad):rad", "tau=motor [N m]:N m"),
+        )[0]
+    )
     with pytest.raises(DatasetError, match="there is no column"):
         run(tmp_path / "log.csv", tmp_path / "other", ("t=t:s", "q=angle:rad", "tau=speed [A]:N m"))

@@ -30,7 +30,10 @@ def recording(phase: float = 0.0, **change) -> dict:
 @pytest.fixture
 def files(tmp_path) -> list[Path]:
     savemat(tmp_path / "DATA_EMPS.mat", recording())
-    savemat(tmp_path / "DATA_EMPS_PULSES.mat", recording(0.3, pulses_N=5.0 * (np.arange(1200)[:, None] % 50 < 5)))
+    savemat(
+        tmp_path / "DATA_EMPS_PULSES.mat",
+        recording(0.3, pulses_N=5.0 * (np.arange(1200)[:, None] % 50 < 5)),
+    )
     return [tmp_path / "DATA_EMPS.mat", tmp_path / "DATA_EMPS_PULSES.mat"]
 
 
@@ -44,7 +47,9 @@ def test_both_recordings_become_a_dataset(files, tmp_path, form):
     ]
     (force,), (position,) = dataset.inputs, dataset.outputs
     assert (force.name, force.unit, position.name, position.unit) == ("force", "N", "position", "m")
-    assert position.resolution == 5e-8 and dataset.model is not None and dataset.model.name == "joint"
+    assert (
+        position.resolution == 5e-8 and dataset.model is not None and dataset.model.name == "joint"
+    )
     np.testing.assert_allclose(dataset.experiments[0].u, 35.15065 * recording()["vir"])
     np.testing.assert_allclose(dataset.experiments[1].y, recording(0.3)["qm"])
     assert dataset.experiments[1].auxiliary["pulses"].max() == 5.0

@@ -11,7 +11,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxid.cli.app import main
-from jaxid.data.importers.robot import import_csv, import_lerobot, import_mcap, import_rosbag, import_ur_rtde_csv
+from jaxid.data.importers.robot import (
+    import_csv,
+    import_lerobot,
+    import_mcap,
+    import_rosbag,
+    import_ur_rtde_csv,
+)
 from jaxid.data.io import load_dataset
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
 
@@ -22,11 +28,18 @@ Q = np.stack([0.3 * np.sin(3 * T + j) for j in range(6)], axis=1)
 
 def ur_file(path: Path, keep=None, space: bool = False, **change) -> Path:
     columns = {"timestamp": 100 + T}
-    columns |= {f"actual_q_{j}": Q[:, j] for j in range(6)} | {f"actual_current_{j}": np.cos(T + j) for j in range(6)}
+    columns |= {f"actual_q_{j}": Q[:, j] for j in range(6)} | {
+        f"actual_current_{j}": np.cos(T + j) for j in range(6)
+    }
     columns |= {"speed_scaling": np.ones(500), "robot_mode": np.full(500, 7.0)} | change
     table = np.column_stack(list(columns.values()))[keep if keep is not None else slice(None)]
     np.savetxt(
-        path, table, delimiter=" " if space else ",", header=(" " if space else ",").join(columns), comments="", fmt="%.6f"
+        path,
+        table,
+        delimiter=" " if space else ",",
+        header=(" " if space else ",").join(columns),
+        comments="",
+        fmt="%.6f",
     )
     return path
 
@@ -48,7 +61,10 @@ def test_what_ur_rtde_repeats_and_loses_is_counted(tmp_path):
     with pytest.warns(DatasetWarning) as caught:
         folder = import_ur_rtde_csv(ur_file(tmp_path / "a.csv", keep), tmp_path / "out")
     text = " | ".join(str(w.message) for w in caught)
-    assert "2 rows repeat a time" in text and "65 samples are missing in 2 gaps (13.0 %), the longest of 60" in text
+    assert (
+        "2 rows repeat a time" in text
+        and "65 samples are missing in 2 gaps (13.0 %), the longest of 60" in text
+    )
     data = load_dataset(folder, check_model=False)
     assert sum(len(e.t) for e in data.experiments) == 435 and len(data.experiments) == 2
     assert "65 samples are missing" in data.description
@@ -59,7 +75,9 @@ def test_rows_of_one_time_that_differ_are_told(tmp_path):
     time = 100 + T.copy()
     time[50] = time[49]
     with pytest.warns(DatasetWarning, match="1 rows repeat a time, 1 of them with other values"):
-        import_ur_rtde_csv(ur_file(tmp_path / "a.csv", timestamp=time, actual_q_0=q), tmp_path / "out")
+        import_ur_rtde_csv(
+            ur_file(tmp_path / "a.csv", timestamp=time, actual_q_0=q), tmp_path / "out"
+        )
 
 
 def test_a_slowed_robot_and_a_still_joint_are_told(tmp_path):
@@ -111,9 +129,15 @@ def test_joint_states_of_a_ros_bag(tmp_path, storage):
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin[storage]) as writer:
-        connection = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        connection = writer.add_connection(
+            "/joint_states", "sensor_msgs/msg/JointState", typestore=store
+        )
         for k in range(300):
-            writer.write(connection, 10**9 + k, store.serialize_cdr(joint_state(store, k), "sensor_msgs/msg/JointState"))
+            writer.write(
+                connection,
+                10**9 + k,
+                store.serialize_cdr(joint_state(store, k), "sensor_msgs/msg/JointState"),
+            )
     with pytest.warns(DatasetWarning, match="joints are 1 = elbow, 2 = shoulder"):
         data = load_dataset(import_rosbag(tmp_path / "bag", tmp_path / "out"), check_model=False)
     (run,) = data.experiments
@@ -122,7 +146,10 @@ def test_joint_states_of_a_ros_bag(tmp_path, storage):
     np.testing.assert_allclose(run.t, T[:300], atol=1e-9)
     if storage == "MCAP":
         with pytest.warns(DatasetWarning):
-            again = load_dataset(import_mcap(next((tmp_path / "bag").glob("*.mcap")), tmp_path / "again"), check_model=False)
+            again = load_dataset(
+                import_mcap(next((tmp_path / "bag").glob("*.mcap")), tmp_path / "again"),
+                check_model=False,
+            )
         np.testing.assert_array_equal(again.experiments[0].y, run.y)
 
 
@@ -132,11 +159,18 @@ def test_joint_states_as_json_in_mcap(tmp_path):
         writer = writer_of(stream)
         writer.start()
         schema = writer.register_schema(name="JointStates", encoding="jsonschema", data=b"{}")
-        channel = writer.register_channel(topic="/joints", message_encoding="json", schema_id=schema)
+        channel = writer.register_channel(
+            topic="/joints", message_encoding="json", schema_id=schema
+        )
         for k in range(300):
             names = ["a", "b"] if k != 7 else ["a"]
             data = {"name": names, "position": Q[k, : len(names)].tolist()}
-            writer.add_message(channel, log_time=int(T[k] * 1e9 + 0.5), publish_time=0, data=json.dumps(data).encode())
+            writer.add_message(
+                channel,
+                log_time=int(T[k] * 1e9 + 0.5),
+                publish_time=0,
+                data=json.dumps(data).encode(),
+            )
         writer.finish()
     with pytest.warns(DatasetWarning, match="1 messages with only some of the joints"):
         data = load_dataset(import_mcap(tmp_path / "a.mcap", tmp_path / "out"), check_model=False)
@@ -153,7 +187,9 @@ def test_what_is_no_bag_is_refused(tmp_path, import_):
 
 def test_episodes_of_lerobot(tmp_path):
     (tmp_path / "meta").mkdir()
-    (tmp_path / "meta" / "info.json").write_text(json.dumps({"fps": 30, "codebase_version": "v3.0"}))
+    (tmp_path / "meta" / "info.json").write_text(
+        json.dumps({"fps": 30, "codebase_version": "v3.0"})
+    )
     (tmp_path / "data" / "chunk-000").mkdir(parents=True)
     state = np.degrees(Q[:120, :3]).astype(np.float32)
     table = {
@@ -166,10 +202,14 @@ def test_episodes_of_lerobot(tmp_path):
     with pytest.raises(UsageError, match="--unit"):
         import_lerobot(tmp_path, tmp_path / "out")
     with pytest.warns(DatasetWarning, match="30 samples a second are too few"):
-        data = load_dataset(import_lerobot(tmp_path, tmp_path / "out", unit="deg"), check_model=False)
+        data = load_dataset(
+            import_lerobot(tmp_path, tmp_path / "out", unit="deg"), check_model=False
+        )
     assert [e.name for e in data.experiments] == ["episode_0", "episode_1"]
     np.testing.assert_allclose(data.experiments[1].y, Q[60:120, :3], atol=1e-6)
-    np.testing.assert_allclose(data.experiments[0].u - data.experiments[0].y, np.radians(1), atol=1e-6)
+    np.testing.assert_allclose(
+        data.experiments[0].u - data.experiments[0].y, np.radians(1), atol=1e-6
+    )
 
 
 def test_any_csv_by_a_map_and_the_command(tmp_path, capsys):

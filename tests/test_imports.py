@@ -36,7 +36,16 @@ LAYERS = (
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 #: Methods by which a result shows, exports and saves itself, and those by which a dataset is made: a class is where a user looks
 #: for them. Only they may import upward, when they are called.
-AT_HAND = {"report", "plot", "__repr__", "_repr_html_", "export", "save", "from_arrays", "from_frame"}
+AT_HAND = {
+    "report",
+    "plot",
+    "__repr__",
+    "_repr_html_",
+    "export",
+    "save",
+    "from_arrays",
+    "from_frame",
+}
 
 
 def modules() -> Iterator[tuple[str, ast.Module]]:
@@ -54,7 +63,11 @@ def imported(node: ast.AST) -> Iterator[str]:
         names = [f"{node.module}.{a.name}" for a in node.names]
     else:
         return
-    yield from {place: None for name in names if (place := place_of(name.removeprefix("jaxid."))) and name.startswith("jaxid.")}
+    yield from {
+        place: None
+        for name in names
+        if (place := place_of(name.removeprefix("jaxid."))) and name.startswith("jaxid.")
+    }
 
 
 def place_of(module: str) -> str | None:
@@ -95,7 +108,9 @@ def test_no_module_imports_what_stands_on_it():
 
 
 def test_methods_alone_import_upward_to_make_or_to_show_a_value():
-    assert {(m, p, inside) for m, p, inside in upward() if inside is not None and inside not in AT_HAND} == set()
+    assert {
+        (m, p, inside) for m, p, inside in upward() if inside is not None and inside not in AT_HAND
+    } == set()
 
 
 def test_no_private_name_is_imported():
@@ -103,7 +118,9 @@ def test_no_private_name_is_imported():
         (module, alias.name)
         for module, tree in modules()
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module and (node.module.startswith("jaxid") or node.level)
+        if isinstance(node, ast.ImportFrom)
+        and node.module
+        and (node.module.startswith("jaxid") or node.level)
         for alias in node.names
         if alias.name.startswith("_") and not alias.name.startswith("__")
     }

@@ -22,7 +22,9 @@ class Coast(Rigid):
     """A body whose only sensor reads its speed."""
 
     name: ClassVar[str] = "coast"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((), (("velocity", "m/s"),), ("position",)),)
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((), (("velocity", "m/s"),), ("position",)),
+    )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
         (CoulombFriction, {"level": "rolling"}),
         (ViscousFriction, {"coefficient": "viscous"}),
@@ -42,7 +44,9 @@ class Slow(Rigid):
     """A slow axis driven by volts."""
 
     name: ClassVar[str] = "slow"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("position", "m"),), ("position",)),)
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((("u", "V"),), (("position", "m"),), ("position",)),
+    )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),
@@ -64,8 +68,12 @@ class Cart(Rigid):
     """One input, two joints, and no law between them."""
 
     name: ClassVar[str] = "cart"
-    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("x", "m"), ("phi", "rad")), ("x", "phi")),)
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = ((ViscousFriction, {"coefficient": "viscous"}),)
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((("u", "V"),), (("x", "m"), ("phi", "rad")), ("x", "phi")),
+    )
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
+        (ViscousFriction, {"coefficient": "viscous"}),
+    )
     equations: ClassVar[str] = "mass qdd = u"
     source: ClassVar[str] = "textbook"
     mass: Array = constant(0.5, unit="kg")
@@ -93,7 +101,9 @@ def test_a_coast_down_by_speed_alone_is_recovered():
     within(fit, rolling=5.0, viscous=0.2)
     assert fit.state == "converged" and fit.loss < 1.3
     assert {fit.parameters[n].unit for n in ("rolling", "viscous")} == {"N", "N s/m"}
-    assert all(rows["velocity"].relative_error < 0.01 for rows in fit.scores.values())  # of the parts that were cut, too
+    assert all(
+        rows["velocity"].relative_error < 0.01 for rows in fit.scores.values()
+    )  # of the parts that were cut, too
 
 
 def swinging(noise=0.01):
@@ -118,16 +128,26 @@ def test_a_pendulum_by_its_gyroscope_alone_is_recovered():
         assert fit.parameters[name].value == pytest.approx(value, rel=0.01)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("rpm", 30 / np.pi), ("rad/s", 1.0), ("deg/s", 180 / np.pi)])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("rpm", 30 / np.pi), ("rad/s", 1.0), ("deg/s", 180 / np.pi)]
+)
 def test_a_speed_is_an_output_of_every_model_in_its_unit(tmp_path, unit, factor):
     t, u, speed = swinging()
-    np.savetxt(tmp_path / "a.csv", np.c_[t, u, factor * speed], delimiter=",", header="t,tau,velocity", comments="")
+    np.savetxt(
+        tmp_path / "a.csv",
+        np.c_[t, u, factor * speed],
+        delimiter=",",
+        header="t,tau,velocity",
+        comments="",
+    )
     (tmp_path / "dataset.toml").write_text(
         'name = "p"\n[model]\nname = "pendulum"\n[channels.tau]\nrole = "input"\nunit = "N m"\n'
         f'[channels.velocity]\nrole = "output"\nunit = "{unit}"\n[[experiments]]\nfile = "a.csv"\n'
     )
     b = bind(None, jaxid.load_dataset(tmp_path))
-    assert b.chain.signature.outputs == (("velocity", "rad/s"),) and b.chain.signature.speeds == (0,)
+    assert b.chain.signature.outputs == (("velocity", "rad/s"),) and b.chain.signature.speeds == (
+        0,
+    )
     assert b.references[0].speed == pytest.approx(np.percentile(np.abs(speed), 99), rel=0.05)
 
 
@@ -158,7 +178,9 @@ def test_friction_of_an_axis_driven_by_volts_is_recovered(residual):
     assert fit.state == "converged"
     for name, value in {"viscous": 500.0, "coulomb": 5.0}.items():
         # A speed that is made of positions has noise where its sign turns, which the torque equation does not know of.
-        assert fit.parameters[name].value == pytest.approx(value, rel=0.02 if residual == "output_error" else 0.15)
+        assert fit.parameters[name].value == pytest.approx(
+            value, rel=0.02 if residual == "output_error" else 0.15
+        )
     assert fit.parameters["viscous"].unit == "N s/m"
 
 
@@ -170,6 +192,8 @@ def test_torque_of_a_drive_scales_the_bounds():
 
 def test_inputs_that_are_no_torques_of_joints_need_a_drive():
     t = np.linspace(0, 2, 200)
-    data = jaxid.Dataset.from_arrays(t, {"u": np.cos(t)}, {"x": np.sin(t), "phi": np.cos(t)}, units={"x": "m", "u": "V"})
+    data = jaxid.Dataset.from_arrays(
+        t, {"u": np.cos(t)}, {"x": np.sin(t), "phi": np.cos(t)}, units={"x": "m", "u": "V"}
+    )
     with pytest.raises(jaxid.UsageError, match="1 input, 2 joints: write `drive`"):
         jaxid.fit(Cart(), data)

@@ -42,7 +42,9 @@ def looped(A, x, table, steps):
         x, total, seen = carry
         y = A @ x + jnp.tanh(shift) * table[k] + jnp.stack([x[1], x[0]])
         y = jnp.where(jnp.max(jnp.abs(y)) > 1, y / jnp.linalg.norm(y), y)
-        y, count = jax.lax.while_loop(lambda s: jnp.sum(s[0] ** 2) > 0.3, lambda s: (0.7 * s[0], s[1] + 1), (y, 0))
+        y, count = jax.lax.while_loop(
+            lambda s: jnp.sum(s[0] ** 2) > 0.3, lambda s: (0.7 * s[0], s[1] + 1), (y, 0)
+        )
         B = jnp.concatenate([A, jnp.outer(y, y)], 1)[:, ::-1].T.reshape(2, 4)
         total = total + jnp.min(B) * jnp.prod(y) + jnp.any(y > 0.2) + count
         return (y, total, seen.at[1].set(y[0])), jnp.append(y, total)
@@ -52,7 +54,12 @@ def looped(A, x, table, steps):
 
 def numbers(count: int = 6):
     rng = np.random.default_rng(0)
-    return rng.standard_normal((count, 2, 2)), rng.standard_normal((count, 2)), rng.standard_normal(64), 43
+    return (
+        rng.standard_normal((count, 2, 2)),
+        rng.standard_normal((count, 2)),
+        rng.standard_normal(64),
+        43,
+    )
 
 
 AXES = (0, 0, None, None)
@@ -60,15 +67,23 @@ AXES = (0, 0, None, None)
 
 def test_lanes_equal_vmap_in_values_and_tangents():
     A, x, table, steps = numbers()
-    slope = lambda A, x, table, steps: jax.jvp(lambda A, x: looped(A, x, table, steps), (A, x), (jnp.ones_like(A), x))
+    slope = lambda A, x, table, steps: jax.jvp(
+        lambda A, x: looped(A, x, table, steps), (A, x), (jnp.ones_like(A), x)
+    )
     with float64():
         for f in (looped, slope):
             expected = jax.jit(jax.vmap(f, AXES))(A, x, table, steps)
             for name in ("jit", "plain"):
                 run = over_lanes(f, AXES)
                 found = (jax.jit(run) if name == "jit" else run)(A, x, table, steps)
-                jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-12), found, expected)
-    assert np.all(np.asarray(expected[0])[:, 48:] == 0) and np.ptp(np.asarray(expected[0])[:, :48]) > 1
+                jax.tree.map(
+                    lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-12),
+                    found,
+                    expected,
+                )
+    assert (
+        np.all(np.asarray(expected[0])[:, 48:] == 0) and np.ptp(np.asarray(expected[0])[:, :48]) > 1
+    )
 
 
 def test_a_lane_does_not_depend_on_its_neighbours():
@@ -104,13 +119,16 @@ def test_a_large_step_is_left_to_vmap_where_its_matrices_would_be_taken_apart(mo
 
 
 @pytest.mark.parametrize(
-    "mechanism, effects", [(Joint, (StribeckFriction(), Backlash())), (PlanarArm, (DeadZone(), StribeckFriction()))]
+    "mechanism, effects",
+    [(Joint, (StribeckFriction(), Backlash())), (PlanarArm, (DeadZone(), StribeckFriction()))],
 )
 def test_models_move_alike(mechanism, effects):
     chain = Chain(mechanism()).with_effects(*effects)
     layout, n, rng = Layout(chain), 400, np.random.default_rng(1)
     nu, nq = len(chain.signature.inputs), chain.nq
-    theta = np.array([e.spec.value for e in layout.entries]) * rng.uniform(0.8, 1.2, (3, len(layout)))
+    theta = np.array([e.spec.value for e in layout.entries]) * rng.uniform(
+        0.8, 1.2, (3, len(layout))
+    )
     with float64():
         t = jnp.arange(n) * 5e-3
         u = jnp.asarray(3 * np.sin(np.arange(n)[:, None] / 40 + np.arange(nu)))
@@ -121,20 +139,28 @@ def test_models_move_alike(mechanism, effects):
             layout.model(theta), samples, where, start, steps, 512, EVEN, False
         )
         args = theta, np.zeros((3, 2 * nq)), where, samples, n
-        found, expected = (jax.jit(f(run, (0, 0, 0, None, None)))(*args) for f in (over_lanes, jax.vmap))
+        found, expected = (
+            jax.jit(f(run, (0, 0, 0, None, None)))(*args) for f in (over_lanes, jax.vmap)
+        )
     assert np.ptp(np.asarray(expected)) > 0.1
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    "mechanism", [pytest.param(m, marks=pytest.mark.slow if m is FlexibleArm else (), id=m.name) for m in MODELS]
+    "mechanism",
+    [
+        pytest.param(m, marks=pytest.mark.slow if m is FlexibleArm else (), id=m.name)
+        for m in MODELS
+    ],
 )
 def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
     """Values and tangents as `jax.vmap` gives them; `laid_out` raises where it does not know the form of a program."""
     chain = Chain(mechanism())
     layout, n, rng = Layout(chain), 24, np.random.default_rng(1)
     nu, ny, nq = len(chain.signature.inputs), len(chain.signature.outputs), chain.nq
-    theta = np.array([e.spec.value for e in layout.entries]) * rng.uniform(0.9, 1.1, (2, len(layout)))
+    theta = np.array([e.spec.value for e in layout.entries]) * rng.uniform(
+        0.9, 1.1, (2, len(layout))
+    )
     with float64():
         u = jnp.asarray(3 * np.sin(np.arange(n)[:, None] / 5 + np.arange(nu)))
         samples = Samples(t=jnp.arange(n) * 5e-3, h=jnp.full(n, 5e-3), u=u, total=jnp.cumsum(u, 0), x=jnp.zeros((n, 3 * nq)),
@@ -142,7 +168,9 @@ def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
         where = np.tile(np.array([0, 0, n - 1, 0], np.int32), (2, 1))
 
         def run(theta, start, where, samples):
-            lane = lambda theta, start: simulate_lane(layout.model(theta), samples, where, start, steps, 64, EVEN, False)
+            lane = lambda theta, start: simulate_lane(
+                layout.model(theta), samples, where, start, steps, 64, EVEN, False
+            )
             if nq > 2:  # the step of a whole arm is mapped anyway
                 return lane(theta, start), lane(theta, start + 0.1)
             return jax.jvp(lane, (theta, start), (0.1 * theta, start + 0.1))
@@ -151,7 +179,8 @@ def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
         options: Any = {"xla_backend_optimization_level": 0}
         args = theta, np.zeros((2, 2 * nq)), where, samples
         (found, slope), (expected, expected_slope) = (
-            jax.jit(f(run, (0, 0, 0, None))).lower(*args).compile(options)(*args) for f in (laid_out, jax.vmap)
+            jax.jit(f(run, (0, 0, 0, None))).lower(*args).compile(options)(*args)
+            for f in (laid_out, jax.vmap)
         )
     assert np.ptp(np.asarray(expected)) > 0 and np.ptp(np.asarray(expected_slope)) > 0
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
@@ -168,9 +197,16 @@ def test_an_unknown_form_is_left_to_vmap_and_told_once(monkeypatch):
     monkeypatch.setattr(lanes, "_noted", [])
     with float64():
         expected = jax.jit(jax.vmap(looped, AXES))(A, x, table, steps)
-        with pytest.warns(RuntimeWarning, match=r"JAX .* writes programs in a form .*num_consts") as said:
+        with pytest.warns(
+            RuntimeWarning, match=r"JAX .* writes programs in a form .*num_consts"
+        ) as said:
             for _ in range(2):
-                np.testing.assert_allclose(jax.jit(over_lanes(looped, AXES))(A, x, table, steps), expected, rtol=1e-9, atol=1e-9)
+                np.testing.assert_allclose(
+                    jax.jit(over_lanes(looped, AXES))(A, x, table, steps),
+                    expected,
+                    rtol=1e-9,
+                    atol=1e-9,
+                )
     assert len([w for w in said if "form" in str(w.message)]) == 1
 
 
@@ -188,13 +224,21 @@ def test_an_equation_that_says_something_else_is_refused():
         return jax.lax.while_loop(lambda s: jnp.sum(s) < x[0], lambda s: s + x, x)
 
     def like(e: Any, params: dict, invars: Any = None) -> Any:
-        return SimpleNamespace(primitive=e.primitive, invars=invars or e.invars, outvars=e.outvars, params=params)
+        return SimpleNamespace(
+            primitive=e.primitive, invars=invars or e.invars, outvars=e.outvars, params=params
+        )
 
     found = {e.primitive.name: e for e in jax.make_jaxpr(loops)(jnp.ones(2)).eqns}
     for name, counts in (("scan", scan_counts), ("while", while_counts)):
         eqn = found[name]
         assert counts(eqn) == counts(like(eqn, dict(eqn.params))) == (1, 1)
-        for key in eqn.params.keys() - {"length", "reverse", "unroll", "linear", "_split_transpose"}:
+        for key in eqn.params.keys() - {
+            "length",
+            "reverse",
+            "unroll",
+            "linear",
+            "_split_transpose",
+        }:
             renamed = {k if k != key else f"{k}_of_tomorrow": v for k, v in eqn.params.items()}
             with pytest.raises(UnknownForm, match=name):
                 counts(like(eqn, renamed))

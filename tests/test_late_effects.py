@@ -34,7 +34,10 @@ def swing(t: np.ndarray, u: np.ndarray, inertia, drive) -> np.ndarray:
         out.append(x[0])
         step = t[min(k + 1, len(t) - 1)] - t[k]
         if step:
-            field = lambda s, x, k=k: [x[1], (drive(u[k]) - 0.9 * np.sin(x[0]) - 0.05 * x[1]) / inertia(s)]
+            field = lambda s, x, k=k: [
+                x[1],
+                (drive(u[k]) - 0.9 * np.sin(x[0]) - 0.05 * x[1]) / inertia(s),
+            ]
             x = solve_ivp(field, (t[k], t[k] + step), x, "RK45", rtol=1e-9, atol=1e-12).y[:, -1]
     return np.array(out)
 
@@ -47,14 +50,21 @@ def test_zero_strength_is_the_identity(effect):
     plain = Simulator(Chain(Pendulum()).without("coulomb_friction"), T[:400], U[:400])
     other = Simulator(chain_of(effect()), T[:400], U[:400])
     assert np.array_equal(plain.outputs([NUMBERS]), other.outputs([NUMBERS]))
-    moved = {"actuator_curve.reach@tau": 0.7} if effect is ActuatorCurve else {"step_change.time@inertia": 0.2}
+    moved = (
+        {"actuator_curve.reach@tau": 0.7}
+        if effect is ActuatorCurve
+        else {"step_change.time@inertia": 0.2}
+    )
     assert np.array_equal(plain.outputs([NUMBERS]), other.outputs([NUMBERS | moved]))
 
 
 def test_a_curve_is_that_of_interpolation():
     low, middle, high, reach = 0.2, -0.4, -0.8, 0.9
     k = reach / 3
-    knots = np.array([0, k, 2 * k, 9]), np.cumsum([0, k * (1 + low), k * (1 + middle), (9 - 2 * k) * (1 + high)])
+    knots = (
+        np.array([0, k, 2 * k, 9]),
+        np.cumsum([0, k * (1 + low), k * (1 + middle), (9 - 2 * k) * (1 + high)]),
+    )
     law = lambda u: float(np.sign(u) * np.interp(abs(u), *knots))
     grid = np.linspace(-2, 2, 101)
     own: Any = {"low": low, "middle": middle, "high": high, "reach": reach}
@@ -70,7 +80,9 @@ def test_a_curve_is_that_of_interpolation():
 @pytest.mark.parametrize("at", [0.3, 0.3004])
 def test_a_number_changes_where_it_says(at):
     sim = Simulator(chain_of(StepChange()), T[:800], U[:800])
-    q = sim.outputs([NUMBERS | {"step_change.size@inertia": 0.05, "step_change.time@inertia": at}])[0, :, 0]
+    q = sim.outputs([NUMBERS | {"step_change.size@inertia": 0.05, "step_change.time@inertia": at}])[
+        0, :, 0
+    ]
     truth = swing(T[:800], U[:800, 0], lambda t: 0.06 if t < at else 0.11, lambda u: u)
     assert relative(q, truth) < 3e-4
     assert relative(q, swing(T[:800], U[:800, 0], lambda t: 0.06, lambda u: u)) > 0.01
@@ -81,7 +93,9 @@ def test_the_moment_has_a_derivative():
     at = NUMBERS | {"step_change.size@inertia": 0.05, "step_change.time@inertia": 0.3004}
     y, slopes = sim.tangents(sim.theta(at))
     i = sim.layout.index("step_change.time@inertia")
-    later, sooner = (sim.outputs([at | {"step_change.time@inertia": 0.3004 + d}])[0] for d in (1e-4, -1e-4))
+    later, sooner = (
+        sim.outputs([at | {"step_change.time@inertia": 0.3004 + d}])[0] for d in (1e-4, -1e-4)
+    )
     difference = (later - sooner) / 2e-4
     assert np.abs(difference).max() > 0.1 and relative(slopes[i], difference) < 0.02
 
@@ -102,7 +116,9 @@ class Answer:
 
     @property
     def which(self):
-        return SimpleNamespace(verdict=self.verdict, effects=[SimpleNamespace(effect=n) for n in self.names])
+        return SimpleNamespace(
+            verdict=self.verdict, effects=[SimpleNamespace(effect=n) for n in self.names]
+        )
 
     how_far = SimpleNamespace(gap_after=7.0)
 
@@ -119,7 +135,11 @@ class Answer:
         (Answer("partly", ("backlash",)), Answer("named", ("backlash",)), False),
         (Answer("partly", ("backlash",)), Answer("partly", ("step_change",)), False),
         (Answer("unknown"), Answer("named", ("torque_scale",)), True),  # which the curve comprises
-        (Answer("partly", ("saturation",)), Answer("named", ("saturation",)), False),  # only as others were not asked
+        (
+            Answer("partly", ("saturation",)),
+            Answer("named", ("saturation",)),
+            False,
+        ),  # only as others were not asked
     ],
 )
 def test_they_are_asked_last(first, again, taken):
@@ -143,7 +163,9 @@ def lost(seed: int) -> jaxid.Dataset:
     rng, t = np.random.default_rng(seed), np.arange(1600) * 5e-3
     runs, inputs = [], []
     for _ in range(3):
-        u: Any = sum(a * np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for a, f in ((0.5, 0.6), (0.4, 1.7)))
+        u: Any = sum(
+            a * np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for a, f in ((0.5, 0.6), (0.4, 1.7))
+        )
         x, out = np.zeros(2), []
         for k in range(len(t)):
             out.append(x[0])

@@ -31,10 +31,21 @@ def held(u) -> Command:
 
 def test_the_setting_stands_in_the_id(capsys):
     kind = catalogue.effect_class("load_dependent_friction(load=transmitted)")
-    assert list(specs(kind)) == ["mu"] and kind().load == "transmitted" and kind.contains == ("load_dependent_friction",)
+    assert (
+        list(specs(kind)) == ["mu"]
+        and kind().load == "transmitted"
+        and kind.contains == ("load_dependent_friction",)
+    )
     assert catalogue.effect_class("load_dependent_friction(load=combined)") is LoadDependentFriction
-    assert catalogue.enrolled(LoadDependentFriction(load="drive")) == "load_dependent_friction(load=drive)"
-    for wrong in ("load_dependent_friction(load=motor)", "load_dependent_friction(lod=drive)", "dead_zone(load=drive)"):
+    assert (
+        catalogue.enrolled(LoadDependentFriction(load="drive"))
+        == "load_dependent_friction(load=drive)"
+    )
+    for wrong in (
+        "load_dependent_friction(load=motor)",
+        "load_dependent_friction(lod=drive)",
+        "dead_zone(load=drive)",
+    ):
         with pytest.raises(UsageError):
             catalogue.effect_class(wrong)
     assert main(["effects", "load_dependent_friction"]) == 0
@@ -55,12 +66,19 @@ def test_a_measured_motion_with_it_lacks_nothing(model, load, rotor):
         chain = Chain(mechanism, [ReflectedInertia(inertia=rotor), friction(load)])  # pyright: ignore[reportArgumentType]
         body = chain.body()
         needed = np.asarray(body.inverse(*map(jnp.asarray, (q, qd, qdd))))
-        on = np.asarray(mechanism.inverse(*map(jnp.asarray, (q, qd, qdd)))) - np.asarray(mechanism.rotors()) * qdd
+        on = (
+            np.asarray(mechanism.inverse(*map(jnp.asarray, (q, qd, qdd))))
+            - np.asarray(mechanism.rotors()) * qdd
+        )
         drive = needed
         for _ in range(80):
             drive = needed + 0.2 * np.abs(SHARE[load] * drive + (1 - SHARE[load]) * on)
         u = jnp.asarray(drive)
-        missing, _ = chain.inverse(held(u), chain.start(jnp.asarray(q), jnp.asarray(qd), u).z, *map(jnp.asarray, (q, qd, qdd)))
+        missing, _ = chain.inverse(
+            held(u),
+            chain.start(jnp.asarray(q), jnp.asarray(qd), u).z,
+            *map(jnp.asarray, (q, qd, qdd)),
+        )
         assert np.allclose(missing, 0, atol=1e-9 * np.abs(drive).max())
 
 
@@ -105,6 +123,9 @@ def test_what_is_transmitted_is_worked_out_only_where_it_is_asked_for():
         carries = [c.start(jnp.array([0.2]), jnp.array([0.1]), command.u) for c in (plain, loaded)]
         assert carries[0].net == ()
         for _ in range(50):
-            carries = [c.step(c.body(), x, command)[0] for c, x in zip((plain, loaded), carries, strict=True)]
+            carries = [
+                c.step(c.body(), x, command)[0]
+                for c, x in zip((plain, loaded), carries, strict=True)
+            ]
         plainly, neutrally = (np.asarray(jax.tree.leaves(c.x)) for c in carries)
         assert np.array_equal(plainly, neutrally)  # at no strength it is nothing, bitwise

@@ -27,7 +27,9 @@ def recording(count=1600, rate=500.0, **settings):
     t = np.arange(count) / rate
     u = 0.4 * np.sin(2 * np.pi * 0.7 * t) + 0.2 * np.sin(2 * np.pi * 1.9 * t + 1)
     q = 0.3 * np.sin(2 * np.pi * 0.7 * t + 0.2) + 1e-3 * rng.standard_normal(count)
-    return jaxid.Dataset.from_arrays(t, {"tau": u}, {"q": q}, model="pendulum", noise_std={"q": 1e-3}, **settings)
+    return jaxid.Dataset.from_arrays(
+        t, {"tau": u}, {"q": q}, model="pendulum", noise_std={"q": 1e-3}, **settings
+    )
 
 
 def expansions(data, effects=()):
@@ -41,9 +43,13 @@ def expansions(data, effects=()):
             z = p.z(b.theta)
             for share in (1.0, 0.4):
                 at = linearise([(p, z), (p, p.precise().z(1.01 * b.theta))], share)
-                found[differences, split, share] = np.array([[a.cost, *a.gradient, *a.hessian.ravel()] for a in at])
+                found[differences, split, share] = np.array(
+                    [[a.cost, *a.gradient, *a.hessian.ravel()] for a in at]
+                )
             whole = list(rows([(p, z)]))
-            found[differences, split, "rows"] = np.concatenate([np.c_[w.r.ravel(), w.J.reshape(w.r.size, -1)] for w in whole])
+            found[differences, split, "rows"] = np.concatenate(
+                [np.c_[w.r.ravel(), w.J.reshape(w.r.size, -1)] for w in whole]
+            )
             found[differences, split, "loss"] = p.losses(np.array([z, 1.001 * z]))
             found[differences, split, "predictions"] = np.concatenate(p.predictions(z))
     p = Bench(b).problem(InverseDynamics(decimate=1), "fit", b.free, b.theta)
@@ -108,8 +114,18 @@ def test_filtering_by_stretches(jitter):
 def arm(count=3000):
     rng = np.random.default_rng(0)
     t = np.arange(count) / 250
-    q = np.stack([0.6 * np.sin((0.9 + 0.4 * j) * t + j) + 0.3 * np.sin(2.3 * t * (1 + 0.1 * j)) for j in range(6)], 1)
-    tau = 3 * np.sin(q) + np.tanh(np.gradient(q, t, axis=0) / 0.01) + 0.05 * rng.standard_normal(q.shape)
+    q = np.stack(
+        [
+            0.6 * np.sin((0.9 + 0.4 * j) * t + j) + 0.3 * np.sin(2.3 * t * (1 + 0.1 * j))
+            for j in range(6)
+        ],
+        1,
+    )
+    tau = (
+        3 * np.sin(q)
+        + np.tanh(np.gradient(q, t, axis=0) / 0.01)
+        + 0.05 * rng.standard_normal(q.shape)
+    )
     name = lambda x, s: {f"{s}{j + 1}": x[:, j] for j in range(6)}
     return jaxid.Dataset.from_arrays(t, name(tau, "tau"), name(q, "q"), model="ur10")
 
@@ -127,14 +143,19 @@ def test_identification_by_stretches(monkeypatch, method):
     assert np.allclose(a.std(), b.std(), rtol=1e-6, equal_nan=True)
     for one, other in zip(a.experiments, b.experiments, strict=True):
         assert one.relative_error == pytest.approx(other.relative_error, rel=1e-6)
-        assert one.unfiltered_relative_error == pytest.approx(other.unfiltered_relative_error, rel=1e-6)
+        assert one.unfiltered_relative_error == pytest.approx(
+            other.unfiltered_relative_error, rel=1e-6
+        )
 
 
 def test_what_does_not_fit_is_refused_before_anything_is_computed(monkeypatch):
     data = recording()
     monkeypatch.setattr(capacity, "available", lambda: (0.5e9, "limit of a test"))
     for work in (lambda: jaxid.fit(None, data), lambda: jaxid.diagnose(None, data)):
-        with pytest.raises(jaxid.UsageError, match=r"1,600 rows in 1 run: about 0\.7 GB.* only 0\.5 GB .*limit of a test"):
+        with pytest.raises(
+            jaxid.UsageError,
+            match=r"1,600 rows in 1 run: about 0\.7 GB.* only 0\.5 GB .*limit of a test",
+        ):
             work()
 
 
@@ -145,7 +166,11 @@ def test_a_diagnosis_of_too_much_looks_at_the_first_part_and_says_so(monkeypatch
     monkeypatch.setattr(capacity, "LONGEST_S", wanted.seconds / 4)
     less = capacity.shortened(data, wanted)
     assert [e.split for e in less.experiments] == ["fit", "validation", "report"]
-    assert 0.2 * len(data.experiments[0]) < sum(len(e) for e in less.experiments) < 0.3 * len(data.experiments[0])
+    assert (
+        0.2 * len(data.experiments[0])
+        < sum(len(e) for e in less.experiments)
+        < 0.3 * len(data.experiments[0])
+    )
     assert "The first part of each run is looked at" in less.notes[-1] and "25 %" in less.notes[-1]
 
 
@@ -154,9 +179,13 @@ def test_the_estimate_grows_with_what_there_is():
     assert capacity.need("fit", small, 1).bytes < capacity.need("fit", large, 1).bytes
     assert capacity.need("fit", large, 1).seconds < capacity.need("diagnose", large, 1, 10).seconds
     many = dataclasses.replace(capacity.need("diagnose", large, 1, 10), bytes=3.2e9, seconds=1200.0)
-    assert many.large and str(many) == "diagnose of 16,000 rows in 1 run: about 3.2 GB and 20 minutes"
+    assert (
+        many.large and str(many) == "diagnose of 16,000 rows in 1 run: about 3.2 GB and 20 minutes"
+    )
     fit = dataclasses.replace(capacity.need("fit", large, 1), bytes=1e9, seconds=1e5)
-    assert not fit.large and str(fit) == "fit of 16,000 rows in 1 run: about 1.0 GB", "how far a fit has to go is not known"
+    assert not fit.large and str(fit) == "fit of 16,000 rows in 1 run: about 1.0 GB", (
+        "how far a fit has to go is not known"
+    )
 
 
 def test_a_limit_of_the_address_space_counts(monkeypatch):
@@ -170,7 +199,10 @@ def test_samples_that_are_seconds_apart_are_refused():
         jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.cos(t)}, model="pendulum")
     data = recording(2000)
     data = dataclasses.replace(
-        data, experiments=tuple(dataclasses.replace(e, t=5.0 * np.arange(len(e.t))) for e in data.experiments)
+        data,
+        experiments=tuple(
+            dataclasses.replace(e, t=5.0 * np.arange(len(e.t))) for e in data.experiments
+        ),
     )
     with pytest.raises(jaxid.UsageError, match=r"step 5 s: is t in ms\?"):
         jaxid.fit(None, data)
@@ -182,13 +214,22 @@ def test_a_file_is_measured_before_it_is_read(tmp_path, monkeypatch, kind):
     jaxid.save_dataset(recording(), tmp_path / "data", format=kind)
     monkeypatch.setattr(capacity, "available", lambda: (1e3, "limit of a test"))
     what = r"1,600 rows of 3 columns" if kind == "parquet" else r"MB of text"
-    with pytest.raises(jaxid.DatasetError, match=rf"{what} take about .* GB to read, and 0\.0 GB are free"):
+    with pytest.raises(
+        jaxid.DatasetError, match=rf"{what} take about .* GB to read, and 0\.0 GB are free"
+    ):
         jaxid.load_dataset(tmp_path / "data")
 
 
 def test_parameters_have_a_largest_size(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("jaxid.storage.small_files.LARGEST_BYTES", 1000)
     (tmp_path / "fit.json").write_text(" " * 1001)
-    words = ["simulate", "nowhere", "--parameters", str(tmp_path / "fit.json"), "--out", str(tmp_path / "o")]
+    words = [
+        "simulate",
+        "nowhere",
+        "--parameters",
+        str(tmp_path / "fit.json"),
+        "--out",
+        str(tmp_path / "o"),
+    ]
     assert cli.main(words) == errors.BAD_INPUT
     assert "larger than" in capsys.readouterr().err

@@ -66,7 +66,9 @@ def piston(**known):
             x, v = x + 1e-5 * (v + w) / 2, w
     units = {"p1": "Pa", "p2": "Pa", "position": "m"}
     y = np.array(out) + 1e-5 * rng.standard_normal(len(t))
-    data = jaxid.Dataset.from_arrays(t, {"p1": p1, "p2": p2}, {"position": y}, units=units, noise_std={"position": 1e-5})
+    data = jaxid.Dataset.from_arrays(
+        t, {"p1": p1, "p2": p2}, {"position": y}, units=units, noise_std={"position": 1e-5}
+    )
     return replace(data, model=ModelSpec(constants=known))
 
 
@@ -91,7 +93,10 @@ def test_one_stated_number_holds_the_scale(known):
 
 
 def test_a_prior_holds_the_scale():
-    data = replace(piston(), model=ModelSpec(parameters={"mass": ParameterPrior(prior={"mean": 3.2, "std": 0.1})}))
+    data = replace(
+        piston(),
+        model=ModelSpec(parameters={"mass": ParameterPrior(prior={"mean": 3.2, "std": 0.1})}),
+    )
     b = bind(Cylinder(), data)
     problem = Bench(b).problem(InverseDynamics(), "fit", b.free, b.theta)
     assert shrinking(problem, problem.z(b.theta)) == ()
@@ -112,7 +117,9 @@ def released(seconds=20.0, drag=0.004, dry=0.003, rate=100):
     y = np.array(out) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
     data = jaxid.Dataset.from_arrays(t, {}, {"q": y}, noise_std={"q": 1e-3})
     left_out = ("constant_torque", "coulomb_friction")
-    return replace(data, model=ModelSpec("pendulum", free=True, without=left_out, constants={"inertia": 0.02}))
+    return replace(
+        data, model=ModelSpec("pendulum", free=True, without=left_out, constants={"inertia": 0.02})
+    )
 
 
 def test_a_decay_is_told_from_a_coast_and_from_a_driven_motion():
@@ -120,7 +127,9 @@ def test_a_decay_is_told_from_a_coast_and_from_a_driven_motion():
     t = np.arange(0, 6, 0.01)
     coast = jaxid.Dataset.from_arrays(t, {}, {"q": 3 * (1 - np.exp(-t))}, noise_std={"q": 1e-3})
     assert not decays(bind("joint", replace(coast, model=ModelSpec(free=True))))
-    driven = jaxid.Dataset.from_arrays(t, {"tau": np.sin(9 * t)}, {"q": np.sin(9 * t)}, noise_std={"q": 1e-3})
+    driven = jaxid.Dataset.from_arrays(
+        t, {"tau": np.sin(9 * t)}, {"q": np.sin(9 * t)}, noise_std={"q": 1e-3}
+    )
     assert not decays(bind("joint", driven))
 
 
@@ -133,7 +142,15 @@ def test_a_long_decay_that_the_model_does_not_follow_is_fitted_by_windows():
     assert abs(fit.parameters["gravity_torque"].value - 1.2) < 0.03
 
 
-def ended(state="converged", loss=1.0, nrmse=0.001, parameters=True, theta=0.0, spent=10, residual="output_error") -> Fit:
+def ended(
+    state="converged",
+    loss=1.0,
+    nrmse=0.001,
+    parameters=True,
+    theta=0.0,
+    spent=10,
+    residual="output_error",
+) -> Fit:
     """A fit as one may have ended."""
     score = {"fit": {"q": Score(nrmse, nrmse, nrmse, "rad")}}
     found = {"inertia": Estimate(0.2, 0.01, "kg m^2", 0.0, 1.0)} if parameters else {}
@@ -146,7 +163,9 @@ def ended(state="converged", loss=1.0, nrmse=0.001, parameters=True, theta=0.0, 
 @pytest.fixture(scope="module")
 def driven():
     t = np.arange(0, 6, 0.01)
-    data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(3 * t)}, {"q": np.sin(3 * t)}, noise_std={"q": 1e-3})
+    data = jaxid.Dataset.from_arrays(
+        t, {"tau": np.sin(3 * t)}, {"q": np.sin(3 * t)}, noise_std={"q": 1e-3}
+    )
     return Bench(bind("pendulum", data))
 
 
@@ -170,12 +189,20 @@ def test_a_free_run_that_follows_is_kept(driven, monkeypatch):
 
 def test_a_free_run_that_forgets_its_start_gives_way_to_windows(driven, monkeypatch):
     windows = ended(loss=30.0, spent=40, residual="multiple_shooting")
-    fit, asked = outcome(driven, ended(loss=1e6, nrmse=0.2), 1e4, monkeypatch, multiple_shooting=windows)
-    assert asked == ["multiple_shooting"] and fit.residual == "multiple_shooting" and fit.evaluations == 50
+    fit, asked = outcome(
+        driven, ended(loss=1e6, nrmse=0.2), 1e4, monkeypatch, multiple_shooting=windows
+    )
+    assert (
+        asked == ["multiple_shooting"]
+        and fit.residual == "multiple_shooting"
+        and fit.evaluations == 50
+    )
     assert "grows 1e+04 times" in fit.notes[-1] and "windows" in fit.notes[-1]
 
 
-def test_a_free_run_that_went_astray_is_searched_again_from_where_windows_ended(driven, monkeypatch):
+def test_a_free_run_that_went_astray_is_searched_again_from_where_windows_ended(
+    driven, monkeypatch
+):
     windows = ended(loss=30.0, residual="multiple_shooting")
     first, better, worse = ended(loss=1e6, nrmse=0.9), ended(loss=1.1), ended(loss=2e6)
     fit, asked = outcome(driven, first, 2.0, monkeypatch, multiple_shooting=windows, free=better)
@@ -188,7 +215,11 @@ def test_a_diverged_run_is_compared_by_torque_and_says_so(driven, monkeypatch):
     torque = ended(loss=3.0, residual="inverse_dynamics")
     first = ended("failed", np.inf, parameters=False)
     fit, asked = outcome(driven, first, 0.0, monkeypatch, inverse_dynamics=torque)
-    assert asked == ["inverse_dynamics"] and fit.residual == "inverse_dynamics" and lost_runs.DIVERGES in fit.notes
+    assert (
+        asked == ["inverse_dynamics"]
+        and fit.residual == "inverse_dynamics"
+        and lost_runs.DIVERGES in fit.notes
+    )
 
 
 @pytest.mark.slow
@@ -200,7 +231,11 @@ def test_windows_of_a_pendulum_thrown_over_the_top_have_intervals_that_mean_some
     for tau in u:
         out.append(q)
         for _ in range(20):
-            v += 5e-4 * (tau - 3.6 * np.sin(q) - 0.02 * v - 0.02 * v * abs(v) - 0.05 * np.tanh(v / 1e-3)) / 0.18
+            v += (
+                5e-4
+                * (tau - 3.6 * np.sin(q) - 0.02 * v - 0.02 * v * abs(v) - 0.05 * np.tanh(v / 1e-3))
+                / 0.18
+            )
             q += 5e-4 * v
     y = np.array(out) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
     data = jaxid.Dataset.from_arrays(t, {"tau": u}, {"q": y}, noise_std={"q": 1e-3}, at_rest=True)
@@ -223,10 +258,16 @@ class CartPole(Rigid):
 
     name: ClassVar[str] = "cart_pole"
     signatures: ClassVar[tuple[Signature, ...]] = (
-        Signature((("u", "V"),), (("x", "m"), ("phi", "rad")), ("x", "phi"), prismatic=(True, False)),
+        Signature(
+            (("u", "V"),), (("x", "m"), ("phi", "rad")), ("x", "phi"), prismatic=(True, False)
+        ),
     )
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = ((ViscousFriction, {"coefficient": "viscous"}),)
-    equations: ClassVar[str] = "[mass, pole cos phi; pole cos phi, swing] qdd = [gain u + pole sin phi w^2, -g pole sin phi]"
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
+        (ViscousFriction, {"coefficient": "viscous"}),
+    )
+    equations: ClassVar[str] = (
+        "[mass, pole cos phi; pole cos phi, swing] qdd = [gain u + pole sin phi w^2, -g pole sin phi]"
+    )
     source: ClassVar[str] = "textbook"
     mass: Array = param(1.0, 1e-2, 1e2, unit="kg", log=True)
     pole: Array = param(0.05, 1e-4, 10.0, unit="kg m", log=True)
@@ -256,7 +297,9 @@ def cart(dry: float, noise=(2e-5, 5e-3)):
         force = 8 * volts - 4 * x[2] - dry * np.tanh(x[2] / 2e-3) + p * s * x[3] ** 2
         torque = -9.81 * p * s - 0.002 * x[3]
         det = m * J - (p * c) ** 2
-        return np.array([x[2], x[3], (J * force - p * c * torque) / det, (m * torque - p * c * force) / det])
+        return np.array(
+            [x[2], x[3], (J * force - p * c * torque) / det, (m * torque - p * c * force) / det]
+        )
 
     x, out, h = np.zeros(4), [], 1e-3
     for volts in u:
@@ -267,7 +310,9 @@ def cart(dry: float, noise=(2e-5, 5e-3)):
             x = x + h * slope(x + h / 2 * k2, volts)
     y = np.array(out) + np.array(noise) * rng.standard_normal((len(t), 2))
     units, levels = {"u": "V", "x": "m", "phi": "rad"}, dict(zip(("x", "phi"), noise, strict=True))
-    return jaxid.Dataset.from_arrays(t, {"u": u}, {"x": y[:, 0], "phi": y[:, 1]}, units=units, noise_std=levels, at_rest=True)
+    return jaxid.Dataset.from_arrays(
+        t, {"u": u}, {"x": y[:, 0], "phi": y[:, 1]}, units=units, noise_std=levels, at_rest=True
+    )
 
 
 @pytest.mark.slow

@@ -36,7 +36,10 @@ def lagrange(T, V, q, qd):
     equations = []
     for x, v in zip(q, qd, strict=True):
         momentum = sp.diff(T, v)
-        rate = sum(sp.diff(momentum, y) * w + sp.diff(momentum, w) * a for y, w, a in zip(q, qd, qdd, strict=True))
+        rate = sum(
+            sp.diff(momentum, y) * w + sp.diff(momentum, w) * a
+            for y, w, a in zip(q, qd, qdd, strict=True)
+        )
         equations.append(rate - sp.diff(T - V, x))
     return sp.lambdify((q, qd, qdd), equations, "numpy")
 
@@ -55,10 +58,15 @@ def tracker(J_theta: float, J_alpha: float, rotor: float = 0.0):
         r, z = R - s * sp.cos(al), s * sp.sin(al)
         return (r * thd) ** 2 + (sp.diff(r, al) * ald) ** 2 + (sp.diff(z, al) * ald) ** 2
 
-    geometric = sp.Rational(1, 2) * (sp.integrate(sp.expand(M / LONG * speed2(s)), (s, 0, LONG)) + MC * speed2(U))
+    geometric = sp.Rational(1, 2) * (
+        sp.integrate(sp.expand(M / LONG * speed2(s)), (s, 0, LONG)) + MC * speed2(U)
+    )
     own = M * LONG**2 / 3 + MC * U**2  # of rod and camera about the tilt axis
     lumped = J_alpha - rotor - own  # tilts, and yaws with cos^2 alpha as the paper has it
-    T = geometric + (J_theta * thd**2 + lumped * (ald**2 + sp.cos(al) ** 2 * thd**2) + rotor * ald**2) / 2
+    T = (
+        geometric
+        + (J_theta * thd**2 + lumped * (ald**2 + sp.cos(al) ** 2 * thd**2) + rotor * ald**2) / 2
+    )
     V = (M * LONG / 2 + MC * U) * G * sp.sin(al)
     return lagrange(T, V, q, qd)
 
@@ -70,7 +78,9 @@ def space(floating: bool, share: float = 1.0) -> Any:
     qd = sp.symbols("xd yd thd q1d q2d")
     p = SPACE | {k: share * SPACE[k] for k in ("m2", "hx", "hy", "I2")}
     turn = lambda a: sp.Matrix([[sp.cos(a), -sp.sin(a)], [sp.sin(a), sp.cos(a)]])
-    rate: Any = lambda e: sum((sp.diff(e, c) * v for c, v in zip(q, qd, strict=True)), sp.zeros(2, 1))
+    rate: Any = lambda e: sum(
+        (sp.diff(e, c) * v for c, v in zip(q, qd, strict=True)), sp.zeros(2, 1)
+    )
     centre = sp.Matrix([x, y])
     first = centre + turn(th) * sp.Matrix([p["base_x"], p["base_y"]])
     link = first + turn(th + q1) * sp.Matrix([p["c1"], 0])
@@ -117,11 +127,20 @@ def test_the_tracker_is_the_papers_corrected_equation(rotor):
 def test_the_tracker_under_voltage():
     """Equation (6), and Table 1, which contradicts it."""
     signature = Tracker.signatures[1]
-    drive = lambda model, v: np.asarray(model.drive(signature, jnp.array([v, -v]), jnp.zeros(2), jnp.zeros(2)))
+    drive = lambda model, v: np.asarray(
+        model.drive(signature, jnp.array([v, -v]), jnp.zeros(2), jnp.zeros(2))
+    )
     with float64():
-        for v, paper, table in ((1.0, 0.0, 0.0), (1.68, 0.0, 0.0), (2.4, 0.072, 0.0882), (3.6, 0.192, 0.1176)):
+        for v, paper, table in (
+            (1.0, 0.0, 0.0),
+            (1.68, 0.0, 0.0),
+            (2.4, 0.072, 0.0882),
+            (3.6, 0.192, 0.1176),
+        ):
             np.testing.assert_allclose(drive(Tracker(), v), [paper, -paper], atol=1e-12)
-            np.testing.assert_allclose(drive(Tracker(motor_table=True), v), [table, -table], atol=1e-12)
+            np.testing.assert_allclose(
+                drive(Tracker(motor_table=True), v), [table, -table], atol=1e-12
+            )
 
 
 def test_an_unpowered_barrel_sags():
@@ -140,9 +159,15 @@ def test_the_space_manipulator_on_a_fixed_base():
         found = torque(SpaceManipulator(**SPACE), q, v, a)
         np.testing.assert_allclose(found, space(False)(q, v, a), rtol=1e-10, atol=1e-10)
         c, s = np.cos(q[1]), np.sin(q[1])
-        tau2 = I2 * (a[0] + a[1]) + l1 * (hx * (c * a[0] + s * v[0] ** 2) + hy * (-s * a[0] + c * v[0] ** 2))
+        tau2 = I2 * (a[0] + a[1]) + l1 * (
+            hx * (c * a[0] + s * v[0] ** 2) + hy * (-s * a[0] + c * v[0] ** 2)
+        )
         w, both = (v[0] + v[1]) ** 2, a[0] + a[1]
-        tau1 = (I1 + m2 * l1**2) * a[0] + tau2 + l1 * (hx * (c * both - s * w) + hy * (-s * both - c * w))
+        tau1 = (
+            (I1 + m2 * l1**2) * a[0]
+            + tau2
+            + l1 * (hx * (c * both - s * w) + hy * (-s * both - c * w))
+        )
         np.testing.assert_allclose(found, [tau1, tau2], rtol=1e-10, atol=1e-10)
 
 
@@ -175,12 +200,21 @@ def test_the_base_turns_as_the_full_system_does_and_is_an_effect():
         k = min(int(time / 0.01 + 1e-9), 599)
         part = (time - t[k]) / 0.01
         drive = u[k] + part * (u[k + 1] - u[k])
-        return np.concatenate([x[5:], np.linalg.solve(A, np.concatenate([np.zeros(3), drive]) - bias)])
+        return np.concatenate(
+            [x[5:], np.linalg.solve(A, np.concatenate([np.zeros(3), drive]) - bias)]
+        )
 
     truth = solve_ivp(field, (0, t[-1]), np.zeros(10), "DOP853", t, rtol=1e-9, atol=1e-11).y
     none = {f"{n}{j}": v for j in (1, 2) for n, v in (("F_c", 0.0), ("F_s", 0.0), ("F_v", 0.0))}
     # As an effect on the nominal arm: at share 1 its base floats as that of the model with a floating base does.
-    loose = Simulator(jaxid.Chain(SpaceManipulator()).with_effects(BaseMotion()), t, u, 2.5e-3, hold="linear", size=8192)
+    loose = Simulator(
+        jaxid.Chain(SpaceManipulator()).with_effects(BaseMotion()),
+        t,
+        u,
+        2.5e-3,
+        hold="linear",
+        size=8192,
+    )
     share = {f"base_motion.share@{n}": 1.0 for n in ("q1", "q2")}
     fixed, y = loose.outputs([SPACE | none, SPACE | none | share])
     assert np.abs(truth[2]).max() > 0.3  # the base turns
@@ -189,7 +223,9 @@ def test_the_base_turns_as_the_full_system_does_and_is_an_effect():
     model = SpaceManipulator(**SPACE)
     for q, v in np.random.default_rng(0).normal(size=(20, 2, 2)):
         given = SpaceManipulator(**SPACE, floating=True).matrices(jnp.asarray(q), jnp.asarray(v))
-        for x, y in zip(model.loosened(jnp.ones(1)).matrices(jnp.asarray(q), jnp.asarray(v)), given, strict=True):
+        for x, y in zip(
+            model.loosened(jnp.ones(1)).matrices(jnp.asarray(q), jnp.asarray(v)), given, strict=True
+        ):
             assert np.allclose(x, y, rtol=1e-5, atol=1e-5)  # single precision
 
 
@@ -209,7 +245,10 @@ def test_the_servo_against_scipy():
         volts = min(p["current_limit"], max(-p["current_limit"], p["supply_voltage"] * duty))
         tau = enable[k] * (p["torque_constant"] * volts - p["back_emf"] * x[1])
         load = p["mass"] * p["gravity"] * p["length"] * np.sin(x[0] - p["q_offset"])
-        return [x[1], (tau - load - p["viscous"] * x[1]) / (p["mass"] * p["length"] ** 2 + p["armature"])]
+        return [
+            x[1],
+            (tau - load - p["viscous"] * x[1]) / (p["mass"] * p["length"] ** 2 + p["armature"]),
+        ]
 
     x, truth = np.zeros(2), [0.0]
     for k in range(800):
@@ -226,7 +265,12 @@ def test_the_servo_against_scipy():
 def chains() -> list[jaxid.Chain]:
     out = [jaxid.Chain(kind()) for kind in MODELS]
     voltage = jaxid.Chain(Tracker(motor_table=True), signature=Tracker.signatures[1])
-    return [*out, jaxid.Chain(SpaceManipulator(floating=True)), voltage, jaxid.Chain(FlexibleLink(nonlinear=True))]
+    return [
+        *out,
+        jaxid.Chain(SpaceManipulator(floating=True)),
+        voltage,
+        jaxid.Chain(FlexibleLink(nonlinear=True)),
+    ]
 
 
 def label(chain: jaxid.Chain) -> str:
@@ -243,12 +287,22 @@ def draw(layout: Layout, rng: np.random.Generator) -> np.ndarray:
         if not e.spec.fixed:
             share = rng.uniform()
             positive = e.spec.log and lower[i] > 0
-            out[i] = lower[i] * (upper[i] / lower[i]) ** share if positive else lower[i] + share * (upper[i] - lower[i])
+            out[i] = (
+                lower[i] * (upper[i] / lower[i]) ** share
+                if positive
+                else lower[i] + share * (upper[i] - lower[i])
+            )
     return out
 
 
 #: The others are the same code with more joints or other ends, or take the compiler half a minute and more: `make test-all`.
-QUICK = ("joint-tau-1", "pendulum-tau-1", "servo-q_cmd-enable-1", "tracker-u_theta-u_alpha-2", "flexible_link-tau-2-nonlinear")
+QUICK = (
+    "joint-tau-1",
+    "pendulum-tau-1",
+    "servo-q_cmd-enable-1",
+    "tracker-u_theta-u_alpha-2",
+    "flexible_link-tau-2-nonlinear",
+)
 
 
 @pytest.mark.parametrize(
@@ -319,7 +373,10 @@ def energy(mechanism: Rigid, q, qd):
     nodes, weights = np.polynomial.legendre.leggauss(24)
     M = np.asarray(mechanism.matrices(jnp.asarray(q), jnp.zeros(len(q)))[0])
     work = sum(
-        w / 2 * np.asarray(mechanism.matrices(jnp.asarray((x + 1) / 2 * q), jnp.zeros(len(q)))[1]) @ q
+        w
+        / 2
+        * np.asarray(mechanism.matrices(jnp.asarray((x + 1) / 2 * q), jnp.zeros(len(q)))[1])
+        @ q
         for x, w in zip(nodes, weights, strict=True)
     )
     return qd @ M @ qd / 2 + work
@@ -339,5 +396,8 @@ def test_energy_is_kept_for_20_seconds(mechanism, q, qd):
     with float64():
         x0 = mechanism.start(jnp.asarray(q), jnp.asarray(qd))
         end = flow(lambda x: mechanism.vector_field(0.0, x, jnp.zeros(n)), x0, 20.0)
-        before, after = energy(mechanism, np.array(q), np.array(qd)), energy(mechanism, *(np.asarray(x) for x in end[:2]))
+        before, after = (
+            energy(mechanism, np.array(q), np.array(qd)),
+            energy(mechanism, *(np.asarray(x) for x in end[:2])),
+        )
     assert abs(after - before) < 1e-8 * abs(before)

@@ -23,7 +23,15 @@ from test_sentences import hypothesis
 
 NONE = (float("nan"), float("inf"))
 #: Words that say more than is known where a gap is no number.
-CLAIMS = ("reaches the noise", "Nowhere above", "noise floor", "is closed", "gap closed", "Nothing is missing", "falls from")
+CLAIMS = (
+    "reaches the noise",
+    "Nowhere above",
+    "noise floor",
+    "is closed",
+    "gap closed",
+    "Nothing is missing",
+    "falls from",
+)
 
 
 def far(before: float, retuned: float, after: float, reason: str = "") -> HowFar:
@@ -36,7 +44,10 @@ def test_no_verdict_rests_on_what_is_no_number(bad, at):
     """Nominal and chosen, on fit and validation data: one of the four is none, the others speak for a name."""
     losses = [50.0, 50.0, 1.0, 1.0]
     losses[at] = bad
-    nominal, chosen = hypothesis(losses[0], losses[1]), hypothesis(losses[2], losses[3], "drag at q")
+    nominal, chosen = (
+        hypothesis(losses[0], losses[1]),
+        hypothesis(losses[2], losses[3], "drag at q"),
+    )
     found = judge(Search(nominal, chosen))
     assert found.name != "none"
     assert at < 2 or found.name == "unknown"
@@ -84,7 +95,10 @@ def test_what_was_not_measured_is_said_as_that(verdict):
 
 def test_a_place_whose_gap_is_no_number_is_not_at_the_noise():
     assert astray((), (), float("nan")) and astray((), (), float("inf"))
-    assert all(closed(*pair) == 0 for pair in ((float("nan"), 1.0), (5.0, float("nan")), (5.0, float("inf"))))
+    assert all(
+        closed(*pair) == 0
+        for pair in ((float("nan"), 1.0), (5.0, float("nan")), (5.0, float("inf")))
+    )
 
 
 @pytest.mark.parametrize("bad", NONE)
@@ -98,5 +112,9 @@ def test_a_score_that_is_no_number_is_no_model(bad):
 def test_a_stated_number_is_not_judged_by_what_is_no_number(bad):
     estimate = Estimate(1.0, 0.1, "N m", -10.0, 10.0)
     assert "neither confirmed nor refuted" in sentence_of("damping", 1.1, estimate, bad)
-    assert apart(bad, 1.0, 0.1) is None and apart(1.0, 1.1, bad) is None and apart(1.0, 1.1, 0.0) is None
+    assert (
+        apart(bad, 1.0, 0.1) is None
+        and apart(1.0, 1.1, bad) is None
+        and apart(1.0, 1.1, 0.0) is None
+    )
     assert apart(1.0, 1.1, 0.1) == pytest.approx(-1.0)

@@ -24,7 +24,9 @@ def dataset(*outputs: np.ndarray, at_rest: bool = True, splits=("fit",) * 9, **c
         Experiment(f"r{i}", split, T, np.sin(T)[:, None], y[:, None], at_rest=at_rest)
         for i, (y, split) in enumerate(zip(outputs, splits, strict=False))
     )
-    return Dataset("d", (Channel("tau", "input", "N m"), Channel("q", "output", "rad", **channel)), runs)
+    return Dataset(
+        "d", (Channel("tau", "input", "N m"), Channel("q", "output", "rad", **channel)), runs
+    )
 
 
 def noise(std: float, seed: int = 0) -> np.ndarray:
@@ -44,7 +46,9 @@ def test_stated_noise_counts():
 def test_sensor_noise_is_right_on_average():
     rng = np.random.default_rng(5)
     found = [sensor_noise([rng.standard_normal(1000)]) ** 2 for _ in range(1000)]
-    assert np.mean(found) == pytest.approx(1, abs=0.012)  # 4 standard errors of the mean; 0.967 without the median's own
+    assert np.mean(found) == pytest.approx(
+        1, abs=0.012
+    )  # 4 standard errors of the mean; 0.967 without the median's own
 
 
 @pytest.mark.parametrize("std", [1e-5, 1e-4, 1e-3, 1e-2])
@@ -91,7 +95,9 @@ def test_steady_motion_is_not_quantised():
 
 def test_a_sum_of_two_recordings_keeps_its_step():
     step = 2 * math.pi / 4096
-    assert quantisation_step([quantised(MOTION, step), quantised(MOTION[:300] / 3, step)]) == pytest.approx(step)
+    assert quantisation_step(
+        [quantised(MOTION, step), quantised(MOTION[:300] / 3, step)]
+    ) == pytest.approx(step)
 
 
 @given(seed=st.integers(0, 10**6), count=st.integers(30, 3000))
@@ -117,7 +123,10 @@ def test_the_largest_counts():
 
 def test_stated_noise_and_a_stated_step_add_up():
     found = noise_floor(dataset(MOTION, resolution=1e-2, noise_std=2e-3))["q"]
-    assert found.std == pytest.approx(math.hypot(2e-3, 1e-2 / math.sqrt(12))) and found.source == "stated"
+    assert (
+        found.std == pytest.approx(math.hypot(2e-3, 1e-2 / math.sqrt(12)))
+        and found.source == "stated"
+    )
     assert "0.002" in found.text and "0.01" in found.text
 
 
@@ -135,7 +144,11 @@ def test_a_repeat_that_stops_before_the_other_is_one():
     wander = [MOTION + 0.01 * k * np.sin(T) + noise(1e-5, k) for k in range(2)]
     both = dataset(*wander, noise_std=1e-5)
     short = lambda count: replace(
-        both, experiments=(both.experiments[0], both.experiments[1].piece(0, count, name="b", split="fit"))
+        both,
+        experiments=(
+            both.experiments[0],
+            both.experiments[1].piece(0, count, name="b", split="fit"),
+        ),
     )
     expected = np.sqrt(np.mean(np.var(np.stack([y[: len(T) - 7] for y in wander]), axis=0, ddof=1)))
     assert noise_floor(short(len(T) - 7))["q"].std == pytest.approx(expected)
@@ -148,7 +161,9 @@ def test_runs_from_different_starts_are_no_repeats():
 
 
 def test_report_runs_are_not_looked_at():
-    found = noise_floor(dataset(MOTION + noise(1e-4), MOTION + noise(0.3), splits=("fit", "report")))["q"]
+    found = noise_floor(
+        dataset(MOTION + noise(1e-4), MOTION + noise(0.3), splits=("fit", "report"))
+    )["q"]
     assert found.std == pytest.approx(1e-4, rel=0.1)
 
 
@@ -200,7 +215,9 @@ def test_temperatures_shift(unit, value):
 def test_every_unit_leads_to_an_si_unit_and_back(unit, value):
     found = conversion(unit)
     assert conversion(found.si).factor == 1 and conversion(found.si).shift == 0
-    assert (found.factor * value + found.shift - found.shift) / found.factor == pytest.approx(value, abs=1e-6)
+    assert (found.factor * value + found.shift - found.shift) / found.factor == pytest.approx(
+        value, abs=1e-6
+    )
 
 
 @given(unit=st.text(max_size=8))
@@ -225,10 +242,17 @@ def test_what_repeats_differ_by_adds_up_along_a_run_not_within_windows():
     """Friction that differs from time to time: after ten seconds the joint is elsewhere, a second after each start it is not."""
     slow = lambda k: k * 0.01 * T**2
     runs = [MOTION + slow(k) + noise(1e-4, k + 1) for k in (-1, 0, 1)]
-    whole, parts = noise_floor(dataset(*runs))["q"], noise_floor(dataset(*runs), window=lambda e: 1.0)["q"]
+    whole, parts = (
+        noise_floor(dataset(*runs))["q"],
+        noise_floor(dataset(*runs), window=lambda e: 1.0)["q"],
+    )
     assert whole.source == parts.source == "repeatability"
     assert whole.std == pytest.approx(0.01 * 100 / math.sqrt(5), rel=0.01)
-    assert parts.std == pytest.approx(math.hypot(0.01 / math.sqrt(180), 1e-4), rel=0.05)  # a parabola beside its line
+    assert parts.std == pytest.approx(
+        math.hypot(0.01 / math.sqrt(180), 1e-4), rel=0.05
+    )  # a parabola beside its line
     assert "windows of 1 s" in parts.text
-    alike = noise_floor(dataset(*(MOTION + noise(1e-4, k) for k in range(3))), window=lambda e: 1.0)["q"]
+    alike = noise_floor(
+        dataset(*(MOTION + noise(1e-4, k) for k in range(3))), window=lambda e: 1.0
+    )["q"]
     assert alike.std == pytest.approx(1e-4, rel=0.1)

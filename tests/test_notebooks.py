@@ -22,7 +22,9 @@ jupytext = pytest.importorskip("jupytext")
 
 
 def test_notebooks_are_text_in_the_percent_format():
-    assert "/notebooks/*.ipynb" in (ROOT / ".gitignore").read_text().split()  # what a user makes of them stays out
+    assert (
+        "/notebooks/*.ipynb" in (ROOT / ".gitignore").read_text().split()
+    )  # what a user makes of them stays out
     for name in NAMES:
         book = jupytext.read(FOLDER / f"{name}.py")
         assert book.metadata["kernelspec"]["name"] == "python3", name
@@ -31,7 +33,9 @@ def test_notebooks_are_text_in_the_percent_format():
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in NAMES])
+@pytest.mark.parametrize(
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
+)
 def test_notebook(name, monkeypatch):
     """Cell by cell as Jupyter does it: the last expression of a cell is shown."""
     pytest.importorskip("IPython")

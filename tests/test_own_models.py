@@ -84,9 +84,20 @@ def write_dataset(folder: Path, model: str = "") -> Path:
         ("import no_such_module_here\n", ("line 1", "'no_such_module_here'", "installed")),
         ("x = 1\n1 / 0\n", ("line 2", "ZeroDivisionError")),
         ("raise SystemExit(0)\n", ("line 1", "ends Python")),
-        (HEAD + CART.format(name="Pendulum", id="pendulum"), ("'pendulum' of a model of jaxid", "another `name`")),
-        (ONE.replace('    equations: ClassVar[str] = "mass qdd + damping qd + stiffness q = force"\n', ""), ("`equations`",)),
-        (ONE + "    def __init__(self, mass):\n        self.mass = mass\n", ("OwnCart()", "start value")),
+        (
+            HEAD + CART.format(name="Pendulum", id="pendulum"),
+            ("'pendulum' of a model of jaxid", "another `name`"),
+        ),
+        (
+            ONE.replace(
+                '    equations: ClassVar[str] = "mass qdd + damping qd + stiffness q = force"\n', ""
+            ),
+            ("`equations`",),
+        ),
+        (
+            ONE + "    def __init__(self, mass):\n        self.mass = mass\n",
+            ("OwnCart()", "start value"),
+        ),
         (ONE.replace("def matrices", "def matrix"), ("OwnCart", "`matrices`")),
         (b"\x00\x01", ("m.py",)),
     ],
@@ -107,7 +118,9 @@ def test_a_class_is_named_behind_the_file(tmp_path):
     file.write_text(TWO + "class Plain:\n    pass\n")
     other = own_model(f"{file}:OtherCart")
     assert other.__name__ == "OtherCart"
-    assert own_model(f"{file}:other_cart") is other, "by the model's own name, and one class in a process"
+    assert own_model(f"{file}:other_cart") is other, (
+        "by the model's own name, and one class in a process"
+    )
     assert sha256_of(other()) == hashlib.sha256(file.read_bytes()).hexdigest()
     with pytest.raises(UsageError, match="no class 'OtherCar'.*did you mean 'OtherCart'"):
         own_model(f"{file}:OtherCar")
@@ -158,7 +171,9 @@ def test_a_dataset_is_read_without_running_its_model(tmp_path):
 
 
 def test_names_of_the_dataset_are_looked_for_in_the_file(tmp_path):
-    folder = write_dataset(tmp_path / "data", '[model]\nfile = "m.py"\nconstants = { stifness = 8.0 }\n')
+    folder = write_dataset(
+        tmp_path / "data", '[model]\nfile = "m.py"\nconstants = { stifness = 8.0 }\n'
+    )
     (folder / "m.py").write_text(ONE)
     with pytest.raises(DatasetError, match="no constant or parameter 'stifness'.*'stiffness'"):
         jaxid.load_dataset(folder)
@@ -176,7 +191,22 @@ def test_commands_take_a_file(tmp_path, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out)["name"] == "own_cart"
     assert main(["fit", "data", "--model", "m.py", "--out", "f", "--quiet"]) == 2
     assert "several models" in capsys.readouterr().err
-    assert main(["fit", "data", "--model", "m.py:OwnCart", "--residual", "inverse_dynamics", "--out", "f", "--quiet"]) == 0
+    assert (
+        main(
+            [
+                "fit",
+                "data",
+                "--model",
+                "m.py:OwnCart",
+                "--residual",
+                "inverse_dynamics",
+                "--out",
+                "f",
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     fit = json.loads(Path("f/fit.json").read_text())
     assert fit["model"] == "own_cart" and fit["model_sha256"] == digest
     assert fit["parameters"]["mass"]["value"] == pytest.approx(2.0, rel=0.3)
@@ -196,7 +226,9 @@ def test_a_study_names_files(tmp_path):
     (tmp_path / "m.py").write_text(TWO)
     tasks = list(check_study(study).tasks.values())
     assert [t.system for t in tasks] == ["OwnCart", "OtherCart"]
-    assert tasks[0].model == f"{tmp_path.resolve()}/m.py:OwnCart", "the same file wherever a worker is started"
+    assert tasks[0].model == f"{tmp_path.resolve()}/m.py:OwnCart", (
+        "the same file wherever a worker is started"
+    )
     (tmp_path / "m.py").write_text(TWO + "\n")
     again = list(read_study(study).tasks.values())
     assert len({t.key for t in (*tasks, *again)}) == 4, "what changed runs anew"

@@ -27,7 +27,11 @@ SETUPTOOLS = CONFIG["tool"]["setuptools"]
 
 def run(code: str, **environment: str) -> str:
     result = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
     )
     assert result.returncode == 0, result.stderr
     return result.stdout.strip()
@@ -45,7 +49,10 @@ def test_every_folder_with_code_is_packaged():
 
 
 def test_every_configured_folder_exists():
-    folders = [*CONFIG["tool"]["pyright"]["include"], *CONFIG["tool"]["pytest"]["ini_options"]["testpaths"]]
+    folders = [
+        *CONFIG["tool"]["pyright"]["include"],
+        *CONFIG["tool"]["pytest"]["ini_options"]["testpaths"],
+    ]
     assert [f for f in folders if not (ROOT / f).is_dir()] == []
 
 
@@ -84,7 +91,17 @@ def test_no_module_hides_a_public_function():
 
 
 def test_import_loads_nothing_heavy():
-    heavy = ("jax", "scipy", "matplotlib", "numpy", "pydantic", "pandas", "pyarrow", "rich", "jinja2")
+    heavy = (
+        "jax",
+        "scipy",
+        "matplotlib",
+        "numpy",
+        "pydantic",
+        "pandas",
+        "pyarrow",
+        "rich",
+        "jinja2",
+    )
     loaded = run(f"import sys, jaxid; print([m for m in {heavy!r} if m in sys.modules])")
     assert loaded == "[]"
 
@@ -92,7 +109,9 @@ def test_import_loads_nothing_heavy():
 def test_a_recording_in_parquet_is_read_without_pandas(tmp_path):
     """pyarrow imports it on the way to NumPy, which takes longer than reading the file."""
     t = np.arange(50) / 100
-    data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": t}, units={"tau": "N m", "q": "rad"}, model="pendulum")
+    data = jaxid.Dataset.from_arrays(
+        t, {"tau": np.sin(t)}, {"q": t}, units={"tau": "N m", "q": "rad"}, model="pendulum"
+    )
     jaxid.save_dataset(data, tmp_path / "data")
     load = f"import sys, jaxid; d = jaxid.load_dataset({str(tmp_path / 'data')!r})"
     assert run(f"{load}; print(d.experiments[0].y[-1, 0], 'pandas' in sys.modules)") == "0.49 False"
@@ -125,7 +144,10 @@ print(json.dumps([i for i, (a, b) in enumerate(zip(before, after)) if a != b]))
 
 
 def test_lazy_submodules():
-    assert run("import jaxid; print(jaxid.models.__name__, jaxid.fitters.__name__)") == "jaxid.models jaxid.fitters"
+    assert (
+        run("import jaxid; print(jaxid.models.__name__, jaxid.fitters.__name__)")
+        == "jaxid.models jaxid.fitters"
+    )
 
 
 def test_prepare_sets_the_environment(tmp_path):
@@ -141,14 +163,21 @@ print(json.dumps(set_ | {"kept": jax.config.values["jax_compilation_cache_dir"]}
     code = f"import os; [os.environ.pop(n) for n in {names}];" + code
     after = json.loads(run(code, **plain))
     assert after["XLA_FLAGS"].startswith("--xla_x=1 --xla_backend_extra_options=")
-    assert [after["XLA_FLAGS"].count(f) for f in ("xla_backend_extra_options", "xla_backend_optimization_level")] == [1, 1]
+    assert [
+        after["XLA_FLAGS"].count(f)
+        for f in ("xla_backend_extra_options", "xla_backend_optimization_level")
+    ] == [1, 1]
     chosen = json.loads(run(code, **{**plain, "XLA_FLAGS": "--xla_backend_optimization_level=2"}))
-    assert chosen["XLA_FLAGS"].count("xla_backend_optimization_level") == 1  # what the user has set wins
+    assert (
+        chosen["XLA_FLAGS"].count("xla_backend_optimization_level") == 1
+    )  # what the user has set wins
     assert after["JAX_PLATFORMS"] == "cpu"
     assert after["kept"] == str(tmp_path / "cache") and "JAX_COMPILATION_CACHE_DIR" not in after
     assert (tmp_path / "cache").is_dir()
 
-    off = json.loads(run(code, **{**plain, "JAXID_XLA": "0", "JAXID_CACHE_DIR": "/dev/null/nowhere"}))
+    off = json.loads(
+        run(code, **{**plain, "JAXID_XLA": "0", "JAXID_CACHE_DIR": "/dev/null/nowhere"})
+    )
     assert off["XLA_FLAGS"] == "--xla_x=1"
     assert off["kept"] is None
 
@@ -181,7 +210,8 @@ def test_files_stay_readable():
         name: n
         for top in ("jaxid", "models", "fitters")
         for p in (ROOT / top).rglob("*.py")
-        if (n := len(p.read_text(encoding="utf-8").splitlines())) > LONG.get(name := p.relative_to(ROOT).as_posix(), 450)
+        if (n := len(p.read_text(encoding="utf-8").splitlines()))
+        > LONG.get(name := p.relative_to(ROOT).as_posix(), 450)
     }
     assert long == {}
     assert len((ROOT / "CONTRIBUTING.md").read_text().splitlines()) <= 60
@@ -196,16 +226,34 @@ def test_documents_link_only_to_what_exists():
 
 def in_the_repository() -> set[str]:
     """Every file of the checkout that a clone would have."""
-    ignored = shutil.ignore_patterns("__pycache__", "*.egg-info", "*.ipynb", "*.partial", ".*_cache", "generated")
+    ignored = shutil.ignore_patterns(
+        "__pycache__", "*.egg-info", "*.ipynb", "*.partial", ".*_cache", "generated"
+    )
     found = set()
     for top in sorted(ROOT.iterdir()):
         if top.is_file() and top.name not in (".git", "setup.cfg", "PKG-INFO"):
             found.add(top.name)
-        elif top.name in (".ci", "jaxid", "models", "fitters", "tests", "notebooks", "docs", "benchmarks", "examples"):
+        elif top.name in (
+            ".ci",
+            "jaxid",
+            "models",
+            "fitters",
+            "tests",
+            "notebooks",
+            "docs",
+            "benchmarks",
+            "examples",
+        ):
             for folder, folders, files in os.walk(top):
                 left_out = ignored(folder, [*folders, *files])
-                folders[:] = [f for f in folders if f not in left_out and Path(folder, f) != ROOT / "docs" / "notebooks"]
-                found |= {str(Path(folder, f).relative_to(ROOT)) for f in files if f not in left_out}
+                folders[:] = [
+                    f
+                    for f in folders
+                    if f not in left_out and Path(folder, f) != ROOT / "docs" / "notebooks"
+                ]
+                found |= {
+                    str(Path(folder, f).relative_to(ROOT)) for f in files if f not in left_out
+                }
     return found
 
 
@@ -219,12 +267,18 @@ def test_what_is_built(tmp_path):
     (source / "tests" / "__pycache__").mkdir()
     (source / "tests" / "__pycache__" / "left.pyc").touch()
     build = "from setuptools import build_meta as b; print(b.build_wheel('.'), b.build_sdist('.'))"
-    result = subprocess.run([sys.executable, "-c", build], cwd=source, capture_output=True, text=True)
+    result = subprocess.run(
+        [sys.executable, "-c", build], cwd=source, capture_output=True, text=True
+    )
     assert result.returncode == 0, result.stderr
-    assert "would be ignored" not in result.stderr + result.stdout, "a folder that setuptools knows twice"
+    assert "would be ignored" not in result.stderr + result.stdout, (
+        "a folder that setuptools knows twice"
+    )
     with tarfile.open(next(source.glob("*.tar.gz"))) as archive:
         members = {m.name.split("/", 1)[1] for m in archive.getmembers() if m.isfile()}
-    assert files - members == set(), "the source distribution misses files; name them in MANIFEST.in"
+    assert files - members == set(), (
+        "the source distribution misses files; name them in MANIFEST.in"
+    )
     assert {m for m in members - files if ".egg-info/" not in m} <= {"PKG-INFO", "setup.cfg"}
     wheel = zipfile.ZipFile(next(source.glob("*.whl")))
     names = set(wheel.namelist())
@@ -240,20 +294,28 @@ def test_what_is_built(tmp_path):
         "jaxid/fitters/__init__.py",
     ):
         assert expected in names
-    assert not [n for n in names if n.endswith(".pyi") or n.startswith(("models/", "fitters/", "tests/"))]
+    assert not [
+        n for n in names if n.endswith(".pyi") or n.startswith(("models/", "fitters/", "tests/"))
+    ]
     installed = tmp_path / "installed"
     wheel.extractall(installed)
     code = (
         f"import sys; sys.path.insert(0, {str(installed)!r}); import jaxid, jaxid.models.effects, jaxid.fitters;"
         "print(jaxid.__file__, jaxid.models.__file__, len(jaxid.__path__))"
     )
-    result = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
     assert result.returncode == 0, result.stderr
     package, models, entries = result.stdout.split()
-    assert package.startswith(str(installed)) and models.startswith(str(installed)) and entries == "1"
+    assert (
+        package.startswith(str(installed)) and models.startswith(str(installed)) and entries == "1"
+    )
 
 
 def test_the_module_is_the_command():
     """`python -m jaxid`, where the script is not on the path."""
-    run = subprocess.run([sys.executable, "-m", "jaxid", "--version"], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-m", "jaxid", "--version"], capture_output=True, text=True, check=True
+    )
     assert run.stdout.strip() == f"jaxid, version {jaxid.__version__}"

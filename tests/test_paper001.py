@@ -43,7 +43,9 @@ def test_the_recursion_is_the_ridge_regression_that_is_printed(empty, loaded):
     assert found.law == "power" and np.array_equal(found.exponents, empty.exponents)
     W, tau = rows_of(loaded, "power", empty.exponents)
     A, b = W.reshape(-1, W.shape[2]), tau.ravel()
-    exact = np.linalg.solve(A.T @ A / 100 + np.eye(A.shape[1]) / 10, A.T @ b / 100 + empty.theta / 10)
+    exact = np.linalg.solve(
+        A.T @ A / 100 + np.eye(A.shape[1]) / 10, A.T @ b / 100 + empty.theta / 10
+    )
     assert np.abs(found.theta - exact).max() < 1e-8
     assert found.payload.published is not None
     assert found.payload.published[9] == pytest.approx(LOAD[9], rel=0.05)
@@ -73,7 +75,11 @@ def poses(load: np.ndarray | None, seed: int) -> Dataset:
     tau = torque((t, q, qd, qdd), load) + 0.02 * NOISE * rng.normal(size=q.shape)
     names = lambda k: [f"{k}{j + 1}" for j in range(6)]
     return Dataset.from_arrays(
-        t, dict(zip(names("tau"), tau.T, strict=True)), dict(zip(names("q"), q.T, strict=True)), model="ur10", split="fit"
+        t,
+        dict(zip(names("tau"), tau.T, strict=True)),
+        dict(zip(names("q"), q.T, strict=True)),
+        model="ur10",
+        split="fit",
     )
 
 
@@ -113,10 +119,34 @@ def test_the_command(empty, tmp_path, capsys):
 
     save_dataset(recording(None, 0.05, 11), tmp_path / "empty")
     save_dataset(poses(LOAD, 3), tmp_path / "loaded")
-    assert main(["identify", str(tmp_path / "empty"), "--friction", "power", "--quiet", "--out", str(tmp_path / "a")]) == 0
+    assert (
+        main(
+            [
+                "identify",
+                str(tmp_path / "empty"),
+                "--friction",
+                "power",
+                "--quiet",
+                "--out",
+                str(tmp_path / "a"),
+            ]
+        )
+        == 0
+    )
     reference = ["--reference", str(tmp_path / "a" / "identification.json")]
     assert (
-        main(["identify", str(tmp_path / "loaded"), "--method", "algorithm2", *reference, "--json", "--out", str(tmp_path / "b")])
+        main(
+            [
+                "identify",
+                str(tmp_path / "loaded"),
+                "--method",
+                "algorithm2",
+                *reference,
+                "--json",
+                "--out",
+                str(tmp_path / "b"),
+            ]
+        )
         == 0
     )
     told = json.loads(capsys.readouterr().out)["payload"]
@@ -158,7 +188,11 @@ def test_identification_by_the_harmonics(tmp_path):
     names = lambda k: [f"{k}{j + 1}" for j in range(6)]
     read = q + 1e-5 * rng.normal(size=q.shape)
     data = Dataset.from_arrays(
-        t, dict(zip(names("tau"), tau.T, strict=True)), dict(zip(names("q"), read.T, strict=True)), model="ur10", split="fit"
+        t,
+        dict(zip(names("tau"), tau.T, strict=True)),
+        dict(zip(names("q"), read.T, strict=True)),
+        model="ur10",
+        split="fit",
     )
     found = identify(None, data, motion="fourier", friction="power")
     base = resolve_model("ur10", data).mechanism.base()  # type: ignore[attr-defined]

@@ -24,7 +24,17 @@ from jaxid.report import reproduction_page, write_page
 from jaxid.runtime import Interrupted
 from jaxid.storage.result_files import save
 from jaxid.study.papers import flexible_link, PAPERS, payload, reproduce, space_manipulator, tracker
-from jaxid.study.papers.result import Claim, FAILS, HOLDS, judged, Part, Picture, Reproduction, Table, UNKNOWN
+from jaxid.study.papers.result import (
+    Claim,
+    FAILS,
+    HOLDS,
+    judged,
+    Part,
+    Picture,
+    Reproduction,
+    Table,
+    UNKNOWN,
+)
 from jaxid.study.papers.searches import mean_sd, race
 from jaxid.study.papers.twins import space_arm, tracker as tracker_twin
 
@@ -38,22 +48,43 @@ TINY = {
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("paper", [pytest.param(p, marks=[] if p == "001" else pytest.mark.slow) for p in TINY])
+@pytest.mark.parametrize(
+    "paper", [pytest.param(p, marks=[] if p == "001" else pytest.mark.slow) for p in TINY]
+)
 def test_the_command(paper, tmp_path, monkeypatch, capsys):
     module, size = TINY[paper]
     monkeypatch.setitem(module.SIZES, "small", size)
     assert main(["reproduce", paper, "--out", str(tmp_path), "--json"]) == 0
-    printed, kept = json.loads(capsys.readouterr().out), json.loads((tmp_path / "result.json").read_text())
-    assert printed == kept and (kept["kind"], kept["paper"], kept["budget"]) == ("reproduction", paper, "small")
+    printed, kept = (
+        json.loads(capsys.readouterr().out),
+        json.loads((tmp_path / "result.json").read_text()),
+    )
+    assert printed == kept and (kept["kind"], kept["paper"], kept["budget"]) == (
+        "reproduction",
+        paper,
+        "small",
+    )
     assert len(kept["parts"]) == PAPERS[paper].parts and kept["doi"] == PAPERS[paper].doi
-    assert {c["verdict"] for c in kept["claims"]} <= {"holds", "does not hold", "partly", "cannot be checked"}
+    assert {c["verdict"] for c in kept["claims"]} <= {
+        "holds",
+        "does not hold",
+        "partly",
+        "cannot be checked",
+    }
     assert all(c["ours"] or c["why"] for c in kept["claims"])
     page = (tmp_path / "report.html").read_text()
-    assert all(part["title"] in page for part in kept["parts"]) and page.count("<svg") >= 1 and "nan" not in page.lower()
+    assert (
+        all(part["title"] in page for part in kept["parts"])
+        and page.count("<svg") >= 1
+        and "nan" not in page.lower()
+    )
 
 
 def test_refusals(tmp_path, capsys):
-    assert main(["reproduce", "004", "--out", str(tmp_path)]) == 2 and "'000', '001', '002', '003'" in capsys.readouterr().err
+    assert (
+        main(["reproduce", "004", "--out", str(tmp_path)]) == 2
+        and "'000', '001', '002', '003'" in capsys.readouterr().err
+    )
     with pytest.raises(UsageError, match="no paper '02'.*000, 001, 002, 003"):
         reproduce("02")
     with pytest.raises(UsageError, match="no budget 'big'.*small and full"):
@@ -73,10 +104,21 @@ def sample() -> Reproduction:
 def test_a_page_says_what_was_found(tmp_path):
     result = sample()
     assert result.counts == {HOLDS: 1, FAILS: 1, "partly": 0, UNKNOWN: 1}
-    assert result.headline == "Of 2 claims that can be compared 1 hold on the twin, 1 do not; 1 cannot be checked."
+    assert (
+        result.headline
+        == "Of 2 claims that can be compared 1 hold on the twin, 1 do not; 1 cannot be checked."
+    )
     page = reproduction_page(result)
-    assert "<b>part</b>" not in page and "1.235" in page and "who knows" in page and "(lost)" in page and "<svg" in page
-    assert save(result, tmp_path) == tmp_path / "result.json" and (tmp_path / "report.html").is_file()
+    assert (
+        "<b>part</b>" not in page
+        and "1.235" in page
+        and "who knows" in page
+        and "(lost)" in page
+        and "<svg" in page
+    )
+    assert (
+        save(result, tmp_path) == tmp_path / "result.json" and (tmp_path / "report.html").is_file()
+    )
     write_page(reproduction_page(replace(result, parts=())), tmp_path / "empty.html")
 
 
@@ -101,9 +143,13 @@ def bowl() -> FunctionProblem:
 def test_without_starts_the_first_generation_fills_the_bounds():
     seen = []
     problem = FunctionProblem(lambda z: z - 0.3, np.array([-1.0, 1e-6]), np.array([1.0, 1.0]))
-    search = fitters.ParticleSwarm(popsize=200, generations=1).searching(problem, [], jax.random.key(0), _Log(problem))
+    search = fitters.ParticleSwarm(popsize=200, generations=1).searching(
+        problem, [], jax.random.key(0), _Log(problem)
+    )
     seen.append(next(search))
-    assert seen[0].shape == (200, 2) and np.all(np.ptp(seen[0], axis=0) > 0.95 * (problem.upper - problem.lower))
+    assert seen[0].shape == (200, 2) and np.all(
+        np.ptp(seen[0], axis=0) > 0.95 * (problem.upper - problem.lower)
+    )
 
 
 def _Log(problem):
@@ -125,7 +171,10 @@ def test_every_method_of_a_race_meets_the_same_loss():
 
 
 def race_of(problem):
-    methods = [fitters.DifferentialEvolution(popsize=20, generations=60), fitters.LevenbergMarquardt()]
+    methods = [
+        fitters.DifferentialEvolution(popsize=20, generations=60),
+        fitters.LevenbergMarquardt(),
+    ]
     return [m.minimise(problem, [np.zeros(3)], jax.random.key(1)) for m in methods]
 
 
@@ -133,11 +182,15 @@ def test_the_feasible_mutation_stays_inside_and_grows_with_gain():
     ga: Any = fitters.GeneticAlgorithm(scheme="scattered", mutate="feasible", popsize=40)
     lower, upper = -np.ones(3), np.ones(3)
     points = np.random.default_rng(0).uniform(-1, 1, (40, 3))
-    state = ga.init(jax.random.key(0), jax.numpy.asarray(points), jax.numpy.asarray(np.sum(points**2, 1)))
+    state = ga.init(
+        jax.random.key(0), jax.numpy.asarray(points), jax.numpy.asarray(np.sum(points**2, 1))
+    )
     children = np.asarray(ga.ask(jax.random.key(1), state, lower, upper))
     assert children.shape == (39, 3) and np.all(np.abs(children) <= 1)
     worse = ga.tell(state, children, np.full(39, 1e3))
-    assert float(worse.step) == 0.25 and float(ga.tell(worse, children, np.full(39, 1e-9)).step) == 1.0
+    assert (
+        float(worse.step) == 0.25 and float(ga.tell(worse, children, np.full(39, 1e-9)).step) == 1.0
+    )
     with pytest.raises(ValueError, match="shrinking, feasible"):
         fitters.GeneticAlgorithm(mutate="wild")
 
@@ -151,14 +204,21 @@ def test_numbers_are_written_to_the_digits_that_scatter_leaves():
 def test_differential_evolution_as_the_paper_has_it():
     """In the linear box, against a loop written apart, with the paper's settings: each within the other's scatter."""
     p = flexible_link.problem()
-    assert not p.log.any() and np.all(p.lower == [flexible_link.BOUNDS[name][0] for name in p.names])
+    assert not p.log.any() and np.all(
+        p.lower == [flexible_link.BOUNDS[name][0] for name in p.names]
+    )
     own = race(p, {"DE": flexible_link.methods()["DE"]}, range(6))[0].losses
     other = np.array([_evolved(p, seed) for seed in range(6)])
-    assert abs(own.mean() - other.mean()) < 3 * np.hypot(own.std(ddof=1), other.std(ddof=1)) / np.sqrt(6) + 2e-3
+    assert (
+        abs(own.mean() - other.mean())
+        < 3 * np.hypot(own.std(ddof=1), other.std(ddof=1)) / np.sqrt(6) + 2e-3
+    )
     assert max(own.max(), other.max()) < 0.03
 
 
-def _evolved(p, seed: int, size: int = 100, generations: int = 100, F: float = 0.5, CR: float = 0.8) -> float:
+def _evolved(
+    p, seed: int, size: int = 100, generations: int = 100, F: float = 0.5, CR: float = 0.8
+) -> float:
     """DE/rand/1/exp (Storn and Price 1997), what leaves the box drawn anew."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(p.lower, p.upper, (size, p.size))
@@ -189,19 +249,25 @@ def test_the_motors_of_the_tracker():
     for table, law in ((False, tracker_twin.formula), (True, tracker_twin.table)):
         model: Any = Tracker(**known, motor_table=table)
         u = np.stack([volts, volts], 1)
-        own = [np.asarray(model.drive(Tracker.signatures[1], v, np.zeros(2), np.zeros(2))) for v in u]
+        own = [
+            np.asarray(model.drive(Tracker.signatures[1], v, np.zeros(2), np.zeros(2))) for v in u
+        ]
         np.testing.assert_allclose(own, law(u), atol=1e-7)
 
 
 def test_the_arm_of_paper_000_conserves_energy_and_moves_its_base():
     """No torque and no friction: qd' M qd / 2 stays; with a base that floats too."""
     for base in (None, (250.0, 60.0)):
-        energy = lambda x, base=base: x[2:] @ space_arm.mass_matrix(x[None, :2], base)[0] @ x[2:] / 2
+        energy = lambda x, base=base: (
+            x[2:] @ space_arm.mass_matrix(x[None, :2], base)[0] @ x[2:] / 2
+        )
 
         def field(t, x, base=base):
             q, qd = x[None, :2], x[None, 2:]
             bias = space_arm.torque((np.zeros(1), q, qd, 0 * qd), base, friction=None)[0]
-            return np.concatenate([x[2:], np.linalg.solve(space_arm.mass_matrix(q, base)[0], -bias)])
+            return np.concatenate(
+                [x[2:], np.linalg.solve(space_arm.mass_matrix(q, base)[0], -bias)]
+            )
 
         x = solve_ivp(field, (0, 3), [0.3, -0.5, 0.4, 0.7], rtol=1e-9, atol=1e-11).y
         assert np.ptp([energy(s) for s in x.T]) < 1e-5 * energy(x[:, 0]) and np.ptp(x[1]) > 0.5
@@ -240,7 +306,9 @@ def test_the_commanded_motion_takes_the_place_of_the_measured():
     np.testing.assert_array_equal(found.experiments[0].y, np.stack(list(q.values()), 1))
     assert "commanded" in found.notes[-1]
     with pytest.raises(UsageError, match="q1_cmd, q2_cmd"):
-        commanded(replace(own, experiments=tuple(replace(e, auxiliary={}) for e in own.experiments)))
+        commanded(
+            replace(own, experiments=tuple(replace(e, auxiliary={}) for e in own.experiments))
+        )
 
 
 #: Tables and figures of each paper.
@@ -258,8 +326,14 @@ def test_every_table_and_figure_has_a_row(paper):
     named: dict[str, set[int]] = {"Table": set(), "Figure": set()}
     for cell in first:
         for kind, found in named.items():
-            for part in re.findall(rf"{kind}s? ((?:[0-9]+[ab]?|[IVX]+)(?:(?:, | and | to )(?:[0-9]+|[IVX]+)(?![a-z]))*)", cell):
-                numbers = [roman.index(w) if w in roman else int(w.rstrip("ab")) for w in re.findall(r"[0-9]+|[IVX]+", part)]
+            for part in re.findall(
+                rf"{kind}s? ((?:[0-9]+[ab]?|[IVX]+)(?:(?:, | and | to )(?:[0-9]+|[IVX]+)(?![a-z]))*)",
+                cell,
+            ):
+                numbers = [
+                    roman.index(w) if w in roman else int(w.rstrip("ab"))
+                    for w in re.findall(r"[0-9]+|[IVX]+", part)
+                ]
                 found |= set(range(numbers[0], numbers[-1] + 1)) if " to " in part else set(numbers)
     assert named["Table"] == set(range(1, tables + 1))
     assert named["Figure"] == set(range(1, figures + 1))

@@ -26,7 +26,13 @@ from benchmarks import memory
 from emulators import Emulator
 from jaxid.cli import app
 from jaxid.study import cluster, run_study, slurm
-from test_batch import FLEET, running_scheduler as running_scheduler, SOLVE, write_dataset, write_study
+from test_batch import (
+    FLEET,
+    running_scheduler as running_scheduler,
+    SOLVE,
+    write_dataset,
+    write_study,
+)
 
 
 # As `sbatch`: starts two of the array's jobs on this machine.
@@ -49,7 +55,11 @@ def listening(*processes: psutil.Process) -> set[tuple[str, int]]:
                 sockets = q.net_connections(kind="inet")
             except psutil.Error:
                 continue
-            found |= {(s.laddr.ip, s.laddr.port) for s in sockets if s.status == psutil.CONN_LISTEN or not s.raddr}
+            found |= {
+                (s.laddr.ip, s.laddr.port)
+                for s in sockets
+                if s.status == psutil.CONN_LISTEN or not s.raddr
+            }
     return found
 
 
@@ -78,7 +88,9 @@ def workers_of(folder: Path) -> list[psutil.Process]:
     """The dask workers that a fake `sbatch` started."""
     key = str(folder.parent)
     lines = {p: p.info["cmdline"] or [] for p in psutil.process_iter(["cmdline"])}
-    return [p for p, line in lines.items() if "--tls-key" in line and any(key in part for part in line)]
+    return [
+        p for p, line in lines.items() if "--tls-key" in line and any(key in part for part in line)
+    ]
 
 
 def test_a_local_cluster_listens_nowhere(home):
@@ -86,7 +98,14 @@ def test_a_local_cluster_listens_nowhere(home):
     study = write_study(home, "seeds = 30")
     heard = lambda progress: seen.append(listening(psutil.Process()))
     before = listening(psutil.Process())
-    result = run_study(study, cluster="local", workers=2, solver=(*SOLVE, "--sleep", "0.05"), check=False, heard=heard)
+    result = run_study(
+        study,
+        cluster="local",
+        workers=2,
+        solver=(*SOLVE, "--sleep", "0.05"),
+        check=False,
+        heard=heard,
+    )
     assert result.complete and seen and set().union(*seen) <= before
 
 
@@ -100,7 +119,11 @@ def test_workers_of_slurm_listen_by_tls_on_one_network(home, fake_slurm):
             seen.update(listening(psutil.Process(), *workers_of(fake_slurm)))
             (folder,) = store.glob(f"{slurm.PRIVATE}*")
             private.extend(stat.S_IMODE(p.stat().st_mode) for p in (folder, *folder.glob("*.pem")))
-            scheduler = next(a for a in (fake_slurm / "submitted.sh").read_text().split() if a.startswith("tls://"))
+            scheduler = next(
+                a
+                for a in (fake_slurm / "submitted.sh").read_text().split()
+                if a.startswith("tls://")
+            )
             for address in (scheduler, scheduler.replace("tls://", "tcp://")):
                 try:
                     tries.append(asyncio.run(asyncio.wait_for(cluster._kind(address), 3.0)))
@@ -109,12 +132,20 @@ def test_workers_of_slurm_listen_by_tls_on_one_network(home, fake_slurm):
 
     study = write_study(home, "seeds = 120")
     solver = (*SOLVE, "--sleep", "0.05")
-    result = run_study(study, cluster="slurm", interface="lo", workers=2, solver=solver, check=False, heard=heard)
+    result = run_study(
+        study, cluster="slurm", interface="lo", workers=2, solver=solver, check=False, heard=heard
+    )
     assert result.complete and result.status.done == 120
-    assert len(seen) >= 3 and not beyond_loopback(seen)  # a scheduler and at least two ports of workers
+    assert len(seen) >= 3 and not beyond_loopback(
+        seen
+    )  # a scheduler and at least two ports of workers
     assert private == [0o700, 0o600, 0o600, 0o600]
-    assert len(tries) == 2 and all(isinstance(t, type) and issubclass(t, Exception) for t in tries), tries
-    assert (fake_slurm / "cancelled").read_text().strip() == "4711" and not list(store.glob(f"{slurm.PRIVATE}*"))
+    assert len(tries) == 2 and all(
+        isinstance(t, type) and issubclass(t, Exception) for t in tries
+    ), tries
+    assert (fake_slurm / "cancelled").read_text().strip() == "4711" and not list(
+        store.glob(f"{slurm.PRIVATE}*")
+    )
     _, left = psutil.wait_procs(workers_of(fake_slurm), timeout=20)
     assert not left
 
@@ -124,7 +155,10 @@ def test_workers_of_slurm_listen_by_tls_on_one_network(home, fake_slurm):
     [
         ({"interface": "lo"}, "--workers N"),
         ({"workers": 2}, "--interface .there is: .*lo"),
-        ({"workers": 2, "interface": "lp"}, "--interface lp: no network of this machine .did you mean 'lo'"),
+        (
+            {"workers": 2, "interface": "lp"},
+            "--interface lp: no network of this machine .did you mean 'lo'",
+        ),
     ],
 )
 def test_what_slurm_needs(home, fake_slurm, more, said):
@@ -135,14 +169,18 @@ def test_what_slurm_needs(home, fake_slurm, more, said):
 def test_without_slurm(home, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda *_: None)
     with pytest.raises(jaxid.UsageError, match="no `sbatch` here.*--cluster local"):
-        run_study(write_study(home), cluster="slurm", interface="lo", workers=2, solver=SOLVE, check=False)
+        run_study(
+            write_study(home), cluster="slurm", interface="lo", workers=2, solver=SOLVE, check=False
+        )
 
 
 def test_an_sbatch_that_refuses(home, fake_slurm):
     pytest.importorskip("cryptography")
     (fake_slurm / "sbatch").write_text("#!/bin/sh\necho 'invalid partition' >&2; exit 1\n")
     with pytest.raises(jaxid.UsageError, match="sbatch refused the workers: invalid partition"):
-        run_study(write_study(home), cluster="slurm", interface="lo", workers=2, solver=SOLVE, check=False)
+        run_study(
+            write_study(home), cluster="slurm", interface="lo", workers=2, solver=SOLVE, check=False
+        )
     assert not list((home / "out").glob(f"{slurm.PRIVATE}*"))
 
 
@@ -153,7 +191,9 @@ def test_jobs_that_slurm_ended(home, fake_slurm, monkeypatch):
     (fake_slurm / "squeue").chmod(0o755)
     monkeypatch.setattr(slurm, "ASK_S", 0.1)
     with pytest.raises(RuntimeError, match="SLURM has ended the workers .job 4711.*worker-.*log"):
-        run_study(write_study(home), cluster="slurm", interface="lo", workers=2, solver=SOLVE, check=False)
+        run_study(
+            write_study(home), cluster="slurm", interface="lo", workers=2, solver=SOLVE, check=False
+        )
 
 
 def test_places_that_exclude_each_other(home):
@@ -168,7 +208,18 @@ def test_places_that_exclude_each_other(home):
 
 
 @pytest.mark.parametrize(
-    "address", ["nonsense", "http://example.com", "tcp://", "tcp://10.0.0.1", "10.0.0.1:port", "", " ", "tcp://a b:1", "file:x"]
+    "address",
+    [
+        "nonsense",
+        "http://example.com",
+        "tcp://",
+        "tcp://10.0.0.1",
+        "10.0.0.1:port",
+        "",
+        " ",
+        "tcp://a b:1",
+        "file:x",
+    ],
 )
 def test_what_is_no_address(home, address):
     with pytest.raises(jaxid.UsageError, match="no address of a scheduler; write it as in tcp://"):
@@ -178,13 +229,22 @@ def test_what_is_no_address(home, address):
 def test_what_answers_otherwise(home, monkeypatch):
     """Silence, a web server and a name that nobody has: one sentence, and no wait at the end."""
     monkeypatch.setattr(cluster, "CONNECT_S", 2.0)
-    web = subprocess.Popen([sys.executable, "-m", "http.server", "0", "--bind", "127.0.0.1"], stdout=subprocess.PIPE, text=True)
+    web = subprocess.Popen(
+        [sys.executable, "-m", "http.server", "0", "--bind", "127.0.0.1"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     try:
         until = time.monotonic() + 20
         while not (ports := listening(psutil.Process(web.pid))) and time.monotonic() < until:
             time.sleep(0.1)
         ((_, port),) = ports
-        for address in (f"tcp://127.0.0.1:{port}", f"127.0.0.1:{port}", "nobody.invalid:8786", "tls://127.0.0.1:9"):
+        for address in (
+            f"tcp://127.0.0.1:{port}",
+            f"127.0.0.1:{port}",
+            "nobody.invalid:8786",
+            "tls://127.0.0.1:9",
+        ):
             with pytest.raises(jaxid.UsageError, match="no scheduler answers there"):
                 run_study(write_study(home), scheduler=address, solver=SOLVE, check=False)
     finally:
@@ -196,7 +256,9 @@ def test_a_scheduler_that_dies(home, running_scheduler):
     """What was finished is kept, and the sentence is no fault of a file."""
     address, _ = running_scheduler
     port = int(address.rpartition(":")[2])
-    (scheduler,) = [p for p in psutil.Process().children() if port in {at for _, at in listening(p)}]
+    (scheduler,) = [
+        p for p in psutil.Process().children() if port in {at for _, at in listening(p)}
+    ]
     study = write_study(home, "seeds = 200")
     code = (
         "import sys; from jaxid.study import run_study; from jaxid.study.coordinator import StudyFailed\n"
@@ -216,14 +278,19 @@ def test_a_scheduler_that_dies(home, running_scheduler):
         out, err = process.communicate(timeout=90)
     finally:
         process.kill()
-    assert out.splitlines()[-1].startswith("StudyFailed the scheduler has gone; what was finished is saved"), out + err
+    assert out.splitlines()[-1].startswith(
+        "StudyFailed the scheduler has gone; what was finished is saved"
+    ), out + err
     assert "Traceback" not in err
     from jaxid.study import study_status
 
     assert study_status(study)[2].done >= done
 
 
-@pytest.mark.parametrize("command", [["emulate", "ur10"], ["emulate", "dynamixel"], ["fit", "small", "--out", "out", "--quiet"]])
+@pytest.mark.parametrize(
+    "command",
+    [["emulate", "ur10"], ["emulate", "dynamixel"], ["fit", "small", "--out", "out", "--quiet"]],
+)
 def test_commands_listen_on_loopback_alone(home, command):
     emulates = command[0] == "emulate"
     process = subprocess.Popen(
@@ -276,12 +343,42 @@ WORDS: dict[str, list[str]] = {
     "check": ["small", "--quiet"],
     "fit": ["small", *QUICK, "fit"],
     "simulate": ["small", "--parameters", "fit/fit.json", *QUICK, "simulated"],
-    "compare": ["small", "--fitters", "lm,de", "--seeds", "2", "--budget", "200", *QUICK, "compared"],
+    "compare": [
+        "small",
+        "--fitters",
+        "lm,de",
+        "--seeds",
+        "2",
+        "--budget",
+        "200",
+        *QUICK,
+        "compared",
+    ],
     "diagnose": ["small", "--effects", "dead_zone", "--max-effects", "1", *QUICK, "diagnosis"],
     "batch": ["study.toml", "--workers", "1", "--quiet"],
     "identify": ["arm", "--friction", "linear", *QUICK, "identified"],
-    "excite": ["--model", "joint", "--duration", "2", "--starts", "1", "--amplitude", "1", *QUICK, "excited"],
-    "import": ["csv", "small/run.csv", "--channel", "t=t:s", "--channel", "q=q:rad:output", "--out", "imported"],
+    "excite": [
+        "--model",
+        "joint",
+        "--duration",
+        "2",
+        "--starts",
+        "1",
+        "--amplitude",
+        "1",
+        *QUICK,
+        "excited",
+    ],
+    "import": [
+        "csv",
+        "small/run.csv",
+        "--channel",
+        "t=t:s",
+        "--channel",
+        "q=q:rad:output",
+        "--out",
+        "imported",
+    ],
     "export": ["small", "--to", "mjcf", "--robot", "none.xml", "--out", "exported"],
     "replay": ["small", "--robot", "none.xml", "--out", "replayed"],
     "record": ["dynamixel", "--id", "1", "--seconds", "1", "--out", "recorded", "--port"],
@@ -297,11 +394,30 @@ def test_no_command_listens_beyond_loopback(home, tmp_path):
     memory.write(home / "arm", "identify", 4000)
     write_study(home)
     path = np.column_stack([np.arange(500) / 500, np.zeros((500, 6))])
-    np.savetxt(home / "path.csv", path, delimiter=",", header="t," + ",".join(f"q{j}" for j in range(1, 7)), comments="")
+    np.savetxt(
+        home / "path.csv",
+        path,
+        delimiter=",",
+        header="t," + ",".join(f"q{j}" for j in range(1, 7)),
+        comments="",
+    )
     robot, servo = Emulator.ur(tmp_path), Emulator.servo(tmp_path)
-    play = ["record", "ur10", "--host", robot.address, "--play", "path.csv", "--live", "--out", "played"]
+    play = [
+        "record",
+        "ur10",
+        "--host",
+        robot.address,
+        "--play",
+        "path.csv",
+        "--live",
+        "--out",
+        "played",
+    ]
     words = [[name, *more] for name, more in WORDS.items() if name not in ("emulate", "reproduce")]
-    words = [[*w, servo.address] if w[0] == "record" else w for w in words] + [play, ["reproduce", *WORDS["reproduce"]]]
+    words = [[*w, servo.address] if w[0] == "record" else w for w in words] + [
+        play,
+        ["reproduce", *WORDS["reproduce"]],
+    ]
     process = subprocess.Popen(
         [sys.executable, "-c", IN_ONE_PROCESS, json.dumps(words)], cwd=home, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         text=True, env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[1])},
@@ -318,7 +434,9 @@ def test_no_command_listens_beyond_loopback(home, tmp_path):
     try:
         while process.poll() is None and not (paper and time.monotonic() > paper + 20):
             seen |= listening(psutil.Process(process.pid))
-            paper = paper or ("began reproduce\n" in said) * time.monotonic()  # takes minutes: its first 20 s
+            paper = (
+                paper or ("began reproduce\n" in said) * time.monotonic()
+            )  # takes minutes: its first 20 s
             time.sleep(0.02)
     finally:
         process.kill()
@@ -329,11 +447,16 @@ def test_no_command_listens_beyond_loopback(home, tmp_path):
     bound = {(line.split()[1], int(line.split()[2])) for line in said if line.startswith("bound")}
     assert seen and bound and not beyond_loopback(seen | bound), (seen, bound)
     refused = {"export": "2", "replay": "2"}  # they want a robot, and have no need of a network
-    assert ended == [(w[0], refused.get(w[0], "0")) for w in words[:-1]], (ended, process.stderr and process.stderr.read())
+    assert ended == [(w[0], refused.get(w[0], "0")) for w in words[:-1]], (
+        ended,
+        process.stderr and process.stderr.read(),
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="the recipe makes its certificate with openssl")
+@pytest.mark.skipif(
+    shutil.which("openssl") is None, reason="the recipe makes its certificate with openssl"
+)
 def test_the_recipe_without_slurm(home, tmp_path):
     """The commands of docs/batch.md as they stand there, with loopback for the network between the nodes: who has no certificate
     is refused, and nothing listens elsewhere."""
@@ -341,20 +464,35 @@ def test_the_recipe_without_slurm(home, tmp_path):
     blocks = [b.partition("```")[0] for b in page.split("```sh\n")[1:]]
     (certificate,) = [b for b in blocks if "openssl req" in b]
     (parts,) = [b for b in blocks if "dask scheduler" in b]
-    parts = parts.replace("ib0", "lo").replace("10.0.0.1:8786", f"127.0.0.1:{(port := free_port())}").replace("\\\n", " ")
+    parts = (
+        parts.replace("ib0", "lo")
+        .replace("10.0.0.1:8786", f"127.0.0.1:{(port := free_port())}")
+        .replace("\\\n", " ")
+    )
     lines = [line.partition("  #")[0].strip() for line in parts.splitlines() if line.strip()]
     settings = "\n".join(line for line in lines if not line.startswith(("dask ", "jaxid ")))
     scheduler, worker, batch = (line for line in lines if line.startswith(("dask ", "jaxid ")))
-    scheduler, worker = f"{scheduler} --port {port}", worker.replace("--nworkers 16", "--nworkers 1")
-    for name, module in (("dask", "dask"), ("jaxid", "jaxid.cli")):  # of this Python, whatever PATH has
+    scheduler, worker = (
+        f"{scheduler} --port {port}",
+        worker.replace("--nworkers 16", "--nworkers 1"),
+    )
+    for name, module in (
+        ("dask", "dask"),
+        ("jaxid", "jaxid.cli"),
+    ):  # of this Python, whatever PATH has
         command = tmp_path / "bin" / name
         command.parent.mkdir(exist_ok=True)
         command.write_text(f'#!/bin/sh\nexec {sys.executable} -m {module} "$@"\n')
         command.chmod(0o700)
-    path = {"PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
+    path = {
+        "PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": str(Path(__file__).resolve().parents[1]),
+    }
     environment = os.environ | {"HOME": str(tmp_path)} | path
     both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    shell = lambda text: subprocess.Popen(["bash", "-c", f"{settings}\nexec {text}"], cwd=home, env=environment, **both)
+    shell = lambda text: subprocess.Popen(
+        ["bash", "-c", f"{settings}\nexec {text}"], cwd=home, env=environment, **both
+    )
     subprocess.run(["bash", "-ec", certificate], env=environment, check=True, capture_output=True)
     assert stat.S_IMODE((tmp_path / "dask-tls" / "key.pem").stat().st_mode) == 0o600
     write_study(home, "seeds = 2")
@@ -362,9 +500,15 @@ def test_the_recipe_without_slurm(home, tmp_path):
     try:
         until = time.monotonic() + 100
         nodes = [psutil.Process(p.pid) for p in started]
-        while len(seen := listening(*nodes)) < 3 and all(p.poll() is None for p in started) and time.monotonic() < until:
+        while (
+            len(seen := listening(*nodes)) < 3
+            and all(p.poll() is None for p in started)
+            and time.monotonic() < until
+        ):
             time.sleep(0.2)
-        assert len(seen) >= 3 and not beyond_loopback(seen), seen  # messages of both, pages of the scheduler
+        assert len(seen) >= 3 and not beyond_loopback(seen), (
+            seen
+        )  # messages of both, pages of the scheduler
         for address in (f"tls://127.0.0.1:{port}", f"tcp://127.0.0.1:{port}"):
             with pytest.raises(jaxid.UsageError, match="no scheduler answers there"):
                 run_study(home / "study.toml", scheduler=address, solver=SOLVE, check=False)
@@ -373,7 +517,11 @@ def test_the_recipe_without_slurm(home, tmp_path):
         assert not beyond_loopback(listening(*nodes))
     finally:
         for process in started:
-            for part in psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []:
+            for part in (
+                psutil.Process(process.pid).children(recursive=True)
+                if process.poll() is None
+                else []
+            ):
                 part.kill()
             process.kill()
             process.communicate()

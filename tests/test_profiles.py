@@ -32,7 +32,10 @@ def test_profile_of_a_well_determined_fit_is_the_covariance(fitted):
         assert low is not None and high is not None and low < value < high
         assert (high - low) / (2 * 1.96 * std) == pytest.approx(1, abs=0.15), name
         assert np.all(np.diff(p.values) > 0) and p.rise.min() == 0
-    assert profiles["inertia"].unit == "kg m^2" and profiles["inertia"].plot().get_xlabel() == "inertia (kg m^2)"
+    assert (
+        profiles["inertia"].unit == "kg m^2"
+        and profiles["inertia"].plot().get_xlabel() == "inertia (kg m^2)"
+    )
 
 
 def test_profile_needs_no_absolute_step(fitted):
@@ -55,7 +58,9 @@ def test_profile_at_a_bound_has_one_end(fitted):
     i = problem.runs.layout.index("coulomb")
     lower, upper, scale = (a.copy() for a in problem.whole)
     upper[i] = theta[i] - 0.5 * covariance(problem, z).std[list(problem.free).index(i)]
-    tight = type(problem)(problem.runs, problem.base, problem.free, lower, upper, problem.records, scale=scale)
+    tight = type(problem)(
+        problem.runs, problem.base, problem.free, lower, upper, problem.records, scale=scale
+    )
     end = descend([(tight, tight.z(theta, problem.starts(z)))], 40, 1e-12)[0].z
     p = profile_likelihood(tight, end, ["coulomb"])["coulomb"]
     assert p.interval[1] is None and p.at_bound[1]
@@ -91,5 +96,7 @@ def test_bootstrap_of_coloured_residuals_keeps_their_colour(fitted):
     assert not cov.white
     found = bootstrap(coloured, end, 150)
     assert found.memory > 5
-    ratio = np.array([found.std[n] for n in found.names]) / (cov.std * 1.0)[: len(found.names)] / slope
+    ratio = (
+        np.array([found.std[n] for n in found.names]) / (cov.std * 1.0)[: len(found.names)] / slope
+    )
     assert np.all(ratio > 0.4) and np.all(ratio < 1.8)

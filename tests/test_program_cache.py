@@ -44,7 +44,13 @@ def compute(folder: Path, **more: str) -> tuple[str, int, str]:
     """(result, hits of JAX's cache, standard error) of a process with that cache."""
     environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
     environment |= {"JAXID_CACHE_DIR": str(folder), **more}
-    done = subprocess.run([sys.executable, "-c", COMPUTE], capture_output=True, text=True, env=environment, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", COMPUTE],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=120,
+    )
     assert done.returncode == 0, done.stderr
     result, hits = done.stdout.split()
     return result, int(hits), done.stderr
@@ -118,7 +124,16 @@ def folder_with_content(path: Path, whole: bytes) -> None:
     (path / "x").write_bytes(whole)
 
 
-DAMAGES = [cut, made_longer, emptied, without_hash, another_program, link, pipe, folder_with_content]
+DAMAGES = [
+    cut,
+    made_longer,
+    emptied,
+    without_hash,
+    another_program,
+    link,
+    pipe,
+    folder_with_content,
+]
 
 
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda f: f.__name__)
@@ -154,7 +169,9 @@ def test_killed_while_it_writes(tmp_path):
         "while True: [folder.write(f'x{k}', bytes([k]) * 3_000_000) for k in range(4)]"
     )
     for seed in range(5):
-        process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE)
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE
+        )
         assert process.stdout is not None
         process.stdout.readline()
         time.sleep(random.Random(seed).uniform(0, 0.1))
@@ -201,16 +218,22 @@ def test_folders_are_private_and_those_of_others_refused(tmp_path, monkeypatch, 
     assert mode(tmp_path / "cache") == mode(folder.path) == 0o700
     (tmp_path / "cache" / "something else").touch()
     (tmp_path / "cache").chmod(0o755)
-    assert own_folder(tmp_path / "cache") and mode(tmp_path / "cache") == 0o755  # holds other things too
+    assert (
+        own_folder(tmp_path / "cache") and mode(tmp_path / "cache") == 0o755
+    )  # holds other things too
     assert capsys.readouterr().err == ""
 
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)  # all is another user's now
     assert folder.read("x") is None and own_folder(tmp_path / "cache") is None
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "export JAXID_CACHE_DIR=" in said and (folder.path / "x").exists()
+    assert (
+        said.count("\n") == 1 and "export JAXID_CACHE_DIR=" in said and (folder.path / "x").exists()
+    )
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give files away")
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give files away"
+)
 def test_files_of_others(tmp_path):
     folder = CacheFolder(tmp_path)
     folder.write("x", CONTENT)
@@ -242,6 +265,8 @@ def test_jax_reads_nothing_but_checked_programs(tmp_path):
 
 def test_a_jax_without_a_place_to_check_keeps_nothing(tmp_path, monkeypatch):
     no_place = "from jax import monitoring; from jax._src import compilation_cache; del compilation_cache.get_file_cache"
-    monkeypatch.setitem(globals(), "COMPUTE", COMPUTE.replace("from jax import monitoring", no_place))
+    monkeypatch.setitem(
+        globals(), "COMPUTE", COMPUTE.replace("from jax import monitoring", no_place)
+    )
     _, hits, said = compute(tmp_path)
     assert hits == 0 and said.count("\n") == 1 and "compiles anew" in said and not files(tmp_path)

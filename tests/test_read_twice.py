@@ -42,7 +42,9 @@ def recorded(form: str, seed: int, mean_of: int = 1, role: str = "auxiliary") ->
         q[COUNT // 2 :], v[COUNT // 2 :] = q[COUNT // 2], 0.0
     v = v + 0.03 * rng.standard_normal(COUNT)
     q = np.round(q / 1.5e-3) * 1.5e-3 if form == "coarse" else q + 2e-4 * rng.standard_normal(COUNT)
-    v = np.convolve(np.concatenate([np.full(mean_of - 1, v[0]), v]), np.ones(mean_of) / mean_of, "valid")
+    v = np.convolve(
+        np.concatenate([np.full(mean_of - 1, v[0]), v]), np.ones(mean_of) / mean_of, "valid"
+    )
     if form == "coarse" and mean_of == 1:  # a speed by differences stands half a row late
         v = np.concatenate([[0.0], np.diff(q) / np.diff(t)])
     if form == "repeats":
@@ -105,12 +107,25 @@ def two_encoders(between: str, seed: int, form: str = "plain") -> Dataset:
 def test_play_between_two_encoders_is_read_off(form):
     for seed in range(4):
         (shown,) = plays(two_encoders("play", seed, form))
-        assert (shown.finding.kind, shown.finding.channel) == ("play", "q_motor") and not shown.mending
+        assert (shown.finding.kind, shown.finding.channel) == (
+            "play",
+            "q_motor",
+        ) and not shown.mending
         assert shown.finding.value == pytest.approx(0.02, abs=5e-4)
 
 
 @pytest.mark.parametrize(
-    "between", ["nothing", "late", "late, up and down", "soft", "friction", "eccentric", "coarse", "both coarse"]
+    "between",
+    [
+        "nothing",
+        "late",
+        "late, up and down",
+        "soft",
+        "friction",
+        "eccentric",
+        "coarse",
+        "both coarse",
+    ],
 )
 def test_two_encoders_without_play_show_none(between):
     assert [list(plays(two_encoders(between, seed))) for seed in range(6)] == [[]] * 6
@@ -134,7 +149,16 @@ URDF = """<robot name="leg"><link name="base"/>
 
 def test_an_inertia_that_no_body_has_is_said_with_its_link():
     (finding,) = impossible(Robot(read_urdf_tree("leg.urdf", URDF)))
-    assert (finding.kind, finding.channel, finding.decisive, finding.applied) == ("impossible_body", "hip", True, True)
-    assert "-0.0013" in finding.text and "leg.urdf" in finding.text and "nearest body" in finding.headline
+    assert (finding.kind, finding.channel, finding.decisive, finding.applied) == (
+        "impossible_body",
+        "hip",
+        True,
+        True,
+    )
+    assert (
+        "-0.0013" in finding.text
+        and "leg.urdf" in finding.text
+        and "nearest body" in finding.headline
+    )
     assert impossible(Robot(read_urdf_tree("leg.urdf", URDF.replace("-0.001", "0.001")))) == []
     assert impossible(jaxid.models.Joint()) == []

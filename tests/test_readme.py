@@ -21,7 +21,9 @@ README = (ROOT / "README.md").read_text()
 OWN_MODEL, FROM_PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
 EXTENDING = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), re.S)
 OWN_EFFECT = next(block for block in EXTENDING if "JointEffect" in block)
-TABLE, ROBOT = (b.splitlines() for b in re.findall(r"```sh\n(.*?)```", README, re.S) if b.startswith("jaxid"))
+TABLE, ROBOT = (
+    b.splitlines() for b in re.findall(r"```sh\n(.*?)```", README, re.S) if b.startswith("jaxid")
+)
 (STATED,) = re.findall(r"```toml\n(.*?)```", README, re.S)
 (ANSWER,) = re.findall(r"```text\n(.*?)```", README, re.S)
 #: A number, and how near one that another machine computed has to be.
@@ -63,7 +65,9 @@ def the_picture_shows(diagnosis: jaxid.Diagnosis) -> None:
     labels = [float(w) for w in words if re.fullmatch(r"[\d.]+(e[+-]?\d+)?", w)]
     far = diagnosis.how_far
     for gap in (far.gap_before, far.gap_retuned, far.gap_after):
-        assert any(abs(label / gap - 1) < 0.02 for label in labels), f"{gap:.4g} is not in the picture: make it anew"
+        assert any(abs(label / gap - 1) < 0.02 for label in labels), (
+            f"{gap:.4g} is not in the picture: make it anew"
+        )
     assert f"{percent(far.shrinkage)} of the gap closed" in words
 
 
@@ -101,7 +105,9 @@ def typed(lines: list[str], *more: str) -> None:
     """Each line as it stands there; `more` behind a diagnosis."""
     for line in lines:
         program, *words = shlex.split(line, comments=True)
-        assert program == "jaxid" and main([*words, *(more if words[0] == "diagnose" else ())]) == 0, line
+        assert (
+            program == "jaxid" and main([*words, *(more if words[0] == "diagnose" else ())]) == 0
+        ), line
 
 
 def test_the_road_from_a_table_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
@@ -137,10 +143,14 @@ def one_hinge(folder: Path) -> Any:
     for k, split in enumerate(("fit", "validation", "report")):
         data, rows = mujoco.MjData(model), ["t,shoulder_cmd,shoulder"]
         tones, phases = rng.uniform(0.1, 0.35, 4), rng.uniform(0, 6, 4)
-        goal = lambda t, a=tones, p=phases: float(np.sum(a * np.sin(np.array([0.8, 1.9, 3.1, 5.2]) * t + p))) * min(1, t)
+        goal = lambda t, a=tones, p=phases: (
+            float(np.sum(a * np.sin(np.array([0.8, 1.9, 3.1, 5.2]) * t + p))) * min(1, t)
+        )
         for i in range(1200):
             target = goal(i / 200)
-            rows.append(f"{i / 200:.3f},{target:.6f},{data.qpos[0] + 1e-4 * rng.standard_normal():.6f}")
+            rows.append(
+                f"{i / 200:.3f},{target:.6f},{data.qpos[0] + 1e-4 * rng.standard_normal():.6f}"
+            )
             for _ in range(5):
                 data.qfrc_applied[0] = 20.0 * (target - data.qpos[0]) - 1.5 * data.qvel[0]
                 mujoco.mj_step(model, data)
@@ -165,9 +175,20 @@ def test_a_law_that_does_not_say_which_rate_it_brakes_is_asked(tmp_path):
     """Without the line of the README kd would be taken to act on the goal's rate too, which looks like a delay."""
     one_hinge(tmp_path / "recording")
     toml = tmp_path / "recording" / "dataset.toml"
-    toml.write_text("\n".join(line for line in toml.read_text().splitlines() if not line.startswith(("sample_time", "     "))))
+    toml.write_text(
+        "\n".join(
+            line
+            for line in toml.read_text().splitlines()
+            if not line.startswith(("sample_time", "     "))
+        )
+    )
     checked = jaxid.check(None, jaxid.load_dataset(tmp_path / "recording"))
     (law,) = [f for f in checked.findings if f.kind == "law"]
-    assert law.decisive and law.applied and law.line == 'reference_velocity = "none"' and "delay" in law.text
+    assert (
+        law.decisive
+        and law.applied
+        and law.line == 'reference_velocity = "none"'
+        and "delay" in law.text
+    )
     assert checked.mended is not None and checked.mended.controller is not None
     assert checked.mended.controller.settings["reference_velocity"] == "none"

@@ -29,7 +29,14 @@ def joint() -> Dataset:
     """A joint whose inertia drops from 0.08 to 0.05 kg m^2 at 12 s; torque and motion in closed form."""
     t = np.arange(2400) * 0.01
     rng = np.random.default_rng(0)
-    waves = list(zip((0.5, 0.3, 0.2, 0.1), 2 * np.pi * np.array((0.23, 0.61, 1.07, 1.9)), rng.uniform(0, 6, 4), strict=True))
+    waves = list(
+        zip(
+            (0.5, 0.3, 0.2, 0.1),
+            2 * np.pi * np.array((0.23, 0.61, 1.07, 1.9)),
+            rng.uniform(0, 6, 4),
+            strict=True,
+        )
+    )
     q = sum(a * np.sin(w * t + p) for a, w, p in waves)
     qd = sum(a * w * np.cos(w * t + p) for a, w, p in waves)
     qdd = -sum(a * w * w * np.sin(w * t + p) for a, w, p in waves)
@@ -41,7 +48,9 @@ def joint() -> Dataset:
 
 
 def along(data: Dataset, **settings) -> jaxid.Fit:
-    return jaxid.fit(None, data, residual="inverse_dynamics", as_recorded=True, block_s=1.0, **settings)
+    return jaxid.fit(
+        None, data, residual="inverse_dynamics", as_recorded=True, block_s=1.0, **settings
+    )
 
 
 @pytest.mark.parametrize("forgetting", [1.0, 0.7])
@@ -51,7 +60,10 @@ def test_it_is_recursive_least_squares(joint, forgetting):
     b = bind(None, in_blocks(joint, 1.0))
     p = Bench(b).problem(InverseDynamics(), "fit", b.free, b.theta)
     z = p.z(b.theta)
-    at, slope = p.theta(z)[p.free], p.dtheta(z)  # some numbers are searched by their logarithm; the torque is linear in all
+    at, slope = (
+        p.theta(z)[p.free],
+        p.dtheta(z),
+    )  # some numbers are searched by their logarithm; the torque is linear in all
     A, y = [], []
     for part in rows([(p, z)]):
         w = np.sqrt(forgetting ** (p.pieces - 1 - part.record))
@@ -74,12 +86,19 @@ def test_starts_of_runs_are_eliminated(joint):
     schur = H[:n, :n] - H[:n, n:] @ np.linalg.solve(H[n:, n:], H[n:, :n])
     slope = p.dtheta(z)
     known = absorbed(p.known, p, z)
-    assert np.allclose(known.R.T @ known.R * slope * slope[:, None], schur, rtol=1e-6, atol=1e-9 * np.abs(schur).max())
+    assert np.allclose(
+        known.R.T @ known.R * slope * slope[:, None],
+        schur,
+        rtol=1e-6,
+        atol=1e-9 * np.abs(schur).max(),
+    )
     # and a problem that knows this alone has its gradient there
     twin = p.part([0], [1.0]).knowing(known)
     r, J = twin.known_before(z)
     g = linearise([(p, z)])[0].gradient
-    assert np.allclose((J.T @ r)[:n], g[:n] - H[:n, n:] @ np.linalg.solve(H[n:, n:], g[n:]), rtol=1e-6)
+    assert np.allclose(
+        (J.T @ r)[:n], g[:n] - H[:n, n:] @ np.linalg.solve(H[n:, n:], g[n:]), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("fitter", ["lm", "rde(popsize=20, generations=30)"])
@@ -102,14 +121,28 @@ def test_growing_data_stay_between(joint):
 def test_a_prior_counts_once(joint):
     """A prior is what is known before the first block, and not anew in each."""
     known = ParameterPrior(prior={"mean": 0.12, "std": 0.02})
-    spec = ModelSpec("joint", without=("coulomb_friction", "constant_torque"), parameters={"inertia": known})
+    spec = ModelSpec(
+        "joint", without=("coulomb_friction", "constant_torque"), parameters={"inertia": known}
+    )
     plain, told = (along(d, forgetting=1.0) for d in (joint, replace(joint, model=spec)))
-    assert told.parameters["inertia"].value == pytest.approx(plain.parameters["inertia"].value, abs=2e-3)
+    assert told.parameters["inertia"].value == pytest.approx(
+        plain.parameters["inertia"].value, abs=2e-3
+    )
 
 
 def test_the_command(joint, tmp_path, capsys):
     save_dataset(joint, tmp_path / "data")
-    arguments = ["fit", str(tmp_path / "data"), "--residual", "inverse_dynamics", "--forgetting", "0.6", "--block", "2", "--json"]
+    arguments = [
+        "fit",
+        str(tmp_path / "data"),
+        "--residual",
+        "inverse_dynamics",
+        "--forgetting",
+        "0.6",
+        "--block",
+        "2",
+        "--json",
+    ]
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
     told = json.loads(capsys.readouterr().out)["recursion"]
     assert len(told) == 8 and {"block", "t", "loss", "evaluations", "parameters"} <= set(told[0])

@@ -33,7 +33,14 @@ CLOCKS = "even", "uneven", "repeats"
 
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize(
-    ("key", "bits"), [("sign_bit", 10), ("sign_bit", 11), ("sign_bit", 15), ("signed_bits", 16), ("signed_bits", 32)]
+    ("key", "bits"),
+    [
+        ("sign_bit", 10),
+        ("sign_bit", 11),
+        ("sign_bit", 15),
+        ("signed_bits", 16),
+        ("signed_bits", 32),
+    ],
 )
 def test_the_sign_of_a_register_is_found(key, bits, clock):
     rng = np.random.default_rng(bits)
@@ -50,7 +57,15 @@ def test_numbers_that_hold_their_sign_are_left(clock):
         counts = np.round(size * (1 + x))  # an encoder, a pressure, a goal that is never negative
         steps = np.round(size * (x > 0) + 2 * rng.random(900))
         turns = 2 ** int(rng.integers(8, 17))
-        sound = [counts, counts % turns, counts % 36000, np.round(size * x), np.abs(np.round(size * x)), steps, size * (1 + x)]
+        sound = [
+            counts,
+            counts % turns,
+            counts % 36000,
+            np.round(size * x),
+            np.abs(np.round(size * x)),
+            steps,
+            size * (1 + x),
+        ]
         assert [found_sign([y]) for y in sound] == [None] * len(sound), seed
 
 
@@ -74,19 +89,26 @@ def registers(**settings) -> jaxid.Dataset:
 def test_check_takes_registers_with_their_sign_and_says_the_line():
     checked = checking.run_check("joint", registers())
     found = {f.channel: f for f in checked.findings if f.kind == "unsigned"}
-    assert {c: (f.line, f.applied) for c, f in found.items()} == {"tau": ("sign_bit = 10", True), "qd": ("sign_bit = 15", True)}
+    assert {c: (f.line, f.applied) for c, f in found.items()} == {
+        "tau": ("sign_bit = 10", True),
+        "qd": ("sign_bit = 15", True),
+    }
     assert not [f for f in checked.findings if f.kind == "sign"]
     assert checked.mended is not None
     stated = registers(sign_bit={"tau": 10, "qd": 15})
     assert np.allclose(checked.mended.experiments[0].u, stated.experiments[0].u)
-    assert np.allclose(checked.mended.experiments[0].auxiliary["qd"], stated.experiments[0].auxiliary["qd"])
+    assert np.allclose(
+        checked.mended.experiments[0].auxiliary["qd"], stated.experiments[0].auxiliary["qd"]
+    )
     assert stated.experiments[0].u.min() < -0.5
     assert [f.kind for f in checking.run_check("joint", stated).findings] == []
 
 
 def test_as_recorded_claims_no_sign_of_a_register():
     checked = checking.run_check("joint", registers(), as_recorded=True)
-    assert [(f.kind, f.applied) for f in checked.findings if f.channel == "tau"] == [("unsigned", False)]
+    assert [(f.kind, f.applied) for f in checked.findings if f.channel == "tau"] == [
+        ("unsigned", False)
+    ]
 
 
 def test_bits_that_a_channel_cannot_have_are_refused():
@@ -106,7 +128,9 @@ def test_import_takes_registers_with_their_sign(tmp_path):
     with pytest.raises(jaxid.UsageError, match="load is a register whose sign stands in bit 10"):
         import_table(tmp_path / "log.csv", tmp_path / "out")
     with pytest.warns(DatasetWarning, match="tau is a register whose sign stands in bit 10"):
-        made = import_table(tmp_path / "log.csv", tmp_path / "out", channels=["t=t:s", "tau=load:N m", "q=q:rad"])
+        made = import_table(
+            tmp_path / "log.csv", tmp_path / "out", channels=["t=t:s", "tau=load:N m", "q=q:rad"]
+        )
     taken = jaxid.load_dataset(made.folder).experiments[0].u
     assert taken.min() < -300
     assert np.abs(np.diff(taken[:, 0])).max() < 100

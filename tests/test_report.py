@@ -36,7 +36,18 @@ class Page(HTMLParser):
 def assert_harmless(source: str) -> Page:
     page = Page(source)
     tags = {tag for tag, _ in page.elements}
-    assert not tags & {"script", "iframe", "object", "embed", "link", "img", "form", "base", "a", "foreignobject"}
+    assert not tags & {
+        "script",
+        "iframe",
+        "object",
+        "embed",
+        "link",
+        "img",
+        "form",
+        "base",
+        "a",
+        "foreignobject",
+    }
     for tag, attributes in page.elements:
         for name, value in attributes.items():
             assert not name.startswith("on"), (tag, name)
@@ -76,7 +87,9 @@ def test_pages_are_reproducible(tmp_path):
 
 
 def test_fit_page(tmp_path):
-    page = assert_harmless(write_fit(sample_fit(), tmp_path / "fit.html").read_text(encoding="utf-8"))
+    page = assert_harmless(
+        write_fit(sample_fit(), tmp_path / "fit.html").read_text(encoding="utf-8")
+    )
     assert "q is reproduced to 0.000440 rad rms on validation data." in page.text
     assert "0.08123 ± 0.00042" in page.text
 
@@ -102,8 +115,19 @@ def test_failed_fit_page(tmp_path):
 def test_every_verdict(tmp_path, verdict):
     d = sample_diagnosis()
     if verdict in ("none", "unknown"):
-        far = HowFar(12.0, 11.0, 11.0, 1.0, None, None, "fewer than 8 independent blocks", d.how_far.per_channel)
-        d = replace(d, which=replace(d.which, verdict=verdict, effects=(), confusable_with=()), how_far=far)
+        far = HowFar(
+            12.0,
+            11.0,
+            11.0,
+            1.0,
+            None,
+            None,
+            "fewer than 8 independent blocks",
+            d.how_far.per_channel,
+        )
+        d = replace(
+            d, which=replace(d.which, verdict=verdict, effects=(), confusable_with=()), how_far=far
+        )
     else:
         d = replace(d, which=replace(d.which, verdict=verdict))
     page = assert_harmless(d.report(tmp_path / "r.html").read_text(encoding="utf-8"))
@@ -121,7 +145,15 @@ def test_every_verdict(tmp_path, verdict):
 def test_empty_diagnosis(tmp_path):
     """Nothing to draw is no error."""
     d = sample_diagnosis()
-    d = replace(d, traces=(), missing_force=(), regimes=(), where=(), notes=(), which=replace(d.which, ranking=()))
+    d = replace(
+        d,
+        traces=(),
+        missing_force=(),
+        regimes=(),
+        where=(),
+        notes=(),
+        which=replace(d.which, ranking=()),
+    )
     assert_harmless(d.report(tmp_path / "r.html").read_text(encoding="utf-8"))
 
 
@@ -129,11 +161,19 @@ def test_empty_diagnosis(tmp_path):
 def test_numbers_that_are_hard_to_draw(tmp_path, value):
     d = sample_diagnosis()
     far = replace(d.how_far, gap_before=value, gap_after=value, gap_retuned=value)
-    ranking = tuple(replace(r, validation_gap=value, evidence=value, bic=value) for r in d.which.ranking)
-    traces = tuple(
-        replace(t, simulated={k: np.full_like(s, value) for k, s in t.simulated.items()}, noise=value) for t in d.traces
+    ranking = tuple(
+        replace(r, validation_gap=value, evidence=value, bic=value) for r in d.which.ranking
     )
-    forces = tuple(replace(m, before=np.full_like(m.before, value), floor=np.full_like(m.floor, value)) for m in d.missing_force)
+    traces = tuple(
+        replace(
+            t, simulated={k: np.full_like(s, value) for k, s in t.simulated.items()}, noise=value
+        )
+        for t in d.traces
+    )
+    forces = tuple(
+        replace(m, before=np.full_like(m.before, value), floor=np.full_like(m.floor, value))
+        for m in d.missing_force
+    )
     regimes = tuple(replace(r, ratio=value) for r in d.regimes)
     which = replace(d.which, ranking=ranking)
     d = replace(d, how_far=far, traces=traces, missing_force=forces, regimes=regimes, which=which)
@@ -160,7 +200,11 @@ def test_drawing_leaves_matplotlib_alone():
     import matplotlib
 
     def settings():  # asking for the backend would load pyplot to choose one
-        return {name: repr(matplotlib.rcParams[name]) for name in matplotlib.rcParams if not name.startswith("backend")}
+        return {
+            name: repr(matplotlib.rcParams[name])
+            for name in matplotlib.rcParams
+            if not name.startswith("backend")
+        }
 
     before, had_pyplot = settings(), "matplotlib.pyplot" in sys.modules
     diagnosis_fragment(sample_diagnosis())
@@ -198,7 +242,9 @@ def test_spectrum_of_white_noise_is_its_density():
 )
 def test_value_with_std(value, std, expected):
     assert text.value_with_std(Estimate(value, std, "", 0.0, 1.0)) == expected
-    assert text.value_with_std(Estimate(value, std, "1", 0.0, 1.0)) == expected  # a share of 0.08 is no "0.08 1"
+    assert (
+        text.value_with_std(Estimate(value, std, "1", 0.0, 1.0)) == expected
+    )  # a share of 0.08 is no "0.08 1"
     assert text.value_with_std(Estimate(value, std, "N m", 0.0, 1.0)) == f"{expected} N m"
 
 
@@ -238,7 +284,11 @@ def sample_dataset():
 def test_datasets_and_fits_show_themselves_short_and_escaped():
     source = sample_dataset()._repr_html_()
     page = assert_harmless(source)
-    assert "<script>alert(1)</script>" in page.text and "200 samples, 1.99 s" in page.text and "noise 0.0010 rad" in page.text
+    assert (
+        "<script>alert(1)</script>" in page.text
+        and "200 samples, 1.99 s" in page.text
+        and "noise 0.0010 rad" in page.text
+    )
     source = sample_fit()._repr_html_()
     page = assert_harmless(source)
     assert "0.08123 ± 0.00042" in page.text and "<svg" not in source and len(source) < 12_000
@@ -251,7 +301,12 @@ def test_what_the_prompt_shows_is_short_and_plain():
     """`repr` of what a user holds: a few lines, names from files without control characters."""
     strange = hostile(sample_diagnosis())
     data = replace(sample_dataset(), name="arm\x1b]0;x\x07\u202e")
-    for result, longest in ((data, 1), (strange, 20), (strange.final, 30), (sample_simulation(), 8)):
+    for result, longest in (
+        (data, 1),
+        (strange, 20),
+        (strange.final, 30),
+        (sample_simulation(), 8),
+    ):
         words = repr(result)
         assert 1 <= len(words.splitlines()) <= longest and len(words) < 3000, type(result)
         assert not any(c in words for c in "\x1b\x07\x00\u202e"), type(result)
@@ -262,7 +317,14 @@ def plots():
     from jaxid.fitting.profiles import Profile
 
     d = sample_diagnosis(1500)
-    curve = Profile("coulomb", np.linspace(0, 1, 7), np.linspace(-2, 2, 7) ** 2, 3.84, (0.1, None), (False, True))
+    curve = Profile(
+        "coulomb",
+        np.linspace(0, 1, 7),
+        np.linspace(-2, 2, 7) ** 2,
+        3.84,
+        (0.1, None),
+        (False, True),
+    )
     return {
         "dataset": sample_dataset().plot,
         "fit": d.nominal.plot,
@@ -302,7 +364,9 @@ def test_nothing_calls_show():
     root = Path(__file__).parents[1]
     for folder in ("jaxid", "models", "fitters", "notebooks", "docs"):
         for file in (root / folder).rglob("*.py"):
-            assert "plt.show" not in file.read_text() and "pyplot.show" not in file.read_text(), file
+            assert "plt.show" not in file.read_text() and "pyplot.show" not in file.read_text(), (
+                file
+            )
 
 
 def test_candidates_are_drawn_beside_what_they_were_tried_beside():
@@ -310,7 +374,11 @@ def test_candidates_are_drawn_beside_what_they_were_tried_beside():
     from jaxid.report.ranking import rounds
 
     tried = [((), 4), (("a at q",), 3), (("b at q",), 1), (("c at q", "a at q"), 1)]
-    rows = [(Ranked(f"e{k}", "q", 1.0, 1.0, 1.0, "", beside), "") for beside, n in tried for k in range(n)]
+    rows = [
+        (Ranked(f"e{k}", "q", 1.0, 1.0, 1.0, "", beside), "")
+        for beside, n in tried
+        for k in range(n)
+    ]
     assert {beside: len(own) for beside, own in rounds(rows).items()} == {(): 4, ("a at q",): 3}
     named = [*rows[:-1], (rows[-1][0], "named")]
     assert list(rounds(named)) == [(), ("a at q",), ("a at q", "c at q")]
@@ -327,6 +395,10 @@ def test_stated_numbers_stand_beside_those_of_the_fit(tmp_path):
     from jaxid.fitting.stated import Stated
 
     stated = (Stated("q", "", "inertia", 0.0777, 0.08123, 0.0004, 8.0, "inertia: …", "kg m^2"),)
-    page = write_fit(replace(sample_fit(), stated=stated), tmp_path / "fit.html").read_text(encoding="utf-8")
+    page = write_fit(replace(sample_fit(), stated=stated), tmp_path / "fit.html").read_text(
+        encoding="utf-8"
+    )
     assert '<th class="n">stated</th>' in page and ">0.0777<" in page
-    assert '<th class="n">stated</th>' not in write_fit(sample_fit(), tmp_path / "b.html").read_text(encoding="utf-8")
+    assert '<th class="n">stated</th>' not in write_fit(
+        sample_fit(), tmp_path / "b.html"
+    ).read_text(encoding="utf-8")

@@ -15,26 +15,43 @@ import pytest
 from report_sample import sample_diagnosis, sample_fit
 
 
-BROWSER = next((b for b in ("chromium", "chromium-browser", "google-chrome", "chrome") if shutil.which(b)), None)
+BROWSER = next(
+    (b for b in ("chromium", "chromium-browser", "google-chrome", "chrome") if shutil.which(b)),
+    None,
+)
 
 pytestmark = [
     pytest.mark.timeout(600),
-    pytest.mark.skipif(BROWSER is None, reason="no Chromium here: accessibility and print of the report were not checked"),
+    pytest.mark.skipif(
+        BROWSER is None,
+        reason="no Chromium here: accessibility and print of the report were not checked",
+    ),
 ]
 
 
 def chromium(*arguments: str, folder: Path) -> str:
     assert BROWSER is not None
     profile = folder / "profile"
-    command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={profile}", *arguments]
+    command = [
+        BROWSER,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        f"--user-data-dir={profile}",
+        *arguments,
+    ]
     return subprocess.run(command, capture_output=True, text=True, timeout=550, check=True).stdout
 
 
 @pytest.mark.parametrize("kind", ["diagnosis", "fit"])
 def test_pages_are_accessible(kind, tmp_path):
-    pytest.importorskip("axe_core_python", reason="axe-core is not installed: accessibility was not checked")
+    pytest.importorskip(
+        "axe_core_python", reason="axe-core is not installed: accessibility was not checked"
+    )
     axe = (files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
-    page = (sample_diagnosis(800) if kind == "diagnosis" else sample_fit(samples=800)).report(tmp_path / "page.html")
+    page = (sample_diagnosis(800) if kind == "diagnosis" else sample_fit(samples=800)).report(
+        tmp_path / "page.html"
+    )
     source = page.read_text(encoding="utf-8")
     assert "Content-Security-Policy" in source  # which would refuse the script below
     source = re.sub(r"<meta http-equiv=[^>]*>", "", source)
@@ -47,7 +64,10 @@ def test_pages_are_accessible(kind, tmp_path):
       document.body.appendChild(out);
     });
     """
-    page.write_text(source.replace("</body>", f"<script>{axe}</script><script>{run}</script></body>"), encoding="utf-8")
+    page.write_text(
+        source.replace("</body>", f"<script>{axe}</script><script>{run}</script></body>"),
+        encoding="utf-8",
+    )
     shown = chromium("--virtual-time-budget=60000", "--dump-dom", page.as_uri(), folder=tmp_path)
     match = re.search(r'<pre id="found">(.*?)</pre>', shown, re.S)
     assert match is not None, "axe did not finish"

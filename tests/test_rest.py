@@ -41,13 +41,24 @@ def test_tangents_agree_with_differences_at_and_near_rest(end_velocities, nq, fo
     value, tangent = end_velocities[nq]
     with float64():
         v0, push, level = jnp.full(nq, speed), jnp.full(nq, -force), jnp.asarray(0.7)
-        for way in ((jnp.zeros(nq), jnp.zeros(nq), jnp.asarray(1.0)), (jnp.ones(nq), jnp.zeros(nq), jnp.asarray(0.0))):
+        for way in (
+            (jnp.zeros(nq), jnp.zeros(nq), jnp.asarray(1.0)),
+            (jnp.ones(nq), jnp.zeros(nq), jnp.asarray(0.0)),
+        ):
             d = np.asarray(tangent((v0, push, level), way))
             assert np.isfinite(d).all()
             h = 1e-7
-            ends = [np.asarray(value(*(a + s * h * b for a, b in zip((v0, push, level), way, strict=True)))) for s in (1, 0, -1)]
+            ends = [
+                np.asarray(
+                    value(*(a + s * h * b for a, b in zip((v0, push, level), way, strict=True)))
+                )
+                for s in (1, 0, -1)
+            ]
             sides = (ends[0] - ends[1]) / h, (ends[1] - ends[2]) / h
-            low, high = np.minimum(*sides), np.maximum(*sides)  # at a kink any slope between those of its sides is one
+            low, high = (
+                np.minimum(*sides),
+                np.maximum(*sides),
+            )  # at a kink any slope between those of its sides is one
             assert (d >= low - 1e-5).all() and (d <= high + 1e-5).all()
 
 
@@ -71,7 +82,9 @@ def coast_down(seed: int, inertia=0.01, viscous=0.005, coulomb=0.02, noise=1e-3)
             v = 0.0 if s == stop else w + (v - w) * np.exp(-k * s)
             left -= s
     y = np.array(out) + noise * np.random.default_rng(seed).standard_normal(len(t))
-    return jaxid.Dataset.from_arrays(t, {"tau": tau}, {"q": y}, noise_std={"q": noise}, at_rest=True)
+    return jaxid.Dataset.from_arrays(
+        t, {"tau": tau}, {"q": y}, noise_std={"q": noise}, at_rest=True
+    )
 
 
 TRUE = {"inertia": 0.01, "viscous": 0.005, "coulomb": 0.02}
@@ -79,7 +92,10 @@ TRUE = {"inertia": 0.01, "viscous": 0.005, "coulomb": 0.02}
 
 def deviations(fit) -> dict[str, float]:
     """How many standard deviations each number lies from the truth."""
-    return {name: (fit.parameters[name].value - value) / fit.parameters[name].std for name, value in TRUE.items()}
+    return {
+        name: (fit.parameters[name].value - value) / fit.parameters[name].std
+        for name, value in TRUE.items()
+    }
 
 
 def test_a_coast_to_rest_without_any_force_is_recovered():

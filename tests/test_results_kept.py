@@ -27,14 +27,31 @@ from report_sample import sample_diagnosis, sample_fit
 from test_batch import write_dataset
 
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="ends processes in the middle of their work")
-OLD, NEW = {"a.json": b"old a", "a.html": b"old page"}, {"a.json": b"new", "a.html": b"new page", "t.bin": b"new table"}
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "fork"), reason="ends processes in the middle of their work"
+)
+OLD, NEW = (
+    {"a.json": b"old a", "a.html": b"old page"},
+    {"a.json": b"new", "a.html": b"new page", "t.bin": b"new table"},
+)
 #: What Python tells an audit hook of each act on a file.
-ACTS = {"open", "os.rename", "os.symlink", "os.link", "os.mkdir", "os.remove", "os.rmdir", "os.scandir", "os.listdir"}
+ACTS = {
+    "open",
+    "os.rename",
+    "os.symlink",
+    "os.link",
+    "os.mkdir",
+    "os.remove",
+    "os.rmdir",
+    "os.scandir",
+    "os.listdir",
+}
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    return {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file() and p.name != "mine.txt"}
+    return {
+        p.name: p.read_bytes() for p in folder.iterdir() if p.is_file() and p.name != "mine.txt"
+    }
 
 
 def forked(work) -> int:
@@ -80,7 +97,10 @@ def test_an_end_at_any_act_leaves_the_old_or_the_new(tmp_path, first):
         seen.append("done" if code == 0 else "new" if now == NEW else "old")
         settle(folder)
         assert content(folder) == now and not (folder / STAGE).exists()
-        assert not any(p.is_symlink() for p in folder.iterdir()) and (folder / "mine.txt").read_text() == "mine"
+        assert (
+            not any(p.is_symlink() for p in folder.iterdir())
+            and (folder / "mine.txt").read_text() == "mine"
+        )
     assert {"old", "new"} <= set(seen) and k > 15
 
 
@@ -93,9 +113,15 @@ def test_no_room_leaves_everything_as_it_was(tmp_path, monkeypatch):
         path.write_bytes(content)
 
     monkeypatch.setattr(atomic_files, "_write", full)
-    with pytest.raises(NotSaved, match=r"a\.html: not written \(No space left on device\): 20 bytes are needed") as error:
+    with pytest.raises(
+        NotSaved, match=r"a\.html: not written \(No space left on device\): 20 bytes are needed"
+    ) as error:
         replace_files(tmp_path, NEW)
-    assert error.value.errno == errno.ENOSPC and content(tmp_path) == OLD and len(list(tmp_path.iterdir())) == 2
+    assert (
+        error.value.errno == errno.ENOSPC
+        and content(tmp_path) == OLD
+        and len(list(tmp_path.iterdir())) == 2
+    )
 
 
 def test_without_links(tmp_path, monkeypatch):
@@ -131,9 +157,13 @@ def test_every_page_has_its_json(tmp_path):
     result_files.save(diagnosis, tmp_path)
     assert belongs(tmp_path, "report.html", "diagnosis.json") and not content(tmp_path / "partial")
     result_files.save(fit, tmp_path)
-    assert belongs(tmp_path, "report.html", "fit.json") and belongs(tmp_path, "diagnosis.html", "diagnosis.json")
+    assert belongs(tmp_path, "report.html", "fit.json") and belongs(
+        tmp_path, "diagnosis.html", "diagnosis.json"
+    )
     result_files.save(replace(diagnosis, seed=7), tmp_path)
-    assert belongs(tmp_path, "report.html", "diagnosis.json") and belongs(tmp_path, "fit.html", "fit.json")
+    assert belongs(tmp_path, "report.html", "diagnosis.json") and belongs(
+        tmp_path, "fit.html", "fit.json"
+    )
     assert sorted(content(tmp_path)) == ["diagnosis.json", "fit.html", "fit.json", "report.html"]
     assert (tmp_path / "partial" / "mine.txt").read_text() == "mine"
 
@@ -158,7 +188,11 @@ def test_a_full_disk_prints_the_answer(data, tmp_path, monkeypatch, capfd, optio
 
     assert forked(work) == 1
     told = capfd.readouterr()
-    assert str(tmp_path / "o" / "report.html") in told.err and "bytes are needed" in told.err and "Traceback" not in told.err
+    assert (
+        str(tmp_path / "o" / "report.html") in told.err
+        and "bytes are needed" in told.err
+        and "Traceback" not in told.err
+    )
     assert json.loads(told.out)["seed"] == 3 if options == ["--json"] else "inertia" in told.out
     assert content(tmp_path / "o") == before and not list(tmp_path.rglob("*.partial"))
     assert json.loads((tmp_path / "o" / "partial" / "fit.json").read_text())["seed"] == 3
@@ -193,7 +227,9 @@ sys.exit(cli.main(["diagnose", sys.argv[1], "--out", sys.argv[2]]))
 """
 
 
-@pytest.mark.parametrize("name, deaf", [("SIGINT", False), ("SIGTERM", False), ("SIGHUP", False), ("SIGTERM", True)])
+@pytest.mark.parametrize(
+    "name, deaf", [("SIGINT", False), ("SIGTERM", False), ("SIGHUP", False), ("SIGTERM", True)]
+)
 def test_signals_are_alike(data, tmp_path, name, deaf):
     """What was known is there, the older result too; also where the work does not hear the signal."""
     result_files.save(replace(undrawn(), seed=9), tmp_path)
@@ -215,7 +251,10 @@ def test_signals_are_alike(data, tmp_path, name, deaf):
     process.send_signal(getattr(signal, name))
     _, told = process.communicate()  # who sleeps on ends with another code
     assert process.returncode == 130, told
-    assert f"what was finished is in {tmp_path / 'partial' / 'diagnosis.json'}" in told and "Traceback" not in told
+    assert (
+        f"what was finished is in {tmp_path / 'partial' / 'diagnosis.json'}" in told
+        and "Traceback" not in told
+    )
     assert content(tmp_path) == before
     assert json.loads((tmp_path / "partial" / "diagnosis.json").read_text())["seed"] == 0
     page = tmp_path / "partial" / "report.html"  # where there was time for it
@@ -270,15 +309,26 @@ def test_what_is_known_is_told_while_work_goes_on(data):
         jaxid.diagnose(None, jaxid.load_dataset(data), effects=["dead_zone"], max_effects=1)
     assert told and isinstance(told[0], jaxid.Diagnosis)
     assert told[0].which.verdict == "unknown" and "Stopped before" in told[0].which.text
-    assert told[0].where and set(told[0].nominal.parameters) == {"inertia", "viscous", "coulomb", "offset"}
+    assert told[0].where and set(told[0].nominal.parameters) == {
+        "inertia",
+        "viscous",
+        "coulomb",
+        "offset",
+    }
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["diagnose", "--effects", "payload"], "joint cannot take payload"),
-        (["diagnose", "--effects", "dead_zone", "--residual", "inverse_dynamics"], "cannot see dead_zone. Candidates are: "),
-        (["diagnose", "--effects", "coulomb_friction"], "coulomb_friction is part of joint already"),
+        (
+            ["diagnose", "--effects", "dead_zone", "--residual", "inverse_dynamics"],
+            "cannot see dead_zone. Candidates are: ",
+        ),
+        (
+            ["diagnose", "--effects", "coulomb_friction"],
+            "coulomb_friction is part of joint already",
+        ),
         (["diagnose", "--without", "dead_zone"], "joint has no dead_zone to leave out"),
         (["fit", "--effect", "payload"], "payload has no place in joint, which can take: "),
         (["fit", "--effect", "coulomb_friction"], "coulomb_friction is part of joint already"),
@@ -295,8 +345,14 @@ def test_a_model_without_free_numbers_is_diagnosed(tmp_path, recwarn):
     text = (folder / "dataset.toml").read_text()
     stated = "[model.constants]\ninertia = 0.1\nviscous = 0.4\ncoulomb = 0.0\noffset = 0.0\n"
     (folder / "dataset.toml").write_text(text.replace("[channels.tau]", f"{stated}[channels.tau]"))
-    found = jaxid.diagnose(None, jaxid.load_dataset(folder), effects=["stribeck_friction"], residual="inverse_dynamics")
-    assert not found.nominal.parameters and found.where and found.how_far.gap_after <= found.how_far.gap_before
+    found = jaxid.diagnose(
+        None, jaxid.load_dataset(folder), effects=["stribeck_friction"], residual="inverse_dynamics"
+    )
+    assert (
+        not found.nominal.parameters
+        and found.where
+        and found.how_far.gap_after <= found.how_far.gap_before
+    )
 
 
 def test_files_without_end_are_refused(data, tmp_path, capsys):
@@ -305,5 +361,10 @@ def test_files_without_end_are_refused(data, tmp_path, capsys):
         stream.truncate(LARGEST_BYTES + 1)
     for given in ("/dev/zero", large):
         began = time.monotonic()
-        assert cli.main(["simulate", str(data), "--parameters", str(given), "--out", str(tmp_path / "o")]) == 2
+        assert (
+            cli.main(
+                ["simulate", str(data), "--parameters", str(given), "--out", str(tmp_path / "o")]
+            )
+            == 2
+        )
         assert "larger than 16 MiB" in capsys.readouterr().err and time.monotonic() - began < 30

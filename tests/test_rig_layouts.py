@@ -9,7 +9,10 @@ from benchmarks.rig_layouts import CONVENTIONS, conventions, diagnosed, fitted, 
 
 def test_every_convention_of_the_cylinder_is_found():
     row = conventions("pneumatic cylinder, two pressures", "", 2)
-    assert row["right"] == f"{len(CONVENTIONS['pneumatic cylinder, two pressures'])} found" and not row["wrong"]
+    assert (
+        row["right"] == f"{len(CONVENTIONS['pneumatic cylinder, two pressures'])} found"
+        and not row["wrong"]
+    )
 
 
 @pytest.mark.slow
@@ -19,6 +22,8 @@ def test_fits_with_nothing_missing_hold_the_truth(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "withheld"), [(n, w) for n in LAYOUTS for w in ("", *LAYOUTS[n].withheld)])
+@pytest.mark.parametrize(
+    ("name", "withheld"), [(n, w) for n in LAYOUTS for w in ("", *LAYOUTS[n].withheld)]
+)
 def test_what_is_withheld_is_named_and_nothing_else(name, withheld):
     assert diagnosed(name, withheld, 1)["right"]

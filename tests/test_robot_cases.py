@@ -35,17 +35,25 @@ def test_the_torque_of_an_arm_under_a_law_is_the_laws():
 
 
 def test_the_file_is_the_yardstick():
-    found = jaxid.identify(None, jaxid.load_dataset(case("robot_09_nominal_urdf_not_compared") / "ds")).to_dict()
+    found = jaxid.identify(
+        None, jaxid.load_dataset(case("robot_09_nominal_urdf_not_compared") / "ds")
+    ).to_dict()
     rows = {r["parameter"]: r for r in found["stated"]}
     assert abs(rows["mx3"]["stated"] - 0.12) < 1e-9 and abs(rows["mx2"]["stated"] - 0.6) < 1e-9
     assert rows["mx3"]["deviation"] > 5 and rows["mx3"]["joint"] == "q3"
     for row in found["how_far"]["per_joint"]:
         assert row["as_it_stands"] > 3 * row["retuned"]
-    assert found["notes"][1].startswith("link 3 carries 5") and "97 % at pan" in found["notes"][2].replace("97.4", "97")
+    assert found["notes"][1].startswith("link 3 carries 5") and "97 % at pan" in found["notes"][
+        2
+    ].replace("97.4", "97")
 
 
-def test_what_the_file_has_wrong_stands_first_on_the_page_of_an_identification_and_beside_each_number(tmp_path):
-    found = jaxid.identify(None, jaxid.load_dataset(case("robot_09_nominal_urdf_not_compared") / "ds"))
+def test_what_the_file_has_wrong_stands_first_on_the_page_of_an_identification_and_beside_each_number(
+    tmp_path,
+):
+    found = jaxid.identify(
+        None, jaxid.load_dataset(case("robot_09_nominal_urdf_not_compared") / "ds")
+    )
     page = found.report(tmp_path / "report.html").read_text()
     assert page.index("Link 3 carries 5") < page.index("Torque, measured against predicted")
     row = page[page.index("<code>mx3</code>") :].split("</tr>")[0]
@@ -57,7 +65,9 @@ def test_what_the_file_has_wrong_stands_first_on_the_page_of_an_identification_a
 def test_an_mjcf_is_read_from_the_dataset_and_from_the_command_line():
     folder = case("robot_04_mjcf_refused")
     data = jaxid.load_dataset(folder)
-    assert [c.name for c in data.outputs] == ["lift", "elbow"] and "q1 = lift" in " ".join(data.notes)
+    assert [c.name for c in data.outputs] == ["lift", "elbow"] and "q1 = lift" in " ".join(
+        data.notes
+    )
     tree = robot_from(str(folder / "arm2.xml")).tree.tree
     assert tree.actuators["lift"].kp == 20 and np.allclose(tree.frictionloss, 0.05)
 
@@ -73,8 +83,12 @@ def test_a_robot_that_goals_drive_lacks_nothing_but_friction_that_its_file_under
         assert row.stated == 0.05 and abs(row.fitted - 0.1) < 0.01 and (row.deviation or 0) > 3
     assert found.how_far.gap_before > 5 > 1.5 > found.how_far.gap_retuned
     notes = " ".join(found.notes)
-    assert "MuJoCo and jaxid differ by" in notes  # what the noise of 1e-6 rad of these readings is not
-    assert "along straight lines" in notes  # every fifth goal was logged of one that moved on in between
+    assert (
+        "MuJoCo and jaxid differ by" in notes
+    )  # what the noise of 1e-6 rad of these readings is not
+    assert (
+        "along straight lines" in notes
+    )  # every fifth goal was logged of one that moved on in between
 
 
 @pytest.mark.slow
@@ -83,7 +97,12 @@ def test_what_the_numbers_of_a_robot_take_up_under_its_law():
     found = equivalences(str(case("robot_04_mjcf_refused") / "arm2.xml"))
     taken = {(p.effect, p.location) for p in found.absorbed}
     assert {("back_emf", "lift_tau"), ("back_emf", "elbow_tau")} <= taken
-    assert not {e for e, _ in taken} & {"input_delay", "stribeck_friction", "torque_scale", "saturation"}
+    assert not {e for e, _ in taken} & {
+        "input_delay",
+        "stribeck_friction",
+        "torque_scale",
+        "saturation",
+    }
     assert "joint_elasticity" in found.excitation  # not compared, and said so
 
 
@@ -94,11 +113,16 @@ def test_joints_of_the_recording_in_another_order_go_by_name(tmp_path):
     columns = {"t": rows["t"]} | {new: rows[old] for new, old in order.items()}
     columns |= {f"tau{k[1]}": rows[f"tau{old[1]}"] for k, old in order.items()}
     np.savetxt(
-        tmp_path / "run.csv", np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments=""
+        tmp_path / "run.csv",
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
     )
     shutil.copy(folder / "arm3.urdf", tmp_path)
     channels = [
-        f'[channels.q{k}]\nrole = "output"\nunit = "rad"\n[channels.tau{k}]\nrole = "input"\nunit = "N m"' for k in (1, 2, 3)
+        f'[channels.q{k}]\nrole = "output"\nunit = "rad"\n[channels.tau{k}]\nrole = "input"\nunit = "N m"'
+        for k in (1, 2, 3)
     ]
     joints = '[model]\nrobot = "arm3.urdf"\n[model.joints]\nq1 = "elbow"\nq2 = "lift"\nq3 = "pan"'
     text = ['name = "bag"', joints, *channels, '[[experiments]]\nfile = "run.csv"']
@@ -115,7 +139,10 @@ def test_an_end_is_named_where_a_robot_branches(tmp_path, capsys):
         robot_from(str(folder / "tree.urdf"), "lc")
     assert robot_from(str(folder / "tree.urdf"), "lb").signatures[0].joints == ("right",)
     data = case("robot_09_nominal_urdf_not_compared") / "ds"
-    assert main(["identify", str(data), "--model", str(folder / "tree.urdf"), "--out", str(tmp_path)]) == 2
+    assert (
+        main(["identify", str(data), "--model", str(folder / "tree.urdf"), "--out", str(tmp_path)])
+        == 2
+    )
     assert "left, right" in capsys.readouterr().err
     assert main(["identify", str(data), "--tip", "lb", "--out", str(tmp_path)]) == 2
     assert "--model" in capsys.readouterr().err

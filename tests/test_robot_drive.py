@@ -57,7 +57,11 @@ def recording(controller=None, auxiliary=None, units=None, **more: Any) -> Datas
 
 
 def pd(kind="pd", **more):
-    gains = {"pd": {"kp": 20.0, "kd": 0.5}, "pid": {"kp": 20.0, "kd": 0.5, "ki": 3.0}, "cascade": {"kp": 10.0, "kv": 2.0}}
+    gains = {
+        "pd": {"kp": 20.0, "kd": 0.5},
+        "pid": {"kp": 20.0, "kd": 0.5, "ki": 3.0},
+        "cascade": {"kp": 10.0, "kv": 2.0},
+    }
     return Controller(kind, {**gains[kind], "sample_time": 0, **more})
 
 
@@ -67,7 +71,11 @@ def chain_of(dataset: Dataset) -> Any:
 
 def asked(chain: Any, goal, q, qd, beside=(), h=0.002):
     """Joint torque that the law of a chain makes of inputs at one moment."""
-    u = jnp.concatenate([jnp.asarray(goal), jnp.asarray(beside)]) if len(beside) else jnp.asarray(goal)
+    u = (
+        jnp.concatenate([jnp.asarray(goal), jnp.asarray(beside)])
+        if len(beside)
+        else jnp.asarray(goal)
+    )
     command = Command(jnp.zeros(()), jnp.asarray(h), u, u, lambda d: u)
     q, qd = jnp.asarray(q), jnp.asarray(qd)
     signals = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
@@ -76,28 +84,44 @@ def asked(chain: Any, goal, q, qd, beside=(), h=0.002):
 
 
 def test_stated_gains_are_priors_and_the_result_says_so():
-    data = recording(pd(kp={"lift": 20.0, "turn": 5.0}, kd=0.0, fit=["kp", "kd", "delay"], spread={"kp": 0.2}))
+    data = recording(
+        pd(kp={"lift": 20.0, "turn": 5.0}, kd=0.0, fit=["kp", "kd", "delay"], spread={"kp": 0.2})
+    )
     b = bind(Robot.from_mjcf("robot.xml", text=ARM), data)
     names = {b.layout.names[i]: i for i in b.free}
     assert {f"{n}@{j}" for n in ("kp", "kd", "delay") for j in JOINTS} <= set(names)
-    assert b.priors == {names["kp@lift"]: (20.0, 4.0), names["kp@turn"]: (5.0, 1.0)}  # what is stated as 0 has none
+    assert b.priors == {
+        names["kp@lift"]: (20.0, 4.0),
+        names["kp@turn"]: (5.0, 1.0),
+    }  # what is stated as 0 has none
     assert "prior of kp@lift: 20 ± 4 N m/rad (stated)" in b.said
     i = names["kp@turn"]
     assert 0 < b.lower[i] < 5 - 4 < 5 + 4 < b.upper[i] and b.theta[i] == 5.0
     own = bind(Robot.from_mjcf("robot.xml", text=ARM), recording(pd(fit=["kp"])))
-    assert "prior of kp@lift, kp@turn: 20 ± 2 N m/rad (stated)" in own.said  # 10 % where no spread is stated
+    assert (
+        "prior of kp@lift, kp@turn: 20 ± 2 N m/rad (stated)" in own.said
+    )  # 10 % where no spread is stated
 
 
 def test_only_numbers_that_the_file_can_have_stand_beside_it():
     """Those of an effect at a torque have neither joint nor link of the file."""
-    b = bind(Robot.from_mjcf("arm.xml", text=ARM), recording(), candidates=[Saturation, CoulombFriction])
-    found = {i: Estimate(1.0, 0.1, "N m", 0.0, 9.0) for i in (*b.free, *b.layout.of_effect("saturation", "turn_tau"))}
+    b = bind(
+        Robot.from_mjcf("arm.xml", text=ARM), recording(), candidates=[Saturation, CoulombFriction]
+    )
+    found = {
+        i: Estimate(1.0, 0.1, "N m", 0.0, 9.0)
+        for i in (*b.free, *b.layout.of_effect("saturation", "turn_tau"))
+    }
     rows = stated(b, found).values()
-    assert {r["parameter"] for r in rows} >= {"damping", "armature"} and not {r["parameter"] for r in rows} & {"limit"}
+    assert {r["parameter"] for r in rows} >= {"damping", "armature"} and not {
+        r["parameter"] for r in rows
+    } & {"limit"}
 
 
 def test_what_the_files_steps_add_refutes_no_number_of_it():
-    text = ARM.replace("<worldbody>", '<option timestep="0.01" integrator="implicitfast"/><worldbody>', 1)
+    text = ARM.replace(
+        "<worldbody>", '<option timestep="0.01" integrator="implicitfast"/><worldbody>', 1
+    )
     b = bind(Robot.from_mjcf("arm.xml", text=text), recording())
     assert isinstance(b.chain.mechanism, Robot)
     steps = b.chain.mechanism.tree.tree.steps
@@ -120,9 +144,20 @@ def test_a_recorded_rate_of_the_goal_drives_too(kind):
     data = recording(law, rates, {n: "rad/s" for n in rates})
     _, moved = prepared(Robot.from_mjcf("robot.xml", text=ARM), data)
     chain = chain_of(data)
-    assert [n for n, _ in chain.signature.inputs] == [c.name for c in moved.inputs] == [*(f"{j}_cmd" for j in JOINTS), *rates]
-    goal, q, qd, rate = np.array([0.3, -0.2]), np.array([0.1, 0.2]), np.array([0.5, -1.0]), np.array([0.7, 0.4])
-    expected = 20 * (goal - q) + 0.5 * (rate - qd) if kind == "pd" else 2 * (10 * (goal - q) + rate - qd)
+    assert (
+        [n for n, _ in chain.signature.inputs]
+        == [c.name for c in moved.inputs]
+        == [*(f"{j}_cmd" for j in JOINTS), *rates]
+    )
+    goal, q, qd, rate = (
+        np.array([0.3, -0.2]),
+        np.array([0.1, 0.2]),
+        np.array([0.5, -1.0]),
+        np.array([0.7, 0.4]),
+    )
+    expected = (
+        20 * (goal - q) + 0.5 * (rate - qd) if kind == "pd" else 2 * (10 * (goal - q) + rate - qd)
+    )
     assert np.allclose(asked(chain, goal, q, qd, rate), expected)
     with pytest.raises(UsageError, match="no channel 'lift_speed'"):
         chain_of(recording(pd(reference_velocity="*_speed"), rates, {n: "rad/s" for n in rates}))
@@ -152,12 +187,17 @@ def test_a_law_read_at_the_samples_is_in_phase():
     goal = 0.3 * np.sin(2 * t[:, None] + [0.3, 0.5])
     fine = np.arange(0, 4 - 0.05, 1e-3)
     held = goal[np.floor(fine / 0.05 + 1e-9).astype(int)]
-    true = 20 * (held - 0.2 * np.sin(2 * fine[:, None] + [0.0, 1.0])) - 0.5 * 0.4 * np.cos(2 * fine[:, None] + [0.0, 1.0])
+    true = 20 * (held - 0.2 * np.sin(2 * fine[:, None] + [0.0, 1.0])) - 0.5 * 0.4 * np.cos(
+        2 * fine[:, None] + [0.0, 1.0]
+    )
     basis = lambda t: np.stack([np.sin(2 * t), np.cos(2 * t), np.ones_like(t)], 1)
     fit = lambda t, tau: np.linalg.lstsq(basis(t), tau, rcond=None)[0][:2]
     inner = slice(2, -2)
     expected = fit(fine, true)
-    assert np.abs(fit(t[inner], law.torque(t, goal, q)[inner]) - expected).max() < 0.02 * np.abs(expected).max()
+    assert (
+        np.abs(fit(t[inner], law.torque(t, goal, q)[inner]) - expected).max()
+        < 0.02 * np.abs(expected).max()
+    )
     late = law.torque(t, goal, q, held=False)
     assert np.abs(fit(t[inner], late[inner]) - expected).max() > 0.05 * np.abs(expected).max()
 
@@ -174,9 +214,14 @@ def test_a_base_that_turns_loads_the_joints_as_in_mujoco():
     hinges = [f'<joint name="{n}" axis="{a}" damping="0" armature="0"/>' for n, a in
               (("yaw", "0 0 1"), ("pitch", "0 1 0"), ("roll", "1 0 0"))]  # fmt: skip
     tiny = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-8 1e-8 1e-8"/>'
-    model = mujoco.MjModel.from_xml_string(ARM.replace(inner, f'<body name="trunk">{"".join(hinges)}{tiny}{inner}</body>'))
+    model = mujoco.MjModel.from_xml_string(
+        ARM.replace(inner, f'<body name="trunk">{"".join(hinges)}{tiny}{inner}</body>')
+    )
     model.dof_damping[:] = 0
-    angles = {f"base_{k}": np.array([ride(t)[i] for t in T]) for i, k in enumerate(("roll", "pitch", "yaw"))}
+    angles = {
+        f"base_{k}": np.array([ride(t)[i] for t in T])
+        for i, k in enumerate(("roll", "pitch", "yaw"))
+    }
     spec = ModelSpec(base={"kind": "prescribed"})
     data = recording(pd(), angles, dict.fromkeys(angles, "rad"), model=spec)
     chain = chain_of(data)
@@ -194,21 +239,29 @@ def test_a_base_that_turns_loads_the_joints_as_in_mujoco():
         mujoco.mj_inverse(model, state)
         still = chain.mechanism.inverse(*(jnp.asarray(x) for x in (q, qd, qdd)))
         drive = chain.mechanism.drive(
-            chain.signature, jnp.concatenate([jnp.zeros(2), jnp.asarray(own)]), *map(jnp.asarray, (q, qd))
+            chain.signature,
+            jnp.concatenate([jnp.zeros(2), jnp.asarray(own)]),
+            *map(jnp.asarray, (q, qd)),
         )
         assert np.allclose(np.asarray(still - drive), state.qfrc_inverse[3:], atol=1e-5)
         derived = moved.experiments[0].u[k, 2:]
-        assert np.abs(derived - own).max() < 0.05  # rates and accelerations by differences of what was recorded
+        assert (
+            np.abs(derived - own).max() < 0.05
+        )  # rates and accelerations by differences of what was recorded
 
 
 def test_a_recorded_base_that_is_not_prescribed_is_said_to_be_unused():
     angles = {"base_roll": wave(1)}
-    _, data = prepared(Robot.from_mjcf("robot.xml", text=ARM), recording(pd(), angles, {"base_roll": "rad"}))
+    _, data = prepared(
+        Robot.from_mjcf("robot.xml", text=ARM), recording(pd(), angles, {"base_roll": "rad"})
+    )
     assert "base_roll recorded and not used" in data.notes[-1]
 
 
 def test_a_joint_that_is_called_like_an_angle_of_the_base_is_that_joint():
-    named = {old: old.replace("lift", "base_yaw") for old in ("lift", "turn", "lift_cmd", "turn_cmd")}
+    named = {
+        old: old.replace("lift", "base_yaw") for old in ("lift", "turn", "lift_cmd", "turn_cmd")
+    }
     robot = Robot.from_mjcf("robot.xml", text=ARM.replace('"lift"', '"base_yaw"'))
     prescribed = ModelSpec(base={"kind": "prescribed"})
     for spec in (None, prescribed):
@@ -232,7 +285,11 @@ def test_speeds_of_joints_are_outputs():
         check_model=False,
     )  # fmt: skip
     signature = chain_of(both).signature
-    assert [n for n, _ in signature.outputs] == ["lift", "lift_qd", "turn_qd"] and signature.joints == JOINTS
+    assert [n for n, _ in signature.outputs] == [
+        "lift",
+        "lift_qd",
+        "turn_qd",
+    ] and signature.joints == JOINTS
 
 
 @pytest.mark.parametrize(
@@ -248,7 +305,14 @@ def test_speeds_of_joints_are_outputs():
 def test_limbs_that_were_diagnosed_one_by_one_are_one_answer(verdicts, whole):
     sample = sample_diagnosis(200)
     parts = [
-        replace(sample, which=replace(sample.which, verdict=v, effects=sample.which.effects if v in ("named", "partly") else ()))
+        replace(
+            sample,
+            which=replace(
+                sample.which,
+                verdict=v,
+                effects=sample.which.effects if v in ("named", "partly") else (),
+            ),
+        )
         for v in verdicts
     ]
     found = joined(parts, [("a1", "a2"), ("b1",)], recording(pd()))
@@ -262,7 +326,9 @@ def test_limbs_that_were_diagnosed_one_by_one_are_one_answer(verdicts, whole):
 
 def test_limbs_that_are_finished_are_kept_when_the_others_are_stopped():
     model = Robot.from_mjcf("arm.xml", text=ARM)
-    limbs = [(model, recording(pd(), name=name)) for name in ("finished", "half", "endless", "never")]
+    limbs = [
+        (model, recording(pd(), name=name)) for name in ("finished", "half", "endless", "never")
+    ]
     sample = sample_diagnosis(200)
     told = []
 
@@ -275,7 +341,9 @@ def test_limbs_that_are_finished_are_kept_when_the_others_are_stopped():
 
     with pytest.raises(Interrupted) as stopped:
         diagnose_each(limbs, work, limbs[0][1], lambda *words: told.append(words))
-    assert 2 <= stopped.value.partial.which.text.count("lift and turn: ") <= 3  # the last one may have been begun or not
+    assert (
+        2 <= stopped.value.partial.which.text.count("lift and turn: ") <= 3
+    )  # the last one may have been begun or not
     assert all(words == ("limb 3 of 4 (lift, turn): simulated", 0, 1, "") for words in told)
 
 
@@ -284,10 +352,16 @@ def test_a_robots_file_is_a_model_for_designs_and_lists(tmp_path):
     path.write_text(ARM.replace('name="lift"', 'name="lift" range="-60 60"'))
     mechanism, table = mechanism_of(str(path))
     bounds = bounds_of(mechanism.name, mechanism.signatures[0], None, table)
-    assert mechanism.name == "robot" and np.isclose(bounds.upper[0], 0.9 * np.pi / 3) and bounds.upper[1] > 1.0
+    assert (
+        mechanism.name == "robot"
+        and np.isclose(bounds.upper[0], 0.9 * np.pi / 3)
+        and bounds.upper[1] > 1.0
+    )
     spec: Any = spec_of_file(str(path))
     assert spec.name == "robot" and "<mujoco" in spec.geometry.robot
-    assert np.isfinite([p["value"] for p in own_numbers(Chain(mechanism))["parameters"].values()]).all()
+    assert np.isfinite(
+        [p["value"] for p in own_numbers(Chain(mechanism))["parameters"].values()]
+    ).all()
 
 
 def test_numbers_of_another_model_are_not_those_of_a_robot():
@@ -324,7 +398,10 @@ def gripper(joints, goals, text=GRIPPER, roles=()):
 
 def test_a_recorded_follower_leads_with_its_own_goal():
     chain, _, notes = gripper(("lift", "left"), ("lift", "left"))
-    assert chain.signature.joints == ("lift", "left") and chain.mechanism.drive_law.kp == (8.0, 40.0)
+    assert chain.signature.joints == ("lift", "left") and chain.mechanism.drive_law.kp == (
+        8.0,
+        40.0,
+    )
     assert any("right = 0.005 + -0.5 left" in note for note in notes)
     S, c = chain.mechanism.tree.tree.follow()
     assert S[:, 1].tolist() == [0.0, 1.0, -0.5] and c.tolist() == [0.0, 0.0, 0.005]
@@ -347,10 +424,14 @@ def test_fingers_that_nobody_recorded_are_held_whatever_ties_them():
     tied = tied.replace('<position joint="left"', '<position tendon="grip"')
     chain, _, notes = gripper(("lift",), ("lift",), text=tied)
     assert chain.signature.joints == ("lift",)
-    assert any("tendon 'grip', of left, right" in note and "equality 'bar'" in note for note in notes)
+    assert any(
+        "tendon 'grip', of left, right" in note and "equality 'bar'" in note for note in notes
+    )
     chain, _, _ = gripper(("lift",), ("lift",), text=tied, roles=("right",))
     assert chain.mechanism.tree.tree.held == {"right": 0.03, "left": pytest.approx(-0.05)}
-    with pytest.raises(UsageError, match="tendon 'grip', acts on left, right, and right is recorded.*auxiliary"):
+    with pytest.raises(
+        UsageError, match="tendon 'grip', acts on left, right, and right is recorded.*auxiliary"
+    ):
         gripper(("lift", "right"), ("lift", "right"), text=tied)
 
 
@@ -379,8 +460,15 @@ def test_names_are_matched_as_drivers_write_them_and_a_gripper_is_left_out():
 
     robot = Robot.from_mjcf("robot.xml", text=ARM)
     _, data = prepared(robot, mapped(a="gripper", b="arm/Turn_joint", c="lift.pos"))
-    assert [c.name for c in data.outputs] == ["turn", "lift"] and [c.name for c in data.inputs] == ["turn_cmd", "lift_cmd"]
-    assert np.allclose(data.experiments[0].y[:, 0], wave(1.3)) and "left out" in data.notes[-1] and "gripper" in data.notes[-1]
+    assert [c.name for c in data.outputs] == ["turn", "lift"] and [c.name for c in data.inputs] == [
+        "turn_cmd",
+        "lift_cmd",
+    ]
+    assert (
+        np.allclose(data.experiments[0].y[:, 0], wave(1.3))
+        and "left out" in data.notes[-1]
+        and "gripper" in data.notes[-1]
+    )
     assert prepared(robot, data)[1].notes == data.notes
     with pytest.raises(UsageError, match="'gripper', no joint of"):
         prepared(robot, mapped(a="gripper", b="turn"))
@@ -408,13 +496,19 @@ def test_forces_that_a_model_lacks_become_its_free_run():
     exact = (settled * np.exp(3j * t)).imag
     assert np.abs(x[300:, 0, 0] - exact[300:]).max() < 2e-3 * abs(settled)
     assert np.allclose(x[..., 1], -2 * x[..., 0])
-    held = loop_of(h, every(m), every(d), np.where(t < 1.5, 0.0, 1e6)[:, None], every(k), moves).free_run(force)[:, 0, 0]
-    assert np.ptp(held[301:]) < 1e-3 * np.ptp(held[:300])  # dry friction that sticks keeps what there is
+    held = loop_of(
+        h, every(m), every(d), np.where(t < 1.5, 0.0, 1e6)[:, None], every(k), moves
+    ).free_run(force)[:, 0, 0]
+    assert np.ptp(held[301:]) < 1e-3 * np.ptp(
+        held[:300]
+    )  # dry friction that sticks keeps what there is
 
 
 def test_a_goal_that_is_held_counts_from_both_sides_of_its_jump():
     u = np.array([[0.0, 0.0], [2.0, 2.0], [2.0, 4.0]])
-    assert np.array_equal(mean_input(u, np.array([False, True])), [[0.0, 0.0], [1.0, 2.0], [2.0, 4.0]])
+    assert np.array_equal(
+        mean_input(u, np.array([False, True])), [[0.0, 0.0], [1.0, 2.0], [2.0, 4.0]]
+    )
 
 
 def test_a_step_under_goals_is_one_evaluation_of_second_order():
@@ -430,8 +524,12 @@ def test_a_step_under_goals_is_one_evaluation_of_second_order():
     assert 3.5 < apart / less < 5 and less < 1e-4
     body: Any = b.chain.body()
     x = jnp.zeros(2), jnp.ones(2)
-    program = lambda body: str(jax.make_jaxpr(lambda x: body.damped(0.01, x, x[0], x[1], x[0], x[0])[1])(x))
-    assert "length=4" not in program(body) and "length=4" in program(Robot(body.tree.tree, driven=False))
+    program = lambda body: str(
+        jax.make_jaxpr(lambda x: body.damped(0.01, x, x[0], x[1], x[0], x[0])[1])(x)
+    )
+    assert "length=4" not in program(body) and "length=4" in program(
+        Robot(body.tree.tree, driven=False)
+    )
 
 
 @pytest.mark.parametrize("armature", [1e-3, 1e-7])

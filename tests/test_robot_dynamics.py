@@ -20,7 +20,9 @@ mujoco: Any = importlib.import_module("mujoco")  # its names are made when it lo
 
 
 STATES = 1000
-quick = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # compiling is what takes time here
+quick = partial(
+    jax.jit, compiler_options={"xla_backend_optimization_level": 0}
+)  # compiling is what takes time here
 
 
 def states(robot, count, seed=0):
@@ -65,13 +67,20 @@ def test_tree_moves_as_in_mujoco(name):
     def everything(q, qd, qdd, tau):
         ready = robot.prepare(None)
         M, bias = ready.matrices(q, qd)
-        return M, bias, ready.inverse(q, qd, qdd), dot(inverted(M), tau - bias)  # as `Rigid.vector_field` does
+        return (
+            M,
+            bias,
+            ready.inverse(q, qd, qdd),
+            dot(inverted(M), tau - bias),
+        )  # as `Rigid.vector_field` does
 
     forward = np.linalg.solve(M, (inverse - bias)[..., None])[..., 0]
     with float64():  # to NumPy inside: outside, JAX would compare in float32
         own = [np.asarray(a) for a in quick(jax.vmap(everything))(q, qd, qdd, inverse)]
     for mine, theirs in zip(own, (M, bias, inverse, forward), strict=True):
-        assert mine.dtype == np.float64 and np.abs(mine - theirs).max() < 1e-9 * max(1.0, np.abs(theirs).max())
+        assert mine.dtype == np.float64 and np.abs(mine - theirs).max() < 1e-9 * max(
+            1.0, np.abs(theirs).max()
+        )
     assert np.array_equal(own[0], np.swapaxes(own[0], 1, 2)) or robot.coupling is not None
 
 
@@ -84,11 +93,19 @@ def test_base_moves_as_prescribed_by_its_pose():
     text = tilted().replace("<worldbody>", f'<worldbody><body quat="{" ".join(map(repr, w))}">').replace(
         "</worldbody>", "</body></worldbody>"
     )  # fmt: skip
-    turned = with_fields(R, {f"base_{k}": np.float64(a) for k, a in zip(("roll", "pitch", "yaw"), angles, strict=True)})
+    turned = with_fields(
+        R,
+        {f"base_{k}": np.float64(a) for k, a in zip(("roll", "pitch", "yaw"), angles, strict=True)},
+    )
     M, bias, inverse = peer(text, R, q, qd, qdd)
     with float64():
-        own_M, own_bias = (np.asarray(a) for a in quick(jax.vmap(lambda q, v: turned.prepare(None).matrices(q, v)))(q, qd))
-    assert np.abs(own_M - M).max() < 1e-9 and np.abs(own_bias - bias).max() < 1e-9 * np.abs(bias).max()
+        own_M, own_bias = (
+            np.asarray(a)
+            for a in quick(jax.vmap(lambda q, v: turned.prepare(None).matrices(q, v)))(q, qd)
+        )
+    assert (
+        np.abs(own_M - M).max() < 1e-9 and np.abs(own_bias - bias).max() < 1e-9 * np.abs(bias).max()
+    )
 
 
 def _quaternion(roll, pitch, yaw):

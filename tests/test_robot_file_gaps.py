@@ -48,7 +48,15 @@ def log(text: str, folder: Path, seconds: float = 10.0, noise: float = 2e-4) -> 
     runs = []
     for _ in range(3):
         f, phase = rng.uniform(0.1, 0.9, (2, 4)), rng.uniform(0, 6.28, (2, 4))
-        goal = 0.2 * (np.sin(2 * np.pi * f[:, :, None] * t + phase[:, :, None]) - np.sin(phase)[:, :, None]).sum(1).T
+        goal = (
+            0.2
+            * (
+                np.sin(2 * np.pi * f[:, :, None] * t + phase[:, :, None])
+                - np.sin(phase)[:, :, None]
+            )
+            .sum(1)
+            .T
+        )
         d, q = mujoco.MjData(m), []
         for u in goal * np.minimum(1, t)[:, None]:
             q.append(d.qpos + rng.normal(0, noise, 2))
@@ -73,13 +81,25 @@ def test_a_brake_that_the_file_leaves_at_nothing_is_named_and_alone_written_back
     arm.write_text(file().replace(' frictionloss="0.0"', ""))
     found = jaxid.diagnose(str(arm), jaxid.load_dataset(log(file(DRY), tmp_path)))
     (effect,) = found.which.effects
-    assert (found.which.verdict, effect.effect, effect.location) == ("named", "coulomb_friction", "bend")
+    assert (found.which.verdict, effect.effect, effect.location) == (
+        "named",
+        "coulomb_friction",
+        "bend",
+    )
     level = effect.parameters["level"]
     assert level.std and abs(level.value - DRY) < 0.03 * DRY  # MuJoCo's creeps
-    assert not [s for s in found.final.stated if s.refuted and s.parameter != "frictionloss"], "the file's own numbers are right"
+    assert not [s for s in found.final.stated if s.refuted and s.parameter != "frictionloss"], (
+        "the file's own numbers are right"
+    )
     written = found.export("mjcf").files["arm.xml"]
-    changed = [b for a, b in zip(arm.read_text().split("\n"), written.split("\n"), strict=True) if a != b]
-    assert len(changed) == 1 and 'name="bend"' in changed[0] and 'damping="0.6" armature="0.06"' in changed[0]
+    changed = [
+        b for a, b in zip(arm.read_text().split("\n"), written.split("\n"), strict=True) if a != b
+    ]
+    assert (
+        len(changed) == 1
+        and 'name="bend"' in changed[0]
+        and 'damping="0.6" armature="0.06"' in changed[0]
+    )
 
 
 @pytest.mark.slow
@@ -105,7 +125,10 @@ def test_stops_are_said_where_a_joint_meets_them(tmp_path):
         arm.write_text(file(angle=angle))
         said = sentences(read_mjcf(arm), data)
         assert bool(said) == told
-    assert "lift stands at or past its range" in said[0] and 'add <compiler angle="radian"/>' in said[0]
+    assert (
+        "lift stands at or past its range" in said[0]
+        and 'add <compiler angle="radian"/>' in said[0]
+    )
 
 
 def test_brakes_that_a_file_states_are_no_effects(tmp_path):
@@ -122,8 +145,16 @@ def test_brakes_that_a_file_states_are_no_effects(tmp_path):
     [
         ((1e-4, 1e-4), (1e-3, 1e-3), False),
         ((0.3, 0.2), (5e-3, 1e-3), True),
-        ((4e-4, 4e-4), (2e-4, 2e-4), False),  # MuJoCo's run of the file is at the noise: the file is right
-        ((1e-4, 4e-4), (4e-3, 2e-4), False),  # a little more where nothing is missing, and far less where something is
+        (
+            (4e-4, 4e-4),
+            (2e-4, 2e-4),
+            False,
+        ),  # MuJoCo's run of the file is at the noise: the file is right
+        (
+            (1e-4, 4e-4),
+            (4e-3, 2e-4),
+            False,
+        ),  # a little more where nothing is missing, and far less where something is
     ],
 )
 def test_no_file_is_judged_by_a_run_that_is_not_its_own(apart, left, strange):
@@ -141,15 +172,36 @@ def test_no_file_is_judged_by_a_run_that_is_not_its_own(apart, left, strange):
 # ---- which numbers stay
 
 
-def result(fitted: Mapping[str, tuple[float, float, float | None]], covariance: np.ndarray | None = None, verdict: str = "named"):
+def result(
+    fitted: Mapping[str, tuple[float, float, float | None]],
+    covariance: np.ndarray | None = None,
+    verdict: str = "named",
+):
     """A diagnosis with (stated, fitted, std) of each number."""
     rows = [
-        {"joint": k.split("@")[1], "link": "", "parameter": k.split("@")[0], "stated": s, "fitted": v, "std": e}
+        {
+            "joint": k.split("@")[1],
+            "link": "",
+            "parameter": k.split("@")[0],
+            "stated": s,
+            "fitted": v,
+            "std": e,
+        }
         for k, (s, v, e) in fitted.items()
     ]
-    entry = {} if covariance is None else {"covariance": {"names": list(fitted), "matrix": covariance.tolist()}}
+    entry = (
+        {}
+        if covariance is None
+        else {"covariance": {"names": list(fitted), "matrix": covariance.tolist()}}
+    )
     numbers = {k: {"value": v, "std": e, "unit": ""} for k, (_, v, e) in fitted.items()}
-    content = {"kind": "diagnosis", "model": "robot", "parameters": numbers, "stated": rows, **entry}
+    content = {
+        "kind": "diagnosis",
+        "model": "robot",
+        "parameters": numbers,
+        "stated": rows,
+        **entry,
+    }
     return outcome(json.loads(json.dumps(content | {"which": {"verdict": verdict, "effects": []}})))
 
 
@@ -160,8 +212,13 @@ def left(found) -> set[str]:
 def test_numbers_that_the_data_do_not_refute_stay_as_the_file_has_them():
     one, two = "damping@lift", "damping@bend"
     assert left(result({one: (1.0, 1.02, 0.05), two: (1.0, 2.0, 0.05)})) == {one}
-    assert left(result({one: (1.0, 1.02, 0.05), two: (1.0, 1.02, None)}, verdict="unknown")) == {one, two}
-    assert left(result({one: (1.0, 1.02, 0.05), two: (1.0, 1.02, None)})) == {one}  # not known alone, yet of the fit
+    assert left(result({one: (1.0, 1.02, 0.05), two: (1.0, 1.02, None)}, verdict="unknown")) == {
+        one,
+        two,
+    }
+    assert left(result({one: (1.0, 1.02, 0.05), two: (1.0, 1.02, None)})) == {
+        one
+    }  # not known alone, yet of the fit
     assert kept(result({one: (1.0, 1.2345678, 0.012)})).parameters[one].value == 1.2346
 
 
@@ -169,7 +226,10 @@ def test_numbers_that_go_together_are_left_together_or_not_at_all():
     """Two that trade for each other: each near the file's by itself, both not."""
     one, two = "damping@lift", "damping@bend"
     C = 0.05**2 * np.array([[1.0, 0.98], [0.98, 1.0]])
-    both_off, traded = {one: (1.0, 1.05, 0.05), two: (1.0, 0.95, 0.05)}, {one: (1.0, 1.05, 0.05), two: (1.0, 1.05, 0.05)}
+    both_off, traded = (
+        {one: (1.0, 1.05, 0.05), two: (1.0, 0.95, 0.05)},
+        {one: (1.0, 1.05, 0.05), two: (1.0, 1.05, 0.05)},
+    )
     assert left(result(both_off, C)) != {one, two} and left(result(traded, C)) == {one, two}
 
 
@@ -178,7 +238,9 @@ def test_a_doubt_counts_beside_what_noise_leaves():
     names, shift = ["damping@lift", "damping@bend"], np.array([0.045, 0.035])
     C = 1e-6 * np.array([[1.0, 0.99], [0.99, 1.0]]) + np.diag(shift**2)
     std = np.sqrt(np.diag(C))
-    fitted = lambda times: {n: (1.0, 1.0 - k * s, e) for n, s, e, k in zip(names, shift, std, times, strict=True)}
+    fitted = lambda times: {
+        n: (1.0, 1.0 - k * s, e) for n, s, e, k in zip(names, shift, std, times, strict=True)
+    }
     assert left(result(fitted((1.0, 1.0)), C)) == left(result(fitted((1.0, -0.5)), C)) == set(names)
     assert left(result(fitted((1.0, 4.0)), C)) == {names[0]}
 

@@ -40,14 +40,32 @@ def folder(tmp_path_factory):
     rows = np.column_stack(record(model))
     np.savetxt(out / "run.csv", rows, delimiter=",", header="t,lift_cmd,lift", comments="")
     (out / "arm.xml").write_text(ARM)
-    channels = "".join(f'[channels.{c}]\nrole = "{r}"\nunit = "rad"\n' for c, r in (("lift_cmd", "input"), ("lift", "output")))
-    (out / "dataset.toml").write_text(f'name = "arm"\n{channels}[[experiments]]\nfile = "run.csv"\nat_rest = true\n')
+    channels = "".join(
+        f'[channels.{c}]\nrole = "{r}"\nunit = "rad"\n'
+        for c, r in (("lift_cmd", "input"), ("lift", "output"))
+    )
+    (out / "dataset.toml").write_text(
+        f'name = "arm"\n{channels}[[experiments]]\nfile = "run.csv"\nat_rest = true\n'
+    )
     return out
 
 
 @pytest.mark.slow
 def test_a_fit_says_what_differs_from_the_file(folder, tmp_path, capsys):
-    assert main(["fit", str(folder), "--model", str(folder / "arm.xml"), "--out", str(tmp_path), "--json"]) == 0
+    assert (
+        main(
+            [
+                "fit",
+                str(folder),
+                "--model",
+                str(folder / "arm.xml"),
+                "--out",
+                str(tmp_path),
+                "--json",
+            ]
+        )
+        == 0
+    )
     fit = json.loads(capsys.readouterr().out)
     found = fit["parameters"]
     moment = 0.3 * np.hypot(found["com_x@l1"]["value"], found["com_z@l1"]["value"])
@@ -57,7 +75,11 @@ def test_a_fit_says_what_differs_from_the_file(folder, tmp_path, capsys):
     inertia = found["armature@lift"]["value"] + 1e-3 + moment**2 / 0.3
     assert abs(inertia - (0.03 + 1e-3 + 0.3 * 0.15**2)) < 0.002
     rows = {r["parameter"]: r for r in fit["stated"]}
-    assert rows["damping"]["stated"] == 0.3 and rows["damping"]["joint"] == "lift" and rows["damping"]["deviation"] > 3
+    assert (
+        rows["damping"]["stated"] == 0.3
+        and rows["damping"]["joint"] == "lift"
+        and rows["damping"]["deviation"] > 3
+    )
     assert any("link l1 carries" in n and "more first moment" in n for n in fit["notes"])
     for row in fit["how_far"]["per_joint"]:
         assert row["joint"] == "lift" and row["retuned"] < 5e-4 < row["as_it_stands"]

@@ -59,7 +59,9 @@ def limb(name: str, dry: float = 0.4, axis: str = "0 1 0", x: float = 0.0) -> st
 
 
 def robot(*limbs: str) -> Robot:
-    return Robot.from_mjcf("robot.xml", text=f"<mujoco><worldbody>{''.join(limbs)}</worldbody></mujoco>")
+    return Robot.from_mjcf(
+        "robot.xml", text=f"<mujoco><worldbody>{''.join(limbs)}</worldbody></mujoco>"
+    )
 
 
 def recording(model: Robot, goal: np.ndarray, q: np.ndarray, dt: float) -> jaxid.Dataset:
@@ -84,7 +86,9 @@ def swinging(seconds: float = 12.0, dt: float = 0.01) -> np.ndarray:
     return (0.3 * np.sin(2 * np.pi * 0.8 * t) + 0.15 * np.sin(2 * np.pi * 1.3 * t))[:, None]
 
 
-def moving(model: Robot, goal: np.ndarray, dt: float = 0.01, noise: float = 1e-4, **more: Any) -> jaxid.Dataset:
+def moving(
+    model: Robot, goal: np.ndarray, dt: float = 0.01, noise: float = 1e-4, **more: Any
+) -> jaxid.Dataset:
     """The free run of a robot under goals, with noise on the readings; `more` as in a fit.json."""
     (run,) = jaxid.simulate(model, recording(model, goal, goal, dt), more or None).runs
     q = np.stack([run[j] for j in model.signatures[0].joints], 1)
@@ -103,7 +107,9 @@ def test_a_joint_that_friction_holds_lacks_nothing():
     run, plant = study.runs[0], cast(LedPlant, study.plant)
     still = np.abs(run.qd[:, 0]) < 0.1 * plant.eps[0]
     left, _, _ = plant.balance(run, study.theta)
-    assert still.mean() > 0.1 and np.sqrt(np.mean(left[still] ** 2)) > 0.05  # the drive and gravity pull there
+    assert (
+        still.mean() > 0.1 and np.sqrt(np.mean(left[still] ** 2)) > 0.05
+    )  # the drive and gravity pull there
     assert np.sqrt(np.mean(plant.missing(run, study.theta)[still] ** 2)) < 1e-6
     creep = run.loop.free_run(np.ones((len(run.q), 1, 1)))[:, 0, 0]  # pyright: ignore[reportAttributeAccessIssue]
     held = np.flatnonzero(np.diff(still.astype(int)) == 1)[1]
@@ -116,7 +122,11 @@ def test_a_limit_of_the_drive_is_found_where_the_drive_meets_it():
     free = moving(model, swinging()).experiments[0]
     asked = 20.0 * (free.u - free.y)[:, 0] - 0.5 * np.gradient(free.y[:, 0], 0.01)
     limit = 0.85 * float(np.quantile(np.abs(asked), 0.99))
-    data = moving(model, swinging(), effects=[{"effect": "saturation", "location": "lift_tau", "parameters": {"limit": limit}}])
+    data = moving(
+        model,
+        swinging(),
+        effects=[{"effect": "saturation", "location": "lift_tau", "parameters": {"limit": limit}}],
+    )
     _, sets = proposals(LedStudy(bind(model, data), [Saturation, StribeckFriction]), 3)
     assert [(u.effect, u.location) for u in sets[0].units] == [("saturation", "lift_tau")]
     assert abs(sets[0].units[0].shape["limit"] - limit) < 0.1 * limit
@@ -128,7 +138,9 @@ def test_a_held_goal_leaves_no_force_that_follows_the_speed():
     model = robot(limb("lift", 0.0))
     b = bind(model, moving(model, swinging(dt=dt), dt, noise=1e-6))
     bench = Bench(b)
-    (found, *_) = missing_forces(bench, b.theta, estimate_starts(bench, "fit", [b.theta])[0], 0, draws=0)
+    (found, *_) = missing_forces(
+        bench, b.theta, estimate_starts(bench, "fit", [b.theta])[0], 0, draws=0
+    )
     slope = float(found.qd[:, 0] @ found.force[:, 0] / (found.qd[:, 0] @ found.qd[:, 0]))
     assert abs(slope) < 0.1 * 20.0 * dt / 2
 
@@ -143,10 +155,16 @@ def test_secants_end_where_slopes_of_all_numbers_do():
     assert abs(path.loss - sure.loss) < 1e-3 * sure.loss
     assert sure.hessian is not None and path.hessian is not None
     size = np.sqrt(np.diag(sure.hessian))
-    assert np.allclose(path.hessian / size / size[:, None], sure.hessian / size / size[:, None], atol=0.05)
-    more = Bench(b, differences=1).problem(OutputError(), "fit", [*b.free, b.layout.index("kp@lift")], b.theta)
+    assert np.allclose(
+        path.hessian / size / size[:, None], sure.hessian / size / size[:, None], atol=0.05
+    )
+    more = Bench(b, differences=1).problem(
+        OutputError(), "fit", [*b.free, b.layout.index("kp@lift")], b.theta
+    )
     again = slopes.of(more, more.z(p.theta(path.z), p.starts(path.z)), slopes.r)
-    assert [n for n, age in zip(more.names, again.age, strict=True) if age > 1000] == ["kp@lift"]  # alone is simulated
+    assert [n for n, age in zip(more.names, again.age, strict=True) if age > 1000] == [
+        "kp@lift"
+    ]  # alone is simulated
 
 
 @pytest.mark.parametrize("everywhere", [False, True])
@@ -207,11 +225,15 @@ def test_a_free_run_is_linearised_once_at_the_same_numbers(monkeypatch):
     model = robot(limb("lift", 0.1))
     study, asked = along(bind(model, moving(model, swinging()))), []
     whole = LedPlant.balance
-    monkeypatch.setattr(LedPlant, "balance", lambda *args, **more: (asked.append(1), whole(*args, **more))[1])
+    monkeypatch.setattr(
+        LedPlant, "balance", lambda *args, **more: (asked.append(1), whole(*args, **more))[1]
+    )
     once = study.made(study.theta, [])
     first = len(asked)
     again = study.with_binding(study.binding).made(study.theta, [])
-    assert len(asked) == first and all(np.array_equal(a, b) for a, b in zip(once.rows, again.rows, strict=True))
+    assert len(asked) == first and all(
+        np.array_equal(a, b) for a, b in zip(once.rows, again.rows, strict=True)
+    )
     moved = study.theta.copy()
     moved[study.plant.free[0]] *= 1.1
     assert not np.array_equal(study.made(moved, []).rows[0], once.rows[0]) and len(asked) > first
@@ -223,10 +245,17 @@ def test_what_is_told_of_a_law_says_what_dry_friction_passes_for():
                                                            ("N m/rad", "s", "N m", "N m/rad"), strict=True)}  # fmt: skip
     std = np.diag([4.8, 0.002, 0.1])
     M = std @ np.array([[1, 0.2, 0.99], [0.2, 1, -0.3], [0.99, -0.3, 1]]) @ std
-    fit: Any = SimpleNamespace(parameters=told, covariance=SimpleNamespace(names=names[:3], matrix=M))
+    fit: Any = SimpleNamespace(
+        parameters=told, covariance=SimpleNamespace(names=names[:3], matrix=M)
+    )
     kp, delay = law_told(fit, ("a", "b"))
-    assert "a 13.8 ± 4.8 N m/rad and b not determined" in kp and "only together with its dry friction at a" in kp
-    assert "a 0.01 ± 0.002 s; told apart from dry friction at a (correlation -0.30 at most)" in delay
+    assert (
+        "a 13.8 ± 4.8 N m/rad and b not determined" in kp
+        and "only together with its dry friction at a" in kp
+    )
+    assert (
+        "a 0.01 ± 0.002 s; told apart from dry friction at a (correlation -0.30 at most)" in delay
+    )
     fit.parameters = {}
     assert law_told(fit, ("a", "b")) == []
 
@@ -237,10 +266,18 @@ def test_a_limit_that_the_file_does_not_have_is_read_off_the_measured_motion():
     goal = 3 * swinging()
     whole = moving(model, goal)
     free = whole.experiments[0]
-    limit = 0.35 * float(np.abs(20.0 * (free.u - free.y)[:, 0] - 0.5 * np.gradient(free.y[:, 0], 0.01)).max())
-    data = moving(model, goal, effects=[{"effect": "saturation", "location": "lift_tau", "parameters": {"limit": limit}}])
+    limit = 0.35 * float(
+        np.abs(20.0 * (free.u - free.y)[:, 0] - 0.5 * np.gradient(free.y[:, 0], 0.01)).max()
+    )
+    data = moving(
+        model,
+        goal,
+        effects=[{"effect": "saturation", "location": "lift_tau", "parameters": {"limit": limit}}],
+    )
     (unit,) = limits_shown(along(bind(model, data), [Saturation]))
-    assert (unit.effect, unit.location) == ("saturation", "lift_tau") and abs(unit.shape["limit"] - limit) < 0.3 * limit
+    assert (unit.effect, unit.location) == ("saturation", "lift_tau") and abs(
+        unit.shape["limit"] - limit
+    ) < 0.3 * limit
     assert limits_shown(along(bind(model, whole), [Saturation])) == []
 
 
@@ -254,7 +291,10 @@ def test_gains_are_no_numbers_of_a_reading():
     b = bind(model, dataclasses.replace(data, controller=law))
     motion = measured(b)
     assert motion is not None and any(b.layout.names[i].startswith("kp@") for i in b.free)
-    assert not {b.layout.names[i].partition("@")[0] for i in ForceFit(b, motion).free} & {"kp", "kd"}
+    assert not {b.layout.names[i].partition("@")[0] for i in ForceFit(b, motion).free} & {
+        "kp",
+        "kd",
+    }
 
 
 def test_limbs_of_one_shape_share_their_programs():
@@ -265,7 +305,10 @@ def test_limbs_of_one_shape_share_their_programs():
     assert left == right and hash(left) == hash(right) and left != mid
     q = jnp.full(1, 0.3)
     needed = [b.layout.form.model(b.theta).mechanism.inverse(q, q, q) for b in own]
-    assert all(np.array_equal(x, b.chain.mechanism.inverse(q, q, q)) for x, b in zip(needed, own, strict=True))
+    assert all(
+        np.array_equal(x, b.chain.mechanism.inverse(q, q, q))
+        for x, b in zip(needed, own, strict=True)
+    )
     assert "left" not in repr(jax.tree.structure(left.chain)) and isinstance(left, Form)
 
 
@@ -277,7 +320,11 @@ def test_a_process_that_looks_at_many_robots_keeps_the_last_programs(monkeypatch
     alive, made, count = [], [], itertools.count()
     whole = kept.shared
     for module in (batch, binding, goals_plant, torque_plant, torque_filter):
-        monkeypatch.setattr(module, "shared", lambda kind, key, make: whole(kind, key, lambda: (next(count), make())[1]))
+        monkeypatch.setattr(
+            module,
+            "shared",
+            lambda kind, key, make: whole(kind, key, lambda: (next(count), make())[1]),
+        )
     for k in range(5):
         model = robot(limb("lift", axis=f"0 1 0.{k + 1}"))
         b = bind(model, recording(model, stopped(4.0), 0.9 * stopped(4.0), 0.01))
@@ -302,7 +349,9 @@ def test_numbers_within_bounds_are_the_best_there():
         low = x - rng.exponential(size=n) * rng.choice([0.01, 10.0], n)
         high = low + 0.01 + 3 * rng.exponential(size=n)
         found, held = within_box(A.T @ A, A.T @ y, np.zeros(n), low, high)
-        assert np.all((low <= found) & (found <= high)) and np.all((found == low)[held] | (found == high)[held])
+        assert np.all((low <= found) & (found <= high)) and np.all(
+            (found == low)[held] | (found == high)[held]
+        )
         least = 2 * lsq_linear(A, y, (low, high), method="bvls").cost
         assert np.sum((A @ found - y) ** 2) <= least * (1 + 1e-9)
 
@@ -319,10 +368,16 @@ def public(name: str) -> jaxid.Dataset:
 @pytest.mark.slow
 def test_what_a_quadrupeds_calf_lacks_is_named_or_partly():
     """The hind left leg of a robot hung by its trunk: no identification had explained its calf (15 mrad)."""
-    (model, data), *_ = [limb for limb in limbs_of(None, public("go2_chirp")) if "RL_calf_joint" in limb[0].signatures[0].joints]
+    (model, data), *_ = [
+        limb
+        for limb in limbs_of(None, public("go2_chirp"))
+        if "RL_calf_joint" in limb[0].signatures[0].joints
+    ]
     d = jaxid.diagnose(model, data)
     assert d.which.verdict in ("named", "partly"), d.which.text
-    assert ("position_dependent_friction", "RL_calf_joint") in {(e.effect, e.location) for e in d.which.effects}
+    assert ("position_dependent_friction", "RL_calf_joint") in {
+        (e.effect, e.location) for e in d.which.effects
+    }
     rows = {r["joint"]: r for r in d.how_far.per_joint if r["split"] == "report"}
     calf = rows["RL_calf_joint"]
     assert calf["with_effects"] < 0.5 * calf["retuned"] < 0.3 * calf["as_it_stands"]
@@ -335,7 +390,12 @@ def test_a_search_that_takes_back_what_it_adds_ends():
 
     class Turning(Chooser):
         def __init__(self):
-            self.most, self.enough, self.by_joint, self.__dict__["nominal"] = 3, lambda model: False, None, none
+            self.most, self.enough, self.by_joint, self.__dict__["nominal"] = (
+                3,
+                lambda model: False,
+                None,
+                none,
+            )
             self.units: Any = [SimpleNamespace(effect="one", joints=(0,))]
 
         def _wider(self, chosen):
@@ -360,7 +420,9 @@ def test_what_two_simulators_differ_by_is_taken_off_what_is_left():
     noise, J, apart = rng.standard_normal(n), rng.standard_normal((n, 3)), np.sin(np.arange(n) / 50)
     weight = 2.0  # per unit of the reading
     runs = SimpleNamespace(record=lambda k: SimpleNamespace(samples=slice(0, n)))
-    p = SimpleNamespace(records=[0], runs=runs, weights=np.full((n, 1), weight), names=["a", "b", "c"])
+    p = SimpleNamespace(
+        records=[0], runs=runs, weights=np.full((n, 1), weight), names=["a", "b", "c"]
+    )
     nominal: Any = SimpleNamespace(path=SimpleNamespace(problem=p, count=n))
 
     def left(share: float) -> float:

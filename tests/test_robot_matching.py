@@ -30,9 +30,16 @@ def recording(joints, ends=("_cmd",), role="inputs", controller: Any = PD, **mor
     names = [j + e for e in ends for j in joints]
     inputs = {n: wave(k) for k, n in enumerate(names)}
     groups = {"inputs": inputs} if role == "inputs" else {"auxiliary": inputs}
-    units = {n: "N m" if n.endswith("_tau") or n.startswith("tau") else "rad" for n in [*names, *joints]}
+    units = {
+        n: "N m" if n.endswith("_tau") or n.startswith("tau") else "rad" for n in [*names, *joints]
+    }
     return Dataset.from_arrays(
-        T, outputs={j: wave(k + 0.5) for k, j in enumerate(joints)}, units=units, controller=controller, **groups, **more
+        T,
+        outputs={j: wave(k + 0.5) for k, j in enumerate(joints)},
+        units=units,
+        controller=controller,
+        **groups,
+        **more,
     )
 
 
@@ -47,7 +54,11 @@ def test_joints_go_by_name_in_any_order():
     robot, data = prepared(arms(), recording([*RIGHT[::-1], *LEFT]))
     chain: Any = resolve_model(robot, data)
     assert chain.signature.joints == (*LEFT, *RIGHT)
-    assert {e.name for e in chain.effects} == {"viscous_friction", "coulomb_friction", "position_law"}
+    assert {e.name for e in chain.effects} == {
+        "viscous_friction",
+        "coulomb_friction",
+        "position_law",
+    }
 
 
 def test_numbered_channels_follow_the_file_and_the_result_says_so():
@@ -88,12 +99,17 @@ def test_joints_that_are_not_recorded_are_held_and_their_bodies_carried():
 def test_goals_alone_drive_and_goals_beside_torques_do_not():
     goals = recording(RIGHT, role="auxiliary")
     _, data = prepared(arms(), goals)
-    assert [c.name for c in data.inputs] == [f"{j}_cmd" for j in RIGHT] and "no torque was recorded" in data.notes[-1]
+    assert [c.name for c in data.inputs] == [
+        f"{j}_cmd" for j in RIGHT
+    ] and "no torque was recorded" in data.notes[-1]
     both = recording(RIGHT, ends=("_cmd", "_tau"))
     with pytest.raises(UsageError, match="both goals .* are inputs"):
         resolve_model(*prepared(arms(), both))
     chain: Any = resolve_model(*prepared(arms(), recording(RIGHT, ends=("_tau",), controller=None)))
-    assert chain.direct and {e.name for e in chain.effects} == {"viscous_friction", "coulomb_friction"}
+    assert chain.direct and {e.name for e in chain.effects} == {
+        "viscous_friction",
+        "coulomb_friction",
+    }
     with pytest.raises(UsageError, match=r"states no position actuator for right1.*\[controller\]"):
         resolve_model(*prepared(arms(), recording(RIGHT, controller=None)))
 
@@ -105,13 +121,20 @@ def test_the_law_is_stated_by_number_list_or_name():
         return chain.mechanism
 
     assert law(kp=[1.0, 2.0, 3.0]).drive_law.kp == (1.0, 2.0, 3.0)
-    named = law(kp={"right3": 3.0, "right1": 1.0, "right2": 2.0}, fit=["kp", "delay"], spread={"kp": 0.5}, delay=0.01)
+    named = law(
+        kp={"right3": 3.0, "right1": 1.0, "right2": 2.0},
+        fit=["kp", "delay"],
+        spread={"kp": 0.5},
+        delay=0.01,
+    )
     assert named.drive_law.kp == (1.0, 2.0, 3.0)
     kp, late = named.known()["kp@right2"], named.known()["delay@right1"]
     assert (kp.lower, kp.upper, kp.prior) == (0.02, 7.0, {"mean": 2.0, "std": 1.0})
     assert (late.lower, late.upper, late.prior) == (0.0, 0.1, {"mean": 0.01, "std": 0.001})
     plain = law(fit=["kp", "kd"], spread=0.3).known()
-    assert plain["kp@right1"].prior == {"mean": 20.0, "std": 6.0} and plain["kd@right1"].prior["std"] == pytest.approx(0.45)
+    assert plain["kp@right1"].prior == {"mean": 20.0, "std": 6.0} and plain["kd@right1"].prior[
+        "std"
+    ] == pytest.approx(0.45)
     for settings, words in (
         ({"spread": 0.0}, "spread is 0.0; it is a positive number"),
         ({"spread": {"kq": 0.1}}, "spread"),
@@ -133,25 +156,41 @@ def test_limbs_are_cut_apart_with_what_is_stated_of_them():
     joints = [f"{leg}{k}" for leg in ("FL", "FR", "RL", "RR") for k in (1, 2, 3)]
     spec = ModelSpec(constants={"armature@RL2": 0.3, "base_roll": 0.1})
     limbs = limbs_of(
-        robot, recording(joints, controller=replace(PD, settings={**PD.settings, "kp": list(range(1, 13))}), model=spec)
+        robot,
+        recording(
+            joints,
+            controller=replace(PD, settings={**PD.settings, "kp": list(range(1, 13))}),
+            model=spec,
+        ),
     )
-    assert [r.signatures[0].joints for r, _ in limbs] == [tuple(joints[k : k + 3]) for k in (0, 3, 6, 9)]
+    assert [r.signatures[0].joints for r, _ in limbs] == [
+        tuple(joints[k : k + 3]) for k in (0, 3, 6, 9)
+    ]
     third: Any = limbs[2][1]
     first: Any = limbs[0][1]
     assert [c.name for c in third.inputs] == [f"RL{k}_cmd" for k in (1, 2, 3)]
     assert third.controller.settings["kp"] == [7, 8, 9]
-    assert third.model.constants == {"armature@RL2": 0.3, "base_roll": 0.1} and first.model.constants == {"base_roll": 0.1}
+    assert third.model.constants == {
+        "armature@RL2": 0.3,
+        "base_roll": 0.1,
+    } and first.model.constants == {"base_roll": 0.1}
 
 
 def write(folder, model, joints=("lift", "elbow"), controller="", roles=("input", "output")):
     folder.mkdir()
     lines = ['name = "d"', model, controller]
     for j in joints:
-        lines += [f'[channels.{j}_cmd]\nrole = "{roles[0]}"\nunit = "rad"', f'[channels.{j}]\nrole = "{roles[1]}"\nunit = "rad"']
+        lines += [
+            f'[channels.{j}_cmd]\nrole = "{roles[0]}"\nunit = "rad"',
+            f'[channels.{j}]\nrole = "{roles[1]}"\nunit = "rad"',
+        ]
     lines.append('[[experiments]]\nfile = "run.csv"')
     (folder / "dataset.toml").write_text("\n".join(lines))
     header = ",".join(["t", *(f"{j}_cmd" for j in joints), *joints])
-    rows = [",".join(repr(float(v)) for v in (t, *[wave(k)[i] for k in range(2 * len(joints))])) for i, t in enumerate(T)]
+    rows = [
+        ",".join(repr(float(v)) for v in (t, *[wave(k)[i] for k in range(2 * len(joints))]))
+        for i, t in enumerate(T)
+    ]
     (folder / "run.csv").write_text("\n".join([header, *rows]))
     return folder
 
@@ -163,7 +202,9 @@ MJCF = """<mujoco><default><joint damping="0.6" frictionloss="0.05" armature="0.
 
 
 def test_a_dataset_names_its_robot(tmp_path):
-    folder = write(tmp_path / "a", '[model]\nrobot = "arm.xml"\n[model.base]\nkind = "prescribed"\nroll = 0.2')
+    folder = write(
+        tmp_path / "a", '[model]\nrobot = "arm.xml"\n[model.base]\nkind = "prescribed"\nroll = 0.2'
+    )
     (folder / "arm.xml").write_text(MJCF)
     data = jaxid.load_dataset(folder)
     chain: Any = resolve_model(None, data)
@@ -186,7 +227,10 @@ def test_faults_of_a_robot_stand_with_their_line(tmp_path):
             ('[model]\nrobot = "gone.xml"', "no file"),
             ('[model]\nrobot = "../arm.xml"', "outside the folder"),
             ('[model]\nrobot = "arm.xml"\n[model.joints]\nlift = "lft"', "'lft'"),
-            ('[model]\nrobot = "arm.xml"\n[model.base]\nkind = "free"', "needs mass and inertia of the base"),
+            (
+                '[model]\nrobot = "arm.xml"\n[model.base]\nkind = "free"',
+                "needs mass and inertia of the base",
+            ),
             ('[model]\nname = "pendulum"\n[model.base]\nroll = 0.1', "belongs to a robot"),
         )
     ):

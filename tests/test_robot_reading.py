@@ -44,7 +44,13 @@ def test_joints_of_an_mjcf_have_what_mujoco_compiles():
     )
     drives = '<actuator><position name="a1" joint="lift" gear="2"/><motor name="a2" joint="elbow" gear="5"/></actuator>'
     pose = '<keyframe><key name="home" qpos="0.4 -0.7"/></keyframe>'
-    tree = read(mjcf(joint='<joint name="lift" axis="0 1 0" damping="1 0.2 0.1" range="-90 90"/>', more=drives + pose, head=head))
+    tree = read(
+        mjcf(
+            joint='<joint name="lift" axis="0 1 0" damping="1 0.2 0.1" range="-90 90"/>',
+            more=drives + pose,
+            head=head,
+        )
+    )
     assert tree.joints == ("lift", "elbow") and tree.links == ("l1", "l2") and tree.ends == ("l2",)
     np.testing.assert_allclose(tree.armature, 0.028)
     np.testing.assert_allclose(tree.damping, [[1, 0.2, 0.1], [0.6, 0, 0]])
@@ -54,12 +60,16 @@ def test_joints_of_an_mjcf_have_what_mujoco_compiles():
     np.testing.assert_allclose([tree.lower[0], tree.upper[0]], [-np.pi / 2, np.pi / 2])
     lift, elbow = tree.actuators["lift"], tree.actuators["elbow"]
     assert (lift.kind, elbow.kind) == ("position", "motor")
-    np.testing.assert_allclose([lift.kp, lift.kd, *lift.force, lift.lag], [80, 2, -6, 6, 0.01])  # at the joint: gear squared
+    np.testing.assert_allclose(
+        [lift.kp, lift.kd, *lift.force, lift.lag], [80, 2, -6, 6, 0.01]
+    )  # at the joint: gear squared
     assert tree.neutral("lift") == 0.4 and tree.neutral("elbow") == -0.7
 
 
 def test_a_stated_drive_gives_the_torque_of_mujoco():
-    drives = '<actuator><position joint="lift" kp="30" kv="1.5" forcerange="-4 4" gear="3"/></actuator>'
+    drives = (
+        '<actuator><position joint="lift" kp="30" kv="1.5" forcerange="-4 4" gear="3"/></actuator>'
+    )
     text = mjcf(more=drives)
     one = read(text).actuators["lift"]
     model = mujoco.MjModel.from_xml_string(text)
@@ -67,7 +77,11 @@ def test_a_stated_drive_gives_the_torque_of_mujoco():
     rng = np.random.default_rng(0)
     clipped = 0
     for q, v, goal in rng.uniform(-1, 1, (200, 3)):
-        data.qpos[0], data.qvel[0], data.ctrl[0] = q, v, 3 * goal  # MuJoCo's length is gear times the angle
+        data.qpos[0], data.qvel[0], data.ctrl[0] = (
+            q,
+            v,
+            3 * goal,
+        )  # MuJoCo's length is gear times the angle
         mujoco.mj_forward(model, data)
         tau = np.clip(one.kp * (goal - q) - one.kd * v + one.offset, *one.force)
         clipped += tau in one.force
@@ -79,7 +93,9 @@ def test_what_a_tree_cannot_express_is_refused_by_name():
     mesh = '<asset><mesh name="arm" file="nowhere.stl"/></asset>'
     refused(mjcf(body='<geom type="mesh" mesh="arm"/>', head=mesh), "l1", "meshes", "<inertial")
     refused(mjcf(head='<compiler inertiafromgeom="true"/>'), "inertiafromgeom")
-    refused(mjcf(body=INERTIAL.replace("1e-3 1e-3 1e-3", "1e-3 1e-3 5e-3")), "l1", "0.005", "no body")
+    refused(
+        mjcf(body=INERTIAL.replace("1e-3 1e-3 1e-3", "1e-3 1e-3 5e-3")), "l1", "0.005", "no body"
+    )
     refused(mjcf(body=INERTIAL.replace("pos", 'mass="x" pos')), "robot.xml")
     refused("<robot/>", "<robot>", ".urdf")
     refused("<mujoco", "not XML")
@@ -88,11 +104,16 @@ def test_what_a_tree_cannot_express_is_refused_by_name():
 def test_what_ties_joints_together_is_named_with_all_of_them():
     """Joints of a tendon, of a loop through its two branches, of a curved equality, and behind a ball joint."""
     tendon = '<tendon><fixed name="t"><joint joint="lift" coef="1"/><joint joint="elbow" coef="1"/></fixed></tendon>'
-    driven = tendon + '<actuator><position tendon="t" kp="3"/></actuator><keyframe><key ctrl="1"/></keyframe>'
+    driven = (
+        tendon
+        + '<actuator><position tendon="t" kp="3"/></actuator><keyframe><key ctrl="1"/></keyframe>'
+    )
     both = ("lift", "elbow")
     loop = '<equality><connect name="loop" body1="l1" body2="l2" anchor="0 0 0"/></equality>'
     to_the_world = '<equality><connect name="loop" body1="l2" anchor="0 0 0"/></equality>'
-    curved = '<equality><joint name="e" joint1="elbow" joint2="lift" polycoef="0 1 2 0 0"/></equality>'
+    curved = (
+        '<equality><joint name="e" joint1="elbow" joint2="lift" polycoef="0 1 2 0 0"/></equality>'
+    )
     cases = (
         (mjcf(more=tendon), []),
         (mjcf(more=tendon.replace('"t"', '"t" damping="1"')), [("tendon 't'", both)]),
@@ -114,9 +135,13 @@ def test_shapes_without_meshes_give_the_inertia_of_mujoco():
     model = mujoco.MjModel.from_xml_string(text)
     link = read(text).inertia[0]
     assert abs(link[9] - model.body_mass[1]) < 1e-15
-    np.testing.assert_allclose(link[6:9], model.body_mass[1] * (model.body_ipos[1] - model.jnt_pos[0]), atol=1e-12)
+    np.testing.assert_allclose(
+        link[6:9], model.body_mass[1] * (model.body_ipos[1] - model.jnt_pos[0]), atol=1e-12
+    )
     box = '<body name="box"><freejoint/><geom type="mesh" mesh="m"/></body>'
-    loose = mjcf(head='<asset><mesh name="m" file="nowhere.stl"/></asset>').replace("<worldbody>", "<worldbody>" + box)
+    loose = mjcf(head='<asset><mesh name="m" file="nowhere.stl"/></asset>').replace(
+        "<worldbody>", "<worldbody>" + box
+    )
     assert read(loose).joints == ("lift", "elbow")
 
 
@@ -138,16 +163,25 @@ def test_geometry_that_weighs_nothing_or_moves_nothing_is_dropped():
     asset = '<asset><mesh name="arm" file="nowhere.stl"/><texture name="t" type="2d" file="nowhere.png"/></asset>'
     tree = read(mjcf(body=INERTIAL + mesh, head=asset))
     assert tree.inertia[0][9] == 0.3
-    world = mjcf().replace("<worldbody>", '<worldbody><geom type="plane" size="1 1 1"/><body name="table">' + mesh + "</body>")
+    world = mjcf().replace(
+        "<worldbody>",
+        '<worldbody><geom type="plane" size="1 1 1"/><body name="table">' + mesh + "</body>",
+    )
     assert read(world.replace("<mujoco>", "<mujoco>" + asset)).joints == ("lift", "elbow")
 
 
 def test_includes_stay_in_the_folder(tmp_path):
-    (tmp_path / "inner.xml").write_text('<mujocoinclude><default><joint armature="0.5"/></default></mujocoinclude>')
+    (tmp_path / "inner.xml").write_text(
+        '<mujocoinclude><default><joint armature="0.5"/></default></mujocoinclude>'
+    )
     robot = tmp_path / "robot.xml"
     robot.write_text(mjcf(head='<include file="inner.xml"/>'))
     np.testing.assert_allclose(read_mjcf(robot).armature, 0.5)
-    for name, words in (("../inner.xml", "outside"), ("/etc/passwd", "outside"), ("robot.xml", "itself")):
+    for name, words in (
+        ("../inner.xml", "outside"),
+        ("/etc/passwd", "outside"),
+        ("robot.xml", "itself"),
+    ):
         robot.write_text(mjcf(head=f'<include file="{name}"/>'))
         with pytest.raises(UsageError, match=words):
             read_mjcf(robot)
@@ -160,7 +194,9 @@ def test_includes_stay_in_the_folder(tmp_path):
 
 def test_limbs_ends_and_joints_that_are_held():
     tree = Robot.from_mjcf("robot.xml", text=quadruped()).tree.tree
-    assert [limb[0] for limb in tree.limbs()] == ["FL1", "FR1", "RL1", "RR1"] and all(len(limb) == 3 for limb in tree.limbs())
+    assert [limb[0] for limb in tree.limbs()] == ["FL1", "FR1", "RL1", "RR1"] and all(
+        len(limb) == 3 for limb in tree.limbs()
+    )
     assert "free" in tree.notes[0]
     robot = Robot.from_mjcf("robot.xml", tip="arm_l3_link", text=humanoid())
     assert robot.signatures[0].joints == ("torso1", "torso2", "arm_l1", "arm_l2", "arm_l3")
@@ -191,9 +227,18 @@ def test_urdf_with_branches_names_impossible_inertias():
     assert len(tree.impossible) == 1 and re.search(r"'lb'.*0\.03", tree.impossible[0][1])
     np.testing.assert_allclose(tree.damping[:, 0], [0.3, 0])
     np.testing.assert_allclose(tree.frictionloss, [0.1, 0])
-    mimic = URDF.replace('<dynamics damping="0.3" friction="0.1"/>', '<mimic joint="right" multiplier="2" offset="0.1"/>')
+    mimic = URDF.replace(
+        '<dynamics damping="0.3" friction="0.1"/>',
+        '<mimic joint="right" multiplier="2" offset="0.1"/>',
+    )
     assert read_urdf_tree("tree.urdf", mimic).follow()[0].tolist() == [[2.0], [1.0]]
-    refused(mimic.replace('joint="right" m', 'joint="wrong" m'), "left", "wrong", reader=read_urdf_tree, file="tree.urdf")
+    refused(
+        mimic.replace('joint="right" m', 'joint="wrong" m'),
+        "left",
+        "wrong",
+        reader=read_urdf_tree,
+        file="tree.urdf",
+    )
 
 
 def test_joints_that_move_nothing_of_mass_are_held():

@@ -35,7 +35,9 @@ SAMPLE = sample_diagnosis(samples=200)
 def hypothesis(fit_loss: float, loss: float, *effects: str) -> Any:
     """What a verdict sees of a hypothesis that leaves these mean squares of fit and validation runs."""
     path, held = SimpleNamespace(count=4000), SimpleNamespace(loss=loss, count=4000)
-    return SimpleNamespace(effects=effects, size=len(effects), fit_loss=fit_loss, path=path, validation=held)
+    return SimpleNamespace(
+        effects=effects, size=len(effects), fit_loss=fit_loss, path=path, validation=held
+    )
 
 
 def check_numbers(words: str) -> None:
@@ -47,11 +49,16 @@ def check_numbers(words: str) -> None:
 
 
 @many
-@given(losses, losses, losses, losses, st.lists(st.tuples(losses, losses), max_size=3), st.booleans())
+@given(
+    losses, losses, losses, losses, st.lists(st.tuples(losses, losses), max_size=3), st.booleans()
+)
 def test_verdicts_by_fit_and_validation_data(fit0, loss0, fit1, loss1, others, several):
     nominal, chosen = hypothesis(fit0, loss0), hypothesis(fit1, loss1, "drag at q")
     tried = [hypothesis(a, b, f"effect {k} at q") for k, (a, b) in enumerate(others)]
-    for search in (Search(nominal, nominal, tried), Search(nominal, chosen, [chosen, *tried], several=several)):
+    for search in (
+        Search(nominal, nominal, tried),
+        Search(nominal, chosen, [chosen, *tried], several=several),
+    ):
         judged = judge(search)
         verdict, words = judged.name, judged.text
         check_numbers(words)
@@ -64,14 +71,18 @@ def test_verdicts_by_fit_and_validation_data(fit0, loss0, fit1, loss1, others, s
         elif verdict == "partly":
             assert share >= LIMITS.partly or fit1 <= 1.1 < fit0
         best = min((h.validation.loss for h in search.tried), default=np.inf)
-        if verdict == "unknown" and best < min(left, before):  # the ranking's first is not passed over in silence
+        if verdict == "unknown" and best < min(
+            left, before
+        ):  # the ranking's first is not passed over in silence
             assert "On validation data alone" in words
 
 
 @many
 @given(st.sampled_from(["named", "partly"]), gaps, gaps, gaps, st.booleans())
 def test_verdicts_hold_on_report_data(verdict, before, retuned, after, several):
-    held = upheld(Verdict(verdict, (Remark("The model lacks drag."),)), Gaps(before, retuned, after), several)
+    held = upheld(
+        Verdict(verdict, (Remark("The model lacks drag."),)), Gaps(before, retuned, after), several
+    )
     found, words = held.name, held.text
     check_numbers(words)
     if found in ("named", "partly"):
@@ -82,7 +93,13 @@ def test_verdicts_hold_on_report_data(verdict, before, retuned, after, several):
 
 
 @many
-@given(st.lists(st.tuples(st.sampled_from(["run_1", "forward", "backward", "late"]), gaps), min_size=1, max_size=4))
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["run_1", "forward", "backward", "late"]), gaps),
+        min_size=1,
+        max_size=4,
+    )
+)
 def test_nothing_is_missing_only_where_every_run_and_direction_is_near_the_noise(parts):
     runs = [Share(name, "", 100, gap, gap, gap) for name, gap in parts if name == "run_1"]
     regimes = [Share(name, "q", 100, gap, gap, gap) for name, gap in parts if name != "run_1"]
@@ -105,25 +122,76 @@ def results(draw) -> Any:
     shrinkage = min(float(shrink), 1.0) if np.isfinite(shrink) and shrink >= 0 else None
     low = draw(st.floats(-1e9, 1.0))
     interval = (min(low, shrinkage), 1.0) if shrinkage is not None and draw(st.booleans()) else None
-    reason = "" if interval else "no interval: too few blocks" if shrinkage is not None else "there is no gap to shrink"
+    reason = (
+        ""
+        if interval
+        else "no interval: too few blocks"
+        if shrinkage is not None
+        else "there is no gap to shrink"
+    )
     noise = st.floats(-9, 3).map(lambda x: 10.0**x)
     channels = {}
     for k in range(0 if still else draw(st.integers(1, 6))):
         n = draw(noise)
-        channels[f"tau{k + 1}"] = ChannelGap("N m", n * draw(gaps), n * draw(gaps), n * draw(gaps), n, "stated")
+        channels[f"tau{k + 1}"] = ChannelGap(
+            "N m", n * draw(gaps), n * draw(gaps), n * draw(gaps), n, "stated"
+        )
     split = draw(st.sampled_from(["report", "validation"]))
-    far = HowFar(before, retuned, after, 1.0, shrinkage, interval, reason, channels, "", interval_from="runs", split=split)
+    far = HowFar(
+        before,
+        retuned,
+        after,
+        1.0,
+        shrinkage,
+        interval,
+        reason,
+        channels,
+        "",
+        interval_from="runs",
+        split=split,
+    )
     size = draw(gaps)
-    value = Estimate(size, draw(st.none() | st.floats(1e-5, 10.0).map(lambda share: share * size)), "N m", 0.0, 1e6)
-    effects = (EffectEstimate("quadratic_drag", "q", {"drag": value}),) if verdict in ("named", "partly") else ()
-    ranking = (Ranked("quadratic_drag", "q", draw(gaps), 1.0, 1.0, "quadratic_drag at q: closes 3 % of the gap"),)
+    value = Estimate(
+        size,
+        draw(st.none() | st.floats(1e-5, 10.0).map(lambda share: share * size)),
+        "N m",
+        0.0,
+        1e6,
+    )
+    effects = (
+        (EffectEstimate("quadratic_drag", "q", {"drag": value}),)
+        if verdict in ("named", "partly")
+        else ()
+    )
+    ranking = (
+        Ranked(
+            "quadratic_drag",
+            "q",
+            draw(gaps),
+            1.0,
+            1.0,
+            "quadratic_drag at q: closes 3 % of the gap",
+        ),
+    )
     where = ()
     if verdict != "none" and draw(st.booleans()):
-        where = (Finding("q", "q", "forward", (0.1, 0.6), draw(st.floats(0.0, 1.0)), draw(gaps), ""),)
+        where = (
+            Finding("q", "q", "forward", (0.1, 0.6), draw(st.floats(0.0, 1.0)), draw(gaps), ""),
+        )
     repeated = draw(st.booleans())
     text_ = "What is kept stands still: nothing can be judged on it." if still else ""
-    advised = advice(verdict, [e.effect for e in effects], [], repeated=repeated, still=("report",) if still else ())
-    against = {str(e): f"{e} does next to nothing" for e in effects if verdict == "partly" and draw(st.booleans())}
+    advised = advice(
+        verdict,
+        [e.effect for e in effects],
+        [],
+        repeated=repeated,
+        still=("report",) if still else (),
+    )
+    against = {
+        str(e): f"{e} does next to nothing"
+        for e in effects
+        if verdict == "partly" and draw(st.booleans())
+    }
     which = Which(verdict, effects, (), ranking, text_, against)
     found = replace(SAMPLE, which=which, how_far=far, where=where, next_experiment=advised)
     return found, repeated, still
@@ -136,7 +204,11 @@ def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
     far, verdict = found.how_far, found.which.verdict
     cards = [
         answer.headline(found),
-        *(w for c in (answer.where_card, answer.which_card, answer.far_card) for w in _flat(c(found))),
+        *(
+            w
+            for c in (answer.where_card, answer.which_card, answer.far_card)
+            for w in _flat(c(found))
+        ),
     ]
     terminal = " ".join(text.diagnosis_text(found).split())
     for words in (*cards, terminal):
@@ -146,11 +218,24 @@ def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
     assert ("Nothing is missing" in everything) == (verdict == "none")
     assert ("Nowhere above the noise" in everything) == (verdict == "none")
     if still:
-        assert "There is a gap" not in everything and "nothing can be judged" in everything.lower() and "–" not in terminal
+        assert (
+            "There is a gap" not in everything
+            and "nothing can be judged" in everything.lower()
+            and "–" not in terminal
+        )
         return
     doubted = bool(found.which.doubts)
-    assert ("The model lacks" in terminal) == ("The model lacks" in cards[0]) == (verdict in ("named", "partly") and not doubted)
-    assert ("may be part of it" in terminal) == ("may be part of it" in cards[0]) == ("Perhaps " in everything) == doubted
+    assert (
+        ("The model lacks" in terminal)
+        == ("The model lacks" in cards[0])
+        == (verdict in ("named", "partly") and not doubted)
+    )
+    assert (
+        ("may be part of it" in terminal)
+        == ("may be part of it" in cards[0])
+        == ("Perhaps " in everything)
+        == doubted
+    )
     sentence = text.how_far_sentence(far, verdict)
     claimed = verdict in ("named", "partly")
     assert claimed or "falls" not in sentence
@@ -167,9 +252,13 @@ def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
     ):
         assert "further from these than as it was stated" in sentence
     shown = [n for n in far.per_channel if f"{n}: rms error" in terminal]
-    change = lambda g: max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / g.noise
+    change = lambda g: (
+        max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / g.noise
+    )
     assert len(shown) == min(3, len(far.per_channel))
-    assert max(change(g) for g in far.per_channel.values()) == max(change(far.per_channel[n]) for n in shown)
+    assert max(change(g) for g in far.per_channel.values()) == max(
+        change(far.per_channel[n]) for n in shown
+    )
     assert not (repeated and "repeat one run" in found.next_experiment.lower())
     assert ("never fitted nor chosen on" in everything) <= (far.split == "report")
 
@@ -178,16 +267,24 @@ errors = st.floats(-4, 300).map(lambda x: 10.0**x)
 
 
 @many
-@given(st.lists(st.tuples(st.sampled_from(["fit", "validation", "report"]), errors), min_size=1, max_size=4))
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["fit", "validation", "report"]), errors), min_size=1, max_size=4
+    )
+)
 def test_the_headline_of_an_identification_is_about_its_worst_held_out_run(runs):
     experiments = [SimpleNamespace(split=split, relative_error=e) for split, e in runs]
     result: Any = SimpleNamespace(payload=None, experiments=experiments)
     words = identified.headline(result)
     held_out = [e for split, e in runs if split != "fit"]
     worst = max(held_out or [e for _, e in runs])
-    assert ("held-out" in words) == bool(held_out) and ("worse than no model" in words) == (worst >= 1)
+    assert ("held-out" in words) == bool(held_out) and ("worse than no model" in words) == (
+        worst >= 1
+    )
     told = float(re.findall(r"([\d.]+(?:e[+-]?\d+)?) %", words)[0])
-    assert abs(told - 100 * worst) <= 0.0051 + 0.01 * 100 * worst and not re.search(r"\d{8,}", words)
+    assert abs(told - 100 * worst) <= 0.0051 + 0.01 * 100 * worst and not re.search(
+        r"\d{8,}", words
+    )
 
 
 @many
@@ -195,16 +292,26 @@ def test_the_headline_of_an_identification_is_about_its_worst_held_out_run(runs)
 def test_stated_numbers_are_refuted_as_their_deviations_say(numbers):
     stated = []
     for k, (value, deviation, determined) in enumerate(numbers):
-        estimate = Estimate(value + 0.01 * deviation, 0.01 if determined else None, "N m", -100.0, 100.0)
+        estimate = Estimate(
+            value + 0.01 * deviation, 0.01 if determined else None, "N m", -100.0, 100.0
+        )
         own = deviation if determined else None
         said = sentence_of(f"number_{k}", value, estimate, own)
-        stated.append(Stated("q", "", f"number_{k}", value, estimate.value, estimate.std, own, said, "N m"))
+        stated.append(
+            Stated("q", "", f"number_{k}", value, estimate.value, estimate.std, own, said, "N m")
+        )
     stated.sort(key=lambda s: -abs(s.deviation or 0.0))
     refuted = [s for s in stated if s.deviation is not None and abs(s.deviation) > 3]
     words = text.stated_sentences(stated)
     for s in stated:
-        agrees, unknown = "agrees with the data" in s.text, "neither confirmed nor refuted" in s.text
-        assert (agrees, unknown) == (s.deviation is not None and s not in refuted, s.deviation is None)
+        agrees, unknown = (
+            "agrees with the data" in s.text,
+            "neither confirmed nor refuted" in s.text,
+        )
+        assert (agrees, unknown) == (
+            s.deviation is not None and s not in refuted,
+            s.deviation is None,
+        )
     if len(refuted) > 2:
         assert words[0].startswith(f"{len(refuted)} of {len(stated)} numbers") and len(words) == 1
         told = re.findall(r"\(([\d.e+]+)(?: to ([\d.e+]+))? standard deviations off\)", words[0])[0]
@@ -220,9 +327,13 @@ def test_a_refuted_number_is_the_answer_where_no_effect_is_missing():
     """The headline, the card and the terminal name it; numbers that agree are not named."""
     said = "frictionloss of shoulder: 1.97 N m, stated 0.3 (130 standard deviations)"
     other = Stated("shoulder", "link2", "frictionloss", 0.3, 1.97, 0.013, 130.0, said, "N m")
-    same = Stated("elbow", "link3", "damping", 0.8, 0.81, 0.01, 1.0, "damping of elbow: agrees", "N m s/rad")
+    same = Stated(
+        "elbow", "link3", "damping", 0.8, 0.81, 0.01, 1.0, "damping of elbow: agrees", "N m s/rad"
+    )
     which = Which("none", (), (), (), "The model reaches the noise floor: there is no gap.")
-    found = replace(SAMPLE, which=which, where=(), final=replace(SAMPLE.final, stated=(other, same)))
+    found = replace(
+        SAMPLE, which=which, where=(), final=replace(SAMPLE.final, stated=(other, same))
+    )
     told = "The shoulder's dry friction is 1.97 N m, not 0.3."
     assert answer.headline(found) == told
     fact, words = answer.where_card(found)
@@ -238,7 +349,15 @@ def test_a_refuted_number_is_the_answer_where_no_effect_is_missing():
 
 def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
     own = lambda joint: Stated(
-        joint, "", "armature", 0.028, 0.004, 0.001, -24.0, f"armature of {joint}: 0.004 kg m^2, …", "kg m^2"
+        joint,
+        "",
+        "armature",
+        0.028,
+        0.004,
+        0.001,
+        -24.0,
+        f"armature of {joint}: 0.004 kg m^2, …",
+        "kg m^2",
     )
     (words,) = text.stated_sentences([own("elbow"), own("wrist"), own("gripper")])
     assert all(f"armature of {joint} 0.0280 → " in words for joint in ("elbow", "wrist", "gripper"))
@@ -254,18 +373,30 @@ def test_what_is_doubted_stands_behind_what_is_sure():
 
 
 def test_reasons_claim_nothing_of_what_is_doubted():
-    reasons = (Lacks("drag at q", 2.0), LacksInPart("drag at q", 0.9, 2.0), FollowsFitRuns("drag at q", 0.9, 2.0))
+    reasons = (
+        Lacks("drag at q", 2.0),
+        LacksInPart("drag at q", 0.9, 2.0),
+        FollowsFitRuns("drag at q", 0.9, 2.0),
+    )
     verdict = Verdict("partly", reasons)
     assert verdict.text.count("The model lacks drag at q") == 3
-    assert verdict.unclaimed().text.count("Nearest comes drag at q") == 3 and "The model lacks" not in verdict.unclaimed().text
+    assert (
+        verdict.unclaimed().text.count("Nearest comes drag at q") == 3
+        and "The model lacks" not in verdict.unclaimed().text
+    )
     assert verdict.unclaimed().name == "partly"
 
 
 def test_one_law_at_many_joints_is_said_once():
     value = Estimate(0.2, 0.01, "N m s^2/rad^2", 0.0, 1e6)
-    drag = lambda *at: tuple(EffectEstimate("quadratic_drag", q, {"coefficient": value}) for q in at)
+    drag = lambda *at: tuple(
+        EffectEstimate("quadratic_drag", q, {"coefficient": value}) for q in at
+    )
     lag = (EffectEstimate("actuator_lag", "tau1"),)
-    assert text.at_places(drag("q1", "q2") + lag) == "quadratic drag at q1 and q2 and actuator lag at tau1"
+    assert (
+        text.at_places(drag("q1", "q2") + lag)
+        == "quadratic drag at q1 and q2 and actuator lag at tau1"
+    )
     assert text.at_places(drag("q1", "q2", "q3", "q4")) == "quadratic drag at 4 places"
     said = text.meaning(Which("partly", drag("q1", "q2"), (), (), ""))
     assert len(said) == 1 and said[0].startswith("q1 and q2: ")
@@ -286,7 +417,10 @@ def _flat(card: tuple[str, list[str]]) -> list[str]:
 
 
 def test_one_effect_at_two_places_is_looked_for_at_the_machine():
-    same, apart = advice("named", ["payload"], ["payload"]), advice("named", ["sensor_bias"], ["gravity_offset"])
+    same, apart = (
+        advice("named", ["payload"], ["payload"]),
+        advice("named", ["sensor_bias"], ["gravity_offset"]),
+    )
     assert "at which place payload acts" in same and "weigh what is mounted" in same
     assert "for sensor_bias:" in apart and "for gravity_offset:" in apart
 
@@ -294,8 +428,20 @@ def test_one_effect_at_two_places_is_looked_for_at_the_machine():
 def test_a_page_without_a_gap_is_written(tmp_path):
     """Nothing moves in the data kept for the report."""
     nothing = float("nan")
-    far = HowFar(nothing, nothing, nothing, 1.0, None, None, "what is kept stands still", {}, "what is kept stands still")
-    found = replace(SAMPLE, which=Which("unknown", (), (), (), "It stands still."), how_far=far, where=())
+    far = HowFar(
+        nothing,
+        nothing,
+        nothing,
+        1.0,
+        None,
+        None,
+        "what is kept stands still",
+        {},
+        "what is kept stands still",
+    )
+    found = replace(
+        SAMPLE, which=Which("unknown", (), (), (), "It stands still."), how_far=far, where=()
+    )
     page = write_diagnosis(found, tmp_path / "report.html").read_text()
     assert "Nothing can be judged" in page and "nan" not in re.sub(r"<[^>]*>", " ", page).split()
 

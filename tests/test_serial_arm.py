@@ -13,7 +13,12 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from jaxid.dynamics import kinematics as kin, rigid_body as rb
-from jaxid.dynamics.base_parameters import base_parameters, standard_names, standard_torque, torque_columns
+from jaxid.dynamics.base_parameters import (
+    base_parameters,
+    standard_names,
+    standard_torque,
+    torque_columns,
+)
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
@@ -46,7 +51,12 @@ def twin(table: ArmTable) -> Any:
     model = pin.Model()
     parent = 0
     for j in range(table.n):
-        M = turn("z", table.gamma[j]) * shift(0, 0, table.b[j]) * turn("x", table.alpha[j]) * shift(table.a[j], 0, 0)
+        M = (
+            turn("z", table.gamma[j])
+            * shift(0, 0, table.b[j])
+            * turn("x", table.alpha[j])
+            * shift(table.a[j], 0, 0)
+        )
         M = M * turn("z", table.theta[j]) * shift(0, 0, table.d[j])
         joint = pin.JointModelPZ() if table.prismatic[j] else pin.JointModelRZ()
         parent = model.addJoint(parent, joint, M, f"j{j}")
@@ -69,8 +79,14 @@ def random_table(rng: np.random.Generator, prismatic: list[bool]) -> ArmTable:
         axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         sizes = rng.uniform(0.01, 0.4, 3)
         central = axes @ np.diag(sizes.sum() - sizes) @ axes.T
-        inertia.append(rb.about_origin(rng.uniform(0.5, 8), rng.uniform(-0.3, 0.3, 3), central[np.triu_indices(3)]))
-    return ArmTable(*geometry, prismatic=tuple(prismatic), inertia=np.array(inertia), drive_inertia=np.zeros(n))
+        inertia.append(
+            rb.about_origin(
+                rng.uniform(0.5, 8), rng.uniform(-0.3, 0.3, 3), central[np.triu_indices(3)]
+            )
+        )
+    return ArmTable(
+        *geometry, prismatic=tuple(prismatic), inertia=np.array(inertia), drive_inertia=np.zeros(n)
+    )
 
 
 def fast(arm: Any) -> Any:
@@ -78,7 +94,11 @@ def fast(arm: Any) -> Any:
 
     @jax.jit
     def run(q, qd, x):
-        one = lambda q, qd, x: (arm.inverse(q, qd, x), arm.vector_field(0.0, (q, qd), x)[1], arm.matrices(q, qd)[0])
+        one = lambda q, qd, x: (
+            arm.inverse(q, qd, x),
+            arm.vector_field(0.0, (q, qd), x)[1],
+            arm.matrices(q, qd)[0],
+        )
         return jax.vmap(one)(q, qd, x)
 
     def call(*arrays: np.ndarray) -> list[np.ndarray]:
@@ -100,15 +120,26 @@ def compare(table: ArmTable, arm: Any, model: Any, count: int, seed: int = 1) ->
     data = model.createData()
     model.armature = np.asarray(arm.Ia)
     tau, qdd, M = fast(arm)(q, qd, x)
-    assert relative(tau, np.array([pin.rnea(model, data, *s) for s in zip(q, qd, x, strict=True)])) < 1e-9
-    assert relative(qdd, np.array([pin.aba(model, data, *s) for s in zip(q, qd, x, strict=True)])) < 1e-9
+    assert (
+        relative(tau, np.array([pin.rnea(model, data, *s) for s in zip(q, qd, x, strict=True)]))
+        < 1e-9
+    )
+    assert (
+        relative(qdd, np.array([pin.aba(model, data, *s) for s in zip(q, qd, x, strict=True)]))
+        < 1e-9
+    )
     assert relative(M, np.array([full(pin.crba(model, data, s)) for s in q])) < 1e-9
 
 
 def table_of(arm: Any) -> ArmTable:
     geometry = (np.asarray(getattr(arm, k)) for k in ("a", "alpha", "d", "theta", "b", "gamma"))
     with float64():
-        return ArmTable(*geometry, prismatic=arm.prismatic, inertia=np.asarray(arm.inertia()), drive_inertia=np.asarray(arm.Ia))
+        return ArmTable(
+            *geometry,
+            prismatic=arm.prismatic,
+            inertia=np.asarray(arm.inertia()),
+            drive_inertia=np.asarray(arm.Ia),
+        )
 
 
 def test_ur10_equals_pinocchio():
@@ -126,15 +157,23 @@ def test_mixed_chains_equal_pinocchio(prismatic):
 
 def test_regressor_equals_pinocchio():
     pin.seed(5)
-    for table in (table_of(UR10()), random_table(np.random.default_rng(3), [False, True, False, False])):
+    for table in (
+        table_of(UR10()),
+        random_table(np.random.default_rng(3), [False, True, False, False]),
+    ):
         model, n = twin(table), table.n
         data = model.createData()
         rng = np.random.default_rng(0)
         q, qd, qdd = rng.uniform(-3, 3, (3, 40, n))
         ours = torque_columns(SerialArm(table), q, qd, qdd).reshape(40, n, n, 11)
         order = [9, 6, 7, 8, 0, 1, 3, 2, 4, 5]  # theirs: m, first moments, Ixx Ixy Iyy Ixz Iyz Izz
-        theirs = np.array([pin.computeJointTorqueRegressor(model, data, *s) for s in zip(q, qd, qdd, strict=True)])
-        assert np.max(np.abs(ours[..., order] - theirs.reshape(40, n, n, 10))) < 1e-9 * np.abs(theirs).max()
+        theirs = np.array(
+            [pin.computeJointTorqueRegressor(model, data, *s) for s in zip(q, qd, qdd, strict=True)]
+        )
+        assert (
+            np.max(np.abs(ours[..., order] - theirs.reshape(40, n, n, 10)))
+            < 1e-9 * np.abs(theirs).max()
+        )
 
 
 def test_the_torque_of_standard_parameters_is_their_columns_times_them():
@@ -143,7 +182,12 @@ def test_the_torque_of_standard_parameters_is_their_columns_times_them():
         arm, phi = SerialArm(table), rng.uniform(-1, 1, 11 * table.n)
         motion = rng.uniform(-3, 3, (3, 40, table.n))
         expected = torque_columns(arm, *motion) @ phi
-        assert np.allclose(standard_torque(arm, phi, *motion), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        assert np.allclose(
+            standard_torque(arm, phi, *motion),
+            expected,
+            rtol=0,
+            atol=1e-12 * np.abs(expected).max(),
+        )
 
 
 def test_compiled_and_plain_recursions_agree():
@@ -152,13 +196,18 @@ def test_compiled_and_plain_recursions_agree():
     q, qd, qdd = np.random.default_rng(0).uniform(-2, 2, (3, 6, 30))
     E = kin.placements(arm, arm.prismatic, q)
     phi = table_of(arm).inertia
-    plain = rb.inverse_dynamics(E, arm.prismatic, phi, DOWN, qd, qdd), rb.regressor(E, arm.prismatic, DOWN, qd, qdd)
+    plain = (
+        rb.inverse_dynamics(E, arm.prismatic, phi, DOWN, qd, qdd),
+        rb.regressor(E, arm.prismatic, DOWN, qd, qdd),
+    )
     with float64():
 
         @jax.jit
         def run(q, qd, qdd):
             E = kin.placements(arm, arm.prismatic, q)
-            return rb.inverse_dynamics(E, arm.prismatic, phi, DOWN, qd, qdd), rb.regressor(E, arm.prismatic, DOWN, qd, qdd)
+            return rb.inverse_dynamics(E, arm.prismatic, phi, DOWN, qd, qdd), rb.regressor(
+                E, arm.prismatic, DOWN, qd, qdd
+            )
 
         for a, b in zip(run(*(jnp.asarray(x) for x in (q, qd, qdd))), plain, strict=True):
             assert np.allclose(a, b, rtol=1e-11, atol=1e-11)
@@ -176,7 +225,11 @@ def dh_standard(q: np.ndarray, a, alpha, d) -> np.ndarray:
 
 def test_ur10_modified_table_is_the_makers_standard_one():
     """T_std = Rz(pi) T_mdh Rz(pi) (paper 001's table flips x axes), and the upright pose is where the maker draws it."""
-    maker = ([0, -0.612, -0.5723, 0, 0, 0], [RIGHT, 0, 0, RIGHT, -RIGHT, 0], [0.1273, 0, 0, 0.163941, 0.1157, 0.0922])
+    maker = (
+        [0, -0.612, -0.5723, 0, 0, 0],
+        [RIGHT, 0, 0, RIGHT, -RIGHT, 0],
+        [0.1273, 0, 0, 0.163941, 0.1157, 0.0922],
+    )
     table, flip = table_of(UR10()), np.diag([-1.0, -1.0, 1.0, 1.0])
     for q in np.random.default_rng(0).uniform(-3, 3, (20, 6)):
         assert np.allclose(flip @ kin.flange(table, q) @ flip, dh_standard(q, *maker), atol=1e-14)
@@ -207,8 +260,12 @@ def test_tilted_base_and_payload():
     )  # fmt: skip
     table = table_of(UR10())
     model = twin(table)
-    model.appendBodyToJoint(6, pin.Inertia(3.5, np.array([0.02, -0.05, 0.08]), np.zeros((3, 3))), pin.SE3.Identity())
-    model.gravity.linear = (pin.utils.rotate("y", -1.1) @ pin.utils.rotate("x", 0.7)).T @ np.array(DOWN)
+    model.appendBodyToJoint(
+        6, pin.Inertia(3.5, np.array([0.02, -0.05, 0.08]), np.zeros((3, 3))), pin.SE3.Identity()
+    )
+    model.gravity.linear = (pin.utils.rotate("y", -1.1) @ pin.utils.rotate("x", 0.7)).T @ np.array(
+        DOWN
+    )
     compare(table, arm, model, 50)
 
 
@@ -259,16 +316,28 @@ def test_urdf_read_by_both(tmp_path):
     rng = np.random.default_rng(0)
     q, qd, x = rng.uniform(-2, 2, (3, 50, 3))
     tau, qdd, M = fast(arm)(q, qd, x)
-    theirs = [np.r_[s[:2], np.cos(s[2]), np.sin(s[2])] for s in q]  # a continuous joint is a point on a circle there
-    assert relative(tau, np.array([pin.rnea(model, data, *s) for s in zip(theirs, qd, x, strict=True)])) < 1e-9
-    assert relative(qdd, np.array([pin.aba(model, data, *s) for s in zip(theirs, qd, x, strict=True)])) < 1e-9
+    theirs = [
+        np.r_[s[:2], np.cos(s[2]), np.sin(s[2])] for s in q
+    ]  # a continuous joint is a point on a circle there
+    assert (
+        relative(
+            tau, np.array([pin.rnea(model, data, *s) for s in zip(theirs, qd, x, strict=True)])
+        )
+        < 1e-9
+    )
+    assert (
+        relative(qdd, np.array([pin.aba(model, data, *s) for s in zip(theirs, qd, x, strict=True)]))
+        < 1e-9
+    )
     assert relative(M, np.array([full(pin.crba(model, data, s)) for s in theirs])) < 1e-9
     table = read_urdf(path, tip="tool")
     assert table.joints == ("shoulder", "lift", "wrist") and table.prismatic == (False, True, False)
     assert list(table.upper) == [2, 0.4, np.inf] and list(table.velocity) == [3, 1, np.inf]
     pin.forwardKinematics(model, data, theirs[0])
     pin.updateFramePlacements(model, data)
-    assert np.allclose(kin.flange(table, q[0]), data.oMf[model.getFrameId("tool")].homogeneous, atol=1e-12)
+    assert np.allclose(
+        kin.flange(table, q[0]), data.oMf[model.getFrameId("tool")].homogeneous, atol=1e-12
+    )
     effects = {e.name: e for e in Chain(arm).effects}
     assert list(effects["coulomb_friction"].level) == [1.2, 0, 0]  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -283,7 +352,10 @@ def test_urdf_read_by_both(tmp_path):
         (("<robot", "<robt"), "not XML"),
         (('<axis xyz="0 0 -1"/>', '<axis xyz="0 0 -1"/><mimic joint="lift"/>'), "wrist.*mimics"),
         (('name="clamp" type="fixed"', 'name="clamp" type="revolute"'), "several branches.*tip"),
-        (('<robot name="test">', '<!DOCTYPE r [<!ENTITY e "x">]><robot name="test">&e;'), "entities"),
+        (
+            ('<robot name="test">', '<!DOCTYPE r [<!ENTITY e "x">]><robot name="test">&e;'),
+            "entities",
+        ),
     ],
     ids=lambda x: None if isinstance(x, tuple) else str(x)[:12],
 )
@@ -355,7 +427,9 @@ def test_no_gradient_is_nan():
 
     def torque(theta, q, qd, qdd):
         model = layout.model(theta)
-        still = Command(jnp.zeros(()), jnp.full((), 1e-3), jnp.zeros(6), jnp.zeros(6), lambda d: jnp.zeros(6))
+        still = Command(
+            jnp.zeros(()), jnp.full((), 1e-3), jnp.zeros(6), jnp.zeros(6), lambda d: jnp.zeros(6)
+        )
         z = model.start(q, qd, jnp.zeros(6)).z
         return model.inverse(still, z, q, qd, qdd)[0]
 
@@ -378,7 +452,9 @@ def test_no_gradient_is_nan():
     with float64():
         for k in range(0, 1000, 250):
             part = slice(k, k + 250)
-            for jacobian in jax.tree.leaves(slopes(*(jnp.asarray(a[part]) for a in (theta, q, qd, x)))):
+            for jacobian in jax.tree.leaves(
+                slopes(*(jnp.asarray(a[part]) for a in (theta, q, qd, x)))
+            ):
                 assert np.isfinite(jacobian).all()
 
 
@@ -413,9 +489,14 @@ def test_names_units_and_what_is_held():
 
 
 def test_preset_data_is_the_shared_one():
-    content = json.loads((Path(__file__).parents[1] / "models" / "ur10_consistent.json").read_text())
+    content = json.loads(
+        (Path(__file__).parents[1] / "models" / "ur10_consistent.json").read_text()
+    )
     assert content["order"] == list(standard_names(6))
-    assert np.linalg.eigvalsh(rb.pseudo_inertia(np.array(content["phi"]).reshape(6, 11)[:, :10])).min() > 9e-6
+    assert (
+        np.linalg.eigvalsh(rb.pseudo_inertia(np.array(content["phi"]).reshape(6, 11)[:, :10])).min()
+        > 9e-6
+    )
 
 
 # ---- base parameters

@@ -72,4 +72,6 @@ def test_a_fault_does_not_wait_for_the_others_to_finish(where):
             side_by_side([endless, faulty], tell, workers=2)
     else:
         made = side_by_side([endless, faulty], tell, workers=2)
-        assert isinstance(made[0].exception(), KeyboardInterrupt) and isinstance(made[1].exception(), ValueError)
+        assert isinstance(made[0].exception(), KeyboardInterrupt) and isinstance(
+            made[1].exception(), ValueError
+        )

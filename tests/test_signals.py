@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxid.data.signals import content_cutoff, decimate, differentiate, filter_ends, followed, start_state, zero_phase
+from jaxid.data.signals import (
+    content_cutoff,
+    decimate,
+    differentiate,
+    filter_ends,
+    followed,
+    start_state,
+    zero_phase,
+)
 
 
 T = 0.001 * np.arange(4000)
@@ -42,7 +50,11 @@ def test_noise_is_damped_and_nothing_is_shifted():
 
 def test_the_statement_says_what_was_done():
     statement = differentiate(T, motion(T)[0], 50.0)[3]
-    assert "order 4" in statement and "cutoff 50 Hz" in statement and "40 samples at each end" in statement
+    assert (
+        "order 4" in statement
+        and "cutoff 50 Hz" in statement
+        and "40 samples at each end" in statement
+    )
     assert "irregular" in differentiate(irregular(), motion(irregular())[0], 50.0)[3]
 
 
@@ -70,7 +82,9 @@ def test_decimation_keeps_the_motion_and_drops_what_would_alias():
 
 def test_start_state():
     t = T + 3
-    q0, qd0, text = start_state(t, np.stack([0.2 + 1.5 * (t - 3), 4 - 2 * (t - 3) + (t - 3) ** 2], axis=1))
+    q0, qd0, text = start_state(
+        t, np.stack([0.2 + 1.5 * (t - 3), 4 - 2 * (t - 3) + (t - 3) ** 2], axis=1)
+    )
     np.testing.assert_allclose(q0, [0.2, 4.0])
     np.testing.assert_allclose(qd0, [1.5, -2.0])
     assert "101 samples" in text

@@ -29,7 +29,9 @@ def test_against_lapack(seed):
         values, vectors = (np.asarray(x) for x in eigh(jnp.asarray(a)))
         W = np.asarray(whitening(jnp.asarray(a)))
         x = np.asarray(solve(jnp.asarray(b), jnp.eye(6)))
-    np.testing.assert_allclose(values, np.linalg.eigvalsh(a), rtol=1e-6, atol=1e-7 * values.max() * 1e-8)
+    np.testing.assert_allclose(
+        values, np.linalg.eigvalsh(a), rtol=1e-6, atol=1e-7 * values.max() * 1e-8
+    )
     np.testing.assert_allclose(vectors.T @ vectors, np.eye(8), atol=1e-13)
     np.testing.assert_allclose(vectors @ np.diag(values) @ vectors.T, a, atol=1e-7)
     np.testing.assert_allclose(W @ a @ W.T, np.eye(8), atol=1e-6)
@@ -44,7 +46,9 @@ def test_derivatives_against_differences():
 
     def f(t):
         values, vectors = eigh(jnp.asarray(a) + t * da)
-        return jnp.concatenate([values, (vectors**2).ravel(), solve(jnp.asarray(a) + t * da, jnp.eye(5)).ravel()])
+        return jnp.concatenate(
+            [values, (vectors**2).ravel(), solve(jnp.asarray(a) + t * da, jnp.eye(5)).ravel()]
+        )
 
     with float64():
         slope = np.asarray(jax.jvp(f, (0.0,), (1.0,))[1])
@@ -57,6 +61,8 @@ def test_large_batches_come_back():
     """Two batched LAPACK solves in one program wait for each other for ever on two cores; these are loops of arithmetic."""
     a = np.array([graded(np.random.default_rng(k), 8) for k in range(1000)])
     with float64():
-        both = jax.jit(jax.vmap(lambda a: (eigh(a)[0], solve(a, jnp.eye(8)), solve(a.T, jnp.eye(8)))))
+        both = jax.jit(
+            jax.vmap(lambda a: (eigh(a)[0], solve(a, jnp.eye(8)), solve(a.T, jnp.eye(8))))
+        )
         values, x, y = (np.asarray(o) for o in both(jnp.asarray(a)))
     assert np.isfinite(values).all() and np.isfinite(x).all() and np.isfinite(y).all()

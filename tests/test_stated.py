@@ -31,7 +31,17 @@ def servo(stated: dict[str, float]) -> tuple[Stated, ...]:
     }
     off = lambda k, name: (float(FITTED[k]) - stated[name]) / float(np.sqrt(C[k, k]))
     rows = {
-        k: Stated("axis", "", name, stated[name], float(FITTED[k]), found[k].std, off(k, name), f"{name}: …", UNITS[k])
+        k: Stated(
+            "axis",
+            "",
+            name,
+            stated[name],
+            float(FITTED[k]),
+            found[k].std,
+            off(k, name),
+            f"{name}: …",
+            UNITS[k],
+        )
         for k, name in enumerate(NAMES)
         if name in stated
     }
@@ -48,7 +58,10 @@ def test_the_one_number_that_is_wrong_beside_the_others_is_refuted():
     (wrong,) = [s for s in told if s.refuted]
     assert wrong.parameter == "kd" and wrong.deviation is not None and wrong.deviation < -50
     assert wrong.beside == pytest.approx(0.05, rel=0.02)
-    assert wrong.text.startswith("kd of axis: 0.050") and "with the other numbers as stated" in wrong.text
+    assert (
+        wrong.text.startswith("kd of axis: 0.050")
+        and "with the other numbers as stated" in wrong.text
+    )
 
 
 def test_what_all_ratios_share_is_refuted_alone():
@@ -68,7 +81,9 @@ def test_a_ratio_of_two_is_said_as_that():
 
 def known(value, covariance, lower=-1e9, upper=1e9) -> Known:
     n = len(value)
-    return Known(np.array(value, float), np.array(covariance, float), np.full(n, lower), np.full(n, upper))
+    return Known(
+        np.array(value, float), np.array(covariance, float), np.full(n, lower), np.full(n, upper)
+    )
 
 
 def test_a_sum_is_bounded_by_what_cannot_be_negative():

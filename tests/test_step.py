@@ -77,7 +77,10 @@ def test_arm_with_dry_friction_at_both_joints():
     t = np.arange(300) * 4e-3
     u = ref.multisine(t, [14.0, 4.0], 3)
     q, _ = ref.simulate(ref.planar_arm(), ARM_TRUTH, t, u)
-    error = {h: relative(Simulator(Chain(PlanarArm()), t, u, h).outputs([ARM])[0], q) for h in (4e-3, 2e-3, 1e-3)}
+    error = {
+        h: relative(Simulator(Chain(PlanarArm()), t, u, h).outputs([ARM])[0], q)
+        for h in (4e-3, 2e-3, 1e-3)
+    }
     print("arm with stick-slip, relative error by step:", error)
     assert error[2e-3] <= 1e-4
     assert error[4e-3] > 3 * error[2e-3] > 9 * error[1e-3]
@@ -95,10 +98,14 @@ def test_one_joint_holds_against_gravity_while_the_other_slides():
         y = Simulator(Chain(PlanarArm()), t, u, h).outputs([ARM | {"coulomb1": 25.0}], start)[0]
         assert np.all(y[:, 0] == 0.5)  # a joint that sticks does not creep
         error[h] = relative(y, q)
-    assert error[2e-3] < 2e-5 and error[4e-3] > 3 * error[2e-3]  # second order beside a joint that sticks
+    assert (
+        error[2e-3] < 2e-5 and error[4e-3] > 3 * error[2e-3]
+    )  # second order beside a joint that sticks
 
 
-jitted_solve = jax.jit(lambda v0, free, A, minus, plus, lam: solve_dry(v0, free, A, minus, plus, lam, 0.0))
+jitted_solve = jax.jit(
+    lambda v0, free, A, minus, plus, lam: solve_dry(v0, free, A, minus, plus, lam, 0.0)
+)
 
 
 @settings(max_examples=60, deadline=None)
@@ -154,7 +161,9 @@ def test_pendulum_keeps_its_energy():
 
 def test_arm_keeps_its_energy():
     q, v = motion(Chain(PlanarArm(), ()), [1.0, 0.5], [0.0, 0.0], 5e-4, 40_000)
-    heights = lambda q: 9.81 * (-(4 * 0.25 + 2.5 * 0.5) * np.cos(q[0]) - 2.5 * 0.2 * np.cos(q[0] + q[1]))
+    heights = lambda q: (
+        9.81 * (-(4 * 0.25 + 2.5 * 0.5) * np.cos(q[0]) - 2.5 * 0.2 * np.cos(q[0] + q[1]))
+    )
     e = energy(ref.planar_arm(), q[::100], v[::100], heights)
     assert np.ptp(e) <= 1e-8 * np.max(np.abs(e))
 
@@ -179,7 +188,9 @@ class LagrangianArm(Lagrangian):
 
     def potential_energy(self, q):
         first = self.m1 * 0.25 * jnp.cos(q[0])
-        return -self.gravity * (first + self.m2 * (0.5 * jnp.cos(q[0]) + 0.2 * jnp.cos(q[0] + q[1])))
+        return -self.gravity * (
+            first + self.m2 * (0.5 * jnp.cos(q[0]) + 0.2 * jnp.cos(q[0] + q[1]))
+        )
 
 
 both_arms = jax.jit(lambda q, v: (PlanarArm().matrices(q, v), LagrangianArm().matrices(q, v)))
@@ -233,7 +244,9 @@ def test_mass_matrix_is_symmetric_and_positive_definite(kind, seed):
     theta = within_bounds(layout, [REFERENCE] * layout.chain.nq, rng)
     with float64():
         body: Any = layout.model(jnp.asarray(theta)).mechanism
-        M = np.asarray(body.matrices(*(jnp.asarray(rng.uniform(-3, 3, layout.chain.nq)) for _ in range(2)))[0])
+        M = np.asarray(
+            body.matrices(*(jnp.asarray(rng.uniform(-3, 3, layout.chain.nq)) for _ in range(2)))[0]
+        )
     assert np.array_equal(M, M.T)
     assert np.all(np.linalg.eigvalsh(M / np.sqrt(np.outer(np.diag(M), np.diag(M)))) > 0)
 

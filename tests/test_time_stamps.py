@@ -19,7 +19,9 @@ def motion(t: np.ndarray, fast: float = 1.0) -> np.ndarray:
 
 def dataset(t: np.ndarray, y: np.ndarray, **channel) -> Dataset:
     run = Experiment("run", "fit", t, np.sin(t)[:, None], y[:, None])
-    return Dataset("d", (Channel("tau", "input", "N m"), Channel("q", "output", "rad", **channel)), (run,))
+    return Dataset(
+        "d", (Channel("tau", "input", "N m"), Channel("q", "output", "rad", **channel)), (run,)
+    )
 
 
 def found(data: Dataset) -> dict[str, Stamps]:
@@ -30,7 +32,12 @@ T = 0.004 * np.arange(3000)
 
 
 @settings(max_examples=15, deadline=None)
-@given(spread=st.floats(5e-4, 4e-3), seed=st.integers(0, 2**31), stated=st.booleans(), irregular=st.booleans())
+@given(
+    spread=st.floats(5e-4, 4e-3),
+    seed=st.integers(0, 2**31),
+    stated=st.booleans(),
+    irregular=st.booleans(),
+)
 def test_the_spread_is_read_off_the_recording(spread, seed, stated, irregular):
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.003, 0.005, T.size)) if irregular else T
@@ -70,8 +77,15 @@ def test_parts_of_a_run_keep_their_scatter():
     data = with_scatter(dataset(T, y), {"q": Stamps(0.002, 1e-5, "")}, noise_floor(dataset(T, y)))
     split = data.with_splits()
     for e in split.experiments:
-        assert e.scatter is not None and e.scatter.shape == e.y.shape and e.whole.scatter.shape == e.whole.y.shape  # type: ignore[union-attr]
-    assert np.allclose(data.experiments[0].noise(np.array([3e-4]), [0])[:, 0] ** 2 - 9e-8, data.experiments[0].scatter[:, 0] ** 2)  # type: ignore[index]
+        assert (
+            e.scatter is not None
+            and e.scatter.shape == e.y.shape
+            and e.whole.scatter.shape == e.whole.y.shape
+        )  # type: ignore[union-attr]
+    assert np.allclose(
+        data.experiments[0].noise(np.array([3e-4]), [0])[:, 0] ** 2 - 9e-8,
+        data.experiments[0].scatter[:, 0] ** 2,
+    )  # type: ignore[index]
 
 
 @pytest.mark.slow
@@ -88,13 +102,21 @@ def test_a_fit_reads_the_spread_and_weighs_the_readings_by_it():
             assert estimate.std < other.std
 
 
-@pytest.mark.parametrize("beside", [(), pytest.param(("load_dependent_friction",), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "beside", [(), pytest.param(("load_dependent_friction",), marks=pytest.mark.slow)]
+)
 def test_a_diagnosis_names_time_stamps_that_scatter(beside):
-    d = jaxid.diagnose("pendulum", recording("pendulum", 1, jitter=0.003, **({"load": 0.1} if beside else {})))
+    d = jaxid.diagnose(
+        "pendulum", recording("pendulum", 1, jitter=0.003, **({"load": 0.1} if beside else {}))
+    )
     assert d.which.verdict == "named"
     assert [e.effect for e in d.which.effects] == ["timestamp_jitter", *beside]
     spread = d.which.effects[0].parameters["spread"]
-    assert spread.std is not None and abs(spread.value - 0.003) < 3 * spread.std and d.which.effects[0].location == "q"
+    assert (
+        spread.std is not None
+        and abs(spread.value - 0.003) < 3 * spread.std
+        and d.which.effects[0].location == "q"
+    )
     assert d.how_far.gap_after < 1.1 and d.how_far.gap_retuned > 5
     assert d.which.ranking[0].effect == "timestamp_jitter" and d.which.ranking[0].evidence > 100
     assert "scatter by" in d.which.text

@@ -29,7 +29,9 @@ from test_serial_arm import table_of, twin
 pin: Any = pytest.importorskip("pinocchio")
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 NOISE, TORQUE_NOISE = 2e-5, 0.02
-THREE = modified_dh(a=[0, 0.05, 0.4], alpha=[0, -np.pi / 2, 0], d=[0.3, 0, 0.05], theta=[0, -0.6, 0.9])
+THREE = modified_dh(
+    a=[0, 0.05, 0.4], alpha=[0, -np.pi / 2, 0], d=[0.3, 0, 0.05], theta=[0, -0.6, 0.9]
+)
 
 
 def moved(n: int, seed: int, seconds: float = 16.0, rate: float = 100.0) -> tuple[np.ndarray, ...]:
@@ -37,10 +39,17 @@ def moved(n: int, seed: int, seconds: float = 16.0, rate: float = 100.0) -> tupl
     rng, t = np.random.default_rng(seed), np.arange(0, seconds, 1 / rate)
     a, w = rng.uniform(0.1, 0.4, (4, n)), 2 * np.pi * rng.uniform(0.1, 0.7, (4, n))
     angle = w * t[:, None, None] + rng.uniform(0, 6, (4, n))
-    return t, (a * np.sin(angle)).sum(1), (a * w * np.cos(angle)).sum(1), -(a * w * w * np.sin(angle)).sum(1)
+    return (
+        t,
+        (a * np.sin(angle)).sum(1),
+        (a * w * np.cos(angle)).sum(1),
+        -(a * w * w * np.sin(angle)).sum(1),
+    )
 
 
-def run(arm: Any, seed: int, load: np.ndarray | None = None, more: Any = None, tilt: float = 0.0) -> tuple[np.ndarray, ...]:
+def run(
+    arm: Any, seed: int, load: np.ndarray | None = None, more: Any = None, tilt: float = 0.0
+) -> tuple[np.ndarray, ...]:
     """t, torque and position of one run; `load` ten numbers added to the last link, `more(q, qd, qdd, rigid)` another torque."""
     table = table_of(arm)
     inertia = np.array(table.inertia)
@@ -51,18 +60,34 @@ def run(arm: Any, seed: int, load: np.ndarray | None = None, more: Any = None, t
     t, q, qd, qdd = moved(n, seed)
     rigid = np.array([pin.rnea(model, data, *s) for s in zip(q, qd, qdd, strict=True)])
     rng = np.random.default_rng([seed, 1])
-    tau = rigid + 0.3 * qdd + 2.0 * qd + 1.5 * np.tanh(qd / 0.003) + (0 if more is None else more(q, qd, qdd, rigid))
-    return t, tau + TORQUE_NOISE * rng.standard_normal(q.shape), q + NOISE * rng.standard_normal(q.shape)
+    tau = (
+        rigid
+        + 0.3 * qdd
+        + 2.0 * qd
+        + 1.5 * np.tanh(qd / 0.003)
+        + (0 if more is None else more(q, qd, qdd, rigid))
+    )
+    return (
+        t,
+        tau + TORQUE_NOISE * rng.standard_normal(q.shape),
+        q + NOISE * rng.standard_normal(q.shape),
+    )
 
 
-def recorded(runs: list[tuple[np.ndarray, ...]], splits: tuple[str, ...] = ("fit", "validation", "report")) -> jaxid.Dataset:
+def recorded(
+    runs: list[tuple[np.ndarray, ...]], splits: tuple[str, ...] = ("fit", "validation", "report")
+) -> jaxid.Dataset:
     n = runs[0][1].shape[1]
     series = lambda name, k: {f"{name}{j + 1}": [r[k][:, j] for r in runs] for j in range(n)}
     units = {f"tau{j + 1}": "N m" for j in range(n)} | {f"q{j + 1}": "rad" for j in range(n)}
-    return jaxid.Dataset.from_arrays([r[0] for r in runs], series("tau", 1), series("q", 2), units=units, split=list(splits))
+    return jaxid.Dataset.from_arrays(
+        [r[0] for r in runs], series("tau", 1), series("q", 2), units=units, split=list(splits)
+    )
 
 
-def asked(arm: Any, runs: list[tuple[np.ndarray, ...]], effects: Any = None, reference: Any = None) -> jaxid.Diagnosis:
+def asked(
+    arm: Any, runs: list[tuple[np.ndarray, ...]], effects: Any = None, reference: Any = None
+) -> jaxid.Diagnosis:
     """Without the check of the recording, which has its own tests."""
     return run_diagnosis(arm, recorded(runs), 3, effects, (), InverseDynamics(), 0, None, reference)
 
@@ -86,31 +111,46 @@ def wrist(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, rigid: np.ndarray) -> 
 
 def at(joint: int, law: Any) -> Any:
     """A torque at one joint."""
-    return lambda q, qd, qdd, rigid: np.eye(q.shape[1])[joint] * law(q[:, joint], qd[:, joint], rigid[:, joint])[:, None]
+    return lambda q, qd, qdd, rigid: (
+        np.eye(q.shape[1])[joint] * law(q[:, joint], qd[:, joint], rigid[:, joint])[:, None]
+    )
 
 
 ARMS = {"ur10e": UR10e(), "three": SerialArm(THREE)}
 LAWS = {
     "drag": ("three", at(1, lambda q, v, r: 0.8 * np.abs(v) * v), {("quadratic_drag", "q2")}),
     "spring": ("three", at(2, lambda q, v, r: 1.5 * q), {("spring_torque", "q3")}),
-    "load": ("three", at(1, lambda q, v, r: 0.15 * np.abs(r) * np.tanh(v / 0.003)), {("load_dependent_friction", "q2")}),
+    "load": (
+        "three",
+        at(1, lambda q, v, r: 0.15 * np.abs(r) * np.tanh(v / 0.003)),
+        {("load_dependent_friction", "q2")},
+    ),
     "wrist": ("ur10e", wrist, {("coupled_friction", "q5 and q6")}),
 }
 
 
-@pytest.mark.parametrize("law", [pytest.param(k, marks=() if k == "wrist" else pytest.mark.slow) for k in LAWS])
+@pytest.mark.parametrize(
+    "law", [pytest.param(k, marks=() if k == "wrist" else pytest.mark.slow) for k in LAWS]
+)
 def test_what_is_withheld_is_named(law, tmp_path):
     arm, more, truth = LAWS[law]
     d = asked(ARMS[arm], [run(ARMS[arm], s, more=more) for s in (1, 2, 3)])
     assert d.which.verdict in ("named", "partly") and named(d) == truth, d.which.text
     assert d.how_far.gap_after < 1.6 < d.how_far.gap_retuned
     # All joints move in every row: the errors of the table, over the noise beside them, are the gap.
-    each = [(c.rmse_retuned / c.noise, c.rmse_after / c.noise) for c in d.how_far.per_channel.values()]
-    assert np.sqrt(np.mean(np.square(each), 0)) == pytest.approx([d.how_far.gap_retuned, d.how_far.gap_after], rel=1e-6)
+    each = [
+        (c.rmse_retuned / c.noise, c.rmse_after / c.noise) for c in d.how_far.per_channel.values()
+    ]
+    assert np.sqrt(np.mean(np.square(each), 0)) == pytest.approx(
+        [d.how_far.gap_retuned, d.how_far.gap_after], rel=1e-6
+    )
     if law.startswith("load"):
         (effect,) = d.which.effects
         reading = effect.parameters["drive_share"].value
-        assert reading == (law == "load of the drive") and abs(effect.parameters["mu"].value - 0.15) < 0.03
+        assert (
+            reading == (law == "load of the drive")
+            and abs(effect.parameters["mu"].value - 0.15) < 0.03
+        )
     assert "<html" in d.report(tmp_path / "report.html").read_text().lower()
 
 
@@ -125,7 +165,9 @@ def test_nothing_is_named_where_nothing_is_missing(arm):
 
 def test_an_outsider_gets_no_name():
     """Damping that depends on the position of another joint is in no library."""
-    outsider = lambda q, qd, qdd, rigid: np.stack([2.5 * np.sin(4 * q[:, 1]) * qd[:, 0], 0 * q[:, 0], 0 * q[:, 0]], 1)
+    outsider = lambda q, qd, qdd, rigid: np.stack(
+        [2.5 * np.sin(4 * q[:, 1]) * qd[:, 0], 0 * q[:, 0], 0 * q[:, 0]], 1
+    )
     d = asked(ARMS["three"], [run(ARMS["three"], s, more=outsider) for s in (7, 8, 9)])
     assert d.which.verdict == "unknown", d.which.text
     assert d.how_far.ceiling is not None and d.how_far.ceiling < 0.9
@@ -148,7 +190,9 @@ def test_a_load_that_only_later_runs_carry_is_named(arm):
 
 def test_a_reference_turns_the_question_to_what_is_different():
     arm, load = ARMS["three"], body(1.5, 0.05, 0.02, 0.1)
-    before = jaxid.identify(arm, recorded([run(arm, s) for s in (11, 12, 13)]), friction="linear", as_recorded=True)
+    before = jaxid.identify(
+        arm, recorded([run(arm, s) for s in (11, 12, 13)]), friction="linear", as_recorded=True
+    )
     d = asked(arm, [run(arm, s, load) for s in (1, 2, 3)], reference=Reference.read(before))
     assert d.which.verdict in ("named", "partly") and ("payload", "q3") in named(d), d.which.text
     assert abs(payload_of(d)["mass"].value - 1.5) < 0.2
@@ -180,8 +224,20 @@ def test_uneven_samples_tell_what_even_ones_do():
     uneven = [(late, *(np.stack([np.interp(late, t, c) for c in x.T], 1) for x in (tau, q)))]
     numbers = []
     for runs in ([(t, tau, q)], uneven):
-        f = jaxid.fit(ARMS["three"], recorded(runs, ("fit",)), residual="inverse_dynamics", as_recorded=True, cutoff_hz=8.0)
-        numbers.append({k: v.value for k, v in f.parameters.items() if v.identifiable and v.std and v.std < 0.1 * abs(v.value)})
+        f = jaxid.fit(
+            ARMS["three"],
+            recorded(runs, ("fit",)),
+            residual="inverse_dynamics",
+            as_recorded=True,
+            cutoff_hz=8.0,
+        )
+        numbers.append(
+            {
+                k: v.value
+                for k, v in f.parameters.items()
+                if v.identifiable and v.std and v.std < 0.1 * abs(v.value)
+            }
+        )
     shared = numbers[0].keys() & numbers[1].keys()
     assert len(shared) > 8
     for name in shared:
@@ -190,10 +246,14 @@ def test_uneven_samples_tell_what_even_ones_do():
 
 def test_a_series_at_equal_steps():
     t = np.cumsum(np.tile([0.002, 0.002, 0.0053, 0.0018], 200))
-    e = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.cos(t)}, units={"tau": "N m", "q": "rad"}).experiments[0]
+    e = jaxid.Dataset.from_arrays(
+        t, {"tau": np.sin(t)}, {"q": np.cos(t)}, units={"tau": "N m", "q": "rad"}
+    ).experiments[0]
     even = evenly(e)
     assert np.ptp(np.diff(even.t)) < 1e-9 and np.allclose(even.y[:, 0], np.cos(even.t), atol=1e-6)
-    assert np.allclose(zero_phase(even.t, even.u, 20.0)[100:-100, 0], np.sin(even.t)[100:-100], atol=1e-3)
+    assert np.allclose(
+        zero_phase(even.t, even.u, 20.0)[100:-100, 0], np.sin(even.t)[100:-100], atol=1e-3
+    )
     assert evenly(even) is even
 
 
@@ -214,7 +274,13 @@ def public():
 def test_a_double_pendulum_is_bounded_honestly(public):
     """Somebody's machine: what it lacks at joint 1 is not known."""
     began = time.process_time()
-    d = jaxid.diagnose(None, public("double_pendulum_c0"), residual="inverse_dynamics", cutoff_hz=8.0, as_recorded=True)
+    d = jaxid.diagnose(
+        None,
+        public("double_pendulum_c0"),
+        residual="inverse_dynamics",
+        cutoff_hz=8.0,
+        as_recorded=True,
+    )
     assert time.process_time() - began < 60
     assert d.which.verdict in ("unknown", "partly")
 
@@ -244,9 +310,18 @@ def repeated(drift: float, more: float = 0.0) -> jaxid.Dataset:
             tau = 0.02 * qdd + dry + more * np.maximum(qd, 0) + 0.003 * rng.standard_normal(q.shape)
             first = None if again == 0 else f"m{motion}_0"
             runs.append(
-                Experiment(f"m{motion}_{again}", split, t, tau, q + NOISE * rng.standard_normal(q.shape), repeat_of=first)
+                Experiment(
+                    f"m{motion}_{again}",
+                    split,
+                    t,
+                    tau,
+                    q + NOISE * rng.standard_normal(q.shape),
+                    repeat_of=first,
+                )
             )
-    return Dataset("repeated", (Channel("tau", "input", "N m"), Channel("q", "output", "rad")), tuple(runs))
+    return Dataset(
+        "repeated", (Channel("tau", "input", "N m"), Channel("q", "output", "rad")), tuple(runs)
+    )
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.08])
@@ -254,7 +329,12 @@ def test_what_repeats_differ_by_is_noise(drift):
     data = repeated(drift)
     study = Study(bind("joint", data), [AsymmetricFriction], None, None, False)
     rows, weights = study.rows_with_effects(study.theta)
-    coulomb = np.linalg.norm(weights.spread[study.plant.free.index(study.binding.layout.index("coulomb"))]) / 0.35
+    coulomb = (
+        np.linalg.norm(
+            weights.spread[study.plant.free.index(study.binding.layout.index("coulomb"))]
+        )
+        / 0.35
+    )
     assert coulomb < 0.02 if drift == 0 else 0.04 < coulomb < 0.16
     chooser = study.chooser(rows, weights, study.of("fit"), study.of("validation"), 3)
     nominal = of_model(study, rows, chooser.nominal)

@@ -24,17 +24,38 @@ def swing(seed: int, late: bool) -> tuple[np.ndarray, ...]:
         t[7::15] += 0.003
     a, w = rng.uniform(0.2, 0.5, (5, 1)), 2 * np.pi * rng.uniform(0.1, 1.2, (5, 1))
     angle = w * t + rng.uniform(0, 6, (5, 1))
-    q, qd, qdd = (a * np.sin(angle)).sum(0), (a * w * np.cos(angle)).sum(0), -(a * w * w * np.sin(angle)).sum(0)
-    tau = TRUE["inertia"] * qdd + TRUE["viscous"] * qd + TRUE["gravity_torque"] * np.sin(q) + TRUE["coulomb"] * np.tanh(qd / 0.01)
-    slow = 0.3 * np.sin(2 * np.pi * 0.13 * t + rng.uniform(0, 6)) + 0.1 * np.sin(2 * np.pi * 0.7 * t + rng.uniform(0, 6))
-    return t, tau + slow + 1e-3 * rng.standard_normal(t.size), q + 5e-5 * rng.standard_normal(t.size)
+    q, qd, qdd = (
+        (a * np.sin(angle)).sum(0),
+        (a * w * np.cos(angle)).sum(0),
+        -(a * w * w * np.sin(angle)).sum(0),
+    )
+    tau = (
+        TRUE["inertia"] * qdd
+        + TRUE["viscous"] * qd
+        + TRUE["gravity_torque"] * np.sin(q)
+        + TRUE["coulomb"] * np.tanh(qd / 0.01)
+    )
+    slow = 0.3 * np.sin(2 * np.pi * 0.13 * t + rng.uniform(0, 6)) + 0.1 * np.sin(
+        2 * np.pi * 0.7 * t + rng.uniform(0, 6)
+    )
+    return (
+        t,
+        tau + slow + 1e-3 * rng.standard_normal(t.size),
+        q + 5e-5 * rng.standard_normal(t.size),
+    )
 
 
 def columns(t: np.ndarray, tau: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Filtered columns of inertia, viscous friction, gravity, dry friction and an offset, and torque, on equal steps."""
     even = np.linspace(t[0], t[-1], t.size)
     q, qd, qdd, _ = differentiate(even, spline(t, q, even), 2 * CUTOFF)
-    both = zero_phase(even, np.column_stack([qdd, qd, np.sin(q), np.tanh(qd / 0.01), 0 * q + 1, np.interp(even, t, tau)]), CUTOFF)
+    both = zero_phase(
+        even,
+        np.column_stack(
+            [qdd, qd, np.sin(q), np.tanh(qd / 0.01), 0 * q + 1, np.interp(even, t, tau)]
+        ),
+        CUTOFF,
+    )
     ends = filter_ends(even, CUTOFF)
     return both[ends:-ends, :5], both[ends:-ends, 5]
 
@@ -49,7 +70,9 @@ def left(runs: list[tuple[np.ndarray, ...]], numbers: np.ndarray) -> float:
 def test_as_little_is_left_as_by_least_squares(how, late):
     fit, held = [swing(s, late) for s in (1, 2)], [swing(s, late) for s in (3, 4)]
     made = [columns(*r) for r in fit]
-    best = np.linalg.lstsq(np.concatenate([x for x, _ in made]), np.concatenate([y for _, y in made]), rcond=None)[0]
+    best = np.linalg.lstsq(
+        np.concatenate([x for x, _ in made]), np.concatenate([y for _, y in made]), rcond=None
+    )[0]
     runs = [*fit, *held]
     data = jaxid.Dataset.from_arrays(
         [r[0] for r in runs], {"tau": [r[1] for r in runs]}, {"q": [r[2] for r in runs]}, units={"tau": "N m", "q": "rad"},
@@ -84,7 +107,9 @@ def test_a_public_double_pendulum_is_left_with_what_least_squares_leaves():
 def test_noise_of_a_clock_does_not_widen_the_band_of_a_motion():
     """Readings that are late by up to half a step, each by its own, make noise where the joint is quick."""
     rng, t = np.random.default_rng(0), np.arange(0, 20, 1e-3)
-    y = np.sin(2 * np.pi * 0.5 * (t + 5e-4 * rng.uniform(-1, 1, t.size))) + 1e-5 * rng.standard_normal(t.size)
+    y = np.sin(
+        2 * np.pi * 0.5 * (t + 5e-4 * rng.uniform(-1, 1, t.size))
+    ) + 1e-5 * rng.standard_normal(t.size)
     assert speed_content(t, y, 1e-5) < 1.0
 
 
@@ -94,7 +119,12 @@ def test_rows_at_standstill_are_known_to_within_dry_friction():
     runs = []
     for seed in (1, 2, 3):
         t, (a, b) = np.arange(0, 20, step), np.random.default_rng(seed).uniform(0, 6, 2)
-        u, q, v, kept = 0.7 * np.sin(2 * np.pi * 0.31 * t + a) + 0.5 * np.sin(2 * np.pi * 0.83 * t + b), 0.0, 0.0, []
+        u, q, v, kept = (
+            0.7 * np.sin(2 * np.pi * 0.31 * t + a) + 0.5 * np.sin(2 * np.pi * 0.83 * t + b),
+            0.0,
+            0.0,
+            [],
+        )
         for x in u:
             kept.append(q)
             push = x - viscous * v
@@ -103,7 +133,9 @@ def test_rows_at_standstill_are_known_to_within_dry_friction():
             v = 0.0 if v and new * v < 0 else new
             q += step * v
         pick = slice(None, None, 5)
-        runs.append((t[pick], u[pick] + 1e-3 * rng.standard_normal(t[pick].size), np.array(kept)[pick]))
+        runs.append(
+            (t[pick], u[pick] + 1e-3 * rng.standard_normal(t[pick].size), np.array(kept)[pick])
+        )
     data = jaxid.Dataset.from_arrays(
         [r[0] for r in runs], {"tau": [r[1] for r in runs]}, {"q": [r[2] + 1e-5 * rng.standard_normal(r[2].size) for r in runs]},
         units={"tau": "N m", "q": "rad"}, split=["fit", "validation", "report"],

@@ -37,7 +37,10 @@ def test_what_is_read_back_gives_the_same_bits(folder, monkeypatch):
         content = file.read_bytes()
         monkeypatch.setattr(jax.export, "export", None)  # a second process does not trace
         second = Traced(lambda *_: pytest.fail("traced again"), "key")(x, y)
-        assert all(np.array_equal(a, b) and np.array_equal(a, c) for a, b, c in zip(plain, first, second, strict=True))
+        assert all(
+            np.array_equal(a, b) and np.array_equal(a, c)
+            for a, b, c in zip(plain, first, second, strict=True)
+        )
         assert file.read_bytes() == content
 
 

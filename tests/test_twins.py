@@ -36,7 +36,9 @@ def test_the_arm_is_that_of_pinocchio():
     model.armature = drives
     data, motion = model.createData(), np.random.default_rng(0).normal(size=(3, 20, 6))
     truth = np.array([pin.rnea(model, data, *state) for state in zip(*motion, strict=True)])
-    np.testing.assert_allclose(torques(alpha, a, d, bodies, drives, tuple(motion)), truth, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        torques(alpha, a, d, bodies, drives, tuple(motion)), truth, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_twins_and_papers_need_no_more_than_the_library_installs():
@@ -44,10 +46,18 @@ def test_twins_and_papers_need_no_more_than_the_library_installs():
     names = ("pytest", "pinocchio", "hypothesis", "simulated", "sympy")
     missing = f"import sys; sys.modules.update(dict.fromkeys({names}))"
     code = f"{missing}; import benchmarks.papers, jaxid.study.papers.twins.flexible_link, jaxid.study.papers.twins.serial_arm"
-    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120
+    )
     assert ran.returncode == 0, ran.stderr
     for path in (ROOT / "notebooks").glob("*.py"):
-        for word in ("import pytest", "import pinocchio", "from tests", "import tests", "from simulated"):
+        for word in (
+            "import pytest",
+            "import pinocchio",
+            "from tests",
+            "import tests",
+            "from simulated",
+        ):
             assert word not in path.read_text(), f"{path.name}: {word}"
 
 

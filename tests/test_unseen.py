@@ -22,7 +22,9 @@ def swung(u: np.ndarray, mgl: float, spring: float, more: tuple[float, ...]) -> 
     viscous = VISCOUS + np.array(more)
     for k in range(len(T)):
         out.append(x[0])
-        slope = lambda x, k=k, c=viscous: np.array([x[1], (u[:, k] - mgl * np.sin(x[0]) - spring * x[0] - c * x[1]) / J])
+        slope = lambda x, k=k, c=viscous: np.array(
+            [x[1], (u[:, k] - mgl * np.sin(x[0]) - spring * x[0] - c * x[1]) / J]
+        )
         for _ in range(4):
             a = slope(x)
             b = slope(x + h / 2 * a)
@@ -33,10 +35,15 @@ def swung(u: np.ndarray, mgl: float, spring: float, more: tuple[float, ...]) -> 
 
 @functools.cache
 def recording(
-    reach: tuple[float, ...], mgl: float = MGL, spring: float = 0.0, more: tuple[float, ...] = (0,) * 4
+    reach: tuple[float, ...],
+    mgl: float = MGL,
+    spring: float = 0.0,
+    more: tuple[float, ...] = (0,) * 4,
 ) -> jaxid.Dataset:
     """A pendulum under multisines of these amplitudes in N m, one for each split."""
-    u = np.array([a * multisine(T, [1.0], seed=k, periods=2.5, lines=6)[:, 0] for k, a in enumerate(reach)])
+    u = np.array(
+        [a * multisine(T, [1.0], seed=k, periods=2.5, lines=6)[:, 0] for k, a in enumerate(reach)]
+    )
     q = swung(u, mgl, spring, more) + NOISE * np.random.default_rng(7).standard_normal(u.shape)
     return jaxid.Dataset.from_arrays(
         [T] * 4, {"tau": list(u)}, {"q": list(q)}, units={"tau": "N m", "q": "rad"}, split=SPLITS, at_rest=True,
@@ -64,9 +71,13 @@ def test_a_spring_hides_in_gravity_where_the_pendulum_hardly_moves(tmp_path):
     assert unit == "N m/rad" and moved.without - moved.beside == pytest.approx(size, rel=0.1)
     assert "spring_torque" in small.next_experiment and small.rivals is not None
     assert small.to_dict()["unseen"][0]["location"] in ("q", "tau")
-    assert "What these recordings would not show" in small.report(tmp_path / "report.html").read_text()
+    assert (
+        "What these recordings would not show" in small.report(tmp_path / "report.html").read_text()
+    )
     large = diagnosed(recording(LARGE))
-    assert large.which.verdict == "none" and not [u for u in large.unseen if u.effect == "spring_torque" and u.moved]
+    assert large.which.verdict == "none" and not [
+        u for u in large.unseen if u.effect == "spring_torque" and u.moved
+    ]
     truth = 0.9 - size
     with_it = diagnosed(recording(SMALL, truth, size))
     fitted = with_it.nominal.parameters["gravity_torque"]
@@ -77,14 +88,22 @@ def test_a_spring_hides_in_gravity_where_the_pendulum_hardly_moves(tmp_path):
 def test_what_fit_runs_cannot_show_validation_runs_name(tmp_path):
     """Fitted where it hardly moves, judged where it swings: the fit runs come down to the noise without the spring."""
     found = diagnosed(recording((0.015, 0.015, 0.4, 0.4), spring=0.3))
-    assert [str(e) for e in found.which.effects] == ["spring_torque at q"] and found.how_far.gap_after < 1.3
+    assert [str(e) for e in found.which.effects] == [
+        "spring_torque at q"
+    ] and found.how_far.gap_after < 1.3
     assert found.final.parameters["gravity_torque"].value == pytest.approx(0.9, rel=0.02)
     far = found.how_far
     (whole,) = far.per_run
-    assert whole.part == "run_4" and (whole.retuned, whole.after) == pytest.approx((far.gap_retuned, far.gap_after))
-    parts = [s for s in far.per_regime if s.part in ("forward", "backward", "standstill")]  # every sample is in one of them
+    assert whole.part == "run_4" and (whole.retuned, whole.after) == pytest.approx(
+        (far.gap_retuned, far.gap_after)
+    )
+    parts = [
+        s for s in far.per_regime if s.part in ("forward", "backward", "standstill")
+    ]  # every sample is in one of them
     assert sum(s.samples for s in parts) == whole.samples
-    assert sum(s.samples * s.retuned**2 for s in parts) == pytest.approx(whole.samples * far.gap_retuned**2)
+    assert sum(s.samples * s.retuned**2 for s in parts) == pytest.approx(
+        whole.samples * far.gap_retuned**2
+    )
     page = found.report(tmp_path / "report.html").read_text()
     assert "situation by situation" in page and "would not show" not in page
 
@@ -92,9 +111,16 @@ def test_what_fit_runs_cannot_show_validation_runs_name(tmp_path):
 def test_a_number_that_drifts_is_a_sign():
     """Damping of one run that is not that of the others, which is no effect of the library; without it there is no sign."""
     drifts = diagnosed(recording((0.2,) * 4, more=(0.0, 2e-4, 0.0, 0.0)), "dead_zone")
-    assert "viscous is not the same in all of the recordings" in drifts.which.text and "half of run_2" in drifts.which.text
+    assert (
+        "viscous is not the same in all of the recordings" in drifts.which.text
+        and "half of run_2" in drifts.which.text
+    )
     steady = diagnosed(recording((0.2,) * 4), "dead_zone")
-    assert steady.which.verdict == "none" and "not the same" not in steady.which.text and "stands out" not in steady.which.text
+    assert (
+        steady.which.verdict == "none"
+        and "not the same" not in steady.which.text
+        and "stands out" not in steady.which.text
+    )
 
 
 def test_what_is_known_survives_an_interruption(monkeypatch):
@@ -107,5 +133,9 @@ def test_what_is_known_survives_an_interruption(monkeypatch):
     with pytest.raises(Interrupted) as caught:
         diagnosed(recording(SMALL), "quadratic_drag")
     partial = caught.value.partial
-    assert isinstance(partial, jaxid.Diagnosis) and partial.which.verdict == "none" and not partial.unseen
+    assert (
+        isinstance(partial, jaxid.Diagnosis)
+        and partial.which.verdict == "none"
+        and not partial.unseen
+    )
     assert "Stopped before" in partial.which.text

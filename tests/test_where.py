@@ -33,11 +33,15 @@ def missing(force: np.ndarray, rng: np.random.Generator) -> Missing:
     experiment = cast(Any, SimpleNamespace(t=T, name="run"))
     null = rng.standard_normal((12, N, 2))
     qdd = np.gradient(QD, T, axis=0)
-    return Missing(experiment, np.ones(N, bool), np.cumsum(QD, 0) / 200, QD, qdd, np.zeros((N, 2)), force, null)
+    return Missing(
+        experiment, np.ones(N, bool), np.cumsum(QD, 0) / 200, QD, qdd, np.zeros((N, 2)), force, null
+    )
 
 
 def bench() -> Any:
-    signature = SimpleNamespace(joints=JOINTS, outputs=(("a", "rad"), ("b", "rad")), unit=lambda _: "N m")
+    signature = SimpleNamespace(
+        joints=JOINTS, outputs=(("a", "rad"), ("b", "rad")), unit=lambda _: "N m"
+    )
     return SimpleNamespace(binding=SimpleNamespace(chain=SimpleNamespace(signature=signature)))
 
 
@@ -62,7 +66,9 @@ def test_a_force_far_below_the_noise_is_found_where_its_effect_acts():
     inside = T[(QD[:, 1] > 0.5)]
     assert inside.min() <= forward.window_s[0] < forward.window_s[1] <= inside.max() + 0.01
     row = next(r for r in rows if (r.joint, r.regime) == ("b", "forward"))
-    assert row.stands_out and not row.ratio > 1.1 * row.null[1]  # what is measured alone does not show it
+    assert (
+        row.stands_out and not row.ratio > 1.1 * row.null[1]
+    )  # what is measured alone does not show it
     assert all(r.supplied is None for r in rows if r.joint == "a")
     # Without the effect all that is seen is that joint a shows more than noise.
     blind, _, _ = looked_at(law + noise, noise, ())
@@ -79,7 +85,11 @@ def test_what_an_effect_does_not_take_away_is_looked_at_as_measured():
     moved = 0.3 * rng.standard_normal((N, 2))
     found, rows, given = looked_at(large + noise, large + noise + moved, ("a",))
     assert not given and all(r.supplied is None for r in rows)
-    assert {f.location for f in found} == {"a"} and found[0].regime == "forward" and found[0].times_noise_floor > 1.5
+    assert (
+        {f.location for f in found} == {"a"}
+        and found[0].regime == "forward"
+        and found[0].times_noise_floor > 1.5
+    )
 
 
 def test_the_floor_is_told_where_it_lies():
@@ -89,7 +99,9 @@ def test_the_floor_is_told_where_it_lies():
     m = missing(np.zeros((N, 2)), np.random.default_rng(3))
     m.null[:, : N // 2] *= 10
     floor = floor_at(m, 0)
-    assert floor[: N // 2 - 20] == pytest.approx(10, rel=0.4) and floor[N // 2 + 20 :] == pytest.approx(1, rel=0.4)
+    assert floor[: N // 2 - 20] == pytest.approx(10, rel=0.4) and floor[
+        N // 2 + 20 :
+    ] == pytest.approx(1, rel=0.4)
 
 
 def test_what_repeats_differ_by_is_a_motion_and_no_noise_of_a_reading():
@@ -109,7 +121,10 @@ def test_what_repeats_differ_by_is_a_motion_and_no_noise_of_a_reading():
         [t, t], {"tau": [u, u]}, {"q": runs}, split=["fit", "validation"], at_rest=True, model="joint",
     )  # fmt: skip
     binding = bind(None, data, without=["coulomb_friction", "constant_torque"])
-    assert binding.noise["q"].source == "repeatability" and binding.sigma[0] > 100 * binding.readings[0]
+    assert (
+        binding.noise["q"].source == "repeatability"
+        and binding.sigma[0] > 100 * binding.readings[0]
+    )
     theta = binding.theta.copy()
     for name, value in (("inertia", 0.01), ("viscous", 0.02)):
         theta[binding.layout.index(name)] = value
@@ -134,7 +149,12 @@ def test_a_joint_that_its_friction_may_hold_lacks_nothing():
     bench = Bench(binding, differences=1)
     for friction, most in ((0.06, 0.0), (0.03, 0.02)):
         theta = binding.theta.copy()
-        for name, value in (("inertia", 1e-4), ("viscous", 0.0), ("coulomb", friction), ("offset", 0.0)):
+        for name, value in (
+            ("inertia", 1e-4),
+            ("viscous", 0.0),
+            ("coulomb", friction),
+            ("offset", 0.0),
+        ):
             theta[binding.layout.index(name)] = value
         (m,) = missing_forces(bench, theta, estimate_starts(bench, "fit", [theta])[0], 0)
         assert np.max(np.abs(m.force)) == pytest.approx(most, abs=0.004)
@@ -143,11 +163,15 @@ def test_a_joint_that_its_friction_may_hold_lacks_nothing():
 def test_a_reading_that_is_left_out_leaves_a_floor():
     t, rng = np.arange(400) / 100, np.random.default_rng(0)
     q = 0.01 * np.sin(2 * t) ** 2 + 1e-4 * rng.standard_normal(t.size)
-    whole = jaxid.Dataset.from_arrays(t, {"tau": np.sin(2 * t)}, {"q": q}, split="fit", noise_std={"q": 1e-4}, model="joint")
+    whole = jaxid.Dataset.from_arrays(
+        t, {"tau": np.sin(2 * t)}, {"q": q}, split="fit", noise_std={"q": 1e-4}, model="joint"
+    )
     run = dataclasses.replace(whole.experiments[0], left_out=(np.arange(t.size) == 200)[:, None])
     binding = bind(None, dataclasses.replace(whole, experiments=(run,)), splits=False)
     bench = Bench(binding, differences=1)
-    (m,) = missing_forces(bench, binding.theta, estimate_starts(bench, "fit", [binding.theta])[0], 0)
+    (m,) = missing_forces(
+        bench, binding.theta, estimate_starts(bench, "fit", [binding.theta])[0], 0
+    )
     assert np.isfinite(m.force).all() and np.isfinite(m.null).all()
 
 
@@ -155,7 +179,10 @@ def test_a_reading_that_is_left_out_leaves_a_floor():
 def test_a_right_model_shows_what_noise_shows():
     """At each joint, though one moves faster than the other: what is measured and what is simulated pass the same filters."""
     plant, t = dataclasses.replace(twins.PLANTS["tracker"], resolution=0.0), np.arange(800) / 100
-    slow, fast = (multisine(t, [a], seed=s, periods=p, lines=6)[:, 0] for a, s, p in ((1.0, 1, 4.0), (0.8, 2, 0.8)))
+    slow, fast = (
+        multisine(t, [a], seed=s, periods=p, lines=6)[:, 0]
+        for a, s, p in ((1.0, 1, 4.0), (0.8, 2, 0.8))
+    )
     u = np.stack([slow, fast], 1)[None]
     numbers = {k: np.array(x)[None] for k, x in plant.nominal.items()}
     y = twins.recorded(plant, u, numbers, np.random.default_rng(0))[0]

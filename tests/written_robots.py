@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 
-def _body(rng: np.random.Generator, name: str, joints: str, inside: str = "", pos: str | None = None, quat: bool = True) -> str:
+def _body(
+    rng: np.random.Generator,
+    name: str,
+    joints: str,
+    inside: str = "",
+    pos: str | None = None,
+    quat: bool = True,
+) -> str:
     """A body with a random frame and a random inertia that can exist."""
     place = " ".join(f"{v:.4f}" for v in rng.uniform(-0.2, 0.2, 3)) if pos is None else pos
     turn = f' quat="{" ".join(f"{v:.4f}" for v in rng.normal(size=4))}"' if quat else ""
@@ -15,7 +22,9 @@ def _body(rng: np.random.Generator, name: str, joints: str, inside: str = "", po
     I = np.trace(S) * np.eye(3) - S
     full = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
     com = " ".join(f"{v:.4f}" for v in rng.uniform(-0.1, 0.1, 3))
-    inertial = f'<inertial pos="{com}" mass="{m:.5f}" fullinertia="{" ".join(f"{v:.9f}" for v in full)}"/>'
+    inertial = (
+        f'<inertial pos="{com}" mass="{m:.5f}" fullinertia="{" ".join(f"{v:.9f}" for v in full)}"/>'
+    )
     return f'<body name="{name}" pos="{place}"{turn}>{joints}{inertial}{inside}</body>'
 
 
@@ -55,9 +64,15 @@ def quadruped(seed: int = 3) -> str:
 def humanoid(seed: int = 4) -> str:
     """20 joints: legs of five, a torso of two that carries two arms of three and a neck of two."""
     rng = np.random.default_rng(seed)
-    upper = _limb(rng, "arm_l", ["hinge"] * 3) + _limb(rng, "arm_r", ["hinge"] * 3) + _limb(rng, "neck", ["hinge"] * 2)
+    upper = (
+        _limb(rng, "arm_l", ["hinge"] * 3)
+        + _limb(rng, "arm_r", ["hinge"] * 3)
+        + _limb(rng, "neck", ["hinge"] * 2)
+    )
     return _mjcf(
-        _limb(rng, "leg_l", ["hinge"] * 5) + _limb(rng, "leg_r", ["hinge"] * 5) + _limb(rng, "torso", ["hinge"] * 2, upper)
+        _limb(rng, "leg_l", ["hinge"] * 5)
+        + _limb(rng, "leg_r", ["hinge"] * 5)
+        + _limb(rng, "torso", ["hinge"] * 2, upper)
     )
 
 
@@ -66,7 +81,14 @@ def gantry(seed: int = 5) -> str:
     rng = np.random.default_rng(seed)
     more = 'stiffness="3.0" springref="0.2" ref="0.3"'
     tool = _body(rng, "tool", _joint(rng, "spin", "hinge", more))
-    return _mjcf(_body(rng, "beam", _joint(rng, "x", "slide"), _body(rng, "car", _joint(rng, "lift", "slide", more), tool)))
+    return _mjcf(
+        _body(
+            rng,
+            "beam",
+            _joint(rng, "x", "slide"),
+            _body(rng, "car", _joint(rng, "lift", "slide", more), tool),
+        )
+    )
 
 
 def shoulder(seed: int = 6) -> str:
@@ -90,7 +112,16 @@ def hand(seed: int = 7) -> str:
 def tilted(seed: int = 8) -> str:
     """Two limbs of unequal length on a base that stands askew."""
     rng = np.random.default_rng(seed)
-    return _mjcf(_body(rng, "base", "", _limb(rng, "p", ["hinge", "slide", "hinge"]) + _limb(rng, "r", ["hinge"])))
+    return _mjcf(
+        _body(
+            rng,
+            "base",
+            "",
+            _limb(rng, "p", ["hinge", "slide", "hinge"]) + _limb(rng, "r", ["hinge"]),
+        )
+    )
 
 
-ROBOTS = {f.__name__: f for f in (chain, two_arms, quadruped, humanoid, gantry, shoulder, hand, tilted)}
+ROBOTS = {
+    f.__name__: f for f in (chain, two_arms, quadruped, humanoid, gantry, shoulder, hand, tilted)
+}

@@ -68,11 +68,17 @@ class AllCommands(Commands):
 
     def get_command(self, ctx, cmd_name):
         if cmd_name in MODULES:
-            return getattr(importlib.import_module(MODULES[cmd_name]), f"{cmd_name}_" if iskeyword(cmd_name) else cmd_name)
+            return getattr(
+                importlib.import_module(MODULES[cmd_name]),
+                f"{cmd_name}_" if iskeyword(cmd_name) else cmd_name,
+            )
         return super().get_command(ctx, cmd_name)
 
 
-@click.group(cls=AllCommands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=AllCommands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(package_name="jaxid")
 def cli() -> None:
     """Fits mechanical models to measured data and says where a simulator is wrong, which effect is missing, and how far
@@ -90,29 +96,52 @@ def fitter_list(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
 
 
 SOLVER = click.option(
-    "--solver", metavar="own|diffrax:S", help="What simulates: jaxid's own stepping, or a solver of diffrax (diffrax:Tsit5)."
+    "--solver",
+    metavar="own|diffrax:S",
+    help="What simulates: jaxid's own stepping, or a solver of diffrax (diffrax:Tsit5).",
 )
-AS_RECORDED = click.option("--as-recorded", is_flag=True, help="Take the data as they are: apply no finding of the check.")
+AS_RECORDED = click.option(
+    "--as-recorded", is_flag=True, help="Take the data as they are: apply no finding of the check."
+)
 
 
 @cli.command()
 @DATASET
 @OUT
 @MODEL
-@click.option("--fitter", metavar="F", help="Fitter (see `jaxid fitters`), also as 'de(popsize=20, F=0.5)'.")
-@click.option("--effect", "effects", multiple=True, metavar="E[@LOCATION]", help="Effect to add; may be repeated.")
+@click.option(
+    "--fitter", metavar="F", help="Fitter (see `jaxid fitters`), also as 'de(popsize=20, F=0.5)'."
+)
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="E[@LOCATION]",
+    help="Effect to add; may be repeated.",
+)
 @WITHOUT
 @RESIDUAL
 @CUTOFF
 @click.option("--loss", metavar="L", type=click.Choice(LOSSES), help=f"{', '.join(LOSSES)}.")
 @SEED
 @click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of the loss.")
-@click.option("--window", type=click.IntRange(1), metavar="N", help="Fit along the data, the last N blocks at a time.")
+@click.option(
+    "--window",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Fit along the data, the last N blocks at a time.",
+)
 @click.option(
     "--forgetting", type=click.FloatRange(0, 1, min_open=True), metavar="LAMBDA",
     help="Fit along the data block by block, what is known counting LAMBDA times as much each time; 1 forgets nothing.",
 )  # fmt: skip
-@click.option("--block", "block_s", type=click.FloatRange(0, min_open=True), metavar="S", help="Seconds of such a block.")
+@click.option(
+    "--block",
+    "block_s",
+    type=click.FloatRange(0, min_open=True),
+    metavar="S",
+    help="Seconds of such a block.",
+)
 @SOLVER
 @AS_RECORDED
 @output_options
@@ -158,17 +187,42 @@ def fit(
 @DATASET
 @OUT
 @MODEL
-@click.option("--max-effects", type=click.IntRange(1, 20), default=3, show_default=True, help="Most effects to name.")
-@click.option("--effects", callback=names, metavar="E,…", help="Candidates (see `jaxid effects`); default: all.")
+@click.option(
+    "--max-effects",
+    type=click.IntRange(1, 20),
+    default=3,
+    show_default=True,
+    help="Most effects to name.",
+)
+@click.option(
+    "--effects",
+    callback=names,
+    metavar="E,…",
+    help="Candidates (see `jaxid effects`); default: all.",
+)
 @WITHOUT
 @RESIDUAL
 @CUTOFF
 @click.option(
-    "--reference", type=click.Path(path_type=Path), metavar="RESULT.json", help="A result of another recording: what differs?"
+    "--reference",
+    type=click.Path(path_type=Path),
+    metavar="RESULT.json",
+    help="A result of another recording: what differs?",
 )
 @SEED
-@click.option("--next", "next_", type=click.Path(path_type=Path), metavar="DIR", help="Also design what to record next.")
-@click.option("--limits", type=click.Path(path_type=Path), metavar="FILE", help="TOML: of that run; default: what was recorded.")
+@click.option(
+    "--next",
+    "next_",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Also design what to record next.",
+)
+@click.option(
+    "--limits",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="TOML: of that run; default: what was recorded.",
+)
 @AS_RECORDED
 @output_options
 def diagnose(
@@ -261,7 +315,11 @@ def models(name, as_json, quiet) -> int:
 
 @cli.command()
 @click.argument("name", required=False)
-@click.option("--model", metavar="M", help="Say which effects model M cannot tell apart, and which its parameters absorb.")
+@click.option(
+    "--model",
+    metavar="M",
+    help="Say which effects model M cannot tell apart, and which its parameters absorb.",
+)
 @output_options
 def effects(name, model, as_json, quiet) -> int:
     """List the effects a model can lack, or describe one."""
@@ -297,7 +355,9 @@ def catalogue(kind: str, name: str | None, as_json: bool, quiet: bool) -> int:
     if as_json:
         print(json.dumps(listing.to_dict(kind, name, found), indent=1))
     elif not quiet:
-        terminal.say(listing.summary(kind, found) if name is None else listing.description(found[0]))
+        terminal.say(
+            listing.summary(kind, found) if name is None else listing.description(found[0])
+        )
     return SUCCESS
 
 

@@ -17,13 +17,32 @@ from jaxid.cli.options import output_options
 @click.command()
 @click.argument("study", type=click.Path())
 @click.option(
-    "--workers", type=click.IntRange(1, 4096), metavar="N", help="Processes on this computer; default: one a core. slurm: jobs."
+    "--workers",
+    type=click.IntRange(1, 4096),
+    metavar="N",
+    help="Processes on this computer; default: one a core. slurm: jobs.",
 )
-@click.option("--scheduler", metavar="ADDRESS", help="Run on the dask cluster of this scheduler, as in tcp://10.0.0.1:8786.")
-@click.option("--cluster", type=click.Choice(["local", "slurm"]), help="Start workers: here (the default), or by SLURM's sbatch.")
-@click.option("--interface", metavar="NAME", help="slurm: the network between the nodes, as in ib0; all goes by TLS.")
-@click.option("--status", is_flag=True, help="Only say how far the study is, also while it runs elsewhere.")
-@click.option("--retry", is_flag=True, help="Run tasks again that failed, crashed or took too long.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run on the dask cluster of this scheduler, as in tcp://10.0.0.1:8786.",
+)
+@click.option(
+    "--cluster",
+    type=click.Choice(["local", "slurm"]),
+    help="Start workers: here (the default), or by SLURM's sbatch.",
+)
+@click.option(
+    "--interface",
+    metavar="NAME",
+    help="slurm: the network between the nodes, as in ib0; all goes by TLS.",
+)
+@click.option(
+    "--status", is_flag=True, help="Only say how far the study is, also while it runs elsewhere."
+)
+@click.option(
+    "--retry", is_flag=True, help="Run tasks again that failed, crashed or took too long."
+)
 @output_options
 def batch(study, workers, scheduler, cluster, interface, status, retry, as_json, quiet) -> int:
     """Run many fits or diagnoses: every combination that STUDY.toml lists.
@@ -41,7 +60,12 @@ def batch(study, workers, scheduler, cluster, interface, status, retry, as_json,
 
     with Table(quiet) as table:
         try:
-            place = {"workers": workers, "scheduler": scheduler, "cluster": cluster, "interface": interface}
+            place = {
+                "workers": workers,
+                "scheduler": scheduler,
+                "cluster": cluster,
+                "interface": interface,
+            }
             result = run_study(study, **place, retry=retry, heard=table.show)
         except StudyFailed as error:
             terminal.complain(str(error))
@@ -56,7 +80,9 @@ def batch(study, workers, scheduler, cluster, interface, status, retry, as_json,
 
         terminal.say(words.result_text(result))
     if result.interrupted:
-        terminal.complain(f"interrupted; {s.done + s.failed} of {s.total} tasks are saved, the same command goes on from there")
+        terminal.complain(
+            f"interrupted; {s.done + s.failed} of {s.total} tasks are saved, the same command goes on from there"
+        )
         return INTERRUPTED
     if result.unsaved:
         terminal.complain(result.unsaved)

@@ -16,7 +16,12 @@ from jaxid.errors import FAILED, SUCCESS
 
 @click.command()
 @DATASET
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for check.json and report.html.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder for check.json and report.html.",
+)
 @MODEL
 @WITHOUT
 @AS_RECORDED

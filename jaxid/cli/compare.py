@@ -16,19 +16,50 @@ from jaxid.cli.output import Output
 @OUT
 @MODEL
 @click.option(
-    "--fitters", callback=fitter_list, metavar="F,…", help="Fitters, also as 'de(CR=0.8)'; default: lm,hybrid,de,rde,pso,ga."
+    "--fitters",
+    callback=fitter_list,
+    metavar="F,…",
+    help="Fitters, also as 'de(CR=0.8)'; default: lm,hybrid,de,rde,pso,ga.",
 )
-@click.option("--seeds", type=click.IntRange(1), default=10, show_default=True, help="Runs of each fitter.")
-@click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of a run; default: 10000.")
 @click.option(
-    "--seconds", type=click.FloatRange(0, min_open=True), metavar="S", help="Most seconds of a run, compiling left out."
+    "--seeds", type=click.IntRange(1), default=10, show_default=True, help="Runs of each fitter."
 )
-@click.option("--effect", "effects", multiple=True, metavar="E[@LOCATION]", help="Effect to add; may be repeated.")
+@click.option(
+    "--budget",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Most evaluations of a run; default: 10000.",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0, min_open=True),
+    metavar="S",
+    help="Most seconds of a run, compiling left out.",
+)
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="E[@LOCATION]",
+    help="Effect to add; may be repeated.",
+)
 @WITHOUT
 @RESIDUAL
 @click.option("--loss", metavar="L", type=click.Choice(LOSSES), help=f"{', '.join(LOSSES)}.")
-@click.option("--starts", type=click.Choice(("random", "guess")), default="random", show_default=True, help="Where runs start.")
-@click.option("--tolerance", type=float, default=1e-3, show_default=True, help="A run within this share of the best loss counts.")
+@click.option(
+    "--starts",
+    type=click.Choice(("random", "guess")),
+    default="random",
+    show_default=True,
+    help="Where runs start.",
+)
+@click.option(
+    "--tolerance",
+    type=float,
+    default=1e-3,
+    show_default=True,
+    help="A run within this share of the best loss counts.",
+)
 @SEED
 @output_options
 def compare(

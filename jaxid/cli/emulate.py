@@ -8,9 +8,16 @@ from jaxid.cli.app import Commands
 
 
 _PLANT = click.option(
-    "--plant", metavar="FILE", help="TOML or JSON: model, parameters, effects, noise; `ideal` starts at once without any model."
+    "--plant",
+    metavar="FILE",
+    help="TOML or JSON: model, parameters, effects, noise; `ideal` starts at once without any model.",
 )
-_LOG = click.option("--log", type=click.Path(dir_okay=False), metavar="FILE", help="Write everything that moves to a file.")
+_LOG = click.option(
+    "--log",
+    type=click.Path(dir_okay=False),
+    metavar="FILE",
+    help="Write everything that moves to a file.",
+)
 
 
 @click.group(cls=Commands)
@@ -41,11 +48,35 @@ def ur10(host, plant, log) -> int:
 
 
 @emulate.command()
-@click.option("--id", "ids", type=click.IntRange(0, 252), multiple=True, default=(1,), show_default=True, help="May be repeated.")
-@click.option("--baud", type=int, default=1_000_000, show_default=True, help="Bits a second on the wire.")
-@click.option("--latency", type=click.FloatRange(0, 1), default=0.001, show_default=True, help="Delay of the USB adapter, s.")
-@click.option("--return-delay", type=click.IntRange(0, 254), default=250, show_default=True, help="Register 9, units of 2 us.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the faults that come by chance.")
+@click.option(
+    "--id",
+    "ids",
+    type=click.IntRange(0, 252),
+    multiple=True,
+    default=(1,),
+    show_default=True,
+    help="May be repeated.",
+)
+@click.option(
+    "--baud", type=int, default=1_000_000, show_default=True, help="Bits a second on the wire."
+)
+@click.option(
+    "--latency",
+    type=click.FloatRange(0, 1),
+    default=0.001,
+    show_default=True,
+    help="Delay of the USB adapter, s.",
+)
+@click.option(
+    "--return-delay",
+    type=click.IntRange(0, 254),
+    default=250,
+    show_default=True,
+    help="Register 9, units of 2 us.",
+)
+@click.option(
+    "--seed", type=int, default=0, show_default=True, help="Of the faults that come by chance."
+)
 @_PLANT
 @_LOG
 def dynamixel(ids, baud, latency, return_delay, seed, plant, log) -> int:

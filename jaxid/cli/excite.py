@@ -23,39 +23,111 @@ def _numbers(_ctx, param, value: str | None) -> list[float] | None:
     try:
         return None if value is None else [float(v) for v in value.split(",")]
     except ValueError:
-        raise click.BadParameter(f"{value!r} is not a number, or numbers with commas", param=param) from None
+        raise click.BadParameter(
+            f"{value!r} is not a number, or numbers with commas", param=param
+        ) from None
 
 
 @click.command()
-@click.option("--model", required=True, metavar="M", help="Model id (see `jaxid models`), a robot's file, or FILE.py[:CLASS].")
-@OUT
-@click.option("--harmonics", type=click.IntRange(2, 50), default=8, show_default=True, metavar="N", help="Lines of the spectrum.")
-@click.option("--base-frequency", type=click.FloatRange(1e-3), metavar="HZ", help="Of the first line; default: 1 / duration.")
-@click.option("--duration", type=click.FloatRange(0.1), default=10.0, show_default=True, metavar="S", help="Whole periods.")
-@click.option("--rate", type=click.FloatRange(1.0), default=125.0, show_default=True, metavar="HZ", help="Samples a second.")
 @click.option(
-    "--limits", type=click.Path(path_type=Path), metavar="FILE", help="TOML, as for `jaxid record`: lower, upper, speed …"
+    "--model",
+    required=True,
+    metavar="M",
+    help="Model id (see `jaxid models`), a robot's file, or FILE.py[:CLASS].",
+)
+@OUT
+@click.option(
+    "--harmonics",
+    type=click.IntRange(2, 50),
+    default=8,
+    show_default=True,
+    metavar="N",
+    help="Lines of the spectrum.",
 )
 @click.option(
-    "--criterion", type=click.Choice(("condition", "d_optimal", "paper001")), help="Default: condition for arms, else d_optimal."
+    "--base-frequency",
+    type=click.FloatRange(1e-3),
+    metavar="HZ",
+    help="Of the first line; default: 1 / duration.",
+)
+@click.option(
+    "--duration",
+    type=click.FloatRange(0.1),
+    default=10.0,
+    show_default=True,
+    metavar="S",
+    help="Whole periods.",
+)
+@click.option(
+    "--rate",
+    type=click.FloatRange(1.0),
+    default=125.0,
+    show_default=True,
+    metavar="HZ",
+    help="Samples a second.",
+)
+@click.option(
+    "--limits",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="TOML, as for `jaxid record`: lower, upper, speed …",
+)
+@click.option(
+    "--criterion",
+    type=click.Choice(("condition", "d_optimal", "paper001")),
+    help="Default: condition for arms, else d_optimal.",
 )
 @click.option(
     "--friction", type=click.Choice(("model", "linear", "power", "stribeck")), default="model", show_default=True,
     help="Arms: the friction law whose parts are to be told apart.",
 )  # fmt: skip
-@click.option("--starts", type=click.IntRange(1, 1000), default=16, show_default=True, metavar="N", help="Searched together.")
 @click.option(
-    "--iterations", type=click.IntRange(1, 100_000), default=400, show_default=True, metavar="N", help="Arms: of descent."
+    "--starts",
+    type=click.IntRange(1, 1000),
+    default=16,
+    show_default=True,
+    metavar="N",
+    help="Searched together.",
 )
 @click.option(
-    "--floor", type=float, default=0.0, show_default=True, metavar="M", help="Arms: nothing goes below; -10 for no floor."
+    "--iterations",
+    type=click.IntRange(1, 100_000),
+    default=400,
+    show_default=True,
+    metavar="N",
+    help="Arms: of descent.",
 )
 @click.option(
-    "--radius", type=click.FloatRange(0), default=0.06, show_default=True, metavar="M", help="Arms: half a link's width."
+    "--floor",
+    type=float,
+    default=0.0,
+    show_default=True,
+    metavar="M",
+    help="Arms: nothing goes below; -10 for no floor.",
 )
-@click.option("--amplitude", callback=_numbers, metavar="X,…", help="Largest input, in its unit, for models that are no arms.")
-@click.option("--gain", callback=_numbers, metavar="K,…", help="N m/A: adds the currents to command.")
-@click.option("--parameters", type=click.Path(path_type=Path), metavar="FIT.json", help="What is known of the machine.")
+@click.option(
+    "--radius",
+    type=click.FloatRange(0),
+    default=0.06,
+    show_default=True,
+    metavar="M",
+    help="Arms: half a link's width.",
+)
+@click.option(
+    "--amplitude",
+    callback=_numbers,
+    metavar="X,…",
+    help="Largest input, in its unit, for models that are no arms.",
+)
+@click.option(
+    "--gain", callback=_numbers, metavar="K,…", help="N m/A: adds the currents to command."
+)
+@click.option(
+    "--parameters",
+    type=click.Path(path_type=Path),
+    metavar="FIT.json",
+    help="What is known of the machine.",
+)
 @SEED
 @output_options
 def excite(
@@ -107,13 +179,36 @@ def excitation_text(made: Excitation, out: Path | None) -> str:
     head += f" ({c['condition_number_scaled']:.4g} with columns of equal length)"
     rows = []
     for e in made.limits:
-        reached = f"{e['lowest']:.3g} … {e['highest']:.3g}" if "lowest" in e else f"{e['highest']:.3g}"
-        limit = f"{e['lower']:.3g} … {e['upper']:.3g}" if "lower" in e else f"{e['limit']:.3g}" if "limit" in e else ""
-        rows.append((e["joint"], e["quantity"], reached, limit, e["unit"], f"{100 * e['share']:.0f} %" if "share" in e else ""))
-    parts = [head, table(("", "quantity", "reached", "limit", "unit", "used"), rows), f"limits: {c['limits_from']}"]
+        reached = (
+            f"{e['lowest']:.3g} … {e['highest']:.3g}" if "lowest" in e else f"{e['highest']:.3g}"
+        )
+        limit = (
+            f"{e['lower']:.3g} … {e['upper']:.3g}"
+            if "lower" in e
+            else f"{e['limit']:.3g}"
+            if "limit" in e
+            else ""
+        )
+        rows.append(
+            (
+                e["joint"],
+                e["quantity"],
+                reached,
+                limit,
+                e["unit"],
+                f"{100 * e['share']:.0f} %" if "share" in e else "",
+            )
+        )
+    parts = [
+        head,
+        table(("", "quantity", "reached", "limit", "unit", "used"), rows),
+        f"limits: {c['limits_from']}",
+    ]
     clear = c.get("clearance")
     if clear:
-        parts.append(f"links stay {clear['links_m']:.3f} m apart and {clear['height_m']:.3f} m above the base's plane")
+        parts.append(
+            f"links stay {clear['links_m']:.3f} m apart and {clear['height_m']:.3f} m above the base's plane"
+        )
     parts += [f"note: {n}" for n in c["notes"]]
     parts += [] if out is None else [f"written to {out}; play it with: jaxid record … --play {out}"]
     return "\n".join(parts)
@@ -130,4 +225,6 @@ def design_next(diagnosis: Diagnosis, out: Path, limits: Limits | None, silent: 
         terminal.complain(f"--next: {error}")
         return
     if not silent:
-        terminal.say(f"{made.content['notes'][-1]}\nwritten to {out}; play it with: jaxid record … --play {out}")
+        terminal.say(
+            f"{made.content['notes'][-1]}\nwritten to {out}; play it with: jaxid record … --play {out}"
+        )

@@ -19,9 +19,23 @@ from jaxid.errors import FAILED, SUCCESS, UsageError
 @click.command()
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.json")
 @click.option("--to", required=True, metavar="F", help=f"{', '.join(TARGETS)}.")
-@click.option("--robot", type=click.Path(path_type=Path), metavar="FILE", help="The file to patch; default: the result's own.")
-@click.option("--ranges", is_flag=True, help="Also ranges for domain randomisation, by what the data leave open.")
-@click.option("--data", type=click.Path(path_type=Path), metavar="DIR", help="The recording to try an MJCF's patch on.")
+@click.option(
+    "--robot",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="The file to patch; default: the result's own.",
+)
+@click.option(
+    "--ranges",
+    is_flag=True,
+    help="Also ranges for domain randomisation, by what the data leave open.",
+)
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="The recording to try an MJCF's patch on.",
+)
 @OUT
 @output_options
 def export(result, to, robot, ranges, data, out, as_json, quiet) -> int:
@@ -40,7 +54,11 @@ def export(result, to, robot, ranges, data, out, as_json, quiet) -> int:
     from jaxid.robots.export.run import export as exported
     from jaxid.robots.export.save import save
 
-    trial = recording_of(content, result.parent, data) if to == "mjcf" and isinstance(content, Mapping) else None
+    trial = (
+        recording_of(content, result.parent, data)
+        if to == "mjcf" and isinstance(content, Mapping)
+        else None
+    )
     found = exported(content, to, robot, ranges, result.parent, trial)
     writable_folder(out)
     save(found, out)
@@ -53,9 +71,13 @@ def export(result, to, robot, ranges, data, out, as_json, quiet) -> int:
     if found.carries:
         return SUCCESS
     if any(r.kept for r in found.rows):
-        terminal.complain(f"nothing to carry into {to}: the data refute no number of the file ({out / 'export.json'} has each)")
+        terminal.complain(
+            f"nothing to carry into {to}: the data refute no number of the file ({out / 'export.json'} has each)"
+        )
     else:
-        terminal.complain(f"nothing of this result can be carried into {to}: {out / 'export.json'} says why")
+        terminal.complain(
+            f"nothing of this result can be carried into {to}: {out / 'export.json'} says why"
+        )
     return FAILED
 
 
@@ -79,8 +101,19 @@ def read_result(path: Path) -> Any:
 
 @click.command()
 @DATASET
-@click.option("--robot", required=True, type=click.Path(path_type=Path), metavar="FILE", help="MJCF or URDF, patched or not.")
-@click.option("--against", type=click.Path(path_type=Path), metavar="FILE", help="Compare with this file in place of jaxid.")
+@click.option(
+    "--robot",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="MJCF or URDF, patched or not.",
+)
+@click.option(
+    "--against",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Compare with this file in place of jaxid.",
+)
 @OUT
 @output_options
 def replay(dataset, robot, against, out, as_json, quiet) -> int:

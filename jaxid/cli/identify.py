@@ -31,10 +31,18 @@ if TYPE_CHECKING:
     help="linear, power, stribeck, or auto: the simplest that no richer law beats on every held-out run.",
 )  # fmt: skip
 @click.option(
-    "--cutoff", type=click.FloatRange(0.01), default=5.0, show_default=True, metavar="HZ", help="Low-pass of the torque."
+    "--cutoff",
+    type=click.FloatRange(0.01),
+    default=5.0,
+    show_default=True,
+    metavar="HZ",
+    help="Low-pass of the torque.",
 )
 @click.option(
-    "--motion-cutoff", type=click.FloatRange(0.01), metavar="HZ", help="Low-pass of positions; default: twice --cutoff."
+    "--motion-cutoff",
+    type=click.FloatRange(0.01),
+    metavar="HZ",
+    help="Low-pass of positions; default: twice --cutoff.",
 )
 @click.option(
     "--reference", type=click.Path(path_type=Path), metavar="UNLOADED/identification.json",
@@ -49,11 +57,26 @@ if TYPE_CHECKING:
     "--motion", type=click.Choice(("measured", "commanded", "fourier")), default="measured", show_default=True, metavar="W",
     help="measured, commanded (the channels q1_cmd … in the place of q1 …), or fourier: the measured one by its harmonics.",
 )  # fmt: skip
-@click.option("--root", metavar="LINK", help="First link of the chain in the URDF that --model names.")
+@click.option(
+    "--root", metavar="LINK", help="First link of the chain in the URDF that --model names."
+)
 @AS_RECORDED
 @output_options
 def identify(
-    dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, motion, root, as_recorded, as_json, quiet
+    dataset,
+    out,
+    model,
+    method,
+    friction,
+    cutoff,
+    motion_cutoff,
+    reference,
+    gain_std,
+    motion,
+    root,
+    as_recorded,
+    as_json,
+    quiet,
 ) -> int:
     """Identify a serial arm: base parameters, friction, payload.
 

@@ -48,18 +48,67 @@ def header_row(_ctx, _param, value: str | None) -> int | None:
               help="Tables: a channel, or t; repeat it. COLUMN: name, number, or pattern, 'q*=positions[*]:rad'.")  # fmt: skip
 @click.option("--join", type=click.Path(path_type=Path), multiple=True, metavar="FILE", 
               help="Tables: another file whose columns are taken too; repeat it.")  # fmt: skip
-@click.option("--rows", callback=interval, metavar="FIRST:END", help="Tables: samples to take, chosen before anything is judged.")
-@click.option("--rate", type=click.FloatRange(0, min_open=True), metavar="HZ", help="Tables without times: the sampling rate.")
-@click.option("--separator", metavar="C", help="Text: what stands between columns; default: recognised.")
-@click.option("--decimal", type=click.Choice((".", ",")), help="Text: the decimal sign; default: recognised.")
-@click.option("--header", callback=header_row, metavar="ROW|none", help="Text: the row of the names; default: recognised.")
-@click.option("--first", type=click.IntRange(1), metavar="ROW", help="Text: the first row of data; default: recognised.")
+@click.option(
+    "--rows",
+    callback=interval,
+    metavar="FIRST:END",
+    help="Tables: samples to take, chosen before anything is judged.",
+)
+@click.option(
+    "--rate",
+    type=click.FloatRange(0, min_open=True),
+    metavar="HZ",
+    help="Tables without times: the sampling rate.",
+)
+@click.option(
+    "--separator", metavar="C", help="Text: what stands between columns; default: recognised."
+)
+@click.option(
+    "--decimal", type=click.Choice((".", ",")), help="Text: the decimal sign; default: recognised."
+)
+@click.option(
+    "--header",
+    callback=header_row,
+    metavar="ROW|none",
+    help="Text: the row of the names; default: recognised.",
+)
+@click.option(
+    "--first",
+    type=click.IntRange(1),
+    metavar="ROW",
+    help="Text: the first row of data; default: recognised.",
+)
 @click.option("--topic", metavar="T", help="rosbag, mcap: the topic of the joint states.")
-@click.option("--command-topic", metavar="T[:position|velocity|effort]", help="rosbag, mcap: the topic of the goals.")
-@click.option("--command-joints", metavar="A,B,…", help="rosbag, mcap: the joints of a command without names, in its order.")
-@click.option("--unit", "units", multiple=True, metavar="[NAME=]U", help="lerobot: the unit of states and actions; repeat it.")
-@click.option("--calibration", type=click.Path(path_type=Path), metavar="FILE", help="lerobot: what normalised values stand for.")
-@click.option("--range", "ranges", multiple=True, metavar="NAME=LO:HI", help="lerobot: a normalised joint's ends, in --unit.")
+@click.option(
+    "--command-topic",
+    metavar="T[:position|velocity|effort]",
+    help="rosbag, mcap: the topic of the goals.",
+)
+@click.option(
+    "--command-joints",
+    metavar="A,B,…",
+    help="rosbag, mcap: the joints of a command without names, in its order.",
+)
+@click.option(
+    "--unit",
+    "units",
+    multiple=True,
+    metavar="[NAME=]U",
+    help="lerobot: the unit of states and actions; repeat it.",
+)
+@click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="lerobot: what normalised values stand for.",
+)
+@click.option(
+    "--range",
+    "ranges",
+    multiple=True,
+    metavar="NAME=LO:HI",
+    help="lerobot: a normalised joint's ends, in --unit.",
+)
 @output_options
 def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
     """Convert a recording made by others.
@@ -87,7 +136,9 @@ def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
             "folder": str(folder),
             "channels": {c.name: c.unit for c in data.channels},
             "joints": dict(data.model.joints) if data.model is not None else {},
-            "experiments": [{"name": e.name, "split": e.split, "samples": len(e.t)} for e in data.experiments],
+            "experiments": [
+                {"name": e.name, "split": e.split, "samples": len(e.t)} for e in data.experiments
+            ],
             "command": command,
         }
         print(json.dumps(summary, indent=1))
@@ -98,7 +149,9 @@ def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
     return SUCCESS
 
 
-def _convert(kind: str, files: Any, out: Path, overwrite: bool, options: dict[str, Any]) -> tuple[Path, str]:
+def _convert(
+    kind: str, files: Any, out: Path, overwrite: bool, options: dict[str, Any]
+) -> tuple[Path, str]:
     """The folder, and the command that says what was recognised."""
     from jaxid.data.importers import emps as importers, robot
     from jaxid.errors import UsageError
@@ -111,13 +164,20 @@ def _convert(kind: str, files: Any, out: Path, overwrite: bool, options: dict[st
     allowed = tables if kind in TABLES else own.get(kind, ())
     for name, value in options.items():
         if name not in allowed and value not in (None, ()):
-            said = {"channels": "channel", "units": "unit", "ranges": "range"}.get(name, name).replace("_", "-")
+            said = {"channels": "channel", "units": "unit", "ranges": "range"}.get(
+                name, name
+            ).replace("_", "-")
             raise UsageError(f"--{said} has no meaning for recordings of kind {kind!r}")
     if kind in TABLES:
         from jaxid.data.importers.map import import_table
         from jaxid.data.importers.text import separator_of, Stated
 
-        stated = Stated(separator_of(options["separator"]), options["decimal"], options["header"], options["first"])
+        stated = Stated(
+            separator_of(options["separator"]),
+            options["decimal"],
+            options["header"],
+            options["first"],
+        )
         chosen = {k: options[k] for k in ("channels", "join", "rows", "rate")}
         done = import_table(files, out, stated=stated, overwrite=overwrite, **chosen)
         return done.folder, done.command
@@ -130,8 +190,16 @@ def _convert(kind: str, files: Any, out: Path, overwrite: bool, options: dict[st
     }
     more: dict[str, Any] = {}
     if kind == "lerobot":
-        more = {"unit": options["units"] or None, "calibration": options["calibration"], "ranges": options["ranges"]}
+        more = {
+            "unit": options["units"] or None,
+            "calibration": options["calibration"],
+            "ranges": options["ranges"],
+        }
     elif kind in own:
         joints = tuple(j for j in (options["command_joints"] or "").split(",") if j)
-        more = {"topic": options["topic"], "command_topic": options["command_topic"], "command_joints": joints}
+        more = {
+            "topic": options["topic"],
+            "command_topic": options["command_topic"],
+            "command_joints": joints,
+        }
     return converters[kind](files, out, overwrite=overwrite, **more), ""

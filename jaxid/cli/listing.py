@@ -36,7 +36,11 @@ def plain(value: Any) -> Any:
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, tuple | list):
         return [plain(v) for v in value]
-    return finite(value) if value is None or isinstance(value, bool | int | float | str) else str(value)
+    return (
+        finite(value)
+        if value is None or isinstance(value, bool | int | float | str)
+        else str(value)
+    )
 
 
 def to_dict(kind: str, name: str | None, found: Sequence[Any]) -> dict[str, Any]:
@@ -49,7 +53,10 @@ def to_dict(kind: str, name: str | None, found: Sequence[Any]) -> dict[str, Any]
 def summary(kind: str, found: Sequence[Any]) -> str:
     """One line for each."""
     if kind == "models":
-        rows = [(m.name, "; ".join(map(signature, m.signatures)), ", ".join(numbered(m.parameters))) for m in found]
+        rows = [
+            (m.name, "; ".join(map(signature, m.signatures)), ", ".join(numbered(m.parameters)))
+            for m in found
+        ]
         return table(("model", "inputs → outputs", "fitted parameters"), rows)
     if kind == "effects":
         rows = [(e.name, e.family, e.locations, one_line(e.equation)) for e in found]
@@ -69,7 +76,9 @@ def numbered(names: Sequence[str]) -> list[str]:
             continue
         if first:
             short = int(count or 0) - int(first[len(old) :] or 0) < 2
-            out += [n for n in dict.fromkeys((first, last)) if n] if short else [f"{first} … {last}"]
+            out += (
+                [n for n in dict.fromkeys((first, last)) if n] if short else [f"{first} … {last}"]
+            )
         first = last = name
     return out
 

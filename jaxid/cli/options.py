@@ -18,26 +18,45 @@ def names(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
     """A list written with commas."""
     from jaxid.fitting.settings import split_outside_brackets
 
-    return None if value is None else tuple(name for name in (part.strip() for part in split_outside_brackets(value)) if name)
+    return (
+        None
+        if value is None
+        else tuple(
+            name for name in (part.strip() for part in split_outside_brackets(value)) if name
+        )
+    )
 
 
 def output_options(command: Callable) -> Callable:
     command = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(command)
-    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON and nothing else.")(command)
+    return click.option(
+        "--json", "as_json", is_flag=True, help="Print the result as JSON and nothing else."
+    )(command)
 
 
 DATASET = click.argument("dataset", type=click.Path())
 
 
-OUT = click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for results.")
-
-
-WITHOUT = click.option(
-    "--without", callback=names, metavar="E,…", help="Built-in effects to leave out; each becomes a candidate."
+OUT = click.option(
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder for results.",
 )
 
 
-RESIDUAL = click.option("--residual", metavar="R", type=click.Choice(RESIDUALS), help=f"{', '.join(RESIDUALS)}.")
+WITHOUT = click.option(
+    "--without",
+    callback=names,
+    metavar="E,…",
+    help="Built-in effects to leave out; each becomes a candidate.",
+)
+
+
+RESIDUAL = click.option(
+    "--residual", metavar="R", type=click.Choice(RESIDUALS), help=f"{', '.join(RESIDUALS)}."
+)
 
 
 CUTOFF = click.option(
@@ -48,7 +67,9 @@ CUTOFF = click.option(
 )
 
 
-SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed.")
+SEED = click.option(
+    "--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed."
+)
 
 
 def start(dataset: str, out: Path) -> tuple[Any, Any]:
@@ -101,11 +122,19 @@ def read_parameters(path: Path) -> dict[str, Any]:
     for i, effect in enumerate(effects):
         inside = effect.get("parameters", {}) if isinstance(effect, dict) else None
         if not isinstance(inside, dict) or not isinstance(effect.get("effect"), str):
-            raise UsageError(f"--parameters {path}: effects[{i}] needs an `effect`, a `location` and `parameters`")
+            raise UsageError(
+                f"--parameters {path}: effects[{i}] needs an `effect`, a `location` and `parameters`"
+            )
         groups.append((f"effects[{i}].parameters", inside))
     for group, parameters in groups:
         for name, entry in parameters.items():
             value = entry.get("value") if isinstance(entry, dict) else None
-            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
-                raise UsageError(f'--parameters {path}: {group}.{name} needs a finite number, as in {{"value": 0.08}}')
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | float)
+                or not abs(value) < float("inf")
+            ):
+                raise UsageError(
+                    f'--parameters {path}: {group}.{name} needs a finite number, as in {{"value": 0.08}}'
+                )
     return content

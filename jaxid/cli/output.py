@@ -78,7 +78,9 @@ class Output:
                 terminal.say(f"The report with pictures: {page}")
             terminal.say_time()
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: Any
+    ) -> None:
         self._progress.stop()
         try:
             if isinstance(error, KeyboardInterrupt):
@@ -111,7 +113,11 @@ class Output:
         terminal.give_back()
         if self._told:
             return terminal.complain("interrupted")
-        kept = "nothing was finished yet" if self.kept is None else f"what was finished is in {self.kept}"
+        kept = (
+            "nothing was finished yet"
+            if self.kept is None
+            else f"what was finished is in {self.kept}"
+        )
         terminal.complain(f"interrupted; {kept}")
 
 
@@ -124,4 +130,6 @@ def writable_folder(out: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise UsageError(f"--out {out}: cannot write there ({error.strerror}); name a folder that is writable") from error
+        raise UsageError(
+            f"--out {out}: cannot write there ({error.strerror}); name a folder that is writable"
+        ) from error

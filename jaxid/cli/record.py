@@ -27,7 +27,9 @@ def _numbers(_ctx, param, value: str | None) -> list[float] | None:
     try:
         return None if value is None else [float(v) for v in value.split(",")]
     except ValueError:
-        raise click.BadParameter(f"{value!r} is not a number, or numbers with commas", param=param) from None
+        raise click.BadParameter(
+            f"{value!r} is not a number, or numbers with commas", param=param
+        ) from None
 
 
 def _constants(_ctx, param, values: tuple[str, ...]) -> dict[str, float]:
@@ -40,17 +42,63 @@ def _constants(_ctx, param, values: tuple[str, ...]) -> dict[str, float]:
 def _common(command: Callable) -> Callable:
     for option in (
         OUT,
-        click.option("--seconds", type=float, metavar="S", help="How long; with --play, the path's own length."),
-        click.option("--play", type=click.Path(), metavar="TRAJECTORY", help="A file, or a folder of `jaxid excite`."),
+        click.option(
+            "--seconds",
+            type=float,
+            metavar="S",
+            help="How long; with --play, the path's own length.",
+        ),
+        click.option(
+            "--play",
+            type=click.Path(),
+            metavar="TRAJECTORY",
+            help="A file, or a folder of `jaxid excite`.",
+        ),
         click.option("--live", is_flag=True, help="Move. Without it a path is only checked."),
-        click.option("--limits", type=click.Path(), metavar="FILE", help="TOML: lower, upper, speed, acceleration, current …"),
-        click.option("--sensor", "sensors", type=click.Path(), multiple=True, metavar="FILE", help="TOML of a further sensor."),
-        click.option("--split", type=click.Choice(["fit", "validation", "report"]), default="fit", show_default=True),
+        click.option(
+            "--limits",
+            type=click.Path(),
+            metavar="FILE",
+            help="TOML: lower, upper, speed, acceleration, current …",
+        ),
+        click.option(
+            "--sensor",
+            "sensors",
+            type=click.Path(),
+            multiple=True,
+            metavar="FILE",
+            help="TOML of a further sensor.",
+        ),
+        click.option(
+            "--split",
+            type=click.Choice(["fit", "validation", "report"]),
+            default="fit",
+            show_default=True,
+        ),
         click.option("--model", metavar="M", help="The model that the dataset is meant for."),
-        click.option("--joint", type=click.IntRange(1), metavar="J", help="The joint of a model with one joint."),
-        click.option("--gain", callback=_numbers, metavar="K,…", help="N m/A assumed of the drive, for models that take torque."),
-        click.option("--constant", "constants", multiple=True, callback=_constants, metavar="NAME=X", help="Known of this run."),
-        click.option("--append", is_flag=True, help="Add a run to a folder that was recorded before."),
+        click.option(
+            "--joint",
+            type=click.IntRange(1),
+            metavar="J",
+            help="The joint of a model with one joint.",
+        ),
+        click.option(
+            "--gain",
+            callback=_numbers,
+            metavar="K,…",
+            help="N m/A assumed of the drive, for models that take torque.",
+        ),
+        click.option(
+            "--constant",
+            "constants",
+            multiple=True,
+            callback=_constants,
+            metavar="NAME=X",
+            help="Known of this run.",
+        ),
+        click.option(
+            "--append", is_flag=True, help="Add a run to a folder that was recorded before."
+        ),
         output_options,
     )[::-1]:
         command = option(command)
@@ -76,12 +124,34 @@ def ur10(host, rate, **options) -> int:
 
 @record.command()
 @click.option("--port", required=True, metavar="P", help="Serial port, such as /dev/ttyUSB0.")
-@click.option("--id", "ids", type=click.IntRange(0, 252), multiple=True, required=True, metavar="N", help="May be repeated.")
+@click.option(
+    "--id",
+    "ids",
+    type=click.IntRange(0, 252),
+    multiple=True,
+    required=True,
+    metavar="N",
+    help="May be repeated.",
+)
 @click.option("--baud", type=int, default=1_000_000, show_default=True, help="Bits a second.")
 @click.option("--rate", type=float, default=200.0, show_default=True, help="Questions a second.")
-@click.option("--mode", type=click.Choice(["current", "velocity", "position"]), help="What --play commands.")
-@click.option("--zero", default="2048", show_default=True, metavar="COUNTS", help="Where q = 0; `here` is where it stands now.")
-@click.option("--form", type=click.Choice(["sync", "bulk", "fast"]), default="sync", show_default=True, help="Form of question.")
+@click.option(
+    "--mode", type=click.Choice(["current", "velocity", "position"]), help="What --play commands."
+)
+@click.option(
+    "--zero",
+    default="2048",
+    show_default=True,
+    metavar="COUNTS",
+    help="Where q = 0; `here` is where it stands now.",
+)
+@click.option(
+    "--form",
+    type=click.Choice(["sync", "bulk", "fast"]),
+    default="sync",
+    show_default=True,
+    help="Form of question.",
+)
 @_common
 def dynamixel(port, ids, baud, rate, mode, zero, form, **options) -> int:
     """Dynamixel servos of the X series."""
@@ -92,11 +162,22 @@ def dynamixel(port, ids, baud, rate, mode, zero, form, **options) -> int:
     for package in ("serial", "dynamixel_sdk"):
         required(package)
     if options["play"] is not None and mode is None:
-        raise UsageError("say with --mode what the trajectory commands: current, velocity or position")
+        raise UsageError(
+            "say with --mode what the trajectory commands: current, velocity or position"
+        )
     if zero != "here" and not zero.lstrip("-").isdigit():
         raise UsageError(f"--zero {zero}: write a number of counts, or here")
     return _record(
-        Dynamixel(port, ids, baud=baud, rate=rate, mode=mode, zero=zero if zero == "here" else int(zero), form=form), **options
+        Dynamixel(
+            port,
+            ids,
+            baud=baud,
+            rate=rate,
+            mode=mode,
+            zero=zero if zero == "here" else int(zero),
+            form=form,
+        ),
+        **options,
     )
 
 

@@ -10,7 +10,13 @@ from jaxid.cli.output import Output, writable_folder
 
 @click.command()
 @click.argument("paper", type=click.Choice(("000", "001", "002", "003")))
-@click.option("--budget", type=click.Choice(("small", "full")), default="small", show_default=True, help="How much is computed.")
+@click.option(
+    "--budget",
+    type=click.Choice(("small", "full")),
+    default="small",
+    show_default=True,
+    help="How much is computed.",
+)
 @OUT
 @output_options
 def reproduce(paper, budget, out, as_json, quiet) -> int:

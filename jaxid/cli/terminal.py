@@ -64,7 +64,14 @@ def interrupted() -> None:
 
 
 #: What NumPy's warnings of single operations begin with.
-ARITHMETIC = "divide by zero", "invalid value", "overflow encountered", "underflow encountered", "Degrees of", "Mean of empty"
+ARITHMETIC = (
+    "divide by zero",
+    "invalid value",
+    "overflow encountered",
+    "underflow encountered",
+    "Degrees of",
+    "Mean of empty",
+)
 
 
 def of_arithmetic(message: Any, category: type[Warning]) -> bool:
@@ -89,7 +96,13 @@ class Progress:
             self.callback = self._line
             return
         from rich.console import Console
-        from rich.progress import BarColumn, Progress as Bar, SpinnerColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import (
+            BarColumn,
+            Progress as Bar,
+            SpinnerColumn,
+            TextColumn,
+            TimeElapsedColumn,
+        )
 
         self._bar = Bar(
             SpinnerColumn(),
@@ -108,7 +121,9 @@ class Progress:
         if now - self._told >= LINE_S:
             self._told = now
             part = f" {done} of {total}" if total else ""
-            complain(f"{one_line(stage)}{part}{', ' if text else ''}{one_line(text)} ({now - self._began:.0f} s)")
+            complain(
+                f"{one_line(stage)}{part}{', ' if text else ''}{one_line(text)} ({now - self._began:.0f} s)"
+            )
 
     def _advance(self, stage: str, done: int, total: int, text: str) -> None:
         assert self._bar is not None

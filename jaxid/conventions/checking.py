@@ -51,7 +51,11 @@ BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")
 
 
 def run_check(
-    model: object, dataset: Dataset, without: Iterable[str] = (), as_recorded: bool = False, gap: Gap | None = None
+    model: object,
+    dataset: Dataset,
+    without: Iterable[str] = (),
+    as_recorded: bool = False,
+    gap: Gap | None = None,
 ) -> Checked:
     """See `jaxid.check`; with `gap`, findings that need the model are confirmed by simulations, as recorded and mended."""
     began = time.perf_counter()
@@ -62,7 +66,9 @@ def run_check(
     if dataset.experiments and wanted(dataset):
         name = "robot"
         found += bodies.impossible(prepared(model, dataset)[0])
-        notes.append("a robot on a free base is not compared with its recording: found is what the samples show by themselves")
+        notes.append(
+            "a robot on a free base is not compared with its recording: found is what the samples show by themselves"
+        )
     elif dataset.experiments and _has_model(model, dataset):
         binding, why = _bound(model, data, tuple(without))
         name = binding.chain.mechanism.name if binding is not None else ""
@@ -80,8 +86,12 @@ def run_check(
                 notes += sentences_of(binding.chain.mechanism, binding.dataset)
                 more, data = _by_model(binding, data, as_recorded, gap)
                 found = told_once(found, more)
-            except UsageError as error:  # what these data do not allow is not the end of what comes after
-                notes.append(f"the model's readings of the recording could not be compared: {error}")
+            except (
+                UsageError
+            ) as error:  # what these data do not allow is not the end of what comes after
+                notes.append(
+                    f"the model's readings of the recording could not be compared: {error}"
+                )
             give_back()
     return Checked(
         dataset.name, dataset.sha256, tuple(found), data, name, _usable(found, dataset), tuple(notes),
@@ -90,7 +100,11 @@ def run_check(
 
 
 def check_folder(
-    model: object, path: str | os.PathLike[str], without: Iterable[str] = (), as_recorded: bool = False, gap: Gap | None = None
+    model: object,
+    path: str | os.PathLike[str],
+    without: Iterable[str] = (),
+    as_recorded: bool = False,
+    gap: Gap | None = None,
 ) -> Checked:
     """The check of a dataset's folder; one that is refused for what a finding says is a result, not an error.
 
@@ -114,7 +128,9 @@ def check_folder(
 def _usable(found: list[DataFinding], dataset: Dataset) -> bool:
     """Whether any output moves in any run of the recording."""
     names = [e.name for e in dataset.experiments[:4]]
-    still = {f.channel for f in found if f.kind == "does_not_move" and all(n in f.text for n in names)}
+    still = {
+        f.channel for f in found if f.kind == "does_not_move" and all(n in f.text for n in names)
+    }
     return any(c.name not in still for c in dataset.outputs)
 
 
@@ -186,7 +202,9 @@ def _beginnings(data: Dataset) -> Dataset:
     ))  # fmt: skip
 
 
-def _law_read(model: object, binding: Binding, data: Dataset, without: tuple[str, ...], gap: Gap | None) -> DataFinding | None:
+def _law_read(
+    model: object, binding: Binding, data: Dataset, without: tuple[str, ...], gap: Gap | None
+) -> DataFinding | None:
     """What simulations say of a law that [controller] leaves open."""
     if gap is None or len(binding.free) > MOST_NUMBERS or not is_open(binding, data):
         return None
@@ -198,21 +216,31 @@ def _law_read(model: object, binding: Binding, data: Dataset, without: tuple[str
     return law_reading(data, left, tuple(n for n, _ in binding.chain.signature.inputs))
 
 
-def _by_model(binding: Binding, data: Dataset, as_recorded: bool, gap: Gap | None) -> tuple[list[DataFinding], Dataset]:
+def _by_model(
+    binding: Binding, data: Dataset, as_recorded: bool, gap: Gap | None
+) -> tuple[list[DataFinding], Dataset]:
     """What the model tells, confirmed by a simulation, applied."""
-    driven = bool(binding.dataset.inputs)  # along a free motion every reading fits with another scale
+    driven = bool(
+        binding.dataset.inputs
+    )  # along a free motion every reading fits with another scale
     many = len(binding.free) > MOST_NUMBERS
     motion = measured(binding, NEIGHBOURS) if driven and binding.free else None
     fit = None if motion is None else ForceFit(binding, motion)
-    plain, motion = contradictions(binding, data, fit, motion)  # which no simulation has to bear out
+    plain, motion = contradictions(
+        binding, data, fit, motion
+    )  # which no simulation has to bear out
     shown = [] if fit is None or motion is None else list(judged(binding, fit, motion, many))
     first, total = _together(plain), _together(shown)
-    if total and gap is not None and not many:  # the free run of an arm that was held by its controller says nothing
+    if (
+        total and gap is not None and not many
+    ):  # the free run of an arm that was held by its controller says nothing
         shown = _confirmed(binding, mended(data, first), total, shown, gap)
     every = [*plain, *shown]
     applied = [bool(s.mending) and s.finding.decisive and not as_recorded for s in every]
     change = _together([s for s, taken in zip(every, applied, strict=True) if taken])
-    return [replace(s.finding, applied=taken) for s, taken in zip(every, applied, strict=True)], mended(data, change)
+    return [
+        replace(s.finding, applied=taken) for s, taken in zip(every, applied, strict=True)
+    ], mended(data, change)
 
 
 def _together(shown: Iterable[Shown]) -> Mending:
@@ -222,7 +250,9 @@ def _together(shown: Iterable[Shown]) -> Mending:
     return total
 
 
-def _confirmed(binding: Binding, data: Dataset, total: Mending, shown: list[Shown], gap: Gap) -> list[Shown]:
+def _confirmed(
+    binding: Binding, data: Dataset, total: Mending, shown: list[Shown], gap: Gap
+) -> list[Shown]:
     """Gaps by simulation as recorded and mended; what does not hold there is a question. What was found beside any law that the
     model may lack is simulated beside these laws, as recorded and mended alike: their gap is not the finding's."""
     laws = _laws(binding.chain) if any(s.beside for s in shown if s.mending) else ()
@@ -235,9 +265,23 @@ def _confirmed(binding: Binding, data: Dataset, total: Mending, shown: list[Show
         if not s.mending:
             out.append(s)
             continue
-        said = "" if held else f" A simulation does not bear it out ({before:.3g} to {after:.3g} times the noise)."
-        said += " It was simulated beside any friction and spring that the model may lack." if laws else ""
-        finding = replace(s.finding, gap_before=before, gap_if_mended=after, text=s.finding.text + said, decisive=held)
+        said = (
+            ""
+            if held
+            else f" A simulation does not bear it out ({before:.3g} to {after:.3g} times the noise)."
+        )
+        said += (
+            " It was simulated beside any friction and spring that the model may lack."
+            if laws
+            else ""
+        )
+        finding = replace(
+            s.finding,
+            gap_before=before,
+            gap_if_mended=after,
+            text=s.finding.text + said,
+            decisive=held,
+        )
         out.append(Shown(finding, s.mending if held else Mending()))
     return out
 

@@ -80,7 +80,10 @@ def _run(dataset: Dataset, e: Experiment) -> Run:
     digits = np.array([_rounded_away(x) for x in samples.T])
     loose = np.maximum(OF_STEP * np.array(steps), digits)
     ny = e.y.shape[1]
-    noisy = any(_noise_shows(e.t[:LONGEST], x, step, d) for x, step, d in zip(samples.T[:ny], steps, digits, strict=False))
+    noisy = any(
+        _noise_shows(e.t[:LONGEST], x, step, d)
+        for x, step, d in zip(samples.T[:ny], steps, digits, strict=False)
+    )
     return Run(e, samples, loose, noisy)
 
 
@@ -123,10 +126,16 @@ def _white(at: np.ndarray, x: np.ndarray, grid: float) -> bool | None:
 
 def _same(other: Run, copy: Run) -> Same | None:
     """The rows that both hold, the most of them; None where they share none."""
-    if other.samples.shape[1] != copy.samples.shape[1] or min(len(other.samples), len(copy.samples)) < FEWEST:
+    if (
+        other.samples.shape[1] != copy.samples.shape[1]
+        or min(len(other.samples), len(copy.samples)) < FEWEST
+    ):
         return None
     loose = np.maximum(other.loose, copy.loose)
-    found = [_along(other, copy, offset, loose) for offset in _offsets(other.samples, copy.samples, loose)]
+    found = [
+        _along(other, copy, offset, loose)
+        for offset in _offsets(other.samples, copy.samples, loose)
+    ]
     return max((s for s in found if s is not None), key=lambda s: s.stop - s.first, default=None)
 
 
@@ -175,7 +184,11 @@ def _shown(other: Run, copy: Run, same: Same) -> Shown:
     else:
         holds = f"{name} holds {count} samples of {of} from {t[same.first]:.4g} s to {t[same.stop - 1]:.4g} s, sample for sample"
     noise = ", noise and all" if sure else ""
-    doubt = "" if sure else " Without noise a simulation that is run twice does so, too: nothing is left out here."
+    doubt = (
+        ""
+        if sure
+        else " Without noise a simulation that is run twice does so, too: nothing is left out here."
+    )
     what = name if whole else f"these samples of {name}"
     finding = DataFinding(
         "copy",

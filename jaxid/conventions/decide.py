@@ -67,7 +67,9 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
     few = m.thinned(FEW) if many else m
     timing = fit.driven and (not many or whole_rows_tell(fit, few))
     size_alone = unsigned(binding, fit, few, names) if timing else None
-    if asked is not None and size_alone is None:  # without its sign an input looks like many a thing
+    if (
+        asked is not None and size_alone is None
+    ):  # without its sign an input looks like many a thing
         yield asked
     if timing:
         yield from timed(binding, fit, few, names)
@@ -75,7 +77,9 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
         yield size_alone
 
 
-def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False) -> tuple[Shown | None, Motion | None]:
+def _next(
+    binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False
+) -> tuple[Shown | None, Motion | None]:
     """The next finding, and the motion without it. A fault beside a strong effect that the model lacks hides in what that leaves:
     where laws of the joints' own motion take much of the gap, what nothing explains of the whole is asked of what they leave."""
     plain, beside = fit.fit(m, False), fit.fit(m, True)
@@ -90,7 +94,14 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
 
 
 def _claimed(
-    binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool, plain: Fitted, beside: Fitted, laws: bool
+    binding: Binding,
+    fit: ForceFit,
+    m: Motion,
+    names: Names,
+    many: bool,
+    plain: Fitted,
+    beside: Fitted,
+    laws: bool,
 ) -> tuple[Shown, Motion | None] | None:
     """What a reading explains of what is left of the motion as it is, `plain` or `beside` laws."""
     recorded = beside if laws else plain
@@ -116,16 +127,28 @@ def _claimed(
     # Of equals the one that changes least, and inputs before outputs (the order in which they were made).
     if best.reading.kind in ("sign", "swapped_channels"):
         order = [r.channels for r in (*signs(names), *exchanges(names))]
-        best, *same = sorted([best, *same], key=lambda t: (len(t.reading.channels), order.index(t.reading.channels)))
+        best, *same = sorted(
+            [best, *same], key=lambda t: (len(t.reading.channels), order.index(t.reading.channels))
+        )
     value, interval, what = best.reading.value, None, best.reading.what
     others = {t.reading.kind for t in near} - {best.reading.kind}
     change = best.reading.change
     if (refined := _refined(fit, m, best, names, near, before, laws)) is not None:
         value, interval, what, change, conventional = refined
-        if not conventional and not laws:  # beside what the model lacks many sizes are alike; less what laws take, one is not
-            own = _tried(fit, m, [t.reading for t in (best, *near) if t.reading.channels == best.reading.channels], before, True)
+        if (
+            not conventional and not laws
+        ):  # beside what the model lacks many sizes are alike; less what laws take, one is not
+            own = _tried(
+                fit,
+                m,
+                [t.reading for t in (best, *near) if t.reading.channels == best.reading.channels],
+                before,
+                True,
+            )
             near_own = [t for t in own[1:] if t.left <= ALIKE * own[0].left]
-            value, interval, what, change, conventional = _refined(fit, m, own[0], names, near_own, before, True) or refined
+            value, interval, what, change, conventional = (
+                _refined(fit, m, own[0], names, near_own, before, True) or refined
+            )
         if not conventional:
             return None
         others |= {"another channel" for t in same if t.reading.channels != best.reading.channels}
@@ -150,7 +173,14 @@ def _claimed(
         best.reading.kind,
         best.reading.channels[0],
         value,
-        _words(best.reading, value, what, (before, left.worst + FLOOR), _doubt(beyond, bool(others)), laws),
+        _words(
+            best.reading,
+            value,
+            what,
+            (before, left.worst + FLOOR),
+            _doubt(beyond, bool(others)),
+            laws,
+        ),
         _line(binding, best.reading, mending),
         interval,
         recorded.worst / noise,
@@ -159,13 +189,17 @@ def _claimed(
         same_as=tuple(a for a in alike if a != (best.reading.kind, best.reading.channels[0])),
         headline=_headline(best.reading, value, binding, what),
     )
-    return Shown(finding, mending if decisive else Mending(), laws), (change(m) if decisive else None)
+    return Shown(finding, mending if decisive else Mending(), laws), (
+        change(m) if decisive else None
+    )
 
 
 def _bounded(binding: Binding) -> bool:
     """Whether the user states bounds: what a free factor explains may be theirs."""
     spec = binding.dataset.model
-    return spec is not None and any(p.lower is not None or p.upper is not None for p in spec.parameters.values())
+    return spec is not None and any(
+        p.lower is not None or p.upper is not None for p in spec.parameters.values()
+    )
 
 
 def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, known: bool) -> bool:
@@ -173,12 +207,18 @@ def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, know
     reading alone, and less remains beside them of it; or, of a reading that has no number of its own (`known`), they close less
     of the gap."""
     own, beside = recorded.worst + FLOOR, fit.fit(changed).worst + FLOOR
-    return (known and left.worst + FLOOR <= ALIKE * own) or (left.worst + FLOOR <= own and beside <= GONE * own)
+    return (known and left.worst + FLOOR <= ALIKE * own) or (
+        left.worst + FLOOR <= own and beside <= GONE * own
+    )
 
 
-def _tried(fit: ForceFit, m: Motion, readings: list[Reading], before: float, laws: bool) -> list[Judged]:
+def _tried(
+    fit: ForceFit, m: Motion, readings: list[Reading], before: float, laws: bool
+) -> list[Judged]:
     """What readings of a motion leave, the least first; what cannot come near what is decisive is given up."""
-    found = _POOL.map(lambda r: Judged(r, fit.fit(r.change(m), laws, hopeless=ALIKE * GONE * before)), readings)
+    found = _POOL.map(
+        lambda r: Judged(r, fit.fit(r.change(m), laws, hopeless=ALIKE * GONE * before)), readings
+    )
     return sorted((t for t in found if np.isfinite(t.left)), key=lambda t: t.left)
 
 
@@ -188,7 +228,15 @@ def _readings(names: Names, driven: bool) -> Iterator[list[Reading]]:
     yield list(scales(names))
 
 
-def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Judged], before: float, laws: bool):
+def _refined(
+    fit: ForceFit,
+    m: Motion,
+    best: Judged,
+    names: Names,
+    near: list[Judged],
+    before: float,
+    laws: bool,
+):
     """Size with interval, words, change, and whether it is a convention's own value; None for what has no size. A known factor is
     one where it leaves as little as any other and none of those that come `near` is far from it."""
     found = refinement(best.reading, names)
@@ -209,7 +257,9 @@ def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Ju
         factor, what = nearest_factor(value, unit)
         own, name = nearest_factor(best.reading.value, unit)
         # Which is all of the answer, and no other size leaves less.
-        if abs(np.log(best.reading.value / own)) < 1e-3 and best.left <= min(WHOLE * before, fitted.worst + FLOOR):
+        if abs(np.log(best.reading.value / own)) < 1e-3 and best.left <= min(
+            WHOLE * before, fitted.worst + FLOOR
+        ):
             factor, what, value = own, name, own
             ends = ends if ends is not None and ends[0] <= own <= ends[1] else None
         change = _scaled(replace(best.reading, value=factor), names)
@@ -217,8 +267,12 @@ def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Ju
         alike = alike and fit.fit(change(m), laws).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR)
         if alike and not _far(best, near, factor):
             return factor, ends, what, change, True
-    own = nearest_convention(best.reading.kind, names.unit(best.reading.channels[0]), value, std, travel)
-    if own is None or (own[1] == FREE and _far(best, near, value)):  # what many factors fit is none of them
+    own = nearest_convention(
+        best.reading.kind, names.unit(best.reading.channels[0]), value, std, travel
+    )
+    if own is None or (
+        own[1] == FREE and _far(best, near, value)
+    ):  # what many factors fit is none of them
         return value, ends, "", best.reading.change, False
     value, what = own
     if best.reading.kind == "zero":
@@ -264,7 +318,9 @@ def _angle(value: float) -> str:
     return f"{value:.4f} rad ({np.degrees(value):.4g} deg)"
 
 
-def _words(reading: Reading, value: float, what: str, gap: tuple[float, float], doubt: str, laws: bool) -> str:
+def _words(
+    reading: Reading, value: float, what: str, gap: tuple[float, float], doubt: str, laws: bool
+) -> str:
     name = listed(reading.channels)
     model = "the model, beside any friction and spring that it may lack," if laws else "the model"
     of = f"{model} leaves {100 * gap[0]:.2g} % of the drive as recorded and {100 * gap[1]:.2g} % so"
@@ -273,7 +329,11 @@ def _words(reading: Reading, value: float, what: str, gap: tuple[float, float], 
     elif reading.kind == "swapped_channels":
         said = f"{name} seem to be exchanged"
     elif reading.kind == "zero":
-        turns = f", {abs(value) / (pi / 2):.0f} quarter turn{'s' * (abs(value) > 2)}" if "quarter" in what else ""
+        turns = (
+            f", {abs(value) / (pi / 2):.0f} quarter turn{'s' * (abs(value) > 2)}"
+            if "quarter" in what
+            else ""
+        )
         said = f"{name} reads {_angle(value)} where its zero should be{turns}"
     else:
         said = f"{name} is recorded {value:.5g} times as large as it is ({what})"

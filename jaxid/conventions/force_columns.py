@@ -41,8 +41,15 @@ def _program(layout: Layout, free: tuple[int, ...]) -> Traced:
         place = {i: k for k, i in enumerate(free)}
 
         def sets(theta, own, *motion):
-            def at(own, *sample):  # number by number: what depends on none that is free is worked out once
-                return force(form.model([own[place[i]] if i in place else theta[i] for i in range(len(theta))]), *sample)
+            def at(
+                own, *sample
+            ):  # number by number: what depends on none that is free is worked out once
+                return force(
+                    form.model(
+                        [own[place[i]] if i in place else theta[i] for i in range(len(theta))]
+                    ),
+                    *sample,
+                )
 
             return jax.vmap(lambda own: jax.vmap(lambda *sample: at(own, *sample))(*motion))(own)
 
@@ -67,7 +74,12 @@ class Forces:
         motion = m.q, m.qd, m.qdd, m.u if u is None else u
         parts = range(0, len(m.q), AT_ONCE)
         with float64():
-            found = [run(self.binding.theta, own, *(_padded(x[a : a + AT_ONCE], AT_ONCE) for x in motion)) for a in parts]
+            found = [
+                run(
+                    self.binding.theta, own, *(_padded(x[a : a + AT_ONCE], AT_ONCE) for x in motion)
+                )
+                for a in parts
+            ]
         found = np.concatenate([np.asarray(f) for f in found], 1)[: len(thetas), : len(m.q)]
         return np.nan_to_num(found, nan=1e12, posinf=1e12, neginf=-1e12)
 
@@ -102,7 +114,10 @@ class Forces:
         others = self.at(np.stack([self._inside[1], b.theta]), m)
         moves = self._steps[1] - self._steps[0], -self._steps[0]
         size = 1e-9 * (max(float(np.abs(f).max()) for f in (here, *others)) + 1e-300)
-        return all(np.allclose(here + slopes @ s[self.free], f, rtol=0, atol=size) for s, f in zip(moves, others, strict=True))
+        return all(
+            np.allclose(here + slopes @ s[self.free], f, rtol=0, atol=size)
+            for s, f in zip(moves, others, strict=True)
+        )
 
     @cached_property
     def additive(self) -> bool:
@@ -112,7 +127,9 @@ class Forces:
             return False
         (driven, by), (still, without) = (self._with_slopes(m, u) for u in (m.u, 0 * m.u))
         size = 1e-9 * (float(np.abs(driven).max()) + 1e-300)
-        return np.allclose(driven - still, self._driven(m), rtol=0, atol=size) and np.allclose(by, without, rtol=1e-9, atol=size)
+        return np.allclose(driven - still, self._driven(m), rtol=0, atol=size) and np.allclose(
+            by, without, rtol=1e-9, atol=size
+        )
 
     @cached_property
     def _steps(self) -> np.ndarray:

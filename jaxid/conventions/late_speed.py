@@ -53,7 +53,11 @@ def late_speeds(dataset: Dataset) -> Iterator[Shown]:
     for speed in dataset.channels:
         if speed.unit not in RATES or speed.role == "input" or commanded(speed.name):
             continue
-        positions = [c for c in dataset.channels if c.unit == RATES[speed.unit] and c.role != "input" and not commanded(c.name)]
+        positions = [
+            c
+            for c in dataset.channels
+            if c.unit == RATES[speed.unit] and c.role != "input" and not commanded(c.name)
+        ]
         found = [late for c in positions if (late := lateness(dataset, c, speed)) is not None]
         if found and (shown := _shown(dataset, speed, found[0])) is not None:
             yield shown
@@ -84,7 +88,9 @@ def lateness(dataset: Dataset, position: Channel, speed: Channel) -> Lateness | 
 
 def _stretches(dataset: Dataset, position: Channel, speed: Channel) -> Iterator[Stretch]:
     """Parts of all runs, each of them filtered as a whole."""
-    whole = [(e, *(samples_of(dataset, c, e) for c in (position, speed))) for e in dataset.experiments]
+    whole = [
+        (e, *(samples_of(dataset, c, e) for c in (position, speed))) for e in dataset.experiments
+    ]
     for e, q, v in whole:
         if q is None or v is None or len(e.t) < 3 * SHORTEST or not np.ptp(q) or not np.ptp(v):
             continue
@@ -125,7 +131,10 @@ def _lag(stretches: list[Stretch]) -> float | None:
 def _quarter_period(stretches: list[Stretch]) -> int:
     """Rows in a quarter of the usual period of a motion, by how often its rate changes sign on the whole."""
     rate = np.concatenate([s.rate for s in stretches])
-    power, change = float(np.mean(rate**2)), float(np.mean(np.concatenate([np.diff(s.rate) for s in stretches]) ** 2))
+    power, change = (
+        float(np.mean(rate**2)),
+        float(np.mean(np.concatenate([np.diff(s.rate) for s in stretches]) ** 2)),
+    )
     if change == 0:
         return len(rate)
     return int(np.ceil(np.pi / 2 * np.sqrt(power / change)))
@@ -150,7 +159,9 @@ def _apart(stretches: list[Stretch], late: float) -> float:
 
 def _shown(dataset: Dataset, speed: Channel, late: Lateness) -> Shown | None:
     """The finding; where the speed is early, it is the position that is late."""
-    first, second = (speed.name, late.position.name) if late.seconds > 0 else (late.position.name, speed.name)
+    first, second = (
+        (speed.name, late.position.name) if late.seconds > 0 else (late.position.name, speed.name)
+    )
     by = f"{1e3 * abs(late.seconds):.3g} ± {1e3 * 1.96 * late.std:.1g} ms"
     rows = f"{abs(late.seconds) / late.step:.2g} rows"
     channel = next(c for c in dataset.channels if c.name == first)

@@ -22,13 +22,22 @@ DELAY = "input_delay"
 def is_open(binding: Binding, data: Dataset) -> bool:
     """Whether goals drive through a law that takes the goal's rate off the joint's, and [controller] does not say so."""
     law, stated = getattr(binding.chain.mechanism, "drive_law", None), data.controller
-    return law is not None and stated is not None and KEY not in stated.settings and law.rate and any(law.kd)
+    return (
+        law is not None
+        and stated is not None
+        and KEY not in stated.settings
+        and law.rate
+        and any(law.kd)
+    )
 
 
 def read_as(data: Dataset, reading: str) -> Dataset:
     """The dataset whose law is said to be of that reading."""
     assert data.controller is not None
-    return replace(data, controller=replace(data.controller, settings={**data.controller.settings, KEY: reading}))
+    return replace(
+        data,
+        controller=replace(data.controller, settings={**data.controller.settings, KEY: reading}),
+    )
 
 
 def law_reading(

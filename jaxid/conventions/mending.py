@@ -43,7 +43,12 @@ class Mending:
                     own[key] = own.get(key, 0) + value
                 else:
                     own[key] = value
-        return Mending(forms, self.exchanged + other.exchanged, self.moving or other.moving, self.left_out + other.left_out)
+        return Mending(
+            forms,
+            self.exchanged + other.exchanged,
+            self.moving or other.moving,
+            self.left_out + other.left_out,
+        )
 
     def __bool__(self) -> bool:
         return bool(self.forms or self.exchanged or self.moving or self.left_out)
@@ -54,7 +59,9 @@ def mended(dataset: Dataset, mending: Mending) -> Dataset:
     if not mending:
         return dataset
     kept = [_without(e, mending.left_out) for e in dataset.experiments]
-    return replace(dataset, experiments=tuple(_run(dataset, e, mending) for e in kept if e is not None))
+    return replace(
+        dataset, experiments=tuple(_run(dataset, e, mending) for e in kept if e is not None)
+    )
 
 
 def _without(e: Experiment, left_out: tuple[tuple[str, int, int], ...]) -> Experiment | None:
@@ -68,7 +75,11 @@ def _without(e: Experiment, left_out: tuple[tuple[str, int, int], ...]) -> Exper
     edges = np.flatnonzero(np.diff(np.concatenate([[True], taken, [True]]).astype(int)))
     stretches = edges.reshape(-1, 2)
     first, stop = max(stretches.tolist(), key=lambda s: s[1] - s[0], default=(0, 0))
-    return None if stop - first < MINIMUM_SAMPLES else e.piece(first, stop, name=e.name, split=e.split, past=first)
+    return (
+        None
+        if stop - first < MINIMUM_SAMPLES
+        else e.piece(first, stop, name=e.name, split=e.split, past=first)
+    )
 
 
 def _run(dataset: Dataset, e: Experiment, mending: Mending) -> Experiment:
@@ -98,7 +109,9 @@ def _run(dataset: Dataset, e: Experiment, mending: Mending) -> Experiment:
     there = np.flatnonzero(known)
     span = slice(int(there[0]), int(there[-1]) + 1)
     take = lambda channels, k: [read[c.name][k][span] for c in channels]
-    stack = lambda parts, dtype: np.stack(parts, 1) if parts else np.zeros((span.stop - span.start, 0), dtype)
+    stack = lambda parts, dtype: (
+        np.stack(parts, 1) if parts else np.zeros((span.stop - span.start, 0), dtype)
+    )
     return replace(
         e,
         t=e.t[span],
@@ -118,7 +131,9 @@ def raw_of(channel: Channel, values: np.ndarray) -> np.ndarray:
     return (values / s.factor - s.offset) / s.scale
 
 
-def _as_recorded(channel: Channel, entry: ChannelEntry, values: np.ndarray) -> tuple[ChannelEntry, Conversion, np.ndarray]:
+def _as_recorded(
+    channel: Channel, entry: ChannelEntry, values: np.ndarray
+) -> tuple[ChannelEntry, Conversion, np.ndarray]:
     """The entry, conversion and samples of a channel as its file has them, whole numbers of a register."""
     s = channel.stated or Stated(channel.unit)
     stated = entry.model_copy(update={"scale": s.scale, "offset": s.offset})
@@ -141,7 +156,9 @@ def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
     for key, value in forms.items():
         if key == "unwrap":
             turn = found.unit == "rad" and abs(value - 2 * np.pi) < 1e-6
-            out.append("unwrap = true" if turn else f"unwrap = {_short(value / s.factor / abs(s.scale))}")
+            out.append(
+                "unwrap = true" if turn else f"unwrap = {_short(value / s.factor / abs(s.scale))}"
+            )
         elif key == "shift":
             out.append(f"shift = {s.shift + value}")
         elif key == "delay_s":
@@ -155,7 +172,24 @@ def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
 
 def _unit(channel: Channel, s: Stated, factor: float) -> str:
     """The unit that the values are in if they are to be multiplied by `factor`, where it has a name."""
-    for name in ("deg", "rpm", "deg/s", "rad", "rev", "mrad", "mm", "m", "mA", "A", "mV", "V", "mN m", "N m", "mN", "N"):
+    for name in (
+        "deg",
+        "rpm",
+        "deg/s",
+        "rad",
+        "rev",
+        "mrad",
+        "mm",
+        "m",
+        "mA",
+        "A",
+        "mV",
+        "V",
+        "mN m",
+        "N m",
+        "mN",
+        "N",
+    ):
         try:
             other = conversion(name, channel.unit)
         except UnitError:
@@ -171,5 +205,8 @@ def _short(value: float) -> str:
 
 def exchange_lines(dataset: Dataset, a: str, b: str) -> str:
     """The `column` lines that make two channels take each other's samples."""
-    column = {c.name: (c.stated.column if c.stated and c.stated.column else c.name) for c in dataset.channels}
+    column = {
+        c.name: (c.stated.column if c.stated and c.stated.column else c.name)
+        for c in dataset.channels
+    }
     return f'column = "{column[b]}"  # of {a}\ncolumn = "{column[a]}"  # of {b}'

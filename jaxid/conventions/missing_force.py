@@ -142,7 +142,9 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
     if len(t) < 60:
         return None
     cutoff = max(cutoffs(chain, t, y[:, iy], e.noise_rms(binding.readings, iy)))
-    q, qd, qdd, _ = joint_motion(chain, t, y[:, iy], [cutoff] * chain.nq, stated_positions(e, chain.signature))
+    q, qd, qdd, _ = joint_motion(
+        chain, t, y[:, iy], [cutoff] * chain.nq, stated_positions(e, chain.signature)
+    )
     nu = len(iu)
     u = e.u[part][:, iu] if nu else np.zeros((len(t), 0))
     linear = np.array([binding.dataset.inputs[i].hold == "linear" for i in iu], bool)
@@ -156,7 +158,9 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
     ends = filter_ends(t, cutoff) + EDGE + every * (each // 2)
     if len(t) - 2 * ends < 30:
         return None
-    rows = np.unique(np.linspace(ends, len(t) - ends - 1, min(count, len(t) - 2 * ends)).astype(int))
+    rows = np.unique(
+        np.linspace(ends, len(t) - ends - 1, min(count, len(t) - 2 * ends)).astype(int)
+    )
     count, at = len(rows), (rows[:, None] + aside).ravel()
     return Motion(
         q[at], qd[at], qdd[at], t[rows] - t[0], np.ones((count, chain.nq)), np.full(count, e.split != "fit"),
@@ -187,10 +191,14 @@ class ForceFit:
     def __init__(self, binding: Binding, motion: Motion):
         self.binding, self.motion = binding, motion
         # Gains make the torque: where they are free, the smaller all numbers are, the less is left.
-        self.free = [i for i in binding.free if np.isfinite(binding.theta[i]) and i not in binding.gains]
+        self.free = [
+            i for i in binding.free if np.isfinite(binding.theta[i]) and i not in binding.gains
+        ]
         self.nq = binding.chain.nq
         self.driven = motion.u.shape[1] > 0 and bool(np.any(motion.u))
-        if not self.driven and self.free:  # without a drive nothing says how large the inertia is: one number is held
+        if (
+            not self.driven and self.free
+        ):  # without a drive nothing says how large the inertia is: one number is held
             self.free = self.free[1:]
         self.forces = Forces(binding, self.free, motion.thinned(FEW))
 
@@ -242,7 +250,10 @@ class ForceFit:
     def _taken(self, m: Motion, theta: np.ndarray) -> np.ndarray:
         """What a motion takes [nq], accelerations and the rest apart: at a joint without a drive they add up to nothing."""
         still = replace(m, mix=0 * m.mix)
-        whole, slow = (m.mean(self.forces.at(theta[None], x)[0]) for x in (still, replace(still, qdd=0 * m.qdd)))
+        whole, slow = (
+            m.mean(self.forces.at(theta[None], x)[0])
+            for x in (still, replace(still, qdd=0 * m.qdd))
+        )
         return np.sqrt(np.mean((whole - slow) ** 2 + slow**2, axis=0))
 
     def laws(self, m: Motion) -> np.ndarray:
@@ -267,21 +278,31 @@ class ForceFit:
         norm = self.norm(m)
         train = ~m.held
         weight = m.weight / norm
-        law: np.ndarray = self.laws(m) * weight[..., None] * norm[None, :, None] if laws else np.zeros((*weight.shape, 0))
+        law: np.ndarray = (
+            self.laws(m) * weight[..., None] * norm[None, :, None]
+            if laws
+            else np.zeros((*weight.shape, 0))
+        )
         count = len(LAWS) if laws else 0
         blocks = np.zeros((*weight.shape, self.nq * count))
         for j in range(self.nq):
             blocks[:, j, j * count : (j + 1) * count] = law[:, j]
         p, k = len(free), size
         low, high = self._bounds
-        lower = np.concatenate([low, np.full(k, -np.inf), np.tile([-np.inf, 0, 0, 0, 0], self.nq) if laws else []])
+        lower = np.concatenate(
+            [low, np.full(k, -np.inf), np.tile([-np.inf, 0, 0, 0, 0], self.nq) if laws else []]
+        )
         upper = np.concatenate([high, np.full(lower.size - p, np.inf)])
         x = np.concatenate([b.theta[free], np.zeros(lower.size - p)])
-        if more is None and len(m.held) > 2 * FEW and not self.forces.linear:  # most of the steps at few rows
+        if (
+            more is None and len(m.held) > 2 * FEW and not self.forces.linear
+        ):  # most of the steps at few rows
             begin = self.fit(m.thinned(FEW), laws, hopeless=hopeless).x
         if begin is not None:
             x = np.concatenate([begin[:p], np.zeros(k), begin[p:]])
-        scale = np.concatenate([np.maximum(np.abs(b.theta[free]), b.scale[free]), np.ones(lower.size - p)])
+        scale = np.concatenate(
+            [np.maximum(np.abs(b.theta[free]), b.scale[free]), np.ones(lower.size - p)]
+        )
 
         def residual(x: np.ndarray) -> np.ndarray:
             theta = b.theta.copy()
@@ -317,13 +338,20 @@ class ForceFit:
                 tried = residual(trial)
                 if (new := float(np.sum(tried[train] ** 2))) < cost:
                     break
-                reach = min(reach, float(np.max(np.abs(found * unit / scale)[: p + k], initial=0.0))) / 8
+                reach = (
+                    min(reach, float(np.max(np.abs(found * unit / scale)[: p + k], initial=0.0)))
+                    / 8
+                )
             else:
                 break
             promised = float(np.sum((before + A @ found) ** 2))
             # Where a whole step comes out as the slopes have it, they hold there too, and no second step can do better.
             whole = not np.any(np.abs(found * unit) >= 0.999 * room)
-            done = new < 1e-14 or (whole and new <= promised * (1 + AS_SAID)) or new > cost * (1 - (FINE if whole else COARSE))
+            done = (
+                new < 1e-14
+                or (whole and new <= promised * (1 + AS_SAID))
+                or new > cost * (1 - (FINE if whole else COARSE))
+            )
             reach *= 4 if cost - new > 0.5 * (cost - promised) else 1
             x, r, cost = trial, tried, new
             done |= round_ >= 2 and cost > hopeless**2 * weighed and b.chain.direct
@@ -332,7 +360,9 @@ class ForceFit:
         theta = b.theta.copy()
         theta[free] = x[:p]
         left = r * (norm / self.norm(m if more is None else more(x[p : p + k]), theta))
-        rms = lambda keep: float(np.sqrt(np.sum(left[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep]))))
+        rms = lambda keep: float(
+            np.sqrt(np.sum(left[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep])))
+        )
         return Fitted(x, rms(train), rms(m.held) if m.held.any() else rms(train), r, J)
 
     def noise(self, fitted: Fitted, binding: Binding, m: Motion) -> float:
@@ -364,11 +394,17 @@ class ForceFit:
         if total < 1e-8 * float(J[:, at] @ J[:, at]) or total == 0:
             return 0.0, np.inf
         names = np.unique(block)
-        parts = np.array([(c[block == n] @ r[block == n], c[block == n] @ c[block == n]) for n in names])
+        parts = np.array(
+            [(c[block == n] @ r[block == n], c[block == n] @ c[block == n]) for n in names]
+        )
         whole = -parts[:, 0].sum() / total
-        rest = [-(parts[:, 0].sum() - a) / (total - d) for a, d in parts if total - d > 1e-3 * total]
+        rest = [
+            -(parts[:, 0].sum() - a) / (total - d) for a, d in parts if total - d > 1e-3 * total
+        ]
         n = len(rest)
-        return whole, float(np.sqrt((n - 1) / n * np.sum((np.array(rest) - np.mean(rest)) ** 2))) if n > 2 else np.inf
+        return whole, float(
+            np.sqrt((n - 1) / n * np.sum((np.array(rest) - np.mean(rest)) ** 2))
+        ) if n > 2 else np.inf
 
 
 def _noise_motion(binding: Binding, runs: Sequence[Any], rng: Any, m: Motion) -> list[np.ndarray]:
@@ -380,6 +416,8 @@ def _noise_motion(binding: Binding, runs: Sequence[Any], rng: Any, m: Motion) ->
     t = e.t[: max(200, min(len(e), 4 * len(m.held)))]
     sigma = np.asarray(binding.readings)
     cutoff = max(cutoffs(chain, t, e.motion()[: len(t), iy], sigma))
-    white = joint_motion(chain, t, sigma * rng.standard_normal((len(t), len(iy))), [cutoff] * chain.nq)[:3]
+    white = joint_motion(
+        chain, t, sigma * rng.standard_normal((len(t), len(iy))), [cutoff] * chain.nq
+    )[:3]
     pick = np.repeat(np.linspace(0, len(t) - 1, len(m.held)).astype(int), m.each)
     return [a[pick] for a in white]

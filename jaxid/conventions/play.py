@@ -57,14 +57,24 @@ def read_twice(dataset: Dataset) -> tuple[str, ...]:
 
 def _pairs(dataset: Dataset) -> Iterator[tuple[Channel, Channel]]:
     """Measured positions that may be of one joint."""
-    positions = [c for c in dataset.channels if c.role != "input" and c.unit in ("rad", "m") and not commanded(c.name)]
+    positions = [
+        c
+        for c in dataset.channels
+        if c.role != "input" and c.unit in ("rad", "m") and not commanded(c.name)
+    ]
     return ((a, b) for a, b in combinations(positions, 2) if a.unit == b.unit)
 
 
-def _moving(dataset: Dataset, a: Channel, b: Channel) -> list[tuple[Experiment, np.ndarray, np.ndarray]]:
+def _moving(
+    dataset: Dataset, a: Channel, b: Channel
+) -> list[tuple[Experiment, np.ndarray, np.ndarray]]:
     """The runs in which both positions are read and the first one moves, with their samples."""
     runs = [(e, samples_of(dataset, a, e), samples_of(dataset, b, e)) for e in dataset.experiments]
-    return [(e, x, y) for e, x, y in runs if x is not None and y is not None and len(x) >= SHORTEST and np.ptp(x) > 0]
+    return [
+        (e, x, y)
+        for e, x, y in runs
+        if x is not None and y is not None and len(x) >= SHORTEST and np.ptp(x) > 0
+    ]
 
 
 def play(dataset: Dataset, a: Channel, b: Channel) -> Ends | None:
@@ -77,14 +87,20 @@ def play(dataset: Dataset, a: Channel, b: Channel) -> Ends | None:
     if ratio is None:
         return None
     parts = [y / ratio - x for _, x, y in moving]
-    counts = [quantisation_step([x for _, x, _ in moving]), quantisation_step([y / ratio for _, _, y in moving])]
+    counts = [
+        quantisation_step([x for _, x, _ in moving]),
+        quantisation_step([y / ratio for _, _, y in moving]),
+    ]
     count = max(step or 0.0 for step in counts)
     apart = np.concatenate(parts)
     low, high = _two_ends(apart)
     size = high - low
     labels = [np.where(d > (low + high) / 2, 0.5, -0.5) for d in parts]
     label = np.concatenate(labels)
-    scatter = max(float(np.median(np.abs(apart[label == s] - end))) * 1.5 for s, end in ((0.5, high), (-0.5, low)))
+    scatter = max(
+        float(np.median(np.abs(apart[label == s] - end))) * 1.5
+        for s, end in ((0.5, high), (-0.5, low))
+    )
     between = float(np.mean((apart > low + size / 4) & (apart < high - size / 4)))
     turns = sum(int(np.count_nonzero(np.diff(_settled(d, low, high)))) for d in parts)
     if size < APART * max(scatter, count) or min(np.mean(label > 0), np.mean(label < 0)) < EACH:
@@ -127,7 +143,9 @@ def _settled(d: np.ndarray, low: float, high: float) -> np.ndarray:
     return at[at != 0]
 
 
-def _beside_motion(moving: list[tuple[Experiment, np.ndarray, np.ndarray]], parts: list[np.ndarray]) -> float:
+def _beside_motion(
+    moving: list[tuple[Experiment, np.ndarray, np.ndarray]], parts: list[np.ndarray]
+) -> float:
     """What is left of the differences (rms) beside what is linear in position, speed, acceleration and the inputs."""
     rows, values = [], []
     for (e, x, _), d in zip(moving, parts, strict=True):

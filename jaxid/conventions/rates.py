@@ -32,9 +32,15 @@ def contradictions(
 ) -> tuple[list[Shown], Motion | None]:
     """What the speeds of joints say of their positions; and the motion as it then is (it is made of positions)."""
     outputs = binding.chain.signature.outputs
-    both = {j: (r.q, r.qd) for j, r in enumerate(joint_readings(binding.chain)) if r.q is not None and r.qd is not None}
+    both = {
+        j: (r.q, r.qd)
+        for j, r in enumerate(joint_readings(binding.chain))
+        if r.q is not None and r.qd is not None
+    }
     ratios = {j: _ratio(binding, q, qd) for j, (q, qd) in both.items()}
-    found, m = _crosswise(binding, dataset, fit, m, {j: both[j] for j, ratio in ratios.items() if ratio is None})
+    found, m = _crosswise(
+        binding, dataset, fit, m, {j: both[j] for j, ratio in ratios.items() if ratio is None}
+    )
     for j, ratio in ratios.items():
         if ratio is None:
             continue
@@ -42,19 +48,36 @@ def contradictions(
         if ratio < 0:
             told, turned = _told(fit, m, lambda m, j=j: scaled_joint(m, j, -1.0))
             channel, mate = (position, speed) if told else (speed, position)
-            found.append(_shown(dataset, "sign", channel, mate, -1.0, "the opposite sign", ratio, told is not None))
+            found.append(
+                _shown(
+                    dataset,
+                    "sign",
+                    channel,
+                    mate,
+                    -1.0,
+                    "the opposite sign",
+                    ratio,
+                    told is not None,
+                )
+            )
             m = turned if told else m
         if (factor := _factor(abs(ratio))) is not None:
             by_position, size, what = factor
             channel, mate = (position, speed) if by_position else (speed, position)
             shown = _shown(dataset, "scale", channel, mate, size, what, ratio, what != FREE)
-            found.append(shown if what != FREE else Shown(replace(shown.finding, decisive=False), Mending()))
+            found.append(
+                shown if what != FREE else Shown(replace(shown.finding, decisive=False), Mending())
+            )
             m = scaled_joint(m, j, 1 / size) if by_position and m is not None else m
     return found, m
 
 
 def _crosswise(
-    binding: Binding, dataset: Dataset, fit: ForceFit | None, m: Motion | None, lost: dict[int, tuple[int, int]]
+    binding: Binding,
+    dataset: Dataset,
+    fit: ForceFit | None,
+    m: Motion | None,
+    lost: dict[int, tuple[int, int]],
 ) -> tuple[list[Shown], Motion | None]:
     """Two joints of which each one's speed is the rate of the other one's position; `lost` (position, speed) of those whose own
     is not."""
@@ -62,10 +85,14 @@ def _crosswise(
     outputs = binding.chain.signature.outputs
     for j, k in combinations(lost, 2):
         (q, qd), (other, other_qd) = lost[j], lost[k]
-        if outputs[q][1] != outputs[other][1] or not all(_ratio(binding, *p) for p in ((q, other_qd), (other, qd))):
+        if outputs[q][1] != outputs[other][1] or not all(
+            _ratio(binding, *p) for p in ((q, other_qd), (other, qd))
+        ):
             continue
         told, turned = _told(fit, m, lambda m, j=j, k=k: exchanged(m, j, k, inputs=False))
-        positions, speeds = ((outputs[x][0], outputs[y][0]) for x, y in ((q, other), (qd, other_qd)))
+        positions, speeds = (
+            (outputs[x][0], outputs[y][0]) for x, y in ((q, other), (qd, other_qd))
+        )
         (a, b), (c, d) = (positions, speeds) if told else (speeds, positions)
         doubt = "" if told is not None else f" It could be {c} and {d} as well."
         finding = DataFinding(
@@ -116,7 +143,9 @@ def _factor(ratio: float) -> tuple[bool, float, str] | None:
     return ratio > 1 and "rpm" not in name, size, name
 
 
-def _told(fit: ForceFit | None, m: Motion | None, change: Change) -> tuple[bool | None, Motion | None]:
+def _told(
+    fit: ForceFit | None, m: Motion | None, change: Change
+) -> tuple[bool | None, Motion | None]:
     """Whether the model follows a motion so much better, or so much worse, with its positions changed, inputs as they are, None
     where that makes no such difference; and the motion then."""
     if fit is None or m is None or not fit.driven:
@@ -126,7 +155,16 @@ def _told(fit: ForceFit | None, m: Motion | None, change: Change) -> tuple[bool 
     return (one < other if min(one, other) <= GONE * max(one, other) else None), turned
 
 
-def _shown(dataset: Dataset, kind: str, channel: str, mate: str, value: float, what: str, ratio: float, sure: bool) -> Shown:
+def _shown(
+    dataset: Dataset,
+    kind: str,
+    channel: str,
+    mate: str,
+    value: float,
+    what: str,
+    ratio: float,
+    sure: bool,
+) -> Shown:
     forms = {"scale": 1 / value}
     unit = "off by a factor" if what == FREE else "in another unit"
     has = f"has {what}" if kind == "sign" else f"seems to be {unit} ({what})"

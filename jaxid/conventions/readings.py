@@ -78,7 +78,9 @@ def exchanged(m: Motion, a: int, b: int, inputs: bool) -> Motion:
     order[[a, b]] = b, a
     if inputs:
         return replace(m, mix=m.mix[:, order], rows=m.rows[order], drift=m.drift[order])
-    return replace(m, q=m.q[:, order], qd=m.qd[:, order], qdd=m.qdd[:, order], weight=m.weight[:, order])
+    return replace(
+        m, q=m.q[:, order], qd=m.qd[:, order], qdd=m.qdd[:, order], weight=m.weight[:, order]
+    )
 
 
 def _each(changes: list[Change]) -> Change:
@@ -103,12 +105,17 @@ class Names:
 
     def unit(self, channel: str) -> str:
         """Of an input or a joint."""
-        return dict(zip((*self.inputs, *self.joints), (*self.input_units, *self.joint_units), strict=True))[channel]
+        return dict(
+            zip((*self.inputs, *self.joints), (*self.input_units, *self.joint_units), strict=True)
+        )[channel]
 
 
 def signs(names: Names) -> Iterator[Reading]:
     """Inputs or outputs negated, one by one and together."""
-    for group, units, scale in ((names.inputs, names.input_units, scaled_input), (names.joints, names.joint_units, scaled_joint)):
+    for group, units, scale in (
+        (names.inputs, names.input_units, scaled_input),
+        (names.joints, names.joint_units, scaled_joint),
+    ):
         own = [k for k, unit in enumerate(units) if unit != "1"]
         sizes = range(1, len(own) + 1) if len(own) <= TOGETHER else (1, len(own))
         for size in sizes:
@@ -119,10 +126,18 @@ def signs(names: Names) -> Iterator[Reading]:
 
 def exchanges(names: Names) -> Iterator[Reading]:
     """Two inputs or two outputs of one unit exchanged."""
-    for group, units, inputs in ((names.inputs, names.input_units, True), (names.joints, names.joint_units, False)):
+    for group, units, inputs in (
+        (names.inputs, names.input_units, True),
+        (names.joints, names.joint_units, False),
+    ):
         for a, b in combinations(range(len(group)), 2):
             if units[a] == units[b] and units[a] != "1":
-                yield Reading("swapped_channels", (group[a], group[b]), 1.0, lambda m, a=a, b=b, i=inputs: exchanged(m, a, b, i))
+                yield Reading(
+                    "swapped_channels",
+                    (group[a], group[b]),
+                    1.0,
+                    lambda m, a=a, b=b, i=inputs: exchanged(m, a, b, i),
+                )
 
 
 def zeros(names: Names) -> Iterator[Reading]:
@@ -130,17 +145,27 @@ def zeros(names: Names) -> Iterator[Reading]:
     for j, unit in enumerate(names.joint_units):
         if unit == "rad":
             for offset in (pi / 2, -pi / 2, pi):
-                yield Reading("zero", (names.joints[j],), offset, lambda m, j=j, c=offset: offset_joint(m, j, -c))
+                yield Reading(
+                    "zero",
+                    (names.joints[j],),
+                    offset,
+                    lambda m, j=j, c=offset: offset_joint(m, j, -c),
+                )
 
 
 def scales(names: Names) -> Iterator[Reading]:
     """A channel off by a known factor."""
-    for group, units, scale in ((names.joints, names.joint_units, scaled_joint), (names.inputs, names.input_units, scaled_input)):
+    for group, units, scale in (
+        (names.joints, names.joint_units, scaled_joint),
+        (names.inputs, names.input_units, scaled_input),
+    ):
         for j, unit in enumerate(units):
             if unit == "1":
                 continue
             for factor in TURNS if unit in TURNING else SIZES:
-                yield Reading("scale", (group[j],), factor, lambda m, j=j, f=factor, s=scale: s(m, j, 1 / f))
+                yield Reading(
+                    "scale", (group[j],), factor, lambda m, j=j, f=factor, s=scale: s(m, j, 1 / f)
+                )
 
 
 def mending_of(reading: Reading, value: float, dataset_units: dict[str, str]) -> Mending:
@@ -155,11 +180,15 @@ def mending_of(reading: Reading, value: float, dataset_units: dict[str, str]) ->
     return Mending({reading.channels[0]: {"scale": 1 / value}})
 
 
-def refinement(reading: Reading, names: Names) -> tuple[Callable[[Motion, np.ndarray], Motion], Callable[[float], float]] | None:
+def refinement(
+    reading: Reading, names: Names
+) -> tuple[Callable[[Motion, np.ndarray], Motion], Callable[[float], float]] | None:
     """For a reading with a size: the motion by one number beside its own value, and the size by that number."""
     if reading.kind == "zero":
         j = names.joints.index(reading.channels[0])
-        return (lambda m, x: offset_joint(m, j, -reading.value - float(x[0]))), (lambda x: reading.value + x)
+        return (lambda m, x: offset_joint(m, j, -reading.value - float(x[0]))), (
+            lambda x: reading.value + x
+        )
     if reading.kind == "scale":
         name = reading.channels[0]
         joint = name in names.joints
@@ -172,17 +201,24 @@ def refinement(reading: Reading, names: Names) -> tuple[Callable[[Motion, np.nda
 
 def nearest_factor(value: float, unit: str) -> tuple[float, str]:
     """The known factor next to a size, and its name."""
-    name, factor = min((ANGLES if unit in TURNING else OTHERS).items(), key=lambda item: abs(np.log(value / item[1])))
+    name, factor = min(
+        (ANGLES if unit in TURNING else OTHERS).items(),
+        key=lambda item: abs(np.log(value / item[1])),
+    )
     return factor, name
 
 
-def nearest_convention(kind: str, unit: str, value: float, std: float, travel: float) -> tuple[float, str] | None:
+def nearest_convention(
+    kind: str, unit: str, value: float, std: float, travel: float
+) -> tuple[float, str] | None:
     """The convention's own value that a fitted size stands for, and its name; None where it stays an effect."""
     if kind == "zero":
         wound = (value + pi) % (2 * pi) - pi
         quarter = round(wound / (pi / 2)) * (pi / 2)
         if quarter and abs(wound - quarter) <= max(0.1, 3 * std) and std < 0.1:
-            return (pi if abs(quarter) == pi else quarter), f"{abs(quarter) / (pi / 2):.0f} quarter turn"
+            return (
+                pi if abs(quarter) == pi else quarter
+            ), f"{abs(quarter) / (pi / 2):.0f} quarter turn"
         beyond = max(0.5, 0.5 * travel)  # what a tilted base and a sensor's bias may be
         return (wound, "an offset") if abs(wound) > beyond and std < 0.1 else None
     factor, name = nearest_factor(value, unit)

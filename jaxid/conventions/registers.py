@@ -16,7 +16,9 @@ POSITIONS = "rad", "m"
 def register(dataset: Dataset, channel: Channel) -> Shown | None:
     """A channel that jumps by the place of a sign bit where it goes through zero."""
     found = found_sign([raw_of(channel, y) for _, y in series(dataset, channel)])
-    if found is None or (found[0] == "signed_bits" and channel.role == "output" and channel.unit in POSITIONS):
+    if found is None or (
+        found[0] == "signed_bits" and channel.role == "output" and channel.unit in POSITIONS
+    ):
         return None
     key, bits = found
     forms = {key: bits}
@@ -41,4 +43,6 @@ def register(dataset: Dataset, channel: Channel) -> Shown | None:
 def told_once(by_itself: list[DataFinding], by_model: list[DataFinding]) -> list[DataFinding]:
     """All findings, less what a model says of the sign of a register that its own numbers have told of."""
     registers = {f.channel for f in by_itself if f.kind == "unsigned"}
-    return by_itself + [f for f in by_model if f.channel not in registers or f.kind not in ("sign", "unsigned")]
+    return by_itself + [
+        f for f in by_model if f.channel not in registers or f.kind not in ("sign", "unsigned")
+    ]

@@ -31,10 +31,20 @@ def refused(error: DatasetError) -> list[DataFinding]:
         if "time_unit =" in f"{p.message}{p.remedy}":
             source = p.message if "time_unit =" in p.message else p.remedy
             unit = source.split('time_unit = "')[1].split('"')[0]
-            out.append(DataFinding("time_unit", p.column or "t", None, f"{p.file}: {p.message}", f'time_unit = "{unit}"'))
+            out.append(
+                DataFinding(
+                    "time_unit",
+                    p.column or "t",
+                    None,
+                    f"{p.file}: {p.message}",
+                    f'time_unit = "{unit}"',
+                )
+            )
         elif "never moves" in p.message:
             name = p.message.split("'")[1]
-            out.append(DataFinding("does_not_move", name, 0.0, f"{p.file}: {p.message}. {p.remedy}"))
+            out.append(
+                DataFinding("does_not_move", name, 0.0, f"{p.file}: {p.message}. {p.remedy}")
+            )
     each = {(f.kind, f.channel, f.line): f for f in reversed(out)}
     return list(reversed(each.values())) if len(out) == len(error.problems) else []
 
@@ -84,12 +94,18 @@ def _first_speed(t: np.ndarray, y: np.ndarray, noise: float) -> tuple[float, flo
     that moves already goes as far again.
     """
     usual = float(np.percentile(np.abs(np.gradient(y, t)), 95))
-    soon = max(SOON, 1.5 * float(np.median(np.diff(t))))  # a row that comes after a gap says nothing of the start
+    soon = max(
+        SOON, 1.5 * float(np.median(np.diff(t)))
+    )  # a row that comes after a gap says nothing of the start
     for k in (k for k in (1, 2, 3, 4, 6, 8, 12, 16) if 3 * k < len(y) and t[k] - t[0] <= soon):
         first, again, third = np.diff(np.interp(t[0] + (t[k] - t[0]) * np.arange(4), t, y))
         sure = abs(first) / (np.sqrt(2) * max(noise, 1e-300))
         if sure > SURE:
-            steady = first * again > 0 and first * third > 0 and abs(first) > ALREADY * max(abs(again), abs(third))
+            steady = (
+                first * again > 0
+                and first * third > 0
+                and abs(first) > ALREADY * max(abs(again), abs(third))
+            )
             return (float(first / (t[k] - t[0])), sure, usual) if steady else (0.0, 0.0, usual)
     return 0.0, 0.0, usual
 
@@ -107,7 +123,11 @@ def does_not_move(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
                 "motion."
             )
             yield Shown(DataFinding("does_not_move", c.name, 0.0, text), Mending())
-    ends = [(e, end) for e in dataset.experiments if (end := _moves_until(dataset, e, noise)) is not None]
+    ends = [
+        (e, end)
+        for e in dataset.experiments
+        if (end := _moves_until(dataset, e, noise)) is not None
+    ]
     for e, end in ends[:3]:
         start = float(e.t[0])
         share = (e.t[-1] - end) / e.duration
@@ -115,7 +135,10 @@ def does_not_move(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
             f"{e.name} stands still from {end:.3g} s on, {100 * share:.0f} % of it: what is kept from its end "
             "for choosing and reporting says nothing. Take the part that moves, or record on."
         )
-        yield Shown(DataFinding("does_not_move", e.name, end, text, f"window_s = [{start:.4g}, {end:.4g}]"), Mending())
+        yield Shown(
+            DataFinding("does_not_move", e.name, end, text, f"window_s = [{start:.4g}, {end:.4g}]"),
+            Mending(),
+        )
 
 
 def _moves_until(dataset: Dataset, e: Experiment, noise: dict[str, Noise]) -> float | None:
@@ -126,7 +149,9 @@ def _moves_until(dataset: Dataset, e: Experiment, noise: dict[str, Noise]) -> fl
         if c.unit not in ("rad", "m"):
             return None
         floor = max(noise[c.name].std, c.resolution or 0.0)
-        away = np.flatnonzero(np.abs(y - np.median(y[-max(5, len(y) // 20) :])) > max(6 * floor, 1e-4 * np.ptp(y)))
+        away = np.flatnonzero(
+            np.abs(y - np.median(y[-max(5, len(y) // 20) :])) > max(6 * floor, 1e-4 * np.ptp(y))
+        )
         last = max(last, int(away[-1]) if len(away) else 0)
     return float(e.t[min(last + 1, len(e) - 1)]) if 0 < last < 0.6 * len(e) else None
 

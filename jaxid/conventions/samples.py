@@ -16,7 +16,10 @@ from jaxid.data.forms import glitches
 
 
 #: Words of goals in names of channels: q_cmd, target_position, qref, Sollposition.
-GOAL = re.compile(r"cmd|command|goal|target|desired|demand|setpoint|soll|(?:^|_)(?:ref|des|set)(?:_|$|\d)|reference", re.I)
+GOAL = re.compile(
+    r"cmd|command|goal|target|desired|demand|setpoint|soll|(?:^|_)(?:ref|des|set)(?:_|$|\d)|reference",
+    re.I,
+)
 LONGEST = 400_000  # samples of a run that are looked at
 #: A wrap is a jump that, with the period taken off, fits its neighbours to so many times what they usually change by.
 FITS = 6.0
@@ -38,7 +41,13 @@ class Shown:
 
 def series(dataset: Dataset, channel: Channel) -> Iterator[tuple[Experiment, np.ndarray]]:
     """Each run and the channel's samples in it [time]."""
-    group = dataset.inputs if channel.role == "input" else dataset.outputs if channel.role == "output" else ()
+    group = (
+        dataset.inputs
+        if channel.role == "input"
+        else dataset.outputs
+        if channel.role == "output"
+        else ()
+    )
     for e in dataset.experiments:
         if channel.role == "auxiliary":
             if channel.name in e.auxiliary:
@@ -107,7 +116,11 @@ def _counter(channel: Channel, jump: float, usual: float) -> float | None:
     step = usual if s is None else usual / s.factor / abs(s.scale)
     ranges = [2.0**k for k in range(8, 33)] + [360.0, 3600.0, 36000.0, 1000.0, 10000.0]
     period = min(ranges, key=lambda p: abs(p - raw))
-    return period * (1.0 if s is None else s.factor * abs(s.scale)) if abs(period - raw) <= 3 * step else None
+    return (
+        period * (1.0 if s is None else s.factor * abs(s.scale))
+        if abs(period - raw) <= 3 * step
+        else None
+    )
 
 
 def _wrapped(dataset: Dataset, channel: Channel, period: float, count: int) -> Shown:
@@ -131,7 +144,9 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
     if not count or count > FEW * total:
         return None
     off = max(_distance(y, t, lone) for (_, t, y), lone in zip(parts, found, strict=True))
-    name, first = next((e.name, t[lone][0]) for (e, t, _), lone in zip(parts, found, strict=True) if lone.any())
+    name, first = next(
+        (e.name, t[lone][0]) for (e, t, _), lone in zip(parts, found, strict=True) if lone.any()
+    )
     text = (
         f"{count} of {total} samples of {channel.name} lie far off their neighbours (by up to {off:.3g} {channel.unit}; the "
         f"first at {first:.4g} s of {name}): left out, they count in no loss."
@@ -143,7 +158,9 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
     return Shown(finding, Mending({channel.name: {"drop_glitches": True}}))
 
 
-def _timed(dataset: Dataset, channel: Channel) -> Iterator[tuple[Experiment, np.ndarray, np.ndarray]]:
+def _timed(
+    dataset: Dataset, channel: Channel
+) -> Iterator[tuple[Experiment, np.ndarray, np.ndarray]]:
     """Each run with the times and the samples of an output [time] that count."""
     column = [c.name for c in dataset.outputs].index(channel.name)
     for e, y in series(dataset, channel):
@@ -237,7 +254,9 @@ def _cut_off(y: np.ndarray, end: float) -> list[tuple[int, int]]:
         steps = abs(y[a] - y[a - 1]), abs(y[b] - y[b - 1])
         gentle = all(0 < s < 0.1 * span for s in steps)
         # A curve that comes to its top by itself bends there; one that is cut off runs on.
-        bends = min(before.mean(), after.mean()) < 0.2 * max(np.abs(np.diff(y[max(0, a - 40) : a])).max(), 1e-300)
+        bends = min(before.mean(), after.mean()) < 0.2 * max(
+            np.abs(np.diff(y[max(0, a - 40) : a])).max(), 1e-300
+        )
         if gentle and np.all(before > 0) and np.all(after > 0) and not bends:
             found.append((int(a), int(b)))
     return found

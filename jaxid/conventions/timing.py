@@ -66,22 +66,43 @@ def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late]
         if as_one:
             columns = [np.sum(columns, axis=0)]
         growing = [c * ((m.since - m.since.mean()) / m.step)[:, None] for c in columns]
-        whole = replace(fitted, slopes=np.concatenate([*parts, np.stack([*columns, *growing], -1)], -1))
+        whole = replace(
+            fitted, slopes=np.concatenate([*parts, np.stack([*columns, *growing], -1)], -1)
+        )
         first = whole.slopes.shape[-1] - 2 * len(columns)
         steps = [fit.spread(whole, m, first + k) for k in range(2 * len(columns))]
         told = 1 if as_one else nu  # as often as there is something told
         steps = [*steps[:1] * nu, *steps[1:] * nu] if as_one else steps
-        good = lambda pair, most: float(np.clip(pair[0], -most, most)) if np.isfinite(pair[1]) else 0.0
+        good = lambda pair, most: (
+            float(np.clip(pair[0], -most, most)) if np.isfinite(pair[1]) else 0.0
+        )
         drift = np.array([good(p, MOST_DRIFT) for p in steps[nu:]])
-        sure = together((m.drift + drift)[:told], np.array([s for _, s in steps[nu:]])[:told], least) is not None
+        sure = (
+            together((m.drift + drift)[:told], np.array([s for _, s in steps[nu:]])[:told], least)
+            is not None
+        )
         change = drift if sure else -m.drift
         rows = np.array([good(p, 2.0) for p in steps[:nu]]) - change * m.since.mean() / m.step
-        late = [Late(float(m.rows[k] + rows[k]), steps[k][1], float(m.drift[k] + change[k]), steps[nu + k][1]) for k in range(nu)]
-        m = replace(m, rows=np.clip(m.rows + rows, begun - MOST_ROWS, begun + MOST_ROWS), drift=m.drift + change)
+        late = [
+            Late(
+                float(m.rows[k] + rows[k]),
+                steps[k][1],
+                float(m.drift[k] + change[k]),
+                steps[nu + k][1],
+            )
+            for k in range(nu)
+        ]
+        m = replace(
+            m,
+            rows=np.clip(m.rows + rows, begun - MOST_ROWS, begun + MOST_ROWS),
+            drift=m.drift + change,
+        )
     return late, m
 
 
-def together(values: np.ndarray, stds: np.ndarray, least: float = SURE) -> tuple[float, float] | None:
+def together(
+    values: np.ndarray, stds: np.ndarray, least: float = SURE
+) -> tuple[float, float] | None:
     """Mean and standard deviation of what several inputs say, where that is surely not zero and they agree."""
     known = np.isfinite(stds) & (stds > 0)
     if not known.any():
@@ -94,8 +115,19 @@ def together(values: np.ndarray, stds: np.ndarray, least: float = SURE) -> tuple
 
 def _own_laws(m: Motion) -> np.ndarray:
     """Any force of the joint's own motion [rows nq laws], whatever its sign."""
-    parts = [np.ones_like(m.q), m.q, m.qd, m.qdd, np.sign(m.qd), m.qd * np.abs(m.qd), np.sin(m.q), np.cos(m.q)]
-    return np.stack([a / max(1e-300, float(np.sqrt(np.mean(a**2)))) for a in map(m.mean, parts)], -1)
+    parts = [
+        np.ones_like(m.q),
+        m.q,
+        m.qd,
+        m.qdd,
+        np.sign(m.qd),
+        m.qd * np.abs(m.qd),
+        np.sin(m.q),
+        np.cos(m.q),
+    ]
+    return np.stack(
+        [a / max(1e-300, float(np.sqrt(np.mean(a**2)))) for a in map(m.mean, parts)], -1
+    )
 
 
 # ---- findings
@@ -118,8 +150,12 @@ def _before_causes(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> 
     near = _nearest_rows(fit, m, plain.worst)
     late, common, _ = _told(fit, near)
     told = [common if common is not None else (x.rows, x.std) for x in late]
-    rows = np.array([value if value >= EARLY and value > SURE * std else 0.0 for value, std in told])
-    if not rows.any() or any(std > max(KNOWN, SHARE * value) for (value, std), k in zip(told, rows, strict=True) if k):
+    rows = np.array(
+        [value if value >= EARLY and value > SURE * std else 0.0 for value, std in told]
+    )
+    if not rows.any() or any(
+        std > max(KNOWN, SHARE * value) for (value, std), k in zip(told, rows, strict=True) if k
+    ):
         return
     left = fit.fit(replace(m, rows=m.rows + rows)).worst
     if left > GONE * plain.worst:
@@ -142,7 +178,9 @@ def _nearest_rows(fit: ForceFit, m: Motion, before: float) -> Motion:
     return replace(m, rows=m.rows + min(tried)[2])
 
 
-def _early(binding: Binding, step: float, names: Names, k: int, rows: float, std: float, sure: bool) -> Shown:
+def _early(
+    binding: Binding, step: float, names: Names, k: int, rows: float, std: float, sure: bool
+) -> Shown:
     """A finding of an input that is recorded by so many rows later than it acts."""
     name, joints = names.inputs[k], listed(tuple(names.joints))
     forms = {"delay_s": float(f"{rows * step:.4g}")}
@@ -168,7 +206,9 @@ def _rows_and_clocks(binding: Binding, fit: ForceFit, m: Motion, names: Names) -
     def closes(moved: Motion, before: float = plain.worst) -> bool:
         """What is left is much less, or noise; a drift without which nothing fits has shown it."""
         left = fit.fit(moved)
-        return m is not recorded or left.worst <= max(GONE * before, ALIKE * fit.noise(left, binding, moved))
+        return m is not recorded or left.worst <= max(
+            GONE * before, ALIKE * fit.noise(left, binding, moved)
+        )
 
     def grows(late: list[Late], drift: float) -> bool:
         """The same for a drift, beside what is late all the time and may be a delay."""
@@ -184,15 +224,27 @@ def _rows_and_clocks(binding: Binding, fit: ForceFit, m: Motion, names: Names) -
             return
         m = drifting
     late, common, drifting = _told(fit, m)
-    if drifting is not None and DRIFT * m.step < abs(drifting[0]) * float(m.since.max()) and abs(drifting[0]) < 0.015:
+    if (
+        drifting is not None
+        and DRIFT * m.step < abs(drifting[0]) * float(m.since.max())
+        and abs(drifting[0]) < 0.015
+    ):
         if grows(late, drifting[0]):
             yield _clock(binding, m, names, *drifting)
             return
     for k, x in enumerate(late):
         rows, std = common if common is not None else (x.rows, x.std)
         whole = round(rows)
-        if whole and abs(whole) <= 3 and std <= KNOWN and abs(rows - whole) <= CLOSE and abs(rows) > SURE * std:
-            if whole < 0 or closes(replace(m, rows=m.rows + whole)):  # a cause that comes early is a question at most
+        if (
+            whole
+            and abs(whole) <= 3
+            and std <= KNOWN
+            and abs(rows - whole) <= CLOSE
+            and abs(rows) > SURE * std
+        ):
+            if whole < 0 or closes(
+                replace(m, rows=m.rows + whole)
+            ):  # a cause that comes early is a question at most
                 yield _shifted(binding, names, k, whole, rows, std)
 
 
@@ -203,17 +255,26 @@ def _told(fit: ForceFit, m: Motion) -> tuple[list[Late], Told, Told]:
     """Lateness of each input; by how many rows all are late, and how fast that grows, with standard deviations, where sure."""
     late, _ = lateness(fit, m)
     told = late
-    if len(late) > 1 and not any(x.std <= KNOWN for x in late):  # chambers of one cylinder, motors of one belt
+    if len(late) > 1 and not any(
+        x.std <= KNOWN for x in late
+    ):  # chambers of one cylinder, motors of one belt
         late, _ = lateness(fit, m, as_one=True)
         told = late[:1]
     column = lambda name: np.array([getattr(x, name) for x in told])
-    return late, together(column("rows"), column("std")), together(column("drift"), column("drift_std"))
+    return (
+        late,
+        together(column("rows"), column("std")),
+        together(column("drift"), column("drift_std")),
+    )
 
 
 def whole_rows_tell(fit: ForceFit, m: Motion) -> bool:
     """Whether whole rows between inputs and motion close a share of the gap."""
     before = fit.fit(m, laws=False).worst + FLOOR
-    moved = (fit.fit(replace(m, rows=m.rows + k), laws=False).worst + FLOOR for k in (-3, -2, -1, 1, 2, 3))
+    moved = (
+        fit.fit(replace(m, rows=m.rows + k), laws=False).worst + FLOOR
+        for k in (-3, -2, -1, 1, 2, 3)
+    )
     return before > 2 * FLOOR and min(moved) <= GONE * before
 
 

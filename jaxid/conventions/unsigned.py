@@ -31,7 +31,11 @@ def unsigned(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Shown 
         for n, unit in zip(names.inputs, names.input_units, strict=True)
         if unit in TWO_WAY
     }
-    one_way = [n for n, u in raw.items() if min(abs(u.min()), abs(u.max())) <= 0.02 * np.percentile(np.abs(u), 99) and u.any()]
+    one_way = [
+        n
+        for n, u in raw.items()
+        if min(abs(u.min()), abs(u.max())) <= 0.02 * np.percentile(np.abs(u), 99) and u.any()
+    ]
     signed = _signed(fit, m, [names.inputs.index(n) for n in one_way]) if one_way else None
     if signed is not None:
         name, left = one_way[0], fit.fit(signed).worst

@@ -16,12 +16,18 @@ def finding_text(f: DataFinding) -> str:
     """A finding with what it does to the gap and the line that mends it."""
     parts = [f"{f.kind}: {one_line(f.text)}"]
     if f.gap_before is not None and f.gap_if_mended is not None:
-        parts.append(f"The gap goes from {wording.times(f.gap_before)} to {wording.times(f.gap_if_mended)} times the noise.")
+        parts.append(
+            f"The gap goes from {wording.times(f.gap_before)} to {wording.times(f.gap_if_mended)} times the noise."
+        )
     if f.same_as:
         same = wording.listed(f"{kind} of {channel}" for kind, channel in f.same_as[:6])
         parts.append(f"These data cannot tell it from {one_line(same)}.")
     if f.line:
-        place = "under [[experiments]]" if f.kind in ("not_at_rest", "does_not_move") else f"under [channels.{f.channel}]"
+        place = (
+            "under [[experiments]]"
+            if f.kind in ("not_at_rest", "does_not_move")
+            else f"under [channels.{f.channel}]"
+        )
         place = {"time_unit": "at the top", "law": "under [controller]"}.get(f.kind, place)
         said = "; ".join(one_line(line) for line in f.line.split("\n"))
         parts.append(f"In dataset.toml, {one_line(place)}: {said}")

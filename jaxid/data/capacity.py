@@ -63,11 +63,21 @@ def need(work: str, dataset: Dataset, joints: int, candidates: int = 0) -> Need:
     rows, runs = sum(len(e.whole) for e in dataset.experiments), len(dataset.experiments)
     channels, numbers = 1 + len(dataset.channels), 6 * joints
     if work == "identify":
-        return Need(work, rows, runs, BASE + 8 * rows * (4 * channels + 14 * joints), rows * joints * 5e-6)
+        return Need(
+            work, rows, runs, BASE + 8 * rows * (4 * channels + 14 * joints), rows * joints * 5e-6
+        )
     outputs = len(dataset.outputs)
     each = FIT_CHANNEL * channels + FIT_JOINT * joints + FIT_NUMBER * numbers * outputs
-    seconds = SECONDS * rows * joints * (1 + numbers) * (3 + PER_CANDIDATE * candidates if candidates else 1)
-    return Need(work, rows, runs, BASE + 8 * rows * (each + 16 * outputs * (candidates > 0)), seconds)
+    seconds = (
+        SECONDS
+        * rows
+        * joints
+        * (1 + numbers)
+        * (3 + PER_CANDIDATE * candidates if candidates else 1)
+    )
+    return Need(
+        work, rows, runs, BASE + 8 * rows * (each + 16 * outputs * (candidates > 0)), seconds
+    )
 
 
 def refuse_too_large(wanted: Need) -> None:
@@ -81,7 +91,9 @@ def refuse_too_large(wanted: Need) -> None:
             if wanted.rows * part >= 1000
             else "Give it more memory"
         )
-        raise UsageError(f"{wanted}, but only {room / 1e9:.1f} GB are free here ({limit}). {remedy}")
+        raise UsageError(
+            f"{wanted}, but only {room / 1e9:.1f} GB are free here ({limit}). {remedy}"
+        )
 
 
 def shortened(dataset: Dataset, wanted: Need) -> Dataset:
@@ -150,7 +162,11 @@ def _control_groups() -> list[float]:
     for _, controllers, name in own:
         if controllers in ("", "memory"):
             root = Path("/sys/fs/cgroup") / controllers
-            names = ("memory.max", "memory.current") if not controllers else ("memory.limit_in_bytes", "memory.usage_in_bytes")
+            names = (
+                ("memory.max", "memory.current")
+                if not controllers
+                else ("memory.limit_in_bytes", "memory.usage_in_bytes")
+            )
             inside = root / name.lstrip("/")
             for folder in dict.fromkeys([inside, *inside.parents, root]):
                 if folder.is_relative_to(root) and (room := _room(folder, *names)) is not None:
@@ -163,8 +179,12 @@ def _room(folder: Path, limit: str, usage: str) -> float | None:
         most = (folder / limit).read_text().strip()
         if most == "max" or int(most) > 1 << 60:
             return None
-        statistics = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
-        cached = int(statistics.get("inactive_file", statistics.get("total_inactive_file", 0)))  # given back when it is needed
+        statistics = dict(
+            line.split() for line in (folder / "memory.stat").read_text().splitlines()
+        )
+        cached = int(
+            statistics.get("inactive_file", statistics.get("total_inactive_file", 0))
+        )  # given back when it is needed
         return float(int(most) - int((folder / usage).read_text()) + cached)
     except (OSError, ValueError):
         return None

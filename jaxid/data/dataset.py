@@ -90,8 +90,15 @@ class Experiment:
         object.__setattr__(self, "y", _frozen(self.y))
         object.__setattr__(self, "auxiliary", {k: _frozen(v) for k, v in self.auxiliary.items()})
         if self.left_out is not None:
-            object.__setattr__(self, "left_out", _frozen(self.left_out, bool) if np.any(self.left_out) else None)
-        if t.ndim != 1 or self.u.ndim != 2 or self.y.ndim != 2 or not len(t) == len(self.u) == len(self.y):
+            object.__setattr__(
+                self, "left_out", _frozen(self.left_out, bool) if np.any(self.left_out) else None
+            )
+        if (
+            t.ndim != 1
+            or self.u.ndim != 2
+            or self.y.ndim != 2
+            or not len(t) == len(self.u) == len(self.y)
+        ):
             raise ValueError(
                 f"experiment {self.name!r}: t {t.shape}, u {self.u.shape}, y {self.y.shape}; "
                 "expected t [time], u [time nu], y [time ny]"
@@ -100,7 +107,15 @@ class Experiment:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Experiment):
             return NotImplemented
-        plain = ("name", "split", "initial", "at_rest", "constants", "initial_window_s", "repeat_of")
+        plain = (
+            "name",
+            "split",
+            "initial",
+            "at_rest",
+            "constants",
+            "initial_window_s",
+            "repeat_of",
+        )
         return (
             all(getattr(self, k) == getattr(other, k) for k in plain)
             and all(np.array_equal(getattr(self, k), getattr(other, k)) for k in ("t", "u", "y"))
@@ -129,12 +144,23 @@ class Experiment:
         if self.scatter is not None and self.past.scatter is not None:
             both["scatter"] = join(self.past.scatter, self.scatter)
         both["left_out"] = ~join(self.past.read, self.read)
-        return replace(self, **both, auxiliary={k: join(v, self.auxiliary[k]) for k, v in self.past.auxiliary.items()}, past=None)
+        return replace(
+            self,
+            **both,
+            auxiliary={k: join(v, self.auxiliary[k]) for k, v in self.past.auxiliary.items()},
+            past=None,
+        )
 
     def noise(self, sigma: np.ndarray, columns: Sequence[int]) -> np.ndarray:
         """Noise of each reading of some outputs [time columns] whose channels have the noise `sigma` [columns]."""
-        all_alike = np.hypot(sigma, 0.0 if self.scatter is None else self.scatter[:, columns]) * np.ones((len(self), 1))
-        return all_alike if self.left_out is None else np.where(self.left_out[:, columns], np.inf, all_alike)
+        all_alike = np.hypot(
+            sigma, 0.0 if self.scatter is None else self.scatter[:, columns]
+        ) * np.ones((len(self), 1))
+        return (
+            all_alike
+            if self.left_out is None
+            else np.where(self.left_out[:, columns], np.inf, all_alike)
+        )
 
     def noise_rms(self, sigma: np.ndarray, columns: Sequence[int]) -> np.ndarray:
         """Its root mean square over the readings that count [columns]."""
@@ -196,7 +222,9 @@ class FrequencyResponse:
         object.__setattr__(self, "omega", _frozen(self.omega))
         object.__setattr__(self, "response", _frozen(self.response, complex))
         if self.omega.ndim != 1 or self.omega.shape != self.response.shape:
-            raise ValueError(f"response {self.name!r}: omega {self.omega.shape}, response {self.response.shape}")
+            raise ValueError(
+                f"response {self.name!r}: omega {self.omega.shape}, response {self.response.shape}"
+            )
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, FrequencyResponse):
@@ -259,7 +287,9 @@ class Controller:
     """The feedback law under which the data were recorded; sample time, saturation and gains stand in `settings`."""
 
     kind: str
-    settings: dict[str, float | list[float] | str | list[str] | dict[str, float] | dict[str, str]] = field(default_factory=dict)
+    settings: dict[
+        str, float | list[float] | str | list[str] | dict[str, float] | dict[str, str]
+    ] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

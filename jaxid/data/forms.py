@@ -44,7 +44,9 @@ class FormError(ValueError):
         self.remedy = remedy
 
 
-def signal(raw: np.ndarray, t: np.ndarray, valid: np.ndarray, entry: Any, conversion: Conversion) -> Signal:
+def signal(
+    raw: np.ndarray, t: np.ndarray, valid: np.ndarray, entry: Any, conversion: Conversion
+) -> Signal:
     """A channel's samples `raw [time]` (recorded at `t [time]` s) by its entry in `dataset.toml`.
 
     Raises `FormError` where a form does not fit the samples.
@@ -57,15 +59,22 @@ def signal(raw: np.ndarray, t: np.ndarray, valid: np.ndarray, entry: Any, conver
             left_out = left_out | ~_fresh(values, entry.sampled_every)
         values = conversion.factor * values + conversion.shift
     if left_out.all():
-        raise FormError("every sample would be left out", "Correct `valid`, `drop_glitches` or `sampled_every`")
+        raise FormError(
+            "every sample would be left out", "Correct `valid`, `drop_glitches` or `sampled_every`"
+        )
     count = 0 if entry.role == "output" else int(np.sum(left_out))
     if count:
-        values, left_out = _held(values, left_out, t, entry.hold == "linear"), np.zeros(len(values), bool)
+        values, left_out = (
+            _held(values, left_out, t, entry.hold == "linear"),
+            np.zeros(len(values), bool),
+        )
     found = Signal(values, left_out, np.ones(len(values), bool), count)
     if entry.shift:
         found = _shifted(found, entry.shift)
     if entry.delay_s or entry.clock_ppm:
-        found = _resampled(found, t, t[0] + (t - t[0]) / (1 + 1e-6 * entry.clock_ppm) - entry.delay_s, entry)
+        found = _resampled(
+            found, t, t[0] + (t - t[0]) / (1 + 1e-6 * entry.clock_ppm) - entry.delay_s, entry
+        )
     return found
 
 
@@ -132,8 +141,12 @@ def _off_both_sides(values: np.ndarray, at: np.ndarray) -> np.ndarray:
         return found
     step = np.diff(at)
     slope = np.diff(values) / step
-    before = np.concatenate([[0.0, 0.0], np.diff(slope) * step[1:]])  # off the line through the two samples before
-    after = np.concatenate([np.diff(slope) * step[:-1], [0.0, 0.0]])  # off the line through the two samples after
+    before = np.concatenate(
+        [[0.0, 0.0], np.diff(slope) * step[1:]]
+    )  # off the line through the two samples before
+    after = np.concatenate(
+        [np.diff(slope) * step[:-1], [0.0, 0.0]]
+    )  # off the line through the two samples after
     bend = np.maximum(np.abs(before[2:]), np.abs(after[:-2]))
     bending = bend[bend > 0]
     if not len(bending):
@@ -142,7 +155,9 @@ def _off_both_sides(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     scale = np.concatenate([usual[:1], usual, usual[-1:]])
     for length in range(1, LONGEST_GLITCH + 1):
         first, last = before[: len(values) - length + 1], after[length - 1 :]
-        off = (first * last > 0) & (np.minimum(np.abs(first), np.abs(last)) > OFF * scale[: len(first)])
+        off = (first * last > 0) & (
+            np.minimum(np.abs(first), np.abs(last)) > OFF * scale[: len(first)]
+        )
         for k in np.flatnonzero(off):
             found[k : k + length] = True
     return found
@@ -180,7 +195,9 @@ def _held(values: np.ndarray, left_out: np.ndarray, t: np.ndarray, linear: bool)
 
 def _shifted(s: Signal, rows: int) -> Signal:
     """Each value that many rows earlier; where none comes to lie is not known."""
-    moved = Signal(np.roll(s.values, -rows), np.roll(s.left_out, -rows), np.roll(s.known, -rows), s.held)
+    moved = Signal(
+        np.roll(s.values, -rows), np.roll(s.left_out, -rows), np.roll(s.known, -rows), s.held
+    )
     edge = slice(len(s.values) - rows, None) if rows > 0 else slice(0, -rows)
     moved.known[edge] = False
     return moved
@@ -194,13 +211,17 @@ def _resampled(s: Signal, t: np.ndarray, own: np.ndarray, entry: Any) -> Signal:
     good = s.known
     known = (t >= own[good][0]) & (t <= own[good][-1])
     if not known.any():
-        raise FormError("nothing of it is left within the run", "Correct `delay_s`, `shift` or `clock_ppm`")
+        raise FormError(
+            "nothing of it is left within the run", "Correct `delay_s`, `shift` or `clock_ppm`"
+        )
     beside = np.interp(t, own, (s.left_out | ~s.known).astype(float)) > 0
     if entry.role == "input" and entry.hold == "zero":
         inside, values = own[good], s.values[good]
         integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(inside))])
         ends = np.append(t[1:], t[-1])
-        reach = lambda at: np.interp(at, inside, integral) + np.maximum(at - inside[-1], 0) * values[-1]
+        reach = lambda at: (
+            np.interp(at, inside, integral) + np.maximum(at - inside[-1], 0) * values[-1]
+        )
         width = np.maximum(ends - t, 1e-300)
         mean = np.where(ends > t, (reach(ends) - reach(t)) / width, values[-1])
         return Signal(mean, np.zeros(len(t), bool), known, s.held)

@@ -63,30 +63,44 @@ def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
             remedy = f"Import it first: jaxid import SOURCE {folder} --out DIR (jaxid import --help lists the sources)"
             raise _refuse(str(folder), "this is a file, and a dataset is a folder", remedy)
         if not folder.is_dir():
-            raise _refuse(str(folder), "there is no such folder", "Name a folder that holds a dataset.toml")
+            raise _refuse(
+                str(folder), "there is no such folder", "Name a folder that holds a dataset.toml"
+            )
         if not (folder / file).is_file():
-            raise _refuse(file, f"there is no dataset.toml in {folder}", "Write one; see the README for its few keys")
+            raise _refuse(
+                file,
+                f"there is no dataset.toml in {folder}",
+                "Write one; see the README for its few keys",
+            )
         content = read_small(folder / file)
     except (OSError, ValueError) as error:
         if isinstance(error, DatasetError):
             raise
-        raise _refuse(file, f"not readable ({error})", "Check the path and its permissions") from None
+        raise _refuse(
+            file, f"not readable ({error})", "Check the path and its permissions"
+        ) from None
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         row = content.count(b"\n", 0, error.start) + 1
-        raise _refuse(file, "a character that is not UTF-8", "Save the file as UTF-8", row) from None
+        raise _refuse(
+            file, "a character that is not UTF-8", "Save the file as UTF-8", row
+        ) from None
     try:
         return content, text, tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         line = re.search(r"at line (\d+)", str(error))
         message = str(error).split(" (at ")[0].strip().rstrip(".") or type(error).__name__
         row = int(line[1]) if line else None
-        stated = text.splitlines()[row - 1] if row is not None and row <= len(text.splitlines()) else ""
+        stated = (
+            text.splitlines()[row - 1] if row is not None and row <= len(text.splitlines()) else ""
+        )
         remedy = "Correct the line"
         if "\\" in stated:
             remedy = f"Write forward slashes: {stated.strip().replace(chr(92), '/')}"
-        raise _refuse(file, f"not readable as TOML: {message[:1].lower()}{message[1:]}", remedy, row) from None
+        raise _refuse(
+            file, f"not readable as TOML: {message[:1].lower()}{message[1:]}", remedy, row
+        ) from None
 
 
 class _Folder:
@@ -121,22 +135,36 @@ class _Folder:
         try:
             return content.decode("utf-8-sig")
         except UnicodeDecodeError:
-            return self.places.problem(key, f"{file!r} holds a character that is not UTF-8", "Save the file as UTF-8")
+            return self.places.problem(
+                key, f"{file!r} holds a character that is not UTF-8", "Save the file as UTF-8"
+            )
 
-    def _content(self, file: str, key: tuple[str | int, ...], suffixes: tuple[str, ...]) -> bytes | Problem:
+    def _content(
+        self, file: str, key: tuple[str | int, ...], suffixes: tuple[str, ...]
+    ) -> bytes | Problem:
         parts = re.split(r"[/\\]", file)
         kinds = " nor ".join(s for s in suffixes if s != ".pq")
         try:
             path = self.folder / file
             if any(c in file for c in "\a\b\t\n\v\f\r"):
                 return self._absent(file, key, suffixes)  # "sub\run.csv" holds a carriage return
-            outside = ".." in parts or Path(file).is_absolute() or file[1:2] == ":" or file[:1] == "\\"
+            outside = (
+                ".." in parts or Path(file).is_absolute() or file[1:2] == ":" or file[:1] == "\\"
+            )
             if outside or not path.resolve().is_relative_to(self.folder.resolve()):
-                return self.places.problem(key, f"{file!r} lies outside the folder", "Move the file into the dataset's folder")
+                return self.places.problem(
+                    key,
+                    f"{file!r} lies outside the folder",
+                    "Move the file into the dataset's folder",
+                )
             if path.is_dir():
-                return self.places.problem(key, f"{file!r} is a folder", f"Name a {kinds.replace('nor', 'or')} file")
+                return self.places.problem(
+                    key, f"{file!r} is a folder", f"Name a {kinds.replace('nor', 'or')} file"
+                )
             if path.suffix.lower() not in suffixes:
-                return self.places.problem(key, f"{file!r} is neither {kinds}", f"Name a {kinds.replace('nor', 'or')} file")
+                return self.places.problem(
+                    key, f"{file!r} is neither {kinds}", f"Name a {kinds.replace('nor', 'or')} file"
+                )
             if not path.is_file():
                 return self._absent(file, key, suffixes)
             if suffixes is SUFFIXES and (found := too_large_to_read(path)):
@@ -144,12 +172,18 @@ class _Folder:
             content = path.read_bytes()
         except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: a circle of links
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-            return self.places.problem(key, f"{file!r} is not readable ({reason})", "Correct its name or permissions")
+            return self.places.problem(
+                key, f"{file!r} is not readable ({reason})", "Correct its name or permissions"
+            )
         self.digests[file] = hashlib.sha256(content).digest()
         return content
 
     def _absent(self, file: str, key: tuple[str | int, ...], suffixes: tuple[str, ...]) -> Problem:
-        found = (p for p in sorted(self.folder.rglob("*")) if p.suffix.lower() in suffixes and p.is_file())
+        found = (
+            p
+            for p in sorted(self.folder.rglob("*"))
+            if p.suffix.lower() in suffixes and p.is_file()
+        )
         there = [p.relative_to(self.folder).as_posix() for p in islice(found, 12)]
         hint = f" (there is: {', '.join(there)})" if there else ""
         remedy = "Add the file or correct its name"
@@ -165,7 +199,13 @@ class _Folder:
         return digest.hexdigest()
 
 
-def save_dataset(dataset: Dataset, folder: str | os.PathLike[str], *, format: str = "parquet", overwrite: bool = False) -> Path:
+def save_dataset(
+    dataset: Dataset,
+    folder: str | os.PathLike[str],
+    *,
+    format: str = "parquet",
+    overwrite: bool = False,
+) -> Path:
     """Writes `dataset.toml` and `run_1.parquet` … (or `.csv`), in SI; `load_dataset` reads an equal dataset from it.
 
     The folder appears complete or not at all. An existing folder with other content is left alone unless `overwrite`.
@@ -183,7 +223,9 @@ def save_dataset(dataset: Dataset, folder: str | os.PathLike[str], *, format: st
         target.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     except OSError as error:
-        raise _refuse(str(target), f"cannot be written ({error.strerror})", "Choose another folder") from None
+        raise _refuse(
+            str(target), f"cannot be written ({error.strerror})", "Choose another folder"
+        ) from None
     try:
         write_files(dataset, temporary, format)
         if target.exists() and any(target.iterdir()):

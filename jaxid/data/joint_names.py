@@ -25,7 +25,9 @@ def names_of_joints(mechanism: Any, dataset: Dataset, count: int) -> tuple[str, 
     """Names of the first `count` joints, by the chain's file or else by the recording; q1 … where neither names all of them."""
     joints = {} if dataset.model is None else dataset.model.joints
     channels = [f"q{k}" for k in range(1, count + 1)]
-    return joint_names(mechanism) or tuple(joints[c] if joints.keys() >= set(channels) else c for c in channels)
+    return joint_names(mechanism) or tuple(
+        joints[c] if joints.keys() >= set(channels) else c for c in channels
+    )
 
 
 def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
@@ -45,13 +47,23 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
         return dataset
     new_name = lambda name: renamed(name, numbers)
     outside = {c.name for c in dataset.channels if number_of(new_name(c.name)) > len(names)}
-    channels = [replace(c, name=new_name(c.name), role="auxiliary" if c.name in outside else c.role) for c in dataset.channels]
     channels = [
-        c for role in ("input", "output", "auxiliary") for c in sorted((c for c in channels if c.role == role), key=_place)
+        replace(c, name=new_name(c.name), role="auxiliary" if c.name in outside else c.role)
+        for c in dataset.channels
     ]
-    order = {f"q{new}": joints[f"q{old}"] for old, new in sorted(numbers.items(), key=lambda pair: pair[1])}
+    channels = [
+        c
+        for role in ("input", "output", "auxiliary")
+        for c in sorted((c for c in channels if c.role == role), key=_place)
+    ]
+    order = {
+        f"q{new}": joints[f"q{old}"]
+        for old, new in sorted(numbers.items(), key=lambda pair: pair[1])
+    }
     assert dataset.model is not None
-    note = "joints by name, in the order of the chain: " + ", ".join(f"{k} = {j}" for k, j in list(order.items())[: len(names)])
+    note = "joints by name, in the order of the chain: " + ", ".join(
+        f"{k} = {j}" for k, j in list(order.items())[: len(names)]
+    )
     note += f"; the recording has {', '.join(joints.values())}"
     note += f"; left out, for the chain lacks them: {', '.join(left)}" if left else ""
     return replace(
@@ -75,7 +87,11 @@ def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int
     missing = []
     for place, name in enumerate(names, 1):
         exact = [k for k, j in own.items() if j == name]
-        alike = exact or [k for k, j in own.items() if plain_name(j) == plain_name(name) and plain.count(plain_name(name)) == 1]
+        alike = exact or [
+            k
+            for k, j in own.items()
+            if plain_name(j) == plain_name(name) and plain.count(plain_name(name)) == 1
+        ]
         if alike:
             found[alike[0]] = place
         else:
@@ -92,14 +108,23 @@ def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int
 def _bynumber_of(dataset: Dataset, names: Sequence[str]) -> Dataset:
     """Without names of the recording: a note where the numbers are all there is, and joints are left out."""
     more = sorted(
-        (c.name for c in dataset.outputs if re.fullmatch(r"q\d+", c.name) and number_of(c.name) > len(names)), key=number_of
+        (
+            c.name
+            for c in dataset.outputs
+            if re.fullmatch(r"q\d+", c.name) and number_of(c.name) > len(names)
+        ),
+        key=number_of,
     )
     note = "joints by their numbers, for the recording does not name them: " + ", ".join(
         f"q{k} = {n}" for k, n in enumerate(names, 1)
     )
     note += " (name them under [model.joints])"
     note += f"; left out, for the chain has {len(names)} joints: {', '.join(more)}" if more else ""
-    return dataset if note in dataset.notes or len(names) == 1 else replace(dataset, notes=(*dataset.notes, note))
+    return (
+        dataset
+        if note in dataset.notes or len(names) == 1
+        else replace(dataset, notes=(*dataset.notes, note))
+    )
 
 
 def plain_name(name: str) -> str:
@@ -129,19 +154,27 @@ def _place(channel: Channel) -> tuple[str, int, str]:
     return (match[1], int(match[2]), match[3]) if match else (channel.name, 0, "")
 
 
-def _experiment(e: Experiment, dataset: Dataset, channels: Sequence[Channel], new_name: Any) -> Experiment:
+def _experiment(
+    e: Experiment, dataset: Dataset, channels: Sequence[Channel], new_name: Any
+) -> Experiment:
     """One run with its columns under their new names."""
     columns = {new_name(c.name): e.u[:, i] for i, c in enumerate(dataset.inputs)}
     columns |= {new_name(c.name): e.y[:, i] for i, c in enumerate(dataset.outputs)}
     columns |= {new_name(k): v for k, v in e.auxiliary.items()}
     of = lambda role: [c.name for c in channels if c.role == role]
-    stack = lambda names: np.stack([columns[n] for n in names], 1) if names else np.zeros((len(e.t), 0))
+    stack = lambda names: (
+        np.stack([columns[n] for n in names], 1) if names else np.zeros((len(e.t), 0))
+    )
     old = {new_name(c.name): i for i, c in enumerate(dataset.outputs)}
     by_output = lambda a: None if a is None else a[:, [old[n] for n in of("output")]]
     initial = None
     if e.initial is not None:
         known = set(columns)
-        initial = {new_name(k): v for k, v in e.initial.items() if k not in known or new_name(k) in of("output")}
+        initial = {
+            new_name(k): v
+            for k, v in e.initial.items()
+            if k not in known or new_name(k) in of("output")
+        }
     return replace(
         e, u=stack(of("input")), y=stack(of("output")), auxiliary={n: columns[n] for n in of("auxiliary")}, initial=initial,
         past=None if e.past is None else _experiment(e.past, dataset, channels, new_name),
@@ -149,7 +182,9 @@ def _experiment(e: Experiment, dataset: Dataset, channels: Sequence[Channel], ne
     )  # fmt: skip
 
 
-def _settings(settings: Mapping[str, Any], numbers: Mapping[int, int], new_name: Any, count: int) -> dict[str, Any]:
+def _settings(
+    settings: Mapping[str, Any], numbers: Mapping[int, int], new_name: Any, count: int
+) -> dict[str, Any]:
     """A law's gains in the order of the chain, its channels under their new names."""
     olds = sorted(numbers)
     out: dict[str, Any] = {}

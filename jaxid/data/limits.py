@@ -40,12 +40,23 @@ class Limits:
             value = getattr(self, f.name)
             if value is None:
                 continue
-            numbers = [value] if f.name == "data_age" or isinstance(value, int | float) else list(value)
-            if not numbers or any(isinstance(v, bool) or not isinstance(v, int | float) or math.isnan(v) for v in numbers):
-                raise UsageError(f"limit {f.name} is {value!r}; write a number, or one number a joint")
+            numbers = (
+                [value] if f.name == "data_age" or isinstance(value, int | float) else list(value)
+            )
+            if not numbers or any(
+                isinstance(v, bool) or not isinstance(v, int | float) or math.isnan(v)
+                for v in numbers
+            ):
+                raise UsageError(
+                    f"limit {f.name} is {value!r}; write a number, or one number a joint"
+                )
             if f.name not in ("lower", "upper") and min(numbers) <= 0:
                 raise UsageError(f"limit {f.name} is {value!r}; write numbers above 0")
-            object.__setattr__(self, f.name, float(numbers[0]) if f.name == "data_age" else tuple(map(float, numbers)))
+            object.__setattr__(
+                self,
+                f.name,
+                float(numbers[0]) if f.name == "data_age" else tuple(map(float, numbers)),
+            )
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Limits:
@@ -74,7 +85,9 @@ class Limits:
             if f.name == "data_age" or value is None:
                 continue
             if len(value) not in (1, joints):
-                raise UsageError(f"limit {f.name} has {len(value)} numbers for {joints} joints; write 1 or {joints}")
+                raise UsageError(
+                    f"limit {f.name} has {len(value)} numbers for {joints} joints; write 1 or {joints}"
+                )
             wide[f.name] = value * joints if len(value) == 1 else value
         return replace(self, **wide)
 
@@ -89,11 +102,17 @@ class Limits:
             if a is None or b is None:
                 merged[f.name] = a if b is None else b
             else:
-                merged[f.name] = tuple((max if f.name == "lower" else min)(x, y) for x, y in zip(a, b, strict=True))
+                merged[f.name] = tuple(
+                    (max if f.name == "lower" else min)(x, y) for x, y in zip(a, b, strict=True)
+                )
         return replace(own, **merged)
 
     def violation(
-        self, q: Sequence[float], qd: Sequence[float], current: Sequence[float] = (), temperature: Sequence[float] = ()
+        self,
+        q: Sequence[float],
+        qd: Sequence[float],
+        current: Sequence[float] = (),
+        temperature: Sequence[float] = (),
     ) -> str | None:
         """One sentence on the first measurement beyond its limit, or None; rad, rad/s, A, K.
 
@@ -105,8 +124,15 @@ class Limits:
         return self._violation("q", q, self.lower, self.upper, "rad", 0.01) or next(
             (
                 text
-                for name, values, top, unit in (("qd", qd, self.speed, "rad/s"), ("current", current, self.current, "A"))
-                if (text := self._violation(name, values, top and tuple(-v for v in top), top, unit, 0.1))
+                for name, values, top, unit in (
+                    ("qd", qd, self.speed, "rad/s"),
+                    ("current", current, self.current, "A"),
+                )
+                if (
+                    text := self._violation(
+                        name, values, top and tuple(-v for v in top), top, unit, 0.1
+                    )
+                )
             ),
             None,
         )

@@ -16,12 +16,19 @@ def with_list_elements(columns: Mapping[str, Any]) -> dict[str, Any]:
     for name, cells in columns.items():
         rows = _lists(cells)
         if rows is not None and rows.ndim >= 2:
-            out |= {f"{name}[{']['.join(map(str, k))}]": rows[(slice(None), *k)] for k in np.ndindex(rows.shape[1:])}
+            out |= {
+                f"{name}[{']['.join(map(str, k))}]": rows[(slice(None), *k)]
+                for k in np.ndindex(rows.shape[1:])
+            }
     return out
 
 
 def _lists(cells: Any) -> np.ndarray | None:
-    first = next((c for c in cells if c is not None and c != ""), None) if isinstance(cells, list) else None
+    first = (
+        next((c for c in cells if c is not None and c != ""), None)
+        if isinstance(cells, list)
+        else None
+    )
     if isinstance(first, str) and not re.match(r"(array|tensor)?[\[(]", first.strip()):
         return None
     if not isinstance(first, str | list | tuple):
@@ -36,7 +43,9 @@ def _lists(cells: Any) -> np.ndarray | None:
 def _list_text(cell: str) -> str:
     """A list as JSON writes it, of one that Python or NumPy wrote: `(1, 2)`, `[1. 2.]`, `array([1, 2], dtype=float32)`."""
     text = cell.strip()
-    if wrapped := re.fullmatch(r"(?:array|tensor)\((?:'\w', *)?(.*?)(?:, *dtype=[\w.']+)?\)", text, re.DOTALL):
+    if wrapped := re.fullmatch(
+        r"(?:array|tensor)\((?:'\w', *)?(.*?)(?:, *dtype=[\w.']+)?\)", text, re.DOTALL
+    ):
         text = wrapped[1]
     text = text.replace("(", "[").replace(")", "]")
     if "," not in text:

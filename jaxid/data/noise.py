@@ -37,7 +37,9 @@ class Noise:
 Window = Callable[[Experiment], float]
 
 
-def noise_floor(dataset: Dataset, readings: bool = False, window: Window | None = None) -> dict[str, Noise]:
+def noise_floor(
+    dataset: Dataset, readings: bool = False, window: Window | None = None
+) -> dict[str, Noise]:
     """Output channel -> its noise. Report runs are not looked at unless there is no other run. `readings`: without what the
     machine does differently from run to run, which is motion, too. `window`: the length, s, of parts of a run that each have a
     start of their own; what repeats differ by is then what they differ by within one, not what has added up since they began.
@@ -46,8 +48,13 @@ def noise_floor(dataset: Dataset, readings: bool = False, window: Window | None 
     groups = [] if readings else repeats(runs)
     drifting = {e.name for w in one_way(dataset.experiments) for e in w.runs} if groups else set()
     scattered = [g for g in groups if g[0].name not in drifting]
-    alone = "for repeats change one way" if len(scattered) < len(groups) else "for no run was repeated"
-    return {channel.name: _floor(channel, i, runs, scattered, window, alone) for i, channel in enumerate(dataset.outputs)}
+    alone = (
+        "for repeats change one way" if len(scattered) < len(groups) else "for no run was repeated"
+    )
+    return {
+        channel.name: _floor(channel, i, runs, scattered, window, alone)
+        for i, channel in enumerate(dataset.outputs)
+    }
 
 
 def _floor(
@@ -63,18 +70,35 @@ def _floor(
     found: dict[str, tuple[float, str]] = {}
     if channel.noise_std is not None:  # a stated step comes on top of the noise before it
         both = channel.resolution is not None
-        text = f"stated: {channel.noise_std:.3g}, and step {channel.resolution:.3g} / sqrt(12)" if both else "stated"
-        found["stated"] = (float(np.hypot(channel.noise_std, (channel.resolution or 0.0) / sqrt(12))), text)
+        text = (
+            f"stated: {channel.noise_std:.3g}, and step {channel.resolution:.3g} / sqrt(12)"
+            if both
+            else "stated"
+        )
+        found["stated"] = (
+            float(np.hypot(channel.noise_std, (channel.resolution or 0.0) / sqrt(12))),
+            text,
+        )
     step = channel.resolution if channel.resolution is not None else quantisation_step(series)
     if step is not None:
         how = "stated" if channel.resolution is not None else "found in the data"
-        found["quantisation"] = (step / sqrt(12), f"step {step:.3g} {channel.unit} / sqrt(12), {how}")
+        found["quantisation"] = (
+            step / sqrt(12),
+            f"step {step:.3g} {channel.unit} / sqrt(12), {how}",
+        )
     if channel.noise_std is None and channel.resolution is None and series:
         scatter = [run.noise(np.zeros(1), [column])[at, 0] for run, at in parts]
         std = _beside(series, scatter) if any(s.any() for s in scatter) else sensor_noise(series)
         found["sensor"] = (std, "estimated from differences of neighbouring samples")
-    known = 1 if si_unit(channel.unit) in ("rad/s", "m/s") else 2  # a start's speed alone, or its position, too
-    between = [_scatter(together(g)[..., column], [] if window is None else edges(g[0], window(g[0])), known) for g in groups]
+    known = (
+        1 if si_unit(channel.unit) in ("rad/s", "m/s") else 2
+    )  # a start's speed alone, or its position, too
+    between = [
+        _scatter(
+            together(g)[..., column], [] if window is None else edges(g[0], window(g[0])), known
+        )
+        for g in groups
+    ]
     if between:
         within = "" if window is None else f", within windows of {window(groups[0][0]):.3g} s"
         found["repeatability"] = (
@@ -82,16 +106,26 @@ def _floor(
             f"scatter between {sum(map(len, groups))} runs with identical inputs{within}",
         )
     if not found:
-        return Noise(0.0, "sensor", channel.unit, f"{channel.name}: no run to estimate the noise from")
+        return Noise(
+            0.0, "sensor", channel.unit, f"{channel.name}: no run to estimate the noise from"
+        )
     source = max(found, key=lambda key: found[key][0])
     std, text = found[source]
     motion = max((float(np.ptp(y)) for y in series), default=0.0)
     if std < _LEAST_SHARE * motion and source == "sensor":
-        std, text = _LEAST_SHARE * motion, f"no noise visible, {_LEAST_SHARE:g} of the motion is used"
+        std, text = (
+            _LEAST_SHARE * motion,
+            f"no noise visible, {_LEAST_SHARE:g} of the motion is used",
+        )
     if not std > 0:  # an output that never moves, by a reading that never flickers
         std, text = HELD, f"it never moves, {HELD:g} {channel.unit} is used"
     alone = "" if groups else f"; the sensor's alone, {why_alone}"
-    return Noise(float(std), source, channel.unit, f"{channel.name}: {std:.3g} {channel.unit} ({text}{alone})")
+    return Noise(
+        float(std),
+        source,
+        channel.unit,
+        f"{channel.name}: {std:.3g} {channel.unit} ({text}{alone})",
+    )
 
 
 def _evenly(read: np.ndarray) -> list[np.ndarray]:
@@ -120,7 +154,10 @@ def _from_differences(series: Sequence[np.ndarray], order: int) -> float:
         count = max(1, len(squares) // BLOCK)
         length, longer = divmod(len(squares), count)  # the first blocks take what is left over
         at = longer * (length + 1)
-        blocks = squares[:at].reshape(longer, length + 1), squares[at:].reshape(count - longer, length)
+        blocks = (
+            squares[:at].reshape(longer, length + 1),
+            squares[at:].reshape(count - longer, length),
+        )
         variances += [b.mean(1) / _median_of_variance(b.shape[1], order) for b in blocks if b.size]
     return sqrt(float(np.median(np.concatenate(variances)))) if variances else 0.0
 
@@ -149,8 +186,14 @@ FIRST, MAYBE = 20_000, 0.3
 
 def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
     """The step of a quantised signal, or None: every distance of distinct values is then a multiple of one step."""
-    values = np.concatenate([np.asarray(y, dtype=float) for y in series]) if len(series) else np.zeros(0)
-    if len(values) > 4 * FIRST and (first := _grid_of(values[:FIRST])) is not None and first[2] < MAYBE:
+    values = (
+        np.concatenate([np.asarray(y, dtype=float) for y in series]) if len(series) else np.zeros(0)
+    )
+    if (
+        len(values) > 4 * FIRST
+        and (first := _grid_of(values[:FIRST])) is not None
+        and first[2] < MAYBE
+    ):
         return None
     if (found := _grid_of(values)) is None:
         return None
@@ -196,5 +239,8 @@ def _scatter(repeated: np.ndarray, begins: Sequence[int] | np.ndarray, known: in
         if (n := part.shape[1]) > known:
             start = np.vander(np.linspace(-1, 1, n), known)
             rest = part.T - start @ np.linalg.lstsq(start, part.T, rcond=None)[0]
-            squares, freedom = squares + float(np.sum(rest**2)), freedom + (n - known) * (len(part) - 1)
+            squares, freedom = (
+                squares + float(np.sum(rest**2)),
+                freedom + (n - known) * (len(part) - 1),
+            )
     return sqrt(squares / freedom) if freedom else sqrt(float(np.mean(variances)))

@@ -13,7 +13,9 @@ from jaxid.data.table import Table
 from jaxid.errors import Problem
 
 
-def expanded_files(document: Document, places: Places, folder: Path, suffixes: tuple[str, ...]) -> list[Problem]:
+def expanded_files(
+    document: Document, places: Places, folder: Path, suffixes: tuple[str, ...]
+) -> list[Problem]:
     """Puts one experiment a file in the place of each that names `files`; what matches nothing comes back as a problem."""
     problems: list[Problem] = []
     runs: dict[int, ExperimentEntry] = {}
@@ -25,7 +27,11 @@ def expanded_files(document: Document, places: Places, folder: Path, suffixes: t
         key = ("experiments", index, "files")
         found = _matching(folder, entry.files, suffixes)
         if isinstance(found, str):
-            problems.append(places.problem(key, f"{entry.files!r} {found}", 'Write it with `*`: files = "run_*.csv"'))
+            problems.append(
+                places.problem(
+                    key, f"{entry.files!r} {found}", 'Write it with `*`: files = "run_*.csv"'
+                )
+            )
             document.sound.discard("experiments")
             continue
         for k, file in enumerate(found):
@@ -42,16 +48,28 @@ def _matching(folder: Path, pattern: str, suffixes: tuple[str, ...]) -> list[str
     if ".." in parts or Path(pattern).is_absolute() or pattern[1:2] == ":":
         return "lies outside the folder"
     try:
-        found = [p.relative_to(folder).as_posix() for p in folder.glob("/".join(parts)) if p.suffix.lower() in suffixes]
+        found = [
+            p.relative_to(folder).as_posix()
+            for p in folder.glob("/".join(parts))
+            if p.suffix.lower() in suffixes
+        ]
     except (ValueError, OSError) as error:
         return f"is no pattern ({error})"
     counted = lambda name: [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", name)]
-    there = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in suffixes)[:12] if folder.is_dir() else []
-    return sorted(found, key=counted) or "matches no file" + (f" (there is: {', '.join(there)})" if there else "")
+    there = (
+        sorted(p.name for p in folder.iterdir() if p.suffix.lower() in suffixes)[:12]
+        if folder.is_dir()
+        else []
+    )
+    return sorted(found, key=counted) or "matches no file" + (
+        f" (there is: {', '.join(there)})" if there else ""
+    )
 
 
 def expanded_channels(
-    document: Document, places: Places, open_table: Callable[[int, ExperimentEntry], Table | Problem]
+    document: Document,
+    places: Places,
+    open_table: Callable[[int, ExperimentEntry], Table | Problem],
 ) -> list[Problem]:
     """Puts a channel a joint in the place of each pattern, by the columns of the first run.
 
@@ -72,9 +90,17 @@ def expanded_channels(
             channels[name] = entry
             continue
         column = entry.column if entry.column is not None else name
-        found = captures_of(column, names) if isinstance(column, str) and entry.columns is None else None
+        found = (
+            captures_of(column, names)
+            if isinstance(column, str) and entry.columns is None
+            else None
+        )
         if not found:
-            why = "a pattern of channels needs a `column` with one `*`" if found is None else f"no column matches {column!r}"
+            why = (
+                "a pattern of channels needs a `column` with one `*`"
+                if found is None
+                else f"no column matches {column!r}"
+            )
             remedy = f'Write column = "pos_*" (there is: {", ".join(names[:12])})'
             problems.append(places.problem(("channels", name, "column"), why, remedy))
             document.sound.discard("channels")
@@ -83,11 +109,19 @@ def expanded_channels(
         for capture, at in sorted(found.items(), key=lambda pair: numbered[pair[0]]):
             new = name.replace("*", str(numbered[capture]))
             if new in channels or new in document.channels:
-                problems.append(places.problem(("channels", name), f"channel {new!r} stands there twice", "Remove one of them"))
+                problems.append(
+                    places.problem(
+                        ("channels", name),
+                        f"channel {new!r} stands there twice",
+                        "Remove one of them",
+                    )
+                )
                 continue
             channels[new] = entry.model_copy(update={"column": at})
             places.stated[("channels", new)] = ("channels", name)
-        document.notes.append(f"{name}: " + ", ".join(f"{numbered[c]} = {at}" for c, at in found.items()))
+        document.notes.append(
+            f"{name}: " + ", ".join(f"{numbered[c]} = {at}" for c, at in found.items())
+        )
     document.channels = channels
     if joints:
         model = document.model if document.model is not None else ModelEntry()
@@ -114,7 +148,9 @@ def captures_of(pattern: str, names: list[str]) -> dict[str, str] | None:
     return {m[1]: name for name in names if (m := form.fullmatch(name))}
 
 
-def _columns(document: Document, open_table: Callable[[int, ExperimentEntry], Table | Problem]) -> list[str] | None:
+def _columns(
+    document: Document, open_table: Callable[[int, ExperimentEntry], Table | Problem]
+) -> list[str] | None:
     for index, entry in document.experiments.items():
         table = open_table(index, entry) if entry.kind == "record" else None
         if isinstance(table, Table) and table.columns:

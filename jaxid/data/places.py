@@ -17,7 +17,9 @@ class Places:
         self.file = file
         self.text = text.splitlines()
         self.lines = _key_lines(text)
-        self.stated: dict[tuple[str | int, ...], tuple[str | int, ...]] = {}  # what a pattern became -> the pattern's own key
+        self.stated: dict[
+            tuple[str | int, ...], tuple[str | int, ...]
+        ] = {}  # what a pattern became -> the pattern's own key
 
     def line(self, key: tuple[str | int, ...]) -> str:
         """The text of the line that states a key, or nothing."""
@@ -27,7 +29,9 @@ class Places:
     def problem(self, key: tuple[str | int, ...], message: str, remedy: str) -> Problem:
         own = self.stated.get(key[:2])
         key = key if own is None else (*own, *key[2:])
-        line = next((self.lines[key[:n]] for n in range(len(key), 0, -1) if key[:n] in self.lines), None)
+        line = next(
+            (self.lines[key[:n]] for n in range(len(key), 0, -1) if key[:n] in self.lines), None
+        )
         return Problem(self.file, line, dotted(key) or None, message, remedy)
 
 
@@ -49,7 +53,10 @@ def _key_lines(text: str) -> dict[tuple[str | int, ...], int]:
     table: tuple[str | int, ...] = ()
 
     def parts(dotted: str) -> tuple[str | int, ...]:
-        return tuple(tomllib.loads(f"key = {w}")["key"] if w[0] in "\"'" else w for w in re.findall(_KEY, dotted))
+        return tuple(
+            tomllib.loads(f"key = {w}")["key"] if w[0] in "\"'" else w
+            for w in re.findall(_KEY, dotted)
+        )
 
     for number, line in enumerate(text.splitlines(), 1):
         if header := re.match(rf"\s*(\[\[?)\s*({_DOTTED})\s*\]", line):
@@ -80,7 +87,12 @@ def real_path(loc: tuple[str | int, ...], raw: Any) -> tuple[str | int, ...]:
         else:
             if not path and isinstance(part, str):
                 path.append(part)
-            elif isinstance(raw, Mapping) and isinstance(part, str) and part.isidentifier() and part not in _BRANCHES:
+            elif (
+                isinstance(raw, Mapping)
+                and isinstance(part, str)
+                and part.isidentifier()
+                and part not in _BRANCHES
+            ):
                 path.append(part)
             break
         path.append(part)

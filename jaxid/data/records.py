@@ -75,13 +75,20 @@ class Harvest:
     problems: list[Problem] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    still: dict[str, Problem] = field(default_factory=dict)  # output channels that never move, with the words for it
+    still: dict[str, Problem] = field(
+        default_factory=dict
+    )  # output channels that never move, with the words for it
     moving: set[str] = field(default_factory=set)
     still_inputs: set[str] = field(default_factory=set)
 
 
 def read_record(
-    table: Table, entry: ExperimentEntry, name: str, readings: Sequence[Reading], time: str | int, time_unit: str | None = None
+    table: Table,
+    entry: ExperimentEntry,
+    name: str,
+    readings: Sequence[Reading],
+    time: str | int,
+    time_unit: str | None = None,
 ) -> Harvest:
     """One recorded run (several where it is split at gaps), or what is wrong with it."""
     harvest = Harvest()
@@ -94,10 +101,14 @@ def read_record(
     counted = table.numbers(clock).values
     if (why := contradicted(counted, time_unit)) is not None:
         row = table.row(int(index[0])) if len(index) else None
-        harvest.problems.append(Problem(table.file, row, clock, why[0], f'Say time_unit = "{why[1]}"'))
+        harvest.problems.append(
+            Problem(table.file, row, clock, why[0], f'Say time_unit = "{why[1]}"')
+        )
         return harvest
     t, said = seconds(table.columns[clock], counted, time_unit)
-    time_faults = without_time(table, clock, t, index) if said else sample_faults(table, clock, index)
+    time_faults = (
+        without_time(table, clock, t, index) if said else sample_faults(table, clock, index)
+    )
     harvest.problems += time_faults
     if said:
         harvest.notes.append(f"{table.file}: {said}")
@@ -113,14 +124,26 @@ def read_record(
             message = f"no sample lies in window_s = [{start:g}, {stop:g}]; time runs from {span[0]:g} to {span[1]:g} s"
             harvest.problems.append(Problem(table.file, None, clock, message, "Correct window_s"))
             return harvest
-    doubted = None if time_unit is not None or said or time_faults or torn else impossible(t[index], clock)
+    doubted = (
+        None
+        if time_unit is not None or said or time_faults or torn
+        else impossible(t[index], clock)
+    )
     if doubted is not None:
         harvest.problems.append(Problem(table.file, table.row(int(index[0])), clock, *doubted))
-    signals = {r.name: _channel(table, r, index, t[index], harvest) for r in readings if _there(table, r)}
+    signals = {
+        r.name: _channel(table, r, index, t[index], harvest) for r in readings if _there(table, r)
+    }
     if len(index) < MINIMUM_SAMPLES and not torn:
         message = f"{len(index)} samples in experiment {name!r}; fewer than {MINIMUM_SAMPLES} say too little"
-        harvest.problems.append(Problem(table.file, None, None, message, "Record or select a longer run"))
-    cuts = None if time_faults or doubted or torn else _time(table, entry, name, clock, index, t[index], harvest)
+        harvest.problems.append(
+            Problem(table.file, None, None, message, "Record or select a longer run")
+        )
+    cuts = (
+        None
+        if time_faults or doubted or torn
+        else _time(table, entry, name, clock, index, t[index], harvest)
+    )
     if harvest.problems or table.problems or cuts is None:
         return harvest
     whole = {k: v for k, v in signals.items() if v is not None}
@@ -151,7 +174,11 @@ def read_record(
 def _absent(table: Table, readings: Sequence[Reading], time: str | int) -> list[Problem]:
     """Columns that are named and not there, or there twice."""
     wanted = [(time, "the time")]
-    wanted += [(c, f"channel {r.name!r}" if c != r.name else "this channel") for r in readings for c in r.reads]
+    wanted += [
+        (c, f"channel {r.name!r}" if c != r.name else "this channel")
+        for r in readings
+        for c in r.reads
+    ]
     problems = []
     for column, role in wanted:
         if (twice := table.ambiguous(column)) is not None:
@@ -159,7 +186,9 @@ def _absent(table: Table, readings: Sequence[Reading], time: str | int) -> list[
         elif table.find(column) is None:
             problems.append(table.missing(column, role))
     twice = [p for p in problems if "stands twice" in p.message]
-    return list(dict.fromkeys(twice or problems))  # what is lacking beside is the one with the wrong name
+    return list(
+        dict.fromkeys(twice or problems)
+    )  # what is lacking beside is the one with the wrong name
 
 
 def _there(table: Table, reading: Reading) -> bool:
@@ -170,11 +199,17 @@ def _known_span(
     table: Table, name: str, signals: dict[str, Signal], cuts: list[int], harvest: Harvest
 ) -> tuple[slice | None, list[int]]:
     """The samples between the first and the last at which every channel has a value, and where to cut among them."""
-    known = np.all([s.known for s in signals.values()], axis=0) if signals else np.ones(table.count, bool)
+    known = (
+        np.all([s.known for s in signals.values()], axis=0)
+        if signals
+        else np.ones(table.count, bool)
+    )
     there = np.flatnonzero(known)
     if len(there) < MINIMUM_SAMPLES:
         message = f"shifted against one another, the channels of {name!r} have {len(there)} samples in common"
-        harvest.problems.append(Problem(table.file, None, None, message, "Correct `shift`, `delay_s` or `clock_ppm`"))
+        harvest.problems.append(
+            Problem(table.file, None, None, message, "Correct `shift`, `delay_s` or `clock_ppm`")
+        )
         return None, []
     first, end = int(there[0]), int(there[-1]) + 1
     if (lost := len(known) - (end - first)) > 0:
@@ -182,7 +217,9 @@ def _known_span(
         harvest.notes.append(f"{where}, where a shifted channel has no value")
     for channel, s in signals.items():
         if count := int(np.sum(s.left_out)):
-            harvest.notes.append(f"{name}: {count} of {len(s.left_out)} samples of {channel} left out of the loss")
+            harvest.notes.append(
+                f"{name}: {count} of {len(s.left_out)} samples of {channel} left out of the loss"
+            )
         if s.held:
             harvest.notes.append(
                 f"{name}: {s.held} of {len(s.values)} samples of {channel} not taken; the last good one holds there"
@@ -195,7 +232,9 @@ def _span(table: Table, index: np.ndarray) -> str:
     return f"{word} {table.row(index[0])} to {table.row(index[-1])}"
 
 
-def _stack(columns: dict[str, np.ndarray], readings: Sequence[Reading], role: str, count: int) -> np.ndarray:
+def _stack(
+    columns: dict[str, np.ndarray], readings: Sequence[Reading], role: str, count: int
+) -> np.ndarray:
     chosen = [columns[r.name] for r in readings if r.entry.role == role]
     out = np.stack(chosen, axis=1) if chosen else np.zeros((count, 0))
     out.setflags(write=False)  # so that a run takes it as it is
@@ -208,7 +247,9 @@ def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndar
     for column, value in entry.where.items():
         if column not in table.columns:
             message = f"there is no column {column!r} for `where`{nearest(column, table.columns)}"
-            harvest.problems.append(Problem(table.file, 1, column, message, "Name a column that exists"))
+            harvest.problems.append(
+                Problem(table.file, 1, column, message, "Name a column that exists")
+            )
             return None
         chosen = table.equal(column, value)
         if not chosen.any():
@@ -221,14 +262,18 @@ def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndar
         start, stop = entry.rows
         if stop > table.count:
             message = f"rows = [{start}, {stop}] reach beyond the {table.count} samples of the file"
-            harvest.problems.append(Problem(table.file, None, None, message, "Correct `rows` (half-open, from 0)"))
+            harvest.problems.append(
+                Problem(table.file, None, None, message, "Correct `rows` (half-open, from 0)")
+            )
             return None
         mask[:start] = mask[stop:] = False
     index = np.flatnonzero(mask)
     if len(index) == 0:
         if table.count or not table.problems:
             message = "no sample is selected by `where` and `rows` together"
-            harvest.problems.append(Problem(table.file, None, None, message, "Correct `where` or `rows`"))
+            harvest.problems.append(
+                Problem(table.file, None, None, message, "Correct `where` or `rows`")
+            )
         return None
     return index
 
@@ -244,7 +289,9 @@ def _readable(table: Table, index: np.ndarray, harvest: Harvest) -> tuple[np.nda
     return index[good], True
 
 
-def _channel(table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, harvest: Harvest) -> Signal | None:
+def _channel(
+    table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, harvest: Harvest
+) -> Signal | None:
     """The channel's samples in SI. Notes whether it moves."""
     entry = reading.entry
     valid = np.ones(len(index), bool)
@@ -254,7 +301,9 @@ def _channel(table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, h
     faults = [f for c in columns for f in sample_faults(table, c, index[valid])]
     harvest.problems += faults
     weights = entry.weights if entry.weights is not None else [1.0]
-    raw = np.sum([w * table.numbers(c).values[index] for w, c in zip(weights, columns, strict=True)], axis=0)
+    raw = np.sum(
+        [w * table.numbers(c).values[index] for w, c in zip(weights, columns, strict=True)], axis=0
+    )
     raw[~valid & ~np.isfinite(raw)] = 0.0  # an empty cell where nothing is read
     if faults:
         harvest.moving.add(reading.name)
@@ -269,7 +318,9 @@ def _channel(table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, h
     if not np.isfinite(values).all():
         first = int(index[np.flatnonzero(~np.isfinite(values))[0]])
         text = f"{table.place(first)} is too large after scale, offset and unit"
-        harvest.problems.append(Problem(table.file, table.row(first), columns[0], text, "Correct scale, offset or unit"))
+        harvest.problems.append(
+            Problem(table.file, table.row(first), columns[0], text, "Correct scale, offset or unit")
+        )
         return None
     still = np.ptp(values[~found.left_out]) == 0
     if reading.entry.role == "output" and not still:
@@ -278,7 +329,11 @@ def _channel(table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, h
         constant = f"it is {values[0]:g} {reading.conversion.si} in all {len(index)} samples"
         text = f"output {reading.name!r} never moves: {constant}"
         harvest.still[reading.name] = Problem(
-            table.file, None, columns[0], text, 'Check the sensor, or give the channel role = "auxiliary"'
+            table.file,
+            None,
+            columns[0],
+            text,
+            'Check the sensor, or give the channel role = "auxiliary"',
         )
     elif reading.entry.role == "input" and still:
         harvest.still_inputs.add(reading.name)
@@ -286,7 +341,13 @@ def _channel(table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, h
 
 
 def _time(
-    table: Table, entry: ExperimentEntry, name: str, column: str, index: np.ndarray, t: np.ndarray, harvest: Harvest
+    table: Table,
+    entry: ExperimentEntry,
+    name: str,
+    column: str,
+    index: np.ndarray,
+    t: np.ndarray,
+    harvest: Harvest,
 ) -> list[int] | None:
     """Where to cut the run (sample positions after a gap), or None where time is at fault."""
     step = np.diff(t)
@@ -335,7 +396,9 @@ def _pieces(run: Experiment, cuts: list[int], harvest: Harvest, table: Table) ->
     ]
     dropped = len(spans) - len(pieces)
     if not pieces:
-        message = f"split at its gaps, experiment {run.name!r} has no part of {MINIMUM_SAMPLES} samples"
+        message = (
+            f"split at its gaps, experiment {run.name!r} has no part of {MINIMUM_SAMPLES} samples"
+        )
         harvest.problems.append(Problem(table.file, None, None, message, "Record without gaps"))
     harvest.notes.append(
         f"{run.name}: split at {len(cuts)} gap{'s' * (len(cuts) > 1)} into {len(pieces)} runs"
@@ -344,10 +407,15 @@ def _pieces(run: Experiment, cuts: list[int], harvest: Harvest, table: Table) ->
     return pieces
 
 
-def read_response(table: Table, entry: ExperimentEntry, name: str, units: dict[str, Conversion]) -> Harvest:
+def read_response(
+    table: Table, entry: ExperimentEntry, name: str, units: dict[str, Conversion]
+) -> Harvest:
     """A frequency response `output / input`, from the units of the two channels to SI."""
     harvest = Harvest()
-    named = {key: entry.columns.get(key, key) for key in ("omega", "frequency", "gain", "phase", "re", "im")}
+    named = {
+        key: entry.columns.get(key, key)
+        for key in ("omega", "frequency", "gain", "phase", "re", "im")
+    }
 
     def there(key: str) -> bool:
         return key in entry.columns or named[key] in table.columns
@@ -356,7 +424,9 @@ def read_response(table: Table, entry: ExperimentEntry, name: str, units: dict[s
     polar = there("gain") or there("phase") or not (there("re") or there("im"))
     keys = [axis, *(("gain", "phase") if polar else ("re", "im"))]
     absent = [key for key in keys if named[key] not in table.columns]
-    harvest.problems += [table.missing(named[key], f"{key!r} of the frequency response") for key in absent]
+    harvest.problems += [
+        table.missing(named[key], f"{key!r} of the frequency response") for key in absent
+    ]
     index = _selected(table, entry, harvest)
     if index is None:
         return harvest
@@ -367,12 +437,19 @@ def read_response(table: Table, entry: ExperimentEntry, name: str, units: dict[s
     if harvest.problems or table.problems:
         return harvest
     first, a, b = (table.numbers(named[key]).values[index] for key in keys)
-    for key, values, bad in ((keys[0], first, first <= 0), *([(keys[1], a, a < 0)] if polar else [])):
+    for key, values, bad in (
+        (keys[0], first, first <= 0),
+        *([(keys[1], a, a < 0)] if polar else []),
+    ):
         if bad.any():
             sample = int(index[np.flatnonzero(bad)[0]])
             least = "above 0" if key == keys[0] else "at least 0"
             text = f"{table.place(sample)} is {values[bad][0]:g}; {key} must be {least}"
-            harvest.problems.append(Problem(table.file, table.row(sample), named[key], text, "Correct or remove the row"))
+            harvest.problems.append(
+                Problem(
+                    table.file, table.row(sample), named[key], text, "Correct or remove the row"
+                )
+            )
     if harvest.problems:
         return harvest
     factor = units[entry.output or ""].factor / units[entry.input or ""].factor

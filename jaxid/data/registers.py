@@ -29,10 +29,14 @@ def signed(raw: np.ndarray, sign_bit: int | None, signed_bits: int | None) -> np
     """
     if sign_bit is None and signed_bits is None:
         return raw
-    key, most = ("sign_bit", sign_bit + 1) if sign_bit is not None else ("signed_bits", signed_bits or 0)
+    key, most = (
+        ("sign_bit", sign_bit + 1) if sign_bit is not None else ("signed_bits", signed_bits or 0)
+    )
     known = raw[np.isfinite(raw)]
     if len(known) and not register_numbers([known]):
-        raise ValueError(f"{key} is of registers, and its samples are not all whole numbers from 0 on")
+        raise ValueError(
+            f"{key} is of registers, and its samples are not all whole numbers from 0 on"
+        )
     if len(known) and known.max() >= 2.0**most:
         raise ValueError(f"{key} leaves {most} bits, and its samples reach {known.max():.0f}")
     return by_twos_complement(raw, most) if sign_bit is None else by_sign_bit(raw, sign_bit)
@@ -73,7 +77,9 @@ def found_sign(parts: Sequence[np.ndarray]) -> tuple[str, int] | None:
         return "sign_bit", bit
     for width in WIDTHS:
         place = 2.0 ** (width - 1)
-        if place <= top < 2 * place and _crosses(parts, place, [by_twos_complement(y, width) for y in parts]):
+        if place <= top < 2 * place and _crosses(
+            parts, place, [by_twos_complement(y, width) for y in parts]
+        ):
             return "signed_bits", width
     return None
 

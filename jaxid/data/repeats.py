@@ -98,7 +98,10 @@ def one_way_sentences(dataset: Dataset) -> list[str]:
 def _sentence(dataset: Dataset, found: OneWay) -> str:
     names = [e.name for e in found.runs]
     told = listed(names) if len(names) <= 6 else f"{names[0]} to {names[-1]}"
-    moved = [f"{off:.2g} {c.unit} in {c.name}" for off, c in zip(found.apart, dataset.outputs, strict=True)]
+    moved = [
+        f"{off:.2g} {c.unit} in {c.name}"
+        for off, c in zip(found.apart, dataset.outputs, strict=True)
+    ]
     return (
         f"{len(names)} runs of one input change one way, run by run: {told}. The last differs from the first by "
         f"{listed(moved)} (root mean square). That is a drift, as of friction that falls while a machine warms up, and no "

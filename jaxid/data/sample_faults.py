@@ -15,7 +15,15 @@ def without_time(table: Table, clock: str, t: np.ndarray, index: np.ndarray) -> 
         return []
     more = f"; so {len(bad)} samples" if len(bad) > 1 else ""
     remedy = "Write its time, or cut it out with `rows`"
-    return [Problem(table.file, table.row(int(bad[0])), clock, f"{table.place(int(bad[0]))} has no time{more}", remedy)]
+    return [
+        Problem(
+            table.file,
+            table.row(int(bad[0])),
+            clock,
+            f"{table.place(int(bad[0]))} has no time{more}",
+            remedy,
+        )
+    ]
 
 
 def sample_faults(table: Table, column: str, index: np.ndarray) -> list[Problem]:

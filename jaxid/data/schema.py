@@ -9,7 +9,14 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, Field, field_validator, FiniteFloat, model_validator, ValidationError
+from pydantic import (
+    BaseModel,
+    Field,
+    field_validator,
+    FiniteFloat,
+    model_validator,
+    ValidationError,
+)
 
 from jaxid.data.places import dotted, Places, real_path
 from jaxid.data.schema_fields import Number, plain_text, Positive, Strict
@@ -83,21 +90,31 @@ class ChannelEntry(Strict):
     @classmethod
     def _clock(cls, value: float) -> float:
         if not abs(value) < 1e5:
-            raise ValueError(f"is {value:g}: a clock that is off by a tenth has another unit (time_unit)")
+            raise ValueError(
+                f"is {value:g}: a clock that is off by a tenth has another unit (time_unit)"
+            )
         return value
 
     @model_validator(mode="after")
     def _together(self) -> ChannelEntry:
         if (self.columns is None) != (self.weights is None):
-            raise ValueError("`columns` and `weights` go together: columns = ['m5', 'm6'], weights = [32.0, 32.0]")
+            raise ValueError(
+                "`columns` and `weights` go together: columns = ['m5', 'm6'], weights = [32.0, 32.0]"
+            )
         if self.columns is not None and self.column is not None:
             raise ValueError("both `column` and `columns` say what to read: keep one of them")
         if self.sign_bit is not None and self.signed_bits is not None:
-            raise ValueError("`sign_bit` and `signed_bits` are two forms of a register: keep one of them")
+            raise ValueError(
+                "`sign_bit` and `signed_bits` are two forms of a register: keep one of them"
+            )
         if self.columns is not None and (self.sign_bit or self.signed_bits):
-            raise ValueError("a register is one column: `sign_bit` and `signed_bits` do not go with `columns`")
+            raise ValueError(
+                "a register is one column: `sign_bit` and `signed_bits` do not go with `columns`"
+            )
         if self.columns is not None and len(self.columns) != len(self.weights or ()):
-            raise ValueError(f"{len(self.columns)} columns have {len(self.weights or ())} weights: write one for each")
+            raise ValueError(
+                f"{len(self.columns)} columns have {len(self.weights or ())} weights: write one for each"
+            )
         return self
 
 
@@ -145,16 +162,28 @@ class ExperimentEntry(Strict):
     @model_validator(mode="after")
     def _kinds(self) -> ExperimentEntry:
         if self.files is not None and (self.file or self.name is not None):
-            raise ValueError(f"`files` are several runs, and {'`file`' if self.file else '`name`'} is of one: keep one of them")
+            raise ValueError(
+                f"`files` are several runs, and {'`file`' if self.file else '`name`'} is of one: keep one of them"
+            )
         response = {"input", "output", "columns", "phase_unit"}
-        record = {"at_rest", "initial", "initial_window_s", "constants", "split_at_gaps", "window_s", "repeat_of"}
+        record = {
+            "at_rest",
+            "initial",
+            "initial_window_s",
+            "constants",
+            "split_at_gaps",
+            "window_s",
+            "repeat_of",
+        }
         wrong = sorted(self.model_fields_set & (response if self.kind == "record" else record))
         if wrong:
             raise ValueError(f"{wrong[0]!r} has no meaning in an experiment of kind {self.kind!r}")
         if self.at_rest and self.initial is not None:
             raise ValueError("both at_rest and initial fix the initial state")
         if self.kind == "frequency_response" and not (self.input and self.output):
-            raise ValueError("a frequency response needs `input` and `output`, the channels it leads from and to")
+            raise ValueError(
+                "a frequency response needs `input` and `output`, the channels it leads from and to"
+            )
         return self
 
 
@@ -170,7 +199,9 @@ class Document:
     problems: list[Problem] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     sound: set[str] = field(default_factory=set)  # the sections without a fault
-    faulty: dict[tuple[str | int, ...], set[str | int | None]] = field(default_factory=dict)  # part -> its faulty keys
+    faulty: dict[tuple[str | int, ...], set[str | int | None]] = field(
+        default_factory=dict
+    )  # part -> its faulty keys
 
 
 Entry = TypeVar("Entry", bound=BaseModel)
@@ -186,7 +217,9 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
         value = raw.get(name)
         if name in raw and not isinstance(value, kind):
             what = "a list of tables: [[experiments]]" if kind is list else f"a table: [{name}]"
-            document.problems.append(places.problem((name,), f"{name!r} is not {what}", f"Write {what}"))
+            document.problems.append(
+                places.problem((name,), f"{name!r} is not {what}", f"Write {what}")
+            )
         else:
             document.sound.add(name)
             sections[name] = value
@@ -194,9 +227,17 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
     document.header = entry_of(Header, head, (), places, document, "header", allowed)
     for name, value in (sections.get("channels") or {}).items():
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(\*[A-Za-z0-9_]*)?", name) or name == "t":
-            why = "is the name of the time" if name == "t" else "is not a name of letters, digits and underscores"
+            why = (
+                "is the name of the time"
+                if name == "t"
+                else "is not a name of letters, digits and underscores"
+            )
             document.problems.append(
-                places.problem(("channels", name), f"channel {name!r} {why}", "Rename it and state its `column`")
+                places.problem(
+                    ("channels", name),
+                    f"channel {name!r} {why}",
+                    "Rename it and state its `column`",
+                )
             )
             document.sound.discard("channels")
             continue
@@ -207,16 +248,26 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
         key = ("experiments", index)
         if isinstance(value, Mapping) and not {"file", "files"} & set(value):
             document.problems.append(
-                places.problem((*key, "file"), "'file' is missing", "State 'file', or 'files' with a pattern")
+                places.problem(
+                    (*key, "file"), "'file' is missing", "State 'file', or 'files' with a pattern"
+                )
             )
             document.sound.discard("experiments")
         entry = entry_of(ExperimentEntry, value, key, places, document, "experiments")
-        if entry is not None and (entry.file or entry.files) and not any(_selects(k) for k in document.faulty.get(key, ())):
+        if (
+            entry is not None
+            and (entry.file or entry.files)
+            and not any(_selects(k) for k in document.faulty.get(key, ()))
+        ):
             document.experiments[index] = entry
     if sections.get("model") is not None:
-        document.model = entry_of(ModelEntry, sections["model"], ("model",), places, document, "model")
+        document.model = entry_of(
+            ModelEntry, sections["model"], ("model",), places, document, "model"
+        )
     if sections.get("controller") is not None:
-        document.controller = entry_of(ControllerEntry, sections["controller"], ("controller",), places, document, "controller")
+        document.controller = entry_of(
+            ControllerEntry, sections["controller"], ("controller",), places, document, "controller"
+        )
     return document
 
 
@@ -241,14 +292,18 @@ def entry_of(
     """One part, checked; one with a fault is tried again without the faulty keys, so that the rest can be checked."""
     if not isinstance(raw, Mapping):
         document.sound.discard(section)
-        document.problems.append(places.problem(key, f"{dotted(key)} is not a table", f"Write it as [{dotted(key)}]"))
+        document.problems.append(
+            places.problem(key, f"{dotted(key)} is not a table", f"Write it as [{dotted(key)}]")
+        )
         return None
     try:
         return cls.model_validate(dict(raw))
     except (ValidationError, OverflowError) as error:
         document.sound.discard(section)
         if isinstance(error, OverflowError):
-            document.problems.append(places.problem(key, "a number beyond 1e308", "Write a smaller number"))
+            document.problems.append(
+                places.problem(key, "a number beyond 1e308", "Write a smaller number")
+            )
             return None
         seen: set[tuple[str | int, ...]] = set()
         faulty = document.faulty.setdefault(key, set())
@@ -267,11 +322,18 @@ def entry_of(
             return None
 
 
-def _say(cls: type[BaseModel], fault: Any, where: tuple[str | int, ...], allowed: list[str] | None) -> tuple[str, str]:
+def _say(
+    cls: type[BaseModel], fault: Any, where: tuple[str | int, ...], allowed: list[str] | None
+) -> tuple[str, str]:
     kind, name = fault["type"], where[-1] if where else ""
-    owner = PriorEntry if cls is ModelEntry and where[:1] == ("parameters",) and len(where) > 2 else cls
+    owner = (
+        PriorEntry if cls is ModelEntry and where[:1] == ("parameters",) and len(where) > 2 else cls
+    )
     if kind == "extra_forbidden":
-        return f"unknown key {name!r}{nearest(str(name), allowed or list(owner.model_fields))}", "Correct or remove it"
+        return (
+            f"unknown key {name!r}{nearest(str(name), allowed or list(owner.model_fields))}",
+            "Correct or remove it",
+        )
     if kind == "missing":
         return f"{name!r} is missing", f"State {name!r}"
     if kind == "literal_error":
@@ -290,4 +352,7 @@ def _say(cls: type[BaseModel], fault: Any, where: tuple[str | int, ...], allowed
     if kind == "finite_number":
         return f"{name!r} is {fault['input']!r}", "Write a finite number"
     shown = repr(fault["input"])
-    return f"{name!r} is {shown if len(shown) < 60 else shown[:57] + '...'}: {fault['msg'].lower()}", "Correct it"
+    return (
+        f"{name!r} is {shown if len(shown) < 60 else shown[:57] + '...'}: {fault['msg'].lower()}",
+        "Correct it",
+    )

@@ -30,10 +30,17 @@ class PriorEntry(Strict):
     def _ordered(self) -> PriorEntry:
         given = [v for v in (self.lower, self.value, self.upper) if v is not None]
         if given != sorted(given) or (self.lower is not None and self.lower == self.upper):
-            raise ValueError("lower, value and upper must rise in this order (a known value belongs in [model.constants])")
+            raise ValueError(
+                "lower, value and upper must rise in this order (a known value belongs in [model.constants])"
+            )
         if self.log and self.lower is not None and self.lower <= 0:
-            raise ValueError("log = true searches the logarithm, and lower is not above 0: raise it")
-        ends = (-math.inf if self.lower is None else self.lower, math.inf if self.upper is None else self.upper)
+            raise ValueError(
+                "log = true searches the logarithm, and lower is not above 0: raise it"
+            )
+        ends = (
+            -math.inf if self.lower is None else self.lower,
+            math.inf if self.upper is None else self.upper,
+        )
         if self.prior is not None and not ends[0] <= self.prior.mean <= ends[1]:
             raise ValueError("the mean of the prior lies outside of lower and upper")
         return self
@@ -54,7 +61,9 @@ class LinksEntry(Strict):
         for name in ("alpha", "d", "theta", "prismatic"):
             column = getattr(self, name)
             if column is not None and len(column) != len(self.a):
-                raise ValueError(f"{name} has {len(column)} entries and a has {len(self.a)}: one for each joint")
+                raise ValueError(
+                    f"{name} has {len(column)} entries and a has {len(self.a)}: one for each joint"
+                )
         return self
 
 
@@ -95,25 +104,41 @@ class ModelEntry(Strict):
         for channel, joint in value.items():
             plain_text(joint)
             if sum(joint == other for other in value.values()) > 1:
-                raise ValueError(f"{channel!r}: two channels are of joint {joint!r}; one joint has one position")
+                raise ValueError(
+                    f"{channel!r}: two channels are of joint {joint!r}; one joint has one position"
+                )
         return value
 
     @model_validator(mode="after")
     def _apart(self) -> ModelEntry:
-        if self.file is not None and (self.robot is not None or self.urdf is not None or self.dh is not None):
-            raise ValueError("file holds a model of your own, beside which robot, urdf and dh do not stand: keep one of them")
-        if self.robot is not None and (self.name not in (None, "robot") or self.urdf is not None or self.dh is not None):
-            raise ValueError("robot names the file of a robot, beside which name, urdf and dh do not stand: keep one of them")
+        if self.file is not None and (
+            self.robot is not None or self.urdf is not None or self.dh is not None
+        ):
+            raise ValueError(
+                "file holds a model of your own, beside which robot, urdf and dh do not stand: keep one of them"
+            )
+        if self.robot is not None and (
+            self.name not in (None, "robot") or self.urdf is not None or self.dh is not None
+        ):
+            raise ValueError(
+                "robot names the file of a robot, beside which name, urdf and dh do not stand: keep one of them"
+            )
         if self.name not in (None, "robot") and self.base is not None:
-            raise ValueError('base belongs to a robot: write robot = "robot.xml" (or a URDF) in place of the name')
+            raise ValueError(
+                'base belongs to a robot: write robot = "robot.xml" (or a URDF) in place of the name'
+            )
         both = sorted(set(self.constants) & set(self.parameters))
         if both:
             raise ValueError(f"{both[0]!r} is both known (constants) and to be fitted (parameters)")
         if self.urdf is not None and self.dh is not None:
             raise ValueError("the links stand in both urdf and dh: keep one of them")
         if (self.urdf is not None or self.dh is not None) and self.name != "serial_arm":
-            raise ValueError('urdf and dh are the links of the model "serial_arm": write name = "serial_arm"')
-        if self.urdf is None and (self.root is not None or (self.tip is not None and self.robot is None)):
+            raise ValueError(
+                'urdf and dh are the links of the model "serial_arm": write name = "serial_arm"'
+            )
+        if self.urdf is None and (
+            self.root is not None or (self.tip is not None and self.robot is None)
+        ):
             word, what = ("root", "beginning") if self.root is not None else ("tip", "end")
             raise ValueError(f"{word} names the {what} of a chain in a URDF, and there is no urdf")
         return self
@@ -135,4 +160,8 @@ class ControllerEntry(BaseModel):
     @property
     def settings(self) -> dict[str, Any]:
         """Everything that is stated besides the kind."""
-        return {name: value for name, value in self.model_dump(exclude={"kind"}).items() if value is not None}
+        return {
+            name: value
+            for name, value in self.model_dump(exclude={"kind"}).items()
+            if value is not None
+        }

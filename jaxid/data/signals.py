@@ -29,7 +29,11 @@ STRETCH = 1 << 15
 
 
 def zero_phase_stretches(
-    t: np.ndarray, rows: Callable[[slice], np.ndarray], cutoff_hz: float, stretch: int = STRETCH, order: int = ORDER
+    t: np.ndarray,
+    rows: Callable[[slice], np.ndarray],
+    cutoff_hz: float,
+    stretch: int = STRETCH,
+    order: int = ORDER,
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
     """`zero_phase` of a series that is made as it is needed: `rows(samples)` gives a part of it, [samples n ...].
 
@@ -50,13 +54,20 @@ def zero_phase_stretches(
         x = rows(slice(low, high))
         flat = x.reshape(len(x), x.shape[1], -1)
         smooth = np.empty((b - a, *flat.shape[1:]))
-        first, last = np.searchsorted(grid, t[low]), np.searchsorted(grid, t[high - 1], side="right")
+        first, last = (
+            np.searchsorted(grid, t[low]),
+            np.searchsorted(grid, t[high - 1], side="right"),
+        )
         for k in range(flat.shape[1]):  # one after the other, for memory's sake
             if uniform:
                 smooth[:, k] = _filtered(grid, flat[:, k], cutoff_hz, order)[a - low : b - low]
             else:
                 own = grid[first:last]
-                smooth[:, k] = _spline(own, _filtered(grid, _spline(t[low:high], flat[:, k], own), cutoff_hz, order), t[a:b])
+                smooth[:, k] = _spline(
+                    own,
+                    _filtered(grid, _spline(t[low:high], flat[:, k], own), cutoff_hz, order),
+                    t[a:b],
+                )
         yield slice(a, b), smooth.reshape(b - a, *x.shape[1:]), x[a - low : b - low]
 
 
@@ -80,7 +91,9 @@ def differentiate(
         smooth,
         qd,
         qdd,
-        _statement(t, cutoff_hz, order, uniform) + ", then central differences" + _ends_text(t, cutoff_hz),
+        _statement(t, cutoff_hz, order, uniform)
+        + ", then central differences"
+        + _ends_text(t, cutoff_hz),
     )
 
 
@@ -143,7 +156,8 @@ def followed(t: np.ndarray, x: np.ndarray, degree: int = 2, least: int = 20) -> 
         steps = np.abs(np.diff(part, axis=0))
         counter = np.min(np.where(steps > 0, steps, np.inf), axis=0)
         noise = np.maximum(
-            np.std(np.diff(part, 3, axis=0), axis=0) / np.sqrt(20), np.where(np.isfinite(counter), 0.3 * counter, 0)
+            np.std(np.diff(part, 3, axis=0), axis=0) / np.sqrt(20),
+            np.where(np.isfinite(counter), 0.3 * counter, 0),
         )
         if np.all(np.std(rest, axis=0) <= np.maximum(2 * noise, 0.02 * np.ptp(part, axis=0))):
             break
@@ -154,7 +168,9 @@ def followed(t: np.ndarray, x: np.ndarray, degree: int = 2, least: int = 20) -> 
 def _on_grid(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
     t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
     if t.ndim != 1 or len(t) != len(x) or len(t) < 4:
-        raise ValueError(f"t {t.shape} and a signal {x.shape}; expected [time] and [time] or [time n], at least 4 samples")
+        raise ValueError(
+            f"t {t.shape} and a signal {x.shape}; expected [time] and [time] or [time n], at least 4 samples"
+        )
     grid, uniform = _grid(t)
     return grid, x if uniform else _spline(t, x, grid), uniform
 
@@ -193,7 +209,9 @@ def _sections(grid: np.ndarray, cutoff_hz: float, order: int) -> np.ndarray:
 
     rate = 1 / float(grid[1] - grid[0])
     if not 0 < cutoff_hz < rate / 2:
-        raise ValueError(f"cutoff {cutoff_hz:g} Hz is not between 0 and half the sampling frequency, {rate / 2:g} Hz")
+        raise ValueError(
+            f"cutoff {cutoff_hz:g} Hz is not between 0 and half the sampling frequency, {rate / 2:g} Hz"
+        )
     return np.asarray(butter(order, cutoff_hz, fs=rate, output="sos"))
 
 
@@ -206,14 +224,23 @@ def _filtered(grid: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int) -> 
     """A series on the steps of a grid through the low-pass."""
     from scipy.signal import sosfiltfilt
 
-    sections, pad = _sections(grid, cutoff_hz, order), min(len(x) - 1, _padding(grid, cutoff_hz, order))
+    sections, pad = (
+        _sections(grid, cutoff_hz, order),
+        min(len(x) - 1, _padding(grid, cutoff_hz, order)),
+    )
     if x.ndim == 1 or len(x) <= STRETCH:
         return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=pad))
-    return np.stack([sosfiltfilt(sections, column, padlen=pad) for column in x.T], 1)  # one after the other, for memory's sake
+    return np.stack(
+        [sosfiltfilt(sections, column, padlen=pad) for column in x.T], 1
+    )  # one after the other, for memory's sake
 
 
 def _statement(t: np.ndarray, cutoff_hz: float, order: int, uniform: bool) -> str:
-    grid = "" if uniform else f" on a uniform grid of {np.median(np.diff(t)):.4g} s (sampling is irregular)"
+    grid = (
+        ""
+        if uniform
+        else f" on a uniform grid of {np.median(np.diff(t)):.4g} s (sampling is irregular)"
+    )
     return f"zero-phase Butterworth low-pass of order {order}, run forwards and backwards, cutoff {cutoff_hz:g} Hz{grid}"
 
 
@@ -237,7 +264,9 @@ def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
 
     rate = 1 / float(np.median(np.diff(t)))
     grid = np.interp(np.linspace(t[0], t[-1], t.size), t, y)
-    second = np.diff(grid, 2)  # whitens the steep spectrum of a position, so that windows do not leak
+    second = np.diff(
+        grid, 2
+    )  # whitens the steep spectrum of a position, so that windows do not leak
     segment = min(second.size, max(256, second.size // 8))
     if segment > LONG:  # a length of large prime factors takes many times as long
         segment = next_fast_len(segment, real=True)

@@ -42,10 +42,16 @@ def with_splits(dataset: Dataset) -> Dataset:
             notes,
         )
     runs = [_forgetful(e) if e.past else e for e in runs]
-    return replace(dataset, experiments=tuple(runs), notes=(*dataset.notes, *notes)) if notes else dataset
+    return (
+        replace(dataset, experiments=tuple(runs), notes=(*dataset.notes, *notes))
+        if notes
+        else dataset
+    )
 
 
-def _cut(runs: list[Experiment], first: str, second: str, share: float, rule: str, notes: list[str]) -> list[Experiment]:
+def _cut(
+    runs: list[Experiment], first: str, second: str, share: float, rule: str, notes: list[str]
+) -> list[Experiment]:
     """Each run of split `first` in two; the later part becomes `second`."""
     cut: list[Experiment] = []
     told: list[str] = []
@@ -63,7 +69,9 @@ def _cut(runs: list[Experiment], first: str, second: str, share: float, rule: st
         name = run.name if run.name.endswith(f"#{first}") else f"{base}#{first}"
         cut.append(run.piece(0, stop, name=name, split=first))
         everything = start + len(run.whole) - len(run)
-        cut.append(run.piece(start, len(run), name=f"{base}#{second}", split=second, past=everything))
+        cut.append(
+            run.piece(start, len(run), name=f"{base}#{second}", split=second, past=everything)
+        )
         told.append(
             f"{base} cut {_place(run, stop)}, {start - stop} samples ({run.t[start] - run.t[stop]:.3g} s) left out, "
             f"{len(run) - start} samples for {second}"
@@ -79,16 +87,28 @@ def _forgetful(run: Experiment) -> Experiment:
     assert past is not None
     longest, most = PAST[run.split]
     n = min(int(np.sum(past.t >= run.t[0] - longest)), most)
-    return replace(run, past=past.piece(len(past) - n, len(past), name=past.name, split=past.split)) if n < len(past) else run
+    return (
+        replace(run, past=past.piece(len(past) - n, len(past), name=past.name, split=past.split))
+        if n < len(past)
+        else run
+    )
 
 
 def _place(run: Experiment, stop: int) -> str:
     """Where a run is cut; of clocks that count from 1970 or from when a machine was switched on nobody wants to read."""
-    return f"at {run.t[stop]:.6g} s" if abs(run.t[0]) < LATE else f"{run.t[stop] - run.t[0]:.6g} s after its start"
+    return (
+        f"at {run.t[stop]:.6g} s"
+        if abs(run.t[0]) < LATE
+        else f"{run.t[stop] - run.t[0]:.6g} s after its start"
+    )
 
 
 def _after_guard(run: Experiment, stop: int) -> int:
     """The first sample behind a guard gap of 20 samples or 0.1 s, whichever is longer; a fast record is over so soon that a third
     of what is left has to do."""
     by_time = int(np.searchsorted(run.t, run.t[stop] + GUARD_S, side="left"))
-    return min(max(stop + GUARD_SAMPLES, by_time), max(stop + GUARD_SAMPLES, stop + (len(run) - stop) // 3), len(run))
+    return min(
+        max(stop + GUARD_SAMPLES, by_time),
+        max(stop + GUARD_SAMPLES, stop + (len(run) - stop) // 3),
+        len(run),
+    )

@@ -64,12 +64,16 @@ class Table:
         numbers = self.twice[str(column)]
         which = " and ".join(map(str, numbers))
         message = f"column {column!r} stands twice (columns {which}, which differ)"
-        return Problem(self.file, 1, str(column), message, f"Name one by its number: column = {numbers[0]}")
+        return Problem(
+            self.file, 1, str(column), message, f"Name one by its number: column = {numbers[0]}"
+        )
 
     def missing(self, column: str | int, role: str) -> Problem:
         if isinstance(column, int):
             message = f"there is no column {column} for {role}: the file has {len(self.columns)}"
-            return Problem(self.file, None if self.rows is None else 1, None, message, "Columns count from 1")
+            return Problem(
+                self.file, None if self.rows is None else 1, None, message, "Columns count from 1"
+            )
         return Problem(
             self.file,
             None if self.rows is None else 1,
@@ -116,7 +120,11 @@ def _cell(text: Any) -> tuple[float, str | None]:
     if "inf" in word.lower():
         return np.nan, "infinite"
     shown = word if len(word) <= 40 else word[:37] + "..."
-    hint = ", a decimal comma" if word.count(",") == 1 and word.replace(",", "", 1).lstrip("+-").isdigit() else ""
+    hint = (
+        ", a decimal comma"
+        if word.count(",") == 1 and word.replace(",", "", 1).lstrip("+-").isdigit()
+        else ""
+    )
     return np.nan, f"not a number: {shown!r}{hint}"
 
 
@@ -131,7 +139,9 @@ def _as_numbers(cells: Any) -> Numbers:
             values[bad] = np.nan
         return Numbers(values, faults)
     if array is not None and array.dtype.kind in "Mm":
-        return Numbers(np.full(len(array), np.nan), {i: "a date, not a number" for i in range(len(array))})
+        return Numbers(
+            np.full(len(array), np.nan), {i: "a date, not a number" for i in range(len(array))}
+        )
     cells = list(cells)
     try:
         if any("_" in c for c in cells):
@@ -142,7 +152,9 @@ def _as_numbers(cells: Any) -> Numbers:
     except (ValueError, TypeError):
         pass
     pairs = [_cell(c) for c in cells]
-    return Numbers(np.array([v for v, _ in pairs], dtype=float), {i: w for i, (_, w) in enumerate(pairs) if w})
+    return Numbers(
+        np.array([v for v, _ in pairs], dtype=float), {i: w for i, (_, w) in enumerate(pairs) if w}
+    )
 
 
 def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
@@ -153,7 +165,13 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
         array = np.asarray(values)
         if array.ndim != 1:
             problems.append(
-                Problem(name, None, column, f"an array of shape {array.shape}", "Give one number a sample: shape [time]")
+                Problem(
+                    name,
+                    None,
+                    column,
+                    f"an array of shape {array.shape}",
+                    "Give one number a sample: shape [time]",
+                )
             )
         elif array.dtype.kind == "c":
             problems.append(Problem(name, None, column, "complex numbers", "Give real numbers"))
@@ -164,7 +182,13 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
     for column, length in lengths.items():
         if first is not None and length != lengths[first]:
             problems.append(
-                Problem(name, None, column, f"{length} samples, but {first!r} has {lengths[first]}", "Give equal lengths")
+                Problem(
+                    name,
+                    None,
+                    column,
+                    f"{length} samples, but {first!r} has {lengths[first]}",
+                    "Give equal lengths",
+                )
             )
     if problems:
         return Table(name, {}, 0, problems=problems)
@@ -178,7 +202,9 @@ def read_table(path: Path, file: str, content: bytes, *, numbered: bool = False)
     return _read_csv(file, content, numbered)
 
 
-def _broken(file: str, row: int | None, message: str, remedy: str, column: str | None = None) -> Table:
+def _broken(
+    file: str, row: int | None, message: str, remedy: str, column: str | None = None
+) -> Table:
     return Table(file, {}, 0, problems=[Problem(file, row, column, message, remedy)])
 
 
@@ -191,8 +217,12 @@ def _read_parquet(file: str, content: bytes) -> Table:
     try:
         whole = pq.ParquetFile(pa.BufferReader(content))  # without threads, see `_owned_by_arrow`
         names, rows = whole.schema_arrow.names, whole.metadata.num_rows
-        if len(set(names)) == whole.metadata.num_columns and not any("." in n for n in names):  # one at a time, for memory's sake
-            read = [_arrow_column(whole.read(columns=[n], use_threads=False).column(0)) for n in names]
+        if len(set(names)) == whole.metadata.num_columns and not any(
+            "." in n for n in names
+        ):  # one at a time, for memory's sake
+            read = [
+                _arrow_column(whole.read(columns=[n], use_threads=False).column(0)) for n in names
+            ]
         else:
             table = whole.read(use_threads=False)
             read = [_arrow_column(table.column(i)) for i in range(table.num_columns)]
@@ -200,8 +230,12 @@ def _read_parquet(file: str, content: bytes) -> Table:
         columns = with_list_elements(named)
         pa.default_memory_pool().release_unused()
     except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
-        reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
-        return _broken(file, None, f"not readable as Parquet ({reason})", "Write the file again, or give CSV")
+        reason = (
+            str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
+        )
+        return _broken(
+            file, None, f"not readable as Parquet ({reason})", "Write the file again, or give CSV"
+        )
     if rows == 0:
         return _broken(file, 1, "a header without samples", "Give at least 20 samples")
     return Table(file, columns, rows, np.arange(rows) + 2, twice=twice)
@@ -212,12 +246,16 @@ def _arrow_column(column: Any) -> Any:
 
     kind = column.type
     if pa.types.is_integer(kind) and not column.null_count and column.num_chunks:
-        return np.concatenate([np.from_dlpack(part) for part in column.chunks])  # exact: a clock in ns does not fit a float
+        return np.concatenate(
+            [np.from_dlpack(part) for part in column.chunks]
+        )  # exact: a clock in ns does not fit a float
     if pa.types.is_integer(kind) or pa.types.is_floating(kind):
         column = column.cast(pa.float64(), safe=False)
         if column.null_count or not column.num_chunks:
             return column.to_numpy()
-        return np.concatenate([np.from_dlpack(part) for part in column.chunks])  # `to_numpy` imports pandas, 0.2 s
+        return np.concatenate(
+            [np.from_dlpack(part) for part in column.chunks]
+        )  # `to_numpy` imports pandas, 0.2 s
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         return np.asarray(column.cast(pa.int64()).to_pylist()).astype(
             f"{'M' if pa.types.is_timestamp(kind) else 'm'}8[{kind.unit}]"
@@ -227,13 +265,20 @@ def _arrow_column(column: Any) -> Any:
 
 def _read_csv(file: str, content: bytes, numbered: bool = False) -> Table:
     if not content.strip():
-        return _broken(file, None, "the file is empty", "Write a header row of channel names and one row a sample")
+        return _broken(
+            file,
+            None,
+            "the file is empty",
+            "Write a header row of channel names and one row a sample",
+        )
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return _broken(file, 1, "the text is UTF-16", "Save the file as UTF-8")
     nul = content.find(b"\0")
     if nul >= 0:
         row = content.count(b"\n", 0, nul) + 1
-        return _broken(file, row, "binary data, not text", "Give CSV as text, or name a Parquet file .parquet")
+        return _broken(
+            file, row, "binary data, not text", "Give CSV as text, or name a Parquet file .parquet"
+        )
     if (numbers := _read_numbers(file, content)) is not None:
         return numbers
     try:
@@ -249,11 +294,20 @@ def _read_csv(file: str, content: bytes, numbered: bool = False) -> Table:
             lines.append(fields)
             rows.append(reader.line_num)
     except csv.Error as error:
-        return _broken(file, reader.line_num, f"not readable as CSV ({error})", "Check the quotes in and before this row")
+        return _broken(
+            file,
+            reader.line_num,
+            f"not readable as CSV ({error})",
+            "Check the quotes in and before this row",
+        )
     while lines and not any(f.strip() for f in lines[-1]):
         lines.pop()
         rows.pop()
-    if numbered and all(_cell(cell)[1] is None for cell in lines[0] if cell.strip()) and any(c.strip() for c in lines[0]):
+    if (
+        numbered
+        and all(_cell(cell)[1] is None for cell in lines[0] if cell.strip())
+        and any(c.strip() for c in lines[0])
+    ):
         return csv_columns(file, [str(k + 1) for k in range(len(lines[0]))], lines, rows)
     header = [name.strip() for name in lines[0]]
     fault = _header_fault(file, header, lines[1:])
@@ -272,7 +326,9 @@ def _read_numbers(file: str, content: bytes) -> Table | None:
     head = content[: max(end, 0)]
     if end < 0 or content.find(b'"', end) >= 0 or not head.isascii():
         return None
-    names = [n.strip() for n in next(csv.reader([head.decode().strip()], skipinitialspace=True), [])]
+    names = [
+        n.strip() for n in next(csv.reader([head.decode().strip()], skipinitialspace=True), [])
+    ]
     if not all(names) or len(set(names)) < len(names) or all(_cell(n)[1] is None for n in names):
         return None
     owned = _owned_by_arrow(content)
@@ -306,10 +362,16 @@ def _owned_by_arrow(content: bytes) -> Any:
     return buffer
 
 
-def _header_fault(file: str, header: Sequence[str], lines: Sequence[Sequence[str]]) -> Problem | None:
+def _header_fault(
+    file: str, header: Sequence[str], lines: Sequence[Sequence[str]]
+) -> Problem | None:
     for sign, word in ((";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and sign in header[0]:
-            comma = " and decimal commas" if any("," in c for fields in lines[:3] for c in [",".join(fields)]) else ""
+            comma = (
+                " and decimal commas"
+                if any("," in c for fields in lines[:3] for c in [",".join(fields)])
+                else ""
+            )
             return Problem(
                 file,
                 1,
@@ -318,7 +380,9 @@ def _header_fault(file: str, header: Sequence[str], lines: Sequence[Sequence[str
                 "`jaxid import csv` reads it as it is; or save it with commas between columns and decimal points",
             )
     if not any(header):
-        return Problem(file, 1, None, "the first row is empty", "Let the first row name the columns")
+        return Problem(
+            file, 1, None, "the first row is empty", "Let the first row name the columns"
+        )
     if all(_cell(name)[1] is None for name in header):
         remedy = "Let the first row name the columns, or name them by number: time = 1, and column = 2 for a channel"
         return Problem(file, 1, None, "the first row holds numbers, not names", remedy)
@@ -327,7 +391,9 @@ def _header_fault(file: str, header: Sequence[str], lines: Sequence[Sequence[str
     return None
 
 
-def csv_columns(file: str, header: Sequence[str], lines: Sequence[list[str]], rows: Sequence[int]) -> Table:
+def csv_columns(
+    file: str, header: Sequence[str], lines: Sequence[list[str]], rows: Sequence[int]
+) -> Table:
     """The table of rows of text; a row with another count of fields is a sample whose cells are missing."""
     width = len(header)
     kept, ragged = [], {}
@@ -340,8 +406,13 @@ def csv_columns(file: str, header: Sequence[str], lines: Sequence[list[str]], ro
         kept.append(fields)
     if len(ragged) == len(kept):
         return Table(file, {}, 0, problems=[ragged_rows(file, list(rows), ragged, width)])
-    named, twice = distinct([name or str(k + 1) for k, name in enumerate(header)], [list(c) for c in zip(*kept, strict=True)])
-    return Table(file, with_list_elements(named), len(kept), np.array(rows), ragged=ragged, twice=twice)
+    named, twice = distinct(
+        [name or str(k + 1) for k, name in enumerate(header)],
+        [list(c) for c in zip(*kept, strict=True)],
+    )
+    return Table(
+        file, with_list_elements(named), len(kept), np.array(rows), ragged=ragged, twice=twice
+    )
 
 
 def ragged_rows(file: str, rows: Sequence[int], ragged: Mapping[int, int], width: int) -> Problem:
@@ -354,7 +425,9 @@ def ragged_rows(file: str, rows: Sequence[int], ragged: Mapping[int, int], width
     return Problem(file, rows[sample], None, what + more, remedy)
 
 
-def distinct(names: Sequence[str], columns: Sequence[Any]) -> tuple[dict[str, Any], dict[str, list[int]]]:
+def distinct(
+    names: Sequence[str], columns: Sequence[Any]
+) -> tuple[dict[str, Any], dict[str, list[int]]]:
     """Columns by name, and which names stand over several columns that differ (with their numbers); each keeps its place."""
     out: dict[str, Any] = {}
     places: dict[str, list[int]] = {}
@@ -362,4 +435,8 @@ def distinct(names: Sequence[str], columns: Sequence[Any]) -> tuple[dict[str, An
         places.setdefault(name, []).append(k + 1)
         out[name if len(places[name]) == 1 else f"{name} (column {k + 1})"] = column
     equal = lambda a, b: list(columns[a - 1]) == list(columns[b - 1])
-    return out, {name: at for name, at in places.items() if len(at) > 1 and not all(equal(at[0], k) for k in at[1:])}
+    return out, {
+        name: at
+        for name, at in places.items()
+        if len(at) > 1 and not all(equal(at[0], k) for k in at[1:])
+    }

@@ -13,7 +13,9 @@ PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 LONGEST_STEP, SHORTEST_STEP = 1.0, 1e-6  # s, of recordings whose unit of time nobody stated
 EPOCH, LATEST = 1e8, 1e10  # s: a clock, not a stopwatch; none counts further (the year 2286)
 #: A time of day, after a date or alone: `12:03:04.5`, `01.03.2024 12:03:04,5`, `3/1/2024 12:03:04`.
-CLOCK = re.compile(r"(?:(\d{1,4}[./-]\d{1,2}[./-]\d{1,4})[ T]+)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
+CLOCK = re.compile(
+    r"(?:(\d{1,4}[./-]\d{1,2}[./-]\d{1,4})[ T]+)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)"
+)
 
 
 def seconds(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarray, str]:
@@ -24,7 +26,9 @@ def seconds(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarr
     t, start = since_start(cells, numbers, unit)
     if start is None:
         counted = len(t) > 0 and np.isfinite(t).any() and not np.isfinite(numbers).any()
-        return t, "the time is a duration" if counted or getattr(getattr(cells, "dtype", None), "kind", "") == "m" else ""
+        return t, "the time is a duration" if counted or getattr(
+            getattr(cells, "dtype", None), "kind", ""
+        ) == "m" else ""
     return t, f"time counts from the first sample, {_when(np.datetime64(start, 'ns'))}"
 
 
@@ -57,7 +61,10 @@ def impossible(t: np.ndarray, recorded: str = "t") -> tuple[str, str] | None:
     median, size = float(np.median(step)), float(np.min(np.abs(t)))
     if size > EPOCH:
         unit = next((u for u, n in PER_SECOND.items() if size / n < 1e10), "ns")
-        return f"{size:.6g} is a clock that counts from 1970", f'Say what it counts: time_unit = "{unit}"'
+        return (
+            f"{size:.6g} is a clock that counts from 1970",
+            f'Say what it counts: time_unit = "{unit}"',
+        )
     if median > LONGEST_STEP:
         unit = next((u for u in ("ms", "us", "ns") if median / PER_SECOND[u] <= 0.5), "ns")
         why = f'is {recorded} in {unit}? say time_unit = "{unit}"'
@@ -114,9 +121,15 @@ def _clock(cells: Any) -> np.ndarray:
         raise ValueError("not a time of day")
     days = [m[1] or "" for m in found if m]
     first = _day(days[0]) if len(set(days)) > 1 else None
-    whole = [0 if first is None else int((_day(d) - first).astype("timedelta64[D]").astype(int)) for d in days]
+    whole = [
+        0 if first is None else int((_day(d) - first).astype("timedelta64[D]").astype(int))
+        for d in days
+    ]
     clock = [3600 * int(m[2]) + 60 * int(m[3]) + float(m[4].replace(",", ".")) for m in found if m]
-    return np.array([round(1e9 * c) + 86_400_000_000_000 * d for c, d in zip(clock, whole, strict=True)], "timedelta64[ns]")
+    return np.array(
+        [round(1e9 * c) + 86_400_000_000_000 * d for c, d in zip(clock, whole, strict=True)],
+        "timedelta64[ns]",
+    )
 
 
 def _day(text: str) -> np.datetime64:

@@ -43,21 +43,34 @@ class Stamps:
 def scattered_stamps(dataset: Dataset, noise: Mapping[str, Noise]) -> dict[str, Stamps]:
     """Output channel -> its time stamps, for those whose stamps scatter visibly. Report runs are not looked at."""
     runs = [e for e in dataset.experiments if e.split != "report" and len(e) >= FEWEST]
-    found = {c.name: _stamps(runs, k, noise[c.name].std, c.name) for k, c in enumerate(dataset.outputs)} if runs else {}
+    found = (
+        {c.name: _stamps(runs, k, noise[c.name].std, c.name) for k, c in enumerate(dataset.outputs)}
+        if runs
+        else {}
+    )
     return {name: stamps for name, stamps in found.items() if stamps is not None}
 
 
-def with_scatter(dataset: Dataset, stamps: Mapping[str, Stamps], noise: Mapping[str, Noise]) -> Dataset:
+def with_scatter(
+    dataset: Dataset, stamps: Mapping[str, Stamps], noise: Mapping[str, Noise]
+) -> Dataset:
     """The dataset whose readings scatter as their time stamps make them."""
-    spreads = [(stamps[c.name].spread if c.name in stamps else 0.0, noise[c.name].std) for c in dataset.outputs]
-    scatter = lambda e: np.stack([s * _speed(e.t, y, n) if s else 0 * y for (s, n), y in zip(spreads, e.y.T, strict=True)], 1)
+    spreads = [
+        (stamps[c.name].spread if c.name in stamps else 0.0, noise[c.name].std)
+        for c in dataset.outputs
+    ]
+    scatter = lambda e: np.stack(
+        [s * _speed(e.t, y, n) if s else 0 * y for (s, n), y in zip(spreads, e.y.T, strict=True)], 1
+    )
     with_own = lambda e: replace(e, scatter=scatter(e), past=with_own(e.past) if e.past else None)
     return replace(dataset, experiments=tuple(with_own(e) for e in dataset.experiments))
 
 
 def _speed(t: np.ndarray, y: np.ndarray, noise: float) -> np.ndarray:
     """Magnitude of a noisy signal's rate [time]."""
-    white = max(noise, float(np.sqrt(np.mean(differences(t, y, 5)[0] ** 2)))) if len(t) > 20 else noise
+    white = (
+        max(noise, float(np.sqrt(np.mean(differences(t, y, 5)[0] ** 2)))) if len(t) > 20 else noise
+    )
     return np.abs(differentiate(t, y, content_cutoff(t, y, white))[1])
 
 
@@ -66,9 +79,13 @@ def differences(t: np.ndarray, y: np.ndarray, order: int) -> tuple[np.ndarray, n
     in it [time - order, order + 1]: of unit norm, so that white noise keeps its variance."""
     step = np.diff(t)
     even = np.ptp(step) < EVEN * np.median(step)
-    at = np.lib.stride_tricks.sliding_window_view((t - t[0]) / np.median(step), order + 1)[: 1 if even else None]
+    at = np.lib.stride_tricks.sliding_window_view((t - t[0]) / np.median(step), order + 1)[
+        : 1 if even else None
+    ]
     weights = 1 / np.prod(at[:, :, None] - at[:, None, :] + np.eye(order + 1), axis=2)
-    weights = np.broadcast_to(weights / np.linalg.norm(weights, axis=1, keepdims=True), (len(t) - order, order + 1))
+    weights = np.broadcast_to(
+        weights / np.linalg.norm(weights, axis=1, keepdims=True), (len(t) - order, order + 1)
+    )
     return np.sum(weights * np.lib.stride_tricks.sliding_window_view(y, order + 1), 1), weights
 
 
@@ -81,7 +98,11 @@ def _stamps(runs: Sequence[Experiment], column: int, noise: float, name: str) ->
     if abs(first - second) > ALIKE * first:
         return None
     noise_text = f"its noise grows with speed and is {np.sqrt(1 + share):.3g} times that at standstill in root mean square"
-    return Stamps(first, std, f"time stamps of {name} scatter by {1e3 * first:.3g} +- {1e3 * std:.2g} ms: {noise_text}")
+    return Stamps(
+        first,
+        std,
+        f"time stamps of {name} scatter by {1e3 * first:.3g} +- {1e3 * std:.2g} ms: {noise_text}",
+    )
 
 
 def _by_differences(
@@ -97,27 +118,37 @@ def _by_differences(
         q, rate, bend = differentiate(e.t, y, cutoff)[:3]
         ends = filter_ends(e.t, cutoff)
         inside = slice(ends, len(d) - ends)
-        seen = lambda x, w=weights: np.sum(w**2 * np.lib.stride_tricks.sliding_window_view(x, order + 1), 1)
+        seen = lambda x, w=weights: np.sum(
+            w**2 * np.lib.stride_tricks.sliding_window_view(x, order + 1), 1
+        )
         causes = (rate**2, np.abs(rate), (q - q.mean()) ** 2, bend**2, e.t - e.t[0])
         parts.append(tuple(x[inside] for x in (d**2, *(seen(c) for c in causes))))
     square, *causes = (np.concatenate(x) for x in zip(*parts, strict=True))
     if square.size < FEWEST or not square.any():
         return None
     # Differences that overlap remember each other.
-    memory = 1 + 2 * sum((comb(2 * order, order + k) / comb(2 * order, order)) ** 2 for k in range(1, order + 1))
-    (slope, std, likelihood, moment), speed, *others = [_variance(square, c, memory) for c in causes]
+    memory = 1 + 2 * sum(
+        (comb(2 * order, order + k) / comb(2 * order, order)) ** 2 for k in range(1, order + 1)
+    )
+    (slope, std, likelihood, moment), speed, *others = [
+        _variance(square, c, memory) for c in causes
+    ]
     added = slope * float(causes[0].mean())
     step = quantisation_step([e.y[:, column] for e in runs])
     fast = slope * float(np.percentile(causes[0], 95))
     likely = likelihood > max(speed[2] - LOSE, max(o[2] for o in others) + BETTER)
     visible = added > SEEN * noise**2 and (step is None or fast > STEPS * step**2 / 12)
-    if not (slope > sure * std and likely and visible and MOMENTS[order][0] < moment < MOMENTS[order][1]):
+    if not (
+        slope > sure * std and likely and visible and MOMENTS[order][0] < moment < MOMENTS[order][1]
+    ):
         return None
     spread = float(np.sqrt(slope))
     return spread, std / (2 * spread), added / noise**2
 
 
-def _variance(square: np.ndarray, cause: np.ndarray, memory: float) -> tuple[float, float, float, float]:
+def _variance(
+    square: np.ndarray, cause: np.ndarray, memory: float
+) -> tuple[float, float, float, float]:
     """Squares of normal numbers whose variance is a line over a cause: its slope, the slope's standard deviation, the
     log-likelihood, and the fourth moment of the standardised numbers."""
     size = max(float(cause.mean()), 1e-300)

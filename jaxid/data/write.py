@@ -17,7 +17,11 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
     """Runs are `run_1`, `run_2` …, frequency responses `response_1` … in the order of the dataset."""
     import tomlkit
 
-    flagged = {c.name for i, c in enumerate(dataset.outputs) if any(not e.read[:, i].all() for e in dataset.experiments)}
+    flagged = {
+        c.name
+        for i, c in enumerate(dataset.outputs)
+        if any(not e.read[:, i].all() for e in dataset.experiments)
+    }
     description = _header(dataset, flagged)
     entries = []
     for number, run in enumerate(dataset.experiments, 1):
@@ -25,19 +29,29 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
         columns = {"t": run.t}
         columns |= {c.name: run.u[:, i] for i, c in enumerate(dataset.inputs)}
         columns |= {c.name: run.y[:, i] for i, c in enumerate(dataset.outputs)}
-        flags = {_flag(c.name): run.read[:, i].astype(int) for i, c in enumerate(dataset.outputs) if c.name in flagged}
+        flags = {
+            _flag(c.name): run.read[:, i].astype(int)
+            for i, c in enumerate(dataset.outputs)
+            if c.name in flagged
+        }
         _write_table(folder / file, columns | run.auxiliary | flags, format)
         entry = {"file": file, "name": run.name, "split": run.split}
         # The gaps of a loaded run are within the limit already; those of arrays were checked as well.
         entry |= {"at_rest": True} if run.at_rest else {}
-        entry |= {"initial_window_s": run.initial_window_s} if run.initial_window_s is not None else {}
+        entry |= (
+            {"initial_window_s": run.initial_window_s} if run.initial_window_s is not None else {}
+        )
         entry |= {"initial": run.initial} if run.initial is not None else {}
         entry |= {"constants": run.constants} if run.constants else {}
         entry |= {"repeat_of": run.repeat_of} if run.repeat_of is not None else {}
         entries.append(entry)
     for number, response in enumerate(dataset.responses, 1):
         file = f"response_{number}.{format}"
-        parts = {"omega": response.omega, "re": np.real(response.response), "im": np.imag(response.response)}
+        parts = {
+            "omega": response.omega,
+            "re": np.real(response.response),
+            "im": np.imag(response.response),
+        }
         _write_table(folder / file, parts, format)
         about = {"kind": "frequency_response", "input": response.input, "output": response.output}
         entries.append({"file": file, "name": response.name, "split": response.split, **about})
@@ -68,17 +82,25 @@ def _header(dataset: Dataset, flagged: set[str]) -> dict[str, Any]:
         model = dataset.model
         entry: dict[str, Any] = {"name": model.name} if model.name is not None else {}
         if (own := parts_of(model.file or "")) is not None:
-            entry = {"file": Path(own[0]).name, "name": own[1]} if own[1] else {"file": Path(own[0]).name}
+            entry = (
+                {"file": Path(own[0]).name, "name": own[1]}
+                if own[1]
+                else {"file": Path(own[0]).name}
+            )
         entry |= {"free": True} if model.free else {}
         entry |= {"without": list(model.without)} if model.without else {}
         entry |= {"constants": dict(model.constants)} if model.constants else {}
         if model.parameters:
-            entry["parameters"] = {name: _stated(prior.__dict__) for name, prior in model.parameters.items()}
+            entry["parameters"] = {
+                name: _stated(prior.__dict__) for name, prior in model.parameters.items()
+            }
         if (links := model.geometry) is not None and links.urdf:
             entry |= {"urdf": "arm.urdf"} | _stated({"tip": links.tip, "root": links.root})
         elif links is not None and links.robot:
             del entry["name"]
-            entry |= {"robot": robot_file(links)} | ({"tip": links.tip} if links.tip is not None else {})
+            entry |= {"robot": robot_file(links)} | (
+                {"tip": links.tip} if links.tip is not None else {}
+            )
             entry |= {"base": dict(model.base)} if model.base else {}
         elif links is not None:
             entry["dh"] = {"convention": links.convention, **links.columns}
@@ -118,7 +140,9 @@ def _write_table(path: Path, columns: dict[str, np.ndarray], format: str) -> Non
         with path.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.writer(stream, lineterminator="\n")
             writer.writerow(columns)
-            writer.writerows(zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True))
+            writer.writerows(
+                zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True)
+            )
         return
     import pyarrow as pa
     import pyarrow.parquet as pq

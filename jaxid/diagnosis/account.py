@@ -22,21 +22,35 @@ from jaxid.problem.residual import OutputError, Residual
 from jaxid.wording import number, percent
 
 
-def effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate]) -> tuple[EffectEstimate, ...]:
+def effect_estimates(
+    binding: Binding, h: Hypothesis, named: Sequence[Candidate]
+) -> tuple[EffectEstimate, ...]:
     """The numbers of the named effects with their standard deviations."""
     if not named:
         return ()
     found = estimates(binding, h.path.problem, h.path.z, h.covariance)
     return tuple(
-        EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}) for c in named
+        EffectEstimate(
+            c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}
+        )
+        for c in named
     )
 
 
-def fit_of(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_time: float, wall_time: float) -> Fit:
+def fit_of(
+    bench: Bench,
+    h: Hypothesis,
+    residual: Residual,
+    seed: int,
+    compile_time: float,
+    wall_time: float,
+) -> Fit:
     """A hypothesis as a fit."""
     problem = h.path.problem
     minimum = Minimum(h.path.z, h.fit_loss, h.path.converged, h.path.stopped, h.path.linearisations)
-    return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time, known=h.covariance)
+    return assemble(
+        bench, problem, minimum, residual, "lm", seed, compile_time, wall_time, known=h.covariance
+    )
 
 
 def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
@@ -46,7 +60,14 @@ def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
     return estimate_starts(bench, "fit", [h.theta])[0]
 
 
-def where_it_lies(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, named: Sequence[EffectEstimate], seed: int):
+def where_it_lies(
+    bench: Bench,
+    nominal: Hypothesis,
+    final: Hypothesis,
+    verdict: str,
+    named: Sequence[EffectEstimate],
+    seed: int,
+):
     """Findings, pictures and regime table; no finding where there is no gap."""
     starts = _starts(bench, nominal)
     joints = bench.binding.chain.signature.joints
@@ -89,12 +110,16 @@ def ranked(search: Search) -> list[Ranked]:
         last: Candidate = h.effects[-1]
         gap = float(np.sqrt(max(h.validation.loss, 0.0)))
         evidence = worth(h.validation, nominal.validation, inflation(h.validation))
-        beside = f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
+        beside = (
+            f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
+        )
         share = shrinking.closed(nominal.validation.loss, h.validation.loss)
         words = "closes nothing of the gap" if not share else f"closes {percent(share)} of the gap"
         sentence = f"{last}{beside}: {words} on validation data"
         others = tuple(str(c) for c in h.effects[:-1])
-        out.append(Ranked(last.effect, last.location, gap, float(h.bic), float(evidence), sentence, others))
+        out.append(
+            Ranked(last.effect, last.location, gap, float(h.bic), float(evidence), sentence, others)
+        )
     return out
 
 
@@ -113,11 +138,15 @@ def traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothe
         else:
             starts = estimate_starts(bench, split, thetas)
         series = windows or free_runs(bench, split, thetas, starts)
-        out += make_traces(bench.binding, split, dict(zip(labels, series, strict=True)), bool(windows))
+        out += make_traces(
+            bench.binding, split, dict(zip(labels, series, strict=True)), bool(windows)
+        )
     return tuple(out)
 
 
-def _by_windows(bench: Bench, residual: Residual, split: str, hypotheses: Sequence[Hypothesis]) -> list[list[np.ndarray]]:
+def _by_windows(
+    bench: Bench, residual: Residual, split: str, hypotheses: Sequence[Hypothesis]
+) -> list[list[np.ndarray]]:
     """What each hypothesis simulates of the runs of a split, window by window; empty where models are compared otherwise, or a
     run is not covered."""
     if not residual.windows:

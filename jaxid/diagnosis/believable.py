@@ -13,12 +13,16 @@ from jaxid.fitting.result import Covariance, EffectEstimate, Estimate
 from jaxid.wording import listed, number
 
 
-def doubts(effects: Sequence[EffectEstimate], covariance: Covariance | None = None) -> dict[str, str]:
+def doubts(
+    effects: Sequence[EffectEstimate], covariance: Covariance | None = None
+) -> dict[str, str]:
     """Effect at its place -> what speaks against it as it was estimated, in words; `covariance` of all fitted numbers."""
     return {str(e): why for e in effects if (why := _doubt(e, covariance))}
 
 
-def beside_bounds(effects: Sequence[EffectEstimate], own: Mapping[str, Estimate], stated: Container[str]) -> dict[str, str]:
+def beside_bounds(
+    effects: Sequence[EffectEstimate], own: Mapping[str, Estimate], stated: Container[str]
+) -> dict[str, str]:
     """The same for all effects, where numbers of the model's `own` were pushed to bounds that nobody `stated`: an effect may
     stand in for what such a number was not let be. Where a number cannot be negative, 0 is no bound but nothing."""
     pushed = [
@@ -26,17 +30,26 @@ def beside_bounds(effects: Sequence[EffectEstimate], own: Mapping[str, Estimate]
         for name, e in own.items()
         if e.at_bound and name not in stated and (e.lower < 0 or 2 * e.value > e.lower + e.upper)
     ]
-    why = f"{listed(pushed)}, and an effect may stand in for what it was not let be" if pushed else ""
+    why = (
+        f"{listed(pushed)}, and an effect may stand in for what it was not let be" if pushed else ""
+    )
     return {str(e): why for e in effects if why}
 
 
 def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:
     strengths = _strengths(effect)
-    if effect.effect == "torque_scale" and any(1 + p.value < LIMITS.switched_off for p in strengths.values()):
+    if effect.effect == "torque_scale" and any(
+        1 + p.value < LIMITS.switched_off for p in strengths.values()
+    ):
         return f"{effect} all but switches the drive off"
     known = {k: p for k, p in strengths.items() if p.std is not None and p.std > 0}
     apart = any(abs(p.value) >= 2 * p.std for p in known.values() if p.std is not None)
-    if known and len(known) == len(strengths) and not apart and not _together(effect, known, covariance):
+    if (
+        known
+        and len(known) == len(strengths)
+        and not apart
+        and not _together(effect, known, covariance)
+    ):
         return f"{effect} is within two standard deviations of doing nothing"
     for name, p in strengths.items():
         share = (p.lower, p.upper) == (0.0, 1.0)  # its end is where it is whole
@@ -45,7 +58,9 @@ def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:
     return ""
 
 
-def _together(effect: EffectEstimate, strengths: dict[str, Estimate], covariance: Covariance | None) -> bool:
+def _together(
+    effect: EffectEstimate, strengths: dict[str, Estimate], covariance: Covariance | None
+) -> bool:
     """Whether several numbers, none of them sure, are not all zero: a sine and a cosine of unknown phase. Together they are as
     far from it as two standard deviations are for one."""
     from scipy.stats import chi2
@@ -63,4 +78,8 @@ def _together(effect: EffectEstimate, strengths: dict[str, Estimate], covariance
 def _strengths(effect: EffectEstimate) -> dict[str, Estimate]:
     """The numbers without which an effect does nothing: those that are 0 then."""
     own = specs(catalogue.effect_class(effect.effect))
-    return {k: p for k, p in effect.parameters.items() if k in own and own[k].value == 0 and not own[k].log}
+    return {
+        k: p
+        for k, p in effect.parameters.items()
+        if k in own and own[k].value == 0 and not own[k].log
+    }

@@ -30,8 +30,15 @@ class Share:
     after: float
 
     def to_dict(self) -> dict[str, float | str | int]:
-        own = {"samples": self.samples, "gap_before": self.before, "gap_retuned": self.retuned, "gap_after": self.after}
-        return ({"regime": self.part, "joint": self.joint} if self.joint else {"experiment": self.part}) | own
+        own = {
+            "samples": self.samples,
+            "gap_before": self.before,
+            "gap_retuned": self.retuned,
+            "gap_after": self.after,
+        }
+        return (
+            {"regime": self.part, "joint": self.joint} if self.joint else {"experiment": self.part}
+        ) | own
 
 
 def by_run(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
@@ -39,14 +46,20 @@ def by_run(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, 
     names = [e.name for e in bench.binding.experiments(split)]
     if any(len(m.residual) != len(names) for m in models):
         return ()
-    return tuple(_share(name, "", [[m.residual[k]] for m in models]) for k, name in enumerate(names))
+    return tuple(
+        _share(name, "", [[m.residual[k]] for m in models]) for k, name in enumerate(names)
+    )
 
 
 def by_regime(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
     """Of the situations that the machine was in, joint by joint; none where joints are not measured or torques are compared."""
     b = bench.binding
     runs = b.experiments(split)
-    if not b.motions or b.chain.mechanism.hidden_states or any(e.name not in b.motions for e in runs):
+    if (
+        not b.motions
+        or b.chain.mechanism.hidden_states
+        or any(e.name not in b.motions for e in runs)
+    ):
         return ()
     keep = [scored(e, split) for e in runs]
     if any([len(r) for r in m.residual] != [int(np.sum(k)) for k in keep] for m in models):
@@ -61,7 +74,10 @@ def by_regime(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Shar
     for j, joint in enumerate(b.chain.signature.joints):
         masks = [regimes(m, j) for m in moved]
         for name in dict.fromkeys(n for mask in masks for n in mask):
-            own = [mask.get(name, np.zeros(len(k), bool))[k] for mask, k in zip(masks, keep, strict=True)]
+            own = [
+                mask.get(name, np.zeros(len(k), bool))[k]
+                for mask, k in zip(masks, keep, strict=True)
+            ]
             if sum(int(x.sum()) for x in own) >= SAMPLES:
                 parts = [[r[x] for r, x in zip(m.residual, own, strict=True)] for m in models]
                 out.append(_share(name, joint, parts))

@@ -20,7 +20,10 @@ class Amount:
     (`{order:period}`)."""
 
     def __init__(self, estimate: Estimate):
-        self.value, self.unit = estimate.value, "" if estimate.unit in ("", "1") else f" {estimate.unit}"
+        self.value, self.unit = (
+            estimate.value,
+            "" if estimate.unit in ("", "1") else f" {estimate.unit}",
+        )
         known = abs(estimate.value) / estimate.std if estimate.std and estimate.value else 100.0
         self.digits = int(np.clip(round(np.log10(known)) + 1, 1, 4)) if np.isfinite(known) else 3
 
@@ -52,4 +55,6 @@ def span(effect: EffectEstimate) -> tuple[float | None, float | None] | None:
         limits: Callable | None = getattr(catalogue.effect_class(effect.effect), "span", None)
     except ValueError:
         return None
-    return None if limits is None else limits({name: p.value for name, p in effect.parameters.items()})
+    return (
+        None if limits is None else limits({name: p.value for name, p in effect.parameters.items()})
+    )

@@ -11,7 +11,13 @@ from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
 from jaxid.diagnosis.jitter import Scatter
-from jaxid.diagnosis.reasons import CutShort, NextToTheNoise, ReportNotReached, StandsStill, WithinWhatIsKnown
+from jaxid.diagnosis.reasons import (
+    CutShort,
+    NextToTheNoise,
+    ReportNotReached,
+    StandsStill,
+    WithinWhatIsKnown,
+)
 from jaxid.diagnosis.result import HowFar
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import astray, Gaps, judge, upheld, Verdict
@@ -34,9 +40,20 @@ class Judge:
     stamps do."""
 
     def __init__(
-        self, bench: Bench, residual: Residual, search: Search, still: Sequence[str] = (), scatter: Scatter | None = None
+        self,
+        bench: Bench,
+        residual: Residual,
+        search: Search,
+        still: Sequence[str] = (),
+        scatter: Scatter | None = None,
     ):
-        self.bench, self.residual, self.search, self.still, self.scatter = bench, residual, search, tuple(still), scatter
+        self.bench, self.residual, self.search, self.still, self.scatter = (
+            bench,
+            residual,
+            search,
+            tuple(still),
+            scatter,
+        )
         self.nominal, self.end = search.settled or (search.nominal, search.chosen)
         self.alike = scatter.bench(bench) if scatter else bench
         self.before, self.note = shrinking.model_before(bench.binding, self.nominal.theta)
@@ -48,8 +65,14 @@ class Judge:
     def claim(self) -> Claim:
         """What is claimed by all sets of data."""
         # A zero of each run's own: what is compared has to be the outputs of free runs.
-        names = [n for n, _ in self.bench.binding.chain.signature.outputs] if self.residual.free_run else []
-        counted = np.array([self.bench.binding.noise[n].source == "quantisation" for n in names], bool)
+        names = (
+            [n for n, _ in self.bench.binding.chain.signature.outputs]
+            if self.residual.free_run
+            else []
+        )
+        counted = np.array(
+            [self.bench.binding.noise[n].source == "quantisation" for n in names], bool
+        )
         verdict, stamps = judge(self.search, counted), ()
         if self.search.cut_short:
             verdict = verdict.because(CutShort(bool(self.search.chosen.effects)))
@@ -57,10 +80,14 @@ class Judge:
             verdict, stamps = self.scatter.verdict(verdict), self.scatter.effects()
         if "validation" in self.still:
             return self._claim(Verdict("unknown", (StandsStill(self.still),)))
-        found = self._claim(verdict, (*stamps, *self.search.chosen.effects) if verdict.claims else ())
+        found = self._claim(
+            verdict, (*stamps, *self.search.chosen.effects) if verdict.claims else ()
+        )
         if self.reports and found.named:
             found = self._named_on_report(found)
-        return self._none_on_report(found) if self.reports and found.verdict.name == "none" else found
+        return (
+            self._none_on_report(found) if self.reports and found.verdict.name == "none" else found
+        )
 
     def _claim(self, verdict: Verdict, named: tuple[Candidate, ...] = ()) -> Claim:
         final = self.end if named else self.nominal
@@ -81,7 +108,9 @@ class Judge:
         """What the report data leave of a verdict that names effects."""
         judged, several = found.verdict, self.search.several
         # What is asked beside the model as it stands is compared with that: more numbers take up what one says.
-        other = found.how_far.gap_retuned if self.search.stands is None else found.how_far.gap_before
+        other = (
+            found.how_far.gap_retuned if self.search.stands is None else found.how_far.gap_before
+        )
         gaps = Gaps(found.how_far.gap_before, other, found.how_far.gap_after)
         verdict = upheld(judged, gaps, several)
         # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
@@ -106,7 +135,9 @@ class Judge:
         """Gaps on report data, where each model's numbers are known no better than the fit and validation data leave them."""
         told = [knowledge(h.path) for h in (self.nominal, final)]
         follow = [None, final.path if final.fit_loss <= LIMITS.white else None]
-        seen = held_out(self.bench, "report", [self.nominal.theta, final.theta], self.residual, told, follow)
+        seen = held_out(
+            self.bench, "report", [self.nominal.theta, final.theta], self.residual, told, follow
+        )
         return Gaps(gaps.before, *(float(np.sqrt(max(held.loss, 0.0))) for held in seen))
 
     def _none_on_report(self, found: Claim) -> Claim:
@@ -117,9 +148,16 @@ class Judge:
         # Scatter between repeated runs is taken up whole by a refit to report runs: that would show nothing.
         path = found.final.path
         within = held_out(
-            self.bench, "report", [found.final.theta], self.residual, [knowledge(path)], [None if self.repeated else path]
+            self.bench,
+            "report",
+            [found.final.theta],
+            self.residual,
+            [knowledge(path)],
+            [None if self.repeated else path],
         )[0]
-        places = astray(*shrinking.parts(self.bench, self.residual, "report", within), within.gap_settled)
+        places = astray(
+            *shrinking.parts(self.bench, self.residual, "report", within), within.gap_settled
+        )
         if not places and within.gap_settled <= LIMITS.seen:
             return found
         return self._claim(Verdict("unknown", (ReportNotReached(far.gap_retuned, tuple(places)),)))

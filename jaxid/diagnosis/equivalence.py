@@ -65,7 +65,9 @@ class Equivalences:
     classes: tuple[tuple[Place, ...], ...]
 
     def to_dict(self) -> dict[str, Any]:
-        plain = lambda places: [{"effect": p.effect, "location": p.location, "left": p.left} for p in places]
+        plain = lambda places: [
+            {"effect": p.effect, "location": p.location, "left": p.left} for p in places
+        ]
         return {
             "schema": 1, "kind": "equivalences", "model": self.model, "excitation": self.excitation,
             "absorbed": plain(self.absorbed), "invisible": plain(self.invisible),
@@ -73,12 +75,24 @@ class Equivalences:
         }  # fmt: skip
 
     def __str__(self) -> str:
-        lines = [f"{self.model}: {self.excitation}", "", "cannot be told apart (each line one class):"]
+        lines = [
+            f"{self.model}: {self.excitation}",
+            "",
+            "cannot be told apart (each line one class):",
+        ]
         lines += [f"  {', '.join(map(str, c))}" for c in self.classes] or ["  none"]
         lines += ["", "absorbed by the model's own parameters or its unknown start:"]
         lines += [f"  {p} ({100 * (1 - p.left):.1f} %)" for p in self.absorbed] or ["  none"]
-        lines += ["", "without any influence here:"] + ([f"  {p}" for p in self.invisible] or ["  none"])
-        return "\n".join([*lines, "", "Weak effects are alike more often, and a poor excitation makes more classes."])
+        lines += ["", "without any influence here:"] + (
+            [f"  {p}" for p in self.invisible] or ["  none"]
+        )
+        return "\n".join(
+            [
+                *lines,
+                "",
+                "Weak effects are alike more often, and a poor excitation makes more classes.",
+            ]
+        )
 
 
 def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
@@ -89,7 +103,11 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     """
     from jaxid import catalogue
 
-    owner = robot_from(model, getattr(model, "tip", None)) if is_file(model) else catalogue.model_class(model)()
+    owner = (
+        robot_from(model, getattr(model, "tip", None))
+        if is_file(model)
+        else catalogue.model_class(model)()
+    )
     chain = Chain(owner).without(*without)
     kinds = [catalogue.effect_class(n, owner) for n in first_asked() if n not in chain.contents]
     library = [k for k in kinds if chain.offers(k)]
@@ -112,7 +130,13 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
             thetas += [full, weak]
             owner.append(k)
     found = probe_residuals(p, z, thetas)
-    noise = 1e-7 * np.sqrt(base.size) * float(np.mean([part.w.max() for part in parts])) * float(np.max(binding.sigma)) * 1e3
+    noise = (
+        1e-7
+        * np.sqrt(base.size)
+        * float(np.mean([part.w.max() for part in parts]))
+        * float(np.max(binding.sigma))
+        * 1e3
+    )
     absorbed, invisible = [], []
     seen: dict[Place, tuple[np.ndarray, Candidate]] = {}
     for k, c in enumerate(pool):
@@ -136,11 +160,17 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
         else:
             seen[place] = np.array(tangents), c
     pairs = dict.fromkeys((*_parallel(seen), *_resembling(bench, seen)))
-    alike = {frozenset(pair) for pair in pairs if all(_explains(bench, p, z, *order) for order in _orders(seen, pair))}
+    alike = {
+        frozenset(pair)
+        for pair in pairs
+        if all(_explains(bench, p, z, *order) for order in _orders(seen, pair))
+    }
     return Equivalences(model, text, tuple(absorbed), tuple(invisible), _classes(list(seen), alike))
 
 
-def _under_goals(binding: Binding, library: Sequence[type[Effect]], model: str, text: str) -> Equivalences:
+def _under_goals(
+    binding: Binding, library: Sequence[type[Effect]], model: str, text: str
+) -> Equivalences:
     """Of a robot that goals drive."""
     left, alike, apart = alike_under_goals(binding, library)
     places = {key: Place(*key, share) for key, share in left.items()}
@@ -148,7 +178,11 @@ def _under_goals(binding: Binding, library: Sequence[type[Effect]], model: str, 
     absorbed = tuple(p for p in places.values() if p.left <= LIMITS.equivalent_goals)
     text += f"; to first order; not compared, for they have a motion of their own: {', '.join(apart) or 'none'}"
     return Equivalences(
-        model, text, absorbed, (), _classes([p for p in places.values() if p.left > LIMITS.equivalent_goals], pairs)
+        model,
+        text,
+        absorbed,
+        (),
+        _classes([p for p in places.values() if p.left > LIMITS.equivalent_goals], pairs),
     )
 
 
@@ -157,34 +191,50 @@ def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Pla
     out = []
     for first, second in itertools.combinations(seen, 2):
         a, b = seen[first][0], seen[second][0]
-        if a.size and b.size and min((c := np.abs(a @ b.T)).max(1).min(), c.max(0).min()) > LIMITS.parallel:
+        if (
+            a.size
+            and b.size
+            and min((c := np.abs(a @ b.T)).max(1).min(), c.max(0).min()) > LIMITS.parallel
+        ):
             out.append((first, second))
     return out
 
 
-def _resembling(bench: Bench, seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Place, Place]]:
+def _resembling(
+    bench: Bench, seen: dict[Place, tuple[np.ndarray, Candidate]]
+) -> list[tuple[Place, Place]]:
     """Pairs that say of themselves that they may be alike when they are strong."""
     others = {e.name: e.resembles for e in bench.binding.chain.effects}
     pairs = itertools.combinations(seen, 2)
     return [
-        (a, b) for a, b in pairs if a.location == b.location and (b.effect in others[a.effect] or a.effect in others[b.effect])
+        (a, b)
+        for a, b in pairs
+        if a.location == b.location
+        and (b.effect in others[a.effect] or a.effect in others[b.effect])
     ]
 
 
-def _orders(seen: dict[Place, tuple[np.ndarray, Candidate]], pair: tuple[Place, Place]) -> list[tuple[Candidate, Candidate]]:
+def _orders(
+    seen: dict[Place, tuple[np.ndarray, Candidate]], pair: tuple[Place, Place]
+) -> list[tuple[Candidate, Candidate]]:
     a, b = (seen[place][1] for place in pair)
     return [(a, b), (b, a)]
 
 
 def _explains(bench: Bench, p: Problem, z: np.ndarray, truth: Candidate, other: Candidate) -> bool:
     """Whether the model with one effect follows the recording that the other one makes."""
-    made = p.runs.engine.outputs(np.array([probes_of(bench, truth, p.theta(z))[-1]]), p.starts(z), np.array(p.records))[0]
+    made = p.runs.engine.outputs(
+        np.array([probes_of(bench, truth, p.theta(z))[-1]]), p.starts(z), np.array(p.records)
+    )[0]
     (number,) = p.records
     record = p.runs.record(number)
     targets = p.runs.targets.copy()
     targets[record.offset : record.offset + record.count] = made[: record.count]
     left = []
-    for free, starts in ((list(p.free), [p.theta(z)]), ([*p.free, *other.index], probes_of(bench, other, p.theta(z)))):
+    for free, starts in (
+        (list(p.free), [p.theta(z)]),
+        ([*p.free, *other.index], probes_of(bench, other, p.theta(z))),
+    ):
         problem = bench.problem(OutputError(), "fit", free, starts[0])
         problem.targets = targets
         (path,), _ = search([[(problem, problem.z(theta)) for theta in starts]], 25, 1e-10)
@@ -216,7 +266,10 @@ def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, 
     units = dict((*chain.signature.inputs, *chain.signature.outputs))
     shape = {}
     for name, unit in chain.signature.inputs:
-        sines = [np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(f) for f in rng.uniform(0.3, 8.0, 10)]
+        sines = [
+            np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(f)
+            for f in rng.uniform(0.3, 8.0, 10)
+        ]
         u = np.sum(sines, 0) / 2.5
         for _ in range(4):
             a = int(rng.integers(40, t.size - 120))
@@ -242,16 +295,22 @@ def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, 
         run = simulate_dataset(content, recorded(strength), owner).runs[0]
         y = {n: np.asarray(run[n]) for n, _ in chain.signature.outputs}
         spread = max(float(np.ptp(y[j])) for j in chain.signature.joints if j in y)
-        limit = max(limit, 1.2 * min(spread, 2 * np.pi)) if best is None else limit  # what falls by itself moves more
+        limit = (
+            max(limit, 1.2 * min(spread, 2 * np.pi)) if best is None else limit
+        )  # what falls by itself moves more
         if not np.isfinite(spread) or spread > limit:
             break
         best = strength, y, spread
     if best is None or best[2] < 1e-6:
-        raise UsageError(f"{model} has no moderate motion at its default parameters, so nothing can be compared")
+        raise UsageError(
+            f"{model} has no moderate motion at its default parameters, so nothing can be compared"
+        )
     law = getattr(owner, "drive_law", None)
     how = "open loop" if law is None else law.text
     text = f"sines of 0.3 to 8 Hz, steps and rests, {SECONDS:g} s at {RATE} Hz, travel {best[2]:.2g}, {how}, from rest"
-    moving = {n: v for n, v in best[1].items() if np.ptp(v)}  # what stands still by design has another signature without it
+    moving = {
+        n: v for n, v in best[1].items() if np.ptp(v)
+    }  # what stands still by design has another signature without it
     return recorded(best[0], moving), text
 
 
@@ -261,7 +320,14 @@ def _with_friction(binding: Binding) -> np.ndarray:
     for effect in binding.chain.effects:
         for place in binding.chain.places(effect):
             index = binding.layout.of_effect(effect.name, place)
-            friction = index and np.all(binding.lower[index] >= 0)  # an offset would start the run by itself
-            if friction and set(index) <= binding.nominal and effect.probes and not np.any(theta[index]):
+            friction = index and np.all(
+                binding.lower[index] >= 0
+            )  # an offset would start the run by itself
+            if (
+                friction
+                and set(index) <= binding.nominal
+                and effect.probes
+                and not np.any(theta[index])
+            ):
                 theta = probes(binding, effect, place, theta)[0]
     return theta

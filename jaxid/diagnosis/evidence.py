@@ -77,11 +77,15 @@ def held_out(
     start is fitted, and costs its degrees of freedom.
     """
     if residual is None or residual.free_run:
-        return _free(bench, split, thetas, known or [None] * len(thetas), follow or [None] * len(thetas))
+        return _free(
+            bench, split, thetas, known or [None] * len(thetas), follow or [None] * len(thetas)
+        )
     return _windows(bench, split, thetas, residual)
 
 
-def _windows(bench: Bench, split: str, thetas: Sequence[np.ndarray], residual: Residual) -> list[HeldOut]:
+def _windows(
+    bench: Bench, split: str, thetas: Sequence[np.ndarray], residual: Residual
+) -> list[HeldOut]:
     problems = [bench.problem(residual, split, [], theta) for theta in thetas]
     paths = descend([(p, p.z(t)) for p, t in zip(problems, thetas, strict=True)], 8, 1e-8)
     out: list[HeldOut] = [HeldOut([], [], 0.0, 0) for _ in thetas]
@@ -120,13 +124,22 @@ def _free(
         about = np.zeros((0, 0)) if (told := known[k]) is None else told[1]
         own = parts[k * per : (k + 1) * per]
         residual = [_finite(part.r[inside]) for part, inside in zip(own, keep, strict=True)]
-        slopes = [np.clip(np.nan_to_num(part.J[inside]), -1e12, 1e12) for part, inside in zip(own, keep, strict=True)]
+        slopes = [
+            np.clip(np.nan_to_num(part.J[inside]), -1e12, 1e12)
+            for part, inside in zip(own, keep, strict=True)
+        ]
         settled, price = shifted(residual, slopes, about, begun[k].information)
         total = price + _squares(settled)
         count = sum(r.size for r in residual)
         out.append(HeldOut(residual, settled, total / max(count, 1), count))
-    far = {k: path for k, path in enumerate(follow) if path is not None and out[k].loss > LIMITS.refit_together}
-    for (k, path), end in zip(far.items(), together(bench, split, list(far.values()), starts[list(far)]), strict=True):
+    far = {
+        k: path
+        for k, path in enumerate(follow)
+        if path is not None and out[k].loss > LIMITS.refit_together
+    }
+    for (k, path), end in zip(
+        far.items(), together(bench, split, list(far.values()), starts[list(far)]), strict=True
+    ):
         residual = end.problem.residuals(end.z)
         n = len(path.problem.records)
         settled = [_finite(r[inside]) for r, inside in zip(residual[n:], keep, strict=True)]
@@ -154,7 +167,10 @@ def together(bench: Bench, split: str, paths: Sequence[Path], starts: np.ndarray
 
 
 def shifted(
-    residual: list[np.ndarray], slopes: list[np.ndarray], about: np.ndarray, starts: list[np.ndarray]
+    residual: list[np.ndarray],
+    slopes: list[np.ndarray],
+    about: np.ndarray,
+    starts: list[np.ndarray],
 ) -> tuple[list[np.ndarray], float]:
     """Residuals after the shift of parameters (common) and starts (of each run) that is likeliest by these residuals and by what
     was known before (J'J of the parameters and of each start), and what the shift costs as a sum of squares."""
@@ -164,7 +180,9 @@ def shifted(
     prior[:n, :n] = about
     G, g = np.zeros_like(prior), np.zeros(ends[-1])
     places = []
-    for r, S, start, end, information in zip(residual, slopes, ends, ends[1:], starts, strict=False):
+    for r, S, start, end, information in zip(
+        residual, slopes, ends, ends[1:], starts, strict=False
+    ):
         at = np.r_[0:n, start:end]
         places.append(at)
         prior[start:end, start:end] = information
@@ -176,8 +194,13 @@ def shifted(
     size = np.sqrt(np.maximum(np.diag(G + prior), 1e-300))
     shift = -np.linalg.lstsq((G + prior) / size / size[:, None], g / size, rcond=1e-12)[0] / size
     price = float(shift @ prior @ shift)
-    share = min(1.0, LIMITS.plausible_start * np.sqrt(g.size / max(price, 1e-300)))  # nothing beyond what was measured
-    moved = [r + (S @ (share * shift[at])).reshape(r.shape) for r, S, at in zip(residual, slopes, places, strict=True)]
+    share = min(
+        1.0, LIMITS.plausible_start * np.sqrt(g.size / max(price, 1e-300))
+    )  # nothing beyond what was measured
+    moved = [
+        r + (S @ (share * shift[at])).reshape(r.shape)
+        for r, S, at in zip(residual, slopes, places, strict=True)
+    ]
     return moved, share**2 * price
 
 

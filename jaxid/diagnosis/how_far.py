@@ -44,13 +44,17 @@ def measure(
     splits = [s for s in ("report", "validation") if b.experiments(s) and s not in still]
     if not splits:
         nothing = float("nan")
-        reason = "what is kept for choosing and reporting stands still: there is no gap to measure on it"
+        reason = (
+            "what is kept for choosing and reporting stands still: there is no gap to measure on it"
+        )
         return HowFar(nothing, nothing, nothing, 1.0, None, None, reason, {}, reason)
     split = splits[0]
     stated = held_out(alike, split, [before, retuned, after], residual)
     runs = stated if alike is bench else [*stated[:2], *held_out(bench, split, [after], residual)]
     if residual.windows:
-        note += " Gaps are over windows of the runs, each with its own start, as models were compared."
+        note += (
+            " Gaps are over windows of the runs, each with its own start, as models were compared."
+        )
     if still:
         note += f" The {' and '.join(still)} runs stand still and tell nothing."
     gaps = [r.gap for r in runs]
@@ -61,11 +65,17 @@ def measure(
         sigma = float(b.sigma[c])
         rmse = [sigma * rms([r[:, c] for r in run.residual]) for run in stated]
         source = b.noise[name].source
-        floor = sigma if alike is bench else rms([e.noise_rms(b.sigma, iy)[[c]] for e in b.experiments(split)])
+        floor = (
+            sigma
+            if alike is bench
+            else rms([e.noise_rms(b.sigma, iy)[[c]] for e in b.experiments(split)])
+        )
         per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], floor, source)
     shrinkage = interval = None
     reason = made_of = ""
-    beyond = max(1.0, float(np.sqrt(runs[2].loss)))  # what is left where the starts of the runs are moved within what is known
+    beyond = max(
+        1.0, float(np.sqrt(runs[2].loss))
+    )  # what is left where the starts of the runs are moved within what is known
     if gaps[2] > LIMITS.unseen_gap and beyond < gaps[2] / 2:
         note += (
             f" Of the {gaps[2]:.3g} that are left all but {beyond:.3g} is what the starts of the {split} runs leave open: they "
@@ -91,9 +101,7 @@ def measure(
             shrinkage = min(exact, 1.0)
             interval, made_of, reason = interval_of_further_run(runs[0], runs[2])
             interval = interval and (interval[0], min(interval[1], 1.0))
-    text = (
-        f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
-    )
+    text = f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
     text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
     by_runs = by_run(bench, split, [whole_runs(bench, residual, split, r) for r in runs])
     return HowFar(
@@ -111,7 +119,10 @@ def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str
     theta = retuned.copy()
     stated = [i for i in binding.free if i in binding.stated]
     if not stated:
-        return theta, "The dataset states no parameter values, so the gap before is that of the re-tuned model."
+        return (
+            theta,
+            "The dataset states no parameter values, so the gap before is that of the re-tuned model.",
+        )
     theta[stated] = binding.theta[stated]
     return theta, ""
 
@@ -125,11 +136,17 @@ def whole_runs(bench: Bench, residual: Residual, split: str, held: HeldOut) -> H
     if len(of) != len(held.residual):
         return held
     return replace(
-        held, residual=[np.concatenate([r for r, k in zip(held.residual, of, strict=True) if k == n]) for n in sorted(set(of))]
+        held,
+        residual=[
+            np.concatenate([r for r, k in zip(held.residual, of, strict=True) if k == n])
+            for n in sorted(set(of))
+        ],
     )
 
 
-def parts(bench: Bench, residual: Residual, split: str, held: HeldOut) -> tuple[tuple[Share, ...], tuple[Share, ...]]:
+def parts(
+    bench: Bench, residual: Residual, split: str, held: HeldOut
+) -> tuple[tuple[Share, ...], tuple[Share, ...]]:
     """Gaps of one model run by run and regime by regime after the own uncertainty of starts and numbers is taken out."""
     settled = replace(held, residual=held.settled)
     whole = whole_runs(bench, residual, split, settled)
@@ -156,7 +173,9 @@ def closed(before: float, after: float) -> float:
     return float(np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0))
 
 
-def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[float, float] | None, str, str]:
+def interval_of_further_run(
+    before: HeldOut, after: HeldOut
+) -> tuple[tuple[float, float] | None, str, str]:
     """95 % interval of the shrinkage in a further run like the report runs; what it is made of; or the reason why there is none.
 
     Student's prediction interval. Eight runs or more are its samples: now and then a run goes where errors grow a thousandfold,
@@ -176,7 +195,9 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
     left = float(np.mean(np.concatenate(b))) / gap
     own = [(y - left * x) / gap for x, y in zip(a, b, strict=True)]
     length = 2 * max(memory(own), memory(after.residual))
-    blocks = np.array([np.mean(x[k : k + length]) for x in own for k in range(0, len(x) - length + 1, length)])
+    blocks = np.array(
+        [np.mean(x[k : k + length]) for x in own for k in range(0, len(x) - length + 1, length)]
+    )
     n = len(blocks)
     if n < BLOCKS:
         reason = (
@@ -184,9 +205,14 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
             f"{n} independent {'block' if n == 1 else 'blocks'} and {BLOCKS} are needed"
         )
         return None, "", reason
-    further = (len(a) + 1) / len(every)  # a further run's mean about the mean of these: its variance, by that of a sample
+    further = (len(a) + 1) / len(
+        every
+    )  # a further run's mean about the mean of these: its variance, by that of a sample
     smaller = float(np.var(every)) / gap**2 * memory(a) * further
-    reach = float(stdtrit(n - 1, 0.975) * np.sqrt((len(own) + 1) / n) * blocks.std(ddof=1)) * (1 + smaller) ** 1.5
+    reach = (
+        float(stdtrit(n - 1, 0.975) * np.sqrt((len(own) + 1) / n) * blocks.std(ddof=1))
+        * (1 + smaller) ** 1.5
+    )
     return (1 - left - reach, 1 - left + reach), "blocks", ""
 
 

@@ -65,9 +65,9 @@ class Hypothesis:
 
     @property
     def bic(self) -> float:
-        return self.path.count * np.log(max(self.fit_loss, 1e-300)) + self.path.problem.free.size * np.log(
-            max(2, self.path.count)
-        )
+        return self.path.count * np.log(
+            max(self.fit_loss, 1e-300)
+        ) + self.path.problem.free.size * np.log(max(2, self.path.count))
 
 
 @dataclass
@@ -93,10 +93,16 @@ class Search:
     cut_short: bool = False
 
 
-def without_each(h: Hypothesis, known: Mapping[frozenset[str], Hypothesis]) -> tuple[tuple[Candidate, float], ...]:
+def without_each(
+    h: Hypothesis, known: Mapping[frozenset[str], Hypothesis]
+) -> tuple[tuple[Candidate, float], ...]:
     """What the effects of a hypothesis contribute: see `Search.without`; the refits are among those known."""
     smaller = [(c, known.get(key_of([e for e in h.effects if e is not c]))) for c in h.effects]
-    left = [(c, float(np.sqrt(max(less.validation.loss, 0.0)))) for c, less in smaller if less is not None and len(smaller) > 1]
+    left = [
+        (c, float(np.sqrt(max(less.validation.loss, 0.0))))
+        for c, less in smaller
+        if less is not None and len(smaller) > 1
+    ]
     return tuple(sorted(left, key=lambda pair: -pair[1]))
 
 
@@ -105,10 +111,15 @@ def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
     b = bench.binding
     out = []
     for effect in b.chain.effects:
-        if effect.name in allowed and not any(i in b.nominal for i in b.layout.of_effect(effect.name)):
+        if effect.name in allowed and not any(
+            i in b.nominal for i in b.layout.of_effect(effect.name)
+        ):
             for place in b.chain.offers(effect):
                 index = tuple(b.layout.of_effect(effect.name, place))
-                present = any(i in b.nominal for i in b.layout.of_effect(effect.refines, place)) or effect.refines not in allowed
+                present = (
+                    any(i in b.nominal for i in b.layout.of_effect(effect.refines, place))
+                    or effect.refines not in allowed
+                )
                 out.append(Candidate(effect.name, place, index, "" if present else effect.refines))
     return out
 
@@ -127,7 +138,9 @@ def check_asked(nominal: Chain, asked: Sequence[str], residual: str = "") -> Non
     for name in asked:
         if name in nominal.contents:
             (taken, *_) = [e.name for e in nominal.effects if name in (e.name, *e.contains)]
-            why.append(f"{name} is part of {model} already (left out with `without`, {taken} becomes a candidate)")
+            why.append(
+                f"{name} is part of {model} already (left out with `without`, {taken} becomes a candidate)"
+            )
         elif not possible(nominal, [name]):
             why.append(f"{model} cannot take {name}")
         elif not possible(nominal, [name], residual):
@@ -141,7 +154,10 @@ def sensible(effects: Sequence[Candidate]) -> bool:
     """Whether every effect that refines another has that one beside it: Stribeck friction is what dry friction has more of at
     low speed, and without it would be a law of its own that no surface has; only where nothing is left of that one in the end
     is it taken out."""
-    return all(not c.refines or any(e.effect == c.refines and e.location == c.location for e in effects) for c in effects)
+    return all(
+        not c.refines or any(e.effect == c.refines and e.location == c.location for e in effects)
+        for c in effects
+    )
 
 
 def refined_by(c: Candidate, pool: Sequence[Candidate]) -> list[Candidate]:

@@ -35,7 +35,9 @@ class Scatter:
         found = "; ".join(s.text for s in self.stamps.values())
         stamps = Remark(f"{found[0].upper()}{found[1:]}.")
         if verdict.name == "none":
-            rest = Remark("Beside that the model lacks nothing: what is left is that noise, on data that were not fitted.")
+            rest = Remark(
+                "Beside that the model lacks nothing: what is left is that noise, on data that were not fitted."
+            )
             return Verdict("named", (stamps, rest))
         return Verdict(verdict.name, (stamps, *verdict.reasons))
 
@@ -46,7 +48,10 @@ class Scatter:
     def ranked(self, bench: Bench, residual: Residual, h: Hypothesis) -> tuple[Ranked, ...]:
         """The scatter of all channels as one hypothesis over that of readings which count alike, at the same numbers."""
         alike = self.bench(bench)
-        weights, before = bench.runs(residual, "validation").weights, alike.runs(residual, "validation").weights
+        weights, before = (
+            bench.runs(residual, "validation").weights,
+            alike.runs(residual, "validation").weights,
+        )
         seen = weights > 0
         wider = 2 * float(np.sum(np.log(before[seen] / weights[seen])))
         held = held_out(alike, "validation", [h.theta], residual)[0]
@@ -54,4 +59,7 @@ class Scatter:
         evidence = (squares(held) - squares(h.validation) - wider) / 2
         gap = float(np.sqrt(max(h.validation.loss, 0.0)))
         text = f"validation gap {times(gap)} times the noise that the stamps make"
-        return tuple(Ranked(c.effect, c.location, gap, float(h.bic), evidence, f"{c}: {text}") for c in self.effects())
+        return tuple(
+            Ranked(c.effect, c.location, gap, float(h.bic), evidence, f"{c}: {text}")
+            for c in self.effects()
+        )

@@ -31,7 +31,9 @@ def last_resorts(nominal: Chain, residual: str) -> list[type[Effect]]:
     return [k for k in possible(nominal, late, residual) if len(nominal.offers(k)) <= FEW_PLACES]
 
 
-def asked_last(found: Diagnosis, nominal: Chain, residual: str, ask: Callable[[tuple[str, ...]], Diagnosis]) -> Diagnosis:
+def asked_last(
+    found: Diagnosis, nominal: Chain, residual: str, ask: Callable[[tuple[str, ...]], Diagnosis]
+) -> Diagnosis:
     """The answer with laws of last resort beside what was named, and with the simpler ones that these comprise (`ask` diagnoses
     with such candidates), where that says more."""
     before, late = found.which.verdict, last_resorts(nominal, residual)

@@ -23,19 +23,29 @@ from jaxid.wording import listed, times
 
 
 Limb = tuple[Any, Dataset]
-NO_INTERVAL = "limbs were diagnosed one by one: how they scatter together in a further run is not known"
+NO_INTERVAL = (
+    "limbs were diagnosed one by one: how they scatter together in a further run is not known"
+)
 
 
 def diagnose_each(
-    limbs: Sequence[Limb], work: Callable[[Any, Dataset, Progress], Diagnosis], dataset: Dataset, progress: Progress | None
+    limbs: Sequence[Limb],
+    work: Callable[[Any, Dataset, Progress], Diagnosis],
+    dataset: Dataset,
+    progress: Progress | None,
 ) -> Diagnosis:
     """The diagnoses of all limbs, `work(robot, data, progress)`, as one, made side by side. On Ctrl-C `Interrupted` carries those
     that are finished."""
     began = time.perf_counter()
     names = [robot.signatures[0].joints for robot, _ in limbs]
     words = [f"limb {k + 1} of {len(limbs)} ({', '.join(own)})" for k, own in enumerate(names)]
-    of = lambda k, tell: lambda stage, done, total, text: tell(f"{words[k]}: {stage}", done, total, text)
-    jobs = [lambda tell, k=k, r=robot, d=data: work(r, d, of(k, tell)) for k, (robot, data) in enumerate(limbs)]
+    of = lambda k, tell: (
+        lambda stage, done, total, text: tell(f"{words[k]}: {stage}", done, total, text)
+    )
+    jobs = [
+        lambda tell, k=k, r=robot, d=data: work(r, d, of(k, tell))
+        for k, (robot, data) in enumerate(limbs)
+    ]
     made = side_by_side(jobs, progress)
     done: list[tuple[Diagnosis, tuple[str, ...]]] = []
     stop: BaseException | None = None
@@ -57,12 +67,21 @@ def diagnose_each(
     return whole
 
 
-def joined(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]], dataset: Dataset) -> Diagnosis:
+def joined(
+    parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]], dataset: Dataset
+) -> Diagnosis:
     """One diagnosis of those of limbs with these joints."""
     first = parts[0]
     every = lambda field: tuple(x for d in parts for x in getattr(d, field))
     which = _which(parts, names)
-    notes = tuple(dict.fromkeys((*every("notes"), f"{len(parts)} limbs that do not move each other were diagnosed one by one")))
+    notes = tuple(
+        dict.fromkeys(
+            (
+                *every("notes"),
+                f"{len(parts)} limbs that do not move each other were diagnosed one by one",
+            )
+        )
+    )
     return replace(
         first,
         dataset=dataset.name,
@@ -70,7 +89,11 @@ def joined(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]], dataset
         where=tuple(sorted(every("where"), key=lambda f: -f.times_noise_floor)),
         which=which,
         how_far=_how_far(parts, which.verdict),
-        next_experiment=" ".join(dict.fromkeys(said for d in parts for said in re.split(r"(?<=[.?!]) ", d.next_experiment))),
+        next_experiment=" ".join(
+            dict.fromkeys(
+                said for d in parts for said in re.split(r"(?<=[.?!]) ", d.next_experiment)
+            )
+        ),
         wall_time_s=sum(d.wall_time_s for d in parts),
         nominal=together([d.nominal for d in parts], dataset),
         final=together([d.final for d in parts], dataset),
@@ -96,8 +119,12 @@ def verdict_of(verdicts: Sequence[str]) -> str:
 
 def _which(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]]) -> Which:
     every = lambda field: tuple(x for d in parts for x in getattr(d.which, field))
-    ranking = tuple(sorted(every("ranking"), key=lambda r: -r.evidence if np.isfinite(r.evidence) else np.inf))
-    text = " ".join(f"{listed(joints)}: {d.which.text}" for joints, d in zip(names, parts, strict=True))
+    ranking = tuple(
+        sorted(every("ranking"), key=lambda r: -r.evidence if np.isfinite(r.evidence) else np.inf)
+    )
+    text = " ".join(
+        f"{listed(joints)}: {d.which.text}" for joints, d in zip(names, parts, strict=True)
+    )
     verdict = verdict_of([d.which.verdict for d in parts])
     doubts = {k: why for d in parts for k, why in d.which.doubts.items()}
     return Which(verdict, every("effects"), every("confusable_with"), ranking, text, doubts)
@@ -111,13 +138,16 @@ def _how_far(parts: Sequence[Diagnosis], verdict: str) -> HowFar:
     """Gaps over the channels of all limbs, which have the same samples."""
     fars = [d.how_far for d in parts]
     weights = [max(1, len(f.per_channel)) for f in fars]
-    before, retuned, after = (_mean([getattr(f, g) for f in fars], weights) for g in ("gap_before", "gap_retuned", "gap_after"))
-    named = verdict in ("named", "partly")
-    shrinkage = min(shrink(before**2, after**2), 1.0) if named and before > max(1.0, after) else None
-    split = fars[0].split
-    text = (
-        f"gap on {split} data: {times(before)} times the noise before, {times(retuned)} after re-tuning the old parameters alone"
+    before, retuned, after = (
+        _mean([getattr(f, g) for f in fars], weights)
+        for g in ("gap_before", "gap_retuned", "gap_after")
     )
+    named = verdict in ("named", "partly")
+    shrinkage = (
+        min(shrink(before**2, after**2), 1.0) if named and before > max(1.0, after) else None
+    )
+    split = fars[0].split
+    text = f"gap on {split} data: {times(before)} times the noise before, {times(retuned)} after re-tuning the old parameters alone"
     return HowFar(
         before, retuned, after, 1.0, shrinkage, None, NO_INTERVAL if named else fars[0].interval_reason,
         {k: v for f in fars for k, v in f.per_channel.items()},
@@ -132,6 +162,11 @@ def _runs(fars: Sequence[HowFar], weights: Sequence[float]) -> tuple[Share, ...]
         return ()
     mean = lambda own, gap: _mean([getattr(s, gap) for s in own], weights)
     return tuple(
-        replace(own[0], before=mean(own, "before"), retuned=mean(own, "retuned"), after=mean(own, "after"))
+        replace(
+            own[0],
+            before=mean(own, "before"),
+            retuned=mean(own, "retuned"),
+            after=mean(own, "after"),
+        )
         for own in zip(*(f.per_run for f in fars), strict=True)
     )

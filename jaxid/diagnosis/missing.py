@@ -43,7 +43,9 @@ class Missing:
     null: np.ndarray
 
 
-def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: int, draws: int = NULLS) -> list[Missing]:
+def missing_forces(
+    bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: int, draws: int = NULLS
+) -> list[Missing]:
     """Missing force on the fit runs at `theta`; empty where the model does not measure its joints."""
     b = bench.binding
     if not b.motions or b.chain.mechanism.hidden_states:
@@ -59,7 +61,10 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
     apart, white = what_repeats_differ_by(b), np.where(_repeated(b), b.readings, b.sigma)
     # Readings that are left out have no noise: the motion goes on between their neighbours.
     noise = [np.where(e.read[:, iy], e.noise(white, iy), 0.0) for e in experiments]
-    still = [_rate_of(runs, e, n * rng.standard_normal(n.shape)) for e, n in zip(experiments, noise, strict=True)]
+    still = [
+        _rate_of(runs, e, n * rng.standard_normal(n.shape))
+        for e, n in zip(experiments, noise, strict=True)
+    ]
     force = _lacking(problem, theta, still)
     for _ in range(draws):
         motion = []
@@ -78,7 +83,18 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
         keep = np.zeros(len(e.t), bool)
         keep[np.searchsorted(_positions(runs, k), record.samples)] = True
         load = joint_load(b, e, m)
-        out.append(Missing(e, keep, m.q[keep], m.qd[keep], m.qdd[keep], load[keep], force[k], np.array(nulls[k])))
+        out.append(
+            Missing(
+                e,
+                keep,
+                m.q[keep],
+                m.qd[keep],
+                m.qdd[keep],
+                load[keep],
+                force[k],
+                np.array(nulls[k]),
+            )
+        )
     return out
 
 
@@ -96,7 +112,11 @@ def what_repeats_differ_by(binding: Binding) -> dict[str, list[np.ndarray]]:
     """Run -> by how much it and each of its repeats is off their mean [time ny], as far as they all go, beyond what the sensors'
     noise makes of that: a motion that no model foresees, of as much variance as one more repeat would have."""
     _, iy = samples.columns(binding.dataset, binding.chain)
-    of_machine = np.sqrt(np.where(_repeated(binding), np.maximum(0.0, 1 - (binding.readings / binding.sigma) ** 2), 0.0))
+    of_machine = np.sqrt(
+        np.where(
+            _repeated(binding), np.maximum(0.0, 1 - (binding.readings / binding.sigma) ** 2), 0.0
+        )
+    )
     out: dict[str, list[np.ndarray]] = {}
     for group in repeats([e for e in binding.dataset.experiments if e.split != "report"]):
         motions = together(group)[..., iy]
@@ -107,7 +127,12 @@ def what_repeats_differ_by(binding: Binding) -> dict[str, list[np.ndarray]]:
 
 def _repeated(binding: Binding) -> np.ndarray:
     """Outputs [ny] whose noise is what repeats differ by."""
-    return np.array([binding.noise[name].source == "repeatability" for name, _ in binding.chain.signature.outputs])
+    return np.array(
+        [
+            binding.noise[name].source == "repeatability"
+            for name, _ in binding.chain.signature.outputs
+        ]
+    )
 
 
 def _positions(runs, k: int) -> np.ndarray:
@@ -121,7 +146,9 @@ def filtered(runs: Runs, e: Experiment, y: np.ndarray) -> np.ndarray:
     assert runs.setting is not None
     chain = runs.layout.chain
     start = stated_positions(e, chain.signature)
-    return np.concatenate(joint_motion(chain, e.t, y, [runs.setting.cutoff_hz] * chain.nq, start)[:3], 1)
+    return np.concatenate(
+        joint_motion(chain, e.t, y, [runs.setting.cutoff_hz] * chain.nq, start)[:3], 1
+    )
 
 
 def _rate_of(runs: Runs, e: Experiment, noise: np.ndarray) -> np.ndarray:
@@ -131,7 +158,10 @@ def _rate_of(runs: Runs, e: Experiment, noise: np.ndarray) -> np.ndarray:
 
 
 def _lacking(
-    problem: Problem, theta: np.ndarray, still: Sequence[np.ndarray], motion: Sequence[np.ndarray] | None = None
+    problem: Problem,
+    theta: np.ndarray,
+    still: Sequence[np.ndarray],
+    motion: Sequence[np.ndarray] | None = None,
 ) -> list[np.ndarray]:
     """The missing force [time nq] at the kept samples of each run. A joint slower than `still` [nq] may be held by its friction
     with any force between those of its two directions: what lies between is not missing."""
@@ -145,8 +175,14 @@ def _lacking(
         return plain
 
     def turned(way: int) -> list[np.ndarray]:
-        rates = [np.where(x, way * s, m[:, nq : 2 * nq]) for m, x, s in zip(motion, slow, still, strict=True)]
-        whole = [np.concatenate([m[:, :nq], v, m[:, 2 * nq :]], 1) for m, v in zip(motion, rates, strict=True)]
+        rates = [
+            np.where(x, way * s, m[:, nq : 2 * nq])
+            for m, x, s in zip(motion, slow, still, strict=True)
+        ]
+        whole = [
+            np.concatenate([m[:, :nq], v, m[:, 2 * nq :]], 1)
+            for m, v in zip(motion, rates, strict=True)
+        ]
         return [-p for p in torque_along(problem, theta, whole)]
 
     out = []
@@ -156,7 +192,9 @@ def _lacking(
     return out
 
 
-def torque_along(problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
+def torque_along(
+    problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None
+) -> list[np.ndarray]:
     """Minus the missing force at the kept samples of each run; `motion` [time 3 nq] per run replaces the measured one."""
     import jax.numpy as jnp
 

@@ -29,7 +29,9 @@ def rivals_of(bench: Bench, pair: tuple[Hypothesis, Hypothesis]) -> Rivals | Non
         return None
     first, second = pair
     present = {c.effect for h in pair for c in h.effects}
-    present |= {e.name for e in b.chain.effects if any(i in b.nominal for i in b.layout.of_effect(e.name))}
+    present |= {
+        e.name for e in b.chain.effects if any(i in b.nominal for i in b.layout.of_effect(e.name))
+    }
     layout = Layout(b.chain.without(*(e.name for e in b.chain.effects if e.name not in present)))
     at = [b.layout.index(name) for name in layout.names]
     place = {i: k for k, i in enumerate(at)}
@@ -70,14 +72,22 @@ def advice(
     if read_twice and SECOND.search(text):
         told = f"`jaxid check` says what the difference of {listed(tuple(read_twice))} shows"
         text = f"{SECOND.sub('', text)} Both ends of a joint are recorded: {told}."
-    open_ = any(not u.absorbed for u in unseen) if verdict == "none" else verdict != "named" or mates
+    open_ = (
+        any(not u.absorbed for u in unseen) if verdict == "none" else verdict != "named" or mates
+    )
     if rivals is None or not rivals.recorded.top.any() or not open_:
         return text
     a, b = rivals.names
     return f'{text} The option --next DIR designs the input that best tells "{a}" from "{b}", and writes it to be played.'
 
 
-def _advice(verdict: str, named: Sequence[str], mates: Sequence[str], unseen: Sequence[Unseen], repeated: bool) -> str:
+def _advice(
+    verdict: str,
+    named: Sequence[str],
+    mates: Sequence[str],
+    unseen: Sequence[Unseen],
+    repeated: bool,
+) -> str:
     if verdict == "none":
         text = "No further experiment is needed for this model: it reaches the noise floor on data that were not fitted."
         others = [u for u in unseen if not u.absorbed]

@@ -26,7 +26,13 @@ def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int])
     most = LIMITS.pull_hopeless * min((path.cost for path in paths), default=0.0)
     moves = [_way_back(path, theta, index) if path.cost <= most else None for path in paths]
     moved = [k for k, move in enumerate(moves) if move is not None]
-    jobs = [(paths[k].problem, np.clip(paths[k].z + moves[k], paths[k].problem.lower, paths[k].problem.upper)) for k in moved]
+    jobs = [
+        (
+            paths[k].problem,
+            np.clip(paths[k].z + moves[k], paths[k].problem.lower, paths[k].problem.upper),
+        )
+        for k in moved
+    ]
     out = list(paths)
     for k, end in zip(moved, descend(jobs, 6, 1e-6) if jobs else [], strict=True):
         if end.cost <= paths[k].cost + LIMITS.pull_cost:
@@ -34,7 +40,12 @@ def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int])
     return out
 
 
-def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Callable[[list[int], np.ndarray], Problem]) -> Path:
+def put_back(
+    path: Path,
+    theta: np.ndarray,
+    index: Sequence[int],
+    problem: Callable[[list[int], np.ndarray], Problem],
+) -> Path:
     """The path with numbers at `index` put back to those of `theta` one after the other, the least certain first, where the rest,
     refitted, follows the data as well without; `problem(free, theta)` is the same with other numbers free (of coarser steps,
     perhaps: what it finds is looked at again with the path's own).
@@ -54,7 +65,11 @@ def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Calla
     free, now, starts = [int(i) for i in p.free], p.theta(path.z), p.starts(path.z)
     rest = [int(p.free[k]) for k in np.argsort(price) if away[k] > SHORT * p.scale[k]][:TRIED]
     as_it_is = problem(free, now)
-    most = descend([(as_it_is, as_it_is.z(now, starts))], 0, 1e-6)[0].cost + LIMITS.pull_cost if rest else 0.0
+    most = (
+        descend([(as_it_is, as_it_is.z(now, starts))], 0, 1e-6)[0].cost + LIMITS.pull_cost
+        if rest
+        else 0.0
+    )
     moved = False
     while rest:  # all that are left at once, the first that may go back goes, and those behind it are tried without it
         jobs = []
@@ -68,7 +83,12 @@ def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Calla
         if k is None:
             break
         less, end = jobs[k][0], ends[k]
-        free, now, starts, moved = [f for f in free if f != rest[k]], less.theta(end.z), less.starts(end.z), True
+        free, now, starts, moved = (
+            [f for f in free if f != rest[k]],
+            less.theta(end.z),
+            less.starts(end.z),
+            True,
+        )
         rest = rest[k + 1 :]
     if not moved:
         return path
@@ -80,7 +100,9 @@ def moved_to(path: Path, theta: np.ndarray) -> Path:
     """The path with all its free numbers as in `theta`, if its data are followed as well there but for what noise may do."""
     p = path.problem
     lower, upper, scale = p.whole
-    still = Problem(p.runs, theta, [], lower, upper, p.records, p.loss_name, scale, p.differences).with_targets(p.targets)
+    still = Problem(
+        p.runs, theta, [], lower, upper, p.records, p.loss_name, scale, p.differences
+    ).with_targets(p.targets)
     starts = still.starts(descend([(still, still.z(theta, p.starts(path.z)))], 8, 1e-6)[0].z)
     end = descend([(p, p.z(theta, starts))], 0, 1e-6)[0]
     return end if end.cost <= path.cost + LIMITS.pull_cost + p.free.size else path

@@ -7,7 +7,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, probes_of, sensible
+from jaxid.diagnosis.hypothesis import (
+    Candidate,
+    effect_of,
+    family_of,
+    Hypothesis,
+    probes_of,
+    sensible,
+)
 from jaxid.diagnosis.screen import each_probe, Screened
 from jaxid.fitting.least_squares import descend, Path
 from jaxid.fitting.problem_builder import Bench
@@ -38,7 +45,12 @@ def beside(
     best = {str(c): starts[:1] for _, c, starts in by_torque}
     sets: list[Proposal] = []
     for _, c, starts in kept:
-        own = [*starts[:1], *best.get(str(c), []), *starts[1:], *as_given(bench, (*h.effects, c), starts)]
+        own = [
+            *starts[:1],
+            *best.get(str(c), []),
+            *starts[1:],
+            *as_given(bench, (*h.effects, c), starts),
+        ]
         sets.append(((*h.effects, *base[str(c)], c), with_refined(bench, base[str(c)], own)))
     return sets
 
@@ -54,11 +66,15 @@ def pairs(bench: Bench, found: Sequence[Hypothesis]) -> list[Proposal]:
             new = second.effects[-1]
             theta[list(new.index)] = second.theta[list(new.index)]
             if new not in first.effects and sensible((*first.effects, new)):
-                sets.append(((*first.effects, new), [theta, *probes_of(bench, new, first.theta)[:2]]))
+                sets.append(
+                    ((*first.effects, new), [theta, *probes_of(bench, new, first.theta)[:2]])
+                )
     return sets
 
 
-def exchanged(bench: Bench, found: Sequence[Hypothesis], passed_over: Mapping[Candidate, Sequence[Hypothesis]]) -> list[Proposal]:
+def exchanged(
+    bench: Bench, found: Sequence[Hypothesis], passed_over: Mapping[Candidate, Sequence[Hypothesis]]
+) -> list[Proposal]:
     """Each hypothesis with another effect in the place of one that was there before its last: with that beside it, what could not
     be told from the accepted effect (`passed_over`, for each of these) may be far better."""
     sets: list[Proposal] = []
@@ -78,13 +94,19 @@ def exchanged(bench: Bench, found: Sequence[Hypothesis], passed_over: Mapping[Ca
     return sets
 
 
-def plain_pairs(bench: Bench, c: Candidate, pool: Sequence[Candidate], theta: np.ndarray) -> list[Proposal]:
+def plain_pairs(
+    bench: Bench, c: Candidate, pool: Sequence[Candidate], theta: np.ndarray
+) -> list[Proposal]:
     """Two laws of one number each in the place of one of the same kind with several: dry friction and drag, each alone of no
     use beside a viscous term that stands in for both, look like friction that remembers. `theta` is the nominal model's."""
     if len(c.index) < 2:
         return []
     own = family_of(bench, c)
-    plain = [e for e in pool if e.location == c.location and len(e.index) == 1 and family_of(bench, e) == own]
+    plain = [
+        e
+        for e in pool
+        if e.location == c.location and len(e.index) == 1 and family_of(bench, e) == own
+    ]
     sets: list[Proposal] = []
     for a, b in itertools.combinations(plain, 2):
         if sensible((a, b)):
@@ -110,7 +132,11 @@ def _retuned(path: Path, theta: np.ndarray, index: Sequence[int]) -> list[np.nda
     gone[: p.free.size] = np.isin(p.free, index)
     z = np.where(gone, p.z(theta, p.starts(path.z)), path.z)
     curvature, way = p.scale[:, None] * H * p.scale, (path.z - z) / p.scale
-    move = np.linalg.pinv(curvature[np.ix_(~gone, ~gone)], 1e-14, True) @ curvature[np.ix_(~gone, gone)] @ way[gone]
+    move = (
+        np.linalg.pinv(curvature[np.ix_(~gone, ~gone)], 1e-14, True)
+        @ curvature[np.ix_(~gone, gone)]
+        @ way[gone]
+    )
     z[~gone] += p.scale[~gone] * move
     return [p.theta(np.clip(z, p.lower, p.upper))]
 
@@ -135,14 +161,18 @@ def torque_starts(
     paths = descend(jobs, 6, 1e-3)
     out: list[tuple[float, list[np.ndarray]]] = []
     for k, (effects, _) in enumerate(sets):
-        best = min((p for p, owner in zip(paths, owners, strict=True) if owner == k), key=lambda p: p.cost)
+        best = min(
+            (p for p, owner in zip(paths, owners, strict=True) if owner == k), key=lambda p: p.cost
+        )
         comparable = all(effect_of(bench, c).location == "joint" for c in effects)
         found = [best.problem.theta(best.z)] if np.isfinite(best.cost) else []
         out.append((best.cost if comparable else np.inf, found))
     return out
 
 
-def promising(nominal: Path, sets: Sequence[Proposal]) -> list[tuple[tuple[Candidate, ...], list[np.ndarray]]]:
+def promising(
+    nominal: Path, sets: Sequence[Proposal]
+) -> list[tuple[tuple[Candidate, ...], list[np.ndarray]]]:
     """The first two starts of each set, and those of the others that simulate best: first order says little where a resonance
     or a play has to be found."""
     thetas = [theta for _, starts in sets for theta in starts]
@@ -150,13 +180,22 @@ def promising(nominal: Path, sets: Sequence[Proposal]) -> list[tuple[tuple[Candi
     out = []
     for effects, starts in sets:
         with np.errstate(over="ignore"):  # a start that diverges
-            cost = np.nan_to_num([float(r @ r) for _, r in zip(starts, found, strict=False)], nan=np.inf)
+            cost = np.nan_to_num(
+                [float(r @ r) for _, r in zip(starts, found, strict=False)], nan=np.inf
+            )
         order = [int(k) for k in np.argsort(cost, kind="stable")]
-        out.append((effects, [starts[k] for k in dict.fromkeys([*range(min(2, len(starts))), *order])][:STARTS]))
+        out.append(
+            (
+                effects,
+                [starts[k] for k in dict.fromkeys([*range(min(2, len(starts))), *order])][:STARTS],
+            )
+        )
     return out
 
 
-def as_given(bench: Bench, effects: Sequence[Candidate], starts: Sequence[np.ndarray]) -> list[np.ndarray]:
+def as_given(
+    bench: Bench, effects: Sequence[Candidate], starts: Sequence[np.ndarray]
+) -> list[np.ndarray]:
     """The first few starts with the model's own numbers as the user gave them: re-tuning has bent those to stand in for what is
     missing, and the way back may be long."""
     out = []
@@ -168,6 +207,11 @@ def as_given(bench: Bench, effects: Sequence[Candidate], starts: Sequence[np.nda
     return out
 
 
-def with_refined(bench: Bench, base: Sequence[Candidate], starts: Sequence[np.ndarray]) -> list[np.ndarray]:
+def with_refined(
+    bench: Bench, base: Sequence[Candidate], starts: Sequence[np.ndarray]
+) -> list[np.ndarray]:
     """Starts, and the first of them with each probe of the effects that are refined, which are off in them."""
-    return [*starts, *(theta for start in starts[:2] for c in base for theta in probes_of(bench, c, start))]
+    return [
+        *starts,
+        *(theta for start in starts[:2] for c in base for theta in probes_of(bench, c, start)),
+    ]

@@ -18,10 +18,19 @@ from jaxid.wording import listed, percent, times
 class _Words(Formatter):
     """Says values as a form asks: `{gap:times}`, `{closed:percent}`, `{names:listed}`, `{closed:floor}` (whole percents)."""
 
-    SAY: ClassVar = {"times": times, "percent": percent, "listed": listed, "floor": lambda x: f"{np.floor(100 * x):.0f} %"}
+    SAY: ClassVar = {
+        "times": times,
+        "percent": percent,
+        "listed": listed,
+        "floor": lambda x: f"{np.floor(100 * x):.0f} %",
+    }
 
     def format_field(self, value, format_spec):
-        return self.SAY[format_spec](value) if format_spec in self.SAY else super().format_field(value, format_spec)
+        return (
+            self.SAY[format_spec](value)
+            if format_spec in self.SAY
+            else super().format_field(value, format_spec)
+        )
 
 
 @dataclass(frozen=True)
@@ -157,7 +166,9 @@ class Contributions(Reason):
 
     @property
     def sentence(self) -> str:
-        return self.said(each=", ".join(f"without {name} {times(gap)}" for name, gap in self.without))
+        return self.said(
+            each=", ".join(f"without {name} {times(gap)}" for name, gap in self.without)
+        )
 
 
 @dataclass(frozen=True)
@@ -166,9 +177,7 @@ class NearerOnValidation(Reason):
 
     names: str
     closed: float
-    form = (
-        "On validation data alone {names} closes {closed:percent} of it; fit and validation data together do not bear that out."
-    )
+    form = "On validation data alone {names} closes {closed:percent} of it; fit and validation data together do not bear that out."
 
 
 @dataclass(frozen=True)
@@ -181,7 +190,9 @@ class StandsStill(Reason):
 
     @property
     def sentence(self) -> str:
-        return self.said(kept="choosing and reporting stand" if "report" in self.splits else "choosing stand")
+        return self.said(
+            kept="choosing and reporting stand" if "report" in self.splits else "choosing stand"
+        )
 
 
 # By the report data.
@@ -202,9 +213,7 @@ class FartherOnReport(Reason):
     after: float
     retuned: float
     before: float
-    form = (
-        "On the report data that model is {after:times} times the noise away, {retuned:times} without{stated}: it is not claimed."
-    )
+    form = "On the report data that model is {after:times} times the noise away, {retuned:times} without{stated}: it is not claimed."
 
     @property
     def sentence(self) -> str:
@@ -291,7 +300,9 @@ class Undetermined(Reason):
 
 @dataclass(frozen=True)
 class TorqueAtTheNoise(Reason):
-    form = "The model reaches the noise of the torque on data that were not fitted: there is no gap."
+    form = (
+        "The model reaches the noise of the torque on data that were not fitted: there is no gap."
+    )
 
 
 @dataclass(frozen=True)
@@ -322,7 +333,11 @@ class HeldOut(Reason):
 
     @property
     def sentence(self) -> str:
-        what = "What is different in the runs that were not fitted is" if self.different else "The model lacks"
+        what = (
+            "What is different in the runs that were not fitted is"
+            if self.different
+            else "The model lacks"
+        )
         more = f", {times(self.fitted)} times on the runs that were fitted" if self.fitted else ""
         return self.said(self.form if self.whole else self.in_part, what=what, more=more)
 

@@ -65,7 +65,9 @@ class Regime:
     ratio: float  # rms of the missing force in this regime / rms over all samples
     null: tuple[float, float]  # the same ratio for a perfect model, 2.5 % and 97.5 %
     samples: int
-    supplied: float | None = None  # the same ratio for the force that named effects supply, which has no noise
+    supplied: float | None = (
+        None  # the same ratio for the force that named effects supply, which has no noise
+    )
 
     @property
     def strength(self) -> float:
@@ -111,7 +113,9 @@ class Ranked:
     location: str
     validation_gap: float
     bic: float
-    evidence: float  # validation log-likelihood gained over the nominal model, per independent block
+    evidence: (
+        float  # validation log-likelihood gained over the nominal model, per independent block
+    )
     text: str
     beside: tuple[str, ...] = ()  # effects that had been added before it
 
@@ -131,13 +135,20 @@ class Which:
     confusable_with: tuple[EffectEstimate, ...]
     ranking: tuple[Ranked, ...]
     text: str = ""
-    doubts: dict[str, str] = field(default_factory=dict)  # "effect at location" -> why it is not to be believed as it stands
+    doubts: dict[str, str] = field(
+        default_factory=dict
+    )  # "effect at location" -> why it is not to be believed as it stands
 
     def to_dict(self) -> dict[str, Any]:
         return {
             "verdict": self.verdict,
-            "effects": [{**e.to_dict(), "text": words(e, "plain"), "check": words(e, "check")} for e in self.effects],
-            "confusable_with": [{"effect": e.effect, "location": e.location} for e in self.confusable_with],
+            "effects": [
+                {**e.to_dict(), "text": words(e, "plain"), "check": words(e, "check")}
+                for e in self.effects
+            ],
+            "confusable_with": [
+                {"effect": e.effect, "location": e.location} for e in self.confusable_with
+            ],
             "ranking": [r.to_dict() for r in self.ranking],
             "text": self.text,
             "doubts": self.doubts,
@@ -180,7 +191,9 @@ class HowFar:
     split: str = "report"  # of the data: "validation" where none is kept for the report
     #: Of a robot: error of each joint with the file as it stands, re-tuned, with effects.
     per_joint: tuple[dict[str, Any], ...] = ()
-    ceiling: float | None = None  # share of the re-tuned gap that a free law at the joints would close there
+    ceiling: float | None = (
+        None  # share of the re-tuned gap that a free law at the joints would close there
+    )
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -189,7 +202,9 @@ class HowFar:
             "gap_after": self.gap_after,
             "noise_floor": self.noise_floor,
             "shrinkage": self.shrinkage,
-            "shrinkage_interval_95": None if self.shrinkage_interval_95 is None else list(self.shrinkage_interval_95),
+            "shrinkage_interval_95": None
+            if self.shrinkage_interval_95 is None
+            else list(self.shrinkage_interval_95),
             "interval_reason": self.interval_reason,
             "interval_from": self.interval_from,
             "split": self.split,

@@ -16,10 +16,25 @@ from jaxid.data.capacity import need, shortened
 from jaxid.data.dataset import Dataset
 from jaxid.data.time_stamps import scattered_stamps, with_scatter
 from jaxid.diagnosis import how_far as shrinking, jitter as timing
-from jaxid.diagnosis.account import effect_estimates, fit_of, notes_of, ranked, traces, where_it_lies
+from jaxid.diagnosis.account import (
+    effect_estimates,
+    fit_of,
+    notes_of,
+    ranked,
+    traces,
+    where_it_lies,
+)
 from jaxid.diagnosis.believable import beside_bounds, doubts
 from jaxid.diagnosis.claim import Judge
-from jaxid.diagnosis.goals.run import begin_simulations, dear, diagnose_led, led, Offer, REFITS, TOO_DEAR
+from jaxid.diagnosis.goals.run import (
+    begin_simulations,
+    dear,
+    diagnose_led,
+    led,
+    Offer,
+    REFITS,
+    TOO_DEAR,
+)
 from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
 from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
@@ -38,7 +53,17 @@ from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.lost_runs import AN_ARM, by_torque, by_windows, decays, DIVERGES, FOLLOWS, growth, LOST, SENSITIVE
+from jaxid.fitting.lost_runs import (
+    AN_ARM,
+    by_torque,
+    by_windows,
+    decays,
+    DIVERGES,
+    FOLLOWS,
+    growth,
+    LOST,
+    SENSITIVE,
+)
 from jaxid.fitting.per_joint import per_joint, with_effects
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
@@ -52,7 +77,11 @@ from jaxid.wording import percent, times
 
 
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
-PREFERRED = {"unknown": ("none", "partly", "named"), "partly": ("named",), "named": ("unknown", "partly", "named")}
+PREFERRED = {
+    "unknown": ("none", "partly", "named"),
+    "partly": ("named",),
+    "named": ("unknown", "partly", "named"),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,13 +95,19 @@ class Question:
     seed: int
     progress: Progress | None
     known: Interim  # is told what is known before the end
-    still: tuple[str, ...] = ()  # of "validation" and "report": what stands still, so that nothing can be judged on it
-    search: Callable[[Bench, Offer], tuple[Fit, Search]] | None = None  # another search than the one over all of the library
+    still: tuple[
+        str, ...
+    ] = ()  # of "validation" and "report": what stands still, so that nothing can be judged on it
+    search: Callable[[Bench, Offer], tuple[Fit, Search]] | None = (
+        None  # another search than the one over all of the library
+    )
     step: float = STEP  # of its simulations, s
 
 
 #: Where the user asks for time stamps that scatter.
-NOT_SCATTERED = f"{JITTER}: neighbouring readings do not scatter with speed, so that the time stamps do not"
+NOT_SCATTERED = (
+    f"{JITTER}: neighbouring readings do not scatter with speed, so that the time stamps do not"
+)
 
 
 def run_diagnosis(
@@ -90,29 +125,40 @@ def run_diagnosis(
     asked = None if effects is None else tuple(catalogue.enrolled(e) for e in effects)
     known, without = Interim(), tuple(without)
     try:
-        return _run(model, dataset, max_effects, asked, without, residual, seed, progress, known, reference)
+        return _run(
+            model, dataset, max_effects, asked, without, residual, seed, progress, known, reference
+        )
     except Interrupted:
         raise
     except Diverged as error:
         if residual is not None or not error.by_torque:
             raise
         torque = InverseDynamics()
-        found = run_diagnosis(model, dataset, max_effects, asked, without, torque, seed, progress, reference)
+        found = run_diagnosis(
+            model, dataset, max_effects, asked, without, torque, seed, progress, reference
+        )
         return dataclasses.replace(found, notes=(*found.notes, error.note))
     except KeyboardInterrupt as stop:  # what is finished is a result too
         raise Interrupted(known.latest()) from stop
 
 
 def begin_compiling(
-    model: object, dataset: Dataset, effects: Iterable[str | Effect | type[Effect]] | None, without: tuple[str, ...]
+    model: object,
+    dataset: Dataset,
+    effects: Iterable[str | Effect | type[Effect]] | None,
+    without: tuple[str, ...],
 ) -> None:
     """Begins to compile what the diagnosis of a recording under goals simulates first, while others look at the recording."""
     try:
         nominal = resolve_model(model, dataset, without)
         if not dataset.experiments or not led(nominal):
             return
-        allowed = first_asked() if effects is None else tuple(catalogue.enrolled(e) for e in effects)
-        binding = bind(model, _looked_at(nominal, dataset, possible(nominal, allowed, "")), without=without)
+        allowed = (
+            first_asked() if effects is None else tuple(catalogue.enrolled(e) for e in effects)
+        )
+        binding = bind(
+            model, _looked_at(nominal, dataset, possible(nominal, allowed, "")), without=without
+        )
     except UsageError:  # is said by who needs it
         return
     if not dear(binding):
@@ -122,7 +168,11 @@ def begin_compiling(
 def _looked_at(nominal: Chain, dataset: Dataset, library: Sequence[type[Effect]]) -> Dataset:
     """As much of a dataset as there is room and time for."""
     refits = REFITS if led(nominal) else sum(len(nominal.offers(k)) for k in library)
-    return shortened(dataset, need("diagnose", dataset, nominal.nq, refits)) if dataset.experiments else dataset
+    return (
+        shortened(dataset, need("diagnose", dataset, nominal.nq, refits))
+        if dataset.experiments
+        else dataset
+    )
 
 
 def _run(
@@ -148,47 +198,85 @@ def _run(
     if residual is None and led(nominal) and dataset.experiments:
         plain = bind(model, dataset, without=without)
         answer: Any = lambda wide, names, search, step: _diagnosed(
-            Question(wide, OutputError(), tuple(names), max_effects, seed, progress, known, (), search, step)
+            Question(
+                wide,
+                OutputError(),
+                tuple(names),
+                max_effects,
+                seed,
+                progress,
+                known,
+                (),
+                search,
+                step,
+            )
         )[0]
         if dear(plain):
             by_torque = possible(nominal, allowed, InverseDynamics.name)
-            found = diagnose_by_torque(plain, by_torque, max_effects, None, seed, reference, progress)
+            found = diagnose_by_torque(
+                plain, by_torque, max_effects, None, seed, reference, progress
+            )
             return dataclasses.replace(found, notes=(*found.notes, TOO_DEAR))
         if not standing_still(plain):
-            return diagnose_led(model, dataset, plain, without, library, max_effects, seed, progress, answer)
-    binding = bind(model, dataset, without=without, candidates=() if isinstance(residual, InverseDynamics) else library)
+            return diagnose_led(
+                model, dataset, plain, without, library, max_effects, seed, progress, answer
+            )
+    binding = bind(
+        model,
+        dataset,
+        without=without,
+        candidates=() if isinstance(residual, InverseDynamics) else library,
+    )
     if not binding.dataset.experiments:
-        raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
+        raise UsageError(
+            "a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it"
+        )
     if isinstance(residual, InverseDynamics):
-        return diagnose_by_torque(binding, library, max_effects, residual.cutoff_hz, seed, reference, progress)
+        return diagnose_by_torque(
+            binding, library, max_effects, residual.cutoff_hz, seed, reference, progress
+        )
     own = residual or default_residual(binding)
     still = standing_still(binding)
     stamps, others = {}, tuple(n for n in allowed if n != JITTER)
     if any(k.name == JITTER for k in library):
         names = [n for n, _ in binding.chain.signature.outputs]
-        stamps = {c: s for c, s in scattered_stamps(binding.dataset, binding.noise).items() if c in names}
+        stamps = {
+            c: s for c, s in scattered_stamps(binding.dataset, binding.noise).items() if c in names
+        }
     if stamps and not still:
         scatter = timing.Scatter(stamps, binding)
         readings = with_scatter(dataset, stamps, binding.noise)
         stamped = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
-        found, _ = _diagnosed(Question(stamped, own, others, max_effects, seed, progress, known), scatter)
+        found, _ = _diagnosed(
+            Question(stamped, own, others, max_effects, seed, progress, known), scatter
+        )
         if found.which.verdict == "named":
             return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
     # Stamps that scatter are noise, which neighbouring readings show or refute: no fit may take something smooth for it.
-    question = Question(binding, own, allowed if stamps else others, max_effects, seed, progress, known, still)
+    question = Question(
+        binding, own, allowed if stamps else others, max_effects, seed, progress, known, still
+    )
     found, grown = _diagnosed(question)
     verdict = found.which.verdict
-    doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > LIMITS.remainder)
+    doubtful = verdict in ("unknown", "partly") or (
+        verdict == "named" and found.how_far.gap_after > LIMITS.remainder
+    )
     long_decay = residual is None and doubtful and by_windows(binding) and decays(binding)
     if residual is None and (grown > SENSITIVE or long_decay) and doubtful and not still:
         known.tell(found)
         try:
-            again, _ = _diagnosed(dataclasses.replace(question, residual=MultipleShooting(), known=Interim(silent=True)))
+            again, _ = _diagnosed(
+                dataclasses.replace(
+                    question, residual=MultipleShooting(), known=Interim(silent=True)
+                )
+            )
         except Interrupted as stop:
             raise Interrupted(found) from stop
         if again.which.verdict in PREFERRED[verdict]:
             why = f"a difference at the start of a run grows {grown:.2g} times within it"
-            why = why if grown > SENSITIVE else "the runs are free swings through several amplitudes"
+            why = (
+                why if grown > SENSITIVE else "the runs are free swings through several amplitudes"
+            )
             left = times(found.how_far.gap_after)
             note = (
                 f"{why}, and by free runs the answer was {verdict} with {left} times the noise left: models are compared over "
@@ -199,19 +287,36 @@ def _run(
 
         def ask(names: tuple[str, ...]) -> Diagnosis:
             wider = bind(model, dataset, without=without, candidates=possible(nominal, names))
-            return _diagnosed(dataclasses.replace(question, binding=wider, allowed=names, known=Interim(silent=True)))[0]
+            return _diagnosed(
+                dataclasses.replace(
+                    question, binding=wider, allowed=names, known=Interim(silent=True)
+                )
+            )[0]
 
         found = asked_last(found, nominal, own.name, ask)
     unseen = asked is not None and JITTER in asked and not stamps
-    notes = (*found.notes, *(s.text for s in stamps.values()), *((NOT_SCATTERED,) if unseen else ()))
+    notes = (
+        *found.notes,
+        *(s.text for s in stamps.values()),
+        *((NOT_SCATTERED,) if unseen else ()),
+    )
     return dataclasses.replace(found, notes=notes, wall_time_s=time.perf_counter() - began)
 
 
-def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tuple[Diagnosis, float]:
+def _diagnosed(
+    question: Question, scatter: timing.Scatter | None = None
+) -> tuple[Diagnosis, float]:
     """The answer; and how much a difference at the start of a run grows within it. `scatter`: what the time stamps do."""
     began = time.perf_counter()
-    question = dataclasses.replace(question, binding=question.binding.by_windows(question.residual.window))
-    binding, residual, seed, progress = question.binding, question.residual, question.seed, question.progress
+    question = dataclasses.replace(
+        question, binding=question.binding.by_windows(question.residual.window)
+    )
+    binding, residual, seed, progress = (
+        question.binding,
+        question.residual,
+        question.seed,
+        question.progress,
+    )
     if progress:
         progress("nominal fit", 0, 1, binding.chain.mechanism.name)
 
@@ -219,8 +324,12 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         bench, nominal_fit, search, compile_time = _search(question)
     else:
         bench = Bench(binding, question.step, differences=1, together=True)
-        bench.compile_ahead(InverseDynamics(decimate=1), binding.theta, binding.free)  # what WHERE asks in the end
-        keep = lambda fit, now: question.known.offer(lambda: _so_far(question, bench, fit(), now, began))
+        bench.compile_ahead(
+            InverseDynamics(decimate=1), binding.theta, binding.free
+        )  # what WHERE asks in the end
+        keep = lambda fit, now: question.known.offer(
+            lambda: _so_far(question, bench, fit(), now, began)
+        )
         (nominal_fit, search), compile_time = question.search(bench, keep), bench.compile_time()
         binding = bench.binding
     if progress:
@@ -229,12 +338,18 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     claim, nominal = judge.claim(), judge.nominal
     verdict, named, final, how_far = claim.verdict, claim.named, claim.final, claim.how_far
     estimates = effect_estimates(binding, final, named)
-    assembled = lambda: fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    assembled = lambda: fit_of(
+        bench, final, residual, seed, compile_time, time.perf_counter() - began
+    )
     final_fit = assembled() if named or question.search is None else nominal_fit
     against = doubts(estimates, final_fit.covariance) if verdict.name in ("named", "partly") else {}
     if verdict.name in ("named", "partly") and question.search is not None:
         spec = binding.dataset.model
-        bounded = {n for n, p in spec.parameters.items() if p.lower is not None or p.upper is not None} if spec else ()
+        bounded = (
+            {n for n, p in spec.parameters.items() if p.lower is not None or p.upper is not None}
+            if spec
+            else ()
+        )
         against = beside_bounds(estimates, final_fit.parameters, bounded) | against
     if against:
         verdict = verdict if len(against) < len(estimates) else verdict.unclaimed()
@@ -242,18 +357,30 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if search.stands is not None:
         by_joint = per_joint(bench, nominal_fit.scores, before=search.stands.theta)
         nominal_fit = dataclasses.replace(nominal_fit, per_joint=by_joint)
-    how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
+    how_far = dataclasses.replace(
+        how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint)
+    )
     mates = search.confusable if named else []
     findings, pictures, rows = where_it_lies(
-        bench, search.stands if named and search.stands else nominal, final, verdict.name, estimates, seed
+        bench,
+        search.stands if named and search.stands else nominal,
+        final,
+        verdict.name,
+        estimates,
+        seed,
     )
-    ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *ranked(search))
+    ranking = (
+        *(scatter.ranked(bench, residual, search.nominal) if scatter else ()),
+        *ranked(search),
+    )
     looked, pair, stopped = Look(), search.rivals, None
     if verdict.name in ("none", "unknown") and not question.still:
         pool = candidates(bench, question.allowed) if verdict.name == "none" else []
         try:
             settled = None if search.settled is None else search.settled[0].path
-            looked = Looker(bench, residual, search.nominal, settled).look([c for c in pool if c.effect != JITTER])
+            looked = Looker(bench, residual, search.nominal, settled).look(
+                [c for c in pool if c.effect != JITTER]
+            )
         except KeyboardInterrupt as stop:
             stopped, verdict = stop, verdict.because(Stopped())
         verdict = verdict.because(*map(Remark, looked.signs))
@@ -261,7 +388,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         pair = (search.nominal, looked.rival) if looked.rival else None
     rivals = None if pair is None else rivals_of(bench, pair)
     confusable = tuple(EffectEstimate(c.effect, c.location) for c in mates)
-    which = Which(verdict.name, estimates if named else (), confusable, ranking, verdict.text, against)
+    which = Which(
+        verdict.name, estimates if named else (), confusable, ranking, verdict.text, against
+    )
     advised = advice(
         verdict.name,
         [c.effect for c in named],
@@ -287,21 +416,37 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
 def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     """Nominal fit and search, and the bench whose steps no longer matter."""
     began = time.perf_counter()
-    binding, residual, seed, progress = question.binding, question.residual, question.seed, question.progress
-    bench = Bench(binding, differences=1)  # hundreds of models, each simulated a few times: tangents would compile longer
-    (engine := bench.runs(residual, "fit").engine).compile_ahead("outputs", binding.theta, binding.free)
+    binding, residual, seed, progress = (
+        question.binding,
+        question.residual,
+        question.seed,
+        question.progress,
+    )
+    bench = Bench(
+        binding, differences=1
+    )  # hundreds of models, each simulated a few times: tangents would compile longer
+    (engine := bench.runs(residual, "fit").engine).compile_ahead(
+        "outputs", binding.theta, binding.free
+    )
     guesses = start_values(bench, binding.free, seed)
     engine.read_ahead()  # while the nominal model is fitted
     problem = bench.problem(residual, "fit", binding.free, guesses[0])
     fitter = LevenbergMarquardt()
-    nominal, log = fitter.path(problem, [problem.z(g) for g in guesses], jax.random.key(seed), progress)
+    nominal, log = fitter.path(
+        problem, [problem.z(g) for g in guesses], jax.random.key(seed), progress
+    )
     if not np.isfinite(nominal.cost):
         raise Diverged(
             "the nominal model cannot be fitted: the simulation diverges at every candidate; give other start values or bounds",
             by_torque(binding),
             DIVERGES,
         )
-    if residual.free_run and not nominal.converged and by_torque(binding) and binding.chain.nq >= AN_ARM:
+    if (
+        residual.free_run
+        and not nominal.converged
+        and by_torque(binding)
+        and binding.chain.nq >= AN_ARM
+    ):
         _check_followed(bench, problem.theta(nominal.z), problem.starts(nominal.z))
     converged, stopped = nominal.converged, nominal.stopped
     nominal = descend([(problem, nominal.z)], 3, 1e-9)[0]
@@ -311,10 +456,21 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
 
     def first() -> Fit:
         spent = time.perf_counter() - began
-        return assemble(bench, problem, minimum(nominal.z, nominal.loss), residual, fitter.name, seed, 0.0, spent)
+        return assemble(
+            bench,
+            problem,
+            minimum(nominal.z, nominal.loss),
+            residual,
+            fitter.name,
+            seed,
+            0.0,
+            spent,
+        )
 
     searcher = Searcher(bench, residual, nominal, progress)
-    offer = lambda search: question.known.offer(lambda: _so_far(question, bench, first(), search, began))
+    offer = lambda search: question.known.offer(
+        lambda: _so_far(question, bench, first(), search, began)
+    )
     offer(Search(searcher.nominal, searcher.nominal))
     blind = "validation" in question.still  # nothing to choose by
     pool = [] if blind else candidates(bench, question.allowed)
@@ -324,24 +480,38 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     path = search.nominal.path
     spent = time.perf_counter() - began
     found = minimum(path.z, search.nominal.fit_loss)
-    return bench, assemble(bench, path.problem, found, residual, fitter.name, seed, compile_time, spent), search, compile_time
+    return (
+        bench,
+        assemble(bench, path.problem, found, residual, fitter.name, seed, compile_time, spent),
+        search,
+        compile_time,
+    )
 
 
 def _check_followed(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> None:
     """Raises `Diverged` where a descent that did not end left free runs that do not follow the recording: no effect can be seen
     beside that."""
-    off = max(s.nrmse for s in scores(bench, "fit", free_runs(bench, "fit", [theta], starts[None])[0]).values())
+    off = max(
+        s.nrmse
+        for s in scores(bench, "fit", free_runs(bench, "fit", [theta], starts[None])[0]).values()
+    )
     if not off <= FOLLOWS:
         note = LOST.format(percent(off))
         raise Diverged(f"{note}; give other start values or bounds", True, note)
 
 
-def _so_far(question: Question, bench: Bench, nominal: Fit, search: Search, began: float) -> Diagnosis:
+def _so_far(
+    question: Question, bench: Bench, nominal: Fit, search: Search, began: float
+) -> Diagnosis:
     """What is known while effects are still compared: where the gap lies and how wide it is; nothing is claimed yet."""
     binding, residual = question.binding, question.residual
     before, note = shrinking.model_before(binding, search.nominal.theta)
-    how_far = shrinking.measure(bench, residual, before, search.nominal.theta, search.nominal.theta, "unknown", note, bench)
-    findings, pictures, rows = where_it_lies(bench, search.nominal, search.nominal, "unknown", (), question.seed)
+    how_far = shrinking.measure(
+        bench, residual, before, search.nominal.theta, search.nominal.theta, "unknown", note, bench
+    )
+    findings, pictures, rows = where_it_lies(
+        bench, search.nominal, search.nominal, "unknown", (), question.seed
+    )
     ranking = tuple(ranked(search))
     text = f"Stopped before the effects of the library were compared: {len(ranking) or 'none'} had been."
     return Diagnosis(

@@ -21,7 +21,9 @@ Screened = tuple[float, Candidate, list[np.ndarray]]
 FEW = 16
 
 
-def screened(bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]) -> list[Screened]:
+def screened(
+    bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]
+) -> list[Screened]:
     """Share of the sum of squares at z that each candidate explains, to first order in everything but itself.
 
     Each finite probe is simulated, what re-tuning could do is projected out, and the probe is scaled within [0, 4]
@@ -55,7 +57,11 @@ def screened(bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: 
             if shapes[i]:
                 start[i] = theta[i]
         tuned = start.copy()  # and with what re-tuning then does to the other numbers
-        moved = z + np.clip(retuning.step(before + strength * change), -0.2 * (p.upper - p.lower), 0.2 * (p.upper - p.lower))
+        moved = z + np.clip(
+            retuning.step(before + strength * change),
+            -0.2 * (p.upper - p.lower),
+            0.2 * (p.upper - p.lower),
+        )
         tuned[p.free] = p.theta(np.clip(moved, p.lower, p.upper))[p.free]
         best.setdefault(str(c), []).append((gain / max(total, 1e-300), tuned, start))
         who[str(c)] = c
@@ -92,7 +98,9 @@ class Retuning:
         J = np.zeros((sum(part.r.size for part in parts), size))
         k = 0
         for part in parts:
-            J[k : k + part.r.size, part.z_columns] = part.J.reshape(part.r.size, len(part.z_columns))
+            J[k : k + part.r.size, part.z_columns] = part.J.reshape(
+                part.r.size, len(part.z_columns)
+            )
             k += part.r.size
         norm = np.linalg.norm(J, axis=0)
         self._kept = np.flatnonzero(norm > 0)
@@ -112,13 +120,18 @@ class Retuning:
         return out
 
 
-def probe_residuals(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+def probe_residuals(
+    p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]
+) -> list[np.ndarray]:
     """Weighted residual vectors at the samples for full parameter vectors, from the starts of z (one, or one for each)."""
     return list(each_probe(p, z, thetas))
 
 
 def each_probe(
-    p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray], once: bool = False
+    p: Problem,
+    z: np.ndarray | Sequence[np.ndarray],
+    thetas: Sequence[np.ndarray],
+    once: bool = False,
 ) -> Iterator[np.ndarray]:
     """`probe_residuals` one after the other; of long records a few are simulated at a time. `once`: they are not refitted."""
     some = FEW if p.runs.engine.long else max(1, len(thetas))
@@ -127,15 +140,23 @@ def each_probe(
         yield from _probes(p, z if isinstance(z, np.ndarray) else z[own], thetas[own], once)
 
 
-def _probes(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray], once: bool) -> Iterator[np.ndarray]:
+def _probes(
+    p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray], once: bool
+) -> Iterator[np.ndarray]:
     runs, n = p.runs, len(p.records)
     record = np.tile(np.array(p.records), len(thetas))
-    starts = np.tile(p.starts(z), (len(thetas), 1)) if isinstance(z, np.ndarray) else np.concatenate([p.starts(x) for x in z])
+    starts = (
+        np.tile(p.starts(z), (len(thetas), 1))
+        if isinstance(z, np.ndarray)
+        else np.concatenate([p.starts(x) for x in z])
+    )
     y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), starts, record, once=once)
     for k in range(0, len(record), n):
         each = []
         for number, own in zip(record[k : k + n], y[k : k + n], strict=True):
             at = runs.record(number).samples
             with np.errstate(over="ignore", invalid="ignore"):  # a probe that diverges
-                each.append((p.weights[at] * (runs.sample_prediction(number, own) - p.targets[at])).ravel())
+                each.append(
+                    (p.weights[at] * (runs.sample_prediction(number, own) - p.targets[at])).ravel()
+                )
         yield np.concatenate(each)

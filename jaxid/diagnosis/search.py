@@ -14,7 +14,15 @@ from functools import partial
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, knowledge, together
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, refined_by, Search, sensible, without_each
+from jaxid.diagnosis.hypothesis import (
+    Candidate,
+    Hypothesis,
+    key_of,
+    refined_by,
+    Search,
+    sensible,
+    without_each,
+)
 from jaxid.diagnosis.prior_pull import brought_back, moved_to, put_back
 from jaxid.diagnosis.proposals import (
     beside,
@@ -66,17 +74,23 @@ THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
 class Searcher:
     """Forward selection with re-evaluation, on one bench and residual."""
 
-    def __init__(self, bench: Bench, residual: Residual, nominal: Path, progress: Progress | None = None):
+    def __init__(
+        self, bench: Bench, residual: Residual, nominal: Path, progress: Progress | None = None
+    ):
         self.bench, self.residual, self.progress = bench, residual, progress
         self.accurate = bench  # with steps that no longer matter
         self.benches: list[Bench] = []  # coarser ones, left behind
         self.base_free = list(nominal.problem.free)
         self.nominal = self._hypotheses([((), nominal)])[0]
         self.known: dict[frozenset[str], Hypothesis] = {frozenset(): self.nominal}
-        self._stale: dict[frozenset[str], Hypothesis] = {}  # refitted before the data were corrected for the step
+        self._stale: dict[
+            frozenset[str], Hypothesis
+        ] = {}  # refitted before the data were corrected for the step
         self.tried: list[Hypothesis] = []  # on the way to what is chosen
         self._singles: list[Hypothesis] = []  # those of the last step
-        self._passed_over: dict[Candidate, list[Hypothesis]] = {}  # what an accepted effect was not clearly better than
+        self._passed_over: dict[
+            Candidate, list[Hypothesis]
+        ] = {}  # what an accepted effect was not clearly better than
         self._cut_short = False
 
     # ---- hypotheses
@@ -91,14 +105,18 @@ class Searcher:
         ]
         told = [knowledge(path) for _, path in found]
         validations = held_out(self.bench, "validation", thetas, self.residual, told, follow)
-        return [Hypothesis(e, t, p, v) for (e, p), t, v in zip(found, thetas, validations, strict=True)]
+        return [
+            Hypothesis(e, t, p, v) for (e, p), t, v in zip(found, thetas, validations, strict=True)
+        ]
 
     def problem(self, effects: Sequence[Candidate], theta: np.ndarray) -> Problem:
         free = self.base_free + [i for c in effects for i in c.index]
         return self.bench.problem(self.residual, "fit", free, theta)
 
     def refit(
-        self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]], like: Hypothesis | None = None
+        self,
+        sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]],
+        like: Hypothesis | None = None,
     ) -> list[Hypothesis]:
         """Refits each set of effects from its starts (full parameter vectors), all in one batch, the runs begun as in `like` or
         the nominal model; best start of each."""
@@ -107,7 +125,10 @@ class Searcher:
         begun = (like or self.nominal).path
         starts = begun.problem.starts(begun.z)
         sets = promising(self.nominal.path, sets)
-        groups, by_torque = [], torque_starts(self.bench, self.base_free, sets, torque_tells(self.bench))
+        groups, by_torque = (
+            [],
+            torque_starts(self.bench, self.base_free, sets, torque_tells(self.bench)),
+        )
         for (effects, thetas), (_, more) in zip(sets, by_torque, strict=True):
             p = self.problem(effects, thetas[0])
             # The race favours the first two.
@@ -115,7 +136,11 @@ class Searcher:
         order = sorted(range(len(sets)), key=lambda k: by_torque[k][0])
         sure = [k for k in order if np.isfinite(by_torque[k][0])][:SURE]
         final = brought_back(race(groups, 20, 1e-6, sure), self.bench.binding.theta, self.base_free)
-        found = self._led(self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)]))
+        found = self._led(
+            self._hypotheses(
+                [(effects, path) for (effects, _), path in zip(sets, final, strict=True)]
+            )
+        )
         for k, h in enumerate(found):
             old = self.known.get(key_of(h.effects))
             if old is not None and old.effects == h.effects and old.fit_loss < h.fit_loss:
@@ -129,16 +154,26 @@ class Searcher:
         jobs: dict[int, tuple[Problem, np.ndarray]] = {}
         for k, h in enumerate(found):
             richer = [
-                g for g in found if key_of(h.effects) < key_of(g.effects) and g.fit_loss < LIMITS.local_minimum * h.fit_loss
+                g
+                for g in found
+                if key_of(h.effects) < key_of(g.effects)
+                and g.fit_loss < LIMITS.local_minimum * h.fit_loss
             ]
             if lead := min(richer, key=lambda g: g.fit_loss, default=None):
-                theta, more = lead.theta.copy(), [i for c in lead.effects if c not in h.effects for i in c.index]
+                theta, more = (
+                    lead.theta.copy(),
+                    [i for c in lead.effects if c not in h.effects for i in c.index],
+                )
                 theta[more] = self.bench.binding.theta[more]
                 p = self.problem(h.effects, theta)
                 jobs[k] = p, self._z(p, replace(lead, theta=theta))
         ends = zip(jobs, descend(list(jobs.values()), *THOROUGH) if jobs else [], strict=True)
         better = {k: end for k, end in ends if end.loss < LIMITS.local_minimum * found[k].fit_loss}
-        new = self._hypotheses([(found[k].effects, end) for k, end in better.items()]) if better else []
+        new = (
+            self._hypotheses([(found[k].effects, end) for k, end in better.items()])
+            if better
+            else []
+        )
         return [dict(zip(better, new, strict=True)).get(k, h) for k, h in enumerate(found)]
 
     def screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
@@ -149,15 +184,27 @@ class Searcher:
 
     def _goes_on(self) -> bool:
         """Whether more may be asked after the first effects; that it may not is said in the end."""
-        spent, once = sum(bench.simulated() for bench in (*self.benches, self.bench)), self.nominal.path.problem.work
+        spent, once = (
+            sum(bench.simulated() for bench in (*self.benches, self.bench)),
+            self.nominal.path.problem.work,
+        )
         self._cut_short |= bool(self.tried) and spent > max(MOST_STEPS, MOST_RUNS * once)
         return not self._cut_short
 
-    def run(self, pool: Sequence[Candidate], max_effects: int, known: Callable[[Search], None] = lambda search: None) -> Search:
+    def run(
+        self,
+        pool: Sequence[Candidate],
+        max_effects: int,
+        known: Callable[[Search], None] = lambda search: None,
+    ) -> Search:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again; `known` is told after each
         round."""
         chosen = self._refined(self.nominal)
-        while (room := max_effects - len(chosen.effects)) > 0 and not finished(chosen) and self._goes_on():
+        while (
+            (room := max_effects - len(chosen.effects)) > 0
+            and not finished(chosen)
+            and self._goes_on()
+        ):
             found = self._beside(chosen, pool, room)
             step = best(self.bench, chosen, found)
             if step is None and len(chosen.effects) + 2 <= max_effects and self._goes_on():
@@ -182,20 +229,39 @@ class Searcher:
         mates = self._alternatives(chosen, pool)
         plainest = min(mates.values(), key=lambda h: (h.size, joint_loss(h)), default=chosen)
         if plainest.size < chosen.size and added:
-            chosen = self._questioned(plainest)  # a rich law was chosen before the others were there
+            chosen = self._questioned(
+                plainest
+            )  # a rich law was chosen before the others were there
             mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._put_back(self._settled(chosen)))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
         needless = not significant(self.nominal, chosen)
-        if chosen.effects and (needless or at_floor(self.nominal)):  # freed of a local minimum on the way
+        if chosen.effects and (
+            needless or at_floor(self.nominal)
+        ):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
         several = len(chosen.effects) > 1
         alike = list(dict.fromkeys((*mates, *mirrored(self.bench, chosen, pool))))
-        told_apart = mates or not alike  # a mirrored effect alone: no input tells what no recording can
-        rivals = rivals_among(list(self.known.values()), chosen, list(mates.values())) if told_apart else None
+        told_apart = (
+            mates or not alike
+        )  # a mirrored effect alone: no input tells what no recording can
+        rivals = (
+            rivals_among(list(self.known.values()), chosen, list(mates.values()))
+            if told_apart
+            else None
+        )
         fitted = self._stale | self.known
         each = without_each(chosen, fitted)
-        return Search(self.nominal, chosen, self.tried, alike, rivals, several, each, cut_short=self._cut_short)
+        return Search(
+            self.nominal,
+            chosen,
+            self.tried,
+            alike,
+            rivals,
+            several,
+            each,
+            cut_short=self._cut_short,
+        )
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
@@ -207,26 +273,44 @@ class Searcher:
         self.tried += found
         return found
 
-    def _as_pairs(self, h: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
+    def _as_pairs(
+        self, h: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate], room: int
+    ) -> list[Hypothesis]:
         """Two effects at once: pairs of those found, and anything beside the one that explains far more of the fit runs than `h`
         does, whatever it makes of validation runs without what else is missing; at most `room` more than `h` has."""
         most = len(h.effects) + room
-        out = self.refit([(effects, starts) for effects, starts in pairs(self.bench, found) if len(effects) <= most])
+        out = self.refit(
+            [
+                (effects, starts)
+                for effects, starts in pairs(self.bench, found)
+                if len(effects) <= most
+            ]
+        )
         lead = min(found, key=lambda f: f.fit_loss, default=h)
         if lead.fit_loss < LIMITS.conflict * h.fit_loss and len(lead.effects) < most:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
         return out
 
-    def _plainer(self, chosen: Hypothesis, step: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
+    def _plainer(
+        self, chosen: Hypothesis, step: Hypothesis, pool: Sequence[Candidate]
+    ) -> Hypothesis:
         """The first effect, or two plain laws in its place that explain more."""
         two = self.refit(plain_pairs(self.bench, step.effects[0], pool, self.nominal.theta))
         self.tried += two
-        better = [h for h in two if significant(chosen, h) and h.validation.loss < step.validation.loss]
+        better = [
+            h for h in two if significant(chosen, h) and h.validation.loss < step.validation.loss
+        ]
         return min([step, *better], key=lambda h: h.validation.loss)
 
-    def _exchanged(self, chosen: Hypothesis, step: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis:
+    def _exchanged(
+        self, chosen: Hypothesis, step: Hypothesis, found: Sequence[Hypothesis]
+    ) -> Hypothesis:
         """The step from the chosen hypothesis, or one with other effects in the place of those accepted before, if better."""
-        alike = [h for h in equals(self.bench, chosen, found) if h is not step and h.effects[:-1] == step.effects[:-1]]
+        alike = [
+            h
+            for h in equals(self.bench, chosen, found)
+            if h is not step and h.effects[:-1] == step.effects[:-1]
+        ]
         alike = sorted(alike, key=joint_loss)[:RIVALS]
         other = self.refit(exchanged(self.bench, [step, *alike], self._passed_over))
         self.tried += other
@@ -242,39 +326,63 @@ class Searcher:
         """The hypothesis with those of the model's own numbers where the user put them that the data leave open."""
         if not h.effects:
             return h
-        path = put_back(h.path, self.bench.binding.theta, self.base_free, partial(self._quick.problem, self.residual, "fit"))
+        path = put_back(
+            h.path,
+            self.bench.binding.theta,
+            self.base_free,
+            partial(self._quick.problem, self.residual, "fit"),
+        )
         after = h if path is h.path else self._hypotheses([(h.effects, path)])[0]
         return after if after.validation.loss < h.validation.loss * LIMITS.alike else h
 
     def _taught(self, h: Hypothesis) -> Hypothesis:
         """What the fit runs leave open, as the validation runs have it, for a model that follows the fit runs."""
         held, theta, far = h.validation, h.validation.theta, h.fit_loss > LIMITS.followed_near
-        if theta is None and held.gap**2 > held.loss + LIMITS.left_open and self.residual.free_run and not far:
+        if (
+            theta is None
+            and held.gap**2 > held.loss + LIMITS.left_open
+            and self.residual.free_run
+            and not far
+        ):
             starts = estimate_starts(self._quick, "validation", [h.theta])
-            theta = (end := together(self._quick, "validation", [h.path], starts)[0]).problem.theta(end.z)
+            theta = (end := together(self._quick, "validation", [h.path], starts)[0]).problem.theta(
+                end.z
+            )
         if theta is None or far:
             return h
         paths = [brought_back([h.path], theta, h.path.problem.free)[0], moved_to(h.path, theta)]
         moved = [(h.effects, path) for path in paths if path is not h.path]
-        good = [g for g in (self._hypotheses(moved) if moved else []) if g.validation.loss < h.validation.loss * LIMITS.alike]
+        good = [
+            g
+            for g in (self._hypotheses(moved) if moved else [])
+            if g.validation.loss < h.validation.loss * LIMITS.alike
+        ]
         return min([h, *good], key=lambda g: g.validation.gap)
 
     def _refined(self, chosen: Hypothesis) -> Hypothesis:
         """The chosen hypothesis descended to the end, with steps so fine that they no longer matter against the noise: what the
         step leaves behind would look like another effect. The search itself stays on its steps: what finer ones add to the
         chosen hypothesis is taken off the data."""
-        chosen = self._descended(chosen, THOROUGH if chosen.effects or chosen.fit_loss < LIMITS.far else BRIEF)
+        chosen = self._descended(
+            chosen, THOROUGH if chosen.effects or chosen.fit_loss < LIMITS.far else BRIEF
+        )
         error = np.nan
         for _ in range(HALVINGS):
             p = self.accurate.problem(self.residual, "fit", chosen.path.problem.free, chosen.theta)
             finer, before = replace(self.accurate, step=self.accurate.step / 2, defects={}), error
-            if (error := step_error(p, self._z(p, chosen), finer.runs(self.residual, "fit"))) <= STEP_SHARE:
+            if (
+                error := step_error(p, self._z(p, chosen), finer.runs(self.residual, "fit"))
+            ) <= STEP_SHARE:
                 break
             self.accurate = finer
-            if error * error <= STEP_SHARE / 2 * before:  # as it goes on falling, half of what is allowed is left
+            if (
+                error * error <= STEP_SHARE / 2 * before
+            ):  # as it goes on falling, half of what is allowed is left
                 break
         if self.accurate is not self.bench:
-            self.accurate.compile_ahead(self.residual, self.nominal.theta, self.base_free)  # which it is compared with
+            self.accurate.compile_ahead(
+                self.residual, self.nominal.theta, self.base_free
+            )  # which it is compared with
             for _ in range(CORRECTIONS):
                 self._take_off(chosen)
                 chosen = self._descended(chosen)
@@ -291,11 +399,15 @@ class Searcher:
             return h
         theta = richer.theta.copy()
         for c in richer.effects:
-            theta[list(c.index)] = (h.theta if c in h.effects else self.bench.binding.theta)[list(c.index)]
+            theta[list(c.index)] = (h.theta if c in h.effects else self.bench.binding.theta)[
+                list(c.index)
+            ]
         p, starts = self.problem(h.effects, theta), richer.path.problem.starts(richer.path.z)
         freed = self._hypotheses([(h.effects, descend([(p, p.z(theta, starts))], *THOROUGH)[0])])[0]
         share = joint_loss(freed) / joint_loss(h)
-        if share > LIMITS.local_minimum and not (quiet and share * LIMITS.alike < 1 and not significant(freed, richer)):
+        if share > LIMITS.local_minimum and not (
+            quiet and share * LIMITS.alike < 1 and not significant(freed, richer)
+        ):
             return h
         self.known[key_of(h.effects)] = freed
         return freed
@@ -307,10 +419,16 @@ class Searcher:
         """The hypothesis at its minimum on the bench as it is now."""
         return self._all_descended([h], descent)[0]
 
-    def _all_descended(self, hypotheses: Sequence[Hypothesis], descent: tuple[int, float]) -> list[Hypothesis]:
+    def _all_descended(
+        self, hypotheses: Sequence[Hypothesis], descent: tuple[int, float]
+    ) -> list[Hypothesis]:
         problems = [self.problem(h.effects, h.theta) for h in hypotheses]
-        paths = descend([(p, self._z(p, h)) for p, h in zip(problems, hypotheses, strict=True)], *descent)
-        found = self._hypotheses([(h.effects, path) for h, path in zip(hypotheses, paths, strict=True)])
+        paths = descend(
+            [(p, self._z(p, h)) for p, h in zip(problems, hypotheses, strict=True)], *descent
+        )
+        found = self._hypotheses(
+            [(h.effects, path) for h, path in zip(hypotheses, paths, strict=True)]
+        )
         for h in found:
             self.known[key_of(h.effects)] = h
         return found
@@ -330,7 +448,9 @@ class Searcher:
         if self.accurate is not self.bench:
             self.benches.append(self.bench)
             self.bench = self.accurate
-            self.nominal, *rest = self._all_descended([self.nominal, chosen] if chosen.effects else [self.nominal], THOROUGH)
+            self.nominal, *rest = self._all_descended(
+                [self.nominal, chosen] if chosen.effects else [self.nominal], THOROUGH
+            )
             chosen = rest[0] if rest else self.nominal
         return chosen
 
@@ -338,13 +458,17 @@ class Searcher:
         """Refits of `h` with one more effect each, for all that the screen lets pass; one that refines another which is missing
         comes with that one, where there is room for two."""
         base = {str(c): [] if sensible((*h.effects, c)) else refined_by(c, rest) for c in rest}
-        rest = [c for c in rest if sensible((*h.effects, *base[str(c)], c)) and len(base[str(c)]) < room]
+        rest = [
+            c for c in rest if sensible((*h.effects, *base[str(c)], c)) and len(base[str(c)]) < room
+        ]
         ranked = self.screen(h, rest) if rest else []
         if h.effects and close_to_noise(h):
             ranked = [f for f in ranked if f[0] * h.fit_loss * h.path.count > LIMITS.standing_out]
             rest = [c for _, c, _ in ranked]
         # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
-        by_torque = torque_screened(self.bench, h, [c for _, c, _ in ranked] or rest) if rest else []
+        by_torque = (
+            torque_screened(self.bench, h, [c for _, c, _ in ranked] or rest) if rest else []
+        )
         if not (ranked or by_torque):
             return []
         lead = in_lead(self.known.values())
@@ -362,23 +486,32 @@ class Searcher:
         one refines as well where there is none of it; the smaller set gets every chance, from where the larger one ended."""
         while len(h.effects) > 1:
             smaller = self.refit([left_out(self.bench, h, c) for c in h.effects], h)
-            needless = [s for s in smaller if not significant(s, h) or outweighed(self.nominal, h, s)]
+            needless = [
+                s for s in smaller if not significant(s, h) or outweighed(self.nominal, h, s)
+            ]
             needless = needless or not_borne_out(self.bench, self.residual, h, smaller)
             if not needless:
                 return h
             h = min(needless, key=lambda s: s.validation.loss)
         return h
 
-    def _alternatives(self, chosen: Hypothesis, pool: Sequence[Candidate]) -> dict[Candidate, Hypothesis]:
+    def _alternatives(
+        self, chosen: Hypothesis, pool: Sequence[Candidate]
+    ) -> dict[Candidate, Hypothesis]:
         """What the data cannot tell from the named effects: other effects in the place of each, the others kept."""
         out: dict[Candidate, Hypothesis] = {}
         for c in chosen.effects:
             others = tuple(e for e in chosen.effects if e is not c)
             done = self.known.keys() | self._stale.keys()
-            missing = [e for e in pool if e not in chosen.effects and key_of((*others, e)) not in done]
+            missing = [
+                e for e in pool if e not in chosen.effects and key_of((*others, e)) not in done
+            ]
             if missing and others and key_of(others) in self.known and self._goes_on():
                 self._extend(self.known[key_of(others)], missing)
-            self._renew([key_of((*others, e)) for e in pool if e not in chosen.effects], key_of(chosen.effects))
+            self._renew(
+                [key_of((*others, e)) for e in pool if e not in chosen.effects],
+                key_of(chosen.effects),
+            )
             for e in pool:
                 h = self.known.get(key_of((*others, e)))
                 if e in chosen.effects or h is None or e in out or not sensible((*others, e)):
@@ -392,6 +525,10 @@ class Searcher:
         if chosen not in self._stale:
             return
         limit = 1.5 * self._stale[chosen].fit_loss
-        old = [self._stale[k] for k in keys if k in self._stale and k not in self.known and self._stale[k].fit_loss <= limit]
+        old = [
+            self._stale[k]
+            for k in keys
+            if k in self._stale and k not in self.known and self._stale[k].fit_loss <= limit
+        ]
         if old:
             self._all_descended(old, (10, 1e-7))

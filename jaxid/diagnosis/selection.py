@@ -39,7 +39,11 @@ def significant(before: Hypothesis, after: Hypothesis) -> bool:
     left = max(before.validation.loss - 1.0, 1e-12)
     share = (before.validation.loss - after.validation.loss) / left
     size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
-    silent = before.fit_inflation < LIMITS.white and after.validation.loss < LIMITS.explained and fitted > -LIMITS.decisive
+    silent = (
+        before.fit_inflation < LIMITS.white
+        and after.validation.loss < LIMITS.explained
+        and fitted > -LIMITS.decisive
+    )
     if silent and held > LIMITS.overwhelming * more:
         return True
     # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
@@ -54,14 +58,22 @@ def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypot
     near = equals(bench, before, found)
     fewest = min((h.size for h in near), default=0)
     physics = lambda h: h.effects[-1].effect not in TIMING
-    return min((h for h in near if h.size == fewest), key=lambda h: (physics(h), joint_loss(h)), default=None)
+    return min(
+        (h for h in near if h.size == fewest),
+        key=lambda h: (physics(h), joint_loss(h)),
+        default=None,
+    )
 
 
 def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Those of the refits that say more than `before` and that the best of them does not beat decisively."""
-    found = [h for h in found if np.isfinite(h.fit_loss)]  # a run that diverges says nothing, and has no place in an order
+    found = [
+        h for h in found if np.isfinite(h.fit_loss)
+    ]  # a run that diverges says nothing, and has no place in an order
     good = lambda h: significant(before, h)  # dear, so that it is asked last
-    both = lambda h: h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
+    both = lambda h: (
+        h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
+    )
     top = next(filter(good, sorted(found, key=lambda h: h.validation.loss)), None)
     if top is None:
         return []
@@ -70,7 +82,12 @@ def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> lis
         top = rival
         found = [h for h in found if LIMITS.conflict * h.fit_loss < top.fit_loss]
     factor = inflation(top.validation)
-    near = [h for h in found if worth(top.validation, h.validation, factor) < LIMITS.decisive or simpler(bench, before, h, top)]
+    near = [
+        h
+        for h in found
+        if worth(top.validation, h.validation, factor) < LIMITS.decisive
+        or simpler(bench, before, h, top)
+    ]
     return [h for h in near if good(h)]
 
 
@@ -95,8 +112,16 @@ def simpler(bench: Bench, before: Hypothesis, h: Hypothesis, top: Hypothesis) ->
 def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
     """Whether neither the validation runs nor these and the fit runs together tell `h` from the chosen hypothesis."""
     factor = inflation(chosen.validation)
-    both = (joint_loss(h) - joint_loss(chosen)) * (chosen.path.count + chosen.validation.count) / factor
-    doubt = max(2 * LIMITS.decisive, unexplained(chosen)) if joint_loss(h) < LIMITS.close_above else 2 * LIMITS.decisive
+    both = (
+        (joint_loss(h) - joint_loss(chosen))
+        * (chosen.path.count + chosen.validation.count)
+        / factor
+    )
+    doubt = (
+        max(2 * LIMITS.decisive, unexplained(chosen))
+        if joint_loss(h) < LIMITS.close_above
+        else 2 * LIMITS.decisive
+    )
     return worth(chosen.validation, h.validation, factor) < LIMITS.decisive and both < doubt
 
 
@@ -109,7 +134,11 @@ def mirrored(bench: Bench, chosen: Hypothesis, pool: Sequence[Candidate]) -> lis
     for c in chosen.effects:
         if effect_of(bench, c).mirrors:
             named.setdefault(effect_of(bench, c).mirrors, []).append(c.location)
-    whole = {kind for kind, at in named.items() if len(at) == len(outputs if set(at) <= set(outputs) else inputs)}
+    whole = {
+        kind
+        for kind, at in named.items()
+        if len(at) == len(outputs if set(at) <= set(outputs) else inputs)
+    }
     alike = [c for c in pool if c.effect in whole and c not in chosen.effects]
     return [c for c in alike if len(inputs if c.location in inputs else outputs) == 1]
 
@@ -126,10 +155,14 @@ def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
     the exact form of the others' laws is not known as well."""
     gained = joint_loss(without) - joint_loss(h)
     form = gained < LIMITS.form * (joint_loss(nominal) - joint_loss(h))
-    return joint_loss(without) < LIMITS.close_above and (form or gained * (h.path.count + h.validation.count) < unexplained(h))
+    return joint_loss(without) < LIMITS.close_above and (
+        form or gained * (h.path.count + h.validation.count) < unexplained(h)
+    )
 
 
-def not_borne_out(bench: Bench, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]) -> list[Hypothesis]:
+def not_borne_out(
+    bench: Bench, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]
+) -> list[Hypothesis]:
     """Those of smaller sets close to the noise that predict the report data as well: what these do not show is no claim."""
     close = [s for s in smaller if joint_loss(s) < LIMITS.close_above]
     if not close or not bench.binding.experiments("report"):
@@ -142,7 +175,9 @@ def at_floor(h: Hypothesis) -> bool:
     """Nothing is left to explain: the noise, and white."""
     level = lambda count: 1 + 4 * np.sqrt(2 / max(1, count))
     low = h.fit_loss <= level(h.path.count) and h.validation.loss <= level(h.validation.count)
-    return bool(low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2)
+    return bool(
+        low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2
+    )
 
 
 def finished(h: Hypothesis) -> bool:
@@ -161,7 +196,9 @@ def rivals_among(
 ) -> tuple[Hypothesis, Hypothesis] | None:
     """The two hypotheses between which further data should decide: the chosen one (else the best) and what the data cannot
     tell from it (else the best of those known that are not the first with more or less in it)."""
-    nested = lambda a, b: key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
+    nested = lambda a, b: (
+        key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
+    )
     ranked = sorted((h for h in known if h.effects and np.isfinite(h.fit_loss)), key=joint_loss)
     first = chosen if chosen.effects else next(iter(ranked), None)
     if first is None or (not chosen.effects and at_floor(chosen)):

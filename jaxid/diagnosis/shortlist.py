@@ -33,18 +33,29 @@ def shortlist(
     kept = ranked if blind else _head(ranked)
     # At the joint first: what is on the way of the command always explains torque, by delivering less of it.
     at_joint = [f for f in by_torque if effect_of(bench, f[1]).location == "joint"]
-    more = [str(c) for _, c, _ in (*_head(at_joint), *_head([f for f in by_torque if f not in at_joint]))]
+    more = [
+        str(c)
+        for _, c, _ in (*_head(at_joint), *_head([f for f in by_torque if f not in at_joint]))
+    ]
     table = {str(f[1]): f for f in ranked or by_torque}
     first = [f for f in table.values() if f[1].effect in TIMING and alone]
     names = {str(c) for _, c, _ in kept}
-    others = [f for f in (*kept, *(table[n] for n in more if n in table and n not in names)) if f not in first]
+    others = [
+        f
+        for f in (*kept, *(table[n] for n in more if n in table and n not in names))
+        if f not in first
+    ]
     kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
     front = [*ranked[:FRONT], *by_torque[:FRONT]]
-    alike = {f"{n} at {c.location}" for _, c, _ in (*kept, *front) for n in effect_of(bench, c).resembles}
+    alike = {
+        f"{n} at {c.location}" for _, c, _ in (*kept, *front) for n in effect_of(bench, c).resembles
+    }
     wanted = (alike | {str(c) for _, c, _ in front}) - {str(c) for _, c, _ in kept}
     return [*kept, *(f for n, f in table.items() if n in wanted), *beside]
 
 
 def _head(ranked: Sequence[Screened]) -> list[Screened]:
     """What is refitted of a ranking."""
-    return [f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= ranked[0][0] - LIMITS.screen_share]
+    return [
+        f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= ranked[0][0] - LIMITS.screen_share
+    ]

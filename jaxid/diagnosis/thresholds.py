@@ -360,7 +360,9 @@ class Thresholds:
     def table(self) -> list[tuple[str, float, str, str, str]]:
         """Name, value, unit, reason and case of each."""
         told = ("unit", "reason", "case")
-        return [(f.name, getattr(self, f.name), *(f.metadata[k] for k in told)) for f in fields(self)]
+        return [
+            (f.name, getattr(self, f.name), *(f.metadata[k] for k in told)) for f in fields(self)
+        ]
 
 
 LIMITS = Thresholds()

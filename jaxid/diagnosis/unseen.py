@@ -69,11 +69,16 @@ class Unseen:
         return {
             "effect": self.effect,
             "location": self.location,
-            "parameters": {k: {"value": v, "unit": unit} for k, (v, unit) in self.parameters.items()},
+            "parameters": {
+                k: {"value": v, "unit": unit} for k, (v, unit) in self.parameters.items()
+            },
             "distance": self.distance,
             "without_retuning": self.stirred,
             "absorbed": self.absorbed,
-            "hides_in": [{"parameter": m.name, "unit": m.unit, "fitted": m.without, "with_it": m.beside} for m in self.moved],
+            "hides_in": [
+                {"parameter": m.name, "unit": m.unit, "fitted": m.without, "with_it": m.beside}
+                for m in self.moved
+            ],
         }
 
 
@@ -119,7 +124,9 @@ class Match:
     problem: Problem
     z: np.ndarray
     distance: float = np.inf
-    tried: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)  # z and the difference there: the nearest, the last
+    tried: list[tuple[np.ndarray, np.ndarray]] = field(
+        default_factory=list
+    )  # z and the difference there: the nearest, the last
     trials: int = 0
     failed: int = 0
 
@@ -145,7 +152,9 @@ class Match:
         """What is left is made small along the secants first, and then along the slopes without the effect."""
         (z, rest), *others = self.tried
         if others:
-            way, change = (np.stack([o[k] - here for o in others], -1) for k, here in ((0, z), (1, rest)))
+            way, change = (
+                np.stack([o[k] - here for o in others], -1) for k, here in ((0, z), (1, rest))
+            )
             size = np.maximum(np.linalg.norm(change, axis=0), 1e-300)
             share = np.linalg.lstsq(change / size, -rest, rcond=1e-6)[0] / size
             z, rest = z + way @ share, rest + change @ share
@@ -154,14 +163,18 @@ class Match:
     def _near(self, z: np.ndarray) -> np.ndarray:
         """No further away than where the first order leads, and half as far after each failure."""
         here, p, n = self.tried[0][0], self.problem, self.problem.free.size
-        far = np.max(np.abs(z - here)[:n] / np.where(p.log, REACH, CHANGES * p.scale[:n]), initial=0.0)
+        far = np.max(
+            np.abs(z - here)[:n] / np.where(p.log, REACH, CHANGES * p.scale[:n]), initial=0.0
+        )
         return here + (z - here) * min(1.0, 0.5**self.failed / max(far, 1e-300))
 
 
 class Looker:
     """Looks behind a nominal model that reaches the noise, on the runs that fitted and chose."""
 
-    def __init__(self, bench: Bench, residual: Residual, nominal: Hypothesis, settled: Path | None = None):
+    def __init__(
+        self, bench: Bench, residual: Residual, nominal: Hypothesis, settled: Path | None = None
+    ):
         """`settled`: the nominal model as it was already fitted to the runs that fitted and chose."""
         self.bench, self.residual, self.nominal = bench, residual, nominal
         held = "validation" if bench.binding.experiments("validation") else ""
@@ -172,7 +185,9 @@ class Looker:
         self.before = np.concatenate([part.r.ravel() for part in self.parts])
         self.retuning = Retuning(self.parts, self.p.size)
         self.inflation = max(1.0, path.loss) * memory([part.r for part in self.parts])
-        self.std = np.full(self.p.free.size, np.inf)  # of the free numbers; nothing hides in what is not known at all
+        self.std = np.full(
+            self.p.free.size, np.inf
+        )  # of the free numbers; nothing hides in what is not known at all
         if (told := knowledge(path)) is not None:
             self.std = np.sqrt(np.diag(np.linalg.pinv(told[1], hermitian=True)) * self.inflation)
 
@@ -187,17 +202,24 @@ class Looker:
 
     def look(self, pool: Sequence[Candidate]) -> Look:
         probes, signs = self._probed(pool)
-        hiding = sorted((q for q in probes if self._hides(q.size * q.step).size), key=lambda q: (q.absorbed, -self._worst(q)))
+        hiding = sorted(
+            (q for q in probes if self._hides(q.size * q.step).size),
+            key=lambda q: (q.absorbed, -self._worst(q)),
+        )
         found = self._matched(hiding[:MOST])
         found.sort(key=lambda f: f[0].absorbed)
         still = [q for q in probes if q.stirred < LIMITS.told and q not in hiding]
         unstirred = [
-            Unseen(c.effect, c.location, self._numbers(c, q.full), q.left, q.stirred, q.absorbed, ())
+            Unseen(
+                c.effect, c.location, self._numbers(c, q.full), q.left, q.stirred, q.absorbed, ()
+            )
             for c, q in ((q.candidate, q) for q in still)
         ]
         rival = next((self._hypothesis(c, end) for u, c, end in found if not u.absorbed), None)
         drift = self._drift()
-        return Look((*(u for u, *_ in found), *unstirred), (*signs, *([drift] if drift else [])), rival)
+        return Look(
+            (*(u for u, *_ in found), *unstirred), (*signs, *([drift] if drift else [])), rival
+        )
 
     def _hypothesis(self, c: Candidate, end: Match) -> Hypothesis:
         (path,) = descend([(end.problem, end.z)], 0, 1e-3)
@@ -212,13 +234,17 @@ class Looker:
             return [], []
         full = [theta for _, theta in probes]
         if self.p.runs.engine.long:
-            pairs = zip(each_probe(self.p, self.z, full), each_probe(self.p, self.z, weak), strict=True)
+            pairs = zip(
+                each_probe(self.p, self.z, full), each_probe(self.p, self.z, weak), strict=True
+            )
         else:
             found = probe_residuals(self.p, self.z, full + weak)
             pairs = zip(found[: len(full)], found[len(full) :], strict=True)
         best: dict[Candidate, Probe] = {}
         told: dict[Candidate, float] = {}
-        share = lambda left, change: float(np.linalg.norm(left) / max(np.linalg.norm(change), 1e-300))
+        share = lambda left, change: float(
+            np.linalg.norm(left) / max(np.linalg.norm(change), 1e-300)
+        )
         for k, ((c, full), both) in enumerate(zip(probes, pairs, strict=True)):
             change, small = (np.nan_to_num(r - self.before, nan=1e100, posinf=1e100) for r in both)
             stirred = float(np.linalg.norm(change))
@@ -226,19 +252,38 @@ class Looker:
                 continue
             rest_of = self.retuning.remaining(change)
             distance = float(np.linalg.norm(rest_of))
-            tangent = self.retuning.remaining(small)  # of a finite probe, second order is left as well
+            tangent = self.retuning.remaining(
+                small
+            )  # of a finite probe, second order is left as well
             absorbed = min(share(rest_of, change), share(tangent, small)) < ABSORBED
             if distance > 1e-3:
-                told[c] = max(told.get(c, 0.0), abs(float(rest @ rest_of)) / distance / np.sqrt(self.inflation))
+                told[c] = max(
+                    told.get(c, 0.0),
+                    abs(float(rest @ rest_of)) / distance / np.sqrt(self.inflation),
+                )
             step = self.retuning.step(change)
             n = self.p.free.size
-            far = float(np.max(np.abs(step[:n]) / np.where(self.p.log, REACH, CHANGES * self.p.scale[:n]), initial=0.0))
+            far = float(
+                np.max(
+                    np.abs(step[:n]) / np.where(self.p.log, REACH, CHANGES * self.p.scale[:n]),
+                    initial=0.0,
+                )
+            )
             probe = Probe(
-                c, full, step, stirred, min(distance, float(np.linalg.norm(tangent)) / WEAK), absorbed, far, self._room(c, full)
+                c,
+                full,
+                step,
+                stirred,
+                min(distance, float(np.linalg.norm(tangent)) / WEAK),
+                absorbed,
+                far,
+                self._room(c, full),
             )
             if c not in best or self._worst(probe) >= self._worst(best[c]):
                 best[c] = probe
-        strongest = sorted(((s, c) for c, s in told.items() if s > LIMITS.sign), key=lambda found: -found[0])
+        strongest = sorted(
+            ((s, c) for c, s in told.items() if s > LIMITS.sign), key=lambda found: -found[0]
+        )
         signs = [
             f"{c} would explain something that stands out by {s:.2g} standard deviations, although the gap as a whole is at the "
             "noise."
@@ -248,24 +293,41 @@ class Looker:
 
     def _sized(self, full: np.ndarray, size: float) -> np.ndarray:
         """Parameters with a share of a probe; shapes stay as they are."""
-        return np.where(self.bench.binding.layout.shapes, full, self.theta + size * (full - self.theta))
+        return np.where(
+            self.bench.binding.layout.shapes, full, self.theta + size * (full - self.theta)
+        )
 
     def _room(self, c: Candidate, full: np.ndarray) -> float:
         """How many times as large as a probe an effect may be."""
-        b, at = self.bench.binding, [i for i in c.index if not self.bench.binding.layout.shapes[i] and full[i] != self.theta[i]]
+        b, at = (
+            self.bench.binding,
+            [
+                i
+                for i in c.index
+                if not self.bench.binding.layout.shapes[i] and full[i] != self.theta[i]
+            ],
+        )
         way = full[at] - self.theta[at]
-        room = np.where(way > 0, b.upper[at] - self.theta[at], self.theta[at] - b.lower[at]) / np.abs(way)
+        room = np.where(
+            way > 0, b.upper[at] - self.theta[at], self.theta[at] - b.lower[at]
+        ) / np.abs(way)
         return float(np.min(room, initial=np.inf)) if at else 1.0
 
     def _hides(self, step: np.ndarray) -> np.ndarray:
         """Positions of the free numbers that a change of z moves by far more than they are said to be uncertain."""
         n = self.p.free.size
-        share = np.abs(step[:n]) / np.where(self.p.log, 1.0, np.maximum(np.abs(self.z[:n]), self.p.scale[:n]))
-        return np.flatnonzero((share > LIMITS.hidden_share) & (np.abs(step[:n]) > LIMITS.hidden_beyond * self.std))
+        share = np.abs(step[:n]) / np.where(
+            self.p.log, 1.0, np.maximum(np.abs(self.z[:n]), self.p.scale[:n])
+        )
+        return np.flatnonzero(
+            (share > LIMITS.hidden_share) & (np.abs(step[:n]) > LIMITS.hidden_beyond * self.std)
+        )
 
     def _worst(self, q: Probe) -> float:
         n = self.p.free.size
-        return float(np.max(q.size * np.abs(q.step[:n]) / np.maximum(self.std, 1e-300), initial=0.0))
+        return float(
+            np.max(q.size * np.abs(q.step[:n]) / np.maximum(self.std, 1e-300), initial=0.0)
+        )
 
     def _numbers(self, c: Candidate, theta: np.ndarray) -> dict[str, tuple[float, str]]:
         entries = self.bench.binding.layout.entries
@@ -277,21 +339,32 @@ class Looker:
         kept: list[Match | None] = [None] * len(hiding)
         again = list(range(len(hiding)))
         for _ in range(ROUNDS if hiding else 0):
-            tried = [Match(self._with(self._sized(hiding[k].full, sizes[k])), self.z + sizes[k] * steps[k]) for k in again]
+            tried = [
+                Match(
+                    self._with(self._sized(hiding[k].full, sizes[k])), self.z + sizes[k] * steps[k]
+                )
+                for k in again
+            ]
             self._retune(tried)
             for k, end in zip(again, tried, strict=True):
                 before = sizes[k]
                 if end.distance < LIMITS.told:
                     kept[k], steps[k] = end, (end.z - self.z) / sizes[k]
-                if np.isfinite(end.distance):  # more or less is left of it than the first order said
-                    sizes[k] = min(sizes[k] * 0.8 * LIMITS.told / max(end.distance, 1e-9), hiding[k].largest)
+                if np.isfinite(
+                    end.distance
+                ):  # more or less is left of it than the first order said
+                    sizes[k] = min(
+                        sizes[k] * 0.8 * LIMITS.told / max(end.distance, 1e-9), hiding[k].largest
+                    )
                 if kept[k] is end and sizes[k] < 1.05 * before:
                     sizes[k] = np.nan  # as large as it goes
             again = [k for k in again if np.isfinite(sizes[k])]
             if not again:
                 break
         ends = [(q, end) for q, end in zip(hiding, kept, strict=True) if end is not None]
-        plain = probe_residuals(self.p, self.z, [end.problem.base for _, end in ends]) if ends else []
+        plain = (
+            probe_residuals(self.p, self.z, [end.problem.base for _, end in ends]) if ends else []
+        )
         out = []
         for (q, end), residual in zip(ends, plain, strict=True):
             if not (moved := self._hides(end.z - self.z)).size:
@@ -299,10 +372,19 @@ class Looker:
             entries, theta = self.bench.binding.layout.entries, end.problem.theta(end.z)
             moved = moved[np.argsort(-np.abs(end.z - self.z)[moved] / self.std[moved])]
             at = [int(self.p.free[k]) for k in moved]
-            parts = tuple(Moved(entries[i].name, entries[i].unit, float(self.theta[i]), float(theta[i])) for i in at)
+            parts = tuple(
+                Moved(entries[i].name, entries[i].unit, float(self.theta[i]), float(theta[i]))
+                for i in at
+            )
             c, numbers = q.candidate, self._numbers(q.candidate, end.problem.base)
             stirred = float(np.linalg.norm(residual - self.before))
-            out.append((Unseen(c.effect, c.location, numbers, end.distance, stirred, q.absorbed, parts), c, end))
+            out.append(
+                (
+                    Unseen(c.effect, c.location, numbers, end.distance, stirred, q.absorbed, parts),
+                    c,
+                    end,
+                )
+            )
         return out
 
     def _with(self, theta: np.ndarray) -> Problem:
@@ -316,9 +398,13 @@ class Looker:
         """Re-tunes each, all at once, without slopes of their own: by those of the model without an effect, and by secants."""
         trials, active = [self._inside(m.z) for m in matches], list(matches)
         for _ in range(ITERATIONS):
-            found = probe_residuals(self.p, trials, [m.problem.theta(z) for m, z in zip(active, trials, strict=True)])
+            found = probe_residuals(
+                self.p, trials, [m.problem.theta(z) for m, z in zip(active, trials, strict=True)]
+            )
             for m, z, residual in zip(active, trials, found, strict=True):
-                m.take(z, np.nan_to_num(residual - self.before, nan=1e100, posinf=1e100, neginf=-1e100))
+                m.take(
+                    z, np.nan_to_num(residual - self.before, nan=1e100, posinf=1e100, neginf=-1e100)
+                )
             active = [m for m in active if m.improving]
             trials = [self._inside(m.next(self.retuning)) for m in active]
             if not active:
@@ -339,7 +425,10 @@ class Looker:
             left = self.retuning.remaining(columns[:, seen] / size[seen])
             shift, _, rank, _ = np.linalg.lstsq(left, rest, rcond=1e-6)
             told = left @ shift
-            after = [x.reshape(part.r.shape) for x, part in zip(np.split(rest - told, ends), self.parts, strict=True)]
+            after = [
+                x.reshape(part.r.shape)
+                for x, part in zip(np.split(rest - told, ends), self.parts, strict=True)
+            ]
             level = max(1.0, float(np.mean((rest - told) ** 2)))
             gain = float(told @ told) / (level * memory(after))
             chance = float(chdtrc(max(int(rank), 1), gain))
@@ -366,5 +455,10 @@ class Looker:
             run = self.p.runs.experiments[self.p.runs.record(part.record).experiment].name
             n, columns = part.r.shape
             for half, own in (("first", slice(0, n // 2)), ("second", slice(n // 2, n))):
-                yield f"the {half} half of {run}", slice(start + columns * own.start, start + columns * own.stop), part, own
+                yield (
+                    f"the {half} half of {run}",
+                    slice(start + columns * own.start, start + columns * own.stop),
+                    part,
+                    own,
+                )
             start += part.r.size

@@ -99,7 +99,12 @@ def judge(search: Search, counted: np.ndarray | None = None) -> Verdict:
     nominal, chosen = search.nominal.validation, search.chosen.validation
     floor = level(nominal.count)
     gap = float(np.sqrt(max(nominal.loss, search.nominal.fit_loss)))
-    if counted is not None and counted.any() and floor < gap**2 <= MOST_OF_ZEROS and _within_a_step(search.nominal, counted):
+    if (
+        counted is not None
+        and counted.any()
+        and floor < gap**2 <= MOST_OF_ZEROS
+        and _within_a_step(search.nominal, counted)
+    ):
         return Verdict("none", (WithinAStep(gap),))
     compared = [chosen.loss, search.chosen.fit_loss]
     if search.chosen.effects and not np.isfinite(compared).all():
@@ -111,11 +116,17 @@ def judge(search: Search, counted: np.ndarray | None = None) -> Verdict:
     closed = shrinking.closed(nominal.loss, chosen.loss)
     names = placed(map(str, search.chosen.effects))
     left = float(np.sqrt(max(chosen.loss, 1.0)))
-    each = (Contributions(tuple((str(c), gap) for c, gap in search.without)),) if search.without else ()
+    each = (
+        (Contributions(tuple((str(c), gap) for c, gap in search.without)),)
+        if search.without
+        else ()
+    )
     # Several that leave more than the noise may together only come close to something else.
     close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LIMITS.left
     followed = shrinking.closed(search.nominal.fit_loss, search.chosen.fit_loss)
-    closed_on_both = closed >= LIMITS.named and (followed >= LIMITS.named or search.chosen.fit_loss <= LIMITS.left**2)
+    closed_on_both = closed >= LIMITS.named and (
+        followed >= LIMITS.named or search.chosen.fit_loss <= LIMITS.left**2
+    )
     if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
         return Verdict("named", (Lacks(names, left), *each))
     if closed >= LIMITS.partly:
@@ -129,8 +140,12 @@ def _within_a_step(model: Hypothesis, counted: np.ndarray) -> bool:
     """Whether a model is at the noise on fit and validation runs, where each counted output [ny] of a run has a zero of its own
     within half a step."""
     for residual in (model.path.problem.residuals(model.path.z), model.validation.settled):
-        zeros = [np.where(counted, np.clip(r.mean(0), -HALF_A_STEP, HALF_A_STEP), 0.0) for r in residual]
-        left = np.concatenate([((r - zero) ** 2).ravel() for r, zero in zip(residual, zeros, strict=True)])
+        zeros = [
+            np.where(counted, np.clip(r.mean(0), -HALF_A_STEP, HALF_A_STEP), 0.0) for r in residual
+        ]
+        left = np.concatenate(
+            [((r - zero) ** 2).ravel() for r, zero in zip(residual, zeros, strict=True)]
+        )
         if left.mean() > level(left.size):
             return False
     return True
@@ -143,9 +158,15 @@ def level(count: int) -> float:
 
 def _nearer(search: Search) -> tuple[Reason, ...]:
     """What comes nearest to the validation data where it is not what was chosen, as the ranking shows it."""
-    tried = [h for h in search.tried if h.effects and np.isfinite(h.validation.loss) and np.isfinite(h.fit_loss)]
+    tried = [
+        h
+        for h in search.tried
+        if h.effects and np.isfinite(h.validation.loss) and np.isfinite(h.fit_loss)
+    ]
     top: Hypothesis | None = min(tried, key=lambda h: h.validation.loss, default=None)
-    if top is None or top.validation.loss >= min(search.chosen.validation.loss, search.nominal.validation.loss):
+    if top is None or top.validation.loss >= min(
+        search.chosen.validation.loss, search.nominal.validation.loss
+    ):
         return ()
     share = shrinking.closed(search.nominal.validation.loss, top.validation.loss)
     return (NearerOnValidation(placed(map(str, top.effects)), share),)
@@ -158,7 +179,9 @@ def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
         return verdict.but("unknown", FartherOnReport(after, retuned, before))
     room = retuned**2 > LIMITS.alike  # beyond what is known of the noise
     closed = shrinking.closed(retuned**2, after**2)
-    if retuned <= LIMITS.seen and (after < retuned or not (room or after**2 > LIMITS.alike * retuned**2)):
+    if retuned <= LIMITS.seen and (
+        after < retuned or not (room or after**2 > LIMITS.alike * retuned**2)
+    ):
         if verdict.name == "named" and room and closed < LIMITS.partly:
             return verdict.unclaimed().but("unknown", LittleOnReport(after, retuned))
         return verdict
@@ -166,19 +189,28 @@ def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
         return verdict.but("unknown", FartherOnReport(after, retuned, before))
     if verdict.name == "named" and several and after > LIMITS.left:
         return verdict.but("partly", LeftOnReport(after))
-    if verdict.name == "named" and (closed < LIMITS.partly or (closed < LIMITS.named and after > LIMITS.left)):
+    if verdict.name == "named" and (
+        closed < LIMITS.partly or (closed < LIMITS.named and after > LIMITS.left)
+    ):
         return verdict.but("partly", PartOnReport(closed))
     return verdict
 
 
-def astray(runs: Sequence[Share], regimes: Sequence[Share], whole: float) -> list[tuple[str, float]]:
+def astray(
+    runs: Sequence[Share], regimes: Sequence[Share], whole: float
+) -> list[tuple[str, float]]:
     """Where the re-tuned model is not near the noise on report data, worst first: (run, or direction of a joint, times the
     noise); `whole` is what all of them leave."""
     found = [(s.part, s.retuned) for s in runs]
-    found += [(f"{s.joint} moving {s.part}s", s.retuned) for s in regimes if s.part in ("forward", "backward")]
+    found += [
+        (f"{s.joint} moving {s.part}s", s.retuned)
+        for s in regimes
+        if s.part in ("forward", "backward")
+    ]
     found = found or [("all report runs", whole)]
     return sorted(
-        (place for place in found if not place[1] <= LIMITS.left), key=lambda place: -np.nan_to_num(place[1], nan=np.inf)
+        (place for place in found if not place[1] <= LIMITS.left),
+        key=lambda place: -np.nan_to_num(place[1], nan=np.inf),
     )
 
 
@@ -191,7 +223,9 @@ def standing_still(binding: Binding) -> tuple[str, ...]:
         moves = False
         for e in runs:
             keep = scored(e, split)
-            moves |= bool(np.any(np.std(e.y[keep][:, iy], axis=0) > LIMITS.still * binding.sigma)) or _changes(e.u[keep][:, iu])
+            moves |= bool(
+                np.any(np.std(e.y[keep][:, iy], axis=0) > LIMITS.still * binding.sigma)
+            ) or _changes(e.u[keep][:, iu])
         if runs and not moves:
             out.append(split)
     return tuple(out)
@@ -202,5 +236,9 @@ def _changes(u: np.ndarray) -> bool:
     if len(u) < 2:
         return False
     return bool(
-        np.any(np.std(u, axis=0) > LIMITS.still * np.std(np.diff(u, axis=0), axis=0) / np.sqrt(2) + 1e-12 * np.abs(u).max(0))
+        np.any(
+            np.std(u, axis=0)
+            > LIMITS.still * np.std(np.diff(u, axis=0), axis=0) / np.sqrt(2)
+            + 1e-12 * np.abs(u).max(0)
+        )
     )

@@ -46,31 +46,50 @@ _WORDS = {
 }
 
 
-def supplied(found: Sequence[Missing], after: Sequence[Missing], joint: int) -> list[np.ndarray] | None:
+def supplied(
+    found: Sequence[Missing], after: Sequence[Missing], joint: int
+) -> list[np.ndarray] | None:
     """The force [time] that the named effects supply at a joint in each run: what is missing without them less what is missing
     with them, noise and filters being the same. None where that is not what was missing: a sensor, a spring or play changes the
     motion itself."""
     given = [m.force[:, joint] - a.force[:, joint] for m, a in zip(found, after, strict=True)]
     energy = sum(float(g @ g) for g in given)
-    gained = sum(float(np.sum(m.force[:, joint] ** 2 - a.force[:, joint] ** 2)) for m, a in zip(found, after, strict=True))
-    above = sum(float(np.sum(m.force[:, joint] ** 2 - np.mean(m.null[:, :, joint] ** 2, 0))) for m in found)
-    return given if energy > 0 and gained >= max(LIMITS.own_energy * energy, LIMITS.own_share * above) else None
+    gained = sum(
+        float(np.sum(m.force[:, joint] ** 2 - a.force[:, joint] ** 2))
+        for m, a in zip(found, after, strict=True)
+    )
+    above = sum(
+        float(np.sum(m.force[:, joint] ** 2 - np.mean(m.null[:, :, joint] ** 2, 0))) for m in found
+    )
+    return (
+        given
+        if energy > 0 and gained >= max(LIMITS.own_energy * energy, LIMITS.own_share * above)
+        else None
+    )
 
 
-def table(found: Sequence[Missing], joints: Sequence[str], given: dict[str, list[np.ndarray]]) -> list[Regime]:
+def table(
+    found: Sequence[Missing], joints: Sequence[str], given: dict[str, list[np.ndarray]]
+) -> list[Regime]:
     """Strength of the missing force in each regime over its strength overall, the same for a perfect model, and for the force
     that named effects supply (`given`, by joint)."""
     out = []
     for j, joint in enumerate(joints):
         masks = [regimes(m, j) for m in found]
         for name in dict.fromkeys(n for mask in masks for n in mask):
-            mask = [k.get(name, np.zeros(len(m.force), bool)) for k, m in zip(masks, found, strict=True)]
+            mask = [
+                k.get(name, np.zeros(len(m.force), bool)) for k, m in zip(masks, found, strict=True)
+            ]
             count = int(sum(k.sum() for k in mask))
             if count < 20:
                 continue
             ratio = _ratio([m.force[:, j] for m in found], mask)
-            null = [_ratio([m.null[d][:, j] for m in found], mask) for d in range(len(found[0].null))]
-            low, high = (float(x) for x in np.percentile(null, [2.5, 97.5])) if null else (np.nan, np.nan)
+            null = [
+                _ratio([m.null[d][:, j] for m in found], mask) for d in range(len(found[0].null))
+            ]
+            low, high = (
+                (float(x) for x in np.percentile(null, [2.5, 97.5])) if null else (np.nan, np.nan)
+            )
             own = _ratio(given[joint], mask) if joint in given else None
             out.append(Regime(joint, name, ratio, (low, high), count, own))
     return out
@@ -83,14 +102,25 @@ def _ratio(series: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> float:
 
 def floor_of(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray]) -> float:
     """Root mean square of the missing force that noise alone would show in a regime."""
-    return float(np.sqrt(np.mean(np.concatenate([m.null[:, k, joint].ravel() for m, k in zip(found, masks, strict=True)]) ** 2)))
+    return float(
+        np.sqrt(
+            np.mean(
+                np.concatenate(
+                    [m.null[:, k, joint].ravel() for m, k in zip(found, masks, strict=True)]
+                )
+                ** 2
+            )
+        )
+    )
 
 
 def floor_at(m: Missing, joint: int) -> np.ndarray:
     """The same at every sample [time], over a hundredth of the run: noise shows more where the motion is abrupt."""
     from scipy.ndimage import uniform_filter1d
 
-    square = uniform_filter1d(np.mean(m.null[:, :, joint] ** 2, 0), 1 + len(m.force) // 100, mode="nearest")
+    square = uniform_filter1d(
+        np.mean(m.null[:, :, joint] ** 2, 0), 1 + len(m.force) // 100, mode="nearest"
+    )
     return np.sqrt(np.maximum(square, 0.0))  # a running sum of zeros ends below zero
 
 
@@ -126,7 +156,9 @@ def findings(
             inside = [regimes(m, j).get(row.regime, np.zeros(len(m.force), bool)) for m in found]
             energy = energy_of(j, inside)
             lift = row.ratio / max(row.null[1], 1e-9) if row.supplied is None else row.supplied
-            if row.stands_out and energy > (LIMITS.own_regime * energy_of(j, None) if joint in given else 0.05 * total):
+            if row.stands_out and energy > (
+                LIMITS.own_regime * energy_of(j, None) if joint in given else 0.05 * total
+            ):
                 # Elsewhere there may be less than noise, which is no reason to see more than all of it here.
                 share = min(1.0, energy / total)
                 scored_rows.append((lift * np.sqrt(share), share, row.regime, inside))
@@ -155,21 +187,36 @@ def findings(
             channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
             limits = (span(cause) if cause else None) or _range(found, j, told_by, inside)
             place = locations.get(joint, joint)
-            out.append(Finding(channel, place, regime, window, float(share), above, text, told_by, limits))
+            out.append(
+                Finding(channel, place, regime, window, float(share), above, text, told_by, limits)
+            )
     return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
 
 
-def _range(found: Sequence[Missing], joint: int, name: str, masks: Sequence[np.ndarray]) -> tuple[float, float] | None:
+def _range(
+    found: Sequence[Missing], joint: int, name: str, masks: Sequence[np.ndarray]
+) -> tuple[float, float] | None:
     """From where to where a variable went inside a regime; None for one that is not recorded by joint."""
-    series = {"speed": "qd", "position": "q", "acceleration": "qdd", "load": "load", "command": "load"}.get(name)
+    series = {
+        "speed": "qd",
+        "position": "q",
+        "acceleration": "qdd",
+        "load": "load",
+        "command": "load",
+    }.get(name)
     if series is None:
         return None
-    inside = np.concatenate([getattr(m, series)[k, joint] for m, k in zip(found, masks, strict=True)])
+    inside = np.concatenate(
+        [getattr(m, series)[k, joint] for m, k in zip(found, masks, strict=True)]
+    )
     return (float(inside.min()), float(inside.max())) if len(inside) else None
 
 
 def _excess(
-    found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray] | None, given: Sequence[np.ndarray] | None
+    found: Sequence[Missing],
+    joint: int,
+    masks: Sequence[np.ndarray] | None,
+    given: Sequence[np.ndarray] | None,
 ) -> float:
     """Energy of the missing force above what noise would show, over a regime or everything, in units of that noise; where the
     force itself is `given`, its energy."""
@@ -223,7 +270,11 @@ def output_findings(
             strength = energy[until] - energy[np.arange(len(e.t))]
             k = int(np.argmax(strength))
             rms = float(np.sqrt(strength[k] / max(1, until[k] - k)))
-            share = float(np.clip(strength[k] / energy[-1], 0.0, 1.0)) if np.isfinite(energy[-1]) and energy[-1] > 0 else 0.0
+            share = (
+                float(np.clip(strength[k] / energy[-1], 0.0, 1.0))
+                if np.isfinite(energy[-1]) and energy[-1] > 0
+                else 0.0
+            )
             window = (float(e.t[k]), float(e.t[until[k] - 1]))
             above = rms / float(b.sigma[c])
             cause = (causes or {}).get(name)
@@ -231,7 +282,19 @@ def output_findings(
             text = f"{name}: {seen}the free run is worst {during(window, e)} ({number(rms)} {unit} rms)"
             told_by = variable(cause) if cause else "time"
             limits = span(cause) if cause else None
-            out.append(Finding(name, locations.get(name, name), "time_window", window, share, above, text, told_by, limits))
+            out.append(
+                Finding(
+                    name,
+                    locations.get(name, name),
+                    "time_window",
+                    window,
+                    share,
+                    above,
+                    text,
+                    told_by,
+                    limits,
+                )
+            )
     return sorted(out, key=lambda f: -f.times_noise_floor)[:3]
 
 
@@ -243,10 +306,14 @@ def during(window: tuple[float, float], e: Experiment) -> str:
     """A window of a run in words: in its own time, or from its start where its clock began long before."""
     if abs(e.t[0]) < LATE:
         return f"from {window[0]:.3f} to {window[1]:.3f} s of {e.name}"
-    return f"from {window[0] - e.t[0]:.5g} to {window[1] - e.t[0]:.5g} s after the start of {e.name}"
+    return (
+        f"from {window[0] - e.t[0]:.5g} to {window[1] - e.t[0]:.5g} s after the start of {e.name}"
+    )
 
 
-def pictures(bench: Bench, before: Sequence[Missing], after: Sequence[Missing]) -> list[MissingForce]:
+def pictures(
+    bench: Bench, before: Sequence[Missing], after: Sequence[Missing]
+) -> list[MissingForce]:
     """Series for the report, one per joint and fit run."""
     b = bench.binding
     s = b.chain.signature

@@ -51,7 +51,9 @@ class BaseParameters:
         return tuple(self._expression(row, symbols or {}) for row in range(len(self.kept)))
 
     def _expression(self, row: int, symbols: dict[str, float]) -> str:
-        groups: dict[tuple[bool, str], list[str]] = {}  # members that share a factor stand in one bracket
+        groups: dict[
+            tuple[bool, str], list[str]
+        ] = {}  # members that share a factor stand in one bracket
         for j in np.flatnonzero(self.K[row]):
             if j != self.kept[row]:
                 k = float(self.K[row, j])
@@ -74,7 +76,9 @@ def _symbolic(k: float, symbols: dict[str, float]) -> str:
         options += [(u, a), (2 * u, f"2 {a}"), (u * u, f"{a}^2")]
         for j, (b, v) in enumerate(lengths[i + 1 :], i + 1):
             options += [(u * v, f"{a} {b}"), (u * u + v * v, f"({a}^2 + {b}^2)")]
-            options += [(u * u + v * v + w * w, f"({a}^2 + {b}^2 + {c}^2)") for c, w in lengths[j + 1 :]]
+            options += [
+                (u * u + v * v + w * w, f"({a}^2 + {b}^2 + {c}^2)") for c, w in lengths[j + 1 :]
+            ]
     for value, text in options:
         if abs(value - k) < 1e-9 * max(1.0, k):
             return text
@@ -99,15 +103,22 @@ def torque_columns(arm: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> 
     return Y.reshape(count, n, -1)
 
 
-def standard_torque(arm: Any, phi: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+def standard_torque(
+    arm: Any, phi: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+) -> np.ndarray:
     """Torque [samples n] of measured motion [samples n] at standard parameters [11 n]: `torque_columns` times them, at a small
     part of its cost."""
     E, fall, qd_rows, qdd_rows = _joint_rows(arm, q, qd, qdd)
     table = phi.reshape(-1, len(STANDARD))
-    return inverse_dynamics(E, arm.prismatic, table[:, :10], fall, qd_rows, qdd_rows).T + table[:, 10] * qdd
+    return (
+        inverse_dynamics(E, arm.prismatic, table[:, :10], fall, qd_rows, qdd_rows).T
+        + table[:, 10] * qdd
+    )
 
 
-def _joint_rows(arm: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> tuple[Any, Any, np.ndarray, np.ndarray]:
+def _joint_rows(
+    arm: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+) -> tuple[Any, Any, np.ndarray, np.ndarray]:
     """Placements of the links, free fall, and rates [n samples]."""
     fall = free_fall(*(np.float64(getattr(arm, k)) for k in ("gravity", "base_roll", "base_pitch")))
     q, qd, qdd = (np.ascontiguousarray(x.T) for x in (q, qd, qdd))
@@ -120,9 +131,15 @@ def base_parameters(arm: Any, without: Sequence[str] = ()) -> BaseParameters:
     n = len(arm.prismatic)
     rng = np.random.default_rng(0)
     count = 12 * n + 20
-    W = torque_columns(arm, *(rng.uniform(-k, k, (count, n)) for k in (3.0, 2.0, 5.0))).reshape(count * n, -1)
+    W = torque_columns(arm, *(rng.uniform(-k, k, (count, n)) for k in (3.0, 2.0, 5.0))).reshape(
+        count * n, -1
+    )
     names = standard_names(n)
-    preferred = [j * 11 + STANDARD.index(k) for j in range(n) for k in (PRISMATIC if arm.prismatic[j] else REVOLUTE)]
+    preferred = [
+        j * 11 + STANDARD.index(k)
+        for j in range(n)
+        for k in (PRISMATIC if arm.prismatic[j] else REVOLUTE)
+    ]
     drives = [j * 11 + 10 for j in range(n)]
     rest = [i for i in range(11 * n) if i not in preferred and i not in drives]
     out = {i for i, name in enumerate(names) if name in without}

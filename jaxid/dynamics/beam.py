@@ -54,8 +54,25 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)  # exact for every integra
 
 def _shapes(xi: np.ndarray, le: Any) -> tuple[Any, Any, Any]:
     """Hermite cubics [4 points] at xi in 0 ... 1 of an element, their slope and curvature."""
-    N = jnp.stack([1 - 3 * xi**2 + 2 * xi**3, le * (xi - 2 * xi**2 + xi**3), 3 * xi**2 - 2 * xi**3, le * (xi**3 - xi**2)])
-    dN = jnp.stack([-6 * xi + 6 * xi**2, le * (1 - 4 * xi + 3 * xi**2), 6 * xi - 6 * xi**2, le * (3 * xi**2 - 2 * xi)]) / le
+    N = jnp.stack(
+        [
+            1 - 3 * xi**2 + 2 * xi**3,
+            le * (xi - 2 * xi**2 + xi**3),
+            3 * xi**2 - 2 * xi**3,
+            le * (xi**3 - xi**2),
+        ]
+    )
+    dN = (
+        jnp.stack(
+            [
+                -6 * xi + 6 * xi**2,
+                le * (1 - 4 * xi + 3 * xi**2),
+                6 * xi - 6 * xi**2,
+                le * (3 * xi**2 - 2 * xi),
+            ]
+        )
+        / le
+    )
     ddN = jnp.stack([-6 + 12 * xi, le * (-4 + 6 * xi), 6 - 12 * xi, le * (6 * xi - 2)]) / le**2
     return N, dN, ddN
 
@@ -66,7 +83,9 @@ def _elements(psi: Float[Array, " n"]) -> Float[Array, "elements 4"]:
     return jnp.concatenate([nodes[:-1], nodes[1:]], 1)
 
 
-def kinetic_energy(beam: Beam, phid: Any, psi: Float[Array, " n"], psid: Float[Array, " n"], rotating: bool = True) -> Array:
+def kinetic_energy(
+    beam: Beam, phid: Any, psi: Float[Array, " n"], psid: Float[Array, " n"], rotating: bool = True
+) -> Array:
     """Energy of the moving beam and payload, J; `rotating` includes (w phid)^2, the motion by a deflection's rotation."""
     n = psi.shape[0] // 2
     le = beam.length / n
@@ -107,16 +126,32 @@ def matrices(beam: Beam, n_elements: int) -> Matrices:
     """The beam's matrices by assembly of closed-form elements (standard Hermite element)."""
     le, at = beam.length / n_elements, _places(n_elements)
     first = np.arange(n_elements)[:, None]
-    whole = lambda parts: jnp.einsum("eai,eab,ebj->ij", at, parts, at)  # one product, however many elements
-    unit = np.array([1, 0, 1, 0]) + np.array([0, 1, 0, 1]) * le  # a slope coordinate counts le times
+    whole = lambda parts: jnp.einsum(
+        "eai,eab,ebj->ij", at, parts, at
+    )  # one product, however many elements
+    unit = (
+        np.array([1, 0, 1, 0]) + np.array([0, 1, 0, 1]) * le
+    )  # a slope coordinate counts le times
     scale = unit[:, None] * unit
-    mass = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]]) * scale / 420 * le
-    bend = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]]) * scale / le**3
+    mass = (
+        np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
+        * scale
+        / 420
+        * le
+    )
+    bend = (
+        np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]]) * scale / le**3
+    )
     # Tension under rotation: int T(x) N'N' with T = m_p L + rhoA (L^2 - x^2) / 2, by quadrature (a polynomial).
     xi = (_NODES + 1) / 2
     _, dN, _ = _shapes(xi, le)
-    tension = beam.payload * beam.length + beam.density * (beam.length**2 - ((first + xi) * le) ** 2) / 2
-    steady = np.array([0.5, 1 / 12, 0.5, -1 / 12]) * (first * le) + np.array([3 / 20, 1 / 30, 7 / 20, -1 / 20]) * le
+    tension = (
+        beam.payload * beam.length + beam.density * (beam.length**2 - ((first + xi) * le) ** 2) / 2
+    )
+    steady = (
+        np.array([0.5, 1 / 12, 0.5, -1 / 12]) * (first * le)
+        + np.array([3 / 20, 1 / 30, 7 / 20, -1 / 20]) * le
+    )
     each = np.ones((n_elements, 1, 1))
     M, K = whole(each * (beam.density * mass)), whole(each * (beam.stiffness * bend))
     G = whole(jnp.einsum("ap,ep,bp->eab", dN, tension * _WEIGHTS * le / 2, dN))
@@ -130,7 +165,11 @@ def matrices(beam: Beam, n_elements: int) -> Matrices:
 def steady_load(beam: Beam, n_elements: int) -> Float[Array, " n"]:
     """Density times the integral of each nodal coordinate's shape over the length, kg and kg m."""
     le = beam.length / n_elements
-    load = beam.density * le * (np.array([0.5, 0.0, 0.5, 0.0]) + np.array([0.0, 1 / 12, 0.0, -1 / 12]) * le)
+    load = (
+        beam.density
+        * le
+        * (np.array([0.5, 0.0, 0.5, 0.0]) + np.array([0.0, 1 / 12, 0.0, -1 / 12]) * le)
+    )
     return (load @ _places(n_elements).sum(0))[2:]
 
 

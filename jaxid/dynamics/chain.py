@@ -51,7 +51,11 @@ def _widened(effect: Effect, places: int) -> Effect:
     """The effect with each of its fields an array of one number per place."""
     own = {name: getattr(effect, name) for name in specs(effect)}
     done = lambda x: isinstance(x, np.ndarray) and x.shape == (places,) and x.dtype == np.float64
-    wide = {k: np.broadcast_to(np.asarray(x, np.float64), (places,)) for k, x in own.items() if not done(x)}
+    wide = {
+        k: np.broadcast_to(np.asarray(x, np.float64), (places,))
+        for k, x in own.items()
+        if not done(x)
+    }
     return with_fields(effect, {k: np.array(x) for k, x in wide.items()})
 
 
@@ -79,7 +83,9 @@ class Chain(eqx.Module):
         self.signature = signature or mechanism.signatures[0]
         self.smoothing_velocity = float(smoothing_velocity)
         given = tuple(mechanism.nominal_effects() if effects is None else effects)
-        self.effects = tuple(e for e in given if not isinstance(e, NumberEffect))  # whose numbers are places of such
+        self.effects = tuple(
+            e for e in given if not isinstance(e, NumberEffect)
+        )  # whose numbers are places of such
         places = self.places  # equinox makes a module of each method that is looked up
         self.effects = tuple(_widened(e, len(places(e))) for e in given)
 
@@ -97,13 +103,19 @@ class Chain(eqx.Module):
         """(name, unit) of each joint's drive torque: the input channels, or the joints where inputs are something else."""
         if self.direct and records_torque(self):
             return self.signature.commands
-        return tuple((f"torque at {joint}", self.signature.unit("{F}")) for joint in self.signature.joints)
+        return tuple(
+            (f"torque at {joint}", self.signature.unit("{F}")) for joint in self.signature.joints
+        )
 
     @property
     def joint_outputs(self) -> list[int]:
         """Positions of the joints' own coordinates among the outputs; empty where not every joint is measured."""
         names = [n for n, _ in self.signature.outputs]
-        return [names.index(j) for j in self.signature.joints] if set(self.signature.joints) <= set(names) else []
+        return (
+            [names.index(j) for j in self.signature.joints]
+            if set(self.signature.joints) <= set(names)
+            else []
+        )
 
     def places(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
         """Names of the locations that an effect's parameters are counted by in this model."""
@@ -117,7 +129,11 @@ class Chain(eqx.Module):
         """Those of its places where an effect makes sense in this model: its candidates in a diagnosis."""
         if self.mechanism.behind_law(effect):
             return self.places(effect)[: self.nq]
-        return self.places(effect) if effect.offered is None else effect.offered(self.mechanism, self.signature)
+        return (
+            self.places(effect)
+            if effect.offered is None
+            else effect.offered(self.mechanism, self.signature)
+        )
 
     @property
     def contents(self) -> set[str]:
@@ -134,21 +150,38 @@ class Chain(eqx.Module):
 
     def with_mechanism(self, mechanism: Mechanism) -> Chain:
         """The same effects on another mechanism with the same places."""
-        return Chain(mechanism, self.effects, signature=self.signature, smoothing_velocity=self.smoothing_velocity)
+        return Chain(
+            mechanism,
+            self.effects,
+            signature=self.signature,
+            smoothing_velocity=self.smoothing_velocity,
+        )
 
     def _with(self, effects: Iterable[Effect]) -> Chain:
-        return Chain(self.mechanism, effects, signature=self.signature, smoothing_velocity=self.smoothing_velocity)
+        return Chain(
+            self.mechanism,
+            effects,
+            signature=self.signature,
+            smoothing_velocity=self.smoothing_velocity,
+        )
 
     def smoothed(self, smoothing_velocity: float) -> Chain:
         """The same model with dry friction smoothed as tanh(qd / smoothing_velocity); 0 restores true sticking."""
-        return Chain(self.mechanism, self.effects, signature=self.signature, smoothing_velocity=smoothing_velocity)
+        return Chain(
+            self.mechanism,
+            self.effects,
+            signature=self.signature,
+            smoothing_velocity=smoothing_velocity,
+        )
 
     def nameless(self) -> Chain:
         """The same as programs are made of it: see `Mechanism.nameless`. Where numbers are told apart by name it is unchanged."""
         if self.timed:
             return self
         mechanism, signature = self.mechanism.nameless(self.signature)
-        return Chain(mechanism, self.effects, signature=signature, smoothing_velocity=self.smoothing_velocity)
+        return Chain(
+            mechanism, self.effects, signature=signature, smoothing_velocity=self.smoothing_velocity
+        )
 
     # ---- numbers that change in time
 
@@ -197,29 +230,48 @@ class Chain(eqx.Module):
 
             def states(e: Effect) -> Any:
                 hidden = isinstance(e, BodyEffect) and e(self.mechanism).hidden_states
-                return q if hidden else () if isinstance(e, OutputEffect) else first_state(e, q, u, u, u)
+                return (
+                    q
+                    if hidden
+                    else ()
+                    if isinstance(e, OutputEffect)
+                    else first_state(e, q, u, u, u)
+                )
 
-            _REMEMBERING[key] = tuple(bool(jax.tree.leaves(jax.eval_shape(states, e))) for e in self.effects)
+            _REMEMBERING[key] = tuple(
+                bool(jax.tree.leaves(jax.eval_shape(states, e))) for e in self.effects
+            )
         return _REMEMBERING[key]
 
     def start(
-        self, q: Float[Array, " nq"], qd: Float[Array, " nq"], u: Float[Array, " nu"], body: Mechanism | None = None
+        self,
+        q: Float[Array, " nq"],
+        qd: Float[Array, " nq"],
+        u: Float[Array, " nu"],
+        body: Mechanism | None = None,
     ) -> Carry:
         """State at the beginning of a run that has seen the input `u` for long; `body` the mechanism ready with its effects."""
         body = self.body().prepare(None) if body is None else body
         x = body.start(q, qd)
-        y, rate = self.begins(body, q, qd) if self.at(OutputEffect) else (jnp.zeros(0), jnp.zeros(0))
+        y, rate = (
+            self.begins(body, q, qd) if self.at(OutputEffect) else (jnp.zeros(0), jnp.zeros(0))
+        )
         u = u[: len(self.signature.commands)]
         z = [first_state(e, q, u, y, rate) for e in self.effects]
         for i, e in self.at(InputEffect):
-            z[i] = e.settled(z[i], u, q, lambda: body.inverse(q, jnp.zeros_like(q), jnp.zeros_like(q)))
+            z[i] = e.settled(
+                z[i], u, q, lambda: body.inverse(q, jnp.zeros_like(q), jnp.zeros_like(q))
+            )
         net = body.inverse(q, qd, jnp.zeros_like(q)) if self.transmits else ()
         return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q), net)
 
     def sensed_anew(self, z: tuple, fresh: tuple, here: Array) -> tuple:
         """States z, with those of the sensors as in `fresh` where `here`."""
         anew = lambda a, b: jax.tree.map(lambda a, b: jnp.where(here, a, b), a, b)
-        return tuple(anew(a, b) if isinstance(e, OutputEffect) else b for e, a, b in zip(self.effects, fresh, z, strict=True))
+        return tuple(
+            anew(a, b) if isinstance(e, OutputEffect) else b
+            for e, a, b in zip(self.effects, fresh, z, strict=True)
+        )
 
     def begins(
         self, body: Mechanism, q: Float[Array, " nq"], qd: Float[Array, " nq"]
@@ -227,7 +279,9 @@ class Chain(eqx.Module):
         """Outputs without effects of a run that begins at (q, qd) without acceleration, and their rate of change."""
 
         def outputs(q: Float[Array, " nq"]) -> Float[Array, " ny"]:
-            return self.signature.read(body, body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool))
+            return self.signature.read(
+                body, body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool)
+            )
 
         return jax.jvp(outputs, (q,), (qd,))
 
@@ -237,7 +291,12 @@ class Chain(eqx.Module):
         total: Array | float = 0.0
         for _, e in self.at(OutputEffect):
             if (off := e.offset()) is not None:
-                total += jnp.stack([off[names.index(j)] if j in names else 0.0 * off[0] for j in self.signature.joints])
+                total += jnp.stack(
+                    [
+                        off[names.index(j)] if j in names else 0.0 * off[0]
+                        for j in self.signature.joints
+                    ]
+                )
         return total
 
     def commanded(self, s: Signals, z: tuple) -> tuple[Float[Array, " nu"], tuple]:
@@ -255,23 +314,38 @@ class Chain(eqx.Module):
 
     def friction(self, s: Signals, z: tuple) -> tuple[Array, Array, Array, tuple]:
         """Smooth opposing torque, dry levels (minus, plus), effect states at the end of the step."""
-        smooth, minus, plus, z_new = jnp.zeros_like(s.qd), jnp.zeros_like(s.qd), jnp.zeros_like(s.qd), list(z)
+        smooth, minus, plus, z_new = (
+            jnp.zeros_like(s.qd),
+            jnp.zeros_like(s.qd),
+            jnp.zeros_like(s.qd),
+            list(z),
+        )
         for i, e in self.at(JointEffect):
             f, m, p, z_new[i] = e(s, z[i])
             smooth, minus, plus = smooth + f, minus + m, plus + p
         return smooth, jnp.maximum(minus, 0.0), jnp.maximum(plus, 0.0), tuple(z_new)
 
-    def step(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " ny"]]:
+    def step(
+        self, body: Mechanism, carry: Carry, command: Command
+    ) -> tuple[Carry, Float[Array, " ny"]]:
         """State at the end of a step, and what the sensors record at its beginning, under the torque that then begins to act."""
         after, tau = self.advance(body, carry, command)
         v0, v1 = body.port(carry.x)[1], body.port(after.x)[1]
         y, z = self.sense(body, carry, tau, (v0 == 0) & (v1 == 0), command)
         return after._replace(
-            z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in zip(self.effects, after.z, z, strict=True))
+            z=tuple(
+                b if isinstance(e, OutputEffect) else a
+                for e, a, b in zip(self.effects, after.z, z, strict=True)
+            )
         ), y
 
     def sense(
-        self, body: Mechanism, carry: Carry, tau: Float[Array, " nq"], rests: Bool[Array, " nq"], command: Command
+        self,
+        body: Mechanism,
+        carry: Carry,
+        tau: Float[Array, " nq"],
+        rests: Bool[Array, " nq"],
+        command: Command,
     ) -> tuple[Float[Array, " ny"], tuple]:
         """What the sensors record at the beginning of a step with net joint torque `tau`, and the effects' next states."""
         if self.timed:
@@ -284,7 +358,9 @@ class Chain(eqx.Module):
             y, z[i] = e(y, s, carry.z[i])
         return y, tuple(z)
 
-    def advance(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " nq"]]:
+    def advance(
+        self, body: Mechanism, carry: Carry, command: Command
+    ) -> tuple[Carry, Float[Array, " nq"]]:
         """One step of length command.h, and the net joint torque in it: friction law at the predicted middle, smooth friction
         linearly implicit, dry friction solved exactly (`jaxid.dynamics.dry_friction`)."""
         if self.timed:
@@ -293,10 +369,14 @@ class Chain(eqx.Module):
         x, z, lam, acc, net = carry
         h, eps = command.h, self.smoothing_velocity
         q, v = body.port(x)
-        s = Signals(command.t + h / 2, q + h / 2 * v, v + h / 2 * acc, jnp.zeros_like(q), h, command, v)
+        s = Signals(
+            command.t + h / 2, q + h / 2 * v, v + h / 2 * acc, jnp.zeros_like(q), h, command, v
+        )
         u, after = self.commanded(s, z)
         s = s._replace(load=body.drive(self.signature, u, s.q, s.qd))
-        if self.transmits:  # that of the last step: what is transmitted depends on the friction that it makes
+        if (
+            self.transmits
+        ):  # that of the last step: what is transmitted depends on the friction that it makes
             s = s._replace(transmitted=net - body.rotors() * acc)
 
         def law(qd):
@@ -324,7 +404,9 @@ class Chain(eqx.Module):
         net = correction - F - lam
         return Carry(x, z, dry, (w - v) * (1 / h), net if self.transmits else ()), net
 
-    def _linearised(self, law: Callable, qd: Float[Array, " nq"]) -> tuple[Array, Array, Array, Array]:
+    def _linearised(
+        self, law: Callable, qd: Float[Array, " nq"]
+    ) -> tuple[Array, Array, Array, Array]:
         """The law at qd, and its slope: [nq] where each joint's torque depends on its own speed alone, else [nq nq]."""
         if not any(e.couples for e in self.effects):
             (F, minus, plus), (slope, _, _) = jax.jvp(law, (qd,), (jnp.ones_like(qd),))
@@ -335,10 +417,16 @@ class Chain(eqx.Module):
     def _stiffness(self) -> Float[Array, " nq"]:
         """How tightly a law holds each joint where it stands in a step, as torque per position."""
         own = [k for _, e in self.at(InputEffect) if (k := e.stiffness()) is not None]
-        return sum((jnp.pad(k, (0, self.nq - k.shape[0])) for k in own), jnp.zeros(self.nq))  # none at the angles of a base
+        return sum(
+            (jnp.pad(k, (0, self.nq - k.shape[0])) for k in own), jnp.zeros(self.nq)
+        )  # none at the angles of a base
 
     def recorded(
-        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None, rate: Float[Array, " ny"]
+        self,
+        t: Float[Array, " time"],
+        y: Float[Array, "time ny"],
+        h: Float[Array, ""] | None,
+        rate: Float[Array, " ny"],
     ) -> Float[Array, "time ny"]:
         """The sensors' series as the file holds it; times strictly increasing, by equal steps `h` where that is given; `rate` of
         change before the series begins."""
@@ -379,7 +467,9 @@ class Chain(eqx.Module):
         u, z = self.commanded(s, z)
         tau = body.drive(self.signature, u, q, qd)
         needed = body.inverse(q, qd, qdd)
-        F, minus, plus, z = self.friction(s._replace(load=tau, transmitted=needed - body.rotors() * qdd), z)
+        F, minus, plus, z = self.friction(
+            s._replace(load=tau, transmitted=needed - body.rotors() * qdd), z
+        )
         return tau - needed - F, minus, plus, z
 
     def ode(self) -> ODE:

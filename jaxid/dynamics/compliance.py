@@ -39,7 +39,9 @@ def turned(mechanism: Rigid, angle: Vector) -> Mechanism:
 def joint_inertia(mechanism: Mechanism) -> Vector:
     """Inertia that each drive sees at q = 0 with the other joints free, [nq]."""
     still = jnp.zeros(len(mechanism_of(mechanism).signatures[0].joints))
-    M = jax.vmap(lambda a: mechanism.inverse(still, still, a) - mechanism.inverse(still, still, still))(jnp.eye(still.size))
+    M = jax.vmap(
+        lambda a: mechanism.inverse(still, still, a) - mechanism.inverse(still, still, still)
+    )(jnp.eye(still.size))
     return 1 / jnp.diagonal(inverse(M))
 
 
@@ -114,7 +116,9 @@ class WithInertia(Mechanism):
         return self.inner.rotors() + self.inertia
 
     def vector_field(self, t, x, tau):
-        rate = lambda tau: jax.jvp(self.inner.port, (x[0],), (self.inner.vector_field(t, x[0], tau),))[1][1]
+        rate = lambda tau: jax.jvp(
+            self.inner.port, (x[0],), (self.inner.vector_field(t, x[0], tau),)
+        )[1][1]
         a0 = rate(tau)
         compliance = jax.jacfwd(rate)(tau)
         a = dot(inverse(jnp.eye(tau.size) + compliance * self.inertia), a0)
@@ -162,8 +166,21 @@ class Compliant(Mechanism):
     inner: Mechanism
     motor: Vector
 
-    def __init__(self, base: Mechanism, share: Vector, compliance: Vector, damping_ratio: Vector, play: Vector):
-        self.base, self.share, self.compliance, self.damping_ratio, self.play = base, share, compliance, damping_ratio, play
+    def __init__(
+        self,
+        base: Mechanism,
+        share: Vector,
+        compliance: Vector,
+        damping_ratio: Vector,
+        play: Vector,
+    ):
+        self.base, self.share, self.compliance, self.damping_ratio, self.play = (
+            base,
+            share,
+            compliance,
+            damping_ratio,
+            play,
+        )
         motor = jnp.where(compliance > 0, share * joint_inertia(base), 0.0)
         self.inner = with_inertia(base, -motor)
         self.motor = jnp.where(compliance > 0, motor, 1.0)
@@ -199,8 +216,15 @@ class Compliant(Mechanism):
         still = jnp.zeros_like(q)
         for _ in range(3):
             t = self.base.inverse(link, still, still)
-            link = q - jnp.where(self.present, self.compliance * t + jnp.sign(t) * self.play / 2, 0.0)
-        return self.inner.start(link, qd), q, qd, jnp.where(self.present, self.base.inverse(link, still, still), 0.0)
+            link = q - jnp.where(
+                self.present, self.compliance * t + jnp.sign(t) * self.play / 2, 0.0
+            )
+        return (
+            self.inner.start(link, qd),
+            q,
+            qd,
+            jnp.where(self.present, self.base.inverse(link, still, still), 0.0),
+        )
 
     def follow(self, x, q, qd):
         """The motors turn with the measured motion; links behind a spring stay where they are."""
@@ -246,7 +270,10 @@ class Compliant(Mechanism):
         m = jnp.where(on, h / self.motor, 0.0)
         # Middle gap and its rate without any spring torque; with that of the last step, for what damps.
         w = f.qd - dot(f.A, t0)
-        gap, rate = q - link + h / 4 * (v - dlink + v + m * tau - w), (v - dlink + v + m * tau - w) / 2
+        gap, rate = (
+            q - link + h / 4 * (v - dlink + v + m * tau - w),
+            (v - dlink + v + m * tau - w) / 2,
+        )
         _, damped = self._pressed(q - link + h / 4 * (v - dlink + v + m * (tau - t0) - f.qd))
         pressed, _ = self._pressed(gap)
         response = jnp.diag(m) + jnp.where(on[:, None] & on[None, :], f.A, 0.0)
@@ -264,9 +291,13 @@ class Compliant(Mechanism):
             t, P, stiff = solve(holds)
         t = jnp.where(holds, t, 0.0)
         rigid = jnp.where(on, 0.0, 1.0)
-        T = jnp.where(holds[:, None], dot(P, stiff[:, None] * (jnp.diag(m) - f.A * rigid)), 0.0)  # d t / d tau
+        T = jnp.where(
+            holds[:, None], dot(P, stiff[:, None] * (jnp.diag(m) - f.A * rigid)), 0.0
+        )  # d t / d tau
         w = f.qd + dot(f.A, jnp.where(on, t - t0, 0.0))
-        A = jnp.where(on[:, None], m[:, None] * (jnp.diag(1 - rigid) - T), dot(f.A, T + jnp.diag(rigid)))
+        A = jnp.where(
+            on[:, None], m[:, None] * (jnp.diag(1 - rigid) - T), dot(f.A, T + jnp.diag(rigid))
+        )
         none = ~jnp.any(on)
         qd = jnp.where(on, v + m * (tau - t), jnp.where(none, f.qd, w))
         return Free(qd, jnp.where(none, f.A, A), (f, t, T))

@@ -89,7 +89,9 @@ class Reading(NamedTuple):
     disturbance: Float[Array, " n"]
 
 
-def begin(law: Law, q: Float[Array, " n"], qd: Float[Array, " n"], u: Float[Array, " n"], r: Reading) -> Memory:
+def begin(
+    law: Law, q: Float[Array, " n"], qd: Float[Array, " n"], u: Float[Array, " n"], r: Reading
+) -> Memory:
     """Memory at the start of a run from position q, velocity qd under the input u; an integral starts where it gives u."""
     back = law.sample_time * qd
     empty = Memory(u, jnp.zeros_like(q), q - back, q - 2 * back)
@@ -98,7 +100,9 @@ def begin(law: Law, q: Float[Array, " n"], qd: Float[Array, " n"], u: Float[Arra
     return empty._replace(integral=integral)
 
 
-def update(law: Law, m: Memory, q: Float[Array, " n"], qd: Float[Array, " n"], r: Reading) -> Memory:
+def update(
+    law: Law, m: Memory, q: Float[Array, " n"], qd: Float[Array, " n"], r: Reading
+) -> Memory:
     """Memory after the controller has read position q; `qd` is used only where the velocity is measured."""
     limit, ki, error = jnp.array(law.saturation), jnp.array(law.ki), r.q_cmd - q
     output = _output(law, m, q, qd, r) + m.integral
@@ -134,10 +138,17 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
             "q_cmd as an auxiliary channel, or use the residual output_error, which needs none"
         )
     n = len(signature.joints)
-    if tuple(name for name, _ in signature.outputs) != signature.joints or len(signature.inputs) != n:
-        raise UsageError("a controller needs one input and one measured position per joint of the model")
+    if (
+        tuple(name for name, _ in signature.outputs) != signature.joints
+        or len(signature.inputs) != n
+    ):
+        raise UsageError(
+            "a controller needs one input and one measured position per joint of the model"
+        )
     if dataset.model is not None and dataset.model.free:
-        raise UsageError("the dataset is of free motion and states a controller: take one of them out")
+        raise UsageError(
+            "the dataset is of free motion and states a controller: take one of them out"
+        )
     kind, settings = dataset.controller.kind, dict(dataset.controller.settings)
     if kind not in GAINS:
         raise UsageError(f"there is no controller of kind {kind!r}{nearest(kind, GAINS)}")
@@ -145,17 +156,23 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
     allowed = (*needed, *optional, *COMMON, *WORDS, SAMPLE_TIME, "reference")
     for key in settings:
         if key not in allowed:
-            raise UsageError(f"[controller]: kind {kind!r} has no setting {key!r}{nearest(key, allowed)}")
+            raise UsageError(
+                f"[controller]: kind {kind!r} has no setting {key!r}{nearest(key, allowed)}"
+            )
     lacking = [key for key in needed if key not in settings]
     if lacking:
-        raise UsageError(f"[controller]: kind {kind!r} needs {' and '.join(needed)}; {lacking[0]!r} is missing")
+        raise UsageError(
+            f"[controller]: kind {kind!r} needs {' and '.join(needed)}; {lacking[0]!r} is missing"
+        )
     number = lambda key, default=0.0: _per_joint(settings, key, default, n)
     saturation, gain = number("saturation", COMMON["saturation"]), number("gain", COMMON["gain"])
     if min(saturation) <= 0 or 0.0 in gain:
         raise UsageError("[controller]: saturation is positive, gain is not zero")
     period = settings.get(SAMPLE_TIME)
     if period is not None and (not isinstance(period, int | float) or period <= 0):
-        raise UsageError(f"[controller]: sample_time is {period!r}; it is a positive number of seconds")
+        raise UsageError(
+            f"[controller]: sample_time is {period!r}; it is a positive number of seconds"
+        )
     first = (dataset.split("fit") or dataset.experiments)[0]
     return Law(
         kind,
@@ -166,7 +183,9 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
         saturation,
         number("offset"),
         _word(settings, "velocity"),
-        "none" if kind == "cascade" and "reference_velocity" not in settings else _word(settings, "reference_velocity"),
+        "none"
+        if kind == "cascade" and "reference_velocity" not in settings
+        else _word(settings, "reference_velocity"),
         _channels(dataset, settings, "reference", signature, True),
         _channels(dataset, settings, "disturbance", signature, False),
         float(period) if period is not None else float(np.median(np.diff(first.t))),
@@ -176,20 +195,30 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
 
 def _per_joint(settings: Mapping[str, Any], key: str, default: float, n: int) -> tuple[float, ...]:
     value = settings.get(key, default)
-    values = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value] * n
-    if len(values) != n or not all(isinstance(v, int | float) and not isinstance(v, bool) and v == v for v in values):
-        raise UsageError(f"[controller]: {key} is {value!r}; it is a number, or a list of {n} (one per joint)")
+    values = (
+        list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value] * n
+    )
+    if len(values) != n or not all(
+        isinstance(v, int | float) and not isinstance(v, bool) and v == v for v in values
+    ):
+        raise UsageError(
+            f"[controller]: {key} is {value!r}; it is a number, or a list of {n} (one per joint)"
+        )
     return tuple(float(v) for v in values)
 
 
 def _word(settings: Mapping[str, Any], key: str) -> str:
     value = settings.get(key, WORDS[key][0])
     if value not in WORDS[key]:
-        raise UsageError(f"[controller]: {key} = {value!r} is unknown{nearest(str(value), WORDS[key])}")
+        raise UsageError(
+            f"[controller]: {key} = {value!r} is unknown{nearest(str(value), WORDS[key])}"
+        )
     return value
 
 
-def _channels(dataset: Dataset, settings: Mapping[str, Any], key: str, signature: Signature, required: bool) -> tuple[str, ...]:
+def _channels(
+    dataset: Dataset, settings: Mapping[str, Any], key: str, signature: Signature, required: bool
+) -> tuple[str, ...]:
     """Auxiliary channels per joint: as stated, else by the naming convention of references, else "" where not required."""
     have = [c.name for c in dataset.channels if c.role == "auxiliary"]
     stated, n = settings.get(key), len(signature.joints)
@@ -207,10 +236,14 @@ def _channels(dataset: Dataset, settings: Mapping[str, Any], key: str, signature
         return tuple(c or "" for c in found)
     names = [stated] if isinstance(stated, str) else list(stated)
     if len(names) != n:
-        raise UsageError(f"[controller]: {key} names {len(names)} channels; it needs {n}, one per joint")
+        raise UsageError(
+            f"[controller]: {key} names {len(names)} channels; it needs {n}, one per joint"
+        )
     for name in names:
         if name not in have and name:
-            raise UsageError(f"[controller]: {key} names {name!r}, no auxiliary channel{nearest(str(name), have)}")
+            raise UsageError(
+                f"[controller]: {key} names {name!r}, no auxiliary channel{nearest(str(name), have)}"
+            )
     return tuple(str(name) for name in names)
 
 

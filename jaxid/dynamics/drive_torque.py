@@ -48,7 +48,11 @@ def drive_gains(chain: Chain) -> Any:
 
 
 def driven(
-    chain: Chain, body: Mechanism, u: Float[Array, " nu"], q: Float[Array, " nq"], qd: Float[Array, " nq"]
+    chain: Chain,
+    body: Mechanism,
+    u: Float[Array, " nu"],
+    q: Float[Array, " nq"],
+    qd: Float[Array, " nq"],
 ) -> Float[Array, " nq"]:
     """Joint torque (N m, N) of inputs in the units of their channels: through the drive gains, then through the mechanism's own
     drive (gears, motors). Effects at the inputs that a fit looks for are left out."""

@@ -108,14 +108,22 @@ def _sweeping(
 
 
 def _pinned(
-    sweep: Callable[[Vector, Array, Vector], Solved], free: Vector, A: Array, old: Vector, held: Bool[Array, " nq"]
+    sweep: Callable[[Vector, Array, Vector], Solved],
+    free: Vector,
+    A: Array,
+    old: Vector,
+    held: Bool[Array, " nq"],
 ) -> Solved:
     """A sweep with the joints that are `held` at rest eliminated: what holds them answers at once."""
     nq = free.shape[0]
     both = held[:, None] & held[None, :]
-    hold = jnp.where(both, inverse(jnp.where(both, A, jnp.eye(nq))), 0.0)  # what a velocity of the held joints takes
+    hold = jnp.where(
+        both, inverse(jnp.where(both, A, jnp.eye(nq))), 0.0
+    )  # what a velocity of the held joints takes
     others = jnp.where(held[:, None], jnp.eye(nq), A - dot(A, dot(hold, A)))
-    new, w, mean = sweep(jnp.where(held, 0.0, free - dot(A, dot(hold, free))), others, jnp.where(held, 0.0, old))
+    new, w, mean = sweep(
+        jnp.where(held, 0.0, free - dot(A, dot(hold, free))), others, jnp.where(held, 0.0, old)
+    )
     new = jnp.where(held, dot(hold, free - dot(A, jnp.where(held, 0.0, new))), new)
     return new, jnp.where(held, 0.0, w), jnp.where(held, 0.0, mean)
 
@@ -168,7 +176,9 @@ def _solve(
     held = (v0 == 0) & (solved[1] == 0)
     turns = jnp.any(held) & jnp.any(solved[2] != 0)
     start = (0, solved, held, jnp.where(turns, jnp.inf, 0.0), turns)
-    end = jax.lax.while_loop(lambda c: (c[0] < SWEEPS) & ((c[3] > TOLERANCE * scale) | c[4]), pinned, start)
+    end = jax.lax.while_loop(
+        lambda c: (c[0] < SWEEPS) & ((c[3] > TOLERANCE * scale) | c[4]), pinned, start
+    )
     return end[1], end[2], turns
 
 

@@ -59,9 +59,13 @@ class Effect(eqx.Module):
     probes: eqx.AbstractClassVar[tuple[dict[str, Quantity | float], ...]]
     refines: ClassVar[str] = ""
     contains: ClassVar[tuple[str, ...]] = ()  # other effects that it comprises
-    location: eqx.AbstractClassVar[str]  # "input" | "joint" | "output": the kind of place its parameters are counted by
+    location: eqx.AbstractClassVar[
+        str
+    ]  # "input" | "joint" | "output": the kind of place its parameters are counted by
 
-    def transfer(self, omega: Float[Array, " lines"]) -> tuple[Float[Array, "lines n"], Float[Array, "lines n"]] | None:
+    def transfer(
+        self, omega: Float[Array, " lines"]
+    ) -> tuple[Float[Array, "lines n"], Float[Array, "lines n"]] | None:
         """Real and imaginary part of what a linear effect at an input or output does to its n channels at omega, rad/s; None:
         nothing."""
         return None
@@ -115,7 +119,13 @@ class InputEffect(Effect):
         """How tightly it holds each joint where it stands at any moment, torque per position; None: not at all."""
         return None
 
-    def settled(self, z: Any, u: Float[Array, " nu"], q: Float[Array, " nq"], hold: Callable[[], Float[Array, " nq"]]) -> Any:
+    def settled(
+        self,
+        z: Any,
+        u: Float[Array, " nu"],
+        q: Float[Array, " nq"],
+        hold: Callable[[], Float[Array, " nq"]],
+    ) -> Any:
         """State `z` of a run that begins at positions q, which the joint torque hold() [nq] keeps."""
         return z
 
@@ -128,7 +138,9 @@ class InputEffect(Effect):
         return None
 
     @abc.abstractmethod
-    def __call__(self, u: Float[Array, " nu"], s: Signals, z: Any) -> tuple[Float[Array, " nu"], Any]: ...
+    def __call__(
+        self, u: Float[Array, " nu"], s: Signals, z: Any
+    ) -> tuple[Float[Array, " nu"], Any]: ...
 
     @abc.abstractmethod
     def start(self, u: Float[Array, " nu"]) -> Any:
@@ -144,7 +156,9 @@ class JointEffect(Effect):
     transmits: ClassVar[bool] = False
     #: Start values (field -> number) read off the force that a measured motion (q, qd, force, each [samples]) lacks at its joint;
     #: None: the probes are start enough.
-    read_off: ClassVar[Callable[[np.ndarray, np.ndarray, np.ndarray], dict[str, float]] | None] = None
+    read_off: ClassVar[Callable[[np.ndarray, np.ndarray, np.ndarray], dict[str, float]] | None] = (
+        None
+    )
 
     @abc.abstractmethod
     def __call__(self, s: Signals, z: Any) -> tuple[Any, Any, Any, Any]: ...
@@ -172,7 +186,9 @@ class OutputEffect(Effect):
         return None
 
     @abc.abstractmethod
-    def __call__(self, y: Float[Array, " ny"], s: Signals, z: Any) -> tuple[Float[Array, " ny"], Any]: ...
+    def __call__(
+        self, y: Float[Array, " ny"], s: Signals, z: Any
+    ) -> tuple[Float[Array, " ny"], Any]: ...
 
     @abc.abstractmethod
     def start(self, y: Float[Array, " ny"], rate: Float[Array, " ny"]) -> Any:
@@ -210,7 +226,11 @@ class RecordEffect(Effect):
 
     @abc.abstractmethod
     def __call__(
-        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None, rate: Float[Array, " ny"]
+        self,
+        t: Float[Array, " time"],
+        y: Float[Array, "time ny"],
+        h: Float[Array, ""] | None,
+        rate: Float[Array, " ny"],
     ) -> Float[Array, "time ny"]: ...
 
 

@@ -33,7 +33,9 @@ def with_speeds(signature: Signature, outputs: Mapping[str, str]) -> Signature:
     speeds, kept = [], []
     for j, joint in enumerate(signature.joints):
         unit = signature.unit("{X}", j) + "/s"
-        names = [n for n in speed_names(signature.joints, j) if n not in own and outputs.get(n) == unit]
+        names = [
+            n for n in speed_names(signature.joints, j) if n not in own and outputs.get(n) == unit
+        ]
         speeds += [(names[0], unit, j)] if names else []
         if joint in own and joint not in outputs and not names:
             return signature
@@ -53,7 +55,11 @@ _OWN_SPEEDS: dict[Any, dict[int, int]] = {}
 def _own_speeds(chain: Chain) -> dict[int, int]:
     """Joint -> output of the mechanism's own outputs in rad/s or m/s that are a joint's speed, found by reading some states."""
     s = chain.signature
-    asked = [k for k, (_, unit) in enumerate(s.outputs[: len(s.outputs) - len(s.speeds)]) if unit in ("rad/s", "m/s")]
+    asked = [
+        k
+        for k, (_, unit) in enumerate(s.outputs[: len(s.outputs) - len(s.speeds)])
+        if unit in ("rad/s", "m/s")
+    ]
     if not asked:
         return {}
     key = s, jax.tree.structure(chain.mechanism)
@@ -73,7 +79,9 @@ def _read(chain: Chain, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             q, qd = (jnp.asarray(np.cos(s * np.arange(a, a + chain.nq))) for a in (1, 101))
             x = body.start(q, qd)
             velocities.append(np.asarray(qd))
-            outputs.append(np.asarray(chain.signature.read(body, x, jnp.zeros_like(q), jnp.ones_like(q, bool))))
+            outputs.append(
+                np.asarray(chain.signature.read(body, x, jnp.zeros_like(q), jnp.ones_like(q, bool)))
+            )
     return np.array(velocities), np.array(outputs)
 
 
@@ -83,7 +91,10 @@ def joint_readings(chain: Chain) -> list[Reading]:
     names = [n for n, _ in s.outputs]
     first = len(names) - len(s.speeds)
     speeds = {**_own_speeds(chain), **{j: first + k for k, j in enumerate(s.speeds)}}
-    return [Reading(names.index(n) if n in names else None, speeds.get(j)) for j, n in enumerate(s.joints)]
+    return [
+        Reading(names.index(n) if n in names else None, speeds.get(j))
+        for j, n in enumerate(s.joints)
+    ]
 
 
 def read_by(chain: Chain) -> list[int]:
@@ -107,7 +118,9 @@ def position_matters(chain: Chain) -> bool:
         u = jnp.asarray(np.cos(0.7 * np.arange(len(chain.signature.inputs))))
 
         def seen(q: Any) -> list[Any]:
-            y = chain.signature.read(body, body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool))
+            y = chain.signature.read(
+                body, body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool)
+            )
             return [body.inverse(q, qd, qdd), body.drive(chain.signature, u, q, qd), y]
 
         return any(not np.array_equal(a, b) for a, b in zip(seen(q), seen(q + 0.37), strict=True))
@@ -121,7 +134,11 @@ def cutoffs(chain: Chain, t: np.ndarray, y: np.ndarray, noise: np.ndarray) -> li
 
 
 def joint_motion(
-    chain: Chain, t: np.ndarray, y: np.ndarray, cutoff_hz: Sequence[float], q0: Sequence[float] | None = None
+    chain: Chain,
+    t: np.ndarray,
+    y: np.ndarray,
+    cutoff_hz: Sequence[float],
+    q0: Sequence[float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
     """Smoothed positions, velocities and accelerations of the joints [time nq] from outputs y [time ny], and a sentence.
 
@@ -148,7 +165,9 @@ def integral(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.asarray(cumulative_trapezoid(x, t, initial=0.0))
 
 
-def stated_start(e: Experiment, signature: Signature, joint: int) -> tuple[float | None, float | None]:
+def stated_start(
+    e: Experiment, signature: Signature, joint: int
+) -> tuple[float | None, float | None]:
     """Position and velocity of a joint at the start of a run as `initial` states them."""
     nq, name = len(signature.joints), signature.joints[joint]
     found = lambda keys: next((e.initial[k] for k in keys if e.initial and k in e.initial), None)
@@ -161,7 +180,9 @@ def stated_positions(e: Experiment, signature: Signature) -> list[float]:
     return [stated_start(e, signature, j)[0] or 0.0 for j in range(len(signature.joints))]
 
 
-def start_of(chain: Chain, e: Experiment, y: np.ndarray, first: int, until: int) -> tuple[np.ndarray, np.ndarray]:
+def start_of(
+    chain: Chain, e: Experiment, y: np.ndarray, first: int, until: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities of the joints at sample `first` [nq], by polynomials through the samples up to `until`, or through
     as many of them as polynomials follow; zero for what is not read. `y` [time ny] are the outputs of the whole run."""
     from jaxid.data.signals import followed, start_state
@@ -178,7 +199,10 @@ def start_of(chain: Chain, e: Experiment, y: np.ndarray, first: int, until: int)
         if r.qd is not None:
             qd0[j], _, _ = start_state(t, y[first:until, r.qd], window)
             if r.q is None:
-                q0[j] = stated_positions(e, chain.signature)[j] + integral(e.t[: first + 1], y[: first + 1, r.qd])[-1]
+                q0[j] = (
+                    stated_positions(e, chain.signature)[j]
+                    + integral(e.t[: first + 1], y[: first + 1, r.qd])[-1]
+                )
     return q0, qd0
 
 

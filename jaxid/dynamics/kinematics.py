@@ -58,12 +58,18 @@ class ArmTable:
     def n(self) -> int:
         return len(self.prismatic)
 
-    def with_inertia(self, inertia: np.ndarray, drive_inertia: np.ndarray | None = None) -> ArmTable:
+    def with_inertia(
+        self, inertia: np.ndarray, drive_inertia: np.ndarray | None = None
+    ) -> ArmTable:
         """The same chain with other inertial parameters [n 10] (and drive inertia [n])."""
         inertia = np.asarray(inertia, np.float64)
         if inertia.shape != (self.n, 10):
-            raise UsageError(f"inertial parameters have shape {inertia.shape}; this chain needs ({self.n}, 10)")
-        drive = self.drive_inertia if drive_inertia is None else np.asarray(drive_inertia, np.float64)
+            raise UsageError(
+                f"inertial parameters have shape {inertia.shape}; this chain needs ({self.n}, 10)"
+            )
+        drive = (
+            self.drive_inertia if drive_inertia is None else np.asarray(drive_inertia, np.float64)
+        )
         return replace(self, inertia=inertia, drive_inertia=drive)
 
     def placements(self, q: Float[Any, "n ..."]) -> Placements:
@@ -97,7 +103,9 @@ def modified_dh(
     }
     wrong = [f"{k} has {len(v)}" for k, v in columns.items() if len(v) != n]
     if wrong or n == 0:
-        raise UsageError(f"a table of {n} joints needs {n} entries in every column; {', '.join(wrong) or 'it is empty'}")
+        raise UsageError(
+            f"a table of {n} joints needs {n} entries in every column; {', '.join(wrong) or 'it is empty'}"
+        )
     number = {k: np.asarray(v, np.float64) for k, v in columns.items()}
     table = ArmTable(
         a=number["a"],
@@ -135,7 +143,9 @@ def standard_dh(
         c, s = np.cos(alpha[-1]), np.sin(alpha[-1])
         tool = np.array([[1, 0, 0, a[-1]], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
     shifted = lambda column: [0.0, *list(column)[:-1]]
-    return modified_dh(shifted(a), shifted(alpha), d, theta, prismatic, inertia, drive_inertia, tool)
+    return modified_dh(
+        shifted(a), shifted(alpha), d, theta, prismatic, inertia, drive_inertia, tool
+    )
 
 
 def placements(geometry: Any, prismatic: Sequence[bool], q: Any) -> Placements:

@@ -53,14 +53,22 @@ class Signature(NamedTuple):
 
     def unit(self, template: str, joint: int = 0) -> str:
         """A parameter's unit with {F} force, {X} coordinate and {I} inertia of that joint filled in."""
-        linear = self.linear or (joint < len(self.prismatic) and self.prismatic[joint]) or self._reads_length(joint)
+        linear = (
+            self.linear
+            or (joint < len(self.prismatic) and self.prismatic[joint])
+            or self._reads_length(joint)
+        )
         force, coordinate, inertia = ("N", "m", "kg") if linear else ("N m", "rad", "kg m^2")
         return template.replace("{F}", force).replace("{X}", coordinate).replace("{I}", inertia)
 
     def read(self, body: Mechanism, x: Any, tau: Array, rests: Array) -> Array:
         """What ideal sensors of these outputs read in state x, [ny]: see `Mechanism.output`."""
         y = body.output(x, tau, rests)
-        y = y[: len(self.outputs) - len(self.speeds)] if self.shown is None else y[np.array(self.shown, int)]
+        y = (
+            y[: len(self.outputs) - len(self.speeds)]
+            if self.shown is None
+            else y[np.array(self.shown, int)]
+        )
         return jnp.concatenate([y, body.port(x)[1][np.array(self.speeds)]]) if self.speeds else y
 
     def renamed(self, names: Mapping[str, str]) -> Signature:
@@ -72,21 +80,30 @@ class Signature(NamedTuple):
                     return names[old] + channel[len(old) :]
             return channel
 
-        ports = [tuple((named(name), unit) for name, unit in own) for own in (self.inputs, self.outputs)]
-        return self._replace(inputs=ports[0], outputs=ports[1], joints=tuple(map(named, self.joints)))
+        ports = [
+            tuple((named(name), unit) for name, unit in own) for own in (self.inputs, self.outputs)
+        ]
+        return self._replace(
+            inputs=ports[0], outputs=ports[1], joints=tuple(map(named, self.joints))
+        )
 
     def _reads_length(self, joint: int) -> bool:
         """Whether an output reads the joint's position in m, or its speed in m/s."""
         units = dict(self.outputs)
         own = self.joints[joint] if joint < len(self.joints) else ""
-        return units.get(own) == "m" or any(units.get(n) == "m/s" for n in speed_names(self.joints, joint))
+        return units.get(own) == "m" or any(
+            units.get(n) == "m/s" for n in speed_names(self.joints, joint)
+        )
 
 
 def speed_names(joints: tuple[str, ...], joint: int) -> tuple[str, ...]:
     """Names that a channel of a joint's speed may have: qd or qd2 by its number, the joint's own with _qd, velocity."""
     if joint >= len(joints):
         return ()
-    return (*(("qd", "velocity") if len(joints) == 1 else (f"qd{joint + 1}",)), f"{joints[joint]}_qd")
+    return (
+        *(("qd", "velocity") if len(joints) == 1 else (f"qd{joint + 1}",)),
+        f"{joints[joint]}_qd",
+    )
 
 
 class Free(NamedTuple):
@@ -126,7 +143,11 @@ class Mechanism(eqx.Module):
         return self
 
     def drive(
-        self, signature: Signature, u: Float[Array, " nu"], q: Float[Array, " nq"], qd: Float[Array, " nq"]
+        self,
+        signature: Signature,
+        u: Float[Array, " nu"],
+        q: Float[Array, " nq"],
+        qd: Float[Array, " nq"],
     ) -> Float[Array, " nq"]:
         """Joint torque that the inputs make; a mechanism whose inputs are not joint torques has its own law."""
         return u if signature.inputs else jnp.zeros_like(q)
@@ -142,7 +163,9 @@ class Mechanism(eqx.Module):
 
     def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
         """Names of the places of an effect at the inputs or outputs, one for each channel."""
-        return tuple(n for n, _ in (signature.commands if effect.location == "input" else signature.outputs))
+        return tuple(
+            n for n, _ in (signature.commands if effect.location == "input" else signature.outputs)
+        )
 
     def nominal_effects(self) -> list[Any]:
         """The built-in effects with what is known of them; by default at their start values."""
@@ -204,7 +227,9 @@ class Mechanism(eqx.Module):
         or a matrix) times what their mean speed exceeds `qd`, the one predicted for the middle of the step. `stiffness` is how
         tightly a law holds them, torque per position."""
         free, v = self.free(h, x, tau), self.port(x)[1]
-        B = inverse(jnp.eye(v.shape[0]) + (free.A * slope if slope.ndim == 1 else dot(free.A, slope)) / 2)
+        B = inverse(
+            jnp.eye(v.shape[0]) + (free.A * slope if slope.ndim == 1 else dot(free.A, slope)) / 2
+        )
         push = slope * (qd - v / 2) if slope.ndim == 1 else dot(slope, qd - v / 2)
         return free, dot(B, free.qd + dot(free.A, push)), dot(B, free.A)
 
@@ -226,7 +251,9 @@ class Mechanism(eqx.Module):
         return 0.0
 
     @abc.abstractmethod
-    def inverse(self, q: Float[Array, " nq"], qd: Float[Array, " nq"], qdd: Float[Array, " nq"]) -> Float[Array, " nq"]:
+    def inverse(
+        self, q: Float[Array, " nq"], qd: Float[Array, " nq"], qdd: Float[Array, " nq"]
+    ) -> Float[Array, " nq"]:
         """Joint torque that this motion needs (friction excluded)."""
 
     def outline(self, x: Any, signature: Signature) -> Float[Array, "points d"] | None:
@@ -234,14 +261,19 @@ class Mechanism(eqx.Module):
         return None
 
     def transfer(
-        self, omega: Float[Array, " lines"], slope: Float[Array, " nq"], stiffness: Float[Array, " nq"]
+        self,
+        omega: Float[Array, " lines"],
+        slope: Float[Array, " nq"],
+        stiffness: Float[Array, " nq"],
     ) -> tuple[Float[Array, "lines ny nq"], Float[Array, "lines ny nq"]] | None:
         """Real and imaginary part of outputs / joint torques at omega, with viscous friction `slope` and springs at the joints.
         None: no closed form, the equation of motion is linearised and solved at each line."""
         return None
 
     @abc.abstractmethod
-    def output(self, x: Any, tau: Float[Array, " nq"], rests: Bool[Array, " nq"]) -> Float[Array, " ny"]:
+    def output(
+        self, x: Any, tau: Float[Array, " nq"], rests: Bool[Array, " nq"]
+    ) -> Float[Array, " ny"]:
         """What ideal sensors read in state x, [ny] of the signature with most outputs (others take the first of them).
 
         For accelerations: `tau` the net joint torque (drive minus friction) that acts, `rests` which joints stand still under it.
@@ -252,7 +284,9 @@ class Rigid(Mechanism):
     """Abstract: M(q) qdd + bias(q, qd) = tau, stepped by the classical Runge-Kutta scheme. Write `matrices`, nothing else."""
 
     @abc.abstractmethod
-    def matrices(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> tuple[Float[Array, "nq nq"], Float[Array, " nq"]]:
+    def matrices(
+        self, q: Float[Array, " nq"], qd: Float[Array, " nq"]
+    ) -> tuple[Float[Array, "nq nq"], Float[Array, " nq"]]:
         """Mass matrix and bias (Coriolis, centrifugal, gravity, springs)."""
 
     def start(self, q, qd) -> Any:
@@ -316,13 +350,17 @@ class Lagrangian(Rigid):
     """Abstract: a rigid mechanism from its energies; the equation of motion follows by automatic differentiation."""
 
     @abc.abstractmethod
-    def kinetic_energy(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Float[Array, ""]: ...
+    def kinetic_energy(
+        self, q: Float[Array, " nq"], qd: Float[Array, " nq"]
+    ) -> Float[Array, ""]: ...
 
     @abc.abstractmethod
     def potential_energy(self, q: Float[Array, " nq"]) -> Float[Array, ""]: ...
 
     def matrices(self, q, qd):
-        return equations_of_motion(lambda q, qd: self.kinetic_energy(q, qd) - self.potential_energy(q), q, qd)
+        return equations_of_motion(
+            lambda q, qd: self.kinetic_energy(q, qd) - self.potential_energy(q), q, qd
+        )
 
 
 def equations_of_motion(lagrangian, q: Float[Array, " nq"], qd: Float[Array, " nq"]):
@@ -336,4 +374,13 @@ def joint_count(mechanism: Mechanism | type[Mechanism]) -> int:
     return len(mechanism.signatures[0].joints)
 
 
-__all__ = ["Free", "Lagrangian", "Mechanism", "Rigid", "Signature", "Staged", "equations_of_motion", "joint_count"]
+__all__ = [
+    "Free",
+    "Lagrangian",
+    "Mechanism",
+    "Rigid",
+    "Signature",
+    "Staged",
+    "equations_of_motion",
+    "joint_count",
+]

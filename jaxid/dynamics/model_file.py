@@ -19,11 +19,15 @@ from jaxid.errors import nearest, UsageError
 
 #: Class attributes that every model has.
 NEEDED = ("name", "signatures", "builtin", "equations", "source")
-DERIVE = "derive it from jaxid.dynamics.mechanism.Rigid (README, 'A model of your own, in one file')"
+DERIVE = (
+    "derive it from jaxid.dynamics.mechanism.Rigid (README, 'A model of your own, in one file')"
+)
 #: What a file that was run keeps of itself, as an attribute of its module.
 DIGEST = "__jaxid_sha256__"
 
-_RUN: dict[tuple[str, str], ModuleType] = {}  # (path, sha256) -> the module, so that a file is one class in a process
+_RUN: dict[
+    tuple[str, str], ModuleType
+] = {}  # (path, sha256) -> the module, so that a file is one class in a process
 
 
 def own_model(text: str) -> type:
@@ -34,7 +38,9 @@ def own_model(text: str) -> type:
     """
     parts = parts_of(text)
     if parts is None:
-        raise UsageError(f"{text!r} is no file of a model: name it as in duffing.py or duffing.py:Duffing")
+        raise UsageError(
+            f"{text!r} is no file of a model: name it as in duffing.py or duffing.py:Duffing"
+        )
     path, wanted = Path(parts[0]), parts[1]
     module = _module(path)
     kind = _only(module, path.name) if wanted is None else _named(module, path.name, wanted)
@@ -53,9 +59,13 @@ def _module(path: Path) -> ModuleType:
         content = path.read_bytes()
     except OSError as error:
         place = "" if path.is_absolute() else f" in {Path.cwd()}"
-        raise UsageError(f"model {path}{place} cannot be read ({error.strerror}): correct the path") from None
+        raise UsageError(
+            f"model {path}{place} cannot be read ({error.strerror}): correct the path"
+        ) from None
     except ValueError as error:
-        raise UsageError(f"model {str(path)!r} cannot be read ({error}): correct the path") from None
+        raise UsageError(
+            f"model {str(path)!r} cannot be read ({error}): correct the path"
+        ) from None
     digest = hashlib.sha256(content).hexdigest()
     key = str(path.resolve()), digest
     if key not in _RUN:
@@ -96,14 +106,22 @@ def _fault(name: str, file: str, error: BaseException) -> str:
 
 def _classes(module: ModuleType) -> dict[str, type]:
     """The classes that the file itself defines."""
-    return {k: v for k, v in vars(module).items() if inspect.isclass(v) and v.__module__ == module.__name__}
+    return {
+        k: v
+        for k, v in vars(module).items()
+        if inspect.isclass(v) and v.__module__ == module.__name__
+    }
 
 
 def _models(module: ModuleType) -> dict[str, type]:
     """Those of models; a class that others in the file are derived from and that lacks something is none."""
     from jaxid.dynamics.mechanism import Mechanism
 
-    models = {k: v for k, v in _classes(module).items() if issubclass(v, Mechanism) and not k.startswith("_")}
+    models = {
+        k: v
+        for k, v in _classes(module).items()
+        if issubclass(v, Mechanism) and not k.startswith("_")
+    }
     whole = {k: v for k, v in models.items() if not inspect.isabstract(v)}
     return whole or models
 
@@ -116,7 +134,9 @@ def _only(module: ModuleType, file: str) -> type:
         raise UsageError(f"{file} holds no model{there}. Write a class and {DERIVE}")
     if len(set(found.values())) > 1:
         first = next(iter(found))
-        raise UsageError(f"{file} holds several models, {', '.join(found)}: name one of them, as in {file}:{first}")
+        raise UsageError(
+            f"{file} holds several models, {', '.join(found)}: name one of them, as in {file}:{first}"
+        )
     return next(iter(found.values()))
 
 
@@ -138,14 +158,22 @@ def _refuse_unusable(kind: type, file: str) -> None:
     """Raises `UsageError` for a class that no command can make a model of."""
     from jaxid.models import MODELS
 
-    lacking = [name for name in NEEDED if not hasattr(kind, name)] + sorted(getattr(kind, "__abstractmethods__", ()))
+    lacking = [name for name in NEEDED if not hasattr(kind, name)] + sorted(
+        getattr(kind, "__abstractmethods__", ())
+    )
     if lacking:
-        raise UsageError(f"{kind.__name__} in {file} lacks {', '.join(f'`{n}`' for n in lacking)}: write it as README shows")
+        raise UsageError(
+            f"{kind.__name__} in {file} lacks {', '.join(f'`{n}`' for n in lacking)}: write it as README shows"
+        )
     name = getattr(kind, "name", None)
     if name in {m.name for m in MODELS}:
-        raise UsageError(f"{kind.__name__} in {file} has the name {name!r} of a model of jaxid: give it another `name`")
+        raise UsageError(
+            f"{kind.__name__} in {file} has the name {name!r} of a model of jaxid: give it another `name`"
+        )
     try:
         kind()
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
-        raise UsageError(f"{kind.__name__}() of {file} cannot be made ({why}): give every field a start value") from error
+        raise UsageError(
+            f"{kind.__name__}() of {file} cannot be made ({why}): give every field a start value"
+        ) from error

@@ -66,11 +66,17 @@ class ODE(eqx.Module):
         chain, body = self._numbers(args or (None, None))
         q, qd = (jnp.atleast_1d(jnp.asarray(a, float)) for a in (q, qd))
         nothing = jnp.zeros(len(chain.signature.inputs))
-        u = nothing if args is None else jnp.reshape(jnp.asarray(args[1](0.0), float), nothing.shape)
+        u = (
+            nothing
+            if args is None
+            else jnp.reshape(jnp.asarray(args[1](0.0), float), nothing.shape)
+        )
         start = chain.start(q, qd, u, body)
         return self._whole(start.x, start.z)
 
-    def outputs(self, t: Any, y: Any, args: tuple[Any, Callable[[Any], Array]]) -> Float[Array, " ny"]:
+    def outputs(
+        self, t: Any, y: Any, args: tuple[Any, Callable[[Any], Array]]
+    ) -> Float[Array, " ny"]:
         """What the sensors read at one time. Map it over several: `jax.vmap(lambda t, y: ode.outputs(t, y, args))(ts, ys)`."""
         chain, body = self._numbers(args)
         x, z = self._parts(y)
@@ -93,7 +99,9 @@ class ODE(eqx.Module):
             return self.parameters
         if isinstance(given, Numbers):
             return given
-        return self.with_parameters(given if isinstance(given, Mapping) else dict(zip(self.names, given, strict=True)))
+        return self.with_parameters(
+            given if isinstance(given, Mapping) else dict(zip(self.names, given, strict=True))
+        )
 
     def _whole(self, x: Any, z: tuple) -> Any:
         """y of the states of the mechanism and of all effects."""
@@ -104,7 +112,9 @@ class ODE(eqx.Module):
         """The states of the mechanism and of all effects, of y."""
         chain, body = self.parameters
         q, u = jnp.zeros(chain.nq), jnp.zeros(len(chain.signature.inputs))
-        remembers = [bool(jax.tree.leaves(s)) for s in jax.eval_shape(lambda: chain.start(q, q, u, body).z)]
+        remembers = [
+            bool(jax.tree.leaves(s)) for s in jax.eval_shape(lambda: chain.start(q, q, u, body).z)
+        ]
         x, states = y if any(remembers) else (y, ())
         own = iter(states)
         return x, tuple(next(own) if has else () for has in remembers)
@@ -125,11 +135,17 @@ def _replaced(chain: Chain, values: Mapping[str, Any]) -> Chain:
 def _command(t: Any, u: Callable[[Any], Array]) -> Command:
     """The input as it is at one time: there is no step, and no other hold."""
     now = jnp.atleast_1d(jnp.asarray(u(t)))
-    late = lambda d: jnp.stack([jnp.atleast_1d(jnp.asarray(u(t - d[i])))[i] for i in range(now.shape[0])]) if now.size else now
+    late = lambda d: (
+        jnp.stack([jnp.atleast_1d(jnp.asarray(u(t - d[i])))[i] for i in range(now.shape[0])])
+        if now.size
+        else now
+    )
     return Command(jnp.asarray(t), jnp.zeros(()), now, now, late)
 
 
-def rates(chain: Chain, body: Mechanism, t: Any, x: Any, z: tuple, command: Command) -> tuple[Any, tuple, Array]:
+def rates(
+    chain: Chain, body: Mechanism, t: Any, x: Any, z: tuple, command: Command
+) -> tuple[Any, tuple, Array]:
     """Rates of change of the mechanism and of the effects, and the net torque at the joints, under a command that is held.
 
     Effects are written for a step of length h and follow their states exactly over it: the rate is the derivative by h at 0, and
@@ -144,14 +160,18 @@ def rates(chain: Chain, body: Mechanism, t: Any, x: Any, z: tuple, command: Comm
         tau = body.drive(chain.signature, u, q, qd)
 
         def net(transmitted: Any) -> tuple[Array, tuple]:
-            F, minus, plus, new = chain.friction(s._replace(load=tau, transmitted=transmitted), after)
+            F, minus, plus, new = chain.friction(
+                s._replace(load=tau, transmitted=transmitted), after
+            )
             dry = jnp.zeros_like(qd)
             if chain.smoothing_velocity > 0:
                 dry = jnp.where(qd > 0, plus, minus) * jnp.tanh(qd / chain.smoothing_velocity)
             return tau - F - dry, new
 
         through: Any = tau
-        for _ in range(ROUNDS if chain.transmits else 0):  # what is transmitted depends on the friction that it makes
+        for _ in range(
+            ROUNDS if chain.transmits else 0
+        ):  # what is transmitted depends on the friction that it makes
             total, _ = net(through)
             qdd = jax.jvp(body.port, (x,), (body.vector_field(t, x, total),))[1][1]
             through = total - body.rotors() * qdd
@@ -180,10 +200,14 @@ def dry_effects(chain: Chain) -> list[str]:
     one = jnp.full(chain.nq, 0.7)
     u = jnp.full(len(chain.signature.inputs), 0.9)
     h = jnp.asarray(1e-3)
-    signals = Signals(jnp.zeros(()), one / 2, one, one, h, Command(jnp.zeros(()), h, u, u, lambda d: u), one)
+    signals = Signals(
+        jnp.zeros(()), one / 2, one, one, h, Command(jnp.zeros(()), h, u, u, lambda d: u), one
+    )
     found = []
     for _, e in chain.at(JointEffect):
-        e = with_fields(e, {name: jnp.ones_like(jnp.asarray(getattr(e, name))) for name in specs(e)})
+        e = with_fields(
+            e, {name: jnp.ones_like(jnp.asarray(getattr(e, name))) for name in specs(e)}
+        )
         _, minus, plus, _ = e(signals, e.start(one))
         if np.any(np.asarray(minus) != 0) or np.any(np.asarray(plus) != 0):
             found.append(e.name)

@@ -75,7 +75,9 @@ class Quantity:
     def __str__(self) -> str:
         text = f"{self.coefficient:g}"
         for name, power in self.powers:
-            text += f" {'*' if power > 0 else '/'} {name}" + (f"^{abs(power)}" if abs(power) > 1 else "")
+            text += f" {'*' if power > 0 else '/'} {name}" + (
+                f"^{abs(power)}" if abs(power) > 1 else ""
+            )
         return text if self.most is None else f"{text}, at most {self.most:g}"
 
 
@@ -150,22 +152,43 @@ class SettingSpec(NamedTuple):
             if value not in self.words:
                 raise UsageError(f"{name} = {value!r}: it is one of {', '.join(self.words)}")
             return value
-        if not isinstance(value, int | float) or not self.lower <= value <= self.upper or value != int(value):
-            kind = "true or false" if isinstance(self.default, bool) else f"a whole number from {self.lower} to {self.upper}"
+        if (
+            not isinstance(value, int | float)
+            or not self.lower <= value <= self.upper
+            or value != int(value)
+        ):
+            kind = (
+                "true or false"
+                if isinstance(self.default, bool)
+                else f"a whole number from {self.lower} to {self.upper}"
+            )
             raise UsageError(f"{name} = {value!r}: it is {kind}")
         return type(self.default)(value)
 
 
-def setting(default: int | bool | str, lower: int = 0, upper: int = 1, *, meaning: str, words: tuple[str, ...] = ()) -> Any:
+def setting(
+    default: int | bool | str,
+    lower: int = 0,
+    upper: int = 1,
+    *,
+    meaning: str,
+    words: tuple[str, ...] = (),
+) -> Any:
     """A field that decides the structure of a model (a number of elements, a term taken or not) or which of some `words` an
     effect is. A dataset states a model's among its constants, an effect's stands in its id: `NAME(load=drive)`.
     Another value is another compiled program."""
-    return eqx.field(static=True, default=default, metadata={"setting": SettingSpec(default, lower, upper, meaning, words)})
+    return eqx.field(
+        static=True,
+        default=default,
+        metadata={"setting": SettingSpec(default, lower, upper, meaning, words)},
+    )
 
 
 def settings(owner: Any) -> dict[str, SettingSpec]:
     """Field name -> specification of a class or instance that has settings."""
-    return {f.name: f.metadata["setting"] for f in dataclasses.fields(owner) if "setting" in f.metadata}
+    return {
+        f.name: f.metadata["setting"] for f in dataclasses.fields(owner) if "setting" in f.metadata
+    }
 
 
 def with_settings(owner: M, values: Mapping[str, Any]) -> M:
@@ -173,25 +196,41 @@ def with_settings(owner: M, values: Mapping[str, Any]) -> M:
 
     Raises `UsageError` for a value out of bounds.
     """
-    chosen = {name: spec.check(name, values[name]) for name, spec in settings(owner).items() if name in values}
+    chosen = {
+        name: spec.check(name, values[name])
+        for name, spec in settings(owner).items()
+        if name in values
+    }
     return dataclasses.replace(owner, **chosen) if chosen else owner  # type: ignore[type-var]
 
 
 def _field(spec: ParameterSpec) -> Any:
-    return eqx.field(default=np.float64(spec.value), converter=_number, metadata={"parameter": spec})
+    return eqx.field(
+        default=np.float64(spec.value), converter=_number, metadata={"parameter": spec}
+    )
 
 
 def _number(value: Any) -> Any:
     """Python and NumPy numbers become float64 arrays that follow the precision in force; tracers pass."""
-    return np.asarray(value, np.float64) if isinstance(value, int | float | list | tuple | np.ndarray | np.generic) else value
+    return (
+        np.asarray(value, np.float64)
+        if isinstance(value, int | float | list | tuple | np.ndarray | np.generic)
+        else value
+    )
 
 
 def specs(owner: Any) -> dict[str, ParameterSpec]:
     """Field name -> specification of a class or instance that declares parameters."""
     fields = {f.name: f for f in dataclasses.fields(owner)}
     chosen = lambda name: fields[name].default if isinstance(owner, type) else getattr(owner, name)
-    found = {name: f.metadata["parameter"] for name, f in fields.items() if "parameter" in f.metadata}
-    return {name: spec for name, spec in found.items() if spec.only is None or chosen(spec.only[0]) == spec.only[1]}
+    found = {
+        name: f.metadata["parameter"] for name, f in fields.items() if "parameter" in f.metadata
+    }
+    return {
+        name: spec
+        for name, spec in found.items()
+        if spec.only is None or chosen(spec.only[0]) == spec.only[1]
+    }
 
 
 @lru_cache(maxsize=64)
@@ -209,13 +248,20 @@ def kind_with(kind: type[M], values: tuple[tuple[str, Any], ...]) -> type[M]:
     told = {k: v for k, v in chosen.items() if v != own[k].default}
     if not told:
         return kind
-    body: dict[str, Any] = {"__annotations__": {}, "__doc__": kind.__doc__, "__module__": kind.__module__}
+    body: dict[str, Any] = {
+        "__annotations__": {},
+        "__doc__": kind.__doc__,
+        "__module__": kind.__module__,
+    }
     for name, value in told.items():
         spec = own[name]
         body[name] = setting(value, spec.lower, spec.upper, meaning=spec.meaning, words=spec.words)
         body["__annotations__"][name] = type(value)
     plain: str = kind.name  # pyright: ignore[reportAttributeAccessIssue]
-    body |= {"name": f"{plain}({', '.join(f'{k}={v}' for k, v in told.items())})", "contains": (plain,)}
+    body |= {
+        "name": f"{plain}({', '.join(f'{k}={v}' for k, v in told.items())})",
+        "contains": (plain,),
+    }
     body["__annotations__"] |= {"name": ClassVar[str], "contains": ClassVar[tuple[str, ...]]}
     made = type(kind)(kind.__name__, (kind,), body)
     numbers = specs(made)

@@ -80,19 +80,25 @@ class Layout:
         self.names = [e.name for e in self.entries]
         self.values = np.array(
             [
-                np.ravel(getattr(chain.mechanism if e.owner < 0 else chain.effects[e.owner], e.field))[e.place]
+                np.ravel(
+                    getattr(chain.mechanism if e.owner < 0 else chain.effects[e.owner], e.field)
+                )[e.place]
                 for e in self.entries
             ],
             np.float64,
         )
         shape = lambda name: np.shape(getattr(chain.mechanism, name))
-        self._leaves = [(-1, name, shape(name)[0] if shape(name) else 0) for name in specs(chain.mechanism)]
+        self._leaves = [
+            (-1, name, shape(name)[0] if shape(name) else 0) for name in specs(chain.mechanism)
+        ]
         places = chain.places  # equinox makes a module of each method that is looked up
         for i, effect in enumerate(chain.effects):
             self._leaves += [(i, name, len(places(effect))) for name in specs(effect)]
         self.log = np.array([e.spec.log for e in self.entries])
         #: Which numbers say how something acts, not how strongly: they have no zero to be scaled from.
-        self.shapes = np.array([e.spec.log or (e.owner >= 0 and e.spec.value != 0) for e in self.entries], bool)
+        self.shapes = np.array(
+            [e.spec.log or (e.owner >= 0 and e.spec.value != 0) for e in self.entries], bool
+        )
         self._without: dict[frozenset[str], Layout] = {}
 
     def __len__(self) -> int:
@@ -109,7 +115,9 @@ class Layout:
         """What programs of this model are made of."""
         return Form(self.chain, self._leaves)
 
-    def model(self, theta: Float[Array, " size"] | Float[np.ndarray, " size"] | Sequence[Any]) -> Chain:
+    def model(
+        self, theta: Float[Array, " size"] | Float[np.ndarray, " size"] | Sequence[Any]
+    ) -> Chain:
         """The same chain with these numbers (works on tracers, and on numbers one by one)."""
         return _with_numbers(self.chain, self._leaves, theta)
 
@@ -137,12 +145,18 @@ class Layout:
         i = self.index(name)
         return max(abs(float(self.values[i])), resolve(self.entries[i].spec.scale, joint))
 
-    def boxes(self, joints: Sequence[Reference], inputs: Sequence[Reference] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def boxes(
+        self, joints: Sequence[Reference], inputs: Sequence[Reference] = ()
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input channel."""
         rows = []
         for e in self.entries:
             effect = self.chain.effects[e.owner] if e.owner >= 0 else None
-            at_input = effect is not None and effect.location == "input" and not self.chain.mechanism.behind_law(effect)
+            at_input = (
+                effect is not None
+                and effect.location == "input"
+                and not self.chain.mechanism.behind_law(effect)
+            )
             own = inputs if at_input and inputs else joints
             r = own[min(e.place, len(own) - 1)]
             if effect is not None and effect.location == "number":
@@ -166,7 +180,15 @@ def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) ->
         for k in range(value.size):  # a field is one number, or one per joint: m1 m2 ...
             own = chain.mechanism.spec_of(name, k, spec)._replace(value=float(value.flat[k]))
             where = joints[k] if value.ndim and k < len(joints) else ""
-            yield Entry(chain.mechanism.number_name(name, k) if value.ndim else name, -1, name, k, where, own, unit(own.unit, k))
+            yield Entry(
+                chain.mechanism.number_name(name, k) if value.ndim else name,
+                -1,
+                name,
+                k,
+                where,
+                own,
+                unit(own.unit, k),
+            )
     ids = {kind.name: names for kind, names in chain.mechanism.builtin}
     for i, effect in enumerate(chain.effects):
         places = places_of(effect) if wanted(effect) else ()
@@ -174,12 +196,23 @@ def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) ->
             short = ids.get(effect.name, {}).get(field)
             for k, place in enumerate(places):
                 if short and "{joint}" in short:
-                    name = short.replace("{joint}", joints[k] if effect.location == "input" and k < len(joints) else place)
+                    name = short.replace(
+                        "{joint}",
+                        joints[k] if effect.location == "input" and k < len(joints) else place,
+                    )
                 elif short:
                     name = short if len(places) == 1 else f"{short}{k + 1}"
                 else:
                     name = f"{effect.name}.{field}@{place}"
-                yield Entry(name, i, field, k, place, spec, unit(channel_unit(chain, effect, k, spec.unit), k))
+                yield Entry(
+                    name,
+                    i,
+                    field,
+                    k,
+                    place,
+                    spec,
+                    unit(channel_unit(chain, effect, k, spec.unit), k),
+                )
 
 
 def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:

@@ -41,7 +41,9 @@ def at_time(chain: Chain, t: Float[Array, ""], h: Float[Array, ""]) -> Chain:
     above 0."""
     numbers = chain.numbers
     owner = lambda chain, i: chain.mechanism if i < 0 else chain.effects[i]
-    before = jnp.stack([jnp.ravel(getattr(owner(chain, e.owner), e.field))[e.place] for e in numbers])
+    before = jnp.stack(
+        [jnp.ravel(getattr(owner(chain, e.owner), e.field))[e.place] for e in numbers]
+    )
     after = before
     for _, e in chain.at(NumberEffect):
         after = e(after, t, h)
@@ -52,7 +54,11 @@ def at_time(chain: Chain, t: Float[Array, ""], h: Float[Array, ""]) -> Chain:
     for i, field in fields:
         old = jnp.asarray(getattr(owner(chain, i), field))
         new = {e.place: after[k] for k, e in enumerate(numbers) if (e.owner, e.field) == (i, field)}
-        value[i, field] = jnp.stack([new.get(k, old[k]) for k in range(old.shape[0])]) if old.ndim else new[0]
+        value[i, field] = (
+            jnp.stack([new.get(k, old[k]) for k in range(old.shape[0])]) if old.ndim else new[0]
+        )
     effects = tuple(Applied() if isinstance(e, NumberEffect) else e for e in chain.effects)
     now = eqx.tree_at(lambda c: c.effects, chain, effects)
-    return eqx.tree_at(lambda c: [getattr(owner(c, i), f) for i, f in value], now, list(value.values()))
+    return eqx.tree_at(
+        lambda c: [getattr(owner(c, i), f) for i, f in value], now, list(value.values())
+    )

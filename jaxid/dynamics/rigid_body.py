@@ -114,7 +114,9 @@ def _pick(prismatic: Sequence[bool], like: Any) -> Any:
     return np.array(prismatic, np.float64).reshape(-1, *(1,) * (like.ndim - 1)) + 0 * like
 
 
-def _motion(E: Placements, w: Vector, wd: Vector, a: Vector, qd: _Split, qdd: _Split) -> tuple[Vector, Vector, Vector]:
+def _motion(
+    E: Placements, w: Vector, wd: Vector, a: Vector, qd: _Split, qdd: _Split
+) -> tuple[Vector, Vector, Vector]:
     """Angular velocity, angular acceleration and acceleration of the origin, from one link to the next."""
     a = into(E, add(a, add(cross(wd, E.p), cross(w, cross(w, E.p)))))
     w, wd = into(E, w), into(E, wd)
@@ -166,7 +168,9 @@ def inverse_dynamics(
     return _loop(inwards, start[:1] * 2, (E, force, moment, _pick(prismatic, qdd)), reverse=True)[1]
 
 
-def mass_matrix(E: Placements, prismatic: Sequence[bool], inertia: Float[Any, "n 10"]) -> Float[Any, "n n ..."]:
+def mass_matrix(
+    E: Placements, prismatic: Sequence[bool], inertia: Float[Any, "n 10"]
+) -> Float[Any, "n n ..."]:
     """Joint space inertia without that of the drives; exactly symmetric."""
     like = E.x[0]
     n = like.shape[0]
@@ -178,12 +182,17 @@ def mass_matrix(E: Placements, prismatic: Sequence[bool], inertia: Float[Any, "n
         total, force, moment = carry
         total = tuple(a + b for a, b in zip(total, phi, strict=True))
         _, _, xz, _, yz, zz, hx, hy, _, m = total
-        if pick is None:  # force and moment that turn (or shift) everything beyond this joint at unit acceleration
+        if (
+            pick is None
+        ):  # force and moment that turn (or shift) everything beyond this joint at unit acceleration
             f, c = (-hy, hx), (xz, yz, zz)
             force = force[0] + own * f[0], force[1] + own * f[1], force[2]
         else:
             keep = 1 - pick
-            f, c = (-keep * hy, keep * hx, pick * m), (keep * xz + pick * hy, keep * yz - pick * hx, keep * zz)
+            f, c = (
+                (-keep * hy, keep * hx, pick * m),
+                (keep * xz + pick * hy, keep * yz - pick * hx, keep * zz),
+            )
             force = force[0] + own * f[0], force[1] + own * f[1], force[2] + own * f[2]
         moment = moment[0] + own * c[0], moment[1] + own * c[1], moment[2] + own * c[2]
         row = moment[2] if pick is None else moment[2] + pick * (force[2] - moment[2])
@@ -192,7 +201,9 @@ def mass_matrix(E: Placements, prismatic: Sequence[bool], inertia: Float[Any, "n
 
     columns = (0 * column[0] * like,) * 3
     carry = ((zero,) * 10, columns, columns)
-    upper = _loop(inwards, carry, (E, _rows(inertia, like), column, _pick(prismatic, like)), reverse=True)[1]
+    upper = _loop(
+        inwards, carry, (E, _rows(inertia, like), column, _pick(prismatic, like)), reverse=True
+    )[1]
     swap = jnp.swapaxes if not isinstance(upper, np.ndarray) else np.swapaxes
     return upper + swap(upper, 0, 1) - upper * np.eye(n).reshape(n, n, *(1,) * (like.ndim - 1))
 
@@ -251,10 +262,18 @@ def regressor(
         return ((w, wd, a), u, v), (*turn, *first, inner(v, a))
 
     columns = (0 * column[0] * like,) * 3
-    xs = (E, _split(prismatic, qd), _split(prismatic, qdd), column + 0 * like[:, None], _pick(prismatic, qdd))
+    xs = (
+        E,
+        _split(prismatic, qd),
+        _split(prismatic, qdd),
+        column + 0 * like[:, None],
+        _pick(prismatic, qdd),
+    )
     made = _loop(outwards, (_start(gravity, like), columns, columns), xs)[1]
     # ten arrays [link joint *batch] -> [joint link 10 *batch]
-    stack, swap = (np.stack, np.swapaxes) if isinstance(made[0], np.ndarray) else (jnp.stack, jnp.swapaxes)
+    stack, swap = (
+        (np.stack, np.swapaxes) if isinstance(made[0], np.ndarray) else (jnp.stack, jnp.swapaxes)
+    )
     return swap(stack(made, 2), 0, 1)
 
 

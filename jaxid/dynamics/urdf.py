@@ -38,15 +38,21 @@ class _Joint:
 
 @dataclass
 class _Robot:
-    inertia: dict[str, np.ndarray] = field(default_factory=dict)  # link -> ten numbers about its frame
+    inertia: dict[str, np.ndarray] = field(
+        default_factory=dict
+    )  # link -> ten numbers about its frame
     joints: dict[str, _Joint] = field(default_factory=dict)
-    impossible: dict[str, str] = field(default_factory=dict)  # link -> why no body can have its inertia
+    impossible: dict[str, str] = field(
+        default_factory=dict
+    )  # link -> why no body can have its inertia
 
     def children(self, link: str) -> list[_Joint]:
         return [j for j in self.joints.values() if j.parent == link]
 
 
-def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None, text: str | None = None) -> ArmTable:
+def read_urdf(
+    path: str | Path, tip: str | None = None, root: str | None = None, text: str | None = None
+) -> ArmTable:
     """The chain from `root` (default: the link without a parent) to `tip` (default: the end of the only branch that moves).
 
     With `text` that is read, and the path only named in messages. Moving joints off the chain are locked at zero, their links
@@ -64,7 +70,9 @@ def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None,
             _tell(f"{path}: {robot.impossible[link]}", refuse="negative" in robot.impossible[link])
     for j in chain:
         if j.mimic:
-            raise UsageError(f"{path}: joint {j.name!r} mimics another; jaxid takes chains of independent joints")
+            raise UsageError(
+                f"{path}: joint {j.name!r} mimics another; jaxid takes chains of independent joints"
+            )
     geometry, inertia, before, k = [], [], np.eye(4), -1
     on_chain = {j.name for j in chain}
     for j in chain:
@@ -99,7 +107,9 @@ def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
         reached |= set(edge)
     lost = sorted(set(robot.inertia) - reached)
     if lost:
-        raise UsageError(f"{path}: link {lost[0]!r} does not hang on the root {root!r}: its joints form a closed loop")
+        raise UsageError(
+            f"{path}: link {lost[0]!r} does not hang on the root {root!r}: its joints form a closed loop"
+        )
     return robot, root
 
 
@@ -113,12 +123,22 @@ def _read(path: Path, text: str | None = None) -> _Robot:
     except ParseError as error:
         raise UsageError(f"{path}: not XML ({error})") from error
     except Declares as error:
-        raise UsageError(f"{path}: {error}, which is refused; write the URDF without them") from error
+        raise UsageError(
+            f"{path}: {error}, which is refused; write the URDF without them"
+        ) from error
     if tree.tag != "robot":
         raise UsageError(f"{path}: the outermost tag is not <robot>; give a URDF")
-    if any("xacro" in e.tag or "${" in str(list(e.attrib.values())) for e in tree.iter() if isinstance(e.tag, str)):
-        other = f"{path.stem}.urdf" if path.suffix.lower() != ".urdf" else f"{path.stem}_expanded.urdf"
-        raise UsageError(f"{path}: a xacro file; expand it first, into another file: xacro {path.name} > {other}")
+    if any(
+        "xacro" in e.tag or "${" in str(list(e.attrib.values()))
+        for e in tree.iter()
+        if isinstance(e.tag, str)
+    ):
+        other = (
+            f"{path.stem}.urdf" if path.suffix.lower() != ".urdf" else f"{path.stem}_expanded.urdf"
+        )
+        raise UsageError(
+            f"{path}: a xacro file; expand it first, into another file: xacro {path.name} > {other}"
+        )
     robot = _Robot()
     for link in tree.findall("link"):
         name = _text(link, "name", path, "a link")
@@ -129,9 +149,13 @@ def _read(path: Path, text: str | None = None) -> _Robot:
         joint = _joint(element, path)
         for link in (joint.parent, joint.child):
             if link not in robot.inertia:
-                raise UsageError(f"{path}: joint {joint.name!r} names link {link!r}{nearest(link, robot.inertia)}")
+                raise UsageError(
+                    f"{path}: joint {joint.name!r} names link {link!r}{nearest(link, robot.inertia)}"
+                )
         if any(joint.child == other.child for other in robot.joints.values()):
-            raise UsageError(f"{path}: link {joint.child!r} has two parents; closed loops are no serial chain")
+            raise UsageError(
+                f"{path}: link {joint.child!r} has two parents; closed loops are no serial chain"
+            )
         robot.joints[joint.name] = joint
     return robot
 
@@ -149,12 +173,18 @@ def _numbers(text: str | None, default: str, count: int, path: Path, what: str) 
     except ValueError:
         values = np.zeros(0)
     if values.size != count or not np.isfinite(values).all():
-        raise UsageError(f"{path}: {what} is {text!r}; it needs {count} finite number{'s' if count > 1 else ''}")
+        raise UsageError(
+            f"{path}: {what} is {text!r}; it needs {count} finite number{'s' if count > 1 else ''}"
+        )
     return values
 
 
 def _number(element: Any, key: str, default: str, path: Path, what: str) -> float:
-    return float(_numbers(element.get(key) if element is not None else None, default, 1, path, f"{what} {key}")[0])
+    return float(
+        _numbers(
+            element.get(key) if element is not None else None, default, 1, path, f"{what} {key}"
+        )[0]
+    )
 
 
 def _origin(element: Any, path: Path, what: str) -> np.ndarray:
@@ -182,7 +212,9 @@ def _inertia(link: Any, path: Path, name: str, robot: _Robot) -> np.ndarray:
     m = _number(inertial.find("mass"), "value", "0", path, f"mass of {what}:")
     tensor = inertial.find("inertia")
     keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    xx, xy, xz, yy, yz, zz = (_number(tensor, key, "0", path, f"inertia of {what}:") for key in keys)
+    xx, xy, xz, yy, yz, zz = (
+        _number(tensor, key, "0", path, f"inertia of {what}:") for key in keys
+    )
     if why := _impossible(m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])):
         robot.impossible[name] = f"{what} has {why}"
     R = T[:3, :3]
@@ -214,7 +246,9 @@ def _joint(element: Any, path: Path) -> _Joint:
     name = _text(element, "name", path, "a joint")
     kind = _text(element, "type", path, f"joint {name!r}")
     if kind not in (*MOVING, "fixed"):
-        raise UsageError(f"{path}: joint {name!r} is of type {kind!r}; jaxid knows {', '.join((*MOVING, 'fixed'))}")
+        raise UsageError(
+            f"{path}: joint {name!r} is of type {kind!r}; jaxid knows {', '.join((*MOVING, 'fixed'))}"
+        )
     ends = []
     for tag in ("parent", "child"):
         end = element.find(tag)
@@ -222,7 +256,13 @@ def _joint(element: Any, path: Path) -> _Joint:
             raise UsageError(f"{path}: joint {name!r} has no <{tag}>")
         ends.append(_text(end, "link", path, f"<{tag}> of joint {name!r}"))
     axis_tag = element.find("axis")
-    axis = _numbers(axis_tag.get("xyz") if axis_tag is not None else None, "1 0 0", 3, path, f"axis of joint {name!r}")
+    axis = _numbers(
+        axis_tag.get("xyz") if axis_tag is not None else None,
+        "1 0 0",
+        3,
+        path,
+        f"axis of joint {name!r}",
+    )
     if kind in MOVING and np.linalg.norm(axis) < 1e-9:
         raise UsageError(f"{path}: the axis of joint {name!r} is zero")
     limit, dynamics = element.find("limit"), element.find("dynamics")
@@ -231,11 +271,17 @@ def _joint(element: Any, path: Path) -> _Joint:
     lower = -np.inf if endless else _number(limit, "lower", "0", path, what)
     upper = np.inf if endless else _number(limit, "upper", "0", path, what)
     if not endless and lower > upper:
-        raise UsageError(f"{path}: joint {name!r} has lower = {lower:g} above upper = {upper:g}; exchange them")
+        raise UsageError(
+            f"{path}: joint {name!r} has lower = {lower:g} above upper = {upper:g}; exchange them"
+        )
     rates = [
-        np.inf if limit is None or limit.get(k) is None else _number(limit, k, "0", path, what) for k in ("velocity", "effort")
+        np.inf if limit is None or limit.get(k) is None else _number(limit, k, "0", path, what)
+        for k in ("velocity", "effort")
     ]
-    dissipation = [_number(dynamics, k, "0", path, f"dynamics of joint {name!r}:") for k in ("damping", "friction")]
+    dissipation = [
+        _number(dynamics, k, "0", path, f"dynamics of joint {name!r}:")
+        for k in ("damping", "friction")
+    ]
     return _Joint(
         name, kind, ends[0], ends[1], _origin(element.find("origin"), path, f"joint {name!r}"),
         axis / max(float(np.linalg.norm(axis)), 1e-300), (lower, upper, rates[0], rates[1]),
@@ -247,7 +293,10 @@ def _mimic(tag: Any, path: Path, name: str) -> tuple[str, float, float] | None:
     if tag is None:
         return None
     what = f"mimic of joint {name!r}:"
-    ratio, offset = (_number(tag, key, default, path, what) for key, default in (("multiplier", "1"), ("offset", "0")))
+    ratio, offset = (
+        _number(tag, key, default, path, what)
+        for key, default in (("multiplier", "1"), ("offset", "0"))
+    )
     return _text(tag, "joint", path, f"<mimic> of joint {name!r}"), offset, ratio
 
 

@@ -15,5 +15,7 @@ def arm_table(geometry: Geometry) -> Any:
         from jaxid.dynamics.urdf import read_urdf
 
         return read_urdf(geometry.file, geometry.tip, geometry.root, text=geometry.urdf)
-    make: Any = kinematics.modified_dh if geometry.convention == "modified" else kinematics.standard_dh
+    make: Any = (
+        kinematics.modified_dh if geometry.convention == "modified" else kinematics.standard_dh
+    )
     return make(**geometry.columns)

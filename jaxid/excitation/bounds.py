@@ -82,7 +82,13 @@ def bounds_of(model: str, signature: Signature, stated: Limits | None, table: An
         source = known.source
     else:
         rule = np.where(slides_of(signature)[:, None], SLIDES, TURNS).T
-        home, lower, upper, speed, acceleration = np.zeros(n), -rule[0], rule[0].copy(), rule[1], rule[2]
+        home, lower, upper, speed, acceleration = (
+            np.zeros(n),
+            -rule[0],
+            rule[0].copy(),
+            rule[1],
+            rule[2],
+        )
         source = "a cautious rule: 1.2 rad, 3 rad/s, 12 rad/s^2 (0.15 m, 0.5 m/s, 3 m/s^2)"
         if table is not None and len(table.lower) == n:
             low, high = (
@@ -94,17 +100,32 @@ def bounds_of(model: str, signature: Signature, stated: Limits | None, table: An
                 np.maximum(home - 1.5 * rule[0], 0.95 * low + 0.05 * high),
                 np.minimum(home + 1.5 * rule[0], 0.05 * low + 0.95 * high),
             )
-            speed = np.where(np.isfinite(table.velocity) & (table.velocity > 0), np.minimum(0.9 * table.velocity, speed), speed)
+            speed = np.where(
+                np.isfinite(table.velocity) & (table.velocity > 0),
+                np.minimum(0.9 * table.velocity, speed),
+                speed,
+            )
             source = "the URDF's ranges and speeds where it states them, but not beyond " + source
     own = []
-    for name, value in (("lower", lower), ("upper", upper), ("speed", speed), ("acceleration", acceleration)):
+    for name, value in (
+        ("lower", lower),
+        ("upper", upper),
+        ("speed", speed),
+        ("acceleration", acceleration),
+    ):
         if getattr(stated, name) is not None:
             value[:] = getattr(stated, name)
             own.append(name)
     if own:
         source = f"{', '.join(own)} as stated" + ("" if len(own) == 4 else f"; else {source}")
     for j in np.flatnonzero(~(lower < upper)):
-        raise UsageError(f"limits: the range of {signature.joints[j]} is empty ({lower[j]:g} to {upper[j]:g})")
+        raise UsageError(
+            f"limits: the range of {signature.joints[j]} is empty ({lower[j]:g} to {upper[j]:g})"
+        )
     home = np.where((home > lower) & (home < upper), home, (lower + upper) / 2)
-    noise = np.full(n, np.nan) if known is None or known.torque_noise is None else np.array(known.torque_noise)
+    noise = (
+        np.full(n, np.nan)
+        if known is None or known.torque_noise is None
+        else np.array(known.torque_noise)
+    )
     return Bounds(home, lower, upper, speed, acceleration, noise, source)

@@ -57,7 +57,9 @@ def gaps(links: Links, node: Any) -> Any:
         c, d = node[:, j, None], node[:, j + 1, None]
         some = a + share * (b - a)  # points of one line against the whole of the other
         along = d - c
-        place = xp.clip(((some - c) * along).sum(-1) / xp.maximum((along * along).sum(-1), 1e-12), 0.0, 1.0)
+        place = xp.clip(
+            ((some - c) * along).sum(-1) / xp.maximum((along * along).sum(-1), 1e-12), 0.0, 1.0
+        )
         out.append(xp.sqrt(((some - c - place[..., None] * along) ** 2).sum(-1) + 1e-12).min(-1))
     return xp.stack(out, -1) if out else xp.full((len(node), 0), xp.inf)
 

@@ -77,7 +77,11 @@ def excite(
     fit or cannot be kept.
     """
     began = time.perf_counter()
-    for value, least, name in ((harmonics, 2, "harmonics"), (starts, 1, "starts"), (iterations, 1, "iterations")):
+    for value, least, name in (
+        (harmonics, 2, "harmonics"),
+        (starts, 1, "starts"),
+        (iterations, 1, "iterations"),
+    ):
         if value < least:
             raise UsageError(f"{name} is {value}; give at least {least}")
     if criterion is not None and criterion not in CRITERIA:
@@ -85,14 +89,22 @@ def excite(
     if friction not in FRICTIONS:
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, FRICTIONS)}")
     if not (duration_s > 0 and rate_hz > 0 and duration_s * rate_hz <= 1e6):
-        raise UsageError(f"{duration_s:g} s at {rate_hz:g} Hz: give a positive duration and rate, at most a million samples")
+        raise UsageError(
+            f"{duration_s:g} s at {rate_hz:g} Hz: give a positive duration and rate, at most a million samples"
+        )
     base = base_frequency_hz if base_frequency_hz is not None else 1 / duration_s
-    if base <= 0 or abs(duration_s * base - round(duration_s * base)) > 1e-6 or round(duration_s * base) < 1:
+    if (
+        base <= 0
+        or abs(duration_s * base - round(duration_s * base)) > 1e-6
+        or round(duration_s * base) < 1
+    ):
         raise UsageError(
             f"{duration_s:g} s hold {duration_s * base:.4g} periods of {base:g} Hz; a motion ends at rest after whole ones"
         )
     if harmonics * base > rate_hz / 8:
-        raise UsageError(f"the highest line, {harmonics * base:.3g} Hz, needs a rate of at least {8 * harmonics * base:.3g} Hz")
+        raise UsageError(
+            f"the highest line, {harmonics * base:.3g} Hz, needs a rate of at least {8 * harmonics * base:.3g} Hz"
+        )
     mechanism, table = mechanism_of(model)
     chain = _with(Chain(mechanism), parameters)
     if criterion == "paper001" and (not hasattr(mechanism, "base") or harmonics < 3):
@@ -102,12 +114,29 @@ def excite(
         )
     bounds = bounds_of(mechanism.name, chain.signature, limits, table)
     t = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
-    plan = {"harmonics": harmonics, "base_frequency_hz": base, "duration_s": duration_s, "rate_hz": rate_hz, "seed": seed}
+    plan = {
+        "harmonics": harmonics,
+        "base_frequency_hz": base,
+        "duration_s": duration_s,
+        "rate_hz": rate_hz,
+        "seed": seed,
+    }
     settings = (chain, bounds, t, plan)
     if hasattr(mechanism, "base") or mechanism.name == "planar_arm":
-        made = _motion(*settings, criterion or "condition", friction, starts, iterations, floor, radius, progress)
+        made = _motion(
+            *settings,
+            criterion or "condition",
+            friction,
+            starts,
+            iterations,
+            floor,
+            radius,
+            progress,
+        )
     else:
-        made = _input(*settings, criterion or "d_optimal", starts, amplitude, gain, limits, progress)
+        made = _input(
+            *settings, criterion or "d_optimal", starts, amplitude, gain, limits, progress
+        )
     made.content["wall_time_s"] = time.perf_counter() - began
     if is_file(model) and mechanism.name == "robot":
         made = replace(made, dataset=replace(made.dataset, model=spec_of_file(model)))
@@ -136,7 +165,9 @@ def mechanism_of(model: object) -> tuple[Any, Any]:
     if isinstance(model, str):
         return catalogue.model_class(model)(), None
     if not hasattr(model, "signatures"):
-        raise UsageError(f"a model is an id, the path of a URDF or a mechanism, not {type(model).__name__}")
+        raise UsageError(
+            f"a model is an id, the path of a URDF or a mechanism, not {type(model).__name__}"
+        )
     return model, None
 
 
@@ -144,8 +175,14 @@ def _with(chain: Chain, content: Mapping[str, Any] | None) -> Chain:
     """The chain with the values of a fit."""
     if content is None:
         return chain
-    kinds = [catalogue.effect_class(e["effect"], chain.mechanism) for e in content.get("effects", []) if isinstance(e, Mapping)]
-    chain = chain.with_effects(*(k() for k in kinds if k.name not in {e.name for e in chain.effects}))
+    kinds = [
+        catalogue.effect_class(e["effect"], chain.mechanism)
+        for e in content.get("effects", [])
+        if isinstance(e, Mapping)
+    ]
+    chain = chain.with_effects(
+        *(k() for k in kinds if k.name not in {e.name for e in chain.effects})
+    )
     layout = Layout(chain)
     theta = layout.values.copy()
     for name, value in content.get("parameters", {}).items():
@@ -168,19 +205,35 @@ def _number(name: str, value: Any) -> float:
 # ---- motion of an arm
 
 
-def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, floor, radius, progress) -> Excitation:
+def _motion(
+    chain, bounds, t, plan, criterion, friction, starts, iterations, floor, radius, progress
+) -> Excitation:
     arm: Any = chain.mechanism
     n, harmonics = chain.nq, plan["harmonics"]
     inertial = 0  # columns of inertia
     if hasattr(arm, "base"):
-        exponents = [np.asarray(e.exponent, float) for e in chain.effects if e.name == "power_law_friction"]
-        levels = [np.asarray(e.coefficient, float) for e in chain.effects if e.name == "power_law_friction"]
+        exponents = [
+            np.asarray(e.exponent, float) for e in chain.effects if e.name == "power_law_friction"
+        ]
+        levels = [
+            np.asarray(e.coefficient, float)
+            for e in chain.effects
+            if e.name == "power_law_friction"
+        ]
         law = LAWS["power"]._replace(nonlinear=False) if friction == "model" else LAWS[friction]
         base = arm.base()
         inertial = len(base.kept)
         exponent = exponents[0] if exponents else np.ones(n)
-        task = ArmTask(arm, exponent, levels[0] if levels else np.ones(n), tuple(int(i) for i in base.kept), law)
-        names = names_of(base, law, n) + ([f"exponent{j + 1}" for j in range(n)] if law.nonlinear else [])
+        task = ArmTask(
+            arm,
+            exponent,
+            levels[0] if levels else np.ones(n),
+            tuple(int(i) for i in base.kept),
+            law,
+        )
+        names = names_of(base, law, n) + (
+            [f"exponent{j + 1}" for j in range(n)] if law.nonlinear else []
+        )
     else:
         if friction != "model":
             raise UsageError(f"{arm.name} is designed for its own friction; leave out --friction")
@@ -195,7 +248,9 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
     groups = ()
     if criterion == "paper001":
         weight, groups = 1 / noise, column_groups(names, inertial)
-    setting = Setting(bounds, weight, geometry, radius, floor, omega, links, criterion, GRID * harmonics, groups)
+    setting = Setting(
+        bounds, weight, geometry, radius, floor, omega, links, criterion, GRID * harmonics, groups
+    )
     found = optimise(task, setting, harmonics, starts, plan["seed"], iterations, progress)
     fine = np.linspace(0, 2 * np.pi / omega, 200 * harmonics + 1)
     tried = [_checked(f, fine, arm, geometry, links, radius, floor) for _, f in found]
@@ -223,7 +278,16 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
         + [Channel(f"{name}_cmd", "auxiliary", unit) for name, unit in outputs]
     )
     commands = {f"{j}_cmd": q[:, k] for k, j in enumerate(joints)}
-    experiment = Experiment("excitation", "fit", t, tau, q, dict(commands), at_rest=True, source="designed, not measured")
+    experiment = Experiment(
+        "excitation",
+        "fit",
+        t,
+        tau,
+        q,
+        dict(commands),
+        at_rest=True,
+        source="designed, not measured",
+    )
     about = content(chain, plan, criterion, bounds, limits) | {
         "kind_of_excitation": "motion",
         "friction": friction,
@@ -247,7 +311,9 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
         ],
     }  # fmt: skip
     units = _rate_units(chain)
-    rates = {f"qd{k + 1}": qd[:, k] for k in range(n)} | {f"qdd{k + 1}": qdd[:, k] for k in range(n)}
+    rates = {f"qd{k + 1}": qd[:, k] for k in range(n)} | {
+        f"qdd{k + 1}": qdd[:, k] for k in range(n)
+    }
     dataset = Dataset(
         f"{arm.name}_excitation", channels, (experiment,), model=ModelSpec(arm.name),
         description=f"Designed motion for {arm.name} ({units}); torques are the model's own: a plan, not a recording",
@@ -276,7 +342,12 @@ def _torque_noise(chain: Chain, bounds: Bounds, omega: float) -> tuple[np.ndarra
     q = (bounds.upper + bounds.lower) / 2 + half * np.sin(k * omega * t)
     with float64():
         tau = np.asarray(
-            _torques(chain, q, half * k * omega * np.cos(k * omega * t), -half * (k * omega) ** 2 * np.sin(k * omega * t))
+            _torques(
+                chain,
+                q,
+                half * k * omega * np.cos(k * omega * t),
+                -half * (k * omega) ** 2 * np.sin(k * omega * t),
+            )
         )
     size = np.maximum(np.sqrt(np.mean(tau**2, 0)), 1e-9)
     return NOISE_SHARE * size, f"{100 * NOISE_SHARE:g} % of the nominal torque"
@@ -294,7 +365,9 @@ def _checked(f: Fourier, t, arm, geometry, links, radius: float, floor: float) -
 # ---- input of any other model
 
 
-def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, progress) -> Excitation:
+def _input(
+    chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, progress
+) -> Excitation:
     signature = chain.signature
     # The fewest inputs: a switch that releases the motor is no excitation.
     plain = [s for s in chain.mechanism.signatures if all(u != "1" for _, u in s.inputs)]
@@ -302,17 +375,30 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
         chain = Chain(chain.mechanism, chain.effects, signature=plain[0])
         signature = chain.signature
     nu = len(signature.inputs)
-    top = widened("amplitude", amplitude, nu) if amplitude is not None else largest_inputs(chain, bounds)
+    top = (
+        widened("amplitude", amplitude, nu)
+        if amplitude is not None
+        else largest_inputs(chain, bounds)
+    )
     gains = None if gain is None else widened("gain", gain, nu)
     if gains is not None and limits is not None and limits.current is not None:
         top = np.minimum(top, gains * np.array(limits.widened(nu).current))
     positions = all(u in ("rad", "m") for _, u in signature.inputs)
     start = settled(chain, bounds.home)
     if not ((start >= bounds.lower) & (start <= bounds.upper)).all():
-        bounds = bounds._replace(lower=bounds.lower + start - bounds.home, upper=bounds.upper + start - bounds.home, home=start)
+        bounds = bounds._replace(
+            lower=bounds.lower + start - bounds.home,
+            upper=bounds.upper + start - bounds.home,
+            home=start,
+        )
     slew = (0.75 * bounds.speed[:nu], 0.75 * bounds.acceleration[:nu]) if positions else None
     family = Family(
-        t, plan["harmonics"], 2 * np.pi * plan["base_frequency_hz"], top, start[:nu] if positions else np.zeros(nu), slew
+        t,
+        plan["harmonics"],
+        2 * np.pi * plan["base_frequency_hz"],
+        top,
+        start[:nu] if positions else np.zeros(nu),
+        slew,
     )
     noise = np.array([SENSOR.get(u, 1e-3) for _, u in signature.outputs])
     bench = Bench(chain, start, family, bounds, noise)
@@ -320,17 +406,33 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
     return described(bench, u, plan, criterion, gains)
 
 
-def described(bench: Bench, u: np.ndarray, plan: dict[str, Any], criterion: str, gains: np.ndarray | None) -> Excitation:
+def described(
+    bench: Bench, u: np.ndarray, plan: dict[str, Any], criterion: str, gains: np.ndarray | None
+) -> Excitation:
     """A designed input [time nu] as what it does to the model of a bench, and what it shows of its parameters."""
-    chain, family, bounds, noise, start = bench.chain, bench.family, bench.bounds, bench.noise, bench.start
+    chain, family, bounds, noise, start = (
+        bench.chain,
+        bench.family,
+        bench.bounds,
+        bench.noise,
+        bench.start,
+    )
     signature, top, t = chain.signature, family.top, family.t
     plain = [s for s in chain.mechanism.signatures if all(u != "1" for _, u in s.inputs)]
     y, dy = bench.run(u[None])
     moving = {name for k, (name, _) in enumerate(signature.outputs) if np.ptp(y[0, :, k]) > 0}
-    smaller = [s for s in plain if s.inputs == signature.inputs and {name for name, _ in s.outputs} <= moving]
-    if len(moving) < len(signature.outputs) and smaller:  # a sensor that shows nothing here, such as a base that stands still
+    smaller = [
+        s
+        for s in plain
+        if s.inputs == signature.inputs and {name for name, _ in s.outputs} <= moving
+    ]
+    if (
+        len(moving) < len(signature.outputs) and smaller
+    ):  # a sensor that shows nothing here, such as a base that stands still
         chain = Chain(chain.mechanism, chain.effects, signature=smaller[0])
-        kept = [k for k, (name, _) in enumerate(signature.outputs) if name in dict(smaller[0].outputs)]
+        kept = [
+            k for k, (name, _) in enumerate(signature.outputs) if name in dict(smaller[0].outputs)
+        ]
         signature, noise = smaller[0], noise[kept]
         bench = Bench(chain, start, family, bounds, noise)
         y, dy = bench.run(u[None])
@@ -356,12 +458,20 @@ def described(bench: Bench, u: np.ndarray, plan: dict[str, Any], criterion: str,
     auxiliary: dict[str, np.ndarray] = {}
     if gains is not None:
         if family.slew is not None:
-            raise UsageError(f"{chain.mechanism.name} takes positions: a gain (N m/A) has no meaning; leave out --gain")
-        auxiliary = {_current(name): u[:, k] / gains[k] for k, (name, _) in enumerate(signature.inputs)}
+            raise UsageError(
+                f"{chain.mechanism.name} takes positions: a gain (N m/A) has no meaning; leave out --gain"
+            )
+        auxiliary = {
+            _current(name): u[:, k] / gains[k] for k, (name, _) in enumerate(signature.inputs)
+        }
     channels = tuple([*bench.channels] + [Channel(name, "auxiliary", "A") for name in auxiliary])
-    experiment = Experiment("excitation", "fit", t, u, y[0], auxiliary, at_rest=True, source="designed, not measured")
+    experiment = Experiment(
+        "excitation", "fit", t, u, y[0], auxiliary, at_rest=True, source="designed, not measured"
+    )
     values = [bench.layout.values[i] for i in bench.free]
-    zero = [name for name, v in zip(bench.names, values, strict=True) if v == 0 and "offset" not in name]
+    zero = [
+        name for name, v in zip(bench.names, values, strict=True) if v == 0 and "offset" not in name
+    ]
     about = content(chain, plan, criterion, bounds, used) | {
         "kind_of_excitation": "input",
         "condition_number": condition,
@@ -379,14 +489,20 @@ def described(bench: Bench, u: np.ndarray, plan: dict[str, Any], criterion: str,
         ],
     }  # fmt: skip
     spec = ModelSpec(chain.mechanism.name)
-    text = f"Designed input for {chain.mechanism.name}; outputs are simulated: a plan, not a recording"
-    dataset = Dataset(f"{chain.mechanism.name}_excitation", channels, (experiment,), model=spec, description=text)
+    text = (
+        f"Designed input for {chain.mechanism.name}; outputs are simulated: a plan, not a recording"
+    )
+    dataset = Dataset(
+        f"{chain.mechanism.name}_excitation", channels, (experiment,), model=spec, description=text
+    )
     return Excitation(dataset, commands | auxiliary, {}, tuple(used), about)
 
 
 def widened(name: str, values: Sequence[float], count: int) -> np.ndarray:
     if len(values) not in (1, count) or min(values) <= 0:
-        raise UsageError(f"--{name} has {len(values)} numbers for {count} inputs; write 1 or {count}, all above 0")
+        raise UsageError(
+            f"--{name} has {len(values)} numbers for {count} inputs; write 1 or {count}, all above 0"
+        )
     return np.broadcast_to(np.asarray(values, float), (count,)).copy()
 
 

@@ -77,7 +77,9 @@ class Separation(Bench):
         directions = np.zeros((2 + k, len(self.layout)))
         directions[2 + np.arange(k), list(r.free)] = r.slope
         y, dy = self.simulated(u, theta, directions)
-        return y[:, 0], np.concatenate([np.moveaxis(y[:, 1:2] - y[:, :1], 1, 3), np.moveaxis(dy[:, 2:], 1, 3)], 3)
+        return y[:, 0], np.concatenate(
+            [np.moveaxis(y[:, 1:2] - y[:, :1], 1, 3), np.moveaxis(dy[:, 2:], 1, 3)], 3
+        )
 
     def distance(self, dy: np.ndarray) -> np.ndarray:
         """Distance of the two models in multiples of the noise, [members]; nan where one of them diverges."""
@@ -88,7 +90,11 @@ class Separation(Bench):
             size = np.sqrt(np.maximum(np.diag(G), 1e-300))
             if np.isfinite(f).all():
                 part = g / size
-                told = part @ np.linalg.lstsq(G / size / size[:, None], part, rcond=1e-10)[0] if g.size else 0.0
+                told = (
+                    part @ np.linalg.lstsq(G / size / size[:, None], part, rcond=1e-10)[0]
+                    if g.size
+                    else 0.0
+                )
                 out[m] = np.sqrt(max(f[0, 0] - told, 0.0))
         return out
 
@@ -124,18 +130,32 @@ def separate(
     chain, seen = rivals.layout.chain, rivals.recorded
     inputs = chain.signature.inputs
     if not inputs or not seen.top.any():
-        raise UsageError(f"nothing drives the recorded {chain.mechanism.name}: release it from other poses instead")
+        raise UsageError(
+            f"nothing drives the recorded {chain.mechanism.name}: release it from other poses instead"
+        )
     if not chain.joint_outputs:
-        raise UsageError("the joints are not all measured: limits cannot be kept by simulation; record them as outputs too")
+        raise UsageError(
+            "the joints are not all measured: limits cannot be kept by simulation; record them as outputs too"
+        )
     rate = 1 / float(np.median(np.diff(seen.t)))
     duration = duration_s or min(10.0, float(seen.t[-1] - seen.t[0]))
     if duration * rate < 50:
-        raise UsageError(f"{duration:g} s at {rate:g} Hz are {duration * rate:.0f} samples; give a longer duration")
+        raise UsageError(
+            f"{duration:g} s at {rate:g} Hz are {duration * rate:.0f} samples; give a longer duration"
+        )
     t = np.arange(round(duration * rate) + 1) / rate
-    top = np.where(seen.top > 0, widened("amplitude", amplitude, len(inputs)), 0.0) if amplitude is not None else seen.top
+    top = (
+        np.where(seen.top > 0, widened("amplitude", amplitude, len(inputs)), 0.0)
+        if amplitude is not None
+        else seen.top
+    )
     bounds = _bounds(rivals, limits)
     positions = all(unit in ("rad", "m") for _, unit in inputs)
-    slew = (0.75 * bounds.speed[: len(inputs)], 0.75 * bounds.acceleration[: len(inputs)]) if positions else None
+    slew = (
+        (0.75 * bounds.speed[: len(inputs)], 0.75 * bounds.acceleration[: len(inputs)])
+        if positions
+        else None
+    )
     lines = np.unique(np.round(np.geomspace(1, max(harmonics, HIGHEST * rate * t[-1]), harmonics)))
     start = settled(rivals.layout.model(rivals.theta[0]), bounds.home)
     middle = np.where(seen.top > 0, start[: len(inputs)] if positions else 0.0, seen.center)
@@ -144,16 +164,20 @@ def separate(
     u, _ = choose(bench, "separation", starts, seed, progress)
     after = bench.distance(bench.run(u[None])[1])[0]
     before = bench.distance(bench.run(_played(seen, t)[None])[1])[0]
-    plan = {"harmonics": len(lines), "base_frequency_hz": 1 / t[-1], "duration_s": float(t[-1]), "rate_hz": rate, "seed": seed}
+    plan = {
+        "harmonics": len(lines),
+        "base_frequency_hz": 1 / t[-1],
+        "duration_s": float(t[-1]),
+        "rate_hz": rate,
+        "seed": seed,
+    }
     plain = Bench(rivals.layout.model(rivals.theta[0]), start, family, bounds, rivals.noise)
     made = described(plain, u, plan, "separation", None)
     a, b = rivals.names
     so_far = f"{before:.3g}" if np.isfinite(before) else "unknown"
     far = f'after this run "{a}" and "{b}" are {after:.3g} standard deviations apart, by the recorded command {so_far}'
     if not after >= TOLD:
-        far += (
-            "; no input within these limits tells them apart: allow more (limits, amplitude, duration), or take the simpler one"
-        )
+        far += "; no input within these limits tells them apart: allow more (limits, amplitude, duration), or take the simpler one"
     started = (
         f"outputs in run_1 are simulated with {a}, nothing here was measured; a drive played in open loop moves as the machine "
         "does, not as the simulation: begin with a small amplitude"
@@ -167,14 +191,20 @@ def separate(
     return dataclasses.replace(made, dataset=dataclasses.replace(made.dataset, description=text))
 
 
-def recorded(experiments: Sequence[Experiment], inputs: Sequence[int], joints: Sequence[int]) -> Recorded:
+def recorded(
+    experiments: Sequence[Experiment], inputs: Sequence[int], joints: Sequence[int]
+) -> Recorded:
     """What runs were asked for and did; columns of the inputs and of the joints."""
     u = [e.u[:, list(inputs)] for e in experiments]
     q = [e.y[:, list(joints)] for e in experiments]
-    speed = [np.abs(_rates(e.t, x)).max(0, initial=0.0) for e, x in zip(experiments, q, strict=True)]
+    speed = [
+        np.abs(_rates(e.t, x)).max(0, initial=0.0) for e, x in zip(experiments, q, strict=True)
+    ]
     every, moved = np.concatenate(u), np.concatenate(q)
     center = np.median(every, 0)
-    top = np.abs(every - (center if not every.size else np.where(np.ptp(every, axis=0) > 0, 0.0, center))).max(0, initial=0.0)
+    top = np.abs(
+        every - (center if not every.size else np.where(np.ptp(every, axis=0) > 0, 0.0, center))
+    ).max(0, initial=0.0)
     longest = max(range(len(u)), key=lambda k: len(u[k]))
     first = np.nanmedian(q[0][:5], 0)
     return Recorded(
@@ -191,7 +221,9 @@ def _rates(t: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def _played(seen: Recorded, t: np.ndarray) -> np.ndarray:
     """The recorded command on other times, held between its samples and at its end."""
-    at = np.clip(np.searchsorted(seen.t - seen.t[0], t + 1e-9, side="right") - 1, 0, len(seen.t) - 1)
+    at = np.clip(
+        np.searchsorted(seen.t - seen.t[0], t + 1e-9, side="right") - 1, 0, len(seen.t) - 1
+    )
     return seen.u[at]
 
 
@@ -201,8 +233,23 @@ def _bounds(rivals: Rivals, limits: Limits | None) -> Bounds:
     stated = (limits or Limits()).widened(n)
     pick = lambda own, default: np.asarray(own if own is not None else default, float)
     wide = np.maximum(seen.upper - seen.lower, 1e-6)
-    lower, upper = pick(stated.lower, seen.lower - 0.02 * wide), pick(stated.upper, seen.upper + 0.02 * wide)
+    lower, upper = (
+        pick(stated.lower, seen.lower - 0.02 * wide),
+        pick(stated.upper, seen.upper + 0.02 * wide),
+    )
     speed = pick(stated.speed, np.maximum(ROOM * seen.speed, 1e-6))
     acceleration = pick(stated.acceleration, np.full(n, 1e3) * speed)
-    source = "what the recorded runs reached" if limits is None else "stated limits, else what the recorded runs reached"
-    return Bounds(np.clip(seen.home, lower, upper), lower, upper, speed, acceleration, np.full(n, np.nan), source)
+    source = (
+        "what the recorded runs reached"
+        if limits is None
+        else "stated limits, else what the recorded runs reached"
+    )
+    return Bounds(
+        np.clip(seen.home, lower, upper),
+        lower,
+        upper,
+        speed,
+        acceleration,
+        np.full(n, np.nan),
+        source,
+    )

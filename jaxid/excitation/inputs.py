@@ -46,7 +46,9 @@ class Family:
     omega: float
     top: np.ndarray
     center: np.ndarray
-    slew: tuple[np.ndarray, np.ndarray] | None  # (speed, acceleration) [nu] of inputs that are positions
+    slew: (
+        tuple[np.ndarray, np.ndarray] | None
+    )  # (speed, acceleration) [nu] of inputs that are positions
     lines: np.ndarray | None = None  # [harmonics] multiples of omega; None: 1, 2, 3 ...
 
     @property
@@ -70,7 +72,9 @@ class Family:
         H = self.harmonics
         gain, ramp = np.exp(np.minimum(x[..., 0], 0.0)), np.tanh(x[..., 1])
         a, b, levels = x[..., 2 : 2 + H], x[..., 2 + H : 2 + 2 * H], np.tanh(x[..., 2 + 2 * H :])
-        angle = self.omega * (np.arange(1, H + 1) if self.lines is None else self.lines) * t[:, None]
+        angle = (
+            self.omega * (np.arange(1, H + 1) if self.lines is None else self.lines) * t[:, None]
+        )
         window = _window(t, SINES[0] * T, SINES[1] * T, 0.03 * T)
         sines = a @ np.sin(angle).T + b @ np.cos(angle).T
         sines = sines * window
@@ -90,13 +94,17 @@ def _window(t: np.ndarray, begin: float, end: float, fade: float) -> np.ndarray:
     return s * s * (3 - 2 * s)
 
 
-def _followed(u: np.ndarray, t: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+def _followed(
+    u: np.ndarray, t: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
+) -> np.ndarray:
     """A path that follows wishes [members time nu] within speed and acceleration."""
     h = float(t[1] - t[0])
     out, place, rate = np.empty_like(u), u[:, 0].copy(), np.zeros_like(u[:, 0])
     for k in range(u.shape[1]):
         away = u[:, k] - place
-        wish = np.clip(np.sign(away) * np.sqrt(2 * 0.7 * acceleration * np.abs(away)), -speed, speed)
+        wish = np.clip(
+            np.sign(away) * np.sqrt(2 * 0.7 * acceleration * np.abs(away)), -speed, speed
+        )
         wish = np.clip(wish, -np.abs(away) / h, np.abs(away) / h)
         rate = rate + np.clip(wish - rate, -acceleration * h, acceleration * h)
         place = place + h * rate
@@ -112,8 +120,12 @@ def settled(chain: Chain, home: np.ndarray) -> np.ndarray:
     def step(q):
         body = chain.body()
         pull = body.inverse(q, zero, zero)
-        own = jnp.stack([body.inverse(q, zero, e)[i] for i, e in enumerate(jnp.eye(chain.nq))]) - pull
-        return q - jnp.clip(0.02 * pull / jnp.maximum(jnp.abs(own), 1e-12), -0.2, 0.2), jnp.max(jnp.abs(pull))
+        own = (
+            jnp.stack([body.inverse(q, zero, e)[i] for i, e in enumerate(jnp.eye(chain.nq))]) - pull
+        )
+        return q - jnp.clip(0.02 * pull / jnp.maximum(jnp.abs(own), 1e-12), -0.2, 0.2), jnp.max(
+            jnp.abs(pull)
+        )
 
     with float64():
         zero = jnp.zeros(chain.nq)
@@ -147,21 +159,40 @@ def largest_inputs(chain: Chain, bounds: Bounds) -> np.ndarray:
 class Bench:
     """Simulates members of a family on a model, with derivatives by its free parameters."""
 
-    def __init__(self, chain: Chain, start: np.ndarray, family: Family, bounds: Bounds, noise: np.ndarray):
-        self.chain, self.start, self.family, self.bounds, self.noise = chain, start, family, bounds, noise
+    def __init__(
+        self, chain: Chain, start: np.ndarray, family: Family, bounds: Bounds, noise: np.ndarray
+    ):
+        self.chain, self.start, self.family, self.bounds, self.noise = (
+            chain,
+            start,
+            family,
+            bounds,
+            noise,
+        )
         self.layout = Layout(chain)
         self.channels = tuple(
             Channel(n, role, unit)
-            for role, group in (("input", chain.signature.inputs), ("output", chain.signature.outputs))
+            for role, group in (
+                ("input", chain.signature.inputs),
+                ("output", chain.signature.outputs),
+            )
             for n, unit in group
         )
-        self.free = [i for i, e in enumerate(self.layout.entries) if not e.spec.fixed and e.name not in chain.mechanism.held()]
+        self.free = [
+            i
+            for i, e in enumerate(self.layout.entries)
+            if not e.spec.fixed and e.name not in chain.mechanism.held()
+        ]
         reach = float(np.max(bounds.upper - bounds.lower))
         top = float(np.max(family.top))
-        typical = Reference(top, float(np.max(bounds.speed)), reach, float(family.t[-1]), float(family.t[1]))
+        typical = Reference(
+            top, float(np.max(bounds.speed)), reach, float(family.t[-1]), float(family.t[1])
+        )
         scale = self.layout.boxes([typical] * chain.nq)[2]
         log = self.layout.log & (self.layout.values > 0)
-        self.unit = np.where(log, np.abs(self.layout.values), scale)  # what one unit of the search scale is
+        self.unit = np.where(
+            log, np.abs(self.layout.values), scale
+        )  # what one unit of the search scale is
         self.log = log
 
     @property
@@ -184,24 +215,45 @@ class Bench:
         each of the parameter vectors `theta` [variants size]."""
         t, count, k = self.family.t, len(u), len(theta)
         ny = len(self.chain.signature.outputs)
-        experiments = [Experiment(f"run_{i + 1}", "fit", t, row, np.zeros((len(t), ny)), at_rest=True) for i, row in enumerate(u)]
+        experiments = [
+            Experiment(f"run_{i + 1}", "fit", t, row, np.zeros((len(t), ny)), at_rest=True)
+            for i, row in enumerate(u)
+        ]
         dataset = Dataset("excitation", self.channels, tuple(experiments))
         samples, positions = build(dataset, experiments, self.chain, self.noise)
         nq = self.chain.nq
         known = np.zeros(2 * nq, bool)
         records = [
-            Record(i, int(p[0]), int(p[-1] - p[0] + 1), int(p[0]), int(p[-1]), 0, self.start, np.zeros(nq), known, p)
+            Record(
+                i,
+                int(p[0]),
+                int(p[-1] - p[0] + 1),
+                int(p[0]),
+                int(p[-1]),
+                0,
+                self.start,
+                np.zeros(nq),
+                known,
+                p,
+            )
             for i, p in enumerate(positions)
         ]
-        engine = Engine(self.layout, samples, records, np.full((count, len(self.layout)), np.nan), simulate_lane)
+        engine = Engine(
+            self.layout, samples, records, np.full((count, len(self.layout)), np.nan), simulate_lane
+        )
         lanes = np.repeat(np.arange(count), k)
-        values, starts = np.tile(theta, (count, 1)), np.tile(np.concatenate([self.start, np.zeros(nq)]), (len(lanes), 1))
+        values, starts = (
+            np.tile(theta, (count, 1)),
+            np.tile(np.concatenate([self.start, np.zeros(nq)]), (len(lanes), 1)),
+        )
         pick = positions[0] - positions[0][0]
         shaped = lambda x: x[:, pick].reshape(count, k, len(t), ny)
         if not slopes:
             y = shaped(engine.outputs(values, starts, lanes))
             return y, np.zeros_like(y)
-        y, dy = engine.tangents(values, starts, np.tile(directions, (count, 1)), np.zeros_like(starts), lanes)
+        y, dy = engine.tangents(
+            values, starts, np.tile(directions, (count, 1)), np.zeros_like(starts), lanes
+        )
         return shaped(y), shaped(dy)
 
     def excess(self, y: np.ndarray) -> np.ndarray:
@@ -215,8 +267,13 @@ class Bench:
         q = y[:, :, joints]
         h = float(self.family.t[1] - self.family.t[0])
         qd = np.gradient(q, h, axis=1)
-        middle, half = (self.bounds.upper + self.bounds.lower) / 2, (self.bounds.upper - self.bounds.lower) / 2
-        return np.stack([np.abs(q - middle).max(1) / half, np.abs(qd).max(1) / self.bounds.speed], 1)
+        middle, half = (
+            (self.bounds.upper + self.bounds.lower) / 2,
+            (self.bounds.upper - self.bounds.lower) / 2,
+        )
+        return np.stack(
+            [np.abs(q - middle).max(1) / half, np.abs(qd).max(1) / self.bounds.speed], 1
+        )
 
     def fisher(self, dy: np.ndarray) -> np.ndarray:
         """Information matrices [members k k] in the search scale, white noise of every sample."""
@@ -243,7 +300,11 @@ def determined(F: np.ndarray) -> tuple[float, int]:
 
 
 def choose(
-    bench: Bench, criterion: str, starts: int, seed: int, progress: Callable[[str, int, int, str], None] | None = None
+    bench: Bench,
+    criterion: str,
+    starts: int,
+    seed: int,
+    progress: Callable[[str, int, int, str], None] | None = None,
 ) -> tuple[np.ndarray, float]:
     """The best signal [time nu] and what it reaches. Raises `UsageError` where no signal keeps the limits."""
     rng, family = np.random.default_rng(seed), bench.family
@@ -263,7 +324,9 @@ def choose(
         parents = rng.integers(0, len(x), (count, 2))
         mix = rng.random((count, family.size)) < 0.3
         width = 0.5 * 0.8**k
-        young = np.where(mix, x[parents[:, 1]], x[parents[:, 0]]) + width * rng.normal(size=(count, family.size))
+        young = np.where(mix, x[parents[:, 1]], x[parents[:, 0]]) + width * rng.normal(
+            size=(count, family.size)
+        )
         x, values = np.concatenate([x, young]), np.concatenate([values, rated(young)])
     i = int(np.argmin(values))
     best = x[i : i + 1].copy()
@@ -273,4 +336,6 @@ def choose(
         if bench.excess(y)[0] == 0 and np.isfinite(bench.worth(dy, criterion)[0]):
             return family.inputs(best)[0], float(bench.worth(dy, criterion)[0])
         best[:, gain] = np.minimum(best[:, gain], 0.0) + np.log(0.8)
-    raise UsageError("no input was found that keeps the limits: widen them (--limits), or allow less input (--amplitude)")
+    raise UsageError(
+        "no input was found that keeps the limits: widen them (--limits), or allow less input (--amplitude)"
+    )

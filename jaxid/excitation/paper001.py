@@ -43,12 +43,16 @@ def column_groups(names: Sequence[str], base: int) -> tuple[tuple[int, ...], ...
     return tuple(range(len(names))), tensors, moments, tuple(range(base, len(names)))
 
 
-def objective_18(W: np.ndarray, groups: tuple[tuple[int, ...], ...], fourier: Any) -> dict[str, Any]:
+def objective_18(
+    W: np.ndarray, groups: tuple[tuple[int, ...], ...], fourier: Any
+) -> dict[str, Any]:
     """(18) of weighted rows, its terms, and the sums of the coefficients that it constrains."""
     cond = [float(np.exp(v[-1] - v[0])) for v in terms_18(W.T @ W, groups)]
     sums = sums_18(np.asarray(fourier.a), np.asarray(fourier.b), fourier.omega)
     return {
         "objective": float(np.dot(WEIGHTS_18, cond)),
-        "condition_numbers": dict(zip(("all", "inertia_tensors", "first_moments", "friction"), cond, strict=True)),
+        "condition_numbers": dict(
+            zip(("all", "inertia_tensors", "first_moments", "friction"), cond, strict=True)
+        ),
         "sums": {k: v.tolist() for k, v in sums.items()},
     }

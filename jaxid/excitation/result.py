@@ -56,7 +56,10 @@ def stds(information: np.ndarray) -> np.ndarray:
     seen = d > 0
     out = np.full(len(d), np.inf)
     part = information[np.ix_(seen, seen)] / d[seen] / d[seen][:, None]
-    out[seen] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(part, rcond=1e-12, hermitian=True)), 0.0)) / d[seen]
+    out[seen] = (
+        np.sqrt(np.maximum(np.diag(np.linalg.pinv(part, rcond=1e-12, hermitian=True)), 0.0))
+        / d[seen]
+    )
     return out
 
 
@@ -66,14 +69,34 @@ def reached(joints, signature, bounds: Bounds, q, qd, qdd, tau=None) -> list[dic
     for j, joint in enumerate(joints):
         unit = dict(signature.outputs).get(joint, "rad")
         rows = [
-            ("range", float(q[:, j].min()), float(q[:, j].max()), float(bounds.lower[j]), float(bounds.upper[j]), unit),
+            (
+                "range",
+                float(q[:, j].min()),
+                float(q[:, j].max()),
+                float(bounds.lower[j]),
+                float(bounds.upper[j]),
+                unit,
+            ),
             ("speed", 0.0, float(np.abs(qd[:, j]).max()), 0.0, float(bounds.speed[j]), f"{unit}/s"),
         ]
         if qdd is not None:
-            rows.append(("acceleration", 0.0, float(np.abs(qdd[:, j]).max()), 0.0, float(bounds.acceleration[j]), f"{unit}/s^2"))
+            rows.append(
+                (
+                    "acceleration",
+                    0.0,
+                    float(np.abs(qdd[:, j]).max()),
+                    0.0,
+                    float(bounds.acceleration[j]),
+                    f"{unit}/s^2",
+                )
+            )
         for name, low, high, lower, upper, u in rows:
             entry = {"joint": joint, "quantity": name, "unit": u}
-            share = max((high - lower) / (upper - lower), (upper - low) / (upper - lower)) if name == "range" else high / upper
+            share = (
+                max((high - lower) / (upper - lower), (upper - low) / (upper - lower))
+                if name == "range"
+                else high / upper
+            )
             entry |= (
                 {"lowest": low, "highest": high, "lower": lower, "upper": upper}
                 if name == "range"
@@ -97,13 +120,18 @@ def coverage(joints, bounds: Bounds, qd: np.ndarray) -> dict[str, Any]:
     edges = np.array([0.0, *BANDS])
     share = np.abs(qd) / bounds.speed
     table = {
-        joint: [float(np.mean((share[:, j] >= a) & (share[:, j] < b))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        joint: [
+            float(np.mean((share[:, j] >= a) & (share[:, j] < b)))
+            for a, b in zip(edges[:-1], edges[1:], strict=True)
+        ]
         for j, joint in enumerate(joints)
     }
     return {"bands_of_speed_limit": edges.tolist(), "share_of_time": table}
 
 
-def content(chain: Chain, plan: dict[str, Any], criterion: str, bounds: Bounds, reached) -> dict[str, Any]:
+def content(
+    chain: Chain, plan: dict[str, Any], criterion: str, bounds: Bounds, reached
+) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "kind": "excitation",

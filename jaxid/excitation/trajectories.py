@@ -92,9 +92,13 @@ class ArmTask(Task):
 
     def columns(self, q, qd, qdd):
         n = q.shape[1]
-        Y = regressor(self.arm.placements(q.T), self.arm.prismatic, self.arm.free_fall(), qd.T, qdd.T)
+        Y = regressor(
+            self.arm.placements(q.T), self.arm.prismatic, self.arm.free_fall(), qd.T, qdd.T
+        )
         drives = jnp.eye(n)[:, :, None] * qdd.T[:, None]
-        Y = jnp.moveaxis(jnp.concatenate([Y, drives[:, :, None]], 2), 3, 0).reshape(len(q), n, -1)[:, :, np.array(self.kept)]
+        Y = jnp.moveaxis(jnp.concatenate([Y, drives[:, :, None]], 2), 3, 0).reshape(len(q), n, -1)[
+            :, :, np.array(self.kept)
+        ]
         F = friction_columns(self.law, qd, self.exponent)
         if self.law.nonlinear:
             slope = self.coefficient * power(qd, self.exponent) * jnp.log(qd**2 + 1e-6) / 2
@@ -147,7 +151,9 @@ class Setting(eqx.Module):
     links: Links = eqx.field(static=True)
     criterion: str = eqx.field(static=True)
     grid: int = eqx.field(static=True)
-    groups: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())  # columns of each term of (18)
+    groups: tuple[tuple[int, ...], ...] = eqx.field(
+        static=True, default=()
+    )  # columns of each term of (18)
 
 
 def feasible(shape: Shape, setting: Setting, t: Any) -> tuple[Any, Any, Any]:
@@ -161,7 +167,9 @@ def feasible(shape: Shape, setting: Setting, t: Any) -> tuple[Any, Any, Any]:
         middle = jnp.asarray(bounds.home, float)
         sums = sums_18(a, b, setting.omega)
         room = jnp.minimum(bounds.upper - middle, middle - bounds.lower) / sums["position"]
-        rates = jnp.minimum(bounds.speed / sums["speed"], bounds.acceleration / sums["acceleration"])
+        rates = jnp.minimum(
+            bounds.speed / sums["speed"], bounds.acceleration / sums["acceleration"]
+        )
         scale = jnp.minimum(room, rates) * jax.nn.sigmoid(shape.share)
         return a * scale, b * scale, middle
     b = shape.b - l * jnp.sum(l * shape.b, 0) / np.sum(l * l)
@@ -169,7 +177,9 @@ def feasible(shape: Shape, setting: Setting, t: Any) -> tuple[Any, Any, Any]:
     middle = lower + (upper - lower) * jax.nn.sigmoid(shape.middle)
     q, qd, qdd = series(a, b, 0.0, setting.omega, t)
     room = jnp.minimum((upper - middle) / jnp.max(q, 0), (middle - lower) / jnp.max(-q, 0))
-    rates = jnp.minimum(bounds.speed / jnp.max(jnp.abs(qd), 0), bounds.acceleration / jnp.max(jnp.abs(qdd), 0))
+    rates = jnp.minimum(
+        bounds.speed / jnp.max(jnp.abs(qd), 0), bounds.acceleration / jnp.max(jnp.abs(qdd), 0)
+    )
     scale = SAFE * jnp.minimum(room, rates) * jax.nn.sigmoid(shape.share)
     return a * scale, b * scale, middle
 
@@ -187,7 +197,9 @@ def goodness(shape: Shape, task: Task, setting: Setting) -> tuple[Array, Array]:
     a, b, middle = feasible(shape, setting, t)
     q, qd, qdd = series(a, b, middle, setting.omega, t)
     if setting.criterion == "paper001":
-        W = (task.columns(q, qd, qdd) * setting.weight[:, None]).reshape(setting.grid * q.shape[1], -1)
+        W = (task.columns(q, qd, qdd) * setting.weight[:, None]).reshape(
+            setting.grid * q.shape[1], -1
+        )
         logs = terms_18(W.T @ W / setting.grid, setting.groups)
         near, weight = 30.0 * tightness(q, setting), np.log(WEIGHTS_18)
         bound = lambda v: (jax.nn.logsumexp(SHARP * v) + jax.nn.logsumexp(-SHARP * v)) / SHARP
@@ -218,7 +230,9 @@ def tightness(q: Array, setting: Setting) -> Array:
 
 
 @eqx.filter_jit
-def _descend(shapes: Shape, moments: Any, task: Task, setting: Setting, first: Any, total: Any, count: int):
+def _descend(
+    shapes: Shape, moments: Any, task: Task, setting: Setting, first: Any, total: Any, count: int
+):
     """`count` steps of Adam for all starts at once; also the best shape that each start has had."""
     slope = jax.vmap(jax.value_and_grad(lambda s: goodness(s, task, setting), has_aux=True))
 
@@ -263,7 +277,9 @@ def optimise(
     place = np.clip((bounds.home - bounds.lower) / (bounds.upper - bounds.lower), 0.1, 0.9)
     count = 16 * starts
     l = np.arange(1, harmonics + 1)[None, :, None]
-    fall = rng.uniform(0.0, 1.0, (count, 1, n))  # how fast the lines fall off, from speeds alike to accelerations alike
+    fall = rng.uniform(
+        0.0, 1.0, (count, 1, n)
+    )  # how fast the lines fall off, from speeds alike to accelerations alike
     with float64():
         a, b = (jnp.asarray(rng.normal(size=(count, harmonics, n)) / l**fall) for _ in range(2))
         middle = jnp.asarray(np.log(place / (1 - place)) + 0.3 * rng.normal(size=(count, n)))
@@ -278,7 +294,9 @@ def optimise(
         best, least = shapes, np.full(starts, np.inf)
         rounds = max(1, iterations // ROUND)
         for k in range(rounds):
-            if k and k % max(1, rounds // 4) == 0:  # the worse half starts anew beside the better one
+            if (
+                k and k % max(1, rounds // 4) == 0
+            ):  # the worse half starts anew beside the better one
                 order = np.argsort(least)
                 half = starts // 2
                 shapes = jax.tree.map(lambda x: x[order], best)
@@ -288,7 +306,14 @@ def optimise(
                 moments = (zero, zero)
             else:
                 moments = (zero, zero) if k == 0 else moments
-            args = (shapes, (moments, (best, least)), task, setting, np.float64(k * ROUND), np.float64(rounds * ROUND))
+            args = (
+                shapes,
+                (moments, (best, least)),
+                task,
+                setting,
+                np.float64(k * ROUND),
+                np.float64(rounds * ROUND),
+            )
             shapes, moments, (best, least) = jax.tree.map(np.array, _descend(*args, ROUND))
             if progress:
                 progress("excite", (k + 1) * ROUND, rounds * ROUND, f"{least.min():.3f}")
@@ -313,12 +338,20 @@ def chain_task(chain: Chain, seed: int = 0) -> ChainTask:
     from jaxid.dynamics.base_parameters import independent_columns
 
     layout = Layout(chain)
-    free = [i for i, e in enumerate(layout.entries) if not e.spec.fixed and e.name not in chain.mechanism.held()]
+    free = [
+        i
+        for i, e in enumerate(layout.entries)
+        if not e.spec.fixed and e.name not in chain.mechanism.held()
+    ]
     scale = np.array([abs(v) if v else 1.0 for v in layout.values])
     task = ChainTask(layout.values, scale, layout, tuple(free))
     rng = np.random.default_rng(seed)
     with float64():
-        W = np.asarray(task.columns(*(jnp.asarray(rng.uniform(-k, k, (200, chain.nq))) for k in (2.0, 2.0, 5.0))))
+        W = np.asarray(
+            task.columns(
+                *(jnp.asarray(rng.uniform(-k, k, (200, chain.nq))) for k in (2.0, 2.0, 5.0))
+            )
+        )
     kept = independent_columns(W.reshape(-1, W.shape[2]), range(W.shape[2]), 1e-6)
     if not kept:
         raise UsageError(f"{chain.mechanism.name}: the torque shows none of its numbers")

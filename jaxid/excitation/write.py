@@ -39,11 +39,18 @@ def write(made: Excitation, folder: Path) -> Path:
     older: dict[str, str] = {}
     with suppress(OSError, ValueError, KeyError):
         older = json.loads((folder / "excitation.json").read_bytes())["files"]
-    return replace_files(folder, files, [n for n in older.values() if n not in files and Path(n).name == n])
+    return replace_files(
+        folder, files, [n for n in older.values() if n not in files and Path(n).name == n]
+    )
 
 
 def _write(made: Excitation, folder: Path) -> None:
-    files = {"dataset": "dataset.toml", "run": "run_1.parquet", "trajectory": "trajectory.csv", "plot": "excitation.png"}
+    files = {
+        "dataset": "dataset.toml",
+        "run": "run_1.parquet",
+        "trajectory": "trajectory.csv",
+        "plot": "excitation.png",
+    }
     write_files(made.dataset, folder, "parquet")
     table = {"t": made.t, **made.commands, **made.rates}
     _csv(folder / "trajectory.csv", table)
@@ -102,8 +109,16 @@ def figure(made: Excitation) -> Any:
     rows: list[tuple[str, list[tuple[str, np.ndarray]], str]] = []
     if motion:
         unit = outputs[0].unit
-        rows.append((f"position ({unit})", [(c.name, run.y[:, i]) for i, c in enumerate(outputs)], "range"))
-        rows.append((f"speed ({unit}/s)", [(c.name, made.rates[f"qd{j + 1}"]) for j, c in enumerate(outputs[:joints])], "speed"))
+        rows.append(
+            (f"position ({unit})", [(c.name, run.y[:, i]) for i, c in enumerate(outputs)], "range")
+        )
+        rows.append(
+            (
+                f"speed ({unit}/s)",
+                [(c.name, made.rates[f"qd{j + 1}"]) for j, c in enumerate(outputs[:joints])],
+                "speed",
+            )
+        )
         rows.append(
             (
                 f"acceleration ({unit}/s²)",
@@ -111,10 +126,21 @@ def figure(made: Excitation) -> Any:
                 "acceleration",
             )
         )
-        rows.append((f"nominal torque ({inputs[0].unit})", [(c.name, run.u[:, i]) for i, c in enumerate(inputs)], ""))
+        rows.append(
+            (
+                f"nominal torque ({inputs[0].unit})",
+                [(c.name, run.u[:, i]) for i, c in enumerate(inputs)],
+                "",
+            )
+        )
     else:
-        rows += [(f"{c.name} ({c.unit})", [(c.name, run.u[:, i])], "input") for i, c in enumerate(inputs)]
-        rows += [(f"{c.name} ({c.unit})\nsimulated", [(c.name, run.y[:, i])], "range") for i, c in enumerate(outputs)]
+        rows += [
+            (f"{c.name} ({c.unit})", [(c.name, run.u[:, i])], "input") for i, c in enumerate(inputs)
+        ]
+        rows += [
+            (f"{c.name} ({c.unit})\nsimulated", [(c.name, run.y[:, i])], "range")
+            for i, c in enumerate(outputs)
+        ]
     f = Figure(figsize=(10, 1.2 + 1.9 * len(rows)), layout="constrained")
     axes = np.atleast_1d(f.subplots(len(rows), 1, sharex=True))
     for ax, (label, series, quantity) in zip(axes, rows, strict=True):
@@ -131,9 +157,17 @@ def figure(made: Excitation) -> Any:
         ax.margins(x=0)
     axes[-1].set_xlabel("time (s)")
     if motion:
-        axes[0].legend(ncols=min(7, joints), loc="upper center", bbox_to_anchor=(0.5, 1.25), frameon=False, fontsize=9)
+        axes[0].legend(
+            ncols=min(7, joints),
+            loc="upper center",
+            bbox_to_anchor=(0.5, 1.25),
+            frameon=False,
+            fontsize=9,
+        )
     number = f"condition number {content['condition_number']:.4g}"
-    f.suptitle(f"{content['model']}: {content['duration_s']:g} s, {number} (dotted: limits)", fontsize=11)
+    f.suptitle(
+        f"{content['model']}: {content['duration_s']:g} s, {number} (dotted: limits)", fontsize=11
+    )
     return f
 
 

@@ -21,7 +21,9 @@ def answered(searching: Searching[Result], problem: AbstractProblem) -> Result:
     return answered_together([searching], [problem])[0]
 
 
-def answered_together(searches: Sequence[Searching[Result]], problems: Sequence[AbstractProblem]) -> list[Result]:
+def answered_together(
+    searches: Sequence[Searching[Result]], problems: Sequence[AbstractProblem]
+) -> list[Result]:
     """Several searches taken to their ends side by side; what those on one problem hand out is evaluated together."""
     results: dict[int, Result] = {}
     asked: dict[int, np.ndarray] = {}
@@ -41,7 +43,11 @@ def answered_together(searches: Sequence[Searching[Result]], problems: Sequence[
     groups: dict[int, list[int]] = {}
     for number in asked:
         groups.setdefault(id(problems[number]), []).append(number)
-    waiting = deque(ask(part) for group in groups.values() for part in _shifts(group, sum(len(asked[n]) for n in group)))
+    waiting = deque(
+        ask(part)
+        for group in groups.values()
+        for part in _shifts(group, sum(len(asked[n]) for n in group))
+    )
     while waiting:
         group, answer = waiting.popleft()
         losses = answer()

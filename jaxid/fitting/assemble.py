@@ -17,7 +17,14 @@ from jaxid.fitting.per_joint import per_joint
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.reweighting import weighed_by
-from jaxid.fitting.scores import free_runs, lost, make_traces, response_scores, scores, torque_scores
+from jaxid.fitting.scores import (
+    free_runs,
+    lost,
+    make_traces,
+    response_scores,
+    scores,
+    torque_scores,
+)
 from jaxid.fitting.stated import judged, Stated, stated_numbers
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
@@ -28,7 +35,9 @@ from jaxid.robots.match import is_robot
 from jaxid.robots.origin import origin
 
 
-def estimates(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance) -> dict[int, Estimate]:
+def estimates(
+    binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance
+) -> dict[int, Estimate]:
     """Layout position -> estimate of each fitted number, and of those that the recording tells."""
     theta, slope = problem.theta(z), problem.dtheta(z)
     out = {}
@@ -44,11 +53,19 @@ def estimates(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance
             bool(cov.identifiable[k]),
         )
     for i, std in binding.read.items():
-        out[i] = Estimate(float(theta[i]), std, binding.layout.entries[i].unit, float(binding.lower[i]), float(binding.upper[i]))
+        out[i] = Estimate(
+            float(theta[i]),
+            std,
+            binding.layout.entries[i].unit,
+            float(binding.lower[i]),
+            float(binding.upper[i]),
+        )
     return out
 
 
-def named_estimates(binding: Binding, found: dict[int, Estimate]) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
+def named_estimates(
+    binding: Binding, found: dict[int, Estimate]
+) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
     """Estimates of the model's own parameters by id, and of added effects by effect and location."""
     builtin = {kind.name for kind, _ in binding.chain.mechanism.builtin}
     own: dict[str, Estimate] = {}
@@ -84,7 +101,12 @@ def assemble(
     """A `Fit` from a minimum: uncertainty (`known`, where it was worked out before), scores, traces, notes."""
     binding = bench.binding
     theta = problem.theta(result.z)
-    notes = [*binding.dataset.notes, f"residual: {problem.runs.statement}", *solver_notes(binding), *notes]
+    notes = [
+        *binding.dataset.notes,
+        f"residual: {problem.runs.statement}",
+        *solver_notes(binding),
+        *notes,
+    ]
     if result.failed:
         return Fit(
             binding.chain.mechanism.name, (), fitter, residual.name, problem.loss_name, seed, False, True,
@@ -99,7 +121,11 @@ def assemble(
     names = problem.names
     groups = tuple(tuple(names[i] for i in g) for g in cov.groups)
     notes.append(cov.statement)
-    notes += [f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})" for i, e in found.items() if e.at_bound]
+    notes += [
+        f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})"
+        for i, e in found.items()
+        if e.at_bound
+    ]
     notes += binding.said
     notes += [f"noise of {n.text}" for n in binding.noise.values()]
 
@@ -114,7 +140,9 @@ def assemble(
         if isinstance(residual, FrequencyResponseError):
             table[split] = response_scores(bench, residual, split, problem, result.z)
             if not table[split]:
-                notes.append(f"the {split} data show no line of a frequency response: only their course over time is compared")
+                notes.append(
+                    f"the {split} data show no line of a frequency response: only their course over time is compared"
+                )
         if not binding.experiments(split):
             continue
         if residual.torques:
@@ -132,7 +160,9 @@ def assemble(
             if inside.runs.channels == binding.chain.signature.outputs:
                 covered = by_run(inside, z, experiments)
                 predictions = covered or predictions
-        traces += make_traces(binding, split, {"fit": predictions}, bool(covered) and residual.windows)
+        traces += make_traces(
+            binding, split, {"fit": predictions}, bool(covered) and residual.windows
+        )
         if split == "fit" and residual.windows:
             windowed = table[split]
     joints: tuple[dict, ...] = ()
@@ -144,10 +174,20 @@ def assemble(
             joints = per_joint(bench, table, residual if residual.torques else None, problem.free)
     else:
         stated = stated_numbers(binding, found, told)
-    noise = dict(zip((name for name, _ in problem.runs.channels), map(float, problem.runs.noise), strict=False))
+    noise = dict(
+        zip(
+            (name for name, _ in problem.runs.channels),
+            map(float, problem.runs.noise),
+            strict=False,
+        )
+    )
     notes[:0] = (astray := lost(table, noise))
     reweighted = None if problem.weights is problem.runs.weights else result.loss
-    loss = result.loss if reweighted is None else weighed_by(problem, np.ones(len(problem.runs.noise))).loss(result.z)
+    loss = (
+        result.loss
+        if reweighted is None
+        else weighed_by(problem, np.ones(len(problem.runs.noise))).loss(result.z)
+    )
     end = ending(problem, result, cov, [] if windowed else [t for t in traces if t.split == "fit"])
     if astray and end.state == "converged":  # a minimum of these data, and no model of the machine
         end = end._replace(state="stalled", because=astray[0])
@@ -167,30 +207,44 @@ def origin_of(binding: Binding, added: Sequence[EffectEstimate]) -> dict:
     mechanism, spec = binding.chain.mechanism, binding.dataset.model
     if not is_robot(mechanism):
         return {}
-    present = {e.name for e in binding.chain.effects if not is_candidate(binding, e.name)} | {e.effect for e in added}
+    present = {e.name for e in binding.chain.effects if not is_candidate(binding, e.name)} | {
+        e.effect for e in added
+    }
     without = [kind.name for kind, _ in mechanism.builtin if kind.name not in present]
     return origin(mechanism, spec.geometry if spec is not None else None) | {"without": without}
 
 
-def numbers_covariance(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance) -> results.Covariance:
+def numbers_covariance(
+    binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance
+) -> results.Covariance:
     """That of the fitted numbers themselves, of which some are searched by their logarithm."""
     n, slope = len(problem.free), problem.dtheta(z)
     names = tuple(binding.layout.names[i] for i in problem.free)
     doubts = np.array([binding.doubts.get(name, 0.0) for name in names])
-    return results.Covariance(names, cov.matrix[:n, :n] * slope * slope[:, None] + np.diag(doubts**2))
+    return results.Covariance(
+        names, cov.matrix[:n, :n] * slope * slope[:, None] + np.diag(doubts**2)
+    )
 
 
 def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEstimate]) -> Chain:
     """The model with these numbers, without candidates that were not taken."""
     kept = {e.effect for e in added}
-    gone = [e.name for e in binding.chain.effects if e.name not in kept and is_candidate(binding, e.name)]
+    gone = [
+        e.name
+        for e in binding.chain.effects
+        if e.name not in kept and is_candidate(binding, e.name)
+    ]
     return binding.layout.model(theta).without(*gone)
 
 
 def solver_notes(binding: Binding) -> tuple[str, ...]:
     """What is to be said of a solver that is not jaxid's own stepping."""
     s = binding.layout.solver
-    return () if s is None else (f"simulated by {s} (rtol {s.rtol:g}, atol {s.atol:g}), not by jaxid's own stepping",)
+    return (
+        ()
+        if s is None
+        else (f"simulated by {s} (rtol {s.rtol:g}, atol {s.atol:g}), not by jaxid's own stepping",)
+    )
 
 
 def solver_name(binding: Binding) -> str:

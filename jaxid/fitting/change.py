@@ -80,7 +80,16 @@ class Series:
             measured.append(whole)
         level = noise_of(b.chain, measured, b.readings[: b.chain.nq], rate, cutoff)
         own = replace(residual, cutoff_hz=cutoff, decimate=every)
-        return cls(b, own, np.concatenate(t), np.concatenate(run), np.concatenate(x), np.concatenate(rows), every, level)
+        return cls(
+            b,
+            own,
+            np.concatenate(t),
+            np.concatenate(run),
+            np.concatenate(x),
+            np.concatenate(rows),
+            every,
+            level,
+        )
 
     @property
     def resolution(self) -> float:
@@ -111,7 +120,10 @@ class Series:
 
     def later(self, theta: np.ndarray, cutoff: float) -> tuple[float, ...]:
         """Noise of the momentum of a body with other numbers, at a cutoff, N m s."""
-        chain, rate = self.binding.layout.model(theta), 1 / float(np.median(np.diff(self.t[self.run == 0])))
+        chain, rate = (
+            self.binding.layout.model(theta),
+            1 / float(np.median(np.diff(self.t[self.run == 0]))),
+        )
         return tuple(noise_of(chain, [self.x], self.binding.readings[: chain.nq], rate, cutoff))
 
     def moments(self, unknown: int) -> np.ndarray:
@@ -147,12 +159,20 @@ class Series:
     def finely(self, L0: np.ndarray, L1: np.ndarray, s: float, loss: float) -> tuple[float, float]:
         """(moment, standard deviation) at the samples about s, numbers as they are."""
         near = np.unique(self.t[np.abs(self.t - s) <= 12 * self.resolution])
-        total = np.array([sum(scatter(L0[a]) + scatter(L1[b]) for a, b in self._split(at)) for at in near]) / self.every
+        total = (
+            np.array(
+                [sum(scatter(L0[a]) + scatter(L1[b]) for a, b in self._split(at)) for at in near]
+            )
+            / self.every
+        )
         close = near[total <= total.min() + DROP * max(1.0, loss)]
         return float(near[np.argmin(total)]), ((close[-1] - close[0]) / 2 + self.resolution) / HALF
 
     def _split(self, s: float) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [((self.run == r) & (self.t < s), (self.run == r) & (self.t >= s)) for r in np.unique(self.run)]
+        return [
+            ((self.run == r) & (self.t < s), (self.run == r) & (self.t >= s))
+            for r in np.unique(self.run)
+        ]
 
     def gained(self, L0: np.ndarray, L1: np.ndarray, s: float) -> np.ndarray:
         """Angular momentum that the whole gains at s, [3], N m s, in the run that shows most of both of its sides."""
@@ -198,7 +218,9 @@ class Change:
             if not free & set(found.values()):
                 continue
             if not of_a_body(layout, found["size"]):
-                raise UsageError(f"momentum tells of bodies, and {effect.name}@{place} changes no number of one: take it out")
+                raise UsageError(
+                    f"momentum tells of bodies, and {effect.name}@{place} changes no number of one: take it out"
+                )
             own.append(layout.index(place))
             sizes.append(found["size"])
             times.append(found["time"])
@@ -240,21 +262,32 @@ def fit_change(
     theta, free = binding.theta.copy(), [*change.shared, *change.sizes]
     moments = series.moments(len(free))
     if not len(moments):
-        raise UsageError(f"no run is long enough for {len(free)} numbers on both sides of a change: record more, or fit fewer")
+        raise UsageError(
+            f"no run is long enough for {len(free)} numbers on both sides of a change: record more, or fit fewer"
+        )
     sides = change.sides(series, theta)
     s = float(moments[np.argmin(series.squares(sides, moments))])
     ahead = theta.copy()
-    ahead[free] = np.clip(theta[free] + series.step(sides, s), binding.lower[free], binding.upper[free])
+    ahead[free] = np.clip(
+        theta[free] + series.step(sides, s), binding.lower[free], binding.upper[free]
+    )
     begins, spent, fine, std = [theta, ahead], 0, s, 0.0
     number = 0
     while True:  # noise of what is held now is known from the second round on
         cut = replace(residual, moment=s)
         _, cutoff, every = cut.rates(binding.dataset, binding.chain, binding.readings)
-        cut = replace(cut, cutoff_hz=cutoff, decimate=every, later=series.later(change.after(begins[0]), cutoff))
+        cut = replace(
+            cut,
+            cutoff_hz=cutoff,
+            decimate=every,
+            later=series.later(change.after(begins[0]), cutoff),
+        )
         problem = bench.problem(cut, "fit", free, change.at(begins[0], s), loss=loss)
         refuse_scale_free(problem, problem.z(begins[-1]))
         left = None if budget is None else max(1, budget - spent)
-        result = fitter.minimise(problem, [problem.z(b) for b in begins], jax.random.key(seed), left, progress)
+        result = fitter.minimise(
+            problem, [problem.z(b) for b in begins], jax.random.key(seed), left, progress
+        )
         spent += result.evaluations
         theta = problem.theta(result.z)
         number += 1
@@ -279,7 +312,9 @@ def fit_change(
     if left <= AT_NOISE:
         return fit
     text = unexplained(binding, change, left)
-    return replace(fit, converged=False, stalled=True, stopped_because=text, notes=(text, *fit.notes))
+    return replace(
+        fit, converged=False, stalled=True, stopped_because=text, notes=(text, *fit.notes)
+    )
 
 
 def unexplained(binding: Binding, change: Change, left: float) -> str:
@@ -287,7 +322,11 @@ def unexplained(binding: Binding, change: Change, left: float) -> str:
     named = {binding.layout.names[i] for i in change.own}
     bodies = dict.fromkeys(name.partition("@")[2] for name in named)
     others = [f"{k}@{body}" for body in bodies for k in BODY if f"{k}@{body}" not in named]
-    more = f"; what was not named is taken as unchanged: {', '.join(f'step_change@{n}' for n in others)}" if others else ""
+    more = (
+        f"; what was not named is taken as unchanged: {', '.join(f'step_change@{n}' for n in others)}"
+        if others
+        else ""
+    )
     return (
         f"the change leaves {left:.3g} times the noise (mean square): these numbers are not the whole of it, their intervals and "
         f"that of the moment do not hold{more}"
@@ -300,8 +339,14 @@ def within(binding: Binding, change: Change) -> Binding:
     lower, upper = binding.lower.copy(), binding.upper.copy()
     for i, size in zip(change.own, change.sizes, strict=True):
         name = binding.layout.names[i]
-        reach = binding.upper[binding.layout.index(f"gyration_xx@{name.partition('@')[2]}")] if name.startswith("com_") else 0.0
-        lower[size] = min(lower[i] - binding.theta[i], -reach) if reach else lower[i] - binding.theta[i]
+        reach = (
+            binding.upper[binding.layout.index(f"gyration_xx@{name.partition('@')[2]}")]
+            if name.startswith("com_")
+            else 0.0
+        )
+        lower[size] = (
+            min(lower[i] - binding.theta[i], -reach) if reach else lower[i] - binding.theta[i]
+        )
         upper[size] = max(upper[i] - binding.theta[i], reach)
     theta = binding.theta.copy()
     theta[change.sizes] = 0.0
@@ -319,7 +364,10 @@ def said(
 ) -> list[str]:  # fmt: skip
     """The sentences about a change."""
     now, entries = change.after(theta), binding.layout.entries
-    values = [f"{entries[i].name} {theta[i]:.4g} before and {now[i]:.4g} {entries[i].unit} after" for i in change.own]
+    values = [
+        f"{entries[i].name} {theta[i]:.4g} before and {now[i]:.4g} {entries[i].unit} after"
+        for i in change.own
+    ]
     gained = ", ".join(f"{v:.3g}" for v in series.gained(sides.L0, sides.L1, s))
     return [
         f"changed at {s:.3f} ± {HALF * std:.3f} s (95 %): {'; '.join(values)}",
@@ -335,11 +383,16 @@ def suspected(series: Series, own: list[int], theta: np.ndarray) -> tuple[float,
         return None
     L, J = series.carried(theta, own)
     sides = Sides(L, L, J, J, J)
-    without, each = float(series.squares(sides, np.array([np.inf]))[0]), series.squares(sides, moments)
+    without, each = (
+        float(series.squares(sides, np.array([np.inf]))[0]),
+        series.squares(sides, moments),
+    )
     least, more = float(each.min()), 3 + len(own)
     count = max(1, 3 * len(series.rows) - 2 * len(own) - 6 * len(np.unique(series.run)))
     before, after = without / (count + more), least / count
-    from scipy.special import chdtri  # its import changes the warnings' filters, which is no business of `import jaxid`
+    from scipy.special import (
+        chdtri,
+    )  # its import changes the warnings' filters, which is no business of `import jaxid`
 
     chance = chdtri(more, CHANCE / len(moments))
     if (without - least) / max(1.0, after) < chance or before - after < SHARE * (before - 1):
@@ -359,4 +412,6 @@ def noticed(binding: Binding, residual: Momentum, fit: Fit) -> Fit:
         f"{100 * found[1]:.3g} % of what is left. Something was caught, let go or touched, and these numbers are those of "
         f"neither part: {places} finds both, or cut the run there (window_s)"
     )
-    return replace(fit, converged=False, stalled=True, stopped_because=text, notes=(text, *fit.notes))
+    return replace(
+        fit, converged=False, stalled=True, stopped_because=text, notes=(text, *fit.notes)
+    )

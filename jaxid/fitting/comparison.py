@@ -102,7 +102,13 @@ class Known:
     upper: float
 
     def to_dict(self) -> dict[str, Any]:
-        return {"value": self.value, "std": self.std, "unit": self.unit, "lower": self.lower, "upper": self.upper}
+        return {
+            "value": self.value,
+            "std": self.std,
+            "unit": self.unit,
+            "lower": self.lower,
+            "upper": self.upper,
+        }
 
 
 @dataclass(frozen=True)
@@ -137,7 +143,11 @@ class Comparison:
     @property
     def common_time(self) -> float:
         """The time at which fitters are compared: as given, else the median of what the runs took."""
-        return self.limit_s if self.limit_s is not None else float(np.median([r.seconds for r in self.runs] or [0.0]))
+        return (
+            self.limit_s
+            if self.limit_s is not None
+            else float(np.median([r.seconds for r in self.runs] or [0.0]))
+        )
 
     @property
     def fitters(self) -> tuple[str, ...]:
@@ -150,7 +160,11 @@ class Comparison:
     def table(self) -> tuple[Summary, ...]:
         """One summary a fitter: most successes first, then fewest evaluations for one."""
         rows = [summary(f, self.of(f), self.target, self.common_time) for f in self.fitters]
-        return tuple(sorted(rows, key=lambda s: (-s.successes / s.runs, s.expected_evaluations, s.loss.median)))
+        return tuple(
+            sorted(
+                rows, key=lambda s: (-s.successes / s.runs, s.expected_evaluations, s.loss.median)
+            )
+        )
 
     def to_frame(self) -> pandas.DataFrame:
         """A row for each run, its parameters as columns. Raises `UsageError` without pandas."""
@@ -220,7 +234,9 @@ class Comparison:
         import pyarrow.parquet
 
         buffer = io.BytesIO()
-        pyarrow.parquet.write_table(pyarrow.Table.from_pylist([self._row(r) for r in self.runs]), buffer)
+        pyarrow.parquet.write_table(
+            pyarrow.Table.from_pylist([self._row(r) for r in self.runs]), buffer
+        )
         return buffer.getvalue()
 
     def report(self, path: str | Path) -> Path:
@@ -255,7 +271,9 @@ def summary(fitter: str, runs: tuple[Run, ...], target: float, common_time: floa
     """Statistics of one fitter's runs."""
     reached = np.array([r.reached(target) for r in runs])
     won, in_time = int(np.isfinite(reached[:, 0]).sum()), int(np.sum(reached[:, 1] <= common_time))
-    spent = float(sum(r.evaluations if np.isinf(e) else e for r, e in zip(runs, reached[:, 0], strict=True)))
+    spent = float(
+        sum(r.evaluations if np.isinf(e) else e for r, e in zip(runs, reached[:, 0], strict=True))
+    )
     return Summary(
         fitter,
         len(runs),
@@ -276,7 +294,10 @@ def summary(fitter: str, runs: tuple[Run, ...], target: float, common_time: floa
 def wilson(successes: int, runs: int) -> tuple[float, float]:
     """95 % interval of a success rate (Wilson 1927)."""
     z, p = 1.959964, successes / runs
-    middle, half = p + z * z / (2 * runs), z * np.sqrt(p * (1 - p) / runs + z * z / (4 * runs * runs))
+    middle, half = (
+        p + z * z / (2 * runs),
+        z * np.sqrt(p * (1 - p) / runs + z * z / (4 * runs * runs)),
+    )
     low, high = (middle - half) / (1 + z * z / runs), (middle + half) / (1 + z * z / runs)
     return (0.0 if successes == 0 else float(low)), (1.0 if successes == runs else float(high))
 
@@ -289,7 +310,11 @@ def typical(values: np.ndarray) -> Typical:
     n = len(x)
     k = max(0, int(np.sum(binom.cdf(np.arange(n), n, 0.5) <= 0.025)) - 1)
     middle = x[(n - 1) // 2 : n // 2 + 1]
-    return Typical(float(middle[-1] if np.isinf(middle).any() else np.mean(middle)), float(x[k]), float(x[n - 1 - k]))
+    return Typical(
+        float(middle[-1] if np.isinf(middle).any() else np.mean(middle)),
+        float(x[k]),
+        float(x[n - 1 - k]),
+    )
 
 
 def along(run: Run, at: np.ndarray, column: int) -> np.ndarray:

@@ -58,7 +58,9 @@ def run_comparison(
     if starts not in STARTS:
         raise UsageError(f"starts are {' or '.join(STARTS)}, not {starts!r}")
     if not tolerance > 0:
-        raise UsageError(f"a tolerance of {tolerance:g} cannot be met; give a share of the best loss above 0, such as 1e-3")
+        raise UsageError(
+            f"a tolerance of {tolerance:g} cannot be met; give a share of the best loss above 0, such as 1e-3"
+        )
     if (budget is not None and budget < 1) or (seconds is not None and seconds <= 0):
         raise UsageError("budget and seconds are above 0")
     binding = bind(model, dataset, effects=effects, without=without)
@@ -66,7 +68,9 @@ def run_comparison(
     for label, fitter in fitters:
         wanted = getattr(fitter, "residual_name", None)
         if wanted not in (None, residual.name):
-            raise UsageError(f"{label} solves {wanted}, not {residual.name}: leave it out or give that residual")
+            raise UsageError(
+                f"{label} solves {wanted}, not {residual.name}: leave it out or give that residual"
+            )
     bench = Bench(binding)
     thetas = start_values(bench, binding.free, seed, residual=residual)
     problem = bench.problem(residual, "fit", binding.free, thetas[0], loss=loss)
@@ -75,7 +79,9 @@ def run_comparison(
     total = len(fitters) * seeds
 
     def finished() -> Comparison:
-        lowest, best = best_known(binding, problem, [guess, *(problem.z(t) for t in thetas[1:])], [m for _, m in runs])
+        lowest, best = best_known(
+            binding, problem, [guess, *(problem.z(t) for t in thetas[1:])], [m for _, m in runs]
+        )
         return Comparison(
             binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, effects, residual.name, loss, budget,
             seconds, starts, tolerance, lowest, best, tuple(r for r, _ in runs), time.perf_counter() - began,
@@ -99,7 +105,13 @@ def run_comparison(
 
 
 def one_run(
-    problem: Problem, fitter: AbstractFitter, label: str, start: np.ndarray, seed: int, budget: int | None, seconds: float | None
+    problem: Problem,
+    fitter: AbstractFitter,
+    label: str,
+    start: np.ndarray,
+    seed: int,
+    budget: int | None,
+    seconds: float | None,
 ) -> tuple[Run, Minimum]:
     """One fitter with one seed."""
     limit: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
@@ -109,15 +121,29 @@ def one_run(
     spent = max(wall - compiling, 0.0)
     points = [p for p in found.history if np.isfinite(p[1])]
     times = found.seconds
-    if len(times) != len(found.history):  # a fitter that keeps no clock: evaluations cost the same all along
+    if len(times) != len(
+        found.history
+    ):  # a fitter that keeps no clock: evaluations cost the same all along
         times = [spent * n / max(found.evaluations, 1) for n, _ in found.history]
-    history = np.array([(n, t, v) for (n, v), t in zip(found.history, times, strict=True)], float).reshape(-1, 3)
+    history = np.array(
+        [(n, t, v) for (n, v), t in zip(found.history, times, strict=True)], float
+    ).reshape(-1, 3)
     history[:, 2] = np.minimum.accumulate(history[:, 2]) if len(points) else history[:, 2]
     theta = problem.theta(found.z)
     parameters = {problem.runs.layout.names[i]: float(theta[i]) for i in problem.free}
     status = "failed" if found.failed else "converged" if found.converged else "stopped"
     run = Run(
-        label, seed, status, found.stopped_because, found.loss, found.evaluations, spent, wall, compiling, parameters, history
+        label,
+        seed,
+        status,
+        found.stopped_because,
+        found.loss,
+        found.evaluations,
+        spent,
+        wall,
+        compiling,
+        parameters,
+        history,
     )
     return run, found
 
@@ -139,13 +165,25 @@ def best_known(
     candidates = np.array([*(m.z for m in ends), *(p.z for p in paths)])
     losses = problem.losses(candidates)
     z = candidates[int(np.argmin(losses))]
-    square = Problem(problem.runs, problem.base, problem.free, binding.lower, binding.upper, problem.records, scale=binding.scale)
+    square = Problem(
+        problem.runs,
+        problem.base,
+        problem.free,
+        binding.lower,
+        binding.upper,
+        problem.records,
+        scale=binding.scale,
+    )
     cov, slope, theta = covariance(square, z), problem.dtheta(z), problem.theta(z)
     best = {}
     for k, i in enumerate(problem.free):
         std = float(cov.std[k] * slope[k])
         entry = binding.layout.entries[i]
         best[entry.name] = Known(
-            float(theta[i]), std if np.isfinite(std) else None, entry.unit, float(binding.lower[i]), float(binding.upper[i])
+            float(theta[i]),
+            std if np.isfinite(std) else None,
+            entry.unit,
+            float(binding.lower[i]),
+            float(binding.upper[i]),
         )
     return float(losses.min()), best

@@ -14,7 +14,11 @@ from jaxid.problem.problem import Problem
 
 
 def simulate_closed_loop(
-    dataset: Dataset, experiments: Sequence[Experiment], layout: Layout, theta: np.ndarray, noise: np.ndarray
+    dataset: Dataset,
+    experiments: Sequence[Experiment],
+    layout: Layout,
+    theta: np.ndarray,
+    noise: np.ndarray,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Positions [time nq] and inputs [time nq] of the model with numbers `theta` under the dataset's controller, per run.
 

@@ -18,7 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxid.fitting.noise_model import Autoregression, autoregressions, Part, score_covariance, student, transform_length
+from jaxid.fitting.noise_model import (
+    Autoregression,
+    autoregressions,
+    Part,
+    score_covariance,
+    student,
+    transform_length,
+)
 from jaxid.numerics.truncated import positive, pushed, within_bounds
 from jaxid.problem.problem import Problem, rows
 
@@ -49,7 +56,9 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     """Covariance of z at a minimum (search scale)."""
     n = problem.size
     span = problem.upper - problem.lower
-    near = 1e-9 * np.maximum(np.abs(z), problem.scale)  # a descent ends exactly at a bound, up to rounding
+    near = 1e-9 * np.maximum(
+        np.abs(z), problem.scale
+    )  # a descent ends exactly at a bound, up to rounding
     at_bound = (z - problem.lower <= near) | (problem.upper - z <= near)
     H, slope, S_white, count = np.zeros((n, n)), np.zeros(n), 0.0, 0
     parts: list[Part] = []
@@ -57,11 +66,15 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     series: list[np.ndarray] = []
     broken = np.zeros(n, bool)
     for part in rows([(problem.precise(), z)]):
-        finite = np.isfinite(part.J).all((0, 1))  # a derivative that a run leaves undefined tells nothing
+        finite = np.isfinite(part.J).all(
+            (0, 1)
+        )  # a derivative that a run leaves undefined tells nothing
         broken[np.array(part.z_columns, int)[~finite]] = True
         part = part._replace(J=np.where(finite, part.J, 0.0))
         if problem.by_windows:
-            part = part._replace(J=_beside_its_start(part.J, np.array(part.z_columns), problem.free.size, at_bound))
+            part = part._replace(
+                J=_beside_its_start(part.J, np.array(part.z_columns), problem.free.size, at_bound)
+            )
         J = part.J.reshape(part.r.size, len(part.z_columns))
         index = np.ix_(part.z_columns, part.z_columns)
         H[index] += J.T @ J
@@ -82,7 +95,9 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     scaled = H / scale / scale[:, None]
     blind = (np.diag(H) <= 1e-300) | broken  # no sample reacts to it
     inside = ~(at_bound & (np.arange(n) < problem.free.size)) & ~blind
-    identifiable, groups = null_directions(scaled, inside)  # what stands at a bound is known there: it frees the others
+    identifiable, groups = null_directions(
+        scaled, inside
+    )  # what stands at a bound is known there: it frees the others
     if (at_bound & ~blind).any():
         identifiable[at_bound] &= null_directions(scaled, ~blind)[0][at_bound]
     identifiable &= ~blind
@@ -106,11 +121,17 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(spread), 1e-300)))
         spread = spread * stretch * stretch[:, None]
     spread = positive(spread)
-    alone = np.where(inside, np.diag(_beside_bounds(spread, at_bound & ~blind & ~inside)), np.diag(spread))
-    identifiable &= ~(np.sqrt(alone) > span)  # determined in name only: the interval is wider than the bounds
+    alone = np.where(
+        inside, np.diag(_beside_bounds(spread, at_bound & ~blind & ~inside)), np.diag(spread)
+    )
+    identifiable &= ~(
+        np.sqrt(alone) > span
+    )  # determined in name only: the interval is wider than the bounds
     at = np.flatnonzero(at_bound & ~inside & ~blind)
     outwards = np.where(z - problem.lower <= problem.upper - z, slope, -slope)[at]
-    push = np.maximum(outwards, 0.0) * np.diag(inverse)[at] / np.maximum(np.diag(spread)[at], 1e-300)
+    push = (
+        np.maximum(outwards, 0.0) * np.diag(inverse)[at] / np.maximum(np.diag(spread)[at], 1e-300)
+    )
     matrix = _within_bounds(problem, z, pushed(spread, at, push))
     std = np.sqrt(np.diag(matrix))
     std[~identifiable] = np.nan
@@ -119,7 +140,9 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         if white
         else f"residuals are coloured (memory {memory} samples): standard deviations count it"
     )
-    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened, slope, H)
+    return Covariance(
+        matrix, std, identifiable, at_bound, groups, white, statement, noise, widened, slope, H
+    )
 
 
 def _room(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +151,9 @@ def _room(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     down, up = problem.lower - z, problem.upper - z
     log = np.zeros(z.size, bool)
     log[: problem.free.size] = problem.log
-    return np.where(log, np.expm1(np.where(log, down, 0.0)), down), np.where(log, np.expm1(np.where(log, up, 0.0)), up)
+    return np.where(log, np.expm1(np.where(log, down, 0.0)), down), np.where(
+        log, np.expm1(np.where(log, up, 0.0)), up
+    )
 
 
 def _known_by_bounds(problem: Problem, z: np.ndarray) -> np.ndarray:
@@ -174,7 +199,9 @@ def _inverse(H: np.ndarray) -> np.ndarray:
     return (vectors / np.maximum(values, least)) @ vectors.T / scale / scale[:, None]
 
 
-def _beside_its_start(J: np.ndarray, columns: np.ndarray, free: int, at_bound: np.ndarray) -> np.ndarray:
+def _beside_its_start(
+    J: np.ndarray, columns: np.ndarray, free: int, at_bound: np.ndarray
+) -> np.ndarray:
     """A window's Jacobian [samples channels size] with what its own start could do as well taken out of the parameters' columns
     (Frisch and Waugh 1933). The covariance of the parameters stays the same, but no longer needs the inverse of a matrix in which
     a window that forgets its start has two all but equal columns; that of the starts is the one with the parameters known."""
@@ -190,7 +217,9 @@ def _beside_its_start(J: np.ndarray, columns: np.ndarray, free: int, at_bound: n
     return flat.reshape(J.shape)
 
 
-def null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
+def null_directions(
+    scaled: np.ndarray, kept: np.ndarray
+) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
     """Which variables take part in no undetermined direction; and groups tied together (correlation above 0.999)."""
     index = np.flatnonzero(kept)
     identifiable = np.ones(len(kept), bool)
@@ -252,12 +281,16 @@ def long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) ->
     for columns, s in scores:
         bandwidth = int(min(4 * memory, len(s) // 3))
         length = transform_length(len(s))
-        lags = np.zeros(length)  # the weights of all lags, whose products are summed as those of spectra
+        lags = np.zeros(
+            length
+        )  # the weights of all lags, whose products are summed as those of spectra
         lags[: bandwidth + 1] = 1 - np.arange(bandwidth + 1) / (bandwidth + 1)
         lags[length - bandwidth :] = lags[bandwidth:0:-1]
         weights = np.real(np.asarray(rfft(lags))) / length
         weights[1 : (length + 1) // 2] *= 2  # those of negative frequencies
         f = np.asarray(rfft(s, length, axis=0, workers=os.cpu_count() or 1))
-        S[np.ix_(columns, columns)] += sum(part.T @ (weights[:, None] * part) for part in (np.real(f), np.imag(f)))
+        S[np.ix_(columns, columns)] += sum(
+            part.T @ (weights[:, None] * part) for part in (np.real(f), np.imag(f))
+        )
     values, vectors = np.linalg.eigh((S + S.T) / 2)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T

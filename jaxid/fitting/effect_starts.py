@@ -28,7 +28,9 @@ def probes(binding: Binding, effect: Effect, place: str, theta: np.ndarray) -> l
     return out
 
 
-def read_off(binding: Binding, p: Problem, z: np.ndarray, effect: Effect, place: str) -> list[np.ndarray]:
+def read_off(
+    binding: Binding, p: Problem, z: np.ndarray, effect: Effect, place: str
+) -> list[np.ndarray]:
     """Parameter vectors with an effect as the missing force of a problem of torques shows it; none where it is not read off."""
     b, read = binding, getattr(effect, "read_off", None)
     if read is None:
@@ -38,15 +40,27 @@ def read_off(binding: Binding, p: Problem, z: np.ndarray, effect: Effect, place:
         record = p.runs.record(number)
         e = p.runs.experiments[record.experiment]
         at = record.samples - record.first
-        parts.append(np.stack([b.motions[e.name].q[at, joint], b.motions[e.name].qd[at, joint], -missing[:, joint]]))
+        parts.append(
+            np.stack(
+                [
+                    b.motions[e.name].q[at, joint],
+                    b.motions[e.name].qd[at, joint],
+                    -missing[:, joint],
+                ]
+            )
+        )
     theta = p.theta(z)
     for name, value in read(*np.concatenate(parts, 1)).items():
-        i = next(k for k in b.layout.of_effect(effect.name, place) if b.layout.entries[k].field == name)
+        i = next(
+            k for k in b.layout.of_effect(effect.name, place) if b.layout.entries[k].field == name
+        )
         theta[i] = np.clip(value, b.lower[i], b.upper[i])
     return [theta]
 
 
-def probe_starts(bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 4) -> list[np.ndarray]:
+def probe_starts(
+    bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 4
+) -> list[np.ndarray]:
     """Starts for added effects: the best of their probes, and what the torque residual makes of them all (free of the free run's
     local minima). At the neutral value many effects have no derivative."""
     b, added, found = bench.binding, [], []
@@ -61,18 +75,28 @@ def probe_starts(bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 
     n = len(problem.records)
     starts = problem.starts(problem.z(theta))
     y = problem.runs.engine.outputs(
-        np.repeat(np.array(found), n, 0), np.tile(starts, (len(found), 1)), np.tile(np.array(problem.records), len(found))
+        np.repeat(np.array(found), n, 0),
+        np.tile(starts, (len(found), 1)),
+        np.tile(np.array(problem.records), len(found)),
     )
     with np.errstate(all="ignore"):
-        each = [np.sum(problem.runs.residual(r, y[k]) ** 2) for k, r in enumerate(problem.records * len(found))]
+        each = [
+            np.sum(problem.runs.residual(r, y[k]) ** 2)
+            for k, r in enumerate(problem.records * len(found))
+        ]
         cost = np.nan_to_num(np.array(each).reshape(len(found), n).sum(1), nan=np.inf)
     best = [found[k] for k in np.argsort(cost, kind="stable")[:keep] if np.isfinite(cost[k])]
     if not b.motions or b.chain.mechanism.hidden_states or not b.dataset.split("fit"):
         return best
     torque = bench.problem(InverseDynamics(decimate=1), "fit", problem.free, theta)
     if any(getattr(effect, "read_off", None) for effect, _ in added):
-        without = bench.problem(InverseDynamics(decimate=1), "fit", [i for i in problem.free if i in b.nominal], theta)
+        without = bench.problem(
+            InverseDynamics(decimate=1), "fit", [i for i in problem.free if i in b.nominal], theta
+        )
         z = descend([(without, without.z(theta))], 15, 1e-7)[0].z
-        found = [*found, *(start for effect, place in added for start in read_off(b, without, z, effect, place))]
+        found = [
+            *found,
+            *(start for effect, place in added for start in read_off(b, without, z, effect, place)),
+        ]
     paths = sorted(descend([(torque, torque.z(f)) for f in found], 15, 1e-7), key=lambda p: p.cost)
     return best + [torque.theta(p.z) for p in paths[:2] if np.isfinite(p.cost)]

@@ -65,7 +65,10 @@ def looked_again(
     waiting = [k for k, m in enumerate(found) if getattr(m, "covariance", None) is None]
     looks = LOOKS if budget is None else 10 * LOOKS
     for number in range(looks):
-        logs = {k: _log(jobs[k][0], out[k], fitter, _allowed(jobs[k][0], out[k], budget), progress) for k in waiting}
+        logs = {
+            k: _log(jobs[k][0], out[k], fitter, _allowed(jobs[k][0], out[k], budget), progress)
+            for k in waiting
+        }
         short = [k for k in waiting if logs[k].left < LEAST * (1 + jobs[k][0].size)]
         for k in short if number == 0 else []:
             out[k] = dataclasses.replace(out[k], converged=False, stopped_because=_unlooked(out[k]))
@@ -80,15 +83,38 @@ def looked_again(
         again = []
         for k, path in zip(waiting, paths, strict=True):
             problem, old = jobs[k][0], out[k]
-            new = logs[k].minimum(path.z, path.converged, path.stopped) if np.isfinite(path.cost) else None
-            spent = {"evaluations": logs[k].evaluations, "history": logs[k].history, "seconds": logs[k].seconds}
-            lower = new is not None and not new.failed and (old.failed or gain(problem, old.loss, new.loss) > MATERIAL)
-            if lower and new is not None and isinstance(fitter, AbstractPopulation) and not old.failed:
+            new = (
+                logs[k].minimum(path.z, path.converged, path.stopped)
+                if np.isfinite(path.cost)
+                else None
+            )
+            spent = {
+                "evaluations": logs[k].evaluations,
+                "history": logs[k].history,
+                "seconds": logs[k].seconds,
+            }
+            lower = (
+                new is not None
+                and not new.failed
+                and (old.failed or gain(problem, old.loss, new.loss) > MATERIAL)
+            )
+            if (
+                lower
+                and new is not None
+                and isinstance(fitter, AbstractPopulation)
+                and not old.failed
+            ):
                 said = f"a descent from beside it ends lower, at loss {new.loss:.4g}: try hybrid or lm ({old.stopped_because})"
-                out[k] = dataclasses.replace(old, converged=False, stalled=not _limited(old), stopped_because=said, **spent)
+                out[k] = dataclasses.replace(
+                    old, converged=False, stalled=not _limited(old), stopped_because=said, **spent
+                )
             elif new is not None and not new.failed and (lower or new.loss < old.loss):
                 said = new.stopped_because if lower or new.converged else old.stopped_because
-                ended = dataclasses.replace(new, stopped_because=said, converged=new.converged or (old.converged and not lower))
+                ended = dataclasses.replace(
+                    new,
+                    stopped_because=said,
+                    converged=new.converged or (old.converged and not lower),
+                )
                 out[k] = dataclasses.replace(ended, stalled=False, **spent)
                 again += [k] if lower else []
             else:
@@ -136,14 +162,22 @@ def _unlooked(found: Minimum) -> str:
     return f"the budget of evaluations leaves no second look ({found.stopped_because})"
 
 
-def _log(problem: AbstractProblem, found: Minimum, fitter: AbstractFitter, budget: int | None, progress: Progress | None) -> Log:
+def _log(
+    problem: AbstractProblem,
+    found: Minimum,
+    fitter: AbstractFitter,
+    budget: int | None,
+    progress: Progress | None,
+) -> Log:
     log = Log(problem, fitter.name, budget, None, progress)
     log.evaluations, log.best = found.evaluations, found.loss
     log.history, log.seconds = list(found.history), list(found.seconds)
     return log
 
 
-def _elsewhere(problem: AbstractProblem, found: Minimum, rng: np.random.Generator, number: int) -> np.ndarray:
+def _elsewhere(
+    problem: AbstractProblem, found: Minimum, rng: np.random.Generator, number: int
+) -> np.ndarray:
     """A point beside the end, about a factor of two away in logarithms and half of itself in other numbers, at a bound inside of
     it; the end itself where a search ran out of iterations, and any point for one that has diverged."""
     z, lower, upper = found.z, problem.lower, problem.upper
@@ -155,36 +189,68 @@ def _elsewhere(problem: AbstractProblem, found: Minimum, rng: np.random.Generato
     log[: problem.free.size] = problem.log
     step = np.where(log, 0.7, np.maximum(0.5 * np.abs(z), 5 * problem.scale))
     step[problem.free.size :] = problem.scale[problem.free.size :]
-    step = np.minimum(step, 0.3 * (upper - lower)) * rng.choice([-1.0, 1.0], z.size) * rng.uniform(0.5, 1.0, z.size)
-    return np.clip(np.where((z + step < lower) | (z + step > upper), z - step, z + step), lower, upper)
+    step = (
+        np.minimum(step, 0.3 * (upper - lower))
+        * rng.choice([-1.0, 1.0], z.size)
+        * rng.uniform(0.5, 1.0, z.size)
+    )
+    return np.clip(
+        np.where((z + step < lower) | (z + step > upper), z - step, z + step), lower, upper
+    )
 
 
-def ending(problem: Problem, found: Minimum, cov: Covariance, traces: Sequence[Trace] = ()) -> Ending:
+def ending(
+    problem: Problem, found: Minimum, cov: Covariance, traces: Sequence[Trace] = ()
+) -> Ending:
     """How a search has ended that gave finite numbers; `traces` are free runs on the data that were fitted."""
     still = [t for t in traces if _stands_still(t)]
     own = np.arange(problem.size) < problem.free.size
     if still:
         t = still[0]
-        return Ending("failed", f"{t.channel} moves by {np.ptp(t.measured):.3g} {t.unit} and the fitted model keeps it still")
+        return Ending(
+            "failed",
+            f"{t.channel} moves by {np.ptp(t.measured):.3g} {t.unit} and the fitted model keeps it still",
+        )
     if problem.free.size > 1 and cov.at_bound[own].all():
-        return Ending("failed", f"all numbers ended at their bounds ({found.stopped_because}): state wider ones")
+        return Ending(
+            "failed",
+            f"all numbers ended at their bounds ({found.stopped_because}): state wider ones",
+        )
     if not found.loss <= LOST and not cov.identifiable[own].any():
-        return Ending("failed", f"the loss is {found.loss:.3g} and no number is determined ({found.stopped_because})")
+        return Ending(
+            "failed",
+            f"the loss is {found.loss:.3g} and no number is determined ({found.stopped_because})",
+        )
     plain = Ending(_state(found), found.stopped_because)
     if cov.gradient is None or cov.hessian is None or problem.loss_name != "sum_of_squares":
         return plain
     g, H, size = cov.gradient, cov.hessian, max(1.0, found.loss)
-    out = np.where(problem.lower >= found.z - 1e-9 * problem.scale, g > 0, cov.at_bound & (g < 0)) & cov.at_bound
-    bound = [i for i in np.flatnonzero(out) if _bends(problem, found, int(i)) and g[i] ** 2 > PUSHES * size * H[i, i]]
+    out = (
+        np.where(problem.lower >= found.z - 1e-9 * problem.scale, g > 0, cov.at_bound & (g < 0))
+        & cov.at_bound
+    )
+    bound = [
+        i
+        for i in np.flatnonzero(out)
+        if _bends(problem, found, int(i)) and g[i] ** 2 > PUSHES * size * H[i, i]
+    ]
     left = _newton_gain(g, H, ~out) / size
     if not np.isfinite(left):
-        return Ending("stalled", f"the derivatives at the end are no numbers ({found.stopped_because})")
+        return Ending(
+            "stalled", f"the derivatives at the end are no numbers ({found.stopped_because})"
+        )
     if left > MATERIAL and found.converged:
-        which = problem.names[int(np.argmax(np.where(out, 0.0, np.abs(g) / np.sqrt(np.maximum(np.diag(H), 1e-300)))))]
-        return Ending("stalled", f"no minimum: the loss still slopes along {which} ({found.stopped_because})")
+        which = problem.names[
+            int(np.argmax(np.where(out, 0.0, np.abs(g) / np.sqrt(np.maximum(np.diag(H), 1e-300)))))
+        ]
+        return Ending(
+            "stalled", f"no minimum: the loss still slopes along {which} ({found.stopped_because})"
+        )
     if bound and _state(found) == "converged":
         names = ", ".join(problem.names[i] for i in bound)
-        return Ending("stalled", f"at the bound of {names}, beyond which the loss falls: state wider bounds")
+        return Ending(
+            "stalled", f"at the bound of {names}, beyond which the loss falls: state wider bounds"
+        )
     if left <= MATERIAL / 10 and _state(found) == "budget" and not _unconfirmed(found):
         return Ending("converged", f"nothing is left to gain ({found.stopped_because})")
     return plain
@@ -195,12 +261,22 @@ def _unconfirmed(found: Minimum) -> bool:
 
 
 def _state(found: Minimum) -> str:
-    return "failed" if found.failed else "converged" if found.converged else "stalled" if found.stalled else "budget"
+    return (
+        "failed"
+        if found.failed
+        else "converged"
+        if found.converged
+        else "stalled"
+        if found.stalled
+        else "budget"
+    )
 
 
 def _stands_still(t: Trace) -> bool:
     moved = np.ptp(t.measured)
-    return bool(moved > 20 * t.noise and all(np.ptp(y) < STILL * moved for y in t.simulated.values()))
+    return bool(
+        moved > 20 * t.noise and all(np.ptp(y) < STILL * moved for y in t.simulated.values())
+    )
 
 
 def _bends(problem: Problem, found: Minimum, i: int) -> bool:

@@ -37,9 +37,13 @@ class Minimum:
     converged: bool
     stopped_because: str
     evaluations: int
-    history: list[tuple[int, float]] = field(default_factory=list)  # (evaluations, best loss so far)
+    history: list[tuple[int, float]] = field(
+        default_factory=list
+    )  # (evaluations, best loss so far)
     seconds: list[float] = field(default_factory=list)
-    stalled: bool = False  # ended by a rule of its own and not by a limit, yet without having converged
+    stalled: bool = (
+        False  # ended by a rule of its own and not by a limit, yet without having converged
+    )
 
     @property
     def failed(self) -> bool:
@@ -78,7 +82,9 @@ class AbstractFitter(eqx.Module):
         progress: Progress | None = None,
     ) -> list[Minimum]:
         """`minimise` of each (problem, starts, key), with the same results. A fitter that can take several side by side does."""
-        return [self.minimise(problem, starts, key, budget, progress) for problem, starts, key in jobs]
+        return [
+            self.minimise(problem, starts, key, budget, progress) for problem, starts, key in jobs
+        ]
 
 
 class Log:
@@ -92,7 +98,13 @@ class Log:
         seconds: float | None = None,
         progress: Progress | None = None,
     ):
-        self.problem, self.name, self.budget, self.limit, self.progress = problem, name, budget, seconds, progress
+        self.problem, self.name, self.budget, self.limit, self.progress = (
+            problem,
+            name,
+            budget,
+            seconds,
+            progress,
+        )
         self.evaluations, self.best = 0, float("inf")
         self.history: list[tuple[int, float]] = []
         self.seconds: list[float] = []
@@ -136,15 +148,24 @@ class Log:
 
     def show(self, done: int, total: int) -> None:
         if self.progress:
-            self.progress(self.name, done, total, f"loss {self.best:.6g}" if np.isfinite(self.best) else "no finite loss yet")
+            self.progress(
+                self.name,
+                done,
+                total,
+                f"loss {self.best:.6g}" if np.isfinite(self.best) else "no finite loss yet",
+            )
 
-    def minimum(self, z: np.ndarray, converged: bool, stopped: str, stalled: bool = False) -> Minimum:
+    def minimum(
+        self, z: np.ndarray, converged: bool, stopped: str, stalled: bool = False
+    ) -> Minimum:
         """The result; its loss is computed by the one program that all fitters share."""
         loss = self.problem.loss(z)
         if loss >= PENALTY:
             converged = stalled = False
             stopped = "the simulation diverges at every candidate; give other start values or narrower bounds"
-        return Minimum(z, loss, converged, stopped, self.evaluations, self.history, self.seconds, stalled)
+        return Minimum(
+            z, loss, converged, stopped, self.evaluations, self.history, self.seconds, stalled
+        )
 
 
 def sampling_box(problem: AbstractProblem, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -155,9 +176,15 @@ def sampling_box(problem: AbstractProblem, guess: np.ndarray) -> tuple[np.ndarra
     log[: problem.free.size] = problem.log
     decade = np.log(10.0)
     wide = log & (upper - lower > 2 * decade)
-    lower[wide], upper[wide] = np.maximum(lower, guess - decade)[wide], np.minimum(upper, guess + decade)[wide]
+    lower[wide], upper[wide] = (
+        np.maximum(lower, guess - decade)[wide],
+        np.minimum(upper, guess + decade)[wide],
+    )
     size = np.maximum(np.abs(guess), 2 * problem.scale)
     wide = ~log & (upper - lower > 20 * size)
     wide[problem.free.size :] = False
-    lower[wide], upper[wide] = np.maximum(lower, guess - 5 * size)[wide], np.minimum(upper, guess + 5 * size)[wide]
+    lower[wide], upper[wide] = (
+        np.maximum(lower, guess - 5 * size)[wide],
+        np.minimum(upper, guess + 5 * size)[wide],
+    )
     return lower, upper

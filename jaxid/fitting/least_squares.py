@@ -18,7 +18,9 @@ from jaxid.problem.objective import AbstractProblem, expand, Linear, linearise
 Expansion = Callable[[Sequence[tuple[AbstractProblem, np.ndarray]], float], list[Linear]]
 
 
-def guesses(problem: AbstractProblem, starts: Sequence[np.ndarray], restarts: int, key) -> list[np.ndarray]:
+def guesses(
+    problem: AbstractProblem, starts: Sequence[np.ndarray], restarts: int, key
+) -> list[np.ndarray]:
     """The starts within the bounds, and random ones; unknown starts of runs stay as the first guess has them."""
     given = [problem_clip(problem, z) for z in starts]
     if not restarts:
@@ -50,7 +52,9 @@ def search(
     tried = 0
     stages = STAGES if max(len(g) for g in groups) > 1 else ()
     if logs is not None:
-        cost = sum(share * (steps + 1) * min(len(groups[0]), keep + 1) for share, steps, keep in STAGES)
+        cost = sum(
+            share * (steps + 1) * min(len(groups[0]), keep + 1) for share, steps, keep in STAGES
+        )
         if logs[0].left < (cost + 10) * (1 + groups[0][0][0].size):
             current, stages = [[g[0]] for g in groups], ()
     of = lambda flat: None if logs is None else [logs[k] for k, _ in flat]
@@ -62,7 +66,9 @@ def search(
         paths = descend([job for _, job in flat], steps, 1e-4, share, of(flat))
         tried += sum(p.linearisations for p in paths)
         for k in range(len(groups)):
-            own = sorted((p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost)
+            own = sorted(
+                (p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost
+            )
             points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
             current[k] = [(own[0].problem if len(own) else groups[k][0][0], z) for z in points]
     flat = [(k, job) for k, g in enumerate(current) for job in g]
@@ -70,7 +76,9 @@ def search(
     tried += sum(p.linearisations for p in paths)
     best = []
     for k in range(len(groups)):
-        best.append(min((p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost))
+        best.append(
+            min((p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost)
+        )
     return best, tried
 
 
@@ -88,7 +96,10 @@ PATIENCE, HOPELESS, AT_NOISE = 3, 100.0, 2.0
 
 
 def race(
-    groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterations: int, tolerance: float, sure: Sequence[int] = ()
+    groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]],
+    iterations: int,
+    tolerance: float,
+    sure: Sequence[int] = (),
 ) -> list[Path]:
     """A path of each group of (problem, start) on the same data, as by `search` but for a choice among the groups: those that are
     clearly behind after the first steps stay where they are, and only the front ones, and those that are `sure`, descend to the
@@ -96,32 +107,54 @@ def race(
     current = [list(g) for g in groups]
     paths: list[Path] = []
     for heat, (share, steps, keep, front) in enumerate(HEATS):
-        if heat == 1:  # a short look leaves much undetermined: the first two starts go on as they were, too
+        if (
+            heat == 1
+        ):  # a short look leaves much undetermined: the first two starts go on as they were, too
             current = [[*now, *g[:2]] for now, g in zip(current, groups, strict=True)]
         order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
-        ahead = [k for n, k in enumerate(order) if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost]
+        ahead = [
+            k
+            for n, k in enumerate(order)
+            if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost
+        ]
         lost: set[int] = set()
         if heat > 1 and paths[order[0]].loss <= AT_NOISE:
             lost = {k for k in order if paths[k].cost > HOPELESS * paths[order[0]].cost}
-        over = lost if steps is None else set()  # until the last heat those that are sure have a chance all the same
+        over = (
+            lost if steps is None else set()
+        )  # until the last heat those that are sure have a chance all the same
         ahead = [k for k in ahead if k not in lost]
-        ahead = [*ahead, *(k for k in sure if k not in ahead and k not in over)] if order else list(range(len(groups)))
-        if share == 1.0 and steps is not None:  # the whole for the first time: for those behind one step, or a mere look
+        ahead = (
+            [*ahead, *(k for k in sure if k not in ahead and k not in over)]
+            if order
+            else list(range(len(groups)))
+        )
+        if (
+            share == 1.0 and steps is not None
+        ):  # the whole for the first time: for those behind one step, or a mere look
             behind = [k for k in range(len(groups)) if k not in ahead]
             for k in ahead:
                 current[k] += [groups[k][0]]
-            last = descend([current[k][0] for k in behind], 0 if lost else 1, 1e-4) if behind else []
+            last = (
+                descend([current[k][0] for k in behind], 0 if lost else 1, 1e-4) if behind else []
+            )
             paths = [Path(g[0][0], g[0][1]) for g in current]
             for k, path in zip(behind, last, strict=True):
                 paths[k] = path
         flat = [(k, job) for k in ahead for job in current[k]]
         behind_others = functools.partial(_far_behind, [k for k, _ in flat])
         found = descend(
-            [job for _, job in flat], steps or iterations, 1e-4 if steps else tolerance, share, hopeless=behind_others
+            [job for _, job in flat],
+            steps or iterations,
+            1e-4 if steps else tolerance,
+            share,
+            hopeless=behind_others,
         )
         paths = paths or [Path(g[0][0], g[0][1]) for g in current]
         for k in ahead:
-            own = sorted((p for (n, _), p in zip(flat, found, strict=True) if n == k), key=lambda p: p.cost)
+            own = sorted(
+                (p for (n, _), p in zip(flat, found, strict=True) if n == k), key=lambda p: p.cost
+            )
             points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
             current[k] = [(own[0].problem, z) for z in points]
             if steps is not None or own[0].cost <= paths[k].cost:
@@ -152,7 +185,9 @@ class Path:
     converged: bool = False
     stopped: str = "iteration limit"
     history: list[tuple[int, float]] | None = None
-    slight: int | None = None  # how many steps in a row gained nothing material; None where that is not asked
+    slight: int | None = (
+        None  # how many steps in a row gained nothing material; None where that is not asked
+    )
 
     @property
     def loss(self) -> float:
@@ -182,16 +217,25 @@ def descend(
     """
     if expansion is None:
         expansion = linearise if all(p.loss_name == "sum_of_squares" for p, _ in jobs) else expand
-    paths = [Path(p, problem_clip(p, z), history=[], slight=0 if material and p.weighted else None) for p, z in jobs]
+    paths = [
+        Path(p, problem_clip(p, z), history=[], slight=0 if material and p.weighted else None)
+        for p, z in jobs
+    ]
     trials = [p.z for p in paths]
     active = list(range(len(paths)))
     each = share * (1 + paths[0].problem.size)
     own: dict[int, tuple[Log, list[int]]] = {}  # each log and its paths
-    for i, one in enumerate([] if log is None else [log] * len(paths) if isinstance(log, Log) else log):
+    for i, one in enumerate(
+        [] if log is None else [log] * len(paths) if isinstance(log, Log) else log
+    ):
         own.setdefault(id(one), (one, []))[1].append(i)
     for iteration in range(iterations + 1):
         if own:
-            active = [i for one, members in own.values() for i in _affordable(one, sorted(set(members) & set(active)), each)]
+            active = [
+                i
+                for one, members in own.values()
+                for i in _affordable(one, sorted(set(members) & set(active)), each)
+            ]
             if not active:
                 break
         results = expansion([(paths[i].problem, trials[i]) for i in active], share)
@@ -229,12 +273,16 @@ def _affordable(log: Log, active: list[int], each: float) -> list[int]:
     return [] if log.exhausted else active[: int(min(log.left / each, len(active)))]
 
 
-def accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvature: Curvature) -> None:
+def accept(
+    path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvature: Curvature
+) -> None:
     """Takes a trial or leaves it, and sets the radius of the next one."""
     cost = new.cost / 2
     path.linearisations += 1
     path.count = new.count
-    finite = np.isfinite(cost) and np.isfinite(new.gradient).all() and np.isfinite(new.hessian).all()
+    finite = (
+        np.isfinite(cost) and np.isfinite(new.gradient).all() and np.isfinite(new.hessian).all()
+    )
     if path.gradient is None:
         if not finite:
             path.converged, path.stopped = True, "the start diverges"
@@ -252,11 +300,19 @@ def accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvatu
     gained = path.cost - cost if finite else -np.inf
     rho = gained / max(predicted, 1e-300)
     if rho < 0.25:
-        path.radius = length * (0.1 if not finite else 0.25 if gained > 0 else _shorter(float(path.gradient @ dz), -gained))
+        path.radius = length * (
+            0.1
+            if not finite
+            else 0.25
+            if gained > 0
+            else _shorter(float(path.gradient @ dz), -gained)
+        )
     elif rho > 0.75:
         path.radius = max(path.radius, 2 * length)
     if finite and gained > 0:
-        small = cost == 0 or (gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost)
+        small = cost == 0 or (
+            gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost
+        )
         path.hessian = curvature(path, trial, new)
         path.z, path.cost, path.gradient = trial, cost, new.gradient
         path.scale = np.maximum(path.scale, _scale(path.hessian))
@@ -288,7 +344,10 @@ def _typical(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
     """How far a first step may go: a factor of e, or the size of the variable, and never more than half its range."""
     log = np.zeros(problem.size, bool)
     log[: problem.free.size] = problem.log
-    return np.minimum(np.where(log, 1.0, np.maximum(np.abs(z), 5 * problem.scale)), (problem.upper - problem.lower) / 2)
+    return np.minimum(
+        np.where(log, 1.0, np.maximum(np.abs(z), 5 * problem.scale)),
+        (problem.upper - problem.lower) / 2,
+    )
 
 
 #: So many quarterings of the radius are tried where a step comes to bounds.
@@ -330,16 +389,23 @@ def _bounded(path: Path, radius: float) -> tuple[np.ndarray, bool]:
     assert path.gradient is not None and path.hessian is not None and path.scale is not None
     z, g, H, scale = path.z, path.gradient, path.hessian, path.scale
     lower, upper = path.problem.lower, path.problem.upper
-    free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0))) & (np.diag(H) > 0)  # what nothing shows stays
+    free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0))) & (
+        np.diag(H) > 0
+    )  # what nothing shows stays
     dz, bounded = np.zeros_like(z), False
-    for _ in range(z.size + 1):  # a variable that would leave its bounds goes to the bound, and the rest is solved again
+    for _ in range(
+        z.size + 1
+    ):  # a variable that would leave its bounds goes to the bound, and the rest is solved again
         index = np.flatnonzero(free)
         if not index.size:
             break
         pull = (g + H @ np.where(free, 0.0, dz))[index] / scale[index]
         held = _norm(scale * np.where(free, 0.0, dz)) / max(radius, 1e-300)
         left = radius * np.sqrt(max(1.0 - held**2, 0.01))
-        dz[index] = _within(H[np.ix_(index, index)] / scale[index] / scale[index][:, None], pull, left) / scale[index]
+        dz[index] = (
+            _within(H[np.ix_(index, index)] / scale[index] / scale[index][:, None], pull, left)
+            / scale[index]
+        )
         out = free & ((z + dz < lower) | (z + dz > upper))
         if not out.any():
             break

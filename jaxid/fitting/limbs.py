@@ -56,10 +56,14 @@ def _side_by_side(fits: Sequence[Fit]) -> Covariance | None:
     own = [f.covariance for f in fits if f.covariance is not None]
     if len(own) < len(fits):
         return None
-    return Covariance(tuple(n for c in own for n in c.names), np.asarray(block_diag(*(c.matrix for c in own))))
+    return Covariance(
+        tuple(n for c in own for n in c.names), np.asarray(block_diag(*(c.matrix for c in own)))
+    )
 
 
-def each(limbs: Sequence[tuple[Any, Dataset]], work: Callable[[Any, Dataset], Fit], dataset: Dataset) -> Fit:
+def each(
+    limbs: Sequence[tuple[Any, Dataset]], work: Callable[[Any, Dataset], Fit], dataset: Dataset
+) -> Fit:
     """The work done for each limb, put together."""
     fits = [work(robot, data) for robot, data in limbs]
     return together(fits, dataset) if len(fits) > 1 else fits[0]

@@ -52,15 +52,30 @@ Fitting = Callable[[Residual | None, np.ndarray | None, int], Fit]
 def by_torque(binding: Binding) -> bool:
     """Whether a measured motion under measured torques can be compared without being simulated."""
     chain = binding.chain
-    return bool(binding.motions) and chain.direct and not chain.mechanism.hidden_states and bool(binding.experiments("fit"))
+    return (
+        bool(binding.motions)
+        and chain.direct
+        and not chain.mechanism.hidden_states
+        and bool(binding.experiments("fit"))
+    )
 
 
 def by_windows(binding: Binding, fitter: AbstractFitter | None = None) -> bool:
     """Whether runs can be compared over windows, and a fitter can find the many starts that these bring."""
     chain = binding.chain
-    led = getattr(chain.mechanism, "drive_law", None) is not None  # by its goals: it does not get lost
-    able = not led and not chain.mechanism.hidden_states and (bool(binding.motions) or not chain.has_states())
-    return able and bool(binding.experiments("fit")) and (fitter is None or fitter.name in ("lm", "bfgs", "optimistix_lm"))
+    led = (
+        getattr(chain.mechanism, "drive_law", None) is not None
+    )  # by its goals: it does not get lost
+    able = (
+        not led
+        and not chain.mechanism.hidden_states
+        and (bool(binding.motions) or not chain.has_states())
+    )
+    return (
+        able
+        and bool(binding.experiments("fit"))
+        and (fitter is None or fitter.name in ("lm", "bfgs", "optimistix_lm"))
+    )
 
 
 def growth(bench: Bench, theta: np.ndarray) -> float:
@@ -79,7 +94,11 @@ def growth(bench: Bench, theta: np.ndarray) -> float:
         starts = np.repeat(start[None], n + 1, 0)
         starts[np.arange(n) + 1, :, np.arange(n)] += DIFFERENCE
         base, *moved = free_runs(bench, split, [theta] * (n + 1), starts)
-        apart = [np.abs(y[:, seen] - y0[:, seen]).max() for run in moved for y, y0 in zip(run, base, strict=True)]
+        apart = [
+            np.abs(y[:, seen] - y0[:, seen]).max()
+            for run in moved
+            for y, y0 in zip(run, base, strict=True)
+        ]
         largest = max(largest, float(np.nanmax(apart)) / DIFFERENCE)
     return largest
 
@@ -87,9 +106,14 @@ def growth(bench: Bench, theta: np.ndarray) -> float:
 def decays(binding: Binding) -> bool:
     """Whether every run that is fitted is a free swing of several amplitudes: nothing drives it, and it turns often."""
     runs = binding.experiments("fit")
-    if not runs or not all(e.name in binding.motions and not np.ptp(e.u, axis=0).any() for e in runs):
+    if not runs or not all(
+        e.name in binding.motions and not np.ptp(e.u, axis=0).any() for e in runs
+    ):
         return False
-    turns = [int(np.max(np.count_nonzero(np.diff(np.sign(_moving(binding, e.name)), axis=0), axis=0))) for e in runs]
+    turns = [
+        int(np.max(np.count_nonzero(np.diff(np.sign(_moving(binding, e.name)), axis=0), axis=0)))
+        for e in runs
+    ]
     return min(turns) >= TURNS
 
 
@@ -116,7 +140,9 @@ def believed(bench: Bench, fit: Fit, fitter: AbstractFitter, fitted: Fitting) ->
     said = "the free run diverges at every candidate" if diverged else _lost(bench, fit, windows)
     if said:
         return _together(
-            windows, fit, f"{said}: models are compared over windows, each with its own start; free_run stands beside"
+            windows,
+            fit,
+            f"{said}: models are compared over windows, each with its own start; free_run stands beside",
         )
     again = fitted(None, windows.theta, fit.evaluations + windows.evaluations)
     better = not again.failed and (fit.failed or again.loss < fit.loss)
@@ -129,7 +155,11 @@ def _doubtful(bench: Bench, fit: Fit) -> bool:
     if not fit.failed and fit.loss <= AT_NOISE:
         return False
     off = _off(fit)
-    return off > ASTRAY or decays(bench.binding) or (off > FOLLOWS and growth(bench, fit.theta) > SENSITIVE)
+    return (
+        off > ASTRAY
+        or decays(bench.binding)
+        or (off > FOLLOWS and growth(bench, fit.theta) > SENSITIVE)
+    )
 
 
 def _off(fit: Fit) -> float:

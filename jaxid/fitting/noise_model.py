@@ -77,13 +77,24 @@ def autoregressions(parts: Sequence[Part], inverse: np.ndarray) -> list[Autoregr
     columns = parts[0].r.shape[1]
     values, vectors = np.linalg.eigh(inverse)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    Q = [np.moveaxis(p.J @ root, 1, 0) for p in parts]  # [columns samples p] of orthonormal columns over all records
+    Q = [
+        np.moveaxis(p.J @ root, 1, 0) for p in parts
+    ]  # [columns samples p] of orthonormal columns over all records
     order = min(ORDER, min(len(p.r) for p in parts) // 16)
-    count = np.array([max(1, sum(np.count_nonzero(p.r[order:, c]) for p in parts)) for c in range(columns)])
-    raw = np.array([sum(_products(p.r[:, c], p.r[:, c], order) for p in parts) / count[c] for c in range(columns)])
+    count = np.array(
+        [max(1, sum(np.count_nonzero(p.r[order:, c]) for p in parts)) for c in range(columns)]
+    )
+    raw = np.array(
+        [
+            sum(_products(p.r[:, c], p.r[:, c], order) for p in parts) / count[c]
+            for c in range(columns)
+        ]
+    )
     orders = [_order(m, n) for m, n in zip(raw, count, strict=True)]
     most = LARGEST * raw[:, 0, 0]
-    found = [_no_larger(_fitted(m, k, n), v) for m, k, n, v in zip(raw, orders, count, most, strict=True)]
+    found = [
+        _no_larger(_fitted(m, k, n), v) for m, k, n, v in zip(raw, orders, count, most, strict=True)
+    ]
     before = np.array([f.covariance(order + 1) for f in found])
     for _ in range(ROUNDS):
         noise = [f.covariance(max(len(p.r) for p in parts)) for f in found]
@@ -98,7 +109,9 @@ def autoregressions(parts: Sequence[Part], inverse: np.ndarray) -> list[Autoregr
             for c in range(columns):
                 both = next(cross)
                 taken[c] += both + both.T - _products(q[c], q[c] @ G, order)
-        new = [_fitted(m + t / n, k, n) for m, t, k, n in zip(raw, taken, orders, count, strict=True)]
+        new = [
+            _fitted(m + t / n, k, n) for m, t, k, n in zip(raw, taken, orders, count, strict=True)
+        ]
         found = [_no_larger(f, v) for f, v in zip(new, most, strict=True)]
         now = np.array([f.covariance(order + 1) for f in found])
         if np.all(np.abs(now - before) <= 1e-3 * now[:, :1]):
@@ -111,7 +124,11 @@ def student(parts: Sequence[Part], noise: Sequence[Autoregression], parameters: 
     """By how much the ends of a 95 % interval lie further out than a normal distribution's, for want of independent samples."""
     from scipy.special import ndtri, stdtrit
 
-    worth = sum(np.count_nonzero(p.r[:, c]) / column.memory() for p in parts for c, column in enumerate(noise))
+    worth = sum(
+        np.count_nonzero(p.r[:, c]) / column.memory()
+        for p in parts
+        for c, column in enumerate(noise)
+    )
     return float(stdtrit(max(2.0, worth - parameters), 0.975) / ndtri(0.975))
 
 
@@ -132,8 +149,14 @@ def _order(products: np.ndarray, count: int) -> int:
 
 def _solved(products: np.ndarray, order: int) -> tuple[np.ndarray, float]:
     """Coefficients and variance of the innovations by least squares from mean products of lagged samples."""
-    ar = np.linalg.lstsq(products[1 : order + 1, 1 : order + 1], products[0, 1 : order + 1], rcond=1e-12)[0]
-    return ar, max(float(products[0, 0] - ar @ products[0, 1 : order + 1]), 1e-12 * float(products[0, 0]), 1e-300)
+    ar = np.linalg.lstsq(
+        products[1 : order + 1, 1 : order + 1], products[0, 1 : order + 1], rcond=1e-12
+    )[0]
+    return ar, max(
+        float(products[0, 0] - ar @ products[0, 1 : order + 1]),
+        1e-12 * float(products[0, 0]),
+        1e-300,
+    )
 
 
 def _fitted(products: np.ndarray, order: int, count: int) -> Autoregression:
@@ -142,7 +165,9 @@ def _fitted(products: np.ndarray, order: int, count: int) -> Autoregression:
     roots = np.roots(np.concatenate([[1.0], -ar]))
     size = np.abs(roots)
     if np.any(size > 1 - 1 / count):
-        ar = -np.real(np.poly(np.where(size > 1 - 1 / count, roots / size * (1 - 1 / count), roots)))[1:]
+        ar = -np.real(
+            np.poly(np.where(size > 1 - 1 / count, roots / size * (1 - 1 / count), roots))
+        )[1:]
     return Autoregression(ar, float(np.sqrt(error)))
 
 
@@ -151,19 +176,27 @@ def _no_larger(noise: Autoregression, variance: float) -> Autoregression:
     circle, whose stationary variance has nothing to do with what was seen."""
     own = float(noise.covariance(1)[0])
     return (
-        noise if own <= variance or variance == 0 else Autoregression(noise.ar, noise.innovation * float(np.sqrt(variance / own)))
+        noise
+        if own <= variance or variance == 0
+        else Autoregression(noise.ar, noise.innovation * float(np.sqrt(variance / own)))
     )
 
 
 def _products(a: np.ndarray, b: np.ndarray, order: int) -> np.ndarray:
     """sum_t a_(t - i) . b_(t - j) for i, j = 0 to order, over the samples that have all of them."""
-    n, a, b = len(a), np.ascontiguousarray(a).reshape(len(a), -1), np.ascontiguousarray(b).reshape(len(b), -1)
+    n, a, b = (
+        len(a),
+        np.ascontiguousarray(a).reshape(len(a), -1),
+        np.ascontiguousarray(b).reshape(len(b), -1),
+    )
     lag = lambda x, k: x[order - k : n - k].reshape(-1)  # of one piece of memory: no copies
     found = np.zeros((order + 1, order + 1))
     found[0] = [lag(a, 0) @ lag(b, j) for j in range(order + 1)]
     found[1:, 0] = [lag(a, i) @ lag(b, 0) for i in range(1, order + 1)]
     backwards = lambda x: x[::-1]
-    more = backwards(a[:order]) @ backwards(b[:order]).T  # both lagged once more: a sample more in front, one less at the end
+    more = (
+        backwards(a[:order]) @ backwards(b[:order]).T
+    )  # both lagged once more: a sample more in front, one less at the end
     less = backwards(a[n - order :]) @ backwards(b[n - order :]).T
     for i in range(order):
         found[i + 1, 1:] = found[i, :-1] + (more - less)[i]
@@ -191,5 +224,7 @@ def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:
     circle = np.zeros(length)
     circle[:n] = covariance[:n]
     circle[length - n + 1 :] = covariance[1:n][::-1]
-    spectrum = np.asarray(rfft(circle))[:, None] * np.asarray(rfft(x, length, axis=0, workers=cores))
+    spectrum = np.asarray(rfft(circle))[:, None] * np.asarray(
+        rfft(x, length, axis=0, workers=cores)
+    )
     return np.asarray(irfft(spectrum, length, axis=0, workers=cores))[:n]

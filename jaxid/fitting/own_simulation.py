@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from jaxid.fitting.result import Score
 
 
-def own_simulation(bench: Bench, residual: Residual, split: str, problem: Problem, z: np.ndarray) -> tuple[Problem, np.ndarray]:
+def own_simulation(
+    bench: Bench, residual: Residual, split: str, problem: Problem, z: np.ndarray
+) -> tuple[Problem, np.ndarray]:
     """A split as the residual simulates it, at the numbers of `problem` at z, and its own z; starts that nobody states are fitted
     to each window, or to the first tenth of each run."""
     if split == "fit":
@@ -32,7 +34,9 @@ def own_simulation(bench: Bench, residual: Residual, split: str, problem: Proble
     return own, at
 
 
-def by_run(problem: Problem, z: np.ndarray, experiments: Sequence[Experiment]) -> list[np.ndarray] | None:
+def by_run(
+    problem: Problem, z: np.ndarray, experiments: Sequence[Experiment]
+) -> list[np.ndarray] | None:
     """What a problem simulates of each of the runs [samples outputs], windows one after the other; None where it does not cover
     them sample by sample."""
     out: list[list[np.ndarray]] = [[] for _ in experiments]
@@ -42,7 +46,9 @@ def by_run(problem: Problem, z: np.ndarray, experiments: Sequence[Experiment]) -
             return None
         out[at].append(prediction)
     whole = [np.concatenate(own) if own else np.zeros((0, 0)) for own in out]
-    return whole if all(len(y) == len(e.t) for y, e in zip(whole, experiments, strict=True)) else None
+    return (
+        whole if all(len(y) == len(e.t) for y, e in zip(whole, experiments, strict=True)) else None
+    )
 
 
 def simulated_scores(problem: Problem, z: np.ndarray) -> dict[str, Score]:
@@ -52,4 +58,7 @@ def simulated_scores(problem: Problem, z: np.ndarray) -> dict[str, Score]:
     predictions = np.concatenate(problem.predictions(z))
     at = np.concatenate([problem.runs.record(r).samples for r in problem.records])
     y = problem.runs.targets[at]
-    return {name: score(y[:, c], predictions[:, c] - y[:, c], unit) for c, (name, unit) in enumerate(problem.runs.channels)}
+    return {
+        name: score(y[:, c], predictions[:, c] - y[:, c], unit)
+        for c, (name, unit) in enumerate(problem.runs.channels)
+    }

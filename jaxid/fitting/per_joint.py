@@ -13,7 +13,11 @@ from jaxid.robots.yardstick import as_it_stands
 
 
 def per_joint(
-    bench: Bench, scores: Mapping[str, Mapping[str, Any]], residual: Any = None, free: Any = (), before: np.ndarray | None = None
+    bench: Bench,
+    scores: Mapping[str, Mapping[str, Any]],
+    residual: Any = None,
+    free: Any = (),
+    before: np.ndarray | None = None,
 ) -> tuple[dict[str, Any], ...]:
     """Each joint's error (root mean square) with the file as it stands (simulated with the numbers `before`, by default its own)
     and re-tuned, on every split that was scored: of the free run, or of the torque where a `residual` without simulation is
@@ -24,7 +28,11 @@ def per_joint(
     out = []
     for split, table in scores.items():
         if residual is None:
-            stated = scored(bench, split, free_runs(bench, split, [theta], estimate_starts(bench, split, [theta]))[0])
+            stated = scored(
+                bench,
+                split,
+                free_runs(bench, split, [theta], estimate_starts(bench, split, [theta]))[0],
+            )
             places = {j: j for j in table}
         else:
             stated = torque_scores(bench, residual, split, theta, free)
@@ -44,7 +52,9 @@ def per_joint(
     return tuple(out)
 
 
-def with_effects(retuned: tuple[dict[str, Any], ...], final: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
+def with_effects(
+    retuned: tuple[dict[str, Any], ...], final: tuple[dict[str, Any], ...]
+) -> tuple[dict[str, Any], ...]:
     """Rows of the re-tuned model beside those of the one with effects, which stand under `with_effects`."""
     after = {(r["joint"], r["split"]): r["retuned"] for r in final}
     return tuple(r | {"with_effects": after.get((r["joint"], r["split"]))} for r in retuned)

@@ -92,24 +92,43 @@ class AbstractPopulation(AbstractFitter):
 
     popsize: eqx.AbstractVar[int]
     generations: eqx.AbstractVar[int]
-    stall: int = eqx.field(default=60, kw_only=True, metadata=about("generations without gain after which it ends; 0: never", 0))
-    tolerance: float = eqx.field(default=1e-9, kw_only=True, metadata=about("relative gain that counts as one", 0))
+    stall: int = eqx.field(
+        default=60,
+        kw_only=True,
+        metadata=about("generations without gain after which it ends; 0: never", 0),
+    )
+    tolerance: float = eqx.field(
+        default=1e-9, kw_only=True, metadata=about("relative gain that counts as one", 0)
+    )
     restarts: int = eqx.field(
-        default=0, kw_only=True, metadata=about("most new beginnings, until two in a row end in the same minimum", 0)
+        default=0,
+        kw_only=True,
+        metadata=about("most new beginnings, until two in a row end in the same minimum", 0),
     )
 
     @abc.abstractmethod
-    def init(self, key: PRNGKeyArray, population: Float[Array, "pop dim"], losses: Float[Array, " pop"]) -> Any:
+    def init(
+        self, key: PRNGKeyArray, population: Float[Array, "pop dim"], losses: Float[Array, " pop"]
+    ) -> Any:
         """State from a first, evaluated population."""
 
     @abc.abstractmethod
     def ask(
-        self, key: PRNGKeyArray, state: Any, lower: Float[Array, " dim"], upper: Float[Array, " dim"]
+        self,
+        key: PRNGKeyArray,
+        state: Any,
+        lower: Float[Array, " dim"],
+        upper: Float[Array, " dim"],
     ) -> Float[Array, "offspring dim"]:
         """Candidates of the next generation; what leaves the bounds is brought back by the base."""
 
     @abc.abstractmethod
-    def tell(self, state: Any, candidates: Float[Array, "offspring dim"], losses: Float[Array, " offspring"]) -> Any:
+    def tell(
+        self,
+        state: Any,
+        candidates: Float[Array, "offspring dim"],
+        losses: Float[Array, " offspring"],
+    ) -> Any:
         """State after the candidates have been evaluated."""
 
     @abc.abstractmethod
@@ -143,12 +162,20 @@ class AbstractPopulation(AbstractFitter):
         return self
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
-        return answered(self._minimising(problem, starts, key, Log(problem, self.name, budget, seconds, progress)), problem)
+        return answered(
+            self._minimising(
+                problem, starts, key, Log(problem, self.name, budget, seconds, progress)
+            ),
+            problem,
+        )
 
     def minimise_each(self, jobs, budget=None, progress=None):
         """`minimise` of each (problem, starts, key), with the same results; searches on one problem evaluate their generations
         together, which fills all cores."""
-        searches = [self._minimising(p, starts, key, Log(p, self.name, budget, None, progress)) for p, starts, key in jobs]
+        searches = [
+            self._minimising(p, starts, key, Log(p, self.name, budget, None, progress))
+            for p, starts, key in jobs
+        ]
         return answered_together(searches, [p for p, _, _ in jobs])
 
     def _minimising(
@@ -161,16 +188,26 @@ class AbstractPopulation(AbstractFitter):
                 break
             own = starts if attempt == 0 else starts[:1]
             ended = yield from fitter.searching(problem, own, jax.random.fold_in(key, attempt), log)
-            agree = found is not None and same(ended.course.best[1], found.course.best[1]) and ended.converged
+            agree = (
+                found is not None
+                and same(ended.course.best[1], found.course.best[1])
+                and ended.converged
+            )
             if found is None or ended.course.best[1] < found.course.best[1] or agree:
                 found = ended
             if agree:
-                found = ended._replace(stopped=f"restarts end in the same minimum ({ended.stopped})")
+                found = ended._replace(
+                    stopped=f"restarts end in the same minimum ({ended.stopped})"
+                )
                 break
             fitter = fitter.again()
         if found is None:
             middle = (problem.lower + problem.upper) / 2
-            return log.minimum(np.clip(starts[0] if starts else middle, problem.lower, problem.upper), False, log.exhausted)
+            return log.minimum(
+                np.clip(starts[0] if starts else middle, problem.lower, problem.upper),
+                False,
+                log.exhausted,
+            )
         return log.minimum(found.course.best[0], found.converged, found.stopped, found.stalled)
 
     def searching(
@@ -203,17 +240,27 @@ class AbstractPopulation(AbstractFitter):
             if spread <= COLLAPSED * float(np.min(problem.upper - problem.lower)):
                 return _ended(now, True, "the population has collapsed to one point")
         full = generations < wanted
-        why = log.exhausted or ("the budget of evaluations is used up" if full else "all generations done")
+        why = log.exhausted or (
+            "the budget of evaluations is used up" if full else "all generations done"
+        )
         return Ended(now, False, why if now.improved else f"{why}; {UNIMPROVED}", False)
 
-    def _begin(self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log) -> Searching[Course]:
+    def _begin(
+        self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log
+    ) -> Searching[Course]:
         """First population: the starts, and random points of the sampling box; without starts, of the bounds. With less budget
         than that, the rest of it is not evaluated."""
         low, high = sampling_box(problem, starts[0]) if starts else (problem.lower, problem.upper)
-        guesses = np.clip(np.reshape(starts[: max(1, self.popsize // 4)], (-1, low.size)), problem.lower, problem.upper)
+        guesses = np.clip(
+            np.reshape(starts[: max(1, self.popsize // 4)], (-1, low.size)),
+            problem.lower,
+            problem.upper,
+        )
         with float64():
             k0, k1 = jax.random.split(jax.random.fold_in(key, 0))
-            points = low + (high - low) * np.asarray(jax.random.uniform(k0, (self.popsize, low.size)))
+            points = low + (high - low) * np.asarray(
+                jax.random.uniform(k0, (self.popsize, low.size))
+            )
         points[: len(guesses)] = guesses
         losses = np.full(self.popsize, PENALTY)
         count = int(min(self.popsize, log.left))
@@ -222,21 +269,51 @@ class AbstractPopulation(AbstractFitter):
         return self.course(problem, k1, points, losses, len(guesses))
 
     def course(
-        self, problem: AbstractProblem, key: PRNGKeyArray, points: np.ndarray, losses: np.ndarray, starts: int = 0
+        self,
+        problem: AbstractProblem,
+        key: PRNGKeyArray,
+        points: np.ndarray,
+        losses: np.ndarray,
+        starts: int = 0,
     ) -> Course:
         """A course that begins with this evaluated population, of which so many at the front are starts."""
         with float64():
-            program = problem.compiled((*self._settings, "init"), self.init, key, points, losses, own=False)
+            program = problem.compiled(
+                (*self._settings, "init"), self.init, key, points, losses, own=False
+            )
             given, own = losses[:starts].min(initial=np.inf), losses[starts:].min(initial=np.inf)
-            return Course(program(key, points, losses), points, losses, np.float64(given), np.float64(own), np.int32(0))
+            return Course(
+                program(key, points, losses),
+                points,
+                losses,
+                np.float64(given),
+                np.float64(own),
+                np.int32(0),
+            )
 
     def _several(
-        self, problem: AbstractProblem, course: Course, key: PRNGKeyArray, first: int, count: int, log: Log
+        self,
+        problem: AbstractProblem,
+        course: Course,
+        key: PRNGKeyArray,
+        first: int,
+        count: int,
+        log: Log,
     ) -> tuple[Course, float, int, int]:
         """At most `count` generations as one program: (course, spread, generations done, how many to ask for next)."""
         with float64():
-            args = course, jnp.asarray(key), np.int32(first), np.int32(count), problem.lower, problem.upper, problem.data
-            program = problem.compiled((*self._settings, "advance"), _advance(self, problem.pure), *args)
+            args = (
+                course,
+                jnp.asarray(key),
+                np.int32(first),
+                np.int32(count),
+                problem.lower,
+                problem.upper,
+                problem.data,
+            )
+            program = problem.compiled(
+                (*self._settings, "advance"), _advance(self, problem.pure), *args
+            )
             began = log.elapsed
             course, series, done, spread = program(*args)
             done, series, spread = int(done), np.asarray(series), float(spread)
@@ -244,13 +321,22 @@ class AbstractPopulation(AbstractFitter):
         for i in range(done):
             log.add(self.offspring, float(series[i]), began + spent * (i + 1) / done)
         limit = 0.7 if log.limit is None else min(0.7, 0.3 * max(log.limit - log.elapsed, 1e-3))
-        return course, spread, done, int(np.clip(done * min(8.0, limit / max(spent, 1e-6)), 1, CHUNK))
+        return (
+            course,
+            spread,
+            done,
+            int(np.clip(done * min(8.0, limit / max(spent, 1e-6)), 1, CHUNK)),
+        )
 
-    def _generation(self, programs: _Programs, course: Course, number: int, log: Log) -> Searching[tuple[Course, float]]:
+    def _generation(
+        self, programs: _Programs, course: Course, number: int, log: Log
+    ) -> Searching[tuple[Course, float]]:
         """One generation, its candidates handed out."""
         with float64():
             course = course._replace(state=self.informed(programs.problem, course.state, log))
-            candidates = programs("ask", _proposal, programs.key, np.int32(number), course.state, *programs.bounds)
+            candidates = programs(
+                "ask", _proposal, programs.key, np.int32(number), course.state, *programs.bounds
+            )
         losses = yield np.asarray(candidates)
         with float64():
             course, spread = programs("tell", _selection, course, candidates, losses)
@@ -265,7 +351,12 @@ def _ended(course: Course, contracted: bool, why: str) -> Ended:
     """A search that ended by a rule of its own; it converged where the population contracted to what it found itself."""
     if not course.improved:
         return Ended(course, False, f"{UNIMPROVED} ({why})", True)
-    return Ended(course, contracted, why if contracted else f"{why}, but the population has not contracted", not contracted)
+    return Ended(
+        course,
+        contracted,
+        why if contracted else f"{why}, but the population has not contracted",
+        not contracted,
+    )
 
 
 class _Programs:
@@ -274,13 +365,20 @@ class _Programs:
     def __init__(self, fitter: AbstractPopulation, problem: AbstractProblem, key: PRNGKeyArray):
         self.fitter, self.problem = fitter, problem
         with float64():
-            self.key, self.bounds = jnp.asarray(key), (jnp.asarray(problem.lower), jnp.asarray(problem.upper))
+            self.key, self.bounds = (
+                jnp.asarray(key),
+                (jnp.asarray(problem.lower), jnp.asarray(problem.upper)),
+            )
         self._programs: dict[str, Callable] = {}
 
-    def __call__(self, name: str, maker: Callable[[AbstractPopulation], Callable], *args: Any) -> Any:
+    def __call__(
+        self, name: str, maker: Callable[[AbstractPopulation], Callable], *args: Any
+    ) -> Any:
         if name not in self._programs:
             settings = (*self.fitter._settings, name)
-            self._programs[name] = self.problem.compiled(settings, maker(self.fitter), *args, own=False)
+            self._programs[name] = self.problem.compiled(
+                settings, maker(self.fitter), *args, own=False
+            )
         return self._programs[name](*args)
 
 
@@ -314,7 +412,9 @@ def _selection(fitter: AbstractPopulation) -> Callable[..., tuple[Course, Array]
     return select
 
 
-def _advance(fitter: AbstractPopulation, losses: Callable[[Array, Any], Array]) -> Callable[..., tuple]:
+def _advance(
+    fitter: AbstractPopulation, losses: Callable[[Array, Any], Array]
+) -> Callable[..., tuple]:
     """`count` generations as one program, fewer if a stopping rule holds: (course, best loss of each, how many, spread)."""
     propose, select = _proposal(fitter), _selection(fitter)
 
@@ -346,4 +446,6 @@ def reflected(key: PRNGKeyArray, z: Array, lower: Array, upper: Array) -> Array:
     """What lies outside the bounds goes to a random place inside; nan too. One random number a candidate."""
     draw = jax.random.uniform(key, (z.shape[0], 1)) + _GOLDEN * jnp.arange(z.shape[1])
     inside = (z >= lower) & (z <= upper)
-    return jnp.where(inside, z, jnp.clip(lower + (upper - lower) * (draw - jnp.floor(draw)), lower, upper))
+    return jnp.where(
+        inside, z, jnp.clip(lower + (upper - lower) * (draw - jnp.floor(draw)), lower, upper)
+    )

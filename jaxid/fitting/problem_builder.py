@@ -45,19 +45,28 @@ class Bench:
     def __post_init__(self):
         self._runs: dict[tuple[str, str], Runs] = {}
         self._begun: dict[tuple[str, bytes], Begun] = {}
-        self._targets: dict[tuple[str, str], np.ndarray | None] = {}  # with the defects taken off: one array for all problems
+        self._targets: dict[
+            tuple[str, str], np.ndarray | None
+        ] = {}  # with the defects taken off: one array for all problems
         self._forgotten = 0.0  # seconds of compiling for runs that were let go
         samples.refuse_endless(self.binding.dataset.experiments, self.step)
         # One shape for all splits, and for the half step that a search may go over to: one program.
         room = min(self.step, samples.STEP / 2)
-        self._shape = self._largest({e.name: samples.step_count(e.whole, room) for e in self.binding.dataset.experiments})
+        self._shape = self._largest(
+            {e.name: samples.step_count(e.whole, room) for e in self.binding.dataset.experiments}
+        )
         self._rows = self._largest({e.name: len(e.t) for e in self.binding.dataset.experiments})
-        if self._shape[1] > samples.LONG:  # compiling once more costs less than the memory of buffers that are mostly empty
+        if (
+            self._shape[1] > samples.LONG
+        ):  # compiling once more costs less than the memory of buffers that are mostly empty
             self._shape = self._rows = 0, 0
 
     def _largest(self, steps: dict[str, int]) -> tuple[int, int]:
         """Steps of the fit runs and a split beside them, and of the longest experiment."""
-        fit, *others = (sum(steps[e.name] for e in self.binding.experiments(s)) for s in ("fit", "validation", "report"))
+        fit, *others = (
+            sum(steps[e.name] for e in self.binding.experiments(s))
+            for s in ("fit", "validation", "report")
+        )
         return fit + max(others), max(steps.values(), default=0)
 
     def runs(self, residual: Residual, split: str) -> Runs:
@@ -81,7 +90,11 @@ class Bench:
     def forget_long(self, kept: Residual) -> None:
         """Lets go of the torques of long runs, which only start values were made of, where another residual is fitted."""
         if not kept.torques:
-            gone = [key for key, runs in self._runs.items() if runs.setting is not None and runs.engine.long]
+            gone = [
+                key
+                for key, runs in self._runs.items()
+                if runs.setting is not None and runs.engine.long
+            ]
             self._forgotten += sum(self._runs.pop(key).engine.compile_time_s for key in gone)
 
     def compile_ahead(self, residual: Residual, theta: np.ndarray, free: Sequence[int]) -> None:
@@ -113,7 +126,9 @@ class Bench:
             free = told_by(b.layout, list(free))
         runs = self.runs(residual, split)
         priors = b.priors if "fit" in split.split("+") else None  # they count once
-        p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors)
+        p = Problem(
+            runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors
+        )
         key = (repr(residual), split)
         if key not in self._targets:
             defect = self.defect(residual, split)
@@ -147,9 +162,16 @@ class Bench:
 
     def begun(self, split: str, thetas: Sequence[np.ndarray]) -> list[Begun]:
         """How the free runs of a split begin with each of several parameter vectors; what was estimated before is kept."""
-        new = {theta.tobytes(): theta for theta in thetas if (split, theta.tobytes()) not in self._begun}
+        new = {
+            theta.tobytes(): theta
+            for theta in thetas
+            if (split, theta.tobytes()) not in self._begun
+        }
         if new:
-            self._begun |= {(split, key): b for key, b in zip(new, _begun(self, split, list(new.values())), strict=True)}
+            self._begun |= {
+                (split, key): b
+                for key, b in zip(new, _begun(self, split, list(new.values())), strict=True)
+            }
         return [self._begun[split, theta.tobytes()] for theta in thetas]
 
     def simulated(self) -> int:
@@ -167,7 +189,11 @@ def default_residual(binding: Binding) -> Residual:
 
 
 def start_values(
-    bench: Bench, free: Sequence[int], seed: int, runs: Sequence[int] | None = None, residual: Residual | None = None
+    bench: Bench,
+    free: Sequence[int],
+    seed: int,
+    runs: Sequence[int] | None = None,
+    residual: Residual | None = None,
 ) -> list[np.ndarray]:
     """Guesses of every number of the model, best first: what inverse dynamics finds (of some of the fit runs alone, where `runs`
     are given), what was stated or is the default. Torques tell a `residual` of momentum nothing: none may have been recorded."""
@@ -218,7 +244,9 @@ def _begun(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> list[Begun
         if unknown:
             paths.update(zip(unknown, descend([jobs[k] for k in unknown], 8, 1e-8), strict=True))
 
-    follows = lambda n: n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size)
+    follows = lambda n: (
+        n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size)
+    )
     descended([own[0] for own in groups])
     descended([n for own in groups if not follows(own[0]) for n in own[1:]])
     starts = np.zeros((len(thetas), len(runs.heads), jobs[0][0].start0.shape[1]))
@@ -229,5 +257,7 @@ def _begun(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> list[Begun
         z = paths[best].z if best in paths else z
         starts[divmod(k, len(runs.heads))] = p.starts(z)[0]
         hessian = paths[best].hessian if best in paths else None
-        out[k // len(runs.heads)].information.append(np.zeros((p.size, p.size)) if hessian is None else hessian)
+        out[k // len(runs.heads)].information.append(
+            np.zeros((p.size, p.size)) if hessian is None else hessian
+        )
     return out

@@ -80,7 +80,9 @@ def profile_likelihood(
         others = np.delete(np.arange(problem.size), k)
         bend = (
             curvature[k, k]
-            - curvature[k, others] @ np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-12) @ curvature[others, k]
+            - curvature[k, others]
+            @ np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-12)
+            @ curvature[others, k]
         )
         std = cov.std[k] if np.isfinite(cov.std[k]) and cov.std[k] > 0 else fallback[k]
         scale = max(float(std**2 * bend), 1.0) if np.isfinite(cov.std[k]) and bend > 0 else 1.0
@@ -102,18 +104,45 @@ def profile_likelihood(
         rise = [*reversed(left.rise[1:]), *right.rise]
         assert abs(unit(z[left.k]) - theta[position]) <= 1e-9 * max(1.0, abs(theta[position]))
         ends = (left.crossing(threshold), right.crossing(threshold))
-        interval = (None if ends[0] is None else unit(ends[0]), None if ends[1] is None else unit(ends[1]))
+        interval = (
+            None if ends[0] is None else unit(ends[0]),
+            None if ends[1] is None else unit(ends[1]),
+        )
         bounds = left.ended, right.ended
         said = problem.runs.layout.entries[position].unit
-        out[name] = Profile(name, np.array([unit(v) for v in values]), np.array(rise), threshold, interval, bounds, said)
+        out[name] = Profile(
+            name,
+            np.array([unit(v) for v in values]),
+            np.array(rise),
+            threshold,
+            interval,
+            bounds,
+            said,
+        )
     return out
 
 
 class Track:
     """One side of a profile on its way out."""
 
-    def __init__(self, problem: Problem, k: int, side: int, std: float, scale: float, z: np.ndarray, cost: float):
-        self.problem, self.k, self.side, self.std, self.scale, self.cost = problem, k, side, std, scale, cost
+    def __init__(
+        self,
+        problem: Problem,
+        k: int,
+        side: int,
+        std: float,
+        scale: float,
+        z: np.ndarray,
+        cost: float,
+    ):
+        self.problem, self.k, self.side, self.std, self.scale, self.cost = (
+            problem,
+            k,
+            side,
+            std,
+            scale,
+            cost,
+        )
         self.values, self.rise, self.points, self.ended = [float(z[k])], [0.0], [z], False
 
     def goes_on(self, threshold: float) -> bool:
@@ -126,8 +155,16 @@ class Track:
         value = self.values[0] + self.side * step * self.std
         if (bound - value) * self.side <= 0:
             value, self.ended = bound, True
-        share = (value - self.values[-1]) / (self.values[-1] - self.values[-2]) if len(self.values) > 1 else 0.0
-        drift = share * (self.points[-1] - self.points[-2]) if len(self.values) > 1 else np.zeros(p.size)
+        share = (
+            (value - self.values[-1]) / (self.values[-1] - self.values[-2])
+            if len(self.values) > 1
+            else 0.0
+        )
+        drift = (
+            share * (self.points[-1] - self.points[-2])
+            if len(self.values) > 1
+            else np.zeros(p.size)
+        )
         guess = np.clip(self.points[-1] + drift, p.lower, p.upper)
         guess[k] = value
         self.values.append(float(value))
@@ -141,7 +178,9 @@ class Track:
 
     def take(self, z: np.ndarray, cost: float) -> None:
         self.points.append(np.insert(z, self.k, self.values[-1]))
-        self.rise.append(max(0.0, 2 * (cost - self.cost)) / self.scale if np.isfinite(cost) else np.inf)
+        self.rise.append(
+            max(0.0, 2 * (cost - self.cost)) / self.scale if np.isfinite(cost) else np.inf
+        )
 
     def crossing(self, threshold: float) -> float | None:
         """Where the rise passes the threshold: linear in its square root, which is a line for a parabola."""
@@ -167,7 +206,9 @@ class Bootstrap:
 
     @property
     def std(self) -> dict[str, float]:
-        return {n: float(s) for n, s in zip(self.names, np.std(self.samples, 0, ddof=1), strict=True)}
+        return {
+            n: float(s) for n, s in zip(self.names, np.std(self.samples, 0, ddof=1), strict=True)
+        }
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Percentile interval of each parameter."""
@@ -184,10 +225,18 @@ def bootstrap(problem: Problem, z: np.ndarray, replicas: int = 200, seed: int = 
     """
     parts = list(rows([(problem, z)]))
     cov = covariance(problem, z)
-    count = np.array([max(1, sum(np.count_nonzero(p.r[:, c]) for p in parts)) for c in range(parts[0].r.shape[1])])
+    count = np.array(
+        [
+            max(1, sum(np.count_nonzero(p.r[:, c]) for p in parts))
+            for c in range(parts[0].r.shape[1])
+        ]
+    )
     noise = cov.noise or [Autoregression(np.zeros(0), np.nan)] * len(count)
     first = max(len(n.ar) for n in noise)
-    innovations = [np.stack([n.whitened(r) for n, r in zip(noise, p.r.T, strict=True)], 1)[first:] for p in parts]
+    innovations = [
+        np.stack([n.whitened(r) for n, r in zip(noise, p.r.T, strict=True)], 1)[first:]
+        for p in parts
+    ]
     size = np.sqrt(sum(np.sum(e**2, 0) for e in innovations) / count)
     if cov.noise:
         scale = cov.widened * np.array([n.innovation for n in noise]) / np.maximum(size, 1e-300)
@@ -201,7 +250,9 @@ def bootstrap(problem: Problem, z: np.ndarray, replicas: int = 200, seed: int = 
         for part, e, y in zip(parts, innovations, predicted, strict=True):
             at = problem.runs.record(part.record).samples
             drawn = (e - e.mean(0))[rng.integers(0, len(e), len(at) + BURN_IN)]
-            series = np.stack([n.coloured(d)[BURN_IN:] for n, d in zip(noise, drawn.T, strict=True)], 1)
+            series = np.stack(
+                [n.coloured(d)[BURN_IN:] for n, d in zip(noise, drawn.T, strict=True)], 1
+            )
             targets[at] = y - scale * series / np.where(part.w > 0, part.w, np.inf)
         jobs.append((problem.with_targets(targets), z))
     paths = descend(jobs, 8, 1e-8)

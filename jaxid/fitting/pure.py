@@ -38,7 +38,9 @@ def make_problem(
     if loss not in LOSSES:
         raise UsageError(f"there is no loss {loss!r}{nearest(loss, LOSSES)}")
     if split not in ("fit", "validation", "report"):
-        raise UsageError(f"there is no split {split!r}{nearest(split, ('fit', 'validation', 'report'))}")
+        raise UsageError(
+            f"there is no split {split!r}{nearest(split, ('fit', 'validation', 'report'))}"
+        )
     binding = bind(model, dataset, effects=effects, without=without)
     chosen = resolve_residual(residual) or default_residual(binding)
     bench = Bench(with_solver(binding, solver, chosen))

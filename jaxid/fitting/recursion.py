@@ -56,7 +56,9 @@ class Recursion:
         if self.window is not None and self.window < 1:
             raise UsageError(f"a window of {self.window} blocks holds nothing; give at least 1")
         if not 0 < self.forgetting <= 1:
-            raise UsageError(f"forgetting is {self.forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)")
+            raise UsageError(
+                f"forgetting is {self.forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)"
+            )
         if self.block_s is not None and not self.block_s > 0:
             raise UsageError(f"blocks of {self.block_s:g} s hold nothing")
 
@@ -95,7 +97,9 @@ def in_blocks(dataset: Dataset, block_s: float | None = None) -> Dataset:
         edges = np.searchsorted(e.t, e.t[0] + e.duration / count * np.arange(1, count)).tolist()
         cuts = [0, *edges, len(e)]
         for k, (a, b) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
-            out.append(e if count == 1 else e.piece(a, b, name=f"{e.name}#block{k + 1}", split="fit"))
+            out.append(
+                e if count == 1 else e.piece(a, b, name=f"{e.name}#block{k + 1}", split="fit")
+            )
     return replace(dataset, experiments=tuple(out))
 
 
@@ -111,8 +115,12 @@ def absorbed(known: Known, problem: Problem, z: np.ndarray, forgetting: float = 
     for part in rows([(problem, z)], pieces=True):
         J = np.zeros((part.r.size, size))
         J[:, part.z_columns] = part.J.reshape(part.r.size, -1)
-        R = np.linalg.qr(np.concatenate([R, np.column_stack([(J / slope)[:, order], part.r.ravel()])]), "r")
-    own = R[min(size - n, len(R)) : size, size - n :]  # below the starts; of fewer rows than columns what there is
+        R = np.linalg.qr(
+            np.concatenate([R, np.column_stack([(J / slope)[:, order], part.r.ravel()])]), "r"
+        )
+    own = R[
+        min(size - n, len(R)) : size, size - n :
+    ]  # below the starts; of fewer rows than columns what there is
     weight = np.sqrt(forgetting)
     before = np.column_stack([known.R, known.R @ (values - known.mean) + known.e])
     both: Any = weight * np.linalg.qr(np.concatenate([before, own]), "r")
@@ -135,7 +143,9 @@ def fit_recursively(
     began = time.perf_counter()
     residual = residual or default_residual(binding)
     if recursion.window is None and loss != "sum_of_squares":
-        raise UsageError(f"what earlier blocks say is carried on in squares: use sum_of_squares, or a window, with {loss}")
+        raise UsageError(
+            f"what earlier blocks say is carried on in squares: use sum_of_squares, or a window, with {loss}"
+        )
     blocks = binding.dataset.split("fit")
     if len(blocks) < 2:
         raise UsageError(
@@ -174,7 +184,9 @@ def fit_recursively(
             break
         now, e = time.perf_counter(), blocks[len(steps)]
         numbers = estimates_of(problem, minimum)
-        steps.append(Step(e.name, float(e.t[-1]), minimum.loss, minimum.evaluations, now - last, numbers))
+        steps.append(
+            Step(e.name, float(e.t[-1]), minimum.loss, minimum.evaluations, now - last, numbers)
+        )
         last = now
         if progress:
             progress(fitter.name, len(steps), len(blocks), f"loss {minimum.loss:.6g}")
@@ -184,15 +196,23 @@ def fit_recursively(
     if recursion.window is None:
         notes.append("standard deviations take the residuals of earlier blocks as white")
     if binding.chain.has_states():
-        notes.append("what remembers the motion (delays, springs, sensors) begins anew in every block")
-    fit = assemble(bench, problem, total, residual, label_of(fitter), seed, benches.compile_time(), 0.0, notes)
+        notes.append(
+            "what remembers the motion (delays, springs, sensors) begins anew in every block"
+        )
+    fit = assemble(
+        bench, problem, total, residual, label_of(fitter), seed, benches.compile_time(), 0.0, notes
+    )
     return replace(fit, recursion=tuple(steps), wall_time_s=time.perf_counter() - began)
 
 
 def statement(recursion: Recursion, count: int) -> str:
     """What the numbers of such a fit are of."""
     if recursion.window is not None:
-        weighed = "" if recursion.forgetting == 1 else f", each block {recursion.forgetting:g} times the one after it"
+        weighed = (
+            ""
+            if recursion.forgetting == 1
+            else f", each block {recursion.forgetting:g} times the one after it"
+        )
         return f"{count} recursions; each fits its last {recursion.window} blocks{weighed}; the numbers are the last one's"
     forgets = (
         "nothing is forgotten"
@@ -203,7 +223,11 @@ def statement(recursion: Recursion, count: int) -> str:
 
 
 def followed(
-    fitter: AbstractFitter, problems: Iterator[Problem], guesses: list[np.ndarray], key: Any, budget: int | None
+    fitter: AbstractFitter,
+    problems: Iterator[Problem],
+    guesses: list[np.ndarray],
+    key: Any,
+    budget: int | None,
 ) -> Iterator[Minimum]:
     """The best of each problem in turn: `sequential.follow` of a population, else a search from where the last one ended."""
     first = next(problems)
@@ -216,17 +240,28 @@ def followed(
     if isinstance(fitter, AbstractPopulation):
         yield from follow(fitter, again(), starts, key, GENERATIONS, budget)
         return
-    single = replace(fitter, restarts=0) if "restarts" in {f.name for f in fields(fitter)} else fitter
+    single = (
+        replace(fitter, restarts=0) if "restarts" in {f.name for f in fields(fitter)} else fitter
+    )
     z, names = starts[0], first.names
     for number, problem in enumerate(again()):
         own = starts if number == 0 else [carried(z[None], names, problem)[0]]
-        minimum = (single if number else fitter).minimise(problem, own, jax.random.fold_in(key, number), budget)
+        minimum = (single if number else fitter).minimise(
+            problem, own, jax.random.fold_in(key, number), budget
+        )
         z, names = minimum.z, problem.names
         yield minimum
 
 
 def estimates_of(problem: Problem, minimum: Minimum) -> dict[str, tuple[float, float | None]]:
     """Name -> (value, standard deviation) of the fitted numbers."""
-    cov, theta, slope = covariance(problem, minimum.z), problem.theta(minimum.z), problem.dtheta(minimum.z)
-    std = [float(cov.std[k] * slope[k]) if np.isfinite(cov.std[k]) else None for k in range(problem.free.size)]
+    cov, theta, slope = (
+        covariance(problem, minimum.z),
+        problem.theta(minimum.z),
+        problem.dtheta(minimum.z),
+    )
+    std = [
+        float(cov.std[k] * slope[k]) if np.isfinite(cov.std[k]) else None
+        for k in range(problem.free.size)
+    ]
     return {problem.names[k]: (float(theta[i]), std[k]) for k, i in enumerate(problem.free)}

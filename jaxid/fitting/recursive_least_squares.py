@@ -77,7 +77,9 @@ def _replayed(state, Y, tau, noise_var, forgetting, change, watched):
     return jax.lax.scan(step, state, (Y, tau))
 
 
-def replay(Y: np.ndarray, tau: np.ndarray, prior: np.ndarray, **settings: Any) -> tuple[np.ndarray, np.ndarray, int | None]:
+def replay(
+    Y: np.ndarray, tau: np.ndarray, prior: np.ndarray, **settings: Any
+) -> tuple[np.ndarray, np.ndarray, int | None]:
     """The recursion over recorded rows Y [time n p] and torque [time n]: see `replay_stretches`."""
     return replay_stretches([(Y, tau)], prior, **settings)
 
@@ -98,7 +100,9 @@ def replay_stretches(
     full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
     with float64():
         zero = jnp.zeros((), jnp.int32)
-        state = Recursion(jnp.asarray(prior, float), jnp.diag(full(prior_var, prior.size)), zero, zero)
+        state = Recursion(
+            jnp.asarray(prior, float), jnp.diag(full(prior_var, prior.size)), zero, zero
+        )
         run: Any = _replayed
         count, met = 0, None
         for Y, tau in rows:
@@ -112,4 +116,6 @@ def replay_stretches(
 
 def refuse_forgetting(forgetting: float) -> None:
     if not 0 < forgetting <= 1:
-        raise UsageError(f"forgetting is {forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)")
+        raise UsageError(
+            f"forgetting is {forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)"
+        )

@@ -80,23 +80,33 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
         if not path.is_file():
             raise UsageError(f"{path}: no such file, or none that is plain")
     tree = read_tree_loosely(robot)
-    data = driving(named(dataset, tree, dataset.model.joints if dataset.model is not None else None), tree)
+    data = driving(
+        named(dataset, tree, dataset.model.joints if dataset.model is not None else None), tree
+    )
     source = None if against is not None else _source(robot)
     notes: list[str] = []
-    simulated, starts = (None, None) if against is not None else _by_jaxid(dataset, data, robot, tree, source, notes)
+    simulated, starts = (
+        (None, None)
+        if against is not None
+        else _by_jaxid(dataset, data, robot, tree, source, notes)
+    )
     starts = starts or [measured_start(e, data, joints_of(data, tree)) for e in data.experiments]
     ours = in_mujoco(data, robot, tree, source, starts, notes)
     other = "jaxid" if against is None else "against"
     if against is not None:
         there = read_tree_loosely(against)
         if there.leading != tree.leading:
-            raise UsageError(f"{against} has the joints {', '.join(there.leading)}, {robot} has {', '.join(tree.leading)}")
+            raise UsageError(
+                f"{against} has the joints {', '.join(there.leading)}, {robot} has {', '.join(tree.leading)}"
+            )
         simulated = in_mujoco(data, against, there, None, starts, notes)
     before = _before(data, source, starts)
     rows, runs = _compared(data, tree, ours, simulated, other, before)
     notes += _worse(rows)
     notes += _verdict(rows, source, other)
-    return Replay(dataset.name, str(robot), other, tuple(rows), tuple(runs), tuple(dict.fromkeys(notes)))
+    return Replay(
+        dataset.name, str(robot), other, tuple(rows), tuple(runs), tuple(dict.fromkeys(notes))
+    )
 
 
 def read_tree_loosely(path: Path) -> Tree:
@@ -124,10 +134,14 @@ def _source(robot: Path) -> _Source | None:
         rows = json.loads(read_small(robot.parent / ROWS))
     except (OSError, ValueError):
         rows = []
-    return _Source(content, original if known else None, tuple(r for r in rows if isinstance(r, Mapping)))
+    return _Source(
+        content, original if known else None, tuple(r for r in rows if isinstance(r, Mapping))
+    )
 
 
-def _by_jaxid(raw: Dataset, data: Dataset, robot: Path, tree: Tree, source: _Source | None, notes: list[str]) -> tuple[Any, Any]:
+def _by_jaxid(
+    raw: Dataset, data: Dataset, robot: Path, tree: Tree, source: _Source | None, notes: list[str]
+) -> tuple[Any, Any]:
     """(positions by run, starts) of jaxid's free run; (None, None) where it has none, with a note that says why. `raw` is the
     dataset as it came, `data` the same under the joints' names."""
     from jaxid.models import Robot
@@ -135,8 +149,15 @@ def _by_jaxid(raw: Dataset, data: Dataset, robot: Path, tree: Tree, source: _Sou
     result = source.content.get("result", {}) if source is not None else {}
     if result.get("kind") in ("fit", "diagnosis") and result.get("model") not in (None, "robot"):
         return _by_its_model(raw, result, robot, notes)
-    if source is not None and source.original is not None and result.get("kind") in ("fit", "diagnosis"):
-        model, content = Robot(read_tree(source.original)), _content(source, data, joints_of(data, tree))
+    if (
+        source is not None
+        and source.original is not None
+        and result.get("kind") in ("fit", "diagnosis")
+    ):
+        model, content = (
+            Robot(read_tree(source.original)),
+            _content(source, data, joints_of(data, tree)),
+        )
         notes.append(f"jaxid's run is of the result that {robot.name} was exported from")
     else:
         model, content = Robot(tree), None
@@ -144,19 +165,31 @@ def _by_jaxid(raw: Dataset, data: Dataset, robot: Path, tree: Tree, source: _Sou
         if _own_actuators(tree, joints_of(data, tree)):
             data = replace(data, controller=None)
     spec = data.model
-    data = replace(data, model=None if spec is None else replace(spec, name=None, geometry=None, parameters={}, joints={}))
+    data = replace(
+        data,
+        model=None
+        if spec is None
+        else replace(spec, name=None, geometry=None, parameters={}, joints={}),
+    )
     try:
         simulation = simulate_dataset(content, data, model)
     except UsageError as error:
         notes.append(f"jaxid has no run of its own: {error}")
         return None, None
     joints = joints_of(data, tree)
-    return [np.stack([run[j] for j in joints], 1) for run in simulation.runs], [np.asarray(s) for s in simulation.starts]
+    return [np.stack([run[j] for j in joints], 1) for run in simulation.runs], [
+        np.asarray(s) for s in simulation.starts
+    ]
 
 
-def _by_its_model(dataset: Dataset, result: Mapping[str, Any], robot: Path, notes: list[str]) -> tuple[Any, Any]:
+def _by_its_model(
+    dataset: Dataset, result: Mapping[str, Any], robot: Path, notes: list[str]
+) -> tuple[Any, Any]:
     """The same of a result whose model is no robot's, on the channels that it has."""
-    content = {"parameters": result.get("parameters", {}), "effects": list(result.get("effects", ()))}
+    content = {
+        "parameters": result.get("parameters", {}),
+        "effects": list(result.get("effects", ())),
+    }
     try:
         simulation = simulate_dataset(content, dataset, result["model"])
     except UsageError as error:
@@ -173,7 +206,11 @@ def _content(source: _Source, data: Dataset, joints: tuple[str, ...]) -> dict[st
     """The result's numbers for a model with all of its own laws: those that it did without are 0."""
     result, robot = source.content["result"], source.content.get("robot", {})
     kept = data.model.without if data.model is not None else ()
-    effects = [e for e in result.get("effects", ()) if e.get("effect") not in SET or e["effect"] in kept or e["effect"] in LATE]
+    effects = [
+        e
+        for e in result.get("effects", ())
+        if e.get("effect") not in SET or e["effect"] in kept or e["effect"] in LATE
+    ]
     gone = [SET[n][2] for n in robot.get("without", ()) if n in SET and n not in kept]
     zero = {f"{name}@{j}": {"value": 0.0} for name in gone for j in joints}
     return {"parameters": {**zero, **result.get("parameters", {})}, "effects": effects}
@@ -192,11 +229,18 @@ def measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.
     speed = np.zeros(len(joints)) if rests else (y[n - 1] - y[0]) / (e.t[n - 1] - e.t[0])
     known = e.initial or {}
     begun = [known.get(j, v) for j, v in zip(joints, y[0], strict=True)]
-    return np.array([*begun, *(known.get(f"{j}_qd", v) for j, v in zip(joints, speed, strict=True))], float)
+    return np.array(
+        [*begun, *(known.get(f"{j}_qd", v) for j, v in zip(joints, speed, strict=True))], float
+    )
 
 
 def in_mujoco(
-    data: Dataset, path: Path, tree: Tree, source: _Source | None, starts: list[np.ndarray], notes: list[str]
+    data: Dataset,
+    path: Path,
+    tree: Tree,
+    source: _Source | None,
+    starts: list[np.ndarray],
+    notes: list[str],
 ) -> list[np.ndarray]:
     """Positions of the measured joints at the samples of every run."""
     free, held_notes = recorded(tree, data)
@@ -212,15 +256,27 @@ def in_mujoco(
         )
     if goals and not _own_actuators(tree, joints):
         law = _law(data, joints, source, path)
-        notes.append(f"{path.name} has no position actuators for these joints: the law of [controller] drives")
+        notes.append(
+            f"{path.name} has no position actuators for these joints: the law of [controller] drives"
+        )
     elif goals:
         notes.append(f"driven by the position actuators of {path.name}")
     robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)
     reference = (
-        MujocoRobot(source.original, read_tree(source.original), {}, None) if source and source.original and torques else robot
+        MujocoRobot(source.original, read_tree(source.original), {}, None)
+        if source and source.original and torques
+        else robot
     )
     drive = Driven(
-        "goal" if goals and law is None else "law" if law is not None else "torque" if torques else "free", law, reference
+        "goal"
+        if goals and law is None
+        else "law"
+        if law is not None
+        else "torque"
+        if torques
+        else "free",
+        law,
+        reference,
     )
     end = {"goal": "_cmd", "law": "_cmd", "torque": "_tau"}.get(drive.kind, "")
     column = [inputs.index(f"{j}{end}") for j in joints] if end else []
@@ -228,7 +284,15 @@ def in_mujoco(
     out = []
     for e, start in zip(data.experiments, starts, strict=True):
         out.append(
-            robot.run(joints, e.t, e.u[:, column], linear, drive, start[: len(joints)], start[len(joints) : 2 * len(joints)])
+            robot.run(
+                joints,
+                e.t,
+                e.u[:, column],
+                linear,
+                drive,
+                start[: len(joints)],
+                start[len(joints) : 2 * len(joints)],
+            )
         )
     notes += robot.notes
     return out
@@ -238,7 +302,9 @@ def _gravity(tree: Tree, data: Dataset) -> np.ndarray:
     """Gravity in the frame of the base as the dataset has it stand."""
     base = dict(data.model.base) if data.model is not None else {}
     own = dict(data.model.constants) if data.model is not None else {}
-    roll, pitch, yaw = (float(own.get(f"base_{k}", base.get(k) or 0.0)) for k in ("roll", "pitch", "yaw"))
+    roll, pitch, yaw = (
+        float(own.get(f"base_{k}", base.get(k) or 0.0)) for k in ("roll", "pitch", "yaw")
+    )
     return rotation(roll, pitch, yaw).T @ np.array(tree.gravity)
 
 
@@ -253,12 +319,16 @@ def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: P
     found = source.content.get("result", {}).get("parameters", {}) if source is not None else {}
     for name in ("kp", "kd", "ki", "highest", "lowest", "delay"):
         own = [found.get(f"{name}@{j}", {}).get("value") for j in joints]
-        values = tuple(v if a is None else float(a) for a, v in zip(own, getattr(law, name), strict=True))
+        values = tuple(
+            v if a is None else float(a) for a, v in zip(own, getattr(law, name), strict=True)
+        )
         law = replace(law, **{name: values})
     return law
 
 
-def _before(data: Dataset, source: _Source | None, starts: list[np.ndarray]) -> list[np.ndarray] | None:
+def _before(
+    data: Dataset, source: _Source | None, starts: list[np.ndarray]
+) -> list[np.ndarray] | None:
     """Positions by run of the file that was patched, where it is still there."""
     if source is None or source.original is None:
         return None
@@ -318,7 +388,16 @@ def _verdict(rows: list[dict[str, Any]], source: _Source | None, other: str) -> 
         text += f"{them}'s run differs from the recording ({worst[other]:.3g})"
         at = lambda r: str(r.get("location", "")).split("_cmd")[0].split("_tau")[0] == joint
         lacking = [
-            f"{r.get('effect')} ({r.get('how')})" for r in (source.rows if source else ()) if r.get("how") != "exact" and at(r)
+            f"{r.get('effect')} ({r.get('how')})"
+            for r in (source.rows if source else ())
+            if r.get("how") != "exact" and at(r)
         ]
-        out.append(text + (f"; not carried over exactly there: {', '.join(dict.fromkeys(lacking))}" if lacking else ""))
+        out.append(
+            text
+            + (
+                f"; not carried over exactly there: {', '.join(dict.fromkeys(lacking))}"
+                if lacking
+                else ""
+            )
+        )
     return out

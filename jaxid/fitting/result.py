@@ -89,7 +89,12 @@ class Score:
     unit: str
 
     def to_dict(self) -> dict[str, Any]:
-        return {"rmse": self.rmse, "nrmse": self.nrmse, "relative_error": self.relative_error, "unit": self.unit}
+        return {
+            "rmse": self.rmse,
+            "nrmse": self.nrmse,
+            "relative_error": self.relative_error,
+            "unit": self.unit,
+        }
 
 
 @dataclass(frozen=True)
@@ -102,7 +107,9 @@ class Trace:
     unit: str
     t: np.ndarray
     measured: np.ndarray
-    simulated: dict[str, np.ndarray]  # label -> series, for instance "nominal", "with dead_zone at tau"
+    simulated: dict[
+        str, np.ndarray
+    ]  # label -> series, for instance "nominal", "with dead_zone at tau"
     noise: float
     windows: bool = False  # simulated in short windows, each with its own start
 
@@ -136,30 +143,50 @@ class Fit(Exportable):
     dataset: str
     dataset_sha256: str
     notes: tuple[str, ...] = ()
-    correlated: tuple[tuple[str, ...], ...] = ()  # groups of parameters the data determine only together
+    correlated: tuple[
+        tuple[str, ...], ...
+    ] = ()  # groups of parameters the data determine only together
     history: tuple[tuple[int, float], ...] = ()  # (evaluations, best loss so far)
     traces: tuple[Trace, ...] = ()
-    theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number of the model, in the order of its layout
+    theta: np.ndarray = field(
+        default_factory=lambda: np.zeros(0)
+    )  # every number of the model, in the order of its layout
     stalled: bool = False  # ended by a rule of the fitter's own, without having converged
     # What the scores are of: free_run | windows | closed_loop | inverse_dynamics | frequency_response
     simulation: str = "free_run"
-    free_run: dict[str, dict[str, Score]] = field(default_factory=dict)  # scores of the free run, where `scores` are of another
+    free_run: dict[str, dict[str, Score]] = field(
+        default_factory=dict
+    )  # scores of the free run, where `scores` are of another
     stated: tuple[Stated, ...] = ()  # what a file or the dataset states beside what was fitted
-    per_joint: tuple[dict[str, Any], ...] = ()  # of a robot: each joint's error with the file as it stands
+    per_joint: tuple[
+        dict[str, Any], ...
+    ] = ()  # of a robot: each joint's error with the file as it stands
     chain: Chain | None = field(default=None, repr=False, compare=False)
     """The fitted model with its effects, None where the fit failed: `.ode()`, `jaxid.simulate(fit.chain, other_data)`."""
     solver: str = "own"  # what simulated: jaxid's own stepping, or a solver of diffrax
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
-    robot: dict[str, Any] = field(default_factory=dict)  # the file of a robot and its drive: see `jaxid.robots.origin`
+    robot: dict[str, Any] = field(
+        default_factory=dict
+    )  # the file of a robot and its drive: see `jaxid.robots.origin`
     covariance: Covariance | None = None  # of the fitted numbers
-    reweighted_loss: float | None = None  # of channels weighed by what the model leaves of them, where that was fitted
+    reweighted_loss: float | None = (
+        None  # of channels weighed by what the model leaves of them, where that was fitted
+    )
     recursion: tuple[Any, ...] = ()  # of a fit along its blocks: a `recursion.Step` each
     model_sha256: str = ""  # of the file of a model of the user's own
 
     @property
     def state(self) -> str:
         """`converged`, `stalled`, `failed`, or `budget`: a limit of evaluations, iterations or time ended it."""
-        return "failed" if self.failed else "converged" if self.converged else "stalled" if self.stalled else "budget"
+        return (
+            "failed"
+            if self.failed
+            else "converged"
+            if self.converged
+            else "stalled"
+            if self.stalled
+            else "budget"
+        )
 
     def to_frame(self) -> pandas.DataFrame:
         """A row for each fitted number, those of added effects as `dead_zone.width@tau`. Raises `UsageError` without pandas."""
@@ -183,8 +210,14 @@ class Fit(Exportable):
             "reweighted_loss": self.reweighted_loss,
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
             "simulation": self.simulation,
-            **{split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.scores.items()},
-            "free_run": {split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.free_run.items()},
+            **{
+                split: {c: s.to_dict() for c, s in rows.items()}
+                for split, rows in self.scores.items()
+            },
+            "free_run": {
+                split: {c: s.to_dict() for c, s in rows.items()}
+                for split, rows in self.free_run.items()
+            },
             "windowed": {c: s.to_dict() for c, s in self.windowed.items()},
             "correlated": [list(g) for g in self.correlated],
             "stated": [s.to_dict() for s in self.stated],

@@ -54,7 +54,10 @@ def reweighed(
     first, counts = _errors(problem, found.z)
     if first.max() < UNEVEN * (first.min() if problem.runs.setting is None else 1.0):
         return None
-    level, spent = np.maximum(1.0, _sizes(problem)), found.evaluations  # at first all channels by the size of their signals
+    level, spent = (
+        np.maximum(1.0, _sizes(problem)),
+        found.evaluations,
+    )  # at first all channels by the size of their signals
     begin, end = [found.z, *starts], found
     for number in range(ROUNDS):
         if budget is not None and budget - spent < 2 * (1 + problem.size):
@@ -77,7 +80,9 @@ def reweighed(
         last = fitter.nearby().minimise_each([(weighed, begin, key)], left, progress)[0]
         spent += last.evaluations
         end = end if last.failed else last
-    named = ", ".join(f"{name} {x:.3g}" for (name, _), x in zip(problem.runs.channels, level, strict=True))
+    named = ", ".join(
+        f"{name} {x:.3g}" for (name, _), x in zip(problem.runs.channels, level, strict=True)
+    )
     note = f"channels are weighed by what the model leaves of them, in times their noise: {named}"
     return Reweighed(weighed, replace(end, loss=weighed.loss(end.z), evaluations=spent), note)
 
@@ -92,13 +97,23 @@ def weighed_by(problem: Problem, factors: np.ndarray) -> Problem:
 def _errors(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Root mean square of each channel's residual in its noise, at least 1, and its number of samples."""
     r = np.concatenate(problem.residuals(z))
-    w = np.concatenate([problem.weights[problem.runs.record(k).samples] for k in problem.records]) > 0
+    w = (
+        np.concatenate([problem.weights[problem.runs.record(k).samples] for k in problem.records])
+        > 0
+    )
     counts = np.maximum(1, w.sum(0))
-    return np.maximum(1.0, np.sqrt(np.sum(np.where(w, r, 0.0) ** 2, 0) / counts)), counts.astype(float)
+    return np.maximum(1.0, np.sqrt(np.sum(np.where(w, r, 0.0) ** 2, 0) / counts)), counts.astype(
+        float
+    )
 
 
 def _sizes(problem: Problem) -> np.ndarray:
     """Standard deviation of each measured channel in its noise."""
     at = np.concatenate([np.asarray(problem.runs.record(k).samples) for k in problem.records])
     y, w = problem.targets[at], problem.weights[at]
-    return np.array([np.std((y[:, c] * w[:, c])[w[:, c] > 0]) if (w[:, c] > 0).any() else 1.0 for c in range(y.shape[1])])
+    return np.array(
+        [
+            np.std((y[:, c] * w[:, c])[w[:, c] > 0]) if (w[:, c] > 0).any() else 1.0
+            for c in range(y.shape[1])
+        ]
+    )

@@ -51,7 +51,9 @@ def fit_binding(
 
     def fitted(residual: Residual | None, begin: np.ndarray | None, spent: int) -> Fit:
         left = None if budget is None else max(1, budget - spent)
-        return fit_seeds(binding, fitter, residual, loss, [seed], left, progress, benches, known, begin, True)[0]
+        return fit_seeds(
+            binding, fitter, residual, loss, [seed], left, progress, benches, known, begin, True
+        )[0]
 
     try:
         fit = fitted(residual, None, 0)
@@ -94,14 +96,20 @@ def fit_seeds(
     compiled = benches.compile_time()
     notes: dict[int, list[str]] = {seed: [] for seed in seeds}
     ended: dict[int, tuple[Bench, Problem, Minimum]] = {}
-    level: dict[int, np.ndarray | None] = dict.fromkeys(seeds, begin)  # where each seed's coarser step ended
+    level: dict[int, np.ndarray | None] = dict.fromkeys(
+        seeds, begin
+    )  # where each seed's coarser step ended
     step, label = samples.STEP, label_of(fitter)
 
     def offer(seed: int, bench: Bench, problem: Problem, result: Minimum, note: str) -> None:
         """Has what is known by now kept, in case that this does not come to its end."""
         if known and not result.failed:
             spent = time.perf_counter() - began
-            known.offer(lambda: assemble(bench, problem, result, residual, label, seed, 0.0, spent, [*notes[seed], note]))
+            known.offer(
+                lambda: assemble(
+                    bench, problem, result, residual, label, seed, 0.0, spent, [*notes[seed], note]
+                )
+            )
 
     while level:
         bench, finer = benches.of(step), {}
@@ -123,7 +131,13 @@ def fit_seeds(
         found = fitter.minimise_each(jobs, budget, progress)
         if step == samples.STEP:  # a finer one begins where the coarser one has ended
             for seed, job, result in zip(level, jobs, found, strict=True):
-                offer(seed, bench, job[0], result, "stopped before its end was looked at from beside it")
+                offer(
+                    seed,
+                    bench,
+                    job[0],
+                    result,
+                    "stopped before its end was looked at from beside it",
+                )
             found = looked_again(jobs, found, fitter, budget, progress)
         for seed, job, result in zip(level, jobs, found, strict=True):
             problem = job[0]
@@ -133,11 +147,21 @@ def fit_seeds(
             if benches.of(step / 2) is bench:
                 continue  # samples are closer than either step
             moved = step_error(problem, result.z, benches.of(step / 2).runs(residual, "fit"))
-            if moved > STEP_SHARE and residual.free_run and growth(bench, problem.theta(result.z)) > SENSITIVE:
-                notes[seed].append("runs that forget how they began are not refined: every step shows another one")
+            if (
+                moved > STEP_SHARE
+                and residual.free_run
+                and growth(bench, problem.theta(result.z)) > SENSITIVE
+            ):
+                notes[seed].append(
+                    "runs that forget how they began are not refined: every step shows another one"
+                )
             elif moved > STEP_SHARE:
                 finer[seed] = problem.theta(result.z)
-                offer(seed, *ended[seed], f"stopped before it was refined with steps of {step / 2:.3g} s")
+                offer(
+                    seed,
+                    *ended[seed],
+                    f"stopped before it was refined with steps of {step / 2:.3g} s",
+                )
                 notes[seed].append(
                     f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step / 2:.3g} s"
                 )
@@ -145,17 +169,32 @@ def fit_seeds(
         fitter = fitter.nearby()
     if reweigh and fitter.linearises and loss == "sum_of_squares":
         for seed, (bench, problem, result) in list(ended.items()):
-            guesses = [problem.z(g) for g in benches.starts(bench, residual, loss, seed)] if begin is None else []
+            guesses = (
+                [problem.z(g) for g in benches.starts(bench, residual, loss, seed)]
+                if begin is None
+                else []
+            )
             own = jax.random.key(seed)
-            offer(seed, bench, problem, result, "stopped before channels were weighed by what the model leaves of them")
+            offer(
+                seed,
+                bench,
+                problem,
+                result,
+                "stopped before channels were weighed by what the model leaves of them",
+            )
             other = reweighed(problem, result, guesses, own, fitter, budget, progress)
             if other is not None:
-                again = looked_again([(other.problem, [], own)], [other.found], fitter, budget, progress)[0]
+                again = looked_again(
+                    [(other.problem, [], own)], [other.found], fitter, budget, progress
+                )[0]
                 ended[seed] = bench, other.problem, again
                 notes[seed].append(other.note)
     share = 1 / len(seeds)
     fits = [assemble(*ended[seed], residual, label, seed, 0.0, 0.0, notes[seed]) for seed in seeds]
-    compiling, wall = share * (benches.compile_time() - compiled), share * (time.perf_counter() - began)
+    compiling, wall = (
+        share * (benches.compile_time() - compiled),
+        share * (time.perf_counter() - began),
+    )
     return [replace(fit, compile_time_s=compiling, wall_time_s=wall) for fit in fits]
 
 
@@ -171,7 +210,11 @@ class Benches:
         """The bench of a step; one for all steps that make no difference."""
         if step not in self._benches:
             every = [e.whole for e in self.binding.dataset.experiments]
-            same = (bench for made, bench in self._benches.items() if samples.divided_alike(every, made, step))
+            same = (
+                bench
+                for made, bench in self._benches.items()
+                if samples.divided_alike(every, made, step)
+            )
             self._benches[step] = next(same, None) or Bench(self.binding, step)
         return self._benches[step]
 

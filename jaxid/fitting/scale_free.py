@@ -28,8 +28,14 @@ def shrinking(problem: Problem, z: np.ndarray) -> tuple[str, ...]:
     columns = J[:, : problem.free.size] * along
     length = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     found = np.linalg.lstsq(columns / length, r, rcond=1e-10)[0] / length
-    for members in (found > 0.5, length > 1e-300):  # numbers that act alike share what least squares finds
-        if not np.any(problem.known.R[:, members] != 0) and np.linalg.norm(columns[:, members].sum(1) - r) <= EXACT * size:
+    for members in (
+        found > 0.5,
+        length > 1e-300,
+    ):  # numbers that act alike share what least squares finds
+        if (
+            not np.any(problem.known.R[:, members] != 0)
+            and np.linalg.norm(columns[:, members].sum(1) - r) <= EXACT * size
+        ):
             return tuple(problem.names[i] for i in np.flatnonzero(members))
     return ()
 

@@ -18,7 +18,9 @@ from jaxid.simulation import sample_buffers as samples
 from jaxid.wording import listed, times
 
 
-def free_runs(bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray) -> list[list[np.ndarray]]:
+def free_runs(
+    bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray
+) -> list[list[np.ndarray]]:
     """Free runs of several parameter vectors: per theta and experiment the outputs at the samples [samples ny], with what the
     bench takes off its targets."""
     runs = bench.runs(OutputError(), split)
@@ -59,7 +61,12 @@ def scores(bench: Bench, split: str, predictions: Sequence[np.ndarray]) -> dict[
 
 def score(y: np.ndarray, error: np.ndarray, unit: str) -> Score:
     rmse = float(np.sqrt(np.mean(error**2)))
-    return Score(rmse, rmse / max(float(np.std(y)), 1e-300), rmse / max(float(np.sqrt(np.mean(y**2))), 1e-300), unit)
+    return Score(
+        rmse,
+        rmse / max(float(np.std(y)), 1e-300),
+        rmse / max(float(np.sqrt(np.mean(y**2))), 1e-300),
+        unit,
+    )
 
 
 #: On data that were not fitted a channel is lost where its error is more than its own standard deviation, so many times its
@@ -79,7 +86,10 @@ def lost(table: Mapping[str, Mapping[str, Score]], noise: Mapping[str, float]) -
     if not found:
         return ()
     worst = sorted(found, key=lambda name: -np.nan_to_num(found[name][0], nan=np.inf))
-    said = [f"{name} is off by {times(found[name][0])} times its standard deviation ({found[name][1]})" for name in worst[:2]]
+    said = [
+        f"{name} is off by {times(found[name][0])} times its standard deviation ({found[name][1]})"
+        for name in worst[:2]
+    ]
     more = [f"{len(worst) - 2} more channels too"] if len(worst) > 2 else []
     return (f"worse than no model on data that were not fitted: {listed([*said, *more])}",)
 
@@ -91,10 +101,16 @@ def response_scores(
 
     Empty where the records of the split show no line: their inputs hold nothing in the band.
     """
-    own = problem if split == "fit" else bench.problem(residual, split, problem.free, problem.theta(z))
+    own = (
+        problem
+        if split == "fit"
+        else bench.problem(residual, split, problem.free, problem.theta(z))
+    )
     (name, unit), *_ = own.runs.channels
     error, target = [], []
-    for number, p in zip(own.records, own.predictions(z if split == "fit" else own.z(problem.theta(z))), strict=True):
+    for number, p in zip(
+        own.records, own.predictions(z if split == "fit" else own.z(problem.theta(z))), strict=True
+    ):
         at = own.runs.record(number).samples
         lines = own.runs.weights[at, 0] > 0
         target.append(own.runs.targets[at, 0][lines])
@@ -106,7 +122,11 @@ def response_scores(
 
 
 def torque_scores(
-    bench: Bench, residual: Residual, split: str, theta: np.ndarray, free: Sequence[int] | np.ndarray
+    bench: Bench,
+    residual: Residual,
+    split: str,
+    theta: np.ndarray,
+    free: Sequence[int] | np.ndarray,
 ) -> dict[str, Score]:
     """The same for inverse dynamics: filtered torque against what the model needs for the measured motion. Of momentum: what is
     left of it, beside what the joints alone carry."""
@@ -125,7 +145,12 @@ def torque_scores(
     return out
 
 
-def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np.ndarray]], windows: bool = False) -> list[Trace]:
+def make_traces(
+    binding: Binding,
+    split: str,
+    predictions: dict[str, Sequence[np.ndarray]],
+    windows: bool = False,
+) -> list[Trace]:
     """Traces of a split, one per experiment and channel; `predictions` label -> outputs per experiment, of `windows` or of
     whole runs."""
     out = []
@@ -133,5 +158,17 @@ def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np
     for k, e in enumerate(binding.experiments(split)):
         for c, (name, unit) in enumerate(binding.chain.signature.outputs):
             series = {label: p[k][:, c] for label, p in predictions.items()}
-            out.append(Trace(e.name, split, name, unit, e.t, e.y[:, iy[c]], series, float(binding.sigma[c]), windows))
+            out.append(
+                Trace(
+                    e.name,
+                    split,
+                    name,
+                    unit,
+                    e.t,
+                    e.y[:, iy[c]],
+                    series,
+                    float(binding.sigma[c]),
+                    windows,
+                )
+            )
     return out

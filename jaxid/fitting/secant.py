@@ -45,7 +45,9 @@ class Slopes:
             own[:, part.z_columns] = part.J.reshape(part.r.size, -1)
             residual.append(part.r.ravel())
             slope.append(own)
-        return cls(p.names, z, np.concatenate(residual), np.concatenate(slope), np.zeros(p.size, int))
+        return cls(
+            p.names, z, np.concatenate(residual), np.concatenate(slope), np.zeros(p.size, int)
+        )
 
     def of(self, p: Problem, z: np.ndarray, r: np.ndarray) -> Slopes:
         """The same of a problem on the same records at z, where its residuals are r; those of numbers that are not here are to be
@@ -86,7 +88,9 @@ def residuals(p: Problem, points: Sequence[np.ndarray]) -> list[np.ndarray]:
         own = []
         for record, row in zip(p.records, y[k * many : (k + 1) * many], strict=True):
             at = p.runs.record(record).samples
-            own.append((p.weights[at] * (p.runs.sample_prediction(record, row) - p.targets[at])).ravel())
+            own.append(
+                (p.weights[at] * (p.runs.sample_prediction(record, row) - p.targets[at])).ravel()
+            )
         out.append(np.concatenate(own))
     return out
 
@@ -95,11 +99,17 @@ def linear(p: Problem, z: np.ndarray, r: np.ndarray, J: np.ndarray) -> Linear:
     """Sum of squares with gradient and curvature, of residuals with these slopes and of what is known without the data."""
     with np.errstate(all="ignore"):
         known, K = p.known_before(z)
-        return Linear(float(r @ r + known @ known), J.T @ r + K.T @ known, J.T @ J + K.T @ K, r.size)
+        return Linear(
+            float(r @ r + known @ known), J.T @ r + K.T @ known, J.T @ J + K.T @ K, r.size
+        )
 
 
 def descend_on_secants(
-    p: Problem, starts: Sequence[np.ndarray], known: Slopes | None, iterations: int, tolerance: float
+    p: Problem,
+    starts: Sequence[np.ndarray],
+    known: Slopes | None,
+    iterations: int,
+    tolerance: float,
 ) -> tuple[Path, Slopes, int]:
     """A descent from the best of some z, its slopes at the end, and how many free runs were simulated. `known`: slopes of some of
     the numbers on the same records."""
@@ -113,7 +123,9 @@ def descend_on_secants(
         at, spent = known.of(p, points[best], found[best]), len(points)
     path = Path(p, at.z, history=[])
     room = -(-LEAST * len(p.records) // LANES) * LANES // len(p.records)
-    while np.isfinite(at.r).all() and np.any(at.age >= NEVER):  # slopes that nobody has taken come before any step
+    while np.isfinite(at.r).all() and np.any(
+        at.age >= NEVER
+    ):  # slopes that nobody has taken come before any step
         at, _ = _renewed(p, at, room)
         spent += room
     accept(path, at.z, linear(p, at.z, at.r, at.J), tolerance, _new)
@@ -145,7 +157,10 @@ def descend_on_secants(
 def _least(p: Problem, points: Sequence[np.ndarray], found: Sequence[np.ndarray]) -> int:
     """Which of some z leaves least, by its residuals."""
     with np.errstate(all="ignore"):
-        cost = [float(r @ r + np.sum(p.known_before(z)[0] ** 2)) for z, r in zip(points, found, strict=True)]
+        cost = [
+            float(r @ r + np.sum(p.known_before(z)[0] ** 2))
+            for z, r in zip(points, found, strict=True)
+        ]
     return int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
 
 
@@ -153,7 +168,9 @@ def _new(path: Path, trial: np.ndarray, new: Linear) -> np.ndarray:
     return new.hessian
 
 
-def _renewed(p: Problem, at: Slopes, room: int, beside: Sequence[np.ndarray] = ()) -> tuple[Slopes, list[np.ndarray]]:
+def _renewed(
+    p: Problem, at: Slopes, room: int, beside: Sequence[np.ndarray] = ()
+) -> tuple[Slopes, list[np.ndarray]]:
     """Slopes with the `room` oldest taken anew, and the residuals at other points, all in one batch."""
     order = np.argsort(-at.age, kind="stable")[:room]
     columns = [int(c) for c in order if at.age[c] > 0]

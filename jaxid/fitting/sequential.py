@@ -32,9 +32,13 @@ def stretches(
     Raises `UsageError` where a window or factor makes no sense.
     """
     if window is not None and window < 1:
-        raise UsageError(f"a window of {window} pieces holds nothing; give at least 1, or None for growing data")
+        raise UsageError(
+            f"a window of {window} pieces holds nothing; give at least 1, or None for growing data"
+        )
     if not 0 < forgetting <= 1:
-        raise UsageError(f"forgetting is {forgetting}; it is a factor above 0, and at most 1 (nothing is forgotten)")
+        raise UsageError(
+            f"forgetting is {forgetting}; it is a factor above 0, and at most 1 (nothing is forgotten)"
+        )
     if not 1 <= first <= problem.pieces:
         raise UsageError(f"the first step holds {first} pieces; there are 1 to {problem.pieces}")
     for end in range(first, problem.pieces + 1):
@@ -70,7 +74,9 @@ def follow(
             losses = problem.losses(points)
             log.add(len(points), float(losses.min()))
             course = online.course(problem, jax.random.fold_in(own, 1), points, losses)
-            ended = answered(online.searching(problem, starts, own, log, course, generations), problem)
+            ended = answered(
+                online.searching(problem, starts, own, log, course, generations), problem
+            )
         course, names = ended.course, problem.names
         yield log.minimum(course.best[0], ended.converged, ended.stopped, ended.stalled)
 
@@ -79,6 +85,7 @@ def carried(points: np.ndarray, names: Sequence[str], problem: AbstractProblem) 
     """A population of one problem as one of another: entries of the same name, else the middle of the bounds."""
     middle = (problem.lower + problem.upper) / 2
     columns = [
-        points[:, names.index(n)] if n in names else np.full(len(points), m) for n, m in zip(problem.names, middle, strict=True)
+        points[:, names.index(n)] if n in names else np.full(len(points), m)
+        for n, m in zip(problem.names, middle, strict=True)
     ]
     return np.clip(np.stack(columns, -1), problem.lower, problem.upper)

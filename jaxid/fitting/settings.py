@@ -24,7 +24,9 @@ class SettingInfo(NamedTuple):
     meaning: str
 
 
-def option(default: Any, meaning: str, low: float | None = None, high: float | None = None, **more: Any) -> Any:
+def option(
+    default: Any, meaning: str, low: float | None = None, high: float | None = None, **more: Any
+) -> Any:
     """A field of a fitter that can be set; `low` and `high` bound every number in it."""
     import equinox as eqx
 
@@ -38,7 +40,9 @@ def about(meaning: str, low: float | None = None, high: float | None = None) -> 
 
 def settings_of(kind: type) -> list[SettingInfo]:
     """The settings of a class of fitters."""
-    return [SettingInfo(f.name, _plain(f.default), _about(f).meaning) for f in dataclasses.fields(kind)]
+    return [
+        SettingInfo(f.name, _plain(f.default), _about(f).meaning) for f in dataclasses.fields(kind)
+    ]
 
 
 def _about(field: dataclasses.Field) -> Setting:
@@ -115,7 +119,13 @@ def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[s
     elif isinstance(default, float):
         fits, wanted = number(value), "a number"
     elif isinstance(default, tuple):
-        value = (value, value) if number(value) else tuple(value) if isinstance(value, list | tuple) else value
+        value = (
+            (value, value)
+            if number(value)
+            else tuple(value)
+            if isinstance(value, list | tuple)
+            else value
+        )
         wanted = f"a number, or {len(default)} in brackets"
         fits = isinstance(value, tuple) and len(value) == len(default) and all(map(number, value))
     elif isinstance(default, str):
@@ -123,11 +133,15 @@ def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[s
     elif isinstance(value, str) and hasattr(default, "minimise"):  # a fitter inside a fitter
         value, fits, wanted = named(value), True, ""
         if not hasattr(value, "ask"):
-            raise UsageError(f"{fitter}: {field.name} = {label_of(value)!r}; it is a population, such as 'de'")
+            raise UsageError(
+                f"{fitter}: {field.name} = {label_of(value)!r}; it is a population, such as 'de'"
+            )
     else:
         fits, wanted = False, "the text of a fitter, in quotes"
     if not fits:
-        raise UsageError(f"{fitter}: {field.name} = {value!r}; it is {wanted}, as in {field.name}={_plain(default)!r}")
+        raise UsageError(
+            f"{fitter}: {field.name} = {value!r}; it is {wanted}, as in {field.name}={_plain(default)!r}"
+        )
     several: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
     for v in several:
         if not number(v):
@@ -140,7 +154,13 @@ def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[s
             raise UsageError(f"{fitter}: {field.name} = {v!r}; it is {told or 'a finite number'}")
     if isinstance(default, float | tuple):
         several = tuple(float(v) for v in several)
-    return several[0] if isinstance(default, float) else several if isinstance(default, tuple) else value
+    return (
+        several[0]
+        if isinstance(default, float)
+        else several
+        if isinstance(default, tuple)
+        else value
+    )
 
 
 def _plain(value: Any) -> Any:

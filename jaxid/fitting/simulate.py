@@ -24,24 +24,34 @@ from jaxid.simulation import sample_buffers as samples
 from jaxid.simulation.animation import Motion, motion
 
 
-def simulate_dataset(content: Mapping[str, Any] | None, dataset: Dataset, model: object, solver: Any = None) -> Simulation:
+def simulate_dataset(
+    content: Mapping[str, Any] | None, dataset: Dataset, model: object, solver: Any = None
+) -> Simulation:
     """See `jaxid.simulate`; without content with the numbers of the model itself. A run without a stated start estimates it from
     its first samples, which leave the rmse."""
     content = own_numbers(resolve_model(model, dataset)) if content is None else content
     effects = content.get("effects", [])
     parameters = content.get("parameters", {})
     if not isinstance(parameters, Mapping) or not isinstance(effects, list | tuple):
-        raise UsageError('parameters must look like {"parameters": {"inertia": {"value": 0.08}}, "effects": []}')
-    known = resolve_model(model or content.get("model"), dataset).contents  # its own laws have their numbers among the parameters
+        raise UsageError(
+            'parameters must look like {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
+        )
+    known = resolve_model(
+        model or content.get("model"), dataset
+    ).contents  # its own laws have their numbers among the parameters
     added = [e for e in effects if not (isinstance(e, Mapping) and e.get("effect") in known)]
-    binding = bind(model or content.get("model"), dataset, effects=[_label(e) for e in added], splits=False)
+    binding = bind(
+        model or content.get("model"), dataset, effects=[_label(e) for e in added], splits=False
+    )
     theta = binding.theta.copy()
     for name, value in parameters.items():
         theta[binding.layout.index(name)] = _number(name, value)
     for e in effects:
         for field, value in (e.get("parameters", {}) if isinstance(e, Mapping) else {}).items():
             indices = [
-                i for i in binding.layout.of_effect(e["effect"], e.get("location")) if binding.layout.entries[i].field == field
+                i
+                for i in binding.layout.of_effect(e["effect"], e.get("location"))
+                if binding.layout.entries[i].field == field
             ]
             if not indices:
                 raise UsageError(f"effect {e['effect']} has no parameter {field!r}")
@@ -61,7 +71,13 @@ def simulate_dataset(content: Mapping[str, Any] | None, dataset: Dataset, model:
             runs[e.name] = {"t": e.t, **{n: y[:, c] for c, n in enumerate(names)}}
             keep = scored(e, "simulate")[:, None] & e.read[:, iy]
             error = np.where(keep, y - e.y[:, iy], 0.0)
-            rmse[e.name] = dict(zip(names, np.sqrt(np.sum(error**2, 0) / np.maximum(keep.sum(0), 1)).tolist(), strict=True))
+            rmse[e.name] = dict(
+                zip(
+                    names,
+                    np.sqrt(np.sum(error**2, 0) / np.maximum(keep.sum(0), 1)).tolist(),
+                    strict=True,
+                )
+            )
 
     def moving(i: int) -> Motion | None:
         e = dataset.experiments[i]
@@ -69,7 +85,13 @@ def simulate_dataset(content: Mapping[str, Any] | None, dataset: Dataset, model:
         for name, value in e.constants.items():
             own[binding.layout.index(name)] = value
         with float64():
-            return motion(binding.layout.model(jnp.asarray(own)), binding.dataset, e, starts[e.name], binding.sigma)
+            return motion(
+                binding.layout.model(jnp.asarray(own)),
+                binding.dataset,
+                e,
+                starts[e.name],
+                binding.sigma,
+            )
 
     order = [e.name for e in dataset.experiments]
     return Simulation(
@@ -89,14 +111,20 @@ def own_numbers(chain: Chain) -> dict[str, Any]:
     """The numbers that a chain holds, as the content of a fit.json; constants are left to the dataset."""
     layout = Layout(chain)
     numbers = zip(layout.entries, layout.values, strict=True)
-    return {"parameters": {e.name: {"value": float(v)} for e, v in numbers if not e.spec.fixed and np.isfinite(v)}}
+    return {
+        "parameters": {
+            e.name: {"value": float(v)} for e, v in numbers if not e.spec.fixed and np.isfinite(v)
+        }
+    }
 
 
 def _label(effect: Any) -> str:
     if isinstance(effect, str):
         return effect
     if not isinstance(effect, Mapping) or "effect" not in effect:
-        raise UsageError('an effect must look like {"effect": "dead_zone", "location": "tau", "parameters": {...}}')
+        raise UsageError(
+            'an effect must look like {"effect": "dead_zone", "location": "tau", "parameters": {...}}'
+        )
     place = effect.get("location")
     return effect["effect"] + (f"@{place}" if place else "")
 

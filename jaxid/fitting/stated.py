@@ -48,7 +48,9 @@ class Stated:
         return asdict(self)
 
 
-def stated_numbers(binding: Binding, found: Mapping[int, Estimate], covariance: Covariance | None = None) -> tuple[Stated, ...]:
+def stated_numbers(
+    binding: Binding, found: Mapping[int, Estimate], covariance: Covariance | None = None
+) -> tuple[Stated, ...]:
     """The fitted numbers (by position in the layout) for which the dataset states a value, those that are furthest off first."""
     spec, out = binding.dataset.model, {}
     for name, prior in spec.parameters.items() if spec is not None else ():
@@ -56,11 +58,15 @@ def stated_numbers(binding: Binding, found: Mapping[int, Estimate], covariance: 
         if prior.value is None or i not in found or i in binding.priors:
             continue
         entry, estimate = binding.layout.entries[i], found[i]
-        joint = entry.location or (binding.chain.signature.joints[0] if binding.chain.nq == 1 else "")
+        joint = entry.location or (
+            binding.chain.signature.joints[0] if binding.chain.nq == 1 else ""
+        )
         std = estimate.std if estimate.identifiable else None
         deviation = apart(estimate.value, prior.value, std)
         text = sentence_of(name, prior.value, estimate, deviation)
-        out[i] = Stated(joint, "", name, prior.value, estimate.value, std, deviation, text, estimate.unit)
+        out[i] = Stated(
+            joint, "", name, prior.value, estimate.value, std, deviation, text, estimate.unit
+        )
     told = judged(out, binding.layout.names, found, covariance, plain=True)
     return tuple(sorted(told, key=lambda s: -abs(s.deviation or 0.0)))
 
@@ -85,13 +91,17 @@ def judged(
         if row is None:
             continue
         stated[k] = row.stated
-        if row.deviation is not None and row.std:  # of an armature what steps add may be in it, or not: what lies nearest
+        if (
+            row.deviation is not None and row.std
+        ):  # of an armature what steps add may be in it, or not: what lies nearest
             known.value[k] = row.stated + row.deviation * row.std
     change = smallest_change(known, stated)
     place = {i: k for k, i in enumerate(at)}
     called = lambda i: _label(rows[i], plain)
     undecided = {k: [at[k], *(at[m] for m in others)] for k, others in change.instead.items()}
-    either = {i: listed(called(j) for j in group if j != i) for group in undecided.values() for i in group}
+    either = {
+        i: listed(called(j) for j in group if j != i) for group in undecided.values() for i in group
+    }
     out = []
     for i, row in rows.items():
         k = place.get(i, -1)
@@ -103,11 +113,17 @@ def judged(
             out.append(row)
     for k, others in change.instead.items():
         i, j = at[k], at[others[0]]
-        out.append(_together((rows[i], rows[j]), (called(i), called(j)), (k, others[0]), known, stated, change))
+        out.append(
+            _together(
+                (rows[i], rows[j]), (called(i), called(j)), (k, others[0]), known, stated, change
+            )
+        )
     return tuple(out)
 
 
-def _known(names: Sequence[str], found: Mapping[int, Estimate], covariance: Covariance | None) -> tuple[list[int], Known]:
+def _known(
+    names: Sequence[str], found: Mapping[int, Estimate], covariance: Covariance | None
+) -> tuple[list[int], Known]:
     """The positions of the numbers that were fitted, and what is known of these."""
     if covariance is None:
         at = [i for i, e in found.items() if e.std]
@@ -117,11 +133,17 @@ def _known(names: Sequence[str], found: Mapping[int, Estimate], covariance: Cova
         at = [i for i in found if names[i] in by_name]
         own = [by_name[names[i]] for i in at]
         matrix = covariance.matrix[np.ix_(own, own)]
-    value, lower, upper = (np.array([getattr(found[i], k) for i in at], float) for k in ("value", "lower", "upper"))
-    return at, Known(value=value, covariance=matrix.reshape(len(at), len(at)), lower=lower, upper=upper)
+    value, lower, upper = (
+        np.array([getattr(found[i], k) for i in at], float) for k in ("value", "lower", "upper")
+    )
+    return at, Known(
+        value=value, covariance=matrix.reshape(len(at), len(at)), lower=lower, upper=upper
+    )
 
 
-def _refuted(row: Stated, called: str, estimate: Estimate, change: Change, k: int, plain: bool) -> Stated:
+def _refuted(
+    row: Stated, called: str, estimate: Estimate, change: Change, k: int, plain: bool
+) -> Stated:
     """A row of a number that is wrong by itself; what it is with the others as stated, where that is not what was fitted."""
     value, std, deviation = float(change.value[k]), float(change.std[k]), change.deviation[k]
     own = "" if estimate.unit in ("", "1") else f" {estimate.unit}"
@@ -215,4 +237,8 @@ def sentence_of(name: str, value: float, estimate: Estimate, deviation: float | 
         return f"{own} can be neither confirmed nor refuted: the data do not determine it"
     off = number(abs(deviation), 2)
     far = f"{off} standard deviation{'' if off == '1.0' else 's'} from {value_with_std(estimate)}"
-    return f"{own} is {far}" if abs(deviation) > REFUTED else f"{own} agrees with the data: it is {far}"
+    return (
+        f"{own} is {far}"
+        if abs(deviation) > REFUTED
+        else f"{own} agrees with the data: it is {far}"
+    )

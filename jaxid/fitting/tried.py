@@ -72,7 +72,9 @@ def shortened(dataset: Dataset) -> Dataset:
     return replace(dataset, experiments=tuple(kept))
 
 
-def recording_of(content: Mapping[str, Any], beside: Path | None, stated: str | Path | None = None) -> OnRecording | None:
+def recording_of(
+    content: Mapping[str, Any], beside: Path | None, stated: str | Path | None = None
+) -> OnRecording | None:
     """The recording that a result is of: in the `stated` folder, else that of the same content in the folder of the robot's file
     or near the result's. None where there is none, or where the result is of one that was mended before it was used.
 
@@ -81,7 +83,10 @@ def recording_of(content: Mapping[str, Any], beside: Path | None, stated: str | 
     if stated is not None:
         return OnRecording(load_dataset(stated))
     found = content.get("data")
-    if any(isinstance(f, Mapping) and f.get("applied") for f in (found if isinstance(found, list) else ())):
+    if any(
+        isinstance(f, Mapping) and f.get("applied")
+        for f in (found if isinstance(found, list) else ())
+    ):
         return None
     robot = content.get("robot")
     file = robot.get("file") if isinstance(robot, Mapping) else None

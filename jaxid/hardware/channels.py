@@ -9,7 +9,9 @@ from jaxid.errors import UsageError
 from jaxid.hardware.recorder import Column
 
 
-def channel_map(model: str | None, columns: Sequence[Column], joint: int | None, gain: Sequence[float] | None) -> dict[str, dict]:
+def channel_map(
+    model: str | None, columns: Sequence[Column], joint: int | None, gain: Sequence[float] | None
+) -> dict[str, dict]:
     """`[channels]` of a dataset: as recorded, or as a model needs them.
 
     With a model, torques are currents times a stated gain (N m/A), which stays visible as `scale`; `joint` picks one joint of
@@ -23,7 +25,9 @@ def channel_map(model: str | None, columns: Sequence[Column], joint: int | None,
 
     first, used = "", set()
     for signature in describe(model).signatures:
-        wanted = [(n, u, "input") for n, u in signature.inputs] + [(n, u, "output") for n, u in signature.outputs]
+        wanted = [(n, u, "input") for n, u in signature.inputs] + [
+            (n, u, "output") for n, u in signature.outputs
+        ]
         chosen: dict[str, dict] = {}
         used = set()
         for name, unit, role in wanted:
@@ -35,7 +39,11 @@ def channel_map(model: str | None, columns: Sequence[Column], joint: int | None,
             used.add(column)
         else:
             # What the model does not need stays auxiliary; a column that is needed under another name is not listed twice.
-            rest = {c.name: _channel(c) | {"role": "auxiliary"} for c in columns if c.name not in used and c.name not in chosen}
+            rest = {
+                c.name: _channel(c) | {"role": "auxiliary"}
+                for c in columns
+                if c.name not in used and c.name not in chosen
+            }
             return chosen | rest
     raise UsageError(f"model {model}: {first}")
 
@@ -46,7 +54,9 @@ def _channel(c: Column) -> dict[str, Any]:
     return {k: v for k, v in entry.items() if v is not None}
 
 
-def _serve(name: str, unit: str, role: str, have: Mapping[str, Column], joint: int | None, gain) -> tuple[Any, str | None]:
+def _serve(
+    name: str, unit: str, role: str, have: Mapping[str, Column], joint: int | None, gain
+) -> tuple[Any, str | None]:
     """The channel entry for one name of a model's signature and its column; or a sentence and None."""
     stem, number = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
     # `q_cmd` of a model is q3_cmd of joint 3.
@@ -55,7 +65,11 @@ def _serve(name: str, unit: str, role: str, have: Mapping[str, Column], joint: i
     spelled = [f"{base}{place}" + (f"_{tail}" if tail else ""), f"{stem}{place}", name]
     for column in spelled:
         if column in have and have[column].unit == unit:
-            entry = _channel(have[column]) | {"role": role} | ({} if column == name else {"column": column})
+            entry = (
+                _channel(have[column])
+                | {"role": role}
+                | ({} if column == name else {"column": column})
+            )
             return entry, column
     if stem == "tau":
         named = [c for c in (f"current{place}", f"current{place}_cmd") if c in have]
@@ -72,7 +86,15 @@ def _serve(name: str, unit: str, role: str, have: Mapping[str, Column], joint: i
             scale = float(gain[k if len(gain) > 1 else 0])
             entry = {"role": role, "unit": unit, "column": column, "scale": scale}
             resolution = have[column].resolution
-            return entry | ({} if resolution is None else {"resolution": abs(scale) * resolution}), column
-    several = sorted(c for c in have if c.rstrip("0123456789") in (stem, "current" if stem == "tau" else stem))
-    hint = f" (there is: {', '.join(several)}; pick one with --joint)" if several and not number and joint is None else ""
+            return entry | (
+                {} if resolution is None else {"resolution": abs(scale) * resolution}
+            ), column
+    several = sorted(
+        c for c in have if c.rstrip("0123456789") in (stem, "current" if stem == "tau" else stem)
+    )
+    hint = (
+        f" (there is: {', '.join(several)}; pick one with --joint)"
+        if several and not number and joint is None
+        else ""
+    )
     return f"it needs {name!r} in {unit}, which this device does not record{hint}", None

@@ -42,7 +42,13 @@ class ClockMap:
 
     def inverted(self) -> ClockMap:
         scale = 1 / (1 + self.drift)
-        return ClockMap(-self.offset * scale, scale - 1, self.offset_std * scale, self.drift_std * scale, self.text)
+        return ClockMap(
+            -self.offset * scale,
+            scale - 1,
+            self.offset_std * scale,
+            self.drift_std * scale,
+            self.text,
+        )
 
 
 def from_arrivals(device: np.ndarray, host: np.ndarray, blocks: int = 16) -> ClockMap:
@@ -80,7 +86,13 @@ def from_arrivals(device: np.ndarray, host: np.ndarray, blocks: int = 16) -> Clo
 
 
 def from_signals(
-    t: np.ndarray, x: np.ndarray, other_t: np.ndarray, other_x: np.ndarray, *, search_s: float | None = None, derivative: int = 0
+    t: np.ndarray,
+    x: np.ndarray,
+    other_t: np.ndarray,
+    other_x: np.ndarray,
+    *,
+    search_s: float | None = None,
+    derivative: int = 0,
 ) -> ClockMap:
     """The main clock as a function of another's, from one motion that both recorded.
 
@@ -106,7 +118,9 @@ def from_signals(
     if search_s is not None:
         allowed &= np.abs(lags * step + begin) <= search_s
     if not allowed.any():
-        raise ValueError("no offset within the search range makes the two recordings overlap by half")
+        raise ValueError(
+            "no offset within the search range makes the two recordings overlap by half"
+        )
     k = int(np.argmax(np.where(allowed, np.abs(score), -np.inf)))
     coarse = float(lags[k] * step + begin)
 
@@ -122,10 +136,14 @@ def from_signals(
         out[inside] = b[inside] - basis @ gain
         return out
 
-    fit = least_squares(residual, [0.0, 0.0], x_scale=[step, step / max(np.ptp(other_t), step)], diff_step=1e-4)
+    fit = least_squares(
+        residual, [0.0, 0.0], x_scale=[step, step / max(np.ptp(other_t), step)], diff_step=1e-4
+    )
     likeness = 1 - float(np.sum(fit.fun**2) / max(np.sum(b**2), 1e-300))
     if likeness < 0.25:
-        raise ValueError(f"the signals do not resemble each other (correlation {np.sqrt(max(likeness, 0)):.2f})")
+        raise ValueError(
+            f"the signals do not resemble each other (correlation {np.sqrt(max(likeness, 0)):.2f})"
+        )
     # Neighbouring residuals are alike; the count of independent ones follows from their correlation.
     r = fit.fun - fit.fun.mean()
     alike = float(np.clip(np.sum(r[1:] * r[:-1]) / max(np.sum(r**2), 1e-300), 0.0, 0.99))
@@ -137,7 +155,9 @@ def from_signals(
         f"offset known to {1e3 * std[0]:.2f} ms in the middle"
     )
     offset = coarse + shift - drift * center
-    return ClockMap(offset, drift, float(np.hypot(std[0], std[1] * abs(center))), float(std[1]), text)
+    return ClockMap(
+        offset, drift, float(np.hypot(std[0], std[1] * abs(center))), float(std[1]), text
+    )
 
 
 def _smooth(t: np.ndarray, x: np.ndarray, step: float, derivative: int) -> np.ndarray:
@@ -165,8 +185,14 @@ def within_tick(
     best, asked = None, None
     for host, word in ((sent, "question"), (received, "answer")):
         late = host - tick - resolution / 2
-        keep = np.abs(late - np.median(late)) < 3 * resolution  # a delayed question says nothing of the clocks
-        slope, level = np.polyfit(tick[keep] - center, late[keep], 1) if keep.sum() > 3 else (0.0, float(np.median(late)))
+        keep = (
+            np.abs(late - np.median(late)) < 3 * resolution
+        )  # a delayed question says nothing of the clocks
+        slope, level = (
+            np.polyfit(tick[keep] - center, late[keep], 1)
+            if keep.sum() > 3
+            else (0.0, float(np.median(late)))
+        )
         rest = late - level - slope * (tick - center)
         low, high = np.percentile(rest, [10, 90])
         if asked is None:

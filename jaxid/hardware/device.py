@@ -151,7 +151,9 @@ def approach(start: np.ndarray, end: np.ndarray, limits: Limits, step: float) ->
     duration = 0.5
     for j, d in enumerate(distance):
         if limits.speed is not None:
-            duration = max(duration, 1.875 * d / (0.33 * limits.speed[j]))  # peak speed of the polynomial below
+            duration = max(
+                duration, 1.875 * d / (0.33 * limits.speed[j])
+            )  # peak speed of the polynomial below
         if limits.acceleration is not None:
             duration = max(duration, float(np.sqrt(5.78 * d / (0.33 * limits.acceleration[j]))))
     s = np.linspace(0.0, 1.0, int(np.ceil(duration / step)) + 1)[1:]

@@ -16,7 +16,16 @@ import numpy as np
 from jaxid.errors import UsageError
 from jaxid.hardware.channels import channel_map
 from jaxid.hardware.clock import ClockMap, from_arrivals, from_signals, within_tick
-from jaxid.hardware.recorder import Column, COMMANDS, read_about, read_events, read_rows, Rows, Stream, SUFFIX
+from jaxid.hardware.recorder import (
+    Column,
+    COMMANDS,
+    read_about,
+    read_events,
+    read_rows,
+    Rows,
+    Stream,
+    SUFFIX,
+)
 from jaxid.hardware.sensor import SensorSpec
 
 
@@ -52,7 +61,12 @@ class Recording:
         return "\n".join([*lines, *(f"- {n}" for n in self.notes)])
 
     def to_dict(self) -> dict[str, Any]:
-        return {"schema": 1, "kind": "dry_run" if self.dry_run else "recording", **self.__dict__, "folder": str(self.folder)}
+        return {
+            "schema": 1,
+            "kind": "dry_run" if self.dry_run else "recording",
+            **self.__dict__,
+            "folder": str(self.folder),
+        }
 
 
 def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Recording:
@@ -82,9 +96,15 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
         raise UsageError(f"{folder} holds no row of {main.name}: {end_reason}")
     timed = _timed(main, rows)
     notes += timed.notes
-    table: dict[str, np.ndarray] = {"t": timed.t, "t_host": rows.host[timed.keep] - timed.host(np.array([timed.zero]))[0]}
+    table: dict[str, np.ndarray] = {
+        "t": timed.t,
+        "t_host": rows.host[timed.keep] - timed.host(np.array([timed.zero]))[0],
+    }
     table |= {c.name: rows.values[timed.keep, k] for k, c in enumerate(main.columns)}
-    columns, clocks = [_blurred(c, table, timed) for c in main.columns], {main.name: timed.host.text}
+    columns, clocks = (
+        [_blurred(c, table, timed) for c in main.columns],
+        {main.name: timed.host.text},
+    )
     out, number = folder.parent, folder.name.removeprefix("run_").removesuffix(SUFFIX)
     extra: dict[str, dict[str, np.ndarray]] = {}
     inside = np.ones(len(timed.t), bool)
@@ -92,16 +112,26 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
         other = read_rows(folder, stream)
         if stream.clock == COMMANDS:
             extra[stream.name] = _told(table, stream, other, timed)
-            clocks[stream.name] = "sent by the host, and as late as a question; in the table, means from each row to the next"
+            clocks[stream.name] = (
+                "sent by the host, and as late as a question; in the table, means from each row to the next"
+            )
             continue
         if len(other.device) < 4:
             notes.append(f"sensor {stream.name} gave {len(other.device)} rows; it is left out")
             continue
-        host = from_arrivals(other.device, other.host) if stream.clock != "arrival at the host" else None
+        host = (
+            from_arrivals(other.device, other.host)
+            if stream.clock != "arrival at the host"
+            else None
+        )
         to_main = timed.host.inverted() if host is None else timed.host.inverted().after(host)
         at = to_main(other.device) - timed.zero
-        extra[stream.name] = {"t": at} | {c.name: other.values[:, k] for k, c in enumerate(stream.columns)}
-        clocks[stream.name] = f"against {main.name}: {'arrival time' if host is None else to_main.text}"
+        extra[stream.name] = {"t": at} | {
+            c.name: other.values[:, k] for k, c in enumerate(stream.columns)
+        }
+        clocks[stream.name] = (
+            f"against {main.name}: {'arrival time' if host is None else to_main.text}"
+        )
         inside &= _onto(table, stream, extra[stream.name], notes)
         columns += stream.columns
     for description in about.get("sensor_files", []):
@@ -132,8 +162,13 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
         "duplicated": timed.duplicated,
         "gaps": timed.gaps,
         "clocks": clocks,
-        "channels": {c.name: {"raw_unit": c.raw_unit, "scale": c.scale} for c in columns if c.raw_unit},
-        "events": [{**e, "t": float(timed.host.inverse(np.array([e["host"]]))[0] - timed.zero)} for e in events],
+        "channels": {
+            c.name: {"raw_unit": c.raw_unit, "scale": c.scale} for c in columns if c.raw_unit
+        },
+        "events": [
+            {**e, "t": float(timed.host.inverse(np.array([e["host"]]))[0] - timed.zero)}
+            for e in events
+        ],
         "notes": notes,
         "raw_sha256": {s.name: _sha256(folder / f"{s.name}.rows") for s in streams},
         **{k: v for k, v in about.items() if k not in ("streams", "sensor_files")},
@@ -174,7 +209,9 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
         host: ClockMap | None = None
         fine = device.copy()
         if rising.sum() >= 4:
-            fine[rising], host, blur, asked = within_tick(device[rising], stream.info["tick_s"], sent[rising], answered[rising])
+            fine[rising], host, blur, asked = within_tick(
+                device[rising], stream.info["tick_s"], sent[rising], answered[rising]
+            )
         device = fine
     else:
         rising = _rising(device)
@@ -187,25 +224,48 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
     t = device[keep]
     zero = float(t[0])
     if host is None:
-        host = ClockMap(float(rows.host[0] - rows.device[0]), 0.0, 0.0, 0.0, "too few samples to compare clocks")
+        host = ClockMap(
+            float(rows.host[0] - rows.device[0]), 0.0, 0.0, 0.0, "too few samples to compare clocks"
+        )
     step = np.diff(t)
     median = float(np.median(step)) if len(step) else 0.0
     period = stream.period or median
     if period and median > 1.5 * period:
-        notes.append(f"the device sends {1 / median:.1f} samples a second where {1 / period:.1f} were asked for")
+        notes.append(
+            f"the device sends {1 / median:.1f} samples a second where {1 / period:.1f} were asked for"
+        )
         period = median
     # A device that sends by itself has lost what is not there; one that is asked may have been asked late.
     polled = bool(stream.info.get("tick_s"))
-    missing = np.maximum(np.round(step / period).astype(int) - 1, 0) if period else np.zeros(len(step), int)
+    missing = (
+        np.maximum(np.round(step / period).astype(int) - 1, 0)
+        if period
+        else np.zeros(len(step), int)
+    )
     missing[step < 2.5 * period] *= not polled
-    gaps = [(round(float(t[k] - zero), 6), round(float(t[k + 1] - zero), 6), int(missing[k])) for k in np.flatnonzero(missing)]
+    gaps = [
+        (round(float(t[k] - zero), 6), round(float(t[k + 1] - zero), 6), int(missing[k]))
+        for k in np.flatnonzero(missing)
+    ]
     rate = (len(t) - 1) / float(t[-1] - t[0]) if len(t) > 1 else 0.0
     if gaps:
         worst = max(gaps, key=lambda g: g[2])
-        notes.append(f"{len(gaps)} gaps of {missing.sum()} samples together, the longest from {worst[0]:.3f} to {worst[1]:.3f} s")
+        notes.append(
+            f"{len(gaps)} gaps of {missing.sum()} samples together, the longest from {worst[0]:.3f} to {worst[1]:.3f} s"
+        )
     repeated = len(rows.device) - len(keep) - back
     return _Timed(
-        keep, np.round(t - zero, 9), zero, host, rate, int(missing.sum()), max(repeated, 0), gaps, notes, blur, asked or host
+        keep,
+        np.round(t - zero, 9),
+        zero,
+        host,
+        rate,
+        int(missing.sum()),
+        max(repeated, 0),
+        gaps,
+        notes,
+        blur,
+        asked or host,
     )
 
 
@@ -227,14 +287,18 @@ def _rising(t: np.ndarray) -> np.ndarray:
     return np.concatenate([[True], t[1:] > top[:-1]])
 
 
-def _told(table: dict[str, np.ndarray], stream: Stream, rows: Rows, timed: _Timed) -> dict[str, np.ndarray]:
+def _told(
+    table: dict[str, np.ndarray], stream: Stream, rows: Rows, timed: _Timed
+) -> dict[str, np.ndarray]:
     """The commands at their own times; the table's become the mean of what was told from each row to the next.
 
     A held mean drives a mechanism like the commands it is the mean of, wherever between two rows they came, also where answers
     were lost.
     """
     at = timed.asked.inverse(rows.host) - timed.zero
-    if "t_sent" in table:  # what went out just before a question arrived just before its answer was made, however late both were
+    if (
+        "t_sent" in table
+    ):  # what went out just before a question arrived just before its answer was made, however late both were
         k = np.minimum(np.searchsorted(table["t_sent"], rows.host), len(table["t"]) - 1)
         ahead = table["t_sent"][k] - rows.host
         at = np.where((ahead >= 0) & (ahead < 5e-3), table["t"][k] - ahead, at)
@@ -251,7 +315,9 @@ def _told(table: dict[str, np.ndarray], stream: Stream, rows: Rows, timed: _Time
     return out
 
 
-def _onto(table: dict[str, np.ndarray], stream: Stream, rows: dict[str, np.ndarray], notes: list[str]) -> np.ndarray:
+def _onto(
+    table: dict[str, np.ndarray], stream: Stream, rows: dict[str, np.ndarray], notes: list[str]
+) -> np.ndarray:
     """Adds a sensor's channels at the main times by linear interpolation; returns where it has data."""
     t, at = table["t"], rows["t"]
     order = np.flatnonzero(_rising(at))
@@ -268,7 +334,9 @@ def _onto(table: dict[str, np.ndarray], stream: Stream, rows: dict[str, np.ndarr
     return inside
 
 
-def _matched(spec: SensorSpec, table: Mapping[str, np.ndarray], timed: _Timed) -> tuple[dict[str, np.ndarray], ClockMap]:
+def _matched(
+    spec: SensorSpec, table: Mapping[str, np.ndarray], timed: _Timed
+) -> tuple[dict[str, np.ndarray], ClockMap]:
     assert spec.match is not None
     t, values = spec.rows()
     names = list(spec.channels)
@@ -286,7 +354,11 @@ def _matched(spec: SensorSpec, table: Mapping[str, np.ndarray], timed: _Timed) -
 
 def _window(events, timed: _Timed, table: Mapping[str, np.ndarray]) -> list[float] | None:
     """The part of a played run that is data: from just before the path to just after it."""
-    at = {e.get("name"): float(timed.host.inverse(np.array([e["at"]]))[0] - timed.zero) for e in events if e["kind"] == "mark"}
+    at = {
+        e.get("name"): float(timed.host.inverse(np.array([e["at"]]))[0] - timed.zero)
+        for e in events
+        if e["kind"] == "mark"
+    }
     if "play_start" not in at:
         return None
     begin = max(at["play_start"] - 0.05, float(table["t"][0]))
@@ -294,7 +366,9 @@ def _window(events, timed: _Timed, table: Mapping[str, np.ndarray]) -> list[floa
     return [round(begin, 6), round(float(end), 6)]
 
 
-def _experiment(file: str, about, table: Mapping[str, np.ndarray], window, timed: _Timed) -> dict[str, Any]:
+def _experiment(
+    file: str, about, table: Mapping[str, np.ndarray], window, timed: _Timed
+) -> dict[str, Any]:
     entry: dict[str, Any] = {"file": file, "split": about.get("split", "fit")}
     step = float(np.median(np.diff(table["t"]))) if len(table["t"]) > 1 else 0.0
     if step and np.diff(table["t"]).max() > 20 * step:
@@ -339,18 +413,29 @@ def _write(out: Path, number: str, table, extra, columns, entry, about, report) 
         array = document["experiments"]
         for c in columns:  # an output that stood still so far, and moves now
             known = document["channels"].get(c.name)
-            if about.get("model") is None and c.role == "output" and known is not None and np.ptp(table[c.name]) > 0:
+            if (
+                about.get("model") is None
+                and c.role == "output"
+                and known is not None
+                and np.ptp(table[c.name]) > 0
+            ):
                 known["role"] = "output"
         if entry["file"] not in [str(e["file"]) for e in array]:  # pyright: ignore[reportGeneralTypeIssues, reportIndexIssue, reportCallIssue, reportArgumentType]
             array.append(tomlkit.item(entry))  # pyright: ignore[reportAttributeAccessIssue]
         _replace(path, tomlkit.dumps(document))
         return
-    content: dict[str, Any] = {"name": about["name"], "description": about["description"], "source": about["source"]}
+    content: dict[str, Any] = {
+        "name": about["name"],
+        "description": about["description"],
+        "source": about["source"],
+    }
     if about.get("model"):
         content["model"] = {"name": about["model"]} | (
             {"constants": about["model_constants"]} if about.get("model_constants") else {}
         )
-    content["channels"] = channel_map(about.get("model"), columns, about.get("joint"), about.get("gain"))
+    content["channels"] = channel_map(
+        about.get("model"), columns, about.get("joint"), about.get("gain")
+    )
     for name, channel in content["channels"].items():
         # An output that never moves would make the whole dataset unreadable, and a robot is rarely moved in all joints.
         if about.get("model") is None and channel["role"] == "output" and np.ptp(table[name]) == 0:

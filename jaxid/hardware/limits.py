@@ -21,10 +21,19 @@ class Clamp:
     from `start`. `count` says how often a command had to be changed.
     """
 
-    def __init__(self, lower: Sequence[float], upper: Sequence[float], step: Sequence[float], start: Sequence[float]):
+    def __init__(
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        step: Sequence[float],
+        start: Sequence[float],
+    ):
         if not len(lower) == len(upper) == len(step) == len(start):
             raise Refused("bounds, step and start differ in length")
-        if not all(a <= b and s > 0 and math.isfinite(x) for a, b, s, x in zip(lower, upper, step, start, strict=True)):
+        if not all(
+            a <= b and s > 0 and math.isfinite(x)
+            for a, b, s, x in zip(lower, upper, step, start, strict=True)
+        ):
             raise Refused("bounds are empty, a step is not above 0, or the start is no number")
         self.lower, self.upper, self.step = tuple(lower), tuple(upper), tuple(step)
         self.last = tuple(start)
@@ -33,9 +42,13 @@ class Clamp:
     def __call__(self, command: Sequence[float]) -> tuple[float, ...]:
         """The command as it may be sent. Raises `Refused` for NaN, infinity or a wrong length."""
         if len(command) != len(self.lower) or not all(math.isfinite(v) for v in command):
-            raise Refused(f"a command must be {len(self.lower)} finite numbers, not {list(command)}")
+            raise Refused(
+                f"a command must be {len(self.lower)} finite numbers, not {list(command)}"
+            )
         sent = []
-        for value, low, high, step, last in zip(command, self.lower, self.upper, self.step, self.last, strict=True):
+        for value, low, high, step, last in zip(
+            command, self.lower, self.upper, self.step, self.last, strict=True
+        ):
             # A start outside the bounds (a robot put there by hand) is led back in steps.
             inside = min(max(value, low), high)
             sent.append(min(max(inside, last - step), last + step))

@@ -76,7 +76,9 @@ class Link:
         ready = bool(self._waiting)
         while not ready:
             left = max(until - time.monotonic(), 0.0)
-            found, free, _ = select.select([self.line], [self.line] if self._unsent else [], [], left)
+            found, free, _ = select.select(
+                [self.line], [self.line] if self._unsent else [], [], left
+            )
             ready = bool(found)
             if free and not ready:
                 try:
@@ -115,7 +117,11 @@ ENDS = {"stopping": "{}: the driver stopped by itself: ", "failed": ""}
 
 def busy(seconds: float) -> str:
     """The sentence for a process that was not run."""
-    return f"this computer was busy for {seconds:.1f} s" if seconds >= 0.095 else f"this computer was busy for {seconds:.2f} s"
+    return (
+        f"this computer was busy for {seconds:.1f} s"
+        if seconds >= 0.095
+        else f"this computer was busy for {seconds:.2f} s"
+    )
 
 
 class Leash:
@@ -148,8 +154,13 @@ class Leash:
                 if message["kind"] != "beat":
                     self.inbox.append(message)
             if self.tight and now - self._heard > self.longest_s:
-                own, silence = max(now - max(began, deadline), began - self._looked), now - self._heard
-                if own > 0.5 * silence:  # it was this process that did not run: the other one may have spoken
+                own, silence = (
+                    max(now - max(began, deadline), began - self._looked),
+                    now - self._heard,
+                )
+                if (
+                    own > 0.5 * silence
+                ):  # it was this process that did not run: the other one may have spoken
                     raise Stop(busy(own))
                 raise Stop(f"the recording process was silent for {silence:.2f} s")
             self._looked = now
@@ -212,7 +223,9 @@ class Driver:
                 raise self.died() from None
         last = next((k for k, m in enumerate(self.inbox) if m["kind"] in ENDS), len(self.inbox))
         if last == 0 and self.inbox:
-            raise HardwareError(ENDS[self.inbox[0]["kind"]].format(self.name) + self.inbox[0]["reason"])
+            raise HardwareError(
+                ENDS[self.inbox[0]["kind"]].format(self.name) + self.inbox[0]["reason"]
+            )
         out, self.inbox = self.inbox[:last], self.inbox[last:]
         return out
 
@@ -238,7 +251,9 @@ class Driver:
         try:
             code = self.process.wait(0.3)
         except subprocess.TimeoutExpired:
-            return HardwareError(f"{self.name}: the driver closed its line without ending{self._last_words()}")
+            return HardwareError(
+                f"{self.name}: the driver closed its line without ending{self._last_words()}"
+            )
         how = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
         return HardwareError(f"{self.name}: the driver process ended {how}{self._last_words()}")
 
@@ -246,7 +261,9 @@ class Driver:
         try:
             size = self._output.seek(0, os.SEEK_END)
             self._output.seek(max(0, size - 2000))
-            lines = [t for t in self._output.read().decode(errors="replace").splitlines() if t.strip()]
+            lines = [
+                t for t in self._output.read().decode(errors="replace").splitlines() if t.strip()
+            ]
         except (OSError, ValueError):
             return ""
         return f" ({lines[-1].strip()[:200]})" if lines else ""
@@ -287,7 +304,9 @@ def in_driver(fd: int) -> Link:
     return Link(socket.socket(fileno=fd))
 
 
-def farewell(link: Link, error: BaseException | None = None, prefix: str = "", **content: Any) -> None:
+def farewell(
+    link: Link, error: BaseException | None = None, prefix: str = "", **content: Any
+) -> None:
     """The last words of a driver: why it stops, or without an `error` that it has stopped. Where nobody is left to hear them they
     stand in its output."""
     if error is None:
@@ -295,7 +314,10 @@ def farewell(link: Link, error: BaseException | None = None, prefix: str = "", *
     elif isinstance(error, Stop):
         kind, content = "stopping", {"reason": str(error)}
     elif isinstance(error, Closed):
-        kind, content = "stopping", {"reason": f"the line to the recording process is closed ({error})"}
+        kind, content = (
+            "stopping",
+            {"reason": f"the line to the recording process is closed ({error})"},
+        )
     else:
         kind, content = "failed", {"reason": prefix + first_line(error)}
     try:

@@ -27,7 +27,9 @@ def opened(port: str, baud: int) -> Any:
                 f"port {port} is in use by another program{_holder(port)}: wait until that has ended, or end it"
             ) from None
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise UsageError(f"port {port} cannot be opened ({reason}); check cable, name and rights") from None
+        raise UsageError(
+            f"port {port} cannot be opened ({reason}); check cable, name and rights"
+        ) from None
     return line
 
 
@@ -37,8 +39,14 @@ def _holder(port: str) -> str:
         node = os.stat(port).st_ino
         for lock in Path("/proc/locks").read_text(encoding="ascii").splitlines():
             fields = lock.split()
-            if fields[1] == "FLOCK" and fields[5].rpartition(":")[2] == str(node) and int(fields[4]) > 0:
-                return f" (process {fields[4]}, {Path(f'/proc/{fields[4]}/comm').read_text().strip()})"
+            if (
+                fields[1] == "FLOCK"
+                and fields[5].rpartition(":")[2] == str(node)
+                and int(fields[4]) > 0
+            ):
+                return (
+                    f" (process {fields[4]}, {Path(f'/proc/{fields[4]}/comm').read_text().strip()})"
+                )
     except (OSError, ValueError, IndexError):
         pass
     return ""

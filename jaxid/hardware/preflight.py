@@ -20,10 +20,14 @@ from jaxid.hardware.trajectory import Trajectory
 def next_run(out: Path, append: bool) -> int:
     left = sorted(out.glob(f"run_*{SUFFIX}")) if out.is_dir() else []
     if left:
-        raise UsageError(f"{left[0]} was never finished: save it with `jaxid record recover {out}`, or remove it")
+        raise UsageError(
+            f"{left[0]} was never finished: save it with `jaxid record recover {out}`, or remove it"
+        )
     if out.is_dir() and any(out.iterdir()):
         if not append:
-            raise UsageError(f"{out} exists and is not empty; choose another folder, or add a run to it with --append")
+            raise UsageError(
+                f"{out} exists and is not empty; choose another folder, or add a run to it with --append"
+            )
         if not (out / "run_1.json").is_file() or not (out / "dataset.toml").is_file():
             raise UsageError(f"{out} was not made by a recording, so no run can be added to it")
         return 1 + max(int(p.stem[4:]) for p in out.glob("run_*.json") if p.stem[4:].isdigit())
@@ -36,7 +40,9 @@ def refuse_other_columns(out: Path, columns: Sequence[str]) -> None:
     channels = tomllib.loads((out / "dataset.toml").read_text(encoding="utf-8")).get("channels", {})
     lacking = [name for name, c in channels.items() if c.get("column", name) not in columns]
     if lacking:
-        raise UsageError(f"{out} has channels that this recording lacks ({', '.join(lacking)}); record into another folder")
+        raise UsageError(
+            f"{out} has channels that this recording lacks ({', '.join(lacking)}); record into another folder"
+        )
 
 
 def check_words(device: Device, play: Trajectory | None, seconds: float | None, split: str) -> None:
@@ -47,11 +53,17 @@ def check_words(device: Device, play: Trajectory | None, seconds: float | None, 
     if seconds is not None and not 0 < seconds < 1e6:
         raise UsageError(f"{seconds:g} seconds cannot be recorded")
     if play is not None and play.kind not in device.kinds:
-        raise UsageError(f"{device.name} takes {' or '.join(device.kinds)} commands, the trajectory holds {play.kind}")
+        raise UsageError(
+            f"{device.name} takes {' or '.join(device.kinds)} commands, the trajectory holds {play.kind}"
+        )
     if play is not None and seconds is not None and seconds < play.duration:
-        raise UsageError(f"the trajectory takes {play.duration:g} s: record at least so long, or give a shorter one")
+        raise UsageError(
+            f"the trajectory takes {play.duration:g} s: record at least so long, or give a shorter one"
+        )
     if play is not None and play.joints != device.joints:
-        raise UsageError(f"the trajectory has {play.joints} joints, {device.name} has {device.joints}")
+        raise UsageError(
+            f"the trajectory has {play.joints} joints, {device.name} has {device.joints}"
+        )
     if play is not None and (why := play.not_in_seconds()):
         raise UsageError(f"the trajectory {play.source} cannot be played: {why}")
 
@@ -60,7 +72,9 @@ def refuse_path(play: Trajectory, bounds: Limits, device: Device) -> None:
     problems = play.check(bounds, device.command_step)
     if problems:
         text = "\n".join(f"- {p}" for p in problems)
-        raise UsageError(f"the trajectory {play.source} cannot be played on {device.name}; nothing was moved:\n{text}")
+        raise UsageError(
+            f"the trajectory {play.source} cannot be played on {device.name}; nothing was moved:\n{text}"
+        )
 
 
 def refuse_size(out: Path, streams: Sequence[Stream], seconds: float) -> None:
@@ -81,7 +95,9 @@ def refuse_state(device: Device, bounds: Limits, sample: Sample) -> None:
 
 
 def dry_text(device: Device, play: Trajectory, plan: Plan, sample: Sample) -> str:
-    start = max(abs(a - b) for a, b in zip(device.measured(sample.values).q, play.values[0], strict=True))
+    start = max(
+        abs(a - b) for a, b in zip(device.measured(sample.values).q, play.values[0], strict=True)
+    )
     way = f", beginning {start:.3g} rad from where it stands" if play.kind == "position" else ""
     return (
         f"dry run: the path ({play.duration:.1f} s, {play.kind}) keeps all limits{way}; "
@@ -89,7 +105,9 @@ def dry_text(device: Device, play: Trajectory, plan: Plan, sample: Sample) -> st
     )
 
 
-def about(device, out: Path, split, model, joint, gains, constants, play, plan, bounds: Limits) -> dict[str, Any]:
+def about(
+    device, out: Path, split, model, joint, gains, constants, play, plan, bounds: Limits
+) -> dict[str, Any]:
     from importlib.metadata import PackageNotFoundError, version
 
     versions = {"python": platform.python_version()}
@@ -101,13 +119,25 @@ def about(device, out: Path, split, model, joint, gains, constants, play, plan, 
     now = datetime.datetime.now().astimezone()
     excitation = None
     if play is not None:
-        excitation = {"kind": play.kind, "source": play.source, "duration_s": play.duration, "sha256": play.sha256}
+        excitation = {
+            "kind": play.kind,
+            "source": play.source,
+            "duration_s": play.duration,
+            "sha256": play.sha256,
+        }
     where = getattr(device, "where", device.name)
     return {
         "name": out.resolve().name,
-        "description": f"recorded from {device.name}" + (f" while playing {play.source or 'a path'}" if play else ""),
-        "source": {"hardware": f"{device.name} at {where}", "recorded": now.isoformat(timespec="seconds"), "by": "jaxid record"},
-        "provenance": "emulated or simulated (loopback or pseudo terminal)" if getattr(device, "local", False) else "real device",
+        "description": f"recorded from {device.name}"
+        + (f" while playing {play.source or 'a path'}" if play else ""),
+        "source": {
+            "hardware": f"{device.name} at {where}",
+            "recorded": now.isoformat(timespec="seconds"),
+            "by": "jaxid record",
+        },
+        "provenance": "emulated or simulated (loopback or pseudo terminal)"
+        if getattr(device, "local", False)
+        else "real device",
         "split": split,
         "model": model,
         "joint": joint,

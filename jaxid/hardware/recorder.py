@@ -33,7 +33,9 @@ class Column:
 
     name: str
     unit: str
-    role: str = "auxiliary"  # "input" | "output" | "auxiliary" | "clock": recorded for the clocks only
+    role: str = (
+        "auxiliary"  # "input" | "output" | "auxiliary" | "clock": recorded for the clocks only
+    )
     resolution: float | None = None
     noise_std: float | None = None
     hold: str = "zero"
@@ -63,13 +65,25 @@ class Recorder:
     happened. Raises `OSError` where the folder cannot be written.
     """
 
-    def __init__(self, folder: str | os.PathLike[str], streams: Sequence[Stream], about: Mapping[str, Any], flush_s: float = 0.5):
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        streams: Sequence[Stream],
+        about: Mapping[str, Any],
+        flush_s: float = 0.5,
+    ):
         self.folder, self.streams = Path(folder), tuple(streams)
         self.folder.mkdir(parents=True)
-        content = {"format_version": FORMAT_VERSION, "streams": [asdict(s) for s in self.streams], **about}
+        content = {
+            "format_version": FORMAT_VERSION,
+            "streams": [asdict(s) for s in self.streams],
+            **about,
+        }
         content["started_monotonic"] = time.monotonic()
         _write_synced(self.folder / ABOUT, json.dumps(content, indent=1).encode())
-        self._files = [open(self.folder / f"{s.name}.rows", "ab", buffering=0) for s in self.streams]
+        self._files = [
+            open(self.folder / f"{s.name}.rows", "ab", buffering=0) for s in self.streams
+        ]
         self._rows = [struct.Struct(f"<{2 + len(s.columns)}d") for s in self.streams]
         self._events = open(self.folder / EVENTS, "ab", buffering=0)
         self._pending = [bytearray() for _ in self.streams]
@@ -87,7 +101,9 @@ class Recorder:
         payload = self._rows[stream].pack(host, device, *values)
         number = struct.pack("<I", self.counts[stream] & 0xFFFFFFFF)
         with self._lock:
-            self._pending[stream] += struct.pack("<I", zlib.crc32(number + payload)) + number + payload
+            self._pending[stream] += (
+                struct.pack("<I", zlib.crc32(number + payload)) + number + payload
+            )
         self.counts[stream] += 1
 
     def event(self, kind: str, text: str = "", **more: Any) -> None:

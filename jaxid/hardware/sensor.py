@@ -39,7 +39,9 @@ class _Channel(_Strict):
 class _Time(_Strict):
     column: str
     unit: str = "s"
-    wraps_at: FiniteFloat | None = Field(default=None, gt=0)  # the counter starts again from 0 here, in its own unit
+    wraps_at: FiniteFloat | None = Field(
+        default=None, gt=0
+    )  # the counter starts again from 0 here, in its own unit
 
 
 class _Match(_Strict):
@@ -76,7 +78,9 @@ class SensorSpec(_Strict):
             raise ValueError(
                 "a `file` needs `time` and `match`: its clock is not the main one, and a shared motion tells its offset"
             )
-        used = [c.column for c in self.channels.values()] + ([self.time.column] if self.time else [])
+        used = [c.column for c in self.channels.values()] + (
+            [self.time.column] if self.time else []
+        )
         for column in used if self.port is not None else []:
             if column not in self.columns:
                 raise ValueError(f"column {column!r} is not among `columns`")
@@ -97,12 +101,17 @@ class SensorSpec(_Strict):
             raise UsageError(f"sensor {path}: cannot be read ({error.strerror})") from error
         except ValidationError as error:
             faults = "; ".join(
-                ".".join(map(str, e["loc"])) + ": " + e["msg"].removeprefix("Value error, ") for e in error.errors()
+                ".".join(map(str, e["loc"])) + ": " + e["msg"].removeprefix("Value error, ")
+                for e in error.errors()
             )
             raise UsageError(f"sensor {path}: {faults}") from error
         except ValueError as error:
             raise UsageError(f"sensor {path}: not readable as TOML: {error}") from error
-        return spec if spec.file is None else spec.model_copy(update={"file": str(path.parent / spec.file)})
+        return (
+            spec
+            if spec.file is None
+            else spec.model_copy(update={"file": str(path.parent / spec.file)})
+        )
 
     def stream(self) -> Stream:
         columns = []
@@ -110,10 +119,27 @@ class SensorSpec(_Strict):
             si = conversion(c.unit)
             width = lambda v, si=si: None if v is None else v * si.factor
             columns.append(
-                Column(name, si.si, c.role, width(c.resolution), width(c.noise_std), "linear" if c.role == "input" else "zero")
+                Column(
+                    name,
+                    si.si,
+                    c.role,
+                    width(c.resolution),
+                    width(c.noise_std),
+                    "linear" if c.role == "input" else "zero",
+                )
             )
-        clock = "arrival at the host" if self.time is None else f"sensor time, column {self.time.column!r}"
-        return Stream(self.name, tuple(columns), clock, None, {"description": self.model_dump(exclude_none=True)})
+        clock = (
+            "arrival at the host"
+            if self.time is None
+            else f"sensor time, column {self.time.column!r}"
+        )
+        return Stream(
+            self.name,
+            tuple(columns),
+            clock,
+            None,
+            {"description": self.model_dump(exclude_none=True)},
+        )
 
     def convert(self, row: Mapping[str, Any]) -> list[Any]:
         """SI values of the channels from a row of columns (numbers or arrays)."""
@@ -135,14 +161,20 @@ class SensorSpec(_Strict):
             raise UsageError(f"sensor file {path}: cannot be read ({error.strerror})") from error
         wanted = [self.time.column, *(c.column for c in self.channels.values())]
         problems = [str(p) for p in table.problems]
-        problems += [str(table.missing(c, "the sensor")) for c in wanted if c not in table.columns and not table.problems]
+        problems += [
+            str(table.missing(c, "the sensor"))
+            for c in wanted
+            if c not in table.columns and not table.problems
+        ]
         if problems:
             raise UsageError(f"sensor file {path}: {problems[0]}")
         columns = {c: table.numbers(c).values for c in wanted}
         for name, values in columns.items():
             if not np.isfinite(values).all():
                 row = table.row(int(np.flatnonzero(~np.isfinite(values))[0]))
-                raise UsageError(f"sensor file {path}: row {row}, column {name}: no number; remove the row")
+                raise UsageError(
+                    f"sensor file {path}: row {row}, column {name}: no number; remove the row"
+                )
         t = columns[self.time.column] * conversion(self.time.unit).factor
         if len(t) < 20 or np.diff(t).min() <= 0:
             raise UsageError(f"sensor file {path}: its time must rise over at least 20 rows")
@@ -176,7 +208,9 @@ class SerialSensor:
         try:
             block = self.line.read(self.line.in_waiting or 1)
         except OSError as error:
-            raise HardwareError(f"sensor {self.spec.name}: port {self.spec.port} is gone ({error})") from None
+            raise HardwareError(
+                f"sensor {self.spec.name}: port {self.spec.port} is gone ({error})"
+            ) from None
         now = time.monotonic()
         first = not self._buffer and self._last is None
         *lines, self._buffer = (self._buffer + block).split(b"\n")
@@ -188,7 +222,9 @@ class SerialSensor:
                 if not all(map(np.isfinite, numbers)):
                     raise ValueError
             except ValueError:
-                self.malformed += not (first and k == 0)  # the first line may have begun before we listened
+                self.malformed += not (
+                    first and k == 0
+                )  # the first line may have begun before we listened
                 continue
             samples.append(Sample(now, self._time(row, now), self.spec.convert(row)))
         return samples
@@ -197,7 +233,11 @@ class SerialSensor:
         if self.spec.time is None:
             return now
         raw = row[self.spec.time.column]
-        if self.spec.time.wraps_at is not None and self._last is not None and raw < self._last - self.spec.time.wraps_at / 2:
+        if (
+            self.spec.time.wraps_at is not None
+            and self._last is not None
+            and raw < self._last - self.spec.time.wraps_at / 2
+        ):
             self._turns += self.spec.time.wraps_at
         self._last = raw
         return (raw + self._turns) * conversion(self.spec.time.unit).factor

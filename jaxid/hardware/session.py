@@ -20,7 +20,14 @@ from jaxid.hardware.device import Device, Plan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.finishing import finish, Recording
 from jaxid.hardware.pauses import Pauses
-from jaxid.hardware.preflight import check_words, dry_text, refuse_other_columns, refuse_path, refuse_size, refuse_state
+from jaxid.hardware.preflight import (
+    check_words,
+    dry_text,
+    refuse_other_columns,
+    refuse_path,
+    refuse_size,
+    refuse_state,
+)
 from jaxid.hardware.recorder import COMMANDS, Recorder, SUFFIX
 from jaxid.hardware.sensor import SensorSpec, SerialSensor
 from jaxid.hardware.trajectory import Trajectory
@@ -78,7 +85,13 @@ def record(
     then are in the folder, marked as not complete. So they are after Ctrl-C.
     """
     out = Path(out)
-    gains = None if gain is None else [float(gain)] if isinstance(gain, int | float) else [float(g) for g in gain]
+    gains = (
+        None
+        if gain is None
+        else [float(gain)]
+        if isinstance(gain, int | float)
+        else [float(g) for g in gain]
+    )
     number = preflight.next_run(out, append)
     check_words(device, play, seconds, split)
     with ExitStack() as stack:
@@ -93,7 +106,9 @@ def record(
         if len({s.name for s in streams}) < len(streams):
             raise UsageError("two devices have the same name; rename a sensor")
         files = [s for s in sensors if s.file is not None]
-        columns = [c for s in streams if s.clock != COMMANDS for c in s.columns] + [c for s in files for c in s.stream().columns]
+        columns = [c for s in streams if s.clock != COMMANDS for c in s.columns] + [
+            c for s in files for c in s.stream().columns
+        ]
         channel_map(model, columns, joint, gains)
         if number > 1:
             refuse_other_columns(out, [c.name for c in columns])
@@ -114,8 +129,12 @@ def record(
             plan = device.plan(play, bounds, watch.last.values)
             if not live:
                 text = dry_text(device, play, plan, watch.last)
-                return Recording(out, "", 0, plan.duration, 0.0, 0, 0, (), False, text, (), dry_run=True)
-        about = preflight.about(device, out, split, model, joint, gains, constants, play, plan, bounds)
+                return Recording(
+                    out, "", 0, plan.duration, 0.0, 0, 0, (), False, text, (), dry_run=True
+                )
+        about = preflight.about(
+            device, out, split, model, joint, gains, constants, play, plan, bounds
+        )
         about["sensor_files"] = [f.model_dump(exclude_none=True) for f in files]
         out.mkdir(parents=True, exist_ok=True)
         folder = out / f"run_{number}{SUFFIX}"
@@ -123,10 +142,16 @@ def record(
         error: BaseException | None = None
         reason, complete = "the time was over", True
         try:
-            reason = _run(device, serial, len(own), recorder, watch, plan, seconds, bounds, progress)
+            reason = _run(
+                device, serial, len(own), recorder, watch, plan, seconds, bounds, progress
+            )
         except BaseException as caught:
             error, complete = caught, False
-            reason = "interrupted" if isinstance(caught, KeyboardInterrupt) else str(caught) or type(caught).__name__
+            reason = (
+                "interrupted"
+                if isinstance(caught, KeyboardInterrupt)
+                else str(caught) or type(caught).__name__
+            )
             recorder.event("fault", reason)
         finally:
             said = _let_go(device, reason)
@@ -138,12 +163,17 @@ def record(
                 recorder.event("note", f"lost answers, none of them stored: {text}", losses=losses)
             for sensor in serial:
                 if sensor.malformed:
-                    recorder.event("note", f"sensor {sensor.spec.name}: {sensor.malformed} lines were not readable and left out")
+                    recorder.event(
+                        "note",
+                        f"sensor {sensor.spec.name}: {sensor.malformed} lines were not readable and left out",
+                    )
             recorder.event("end", reason, complete=complete)
             try:
                 recorder.close()
             except OSError as full:
-                error = error or HardwareError(f"{folder}: rows could not be written ({full.strerror})")
+                error = error or HardwareError(
+                    f"{folder}: rows could not be written ({full.strerror})"
+                )
         if recorder.counts[0] == 0:
             shutil.rmtree(folder)
             raise error or HardwareError(f"{device.name}: nothing was received")
@@ -151,7 +181,9 @@ def record(
         if error is not None:
             if isinstance(error, HardwareError):
                 error.folder = str(out)
-                error.add_note(f"{recording.rows} rows up to then are in {out}, marked as not complete")
+                error.add_note(
+                    f"{recording.rows} rows up to then are in {out}, marked as not complete"
+                )
             raise error
         return recording
 
@@ -159,7 +191,11 @@ def record(
 def recover(folder: str | os.PathLike[str]) -> list[Recording]:
     """Finishes every recording in a folder whose process died before it could. Raises `UsageError` where there is none."""
     folder = Path(folder)
-    left = [folder] if folder.name.endswith(SUFFIX) else sorted(p for p in folder.glob(f"*{SUFFIX}") if p.is_dir())
+    left = (
+        [folder]
+        if folder.name.endswith(SUFFIX)
+        else sorted(p for p in folder.glob(f"*{SUFFIX}") if p.is_dir())
+    )
     if not left:
         raise UsageError(f"{folder}: there is no unfinished recording (a folder run_1{SUFFIX})")
     return [finish(p) for p in left]
@@ -191,7 +227,15 @@ def _wait(device: Device, sensors: Sequence[SerialSensor], timeout: float) -> No
 
 
 def _run(
-    device, sensors, own: int, recorder: Recorder, watch: _Watch, plan: Plan | None, seconds, bounds: Limits, progress
+    device,
+    sensors,
+    own: int,
+    recorder: Recorder,
+    watch: _Watch,
+    plan: Plan | None,
+    seconds,
+    bounds: Limits,
+    progress,
 ) -> str:
     """Until the time is over or the path played; returns why it ended, raises what ended it early, with the pause of this
     computer that it may have come from."""
@@ -210,7 +254,15 @@ def _run(
 
 
 def _watched(
-    device, sensors, own: int, recorder: Recorder, watch: _Watch, plan: Plan | None, seconds, bounds: Limits, progress
+    device,
+    sensors,
+    own: int,
+    recorder: Recorder,
+    watch: _Watch,
+    plan: Plan | None,
+    seconds,
+    bounds: Limits,
+    progress,
 ) -> str:
     watch.began = watch.heard = now = time.monotonic()
     silence = max(SILENCE_S, 3 * (recorder.streams[0].period or 0.0))
@@ -239,14 +291,23 @@ def _watched(
                 recorder.append(own + k, *sample)
             heard[id(sensor)] = now if samples else heard[id(sensor)]
             if now - heard[id(sensor)] > 2 * SILENCE_S:
-                raise HardwareError(f"sensor {sensor.spec.name} has been silent for {now - heard[id(sensor)]:.1f} s")
+                raise HardwareError(
+                    f"sensor {sensor.spec.name} has been silent for {now - heard[id(sensor)]:.1f} s"
+                )
         for message in news.messages:
             _hear(device, recorder, watch, plan, bounds, message, now)
         age = now - watch.heard
         if age > (bounds.data_age if watch.moving else silence):
-            raise HardwareError(f"{device.name}: no data for {age:.2f} s" + (" while it moved" if watch.moving else ""))
+            raise HardwareError(
+                f"{device.name}: no data for {age:.2f} s"
+                + (" while it moved" if watch.moving else "")
+            )
         if watch.phase in ("loading", "arming") and now - watch.asked > ARMED_S:
-            what = "its driver did not take the path" if watch.phase == "loading" else "it did not become ready to move"
+            what = (
+                "its driver did not take the path"
+                if watch.phase == "loading"
+                else "it did not become ready to move"
+            )
             raise HardwareError(f"{device.name}: {what} within {ARMED_S:g} s")
         if now - beaten >= BEAT_S:
             device.beat()
@@ -254,7 +315,12 @@ def _watched(
         if progress is not None and now - told > 0.2:
             told = now
             watch.pauses.lap()
-            progress("recording", round(10 * (now - watch.began)), round(10 * total), f"{recorder.counts[0]} samples")
+            progress(
+                "recording",
+                round(10 * (now - watch.began)),
+                round(10 * total),
+                f"{recorder.counts[0]} samples",
+            )
             watch.pauses.lap(doing="showing the progress")
         if plan is None and now - watch.began >= seconds:
             return "the time was over"
@@ -268,7 +334,12 @@ def _judge(device: Device, bounds: Limits, sample: Sample, watch: _Watch) -> Non
     if why is None and watch.moving:
         why = bounds.violation(*device.measured(sample.values))
         tracking = getattr(device, "tracking", None)
-        if why is None and tracking is not None and bounds.tracking is not None and watch.phase == "playing":
+        if (
+            why is None
+            and tracking is not None
+            and bounds.tracking is not None
+            and watch.phase == "playing"
+        ):
             distance = tracking(sample.values)
             if distance > min(bounds.tracking):
                 why = f"a joint is {distance:.3g} rad from where it was told to be; the limit is {min(bounds.tracking):.3g} rad"
@@ -302,7 +373,8 @@ def _hear(
             recorder.event("note", f"{message['clamped']} commands were clamped to the limits")
         if message.get("longest_s", 0) > 0.02:
             recorder.event(
-                "note", f"commands were up to {1e3 * message['longest_s']:.0f} ms late; the path was played that much slower"
+                "note",
+                f"commands were up to {1e3 * message['longest_s']:.0f} ms late; the path was played that much slower",
             )
     elif kind == "note":
         recorder.event("note", message["text"])

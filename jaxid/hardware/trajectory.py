@@ -42,13 +42,19 @@ class Trajectory:
         if self.kind not in KINDS:
             raise UsageError(f"{where}: kind is {self.kind!r}; it is one of {', '.join(KINDS)}")
         if t.ndim != 1 or values.ndim != 2 or len(t) != len(values) or len(t) < 2:
-            raise UsageError(f"{where}: t {t.shape} and commands {values.shape}; expected [time] and [time joints], 2 or more")
+            raise UsageError(
+                f"{where}: t {t.shape} and commands {values.shape}; expected [time] and [time joints], 2 or more"
+            )
         if not np.isfinite(t).all() or not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values).all(axis=1) | ~np.isfinite(t))[0])
-            raise UsageError(f"{where}: row {row + 2} holds a value that is no number; correct the file")
+            raise UsageError(
+                f"{where}: row {row + 2} holds a value that is no number; correct the file"
+            )
         if np.diff(t).min() <= 0:
             row = int(np.argmin(np.diff(t)))
-            raise UsageError(f"{where}: time does not rise at row {row + 3} (t = {t[row + 1]:g} s); sort the file")
+            raise UsageError(
+                f"{where}: time does not rise at row {row + 3} (t = {t[row + 1]:g} s); sort the file"
+            )
         object.__setattr__(self, "t", t - t[0])
         object.__setattr__(self, "values", values)
 
@@ -65,7 +71,9 @@ class Trajectory:
         return hashlib.sha256(self.t.tobytes() + self.values.tobytes()).hexdigest()
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str], joints: int = 1, kind: str = "position") -> Trajectory:
+    def read(
+        cls, path: str | os.PathLike[str], joints: int = 1, kind: str = "position"
+    ) -> Trajectory:
         """From CSV or Parquet with a column `t` and one command a joint, or from a dataset folder (its first run).
 
         Columns are `q1_cmd …` or `q1 …` (`qd`, `current` for the other kinds; no number where there is one joint), in SI.
@@ -76,7 +84,9 @@ class Trajectory:
         numbers = [""] if joints == 1 else [str(j + 1) for j in range(joints)]
         chosen = []
         for n in numbers:
-            names = [f"{stem}{n}_cmd", f"{stem}{n}"] + ([f"{stem}1_cmd", f"{stem}1"] if joints == 1 else [])
+            names = [f"{stem}{n}_cmd", f"{stem}{n}"] + (
+                [f"{stem}1_cmd", f"{stem}1"] if joints == 1 else []
+            )
             found = next((name for name in names if name in columns), None)
             if found is None:
                 raise UsageError(
@@ -112,14 +122,26 @@ class Trajectory:
         t = np.arange(round(duration * rate) + 1) / rate
         length = min(1.0, max(t[-1] / 2 - rest, 1e-3))
         edge = np.clip(np.minimum(t - rest, t[-1] - rest - t) / length, 0.0, 1.0)
-        fade = edge**3 * (10 - 15 * edge + 6 * edge**2)  # rises from 0 to 1 without a jump in speed or acceleration
+        fade = edge**3 * (
+            10 - 15 * edge + 6 * edge**2
+        )  # rises from 0 to 1 without a jump in speed or acceleration
         values = np.empty((len(t), len(sizes)))
         for j, a in enumerate(sizes):
             f = np.geomspace(*frequencies, lines) * rng.uniform(0.95, 1.05, lines)
             phase = rng.uniform(0, 2 * np.pi, lines)
-            x = np.sum(np.sin(2 * np.pi * f[:, None] * t + phase[:, None]) / f[:, None] ** 0.5, axis=0) * fade
+            x = (
+                np.sum(
+                    np.sin(2 * np.pi * f[:, None] * t + phase[:, None]) / f[:, None] ** 0.5, axis=0
+                )
+                * fade
+            )
             values[:, j] = centers[j] + a * x / np.abs(x).max()
-        return cls(t, values, kind, f"multisine, {lines} lines from {frequencies[0]:g} to {frequencies[1]:g} Hz, seed {seed}")
+        return cls(
+            t,
+            values,
+            kind,
+            f"multisine, {lines} lines from {frequencies[0]:g} to {frequencies[1]:g} Hz, seed {seed}",
+        )
 
     def sampled(self, step: float) -> np.ndarray:
         """Commands `[time joints]` every `step` s, first and last included."""
@@ -139,21 +161,55 @@ class Trajectory:
         if self.kind != "position":  # nothing is commanded before and after
             sent, at = np.pad(sent, ((1, 1), (0, 0))), np.concatenate([at[:1], at, at[-1:]])
         change, unit = np.diff(sent, axis=0), KINDS[self.kind][1]
-        rates = ("acceleration", at[1:], change / step, *_both(limits.acceleration), "rad/s^2", JUMP)
+        rates = (
+            "acceleration",
+            at[1:],
+            change / step,
+            *_both(limits.acceleration),
+            "rad/s^2",
+            JUMP,
+        )
         checks: list = []
         if self.kind == "position":
             speeds = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
             bend = np.diff(change, axis=0) / step**2
             # The last step is shorter than the others in the file and shows a rate that nothing follows.
-            checks += [("q", self.t, self.values, limits.lower, limits.upper, unit, "keep the path inside")]
+            checks += [
+                ("q", self.t, self.values, limits.lower, limits.upper, unit, "keep the path inside")
+            ]
             checks += [("speed", self.t[1:], speeds, *_both(limits.speed), "rad/s", JUMP)]
             bend = bend[:-1] if len(bend) > 1 else bend
-            checks += [("acceleration", at[1 : 1 + len(bend)], bend, *_both(limits.acceleration), "rad/s^2", JUMP)]
+            checks += [
+                (
+                    "acceleration",
+                    at[1 : 1 + len(bend)],
+                    bend,
+                    *_both(limits.acceleration),
+                    "rad/s^2",
+                    JUMP,
+                )
+            ]
         elif self.kind == "velocity":
-            checks += [("qd", self.t, self.values, *_both(limits.speed), unit, "scale the path down"), rates]
+            checks += [
+                ("qd", self.t, self.values, *_both(limits.speed), unit, "scale the path down"),
+                rates,
+            ]
         else:
-            checks += [("current", self.t, self.values, *_both(limits.current), unit, "scale the path down")]
-        checks += [("step", at[1:], change, *_both(limits.step), unit, JUMP)] if limits.step is not None else []
+            checks += [
+                (
+                    "current",
+                    self.t,
+                    self.values,
+                    *_both(limits.current),
+                    unit,
+                    "scale the path down",
+                )
+            ]
+        checks += (
+            [("step", at[1:], change, *_both(limits.step), unit, JUMP)]
+            if limits.step is not None
+            else []
+        )
         return [text for c in checks for text in self._worst(*c)]
 
     def not_in_seconds(self) -> str:
@@ -161,7 +217,14 @@ class Trajectory:
         step = float(np.median(np.diff(self.t)))
         if len(self.t) <= SAMPLED or step < SPARSE_S:
             return ""
-        guess = next((f"rather {name} than s: divide it by {n}" for name, n in UNITS if 1e-4 <= step / n <= 0.1), "no time in s")
+        guess = next(
+            (
+                f"rather {name} than s: divide it by {n}"
+                for name, n in UNITS
+                if 1e-4 <= step / n <= 0.1
+            ),
+            "no time in s",
+        )
         k = 1 + int(np.argmax(np.diff(self.t) >= SPARSE_S))
         return (
             f"column t is {guess}. Read as seconds, row {k + FIRST_ROW} comes {self.t[k] - self.t[k - 1]:g} s after the last and "
@@ -176,7 +239,9 @@ class Trajectory:
                     continue
                 k = int(np.argmax(excess * values[:, j]))
                 if excess * (values[k, j] - bound[j]) > 1e-9 + 1e-6 * abs(bound[j]):
-                    row = min(int(np.searchsorted(self.t, at[k] - 1e-9)), len(self.t) - 1) + FIRST_ROW
+                    row = (
+                        min(int(np.searchsorted(self.t, at[k] - 1e-9)), len(self.t) - 1) + FIRST_ROW
+                    )
                     found = f"{name} reaches {values[k, j]:.4g} {unit} at {at[k]:.3f} s (row {row})"
                     yield f"{found}; the limit is {bound[j]:.4g} {unit}: {remedy}"
 
@@ -213,5 +278,9 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
     if table.problems:
         raise UsageError(f"trajectory {path}: {table.problems[0]}")
     if "t" not in table.columns:
-        raise UsageError(f"trajectory {path}: there is no column 't' (there is: {', '.join(table.columns)})")
-    return {name: table.numbers(name).values for name in table.columns if name != "t"}, table.numbers("t").values
+        raise UsageError(
+            f"trajectory {path}: there is no column 't' (there is: {', '.join(table.columns)})"
+        )
+    return {
+        name: table.numbers(name).values for name in table.columns if name != "t"
+    }, table.numbers("t").values

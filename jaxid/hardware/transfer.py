@@ -46,14 +46,29 @@ class Table:
         """The kind and content of the answer: `want` the rows from `at` on, or `loaded`. Raises `ValueError` for other rows than
         those that were asked for."""
         if order["kind"] == "path":
-            self.rows, self.joints, self._values = int(order["rows"]), int(order["joints"]), array("d")
+            self.rows, self.joints, self._values = (
+                int(order["rows"]),
+                int(order["joints"]),
+                array("d"),
+            )
         else:
             content = array("d", base64.b64decode(order["content"], validate=True))
             have = len(self)
-            if order["at"] != have or not content or len(content) % self.joints or have + len(content) // self.joints > self.rows:
-                raise ValueError(f"{len(content)} numbers of the path came for row {have + 1} of {self.rows}")
+            if (
+                order["at"] != have
+                or not content
+                or len(content) % self.joints
+                or have + len(content) // self.joints > self.rows
+            ):
+                raise ValueError(
+                    f"{len(content)} numbers of the path came for row {have + 1} of {self.rows}"
+                )
             self._values += content
-        return ("loaded", {"rows": self.rows}) if len(self) == self.rows else ("want", {"at": len(self)})
+        return (
+            ("loaded", {"rows": self.rows})
+            if len(self) == self.rows
+            else ("want", {"at": len(self)})
+        )
 
     def __len__(self) -> int:
         return len(self._values) // self.joints if self.joints else 0
@@ -62,4 +77,7 @@ class Table:
         """The rows; raises `ValueError` where any is missing."""
         if not self.rows or len(self) != self.rows:
             raise ValueError(f"{len(self)} of {self.rows} rows of the path are there")
-        return (self._values[k : k + self.joints].tolist() for k in range(0, len(self._values), self.joints))
+        return (
+            self._values[k : k + self.joints].tolist()
+            for k in range(0, len(self._values), self.joints)
+        )

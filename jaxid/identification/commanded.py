@@ -16,12 +16,18 @@ def commanded(dataset: Dataset) -> Dataset:
     Raises `UsageError` where a run lacks one.
     """
     names = [c.name for c in dataset.outputs]
-    lacking = [f"{n}_cmd" for n in names if any(f"{n}_cmd" not in e.auxiliary for e in dataset.experiments)]
+    lacking = [
+        f"{n}_cmd" for n in names if any(f"{n}_cmd" not in e.auxiliary for e in dataset.experiments)
+    ]
     if lacking:
         raise UsageError(
             f"the commanded motion needs {', '.join(lacking)}: give the controller's target position of each joint as a channel "
             'of that name, role = "auxiliary"'
         )
-    by = lambda e: replace(e, y=np.stack([np.asarray(e.auxiliary[f"{n}_cmd"], float) for n in names], 1))
+    by = lambda e: replace(
+        e, y=np.stack([np.asarray(e.auxiliary[f"{n}_cmd"], float) for n in names], 1)
+    )
     note = "the motion is the commanded one; what the drives lag behind it is in the torque error"
-    return replace(dataset, experiments=tuple(map(by, dataset.experiments)), notes=(*dataset.notes, note))
+    return replace(
+        dataset, experiments=tuple(map(by, dataset.experiments)), notes=(*dataset.notes, note)
+    )

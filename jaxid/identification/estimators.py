@@ -78,12 +78,20 @@ class Triangles:
 
     def stacked(self, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Few rows in the place of `stacked` ones."""
-        R = np.concatenate([(R * w[:, None, None]).reshape(-1, R.shape[2]) for R, w in zip(self.of, weights, strict=True)])
+        R = np.concatenate(
+            [
+                (R * w[:, None, None]).reshape(-1, R.shape[2])
+                for R, w in zip(self.of, weights, strict=True)
+            ]
+        )
         return R[:, :-1], R[:, -1]
 
     def joint_weights(self, theta: np.ndarray) -> list[np.ndarray]:
         """1 / rms residual of each joint of each run."""
-        left = [np.sum((R @ np.append(theta, -1.0)) ** 2, 1) / n for R, n in zip(self.of, self.counts, strict=True)]
+        left = [
+            np.sum((R @ np.append(theta, -1.0)) ** 2, 1) / n
+            for R, n in zip(self.of, self.counts, strict=True)
+        ]
         return [1 / np.maximum(np.sqrt(square), 1e-9) for square in left]
 
 
@@ -101,7 +109,9 @@ def weighted(
         return least_squares(np.concatenate([W, known]), np.concatenate([b, known @ prior]), prior)
 
     theta = least_squares(*rows.stacked(weights), prior)
-    share = [np.ones(W.shape[1]) for W, _ in blocks] if spread is None else _independent(blocks, theta)
+    share = (
+        [np.ones(W.shape[1]) for W, _ in blocks] if spread is None else _independent(blocks, theta)
+    )
     for _ in range(rounds):
         new = [w * s for w, s in zip(rows.joint_weights(theta), share, strict=True)]
         still = all(np.allclose(a, b, rtol=1e-3) for a, b in zip(new, weights, strict=True))
@@ -172,7 +182,11 @@ def estimate(
     if slopes is not None:
         wider = lambda W, D: np.concatenate([W, D], 2)
         blocks = [(wider(W, D), tau) for (W, tau), D in zip(blocks, slopes, strict=True)]
-        by = None if by is None else [(wider(W, D), tau) for (W, tau), D in zip(by, slopes, strict=True)]
+        by = (
+            None
+            if by is None
+            else [(wider(W, D), tau) for (W, tau), D in zip(by, slopes, strict=True)]
+        )
         theta = np.concatenate([theta, np.zeros(slopes[0].shape[2])])
     W, _ = Triangles.made(blocks).stacked(weights)
     size = np.linalg.norm(W, axis=0)
@@ -183,7 +197,11 @@ def estimate(
     G = square = (W / scale).T @ (W / scale)
     if by is not None:
         pairs = zip(by, blocks, weights, strict=True)
-        G = sum((C[:, j] * (w[j] / scale)).T @ (A[:, j] * (w[j] / scale)) for (C, _), (A, _), w in pairs for j in range(len(w)))
+        G = sum(
+            (C[:, j] * (w[j] / scale)).T @ (A[:, j] * (w[j] / scale))
+            for (C, _), (A, _), w in pairs
+            for j in range(len(w))
+        )
     identifiable, _ = null_directions(square, seen)
     series, scores = [], []
     index = list(range(W.shape[1]))
@@ -195,7 +213,9 @@ def estimate(
     count = sum(s.size for s in series)
     n = blocks[0][1].shape[1]
     times = [_correlation_time(s, memory) for s in series]
-    free = sum(s.size / k for s, k in zip(series, times, strict=True))  # rows that are worth something of their own
+    free = sum(
+        s.size / k for s, k in zip(series, times, strict=True)
+    )  # rows that are worth something of their own
     freedom = max(0.1, 1 - int(seen.sum()) / free)
     middle = np.zeros_like(G)
     for k, (C, _) in enumerate(by or blocks):
@@ -209,7 +229,11 @@ def estimate(
         G, middle = G + np.diag(told), middle + np.diag(told)
     inverse = np.linalg.pinv(G, rcond=WEAK**2)
     cov = inverse @ middle @ inverse.T
-    wide = np.diag(inverse @ long_run(scores, len(index), memory) @ inverse.T) * count / max(1, count - len(index))
+    wide = (
+        np.diag(inverse @ long_run(scores, len(index), memory) @ inverse.T)
+        * count
+        / max(1, count - len(index))
+    )
     stretch = np.sqrt(np.maximum(1.0, wide / np.maximum(np.diag(cov), 1e-300)))
     cov = cov * stretch * stretch[:, None] / scale / scale[:, None]
     return Estimate(
@@ -223,13 +247,20 @@ def _correlation_time(r: np.ndarray, memory: int) -> float:
     power = float(r @ r)
     if power <= 0:
         return 1.0
-    rho = np.array([float(r[k:] @ r[: len(r) - k]) for k in range(1, min(memory, len(r) // 3) + 1)]) / power
+    rho = (
+        np.array([float(r[k:] @ r[: len(r) - k]) for k in range(1, min(memory, len(r) // 3) + 1)])
+        / power
+    )
     lost = np.flatnonzero(rho < 0.05)
     return 1.0 + 2.0 * float(np.sum(rho[: lost[0]] if lost.size else rho))
 
 
 def project_exponents(
-    fixed: np.ndarray, b: np.ndarray, moving: Callable[[np.ndarray], np.ndarray], start: np.ndarray, positive: bool = False
+    fixed: np.ndarray,
+    b: np.ndarray,
+    moving: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    positive: bool = False,
 ) -> np.ndarray:
     """Exponents of friction by variable projection (Golub and Pereyra 1973): for each trial all linear parameters are solved
     for, so that only the exponents are searched. `fixed` columns do not depend on them, `moving(exponents)` do; `positive`
@@ -246,9 +277,19 @@ def project_exponents(
     def residual(exponents: np.ndarray) -> np.ndarray:
         V = moving(exponents)
         V = V - Q @ (Q.T @ V)
-        return rest - V @ (nnls(V, rest)[0] if positive else np.linalg.lstsq(V, rest, rcond=1e-9)[0])
+        return rest - V @ (
+            nnls(V, rest)[0] if positive else np.linalg.lstsq(V, rest, rcond=1e-9)[0]
+        )
 
-    return search(residual, np.clip(start, 0.15, 1.45), bounds=EXPONENT, diff_step=1e-4, xtol=1e-6, ftol=1e-9, x_scale=0.2).x
+    return search(
+        residual,
+        np.clip(start, 0.15, 1.45),
+        bounds=EXPONENT,
+        diff_step=1e-4,
+        xtol=1e-6,
+        ftol=1e-9,
+        x_scale=0.2,
+    ).x
 
 
 # ---- bodies that can exist
@@ -257,7 +298,14 @@ def project_exponents(
 def _of_pseudo(P: np.ndarray) -> np.ndarray:
     """Ten numbers of pseudo-inertia matrices [... 4 4]."""
     t = P[..., 0, 0] + P[..., 1, 1] + P[..., 2, 2]
-    six = [t - P[..., 0, 0], -P[..., 0, 1], -P[..., 0, 2], t - P[..., 1, 1], -P[..., 1, 2], t - P[..., 2, 2]]
+    six = [
+        t - P[..., 0, 0],
+        -P[..., 0, 1],
+        -P[..., 0, 2],
+        t - P[..., 1, 1],
+        -P[..., 1, 2],
+        t - P[..., 2, 2],
+    ]
     return np.stack([*six, P[..., 0, 3], P[..., 1, 3], P[..., 2, 3], P[..., 3, 3]], -1)
 
 
@@ -275,7 +323,10 @@ class Bodies:
     def __init__(self, prior: np.ndarray):
         self.C = np.linalg.cholesky(pseudo_inertia(prior))
         row, column = np.triu_indices(4, 1)
-        self.row, self.column = np.concatenate([np.arange(4), row]), np.concatenate([np.arange(4), column])
+        self.row, self.column = (
+            np.concatenate([np.arange(4), row]),
+            np.concatenate([np.arange(4), column]),
+        )
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         size = x.copy()
@@ -285,9 +336,9 @@ class Bodies:
         A = self.C @ U
         # dU has one entry: C dU A' is column `row` of C times column `column` of A
         weight = np.concatenate([size[:, :4], np.ones_like(size[:, 4:])], 1)
-        half = (self.C[:, :, self.row] * weight[:, None]).swapaxes(1, 2)[..., None] * A[:, :, self.column].swapaxes(1, 2)[
-            ..., None, :
-        ]
+        half = (self.C[:, :, self.row] * weight[:, None]).swapaxes(1, 2)[..., None] * A[
+            :, :, self.column
+        ].swapaxes(1, 2)[..., None, :]
         slope = _of_pseudo(half + half.swapaxes(-1, -2))  # [links x ten]
         return _of_pseudo(A @ A.swapaxes(1, 2)), slope.swapaxes(1, 2)
 
@@ -313,13 +364,17 @@ def constrained(
     R = np.linalg.qr(np.column_stack([W, b]))[1]
     R, z = R[: W.shape[1] + 1, :-1], R[: W.shape[1] + 1, -1]
     pull = np.sqrt(strength)
-    start_friction = np.maximum(np.linalg.lstsq(W, b, rcond=WEAK)[0][p:], np.where(levels, 0.0, -np.inf))
+    start_friction = np.maximum(
+        np.linalg.lstsq(W, b, rcond=WEAK)[0][p:], np.where(levels, 0.0, -np.inf)
+    )
     inverse_drive = np.sqrt(np.maximum(prior[:, 10], 1e-3))
 
     bodies = Bodies(prior[:, :10])
 
     def unpack(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        phi = np.column_stack([bodies(x[: 10 * n].reshape(n, 10))[0], drives * x[10 * n : 11 * n] ** 2])
+        phi = np.column_stack(
+            [bodies(x[: 10 * n].reshape(n, 10))[0], drives * x[10 * n : 11 * n] ** 2]
+        )
         return phi, np.concatenate([base.values(phi.ravel()), x[11 * n :]])
 
     def residual(x: np.ndarray) -> np.ndarray:
@@ -339,10 +394,21 @@ def constrained(
         return out
 
     start = np.concatenate([np.zeros(10 * n), inverse_drive, start_friction])
-    lower = np.concatenate([np.full(10 * n, -12.0), np.full(n, -1e3), np.where(levels, -1e-9, -np.inf)])
+    lower = np.concatenate(
+        [np.full(10 * n, -12.0), np.full(n, -1e3), np.where(levels, -1e-9, -np.inf)]
+    )
     upper = np.concatenate([np.full(10 * n, 12.0), np.full(n, 1e3), np.full(levels.size, np.inf)])
     slopes: Any = jacobian  # SciPy's annotation knows only the names of schemes
-    found = search(residual, start, jac=slopes, bounds=(lower, upper), x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=200)
+    found = search(
+        residual,
+        start,
+        jac=slopes,
+        bounds=(lower, upper),
+        x_scale="jac",
+        xtol=1e-8,
+        ftol=1e-8,
+        max_nfev=200,
+    )
     phi, theta = unpack(found.x)
     theta[p:] = np.where(levels, np.maximum(theta[p:], 0.0), theta[p:])
     return theta, phi

@@ -63,10 +63,18 @@ class FeedForward:
         base, n = model.base(), len(model.prismatic)
         values = np.array([e["value"] for e in content["base_parameters"]], float)
         if [e["name"] for e in content["base_parameters"]] != list(base.names):
-            raise UsageError(f"the identification's base parameters are not those of {model.name}: give the arm it was made with")
+            raise UsageError(
+                f"the identification's base parameters are not those of {model.name}: give the arm it was made with"
+            )
         law = LAWS[content["friction_law"]]
-        levels = np.array([[joint[name]["value"] for joint in content["friction"]] for name, _ in law.parameters], float)
-        exponent = [joint["exponent"]["value"] if "exponent" in joint else 1.0 for joint in content["friction"]]
+        levels = np.array(
+            [[joint[name]["value"] for joint in content["friction"]] for name, _ in law.parameters],
+            float,
+        )
+        exponent = [
+            joint["exponent"]["value"] if "exponent" in joint else 1.0
+            for joint in content["friction"]
+        ]
         geometry = {k: np.asarray(getattr(model, k), float).tolist() for k in (*GEOMETRY, *PLACE)}
         geometry["prismatic"] = [bool(p) for p in model.prismatic]
         assert levels.shape[1] == n
@@ -95,7 +103,13 @@ class FeedForward:
 
     def save(self, path: str | Path) -> Path:
         """Writes everything as JSON; `load` reads it."""
-        content = {"schema": 1, "kind": "feed_forward", "geometry": self.geometry, "phi": self.phi.tolist(), "law": self.law}
+        content = {
+            "schema": 1,
+            "kind": "feed_forward",
+            "geometry": self.geometry,
+            "phi": self.phi.tolist(),
+            "law": self.law,
+        }
         content |= {"levels": self.levels.tolist(), "exponent": self.exponent.tolist()}
         path = Path(path)
         path.write_text(json.dumps(content, indent=1), encoding="utf-8")
@@ -107,11 +121,15 @@ class FeedForward:
         try:
             c = json.loads(read_small(path).decode())
             if c.get("kind") != "feed_forward" or c["law"] not in LAWS:
-                raise UsageError(f"{path} holds no feed-forward torque; FeedForward.save writes one")
+                raise UsageError(
+                    f"{path} holds no feed-forward torque; FeedForward.save writes one"
+                )
             arrays = (np.asarray(c[k], float) for k in ("phi", "levels", "exponent"))
             phi, levels, exponent = arrays
             return cls(c["geometry"], phi, c["law"], levels, exponent)
         except OSError as error:
             raise UsageError(f"{path}: cannot be read ({error.strerror})") from error
         except (ValueError, KeyError, AttributeError) as error:
-            raise UsageError(f"{path} holds no feed-forward torque; FeedForward.save writes one ({error})") from error
+            raise UsageError(
+                f"{path} holds no feed-forward torque; FeedForward.save writes one ({error})"
+            ) from error

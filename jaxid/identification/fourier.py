@@ -11,7 +11,9 @@ from jaxid.errors import UsageError
 LEFT = 3.0
 
 
-def harmonic_motion(t: np.ndarray, q: np.ndarray, highest_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def harmonic_motion(
+    t: np.ndarray, q: np.ndarray, highest_hz: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(q, qd, qdd) [time n] by the harmonics up to `highest_hz` of a record that holds whole periods, by least squares; no
     harmonic is damped, as a low-pass would.
 
@@ -30,7 +32,9 @@ def harmonic_motion(t: np.ndarray, q: np.ndarray, highest_hz: float) -> tuple[np
     x = np.linalg.lstsq(np.column_stack([np.ones_like(t), s, c]), q, rcond=None)[0]
     a, b, wide = x[1 : count + 1], x[count + 1 :], w[:, None]
     smooth = x[0] + s @ a + c @ b
-    scatter = np.std(np.diff(q, 3, axis=0), axis=0) / np.sqrt(20.0)  # of white noise; smooth motion leaves next to nothing
+    scatter = np.std(np.diff(q, 3, axis=0), axis=0) / np.sqrt(
+        20.0
+    )  # of white noise; smooth motion leaves next to nothing
     left = np.sqrt(np.mean((q - smooth) ** 2, axis=0))
     worst = int(np.argmax(left / np.maximum(scatter, 1e-9)))
     if left[worst] > LEFT * max(float(scatter[worst]), 1e-9) + 1e-6 * float(np.ptp(q[:, worst])):

@@ -26,12 +26,16 @@ from jaxid.numerics.precision import float64
 def watched_of(base: Any, n: int) -> tuple[int, ...]:
     """Positions of the last link's base parameters; those that stand alone, where an arm has such (the paper's rule)."""
     names = base.names
-    found = [i for i in range(len(names)) if names[i].endswith(str(n)) and not names[i].startswith("Ia")]
+    found = [
+        i for i in range(len(names)) if names[i].endswith(str(n)) and not names[i].startswith("Ia")
+    ]
     alone = [i for i in found if np.count_nonzero(base.K[i]) == 1] if n >= 3 else []
     return tuple(alone or found)
 
 
-def regressor_row(arm: Any, kept: np.ndarray, q: Array, qd: Array, qdd: Array, exponent: Array) -> Float[Array, "n p"]:
+def regressor_row(
+    arm: Any, kept: np.ndarray, q: Array, qd: Array, qdd: Array, exponent: Array
+) -> Float[Array, "n p"]:
     """Columns of base parameters, then F_c, F_v, offset of each joint, at one sample."""
     n = q.shape[0]
     Y = regressor(arm.placements(q), arm.prismatic, arm.free_fall(), qd, qdd)
@@ -55,8 +59,12 @@ def _program(structure, shapes, kept: tuple[int, ...], watched: tuple[int, ...])
         exponent, noise_var = numbers[at : at + n], numbers[at + n : at + 2 * n]
         forgetting, change = numbers[at + 2 * n], numbers[at + 2 * n + 1]
         q, qd, qdd, tau = sample
-        Y = regressor_row(jax.tree.unflatten(structure, leaves), np.array(kept), q, qd, qdd, exponent)
-        return _packed(ridge_rls(_unpacked(packed), Y, tau, noise_var, forgetting, np.array(watched), change))
+        Y = regressor_row(
+            jax.tree.unflatten(structure, leaves), np.array(kept), q, qd, qdd, exponent
+        )
+        return _packed(
+            ridge_rls(_unpacked(packed), Y, tau, noise_var, forgetting, np.array(watched), change)
+        )
 
     return jax.jit(update)
 
@@ -94,7 +102,10 @@ class OnlineIdentification:
         refuse_forgetting(forgetting)
         self.arm, self.base, self.rule = arm, arm.base(), rule
         n, p = len(arm.prismatic), len(self.base.kept) + 3 * len(arm.prismatic)
-        self.names = [*self.base.names, *(f"{k}{j + 1}" for k in ("F_c", "F_v", "offset") for j in range(n))]
+        self.names = [
+            *self.base.names,
+            *(f"{k}{j + 1}" for k in ("F_c", "F_v", "offset") for j in range(n)),
+        ]
         self.prior = np.zeros(p) if prior is None else np.asarray(prior, np.float64)
         if self.prior.shape != (p,):
             raise UsageError(
@@ -104,13 +115,23 @@ class OnlineIdentification:
             full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
             leaves, structure = jax.tree.flatten(arm)
             shapes = tuple(np.shape(a) for a in leaves)
-            settings = [np.broadcast_to(exponent, n), np.broadcast_to(noise_var, n), [forgetting, rule.change]]
-            numbers = np.concatenate([np.ravel(np.asarray(a, np.float64)) for a in (*leaves, *settings)])
+            settings = [
+                np.broadcast_to(exponent, n),
+                np.broadcast_to(noise_var, n),
+                [forgetting, rule.change],
+            ]
+            numbers = np.concatenate(
+                [np.ravel(np.asarray(a, np.float64)) for a in (*leaves, *settings)]
+            )
             self.watched = watched_of(self.base, n)
-            self._update = _program(structure, shapes, tuple(int(i) for i in self.base.kept), self.watched)
+            self._update = _program(
+                structure, shapes, tuple(int(i) for i in self.base.kept), self.watched
+            )
             self._numbers = jnp.asarray(numbers)
             zero = jnp.zeros(())
-            self._state = _packed(Recursion(jnp.asarray(self.prior), jnp.diag(full(prior_var, p)), zero, zero))
+            self._state = _packed(
+                Recursion(jnp.asarray(self.prior), jnp.diag(full(prior_var, p)), zero, zero)
+            )
         self.converged_at: int | None = None
         self._sample = np.zeros((4, n))
 
@@ -149,9 +170,13 @@ class OnlineIdentification:
     def payload(self, gain_std: float = 0.0) -> Payload:
         """The load that the estimate has more than its prior, by all rows and by those of the paper."""
         p = len(self.base.kept)
-        return payload_of(self.theta[:p] - self.prior[:p], self.covariance[:p, :p], self.base, gain_std)
+        return payload_of(
+            self.theta[:p] - self.prior[:p], self.covariance[:p, :p], self.base, gain_std
+        )
 
     def published_mass(self) -> float | None:
         """Mass by equations (12) and (13) of paper 001; None for an arm that lacks their rows."""
-        found = published_rows(self.theta[: len(self.base.kept)] - self.prior[: len(self.base.kept)], self.base)
+        found = published_rows(
+            self.theta[: len(self.base.kept)] - self.prior[: len(self.base.kept)], self.base
+        )
         return None if found is None else float(found[9])

@@ -32,7 +32,9 @@ XI, P0 = 100.0, 10.0
 AT_REST = 0.01
 
 
-def unloaded(before: Mapping[str, Any] | None, method: str, base: BaseParameters, n: int) -> tuple[Law, np.ndarray, np.ndarray]:
+def unloaded(
+    before: Mapping[str, Any] | None, method: str, base: BaseParameters, n: int
+) -> tuple[Law, np.ndarray, np.ndarray]:
     """Friction law, exponents [n] and parameters of the unloaded arm's identification. Raises `UsageError` without one."""
     if before is None:
         raise UsageError(
@@ -62,7 +64,9 @@ def as_printed(
                 yield W, r.tau_raw[at]
 
     n = fit[0].tau.shape[1]
-    theta, P, met = replay_stretches(rows(), prior, noise_var=XI, prior_var=P0, watched=watched_of(base, n), rule=Rule())
+    theta, P, met = replay_stretches(
+        rows(), prior, noise_var=XI, prior_var=P0, watched=watched_of(base, n), rule=Rule()
+    )
     step = float(np.median(np.diff(fit[0].t)))
     return theta, P, None if met is None else met * step
 
@@ -85,7 +89,9 @@ def by_algorithm(
     if method == "algorithm2":  # at rest friction may take any value up to its level
         dry = [k for k, name in enumerate(law.parameters) for _ in range(n) if name[0] != "offset"]
         theta = theta.copy()
-        theta[len(theta) - len(law.parameters) * n :][[i for i in range(len(law.parameters) * n) if i // n in dry]] = 0.0
+        theta[len(theta) - len(law.parameters) * n :][
+            [i for i in range(len(law.parameters) * n) if i // n in dry]
+        ] = 0.0
     blocks, carried = [], []
     for r in fit:
         W = full_rows(r, law, exponent)
@@ -111,9 +117,15 @@ def by_algorithm(
         raise UsageError(
             f"{method} does not find the payload from this motion: it shows some of the load's numbers only together"
         )
-    phi = np.linalg.lstsq(A / size, np.concatenate([b.ravel() for _, b in blocks]), rcond=None)[0] / size
+    phi = (
+        np.linalg.lstsq(A / size, np.concatenate([b.ravel() for _, b in blocks]), rcond=None)[0]
+        / size
+    )
     slope = np.linalg.lstsq(A / size, np.concatenate(carried), rcond=None)[0] / size[:, None]
-    cov = estimate(blocks, [np.ones(n)] * len(blocks), phi, None, None).covariance + slope @ spread @ slope.T
+    cov = (
+        estimate(blocks, [np.ones(n)] * len(blocks), phi, None, None).covariance
+        + slope @ spread @ slope.T
+    )
     whole, wide = np.full(10, np.nan), np.full((10, 10), np.nan)
     whole[10 - count :], wide[10 - count :, 10 - count :] = phi, cov
     body = nearest_body(phi, np.linalg.inv(cov)) if count == 10 else whole

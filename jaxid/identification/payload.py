@@ -91,11 +91,21 @@ class Payload:
             return [(0.0, float("inf"))] * 3
         for k in (6, 7, 8):
             slope = np.array([1 / m, -self.phi[k] / m**2])
-            out.append((float(self.phi[k] / m), float(np.sqrt(slope @ self.covariance[np.ix_([k, 9], [k, 9])] @ slope))))
+            out.append(
+                (
+                    float(self.phi[k] / m),
+                    float(np.sqrt(slope @ self.covariance[np.ix_([k, 9], [k, 9])] @ slope)),
+                )
+            )
         return out
 
     def to_dict(self) -> dict[str, Any]:
-        quantity = lambda v, s, unit: {"value": v, "std": s, "interval_95": [v - Z95 * s, v + Z95 * s], "unit": unit}
+        quantity = lambda v, s, unit: {
+            "value": v,
+            "std": s,
+            "interval_95": [v - Z95 * s, v + Z95 * s],
+            "unit": unit,
+        }
         std = np.hypot(np.sqrt(np.diag(self.covariance)), self.gain_std * np.abs(self.phi))
         out: dict[str, Any] = {
             "mass": quantity(*self.mass, "kg"),
@@ -112,7 +122,11 @@ class Payload:
         }  # fmt: skip
         if self.published is not None:
             m = self.published[9]
-            out["paper_001"] = {"mass": m, "com": centre(self.published[6:9], float(m)), "inertia": self.published[:6]}
+            out["paper_001"] = {
+                "mass": m,
+                "com": centre(self.published[6:9], float(m)),
+                "inertia": self.published[:6],
+            }
         return out
 
 
@@ -124,16 +138,28 @@ def read_reference(reference: Any) -> dict[str, Any]:
         try:
             reference = json.loads(read_small(reference).decode())
         except OSError as error:
-            raise UsageError(f"--reference {reference}: cannot be read ({error.strerror})") from error
+            raise UsageError(
+                f"--reference {reference}: cannot be read ({error.strerror})"
+            ) from error
         except ValueError as error:
             raise UsageError(f"--reference {reference}: not JSON ({error})") from error
-    if not isinstance(reference, Mapping) or reference.get("kind") != "identification" or "covariance" not in reference:
-        raise UsageError("a reference is the identification.json of the unloaded arm (jaxid identify … --out UNLOADED)")
+    if (
+        not isinstance(reference, Mapping)
+        or reference.get("kind") != "identification"
+        or "covariance" not in reference
+    ):
+        raise UsageError(
+            "a reference is the identification.json of the unloaded arm (jaxid identify … --out UNLOADED)"
+        )
     return dict(reference)
 
 
 def payload_by_difference(
-    loaded: Any, reference: Mapping[str, Any], base: BaseParameters, prismatic: np.ndarray, gain_std: float = 0.0
+    loaded: Any,
+    reference: Mapping[str, Any],
+    base: BaseParameters,
+    prismatic: np.ndarray,
+    gain_std: float = 0.0,
 ) -> Payload:
     """Payload from an `Identification` of the loaded arm and the dictionary of the unloaded one's.
 
@@ -150,7 +176,9 @@ def payload_by_difference(
     return payload_of(difference, loaded.covariance[:p, :p] + spread, base, gain_std)
 
 
-def payload_of(difference: np.ndarray, covariance: np.ndarray, base: BaseParameters, gain_std: float = 0.0) -> Payload:
+def payload_of(
+    difference: np.ndarray, covariance: np.ndarray, base: BaseParameters, gain_std: float = 0.0
+) -> Payload:
     """Payload from a difference of base parameters and its covariance."""
     n = len(base.standard) // 11
     K = base.K[:, 11 * (n - 1) : 11 * (n - 1) + 10]
@@ -166,7 +194,9 @@ def payload_of(difference: np.ndarray, covariance: np.ndarray, base: BaseParamet
     inverse = np.linalg.inv(H / size / size[:, None]) / size / size[:, None]
     phi = inverse @ (A.T @ b)
     rows = int(np.sum(np.abs(K).max(1) > 1e-9))
-    return Payload(phi, inverse, nearest_body(phi, H), published_rows(difference, base), gain_std, rows)
+    return Payload(
+        phi, inverse, nearest_body(phi, H), published_rows(difference, base), gain_std, rows
+    )
 
 
 def nearest_body(phi: np.ndarray, metric: np.ndarray) -> np.ndarray:
@@ -179,14 +209,33 @@ def nearest_body(phi: np.ndarray, metric: np.ndarray) -> np.ndarray:
     r = 0.1
     start = np.array([m * r * r, 0, 0, m * r * r, 0, m * r * r, 0, 0, 0, m])[None]
     R = np.linalg.cholesky(metric).T
-    found = least_squares(lambda x: R @ (consistent_bodies(x[None], start)[0] - phi), np.zeros(10), x_scale="jac", max_nfev=500)
+    found = least_squares(
+        lambda x: R @ (consistent_bodies(x[None], start)[0] - phi),
+        np.zeros(10),
+        x_scale="jac",
+        max_nfev=500,
+    )
     return consistent_bodies(found.x[None], start)[0]
 
 
 def published_rows(difference: np.ndarray, base: BaseParameters) -> np.ndarray | None:
     """Equations (12) to (16) of paper 001: (Ixx … m) about the last origin from 13 rows; None where an arm lacks them."""
     rows = dict(zip(base.names, range(len(base.names)), strict=True))
-    needed = ("mx2", "mx3", "my4", "my5", "Ixx5", "Izz5", "Ixx6", "Ixy6", "Ixz6", "Iyz6", "Izz6", "mx6", "my6")
+    needed = (
+        "mx2",
+        "mx3",
+        "my4",
+        "my5",
+        "Ixx5",
+        "Izz5",
+        "Ixx6",
+        "Ixy6",
+        "Ixz6",
+        "Iyz6",
+        "Izz6",
+        "mx6",
+        "my6",
+    )
     if len(base.standard) != 66 or any(name not in rows for name in needed):
         return None
     e = {name: float(difference[rows[name]]) for name in needed}
@@ -197,6 +246,10 @@ def published_rows(difference: np.ndarray, base: BaseParameters) -> np.ndarray |
     m = float(a @ [e["mx2"], e["mx3"], e["my4"]] / (a @ a))  # (12), (13)
     mz = (e["my5"] - k("my5", "m6") * m) / k("my5", "mz6")  # (14)
     both = [e[row] - k(row, "mz6") * mz - k(row, "m6") * m for row in ("Ixx5", "Izz5")]
-    Iyy = float(np.mean([v / k(row, "Iyy6") for v, row in zip(both, ("Ixx5", "Izz5"), strict=True)]))  # (15)
+    Iyy = float(
+        np.mean([v / k(row, "Iyy6") for v, row in zip(both, ("Ixx5", "Izz5"), strict=True)])
+    )  # (15)
     Ixx = e["Ixx6"] - k("Ixx6", "Iyy6") * Iyy  # (16)
-    return np.array([Ixx, e["Ixy6"], e["Ixz6"], Iyy, e["Iyz6"], e["Izz6"], e["mx6"], e["my6"], mz, m])
+    return np.array(
+        [Ixx, e["Ixy6"], e["Ixz6"], Iyy, e["Iyz6"], e["Izz6"], e["mx6"], e["my6"], mz, m]
+    )

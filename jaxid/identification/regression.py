@@ -41,9 +41,18 @@ class Law(NamedTuple):
 
 LAWS: dict[str, Law] = {
     "linear": Law("linear", (("F_c", "{F}"), ("F_v", "{F} s/{X}"), ("offset", "{F}"))),
-    "power": Law("power", (("F_c", "{F}"), ("F_v", "{F} (s/{X})^exponent"), ("offset", "{F}")), True),
+    "power": Law(
+        "power", (("F_c", "{F}"), ("F_v", "{F} (s/{X})^exponent"), ("offset", "{F}")), True
+    ),
     "stribeck": Law(
-        "stribeck", (("F_c", "{F}"), ("F_v", "{F} s/{X}"), ("offset", "{F}"), ("F_s", "{F}"), ("F_3", "{F} (s/{X})^3"))
+        "stribeck",
+        (
+            ("F_c", "{F}"),
+            ("F_v", "{F} s/{X}"),
+            ("offset", "{F}"),
+            ("F_s", "{F}"),
+            ("F_3", "{F} (s/{X})^3"),
+        ),
     ),
 }
 
@@ -86,7 +95,9 @@ class Run:
     cutoff_hz: float
     times: np.ndarray  # of all samples
     inertia: Callable[[slice], np.ndarray]  # columns of inertia, unfiltered, of some of all samples
-    moves: np.ndarray = field(default_factory=lambda: np.ones(1))  # [n] 0 for joints that stand still: their torque says nothing
+    moves: np.ndarray = field(
+        default_factory=lambda: np.ones(1)
+    )  # [n] 0 for joints that stand still: their torque says nothing
 
     def filtered(self, x: np.ndarray) -> np.ndarray:
         """Series [all samples n] through the low-pass, at the samples that count."""
@@ -99,15 +110,21 @@ class Run:
         """Series [all samples n ...] through the low-pass, at the rows that are solved."""
         return np.concatenate([smooth for _, smooth, _ in self.stretches(rows, spacing(self))])
 
-    def stretches(self, rows: Callable[[slice], np.ndarray], every: int = 1) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    def stretches(
+        self, rows: Callable[[slice], np.ndarray], every: int = 1
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Rows [samples ...] stretch by stretch: (which of the samples that count, filtered, unfiltered), `every`-th of them."""
         ends = self.kept.start
-        for samples, smooth, raw in zero_phase_stretches(self.times, rows, self.cutoff_hz, STRETCH >> 2):
+        for samples, smooth, raw in zero_phase_stretches(
+            self.times, rows, self.cutoff_hz, STRETCH >> 2
+        ):
             first, last = max(samples.start, ends), min(samples.stop, self.kept.stop)
             first += -(first - ends) % every
             if first < last:
                 at = slice(first - samples.start, last - samples.start, every)
-                own = (smooth[at], raw[at]) if every == 1 else (smooth[at].copy(), raw[at].copy())  # no view of the whole
+                own = (
+                    (smooth[at], raw[at]) if every == 1 else (smooth[at].copy(), raw[at].copy())
+                )  # no view of the whole
                 yield slice(first - ends, last - ends, every), *own
 
 
@@ -136,7 +153,9 @@ def read_run(
     ends = filter_ends(e.t, cutoff_hz)
     kept = slice(ends, len(e.t) - ends)
     if len(e.t) - 2 * ends < 20:
-        raise UsageError(f"experiment {e.name!r} has {len(e.t)} samples, too few for a filter of {cutoff_hz:g} Hz")
+        raise UsageError(
+            f"experiment {e.name!r} has {len(e.t)} samples, too few for a filter of {cutoff_hz:g} Hz"
+        )
     smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
     run = Run(
         e.name, e.split, e.t[kept], q, qd, qdd, np.zeros((0, 0, 0)), smooth, tau[kept], kept, cutoff_hz, e.t, lambda _: tau,
@@ -159,10 +178,15 @@ def moving(dataset: Dataset, y: np.ndarray, iy: Sequence[int]) -> np.ndarray:
 def held_joints(runs: Sequence[Run]) -> list[str]:
     """Sentences about joints that stand still in every run."""
     still = [j for j in range(runs[0].tau.shape[1]) if not any(r.moves[j] for r in runs)]
-    return [f"joint {j + 1} stands still in every run: its torque says nothing and has no weight" for j in still]
+    return [
+        f"joint {j + 1} stands still in every run: its torque says nothing and has no weight"
+        for j in still
+    ]
 
 
-def _with_inertia(run: Run, chain: Chain, base: BaseParameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Run:
+def _with_inertia(
+    run: Run, chain: Chain, base: BaseParameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+) -> Run:
     """The run along a motion [all samples n]."""
     index = list(base.kept)
 
@@ -171,7 +195,9 @@ def _with_inertia(run: Run, chain: Chain, base: BaseParameters, q: np.ndarray, q
         out = np.empty((last - first, q.shape[1], len(index)))
         for a in range(first, last, MADE):
             some = slice(a, min(last, a + MADE))
-            out[a - first : some.stop - first] = torque_columns(chain.mechanism, q[some], qd[some], qdd[some])[:, :, index]
+            out[a - first : some.stop - first] = torque_columns(
+                chain.mechanism, q[some], qd[some], qdd[some]
+            )[:, :, index]
         return out
 
     if len(q) <= STRETCH >> 2:
@@ -189,7 +215,9 @@ def full_rows(run: Run, law: Law, exponent: np.ndarray) -> np.ndarray:
     return _joined(run.Y, run.solved(F))
 
 
-def every_row(run: Run, law: Law, exponent: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+def every_row(
+    run: Run, law: Law, exponent: np.ndarray
+) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
     """W of all samples that count, stretch by stretch: (which samples, filtered, unfiltered)."""
     F = lambda at: friction_columns(law, run.qd[at], exponent)
     pairs = zip(run.stretches(run.inertia), run.stretches(F), strict=True)
@@ -207,7 +235,9 @@ def _joined(Y: np.ndarray, F: np.ndarray) -> np.ndarray:
     return W
 
 
-def torques(run: Run, laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def torques(
+    run: Run, laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Torque of each (law, theta, exponent) at the samples that count, filtered and not, each [samples n].
 
     It is linear in the columns, so it is filtered in their place.
@@ -245,7 +275,9 @@ def names_of(base: BaseParameters, law: Law, n: int) -> list[str]:
     return [*base.names, *(f"{p}{j + 1}" for p, _ in law.parameters for j in range(n))]
 
 
-def instruments(dataset: Dataset, e: Experiment, chain: Chain, base: BaseParameters, run: Run) -> Run:
+def instruments(
+    dataset: Dataset, e: Experiment, chain: Chain, base: BaseParameters, run: Run
+) -> Run:
     """The same run along the commanded motion `q1_cmd …`, which holds no noise of the measurement."""
     joints = chain.signature.joints
     commands = [f"{j}_cmd" for j in joints]

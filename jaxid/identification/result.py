@@ -78,10 +78,14 @@ class Identification(Exportable):
     traces: tuple[Any, ...] = field(default=(), compare=False)
     labels: tuple[str, ...] = ()  # what tables call the joints: their names, else q1 …
     stated: tuple[dict[str, Any], ...] = ()
-    answers: tuple[str, ...] = ()  # sentences on what is stated and the data refute; a file as it stands
+    answers: tuple[
+        str, ...
+    ] = ()  # sentences on what is stated and the data refute; a file as it stands
     per_joint: tuple[dict[str, Any], ...] = ()
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
-    robot: dict[str, Any] = field(default_factory=dict)  # the file of a robot and its drive: see `jaxid.robots.origin`
+    robot: dict[str, Any] = field(
+        default_factory=dict
+    )  # the file of a robot and its drive: see `jaxid.robots.origin`
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -94,7 +98,11 @@ class Identification(Exportable):
 
     def std(self) -> np.ndarray:
         """Standard deviations, nan where the data do not determine a number."""
-        return np.where(self.identifiable, np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[: len(self.names)], np.nan)
+        return np.where(
+            self.identifiable,
+            np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[: len(self.names)],
+            np.nan,
+        )
 
     def exponent_std(self) -> np.ndarray:
         """Standard deviations of the exponents, which follow the other parameters in the covariance."""
@@ -111,7 +119,11 @@ class Identification(Exportable):
             }  # fmt: skip
         if self.exponents is not None:
             for j in range(n):
-                out[j]["exponent"] = {"value": self.exponents[j], "std": self.exponent_std()[j], "unit": "1"}
+                out[j]["exponent"] = {
+                    "value": self.exponents[j],
+                    "std": self.exponent_std()[j],
+                    "unit": "1",
+                }
         return out
 
     def to_dict(self) -> dict[str, Any]:
@@ -140,7 +152,11 @@ class Identification(Exportable):
             "stated": list(self.stated),
             "how_far": {"per_joint": list(self.per_joint)},
         }
-        own = {"standard_parameters": self.standard, "payload": self.payload and self.payload.to_dict(), "robot": self.robot}
+        own = {
+            "standard_parameters": self.standard,
+            "payload": self.payload and self.payload.to_dict(),
+            "robot": self.robot,
+        }
         out |= {key: value for key, value in own.items() if value}
         out |= as_data(self.data)
         return out | {

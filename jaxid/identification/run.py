@@ -87,12 +87,16 @@ def identify(
     if method not in METHODS:
         raise UsageError(f"there is no method {method!r}{nearest(method, METHODS)}")
     if friction not in (*LAWS, "auto"):
-        raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
+        raise UsageError(
+            f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}"
+        )
     if motion not in MOTIONS:
         raise UsageError(f"there is no motion {motion!r}{nearest(motion, MOTIONS)}")
     refuse_free("identify", dataset)
     dataset = commanded(dataset) if motion == "commanded" else dataset
-    dataset = (checked := run_check(model, dataset, (), as_recorded, left_by_short_fit)).mended or dataset
+    dataset = (
+        checked := run_check(model, dataset, (), as_recorded, left_by_short_fit)
+    ).mended or dataset
     robot = origin_on(model, dataset)
     model, dataset = as_arm(model, dataset)
     held_out = any(e.split != "fit" for e in dataset.experiments)
@@ -102,7 +106,9 @@ def identify(
     arm: Any = chain.mechanism
     data = in_chain_order(data, joint_names(arm))
     if not hasattr(arm, "base"):
-        raise UsageError(f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit")
+        raise UsageError(
+            f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit"
+        )
     refuse_too_large(need("identify", data, chain.nq))
     base = arm.base()
     gain_std = usual_gain_std(chain) if gain_std is None else gain_std
@@ -110,7 +116,11 @@ def identify(
     runs = [read_run(data, e, chain, base, cutoff_hz, motion_hz, fourier) for e in data.experiments]
     by = None
     if method == "iv":
-        by = [instruments(data, e, chain, base, r) for e, r in zip(data.experiments, runs, strict=True) if r.split == "fit"]
+        by = [
+            instruments(data, e, chain, base, r)
+            for e, r in zip(data.experiments, runs, strict=True)
+            if r.split == "fit"
+        ]
 
     before = None if reference is None else read_reference(reference)
     tried = [friction] if friction != "auto" else list(LAWS)
@@ -118,16 +128,29 @@ def identify(
     met: float | None = None
     solved: dict[str, Any]
     trusted: dict[str, Any] = {}
-    if known is not None and method == "paper001":  # the friction law of the unloaded arm, its exponents kept
+    if (
+        known is not None and method == "paper001"
+    ):  # the friction law of the unloaded arm, its exponents kept
         tried = [known[0].name]
         theta, P, met = as_printed(runs, *known, base)
         plain = _solve(known[0], runs, None, "wls", chain, base, known[1])
         P = np.pad(P, (0, chain.nq * known[0].nonlinear))  # of the exponents, which are kept
-        solved = {known[0].name: (theta, known[1], plain[2], None, replace(plain[4], theta=theta, covariance=P))}
+        solved = {
+            known[0].name: (
+                theta,
+                known[1],
+                plain[2],
+                None,
+                replace(plain[4], theta=theta, covariance=P),
+            )
+        }
     else:
         solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
         if robot and method == "wls" and before is None:
-            near = {name: _nearer_the_file(LAWS[name], solved[name], runs, chain, base) for name in tried}
+            near = {
+                name: _nearer_the_file(LAWS[name], solved[name], runs, chain, base)
+                for name in tried
+            }
             trusted = {name: found for name, found in near.items() if found is not None}
             solved |= {name: own for name, (own, _) in trusted.items()}
     scores, predicted = _scored(runs, [(LAWS[name], *solved[name][:2]) for name in tried])
@@ -136,7 +159,11 @@ def identify(
     law = LAWS[tried[chosen]]
     theta, exponent, weights, phi, found = solved[law.name]
     names = names_of(base, law, len(arm.prismatic))
-    symbols = {f"{k}{j + 1}": float(v) for k in ("a", "d", "b") for j, v in enumerate(np.asarray(getattr(arm, k)))}
+    symbols = {
+        f"{k}{j + 1}": float(v)
+        for k in ("a", "d", "b")
+        for j, v in enumerate(np.asarray(getattr(arm, k)))
+    }
     way = f"positions: zero-phase Butterworth of order 4, {motion_hz:g} Hz, central differences"
     if fourier:
         way = f"positions: harmonics of each run up to {motion_hz:g} Hz, differentiated one by one"
@@ -182,7 +209,11 @@ def _stated(chain: Chain, dataset: Dataset) -> Chain:
     layout = Layout(chain)
     theta, spec = layout.values.copy(), dataset.model
     known = dict(spec.constants) if spec is not None else {}
-    known |= {k: p.value for k, p in (spec.parameters if spec is not None else {}).items() if p.value is not None}
+    known |= {
+        k: p.value
+        for k, p in (spec.parameters if spec is not None else {}).items()
+        if p.value is not None
+    }
     for name, value in known.items():
         if name != "smoothing_velocity":
             theta[layout.index(name)] = value
@@ -205,18 +236,33 @@ def _solve(
     n = len(arm.prismatic)
     fit = [r for r in runs if r.split == "fit"]
     exponent = np.ones(n) if kept is None else kept
-    phi0 = np.array([float(np.asarray(getattr(arm, name.rstrip("0123456789")))[int(name[-1]) - 1]) for name in base.standard])
+    phi0 = np.array(
+        [
+            float(np.asarray(getattr(arm, name.rstrip("0123456789")))[int(name[-1]) - 1])
+            for name in base.standard
+        ]
+    )
     prior = np.concatenate([base.values(phi0), np.zeros(len(law.parameters) * n)])
     spread = None if trust is None else trust * spread_of(base, prior, law, fit)
 
-    def blocks_of(which: Sequence[Run], exponent: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [(full_rows(r, law, exponent) * r.moves[:, None], r.tau[:: spacing(r)] * r.moves) for r in which]
+    def blocks_of(
+        which: Sequence[Run], exponent: np.ndarray
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [
+            (full_rows(r, law, exponent) * r.moves[:, None], r.tau[:: spacing(r)] * r.moves)
+            for r in which
+        ]
 
     blocks = blocks_of(fit, exponent)
     theta, weights = solve.weighted(blocks, prior, spread=spread)
     if law.nonlinear and kept is None:
         for _ in range(3):
-            old, exponent = exponent, _exponents(fit, law, blocks, weights, len(base.kept), n, exponent, method == "constrained")
+            old, exponent = (
+                exponent,
+                _exponents(
+                    fit, law, blocks, weights, len(base.kept), n, exponent, method == "constrained"
+                ),
+            )
             blocks = blocks_of(fit, exponent)
             theta, weights = solve.weighted(blocks, prior, spread=spread)
             if np.abs(exponent - old).max() < 1e-3:
@@ -226,28 +272,52 @@ def _solve(
         theta = solve.least_squares(*solve.Triangles.made(blocks).stacked(weights), prior)
     phi, instrument = None, None
     if method == "tls":
-        theta = solve.total(*solve.stacked(blocks, weights), _column_noise(fit, weights, len(prior)), prior)
+        theta = solve.total(
+            *solve.stacked(blocks, weights), _column_noise(fit, weights, len(prior)), prior
+        )
     elif method == "rls":
         theta = recursive(fit, law, exponent, weights, prior)
     elif method == "iv" and by is not None:
         instrument = blocks_of(by, exponent)
-        theta = solve.instrumental(*solve.stacked(blocks, weights), solve.stacked(instrument, weights)[0], prior)
+        theta = solve.instrumental(
+            *solve.stacked(blocks, weights), solve.stacked(instrument, weights)[0], prior
+        )
     elif method == "constrained":
         levels = np.array([p in ("F_c", "F_v") for p, _ in law.parameters for _ in range(n)])
-        theta, phi = solve.constrained(*solve.stacked(blocks, weights), base, phi0.reshape(n, 11), levels, arm.motor_side)
+        theta, phi = solve.constrained(
+            *solve.stacked(blocks, weights), base, phi0.reshape(n, 11), levels, arm.motor_side
+        )
     slopes = None
     if law.nonlinear and kept is None:
         slopes = [exponent_slopes(r, law, theta, exponent) for r in fit]
-    return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes, spread)
+    return (
+        theta,
+        exponent,
+        weights,
+        phi,
+        solve.estimate(blocks, weights, theta, instrument, slopes, spread),
+    )
 
 
-def _nearer_the_file(law: Law, free: Any, runs: Sequence[Run], chain: Chain, base: BaseParameters) -> Any:
+def _nearer_the_file(
+    law: Law, free: Any, runs: Sequence[Run], chain: Chain, base: BaseParameters
+) -> Any:
     by = [r for r in runs if r.split == "validation"]
-    error = lambda s: np.array([_errors(r.tau, next(iter(torques(r, [(law, *s[:2])])))[0])[0] for r in by])
-    return nearer_the_file(lambda t: _solve(law, runs, None, "wls", chain, base, trust=t), error, free, BETTER)
+    error = lambda s: np.array(
+        [_errors(r.tau, next(iter(torques(r, [(law, *s[:2])])))[0])[0] for r in by]
+    )
+    return nearer_the_file(
+        lambda t: _solve(law, runs, None, "wls", chain, base, trust=t), error, free, BETTER
+    )
 
 
-def recursive(fit: Sequence[Run], law: Law, exponent: np.ndarray, weights: Sequence[np.ndarray], prior: np.ndarray) -> np.ndarray:
+def recursive(
+    fit: Sequence[Run],
+    law: Law,
+    exponent: np.ndarray,
+    weights: Sequence[np.ndarray],
+    prior: np.ndarray,
+) -> np.ndarray:
     """Weighted least squares sample by sample: the recursion over all rows of the fit runs, one run after the other, from the
     model's own values, of which next to nothing is trusted."""
     from jaxid.fitting.recursive_least_squares import replay_stretches
@@ -257,7 +327,9 @@ def recursive(fit: Sequence[Run], law: Law, exponent: np.ndarray, weights: Seque
         for _, W, _ in every_row(r, law, exponent):
             size = np.hypot(size, np.linalg.norm((W * w[:, None]).reshape(-1, len(prior)), axis=0))
     seen = size > solve.SEEN * size.max()
-    scale = np.where(seen, size, np.inf)  # a column that shows nothing leaves its parameter where it is
+    scale = np.where(
+        seen, size, np.inf
+    )  # a column that shows nothing leaves its parameter where it is
 
     def stretches() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for r, w in zip(fit, weights, strict=True):
@@ -284,9 +356,17 @@ def converged_after(
     from jaxid.identification.online import watched_of
 
     first = next(r for r in runs if r.split == "fit")
-    friction = {f"{k}{entry['joint'][1:]}": v["value"] for entry in before["friction"] for k, v in entry.items() if k != "joint"}
+    friction = {
+        f"{k}{entry['joint'][1:]}": v["value"]
+        for entry in before["friction"]
+        for k, v in entry.items()
+        if k != "joint"
+    }
     known = {e["name"]: e["value"] for e in before["base_parameters"]} | friction
-    prior = np.array([known.get(name, value) for name, value in zip(loaded.names, loaded.theta, strict=True)], float)
+    prior = np.array(
+        [known.get(name, value) for name, value in zip(loaded.names, loaded.theta, strict=True)],
+        float,
+    )
     step = float(np.median(np.diff(first.t)))
     # Rows between those that say something new hold the same noise: each counts with that much more variance.
     noise = np.asarray(weights[0]) ** -2.0 * spacing(first)
@@ -298,7 +378,9 @@ def converged_after(
     return None if met is None else met * step
 
 
-def _exponents(fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray, positive: bool) -> np.ndarray:
+def _exponents(
+    fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray, positive: bool
+) -> np.ndarray:
     """Exponents at these weights; `positive` keeps F_c and F_v from being negative."""
     dry, viscous = np.arange(p, p + n), np.arange(p + n, p + 2 * n)
     D = solve.stacked(blocks, weights, dry)[0] if positive else None
@@ -313,7 +395,9 @@ def _exponents(fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, st
 
     moving = np.concatenate([dry, viscous]) if positive else viscous
     others = np.setdiff1d(np.arange(blocks[0][0].shape[2]), moving)
-    return solve.project_exponents(*solve.stacked(blocks, weights, others), columns, start, positive)
+    return solve.project_exponents(
+        *solve.stacked(blocks, weights, others), columns, start, positive
+    )
 
 
 def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) -> np.ndarray:
@@ -329,7 +413,9 @@ def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) 
     return np.sqrt(square / count)
 
 
-def _scored(runs: Sequence[Run], laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]) -> tuple[list[list[RunScore]], list]:
+def _scored(
+    runs: Sequence[Run], laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]
+) -> tuple[list[list[RunScore]], list]:
     """Scores of each law on each run, and of each run the filtered torque of each law [samples n]."""
     scores: list[list[RunScore]] = [[] for _ in laws]
     predicted = []
@@ -343,15 +429,26 @@ def _scored(runs: Sequence[Run], laws: Sequence[tuple[Law, np.ndarray, np.ndarra
     return scores, predicted
 
 
-def _errors(tau: np.ndarray, modelled: np.ndarray) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+def _errors(
+    tau: np.ndarray, modelled: np.ndarray
+) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
     e = tau - modelled
     each = np.linalg.norm(e, axis=0) / np.maximum(np.linalg.norm(tau, axis=0), 1e-300)
-    return float(np.linalg.norm(e) / np.linalg.norm(tau)), tuple(each.tolist()), tuple(np.sqrt(np.mean(e**2, 0)).tolist())
+    return (
+        float(np.linalg.norm(e) / np.linalg.norm(tau)),
+        tuple(each.tolist()),
+        tuple(np.sqrt(np.mean(e**2, 0)).tolist()),
+    )
 
 
 def _trial(law: Law, scores: Sequence[RunScore]) -> LawTrial:
     fit = [s.relative_error for s in scores if s.split == "fit"]
-    return LawTrial(law.name, float(np.mean(fit)), tuple(s.relative_error for s in scores if s.split != "fit"), False)
+    return LawTrial(
+        law.name,
+        float(np.mean(fit)),
+        tuple(s.relative_error for s in scores if s.split != "fit"),
+        False,
+    )
 
 
 def _choose(trials: Sequence[LawTrial]) -> int:
@@ -382,7 +479,9 @@ def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list
             f"xi = {XI:g} for the torque's noise and P0 = {P0:g} for what the load may change; exponents are the reference's"
         ]
     how = "white" if found.white else f"coloured (memory {found.memory} rows)"
-    notes = [f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"]
+    notes = [
+        f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"
+    ]
     lost = [n for n, seen in zip(names, found.identifiable, strict=False) if not seen]
     if lost:
         rest = "those combinations of them that the data leave open are as the model has them"
@@ -390,5 +489,7 @@ def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list
     if law.nonlinear:
         notes.append("exponents by variable projection")
     if method == "constrained":
-        notes.append("inertial parameters of bodies that can exist; standard deviations are those without that constraint")
+        notes.append(
+            "inertial parameters of bodies that can exist; standard deviations are those without that constraint"
+        )
     return notes

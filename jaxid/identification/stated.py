@@ -19,21 +19,36 @@ MANY = 3.0
 
 
 def answered(
-    arm: Any, spec: ModelSpec | None, base: BaseParameters, law: Law, runs: Sequence[Run], result: Any
+    arm: Any,
+    spec: ModelSpec | None,
+    base: BaseParameters,
+    law: Law,
+    runs: Sequence[Run],
+    result: Any,
 ) -> dict[str, Any]:
     """What a file states, or else the dataset under [model.parameters] and [model.constants], beside what was identified: fields
     of an identification."""
     if getattr(arm, "friction", ()):
         return beside_the_file(arm, base, law, runs, result)
     known = dict(spec.constants) if spec is not None else {}
-    known |= {k: p.value for k, p in (spec.parameters if spec is not None else {}).items() if p.value is not None}
-    rows = [_answer(name, value, known, base, result) for name, value in known.items() if name in (*base.standard, *result.names)]
+    known |= {
+        k: p.value
+        for k, p in (spec.parameters if spec is not None else {}).items()
+        if p.value is not None
+    }
+    rows = [
+        _answer(name, value, known, base, result)
+        for name, value in known.items()
+        if name in (*base.standard, *result.names)
+    ]
     rows.sort(key=lambda row: -abs(row["deviation"] or 0.0))
     said = [row["text"] for row in rows if abs(row["deviation"] or 0.0) > MANY]
     return {"stated": tuple(rows), "answers": tuple(said)}
 
 
-def _answer(name: str, value: float, known: dict[str, float], base: BaseParameters, result: Any) -> dict[str, Any]:
+def _answer(
+    name: str, value: float, known: dict[str, float], base: BaseParameters, result: Any
+) -> dict[str, Any]:
     """One stated number beside what was identified of it: of a body's, the base parameter that it leads, where nothing regroups
     with it that is not stated, too."""
     members = {name: 1.0}
@@ -54,26 +69,41 @@ def _answer(name: str, value: float, known: dict[str, float], base: BaseParamete
     elif deviation is None:
         text = f"{what} can be neither confirmed nor refuted: the data do not determine it"
     else:
-        led = f"{what}{f' (with what regroups with it {number(stated)})' if len(members) > 1 else ''}"
+        led = (
+            f"{what}{f' (with what regroups with it {number(stated)})' if len(members) > 1 else ''}"
+        )
         far = f"{number(abs(deviation), 2)} standard deviations from {number(found)} ± {number(std, 2)} {unit}"
-        text = f"{led} is {far}" if abs(deviation) > MANY else f"{led} agrees with the data: it is {far}"
+        text = (
+            f"{led} is {far}"
+            if abs(deviation) > MANY
+            else f"{led} agrees with the data: it is {far}"
+        )
     return {
         "joint": f"q{joint}", "link": f"link {joint}", "parameter": name, "stated": stated, "unit": unit, "text": text,
         "fitted": found if alone else None, "std": std if alone and std > 0 else None, "deviation": deviation,
     }  # fmt: skip
 
 
-def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run], result: Any) -> dict[str, Any]:
+def beside_the_file(
+    arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run], result: Any
+) -> dict[str, Any]:
     """Fields `stated`, `per_joint` and `answers` of an identification whose arm comes from a file.
 
     A base parameter's stated value is the file's own combination. Torque errors are relative, of the filtered torque.
     """
     n = len(arm.prismatic)
-    split = lambda name: (name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1)
-    phi = np.array([float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)])
+    split = lambda name: (
+        name.rstrip("0123456789"),
+        int(name[len(name.rstrip("0123456789")) :]) - 1,
+    )
+    phi = np.array(
+        [float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)]
+    )
     level, viscous = np.array(arm.friction).T
     own = {"F_c": level, "F_v": viscous}
-    theta = np.concatenate([base.values(phi), *(own.get(p, np.zeros(n)) for p, _ in law.parameters)])
+    theta = np.concatenate(
+        [base.values(phi), *(own.get(p, np.zeros(n)) for p, _ in law.parameters)]
+    )
     std, rows = result.std(), []
     for i, name in enumerate(result.names):
         kind = name.rstrip("0123456789")
@@ -101,7 +131,11 @@ def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run
         ]  # fmt: skip
     worst = [max(r["as_it_stands"] for r in joints if r["joint"] == f"q{j + 1}") for j in range(n)]
     said = [
-        *_first_moments(rows, n, {k: int(np.count_nonzero(r)) > 1 for k, r in zip(base.names, base.K, strict=True)}),
+        *_first_moments(
+            rows,
+            n,
+            {k: int(np.count_nonzero(r)) > 1 for k, r in zip(base.names, base.K, strict=True)},
+        ),
         "with the file as it stands the torque is off by "
         + listed([f"{percent(w)} at {name}" for name, w in zip(result.labels, worst, strict=True)]),
     ]
@@ -118,9 +152,16 @@ def _first_moments(rows: Sequence[dict[str, Any]], n: int, regrouped: dict[str, 
         size = float(was @ was)
         if size < 1e-12 or not np.isfinite(std).all():
             continue
-        share, doubt = float((now - was) @ was / size), float(np.sqrt(np.sum((was * std) ** 2)) / size)
+        share, doubt = (
+            float((now - was) @ was / size),
+            float(np.sqrt(np.sum((was * std) ** 2)) / size),
+        )
         if abs(share) > MANY * doubt and abs(share) > 0.01:
             more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
-            who = f"link {j}" + (" with what hangs on it" if any(regrouped[r["parameter"]] for r in own) else "")
-            out.append(f"{who} carries {more} first moment than the file says (± {196 * doubt:.0f} %)")
+            who = f"link {j}" + (
+                " with what hangs on it" if any(regrouped[r["parameter"]] for r in own) else ""
+            )
+            out.append(
+                f"{who} carries {more} first moment than the file says (± {196 * doubt:.0f} %)"
+            )
     return out

@@ -61,7 +61,9 @@ def loop_over_time(loop: Callable[[], Any]) -> Any:
     return jax.jit(named)()
 
 
-def over_lanes(function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0) -> Callable[..., Any]:
+def over_lanes(
+    function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0
+) -> Callable[..., Any]:
     """`jax.vmap(function, in_axes)` for axes that are 0 or None, each of a whole argument; every output has the lanes first.
 
     Where the program has a form that is not known here, it is `jax.vmap` itself, and a `RuntimeWarning` says so once."""
@@ -69,7 +71,9 @@ def over_lanes(function: Callable[..., Any], in_axes: Sequence[int | None] | int
     def mapped(*args: Any) -> Any:
         try:
             return laid_out(function, in_axes)(*args)
-        except Exception as error:  # whatever is wrong with the function itself, `jax.vmap` says better
+        except (
+            Exception
+        ) as error:  # whatever is wrong with the function itself, `jax.vmap` says better
             out = jax.vmap(function, in_axes if isinstance(in_axes, int) else tuple(in_axes))(*args)
             _note(f"{type(error).__name__}: {error}")
             return out
@@ -77,16 +81,24 @@ def over_lanes(function: Callable[..., Any], in_axes: Sequence[int | None] | int
     return mapped
 
 
-def laid_out(function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0) -> Callable[..., Any]:
+def laid_out(
+    function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0
+) -> Callable[..., Any]:
     """As `over_lanes`, but raises where the program has a form that is not known here."""
 
     def mapped(*args: Any) -> Any:
         axes = [in_axes] * len(args) if isinstance(in_axes, int) else in_axes
         flat, tree = jax.tree.flatten(args)
-        batched = [axis is not None for a, axis in zip(args, axes, strict=True) for _ in jax.tree.leaves(a)]
+        batched = [
+            axis is not None for a, axis in zip(args, axes, strict=True) for _ in jax.tree.leaves(a)
+        ]
         flat = [jnp.asarray(a) for a in flat]
-        lane = [jax.ShapeDtypeStruct(a.shape[b:], a.dtype) for a, b in zip(flat, batched, strict=True)]
-        closed, shape = jax.make_jaxpr(lambda *x: function(*jax.tree.unflatten(tree, x)), return_shape=True)(*lane)
+        lane = [
+            jax.ShapeDtypeStruct(a.shape[b:], a.dtype) for a, b in zip(flat, batched, strict=True)
+        ]
+        closed, shape = jax.make_jaxpr(
+            lambda *x: function(*jax.tree.unflatten(tree, x)), return_shape=True
+        )(*lane)
         lanes = next(a.shape[0] for a, b in zip(flat, batched, strict=True) if b)
         out = _Lanes(lanes).run(closed, [Value(a, b) for a, b in zip(flat, batched, strict=True)])
         return jax.tree.unflatten(jax.tree.structure(shape), [_spread(v, lanes) for v in out])
@@ -102,7 +114,9 @@ def _note(reason: str) -> None:
     if not _noted:
         _noted.append(reason)
         told = f"JAX {jax.__version__} writes programs in a form that jaxid does not know ({reason.splitlines()[0][:200]})"
-        warnings.warn(f"{told}; the numbers are the same, but it takes longer", RuntimeWarning, stacklevel=4)
+        warnings.warn(
+            f"{told}; the numbers are the same, but it takes longer", RuntimeWarning, stacklevel=4
+        )
 
 
 class Value(NamedTuple):
@@ -115,7 +129,9 @@ class Value(NamedTuple):
     @property
     def parted(self) -> bool:
         """Whether it is taken apart into elements."""
-        return self.batched and isinstance(self.content, np.ndarray) and self.content.dtype == object
+        return (
+            self.batched and isinstance(self.content, np.ndarray) and self.content.dtype == object
+        )
 
     def checked(self, eqn: JaxprEqn, stated: Any) -> None:
         """Raises `UnknownForm` where a value is not of the shape and type that the program states."""
@@ -162,7 +178,9 @@ ELEMENTWISE = frozenset(
     "xor eq ne lt le gt ge select_n clamp convert_element_type add_any copy stop_gradient".split()
 )
 #: What XLA does not work out once more for each reader.
-EXPENSIVE = frozenset("div rem sqrt rsqrt cbrt pow exp exp2 expm1 log log1p tanh sin cos tan atan2 logistic erf erfc".split())
+EXPENSIVE = frozenset(
+    "div rem sqrt rsqrt cbrt pow exp exp2 expm1 log log1p tanh sin cos tan atan2 logistic erf erfc".split()
+)
 REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_sum": lax.add, "reduce_prod": lax.mul, "reduce_max": lax.max, "reduce_min": lax.min,
     "reduce_and": lax.bitwise_and, "reduce_or": lax.bitwise_or,
@@ -179,7 +197,9 @@ def _work(jaxpr: Jaxpr) -> tuple[int, int]:
     """Operations on elements, were all small arrays taken apart, and operations as they are."""
     sizes = [_size(v) for eqn in jaxpr.eqns for v in eqn.outvars]
     inner = [_work(p.jaxpr) for eqn in jaxpr.eqns for p in eqn.params.values() if is_program(p)]
-    return sum(s for s in sizes if s <= SMALL) + sum(e for e, _ in inner), len(jaxpr.eqns) + sum(n for _, n in inner)
+    return sum(s for s in sizes if s <= SMALL) + sum(e for e, _ in inner), len(jaxpr.eqns) + sum(
+        n for _, n in inner
+    )
 
 
 def _size(v: Any) -> int:
@@ -192,16 +212,22 @@ def _dependent(jaxpr: Jaxpr, batched: Sequence[bool]) -> list[bool]:
     read = lambda v: not is_literal(v) and env.get(v, False)
     for eqn in jaxpr.eqns:
         inner, flags = called(eqn), [read(v) for v in eqn.invars]
-        out = _dependent(inner.jaxpr, flags) if inner is not None else [any(flags)] * len(eqn.outvars)
+        out = (
+            _dependent(inner.jaxpr, flags) if inner is not None else [any(flags)] * len(eqn.outvars)
+        )
         env.update(zip(eqn.outvars, out, strict=True))
     return [read(v) for v in jaxpr.outvars]
 
 
-def _settled(jaxpr: Jaxpr, consts: list[bool], carry: list[bool], rest: Sequence[bool] = ()) -> list[bool]:
+def _settled(
+    jaxpr: Jaxpr, consts: list[bool], carry: list[bool], rest: Sequence[bool] = ()
+) -> list[bool]:
     """Which parts of a loop's state depend on the lane: what does at the beginning, and what is made of it. `rest` are a step's
     other arguments; what a step gives besides the state comes last."""
     while True:
-        after = [a or b for a, b in zip(carry, _dependent(jaxpr, [*consts, *carry, *rest]), strict=False)]
+        after = [
+            a or b for a, b in zip(carry, _dependent(jaxpr, [*consts, *carry, *rest]), strict=False)
+        ]
         if after == carry:
             return carry
         carry = after
@@ -214,7 +240,12 @@ class _State(NamedTuple):
 
     @classmethod
     def of(cls, avals: Sequence[Any], batched: Sequence[bool]) -> _State:
-        return cls([(a.shape, b, b and int(np.prod(a.shape)) <= SMALL) for a, b in zip(avals, batched, strict=True)])
+        return cls(
+            [
+                (a.shape, b, b and int(np.prod(a.shape)) <= SMALL)
+                for a, b in zip(avals, batched, strict=True)
+            ]
+        )
 
     def arrays(self, values: Sequence[Value], lanes: int) -> list[Array]:
         out: list[Array] = []
@@ -229,7 +260,9 @@ class _State(NamedTuple):
         left, out = iter(arrays), []
         for shape, batched, parted in self.shapes:
             if parted:
-                out.append(Value(_filled(shape, list(itertools.islice(left, int(np.prod(shape))))), True))
+                out.append(
+                    Value(_filled(shape, list(itertools.islice(left, int(np.prod(shape))))), True)
+                )
             else:
                 out.append(Value(next(left), batched))
         return out
@@ -245,23 +278,33 @@ class _Lanes:
         self._costs: dict[int, tuple[Any, int]] = {}
 
     def run(self, closed: ClosedJaxpr, args: Sequence[Value]) -> list[Value]:
-        env: dict[Any, Value] = dict(zip(closed.jaxpr.constvars, (Value(c, False) for c in closed.consts), strict=True))
+        env: dict[Any, Value] = dict(
+            zip(closed.jaxpr.constvars, (Value(c, False) for c in closed.consts), strict=True)
+        )
         env.update(zip(closed.jaxpr.invars, args, strict=True))
         constant: Any = lambda v: Value(jnp.asarray(v.val, v.aval.dtype), False)
         read = lambda v: constant(v) if is_literal(v) else env[v]
         readers = Counter(v for eqn in closed.jaxpr.eqns for v in eqn.invars if not is_literal(v))
         for eqn in closed.jaxpr.eqns:
-            for v, value in zip(eqn.outvars, self._equation(eqn, [read(v) for v in eqn.invars]), strict=True):
+            for v, value in zip(
+                eqn.outvars, self._equation(eqn, [read(v) for v in eqn.invars]), strict=True
+            ):
                 value.checked(eqn, v.aval)
                 env[v] = self._stored(value) if readers[v] > 1 and value.parted else value
         return [read(v) for v in closed.jaxpr.outvars]
 
     def _stored(self, v: Value) -> Value:
         """XLA works a cheap value out once for each of its readers: what took many operations is stored."""
-        stored = {id(e): fence(e) for e in v.content.ravel() if self._cost(e) > DEAREST and e.dtype == jnp.float64}
+        stored = {
+            id(e): fence(e)
+            for e in v.content.ravel()
+            if self._cost(e) > DEAREST and e.dtype == jnp.float64
+        }
         if not stored:
             return v
-        return Value(_filled(v.content.shape, [stored.get(id(e), e) for e in v.content.ravel()]), True)
+        return Value(
+            _filled(v.content.shape, [stored.get(id(e), e) for e in v.content.ravel()]), True
+        )
 
     def _cost(self, element: Any) -> int:
         return self._costs.get(id(element), (None, 0))[1]
@@ -273,12 +316,19 @@ class _Lanes:
         if inner is not None:
             if self.level == 0 and eqn.params.get("name") == _NAME and _worth_it(inner.jaxpr):
                 inside = _Lanes(self.lanes, 1)
-                return [Value(_whole(v, self.lanes), v.batched) for v in inside.run(inner, [inside._apart(a) for a in args])]
+                return [
+                    Value(_whole(v, self.lanes), v.batched)
+                    for v in inside.run(inner, [inside._apart(a) for a in args])
+                ]
             return self.run(inner, args)
         if name == "dynamic_update_slice" and not any(a.batched for a in args[2:]):
             whole, part = (_spread(a, self.lanes) for a in args[:2])
             at = [a.content for a in args[2:]]
-            return [self._apart(Value(lax.dynamic_update_slice(whole, part, [jnp.zeros_like(at[0]), *at]), True))]
+            return [
+                self._apart(
+                    Value(lax.dynamic_update_slice(whole, part, [jnp.zeros_like(at[0]), *at]), True)
+                )
+            ]
         if self.level == 0:
             return self._mapped(eqn, args)
         if name == "while":
@@ -287,7 +337,11 @@ class _Lanes:
             return self._scan(eqn, args)
         small = all(_size(v) <= SMALL for v in (*eqn.invars, *eqn.outvars))
         found = self._by_elements(eqn, args) if small else None
-        return [self._apart(v) for v in self._mapped(eqn, args)] if found is None else [Value(x, True) for x in found]
+        return (
+            [self._apart(v) for v in self._mapped(eqn, args)]
+            if found is None
+            else [Value(x, True) for x in found]
+        )
 
     def _apart(self, v: Value) -> Value:
         small = v.batched and not v.parted and int(np.prod(v.content.shape[1:])) <= SMALL
@@ -331,8 +385,15 @@ class _Lanes:
             fold = functools.partial(self._together, REDUCTIONS[name])
             axes = tuple(int(a) for a in params["axes"])
             kept = tuple(k for k in range(arrays[0].ndim) if k not in axes)
-            rows = arrays[0].transpose(*kept, *axes).reshape(*(arrays[0].shape[k] for k in kept), -1)
-            return [_filled(rows.shape[:-1], [functools.reduce(fold, row) for row in rows.reshape(-1, rows.shape[-1])])]
+            rows = (
+                arrays[0].transpose(*kept, *axes).reshape(*(arrays[0].shape[k] for k in kept), -1)
+            )
+            return [
+                _filled(
+                    rows.shape[:-1],
+                    [functools.reduce(fold, row) for row in rows.reshape(-1, rows.shape[-1])],
+                )
+            ]
         if name == "dot_general":
             (left, right), batch = params["dimension_numbers"]
             if len(left) != 1 or batch != ((), ()):
@@ -340,15 +401,22 @@ class _Lanes:
             a, b = np.moveaxis(arrays[0], left[0], -1), np.moveaxis(arrays[1], right[0], -1)
             add, mul = (functools.partial(self._together, op) for op in (lax.add, lax.mul))
             rows = itertools.product(a.reshape(-1, a.shape[-1]), b.reshape(-1, b.shape[-1]))
-            sums = [functools.reduce(add, [mul(p, q) for p, q in zip(x, y, strict=True)]) for x, y in rows]
+            sums = [
+                functools.reduce(add, [mul(p, q) for p, q in zip(x, y, strict=True)])
+                for x, y in rows
+            ]
             return [_filled((*a.shape[:-1], *b.shape[:-1]), sums)]
         return rearranged(name, params, arrays)
 
     def _while(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
         p, (nc, nb) = eqn.params, while_counts(eqn)
         asked, done, init = args[:nc], args[nc : nc + nb], args[nc + nb :]
-        flags = _settled(p["body_jaxpr"].jaxpr, [a.batched for a in done], [a.batched for a in init])
-        each = _dependent(p["cond_jaxpr"].jaxpr, [*(a.batched for a in asked), *flags])[0]  # lanes end one by one
+        flags = _settled(
+            p["body_jaxpr"].jaxpr, [a.batched for a in done], [a.batched for a in init]
+        )
+        each = _dependent(p["cond_jaxpr"].jaxpr, [*(a.batched for a in asked), *flags])[
+            0
+        ]  # lanes end one by one
         state = _State.of(p["body_jaxpr"].in_avals[nb:], [True] * len(init) if each else flags)
 
         def goes_on(values: list[Value]) -> Array:
@@ -359,12 +427,17 @@ class _Lanes:
             on, old = carry
             new = state.arrays(self.run(p["body_jaxpr"], [*done, *state.values(old)]), self.lanes)
             if each:
-                new = [jnp.where(on.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(new, old, strict=True)]
+                new = [
+                    jnp.where(on.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+                    for a, b in zip(new, old, strict=True)
+                ]
             going = goes_on(state.values(new))
             return on & going if each else going, new
 
         first = state.arrays(init, self.lanes)
-        return state.values(lax.while_loop(lambda c: jnp.any(c[0]), body, (goes_on(state.values(first)), first))[1])
+        return state.values(
+            lax.while_loop(lambda c: jnp.any(c[0]), body, (goes_on(state.values(first)), first))[1]
+        )
 
     def _scan(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
         p, (nc, n) = eqn.params, scan_counts(eqn)
@@ -372,7 +445,9 @@ class _Lanes:
         inside = _Lanes(self.lanes, 2)
         flags = [[a.batched for a in part] for part in (consts, init, xs)]
         state = _State.of(p["jaxpr"].in_avals[nc : nc + n], _settled(p["jaxpr"].jaxpr, *flags))
-        series: list[tuple[tuple[int, ...], bool]] = []  # of what each step gives: shape if it is taken apart, batched
+        series: list[
+            tuple[tuple[int, ...], bool]
+        ] = []  # of what each step gives: shape if it is taken apart, batched
 
         def step(carry: list[Array], x: list[Array]) -> tuple[list[Array], list[list[Array]]]:
             now = [inside._apart(Value(a, v.batched)) for a, v in zip(x, xs, strict=True)]
@@ -381,7 +456,11 @@ class _Lanes:
             series.clear()
             for v in out[n:]:
                 series.append((v.content.shape if v.parted else (), v.batched))
-                given.append([jnp.broadcast_to(e, (self.lanes,)) for e in v.content.ravel()] if v.parted else [v.content])
+                given.append(
+                    [jnp.broadcast_to(e, (self.lanes,)) for e in v.content.ravel()]
+                    if v.parted
+                    else [v.content]
+                )
             return state.arrays(out[:n], self.lanes), given
 
         along = [jnp.moveaxis(_whole(v, self.lanes), 1, 0) if v.batched else v.content for v in xs]
@@ -391,7 +470,9 @@ class _Lanes:
         for (shape, batched), y in zip(series, ys, strict=True):
             if batched and (len(y) > 1 or shape):
                 whole = jnp.stack(y, 2)  # [time lanes elements]
-                found.append(Value(jnp.moveaxis(whole, 1, 0).reshape(self.lanes, p["length"], *shape), True))
+                found.append(
+                    Value(jnp.moveaxis(whole, 1, 0).reshape(self.lanes, p["length"], *shape), True)
+                )
             else:
                 found.append(Value(jnp.moveaxis(y[0], 1, 0) if batched else y[0], batched))
         return [*state.values(last), *found]

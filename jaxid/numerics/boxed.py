@@ -47,4 +47,8 @@ def _within(H: np.ndarray, b: np.ndarray, theta: np.ndarray, free: np.ndarray) -
     F = H[np.ix_(free, free)]
     rest = b[free] - H[np.ix_(free, ~free)] @ theta[~free] - F @ theta[free]
     S, size = scaled(F)
-    return theta[free] + np.linalg.solve(S + WEAK * np.eye(len(S)), rest / size) / size if len(S) else theta[free]
+    return (
+        theta[free] + np.linalg.solve(S + WEAK * np.eye(len(S)), rest / size) / size
+        if len(S)
+        else theta[free]
+    )

@@ -55,7 +55,9 @@ class Traced:
             return None
         return hashlib.sha256(f"{self._key}{kind}".encode()).hexdigest() + ".stablehlo"
 
-    def _read_or_trace(self, name: str, leaves: list[Any], tree: Any, kind: Any) -> Callable[..., Any]:
+    def _read_or_trace(
+        self, name: str, leaves: list[Any], tree: Any, kind: Any
+    ) -> Callable[..., Any]:
         plain = lambda *leaves: self._plain(*jax.tree.unflatten(tree, leaves))
         folder = _folder()
         try:
@@ -67,7 +69,9 @@ class Traced:
                 kept = bytes(export.export(jax.jit(plain), platforms=on)(*leaves).serialize())
                 folder.write(name, kept)
             read = jax.jit(export.deserialize(bytearray(kept)).call)
-        except Exception:  # no flatbuffers, an operation or a file that cannot be read back: nothing is lost
+        except (
+            Exception
+        ):  # no flatbuffers, an operation or a file that cannot be read back: nothing is lost
             return plain
 
         def first(*leaves: Any) -> Any:
@@ -90,13 +94,21 @@ def _folder() -> CacheFolder:
 
 def _kind(leaves: Sequence[Any], tree: Any) -> tuple:
     """What a trace is kept by: structure and shapes of its arguments, and what it is to run on, which an export is bound to."""
-    return tree, tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves), _platform(leaves)
+    return (
+        tree,
+        tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves),
+        _platform(leaves),
+    )
 
 
 def _platform(leaves: Sequence[Any]) -> str:
     """Where JAX runs a program with such arguments: where they were put on purpose, or on the default device."""
-    placed = (a for a in leaves if isinstance(a, jax.Array) and not isinstance(a, Tracer) and a.committed)
-    return ", ".join(sorted({d.platform for a in placed for d in a.devices()} or {default_platform()}))
+    placed = (
+        a for a in leaves if isinstance(a, jax.Array) and not isinstance(a, Tracer) and a.committed
+    )
+    return ", ".join(
+        sorted({d.platform for a in placed for d in a.devices()} or {default_platform()})
+    )
 
 
 def key_of(function: Callable[..., Any], pytree: Any, *more: Any) -> str | None:
@@ -110,8 +122,18 @@ def key_of(function: Callable[..., Any], pytree: Any, *more: Any) -> str | None:
     if not plain or any(m.split(".")[0] != "jaxid" for m in modules):
         return None
     constants = [f"{np.shape(a)} {np.asarray(a).tobytes().hex()}" for a in jax.tree.leaves(pytree)]
-    told = "\n".join([repr(jax.tree.structure(pytree)), *sorted(modules), function.__qualname__, *map(repr, more), *constants])
-    lasting = " at 0x" not in told and "..." not in told  # addresses, and arrays that are not printed in full
+    told = "\n".join(
+        [
+            repr(jax.tree.structure(pytree)),
+            *sorted(modules),
+            function.__qualname__,
+            *map(repr, more),
+            *constants,
+        ]
+    )
+    lasting = (
+        " at 0x" not in told and "..." not in told
+    )  # addresses, and arrays that are not printed in full
     return f"{told}\n{jax.__version__} {_own_sources()}" if lasting else None
 
 
@@ -131,7 +153,11 @@ def _parts(pytree: Any) -> Iterator[Any]:
 def _own_sources() -> str:
     """Size and time of every source of this package."""
     found = []
-    for package in ("jaxid", "jaxid.models", "jaxid.fitters"):  # of a checkout the last two lie beside the first
+    for package in (
+        "jaxid",
+        "jaxid.models",
+        "jaxid.fitters",
+    ):  # of a checkout the last two lie beside the first
         spec = find_spec(package)
         for file in sorted(Path((spec and spec.origin) or "").parent.rglob("*.py")):
             status = file.stat()

@@ -26,7 +26,9 @@ def _fenced(x: Float[Array, ...]) -> Float[Array, ...]:
 
 @_fenced.defjvp
 def _fenced_jvp(primals, tangents):
-    return _fenced(primals[0]), _fenced(tangents[0])  # not linear as it is written: reverse mode could not pass it
+    return _fenced(primals[0]), _fenced(
+        tangents[0]
+    )  # not linear as it is written: reverse mode could not pass it
 
 
 def dot(a: Float[Array, "n m"], x: Float[Array, ...]) -> Float[Array, ...]:
@@ -48,7 +50,9 @@ def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
         row = rows[k] / rows[k, k]
         return (rows - rows[:, k, None] * row).at[k].set(row), None
 
-    return jax.lax.scan(eliminate, jnp.concatenate([a, jnp.eye(n, dtype=a.dtype)], 1), jnp.arange(n))[0][:, n:]
+    return jax.lax.scan(
+        eliminate, jnp.concatenate([a, jnp.eye(n, dtype=a.dtype)], 1), jnp.arange(n)
+    )[0][:, n:]
 
 
 # Minimax coefficients of sin(r)/r and cos(r) on |r| <= pi/4 (the classical ones of fdlibm's kernel functions).

@@ -49,7 +49,9 @@ def whitening(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
         below = jnp.where(jnp.arange(n) > k, rows[:, k] / row[k], 0.0)
         return (rows - below[:, None] * row).at[k].set(row), None
 
-    return jax.lax.scan(eliminate, jnp.concatenate([a, jnp.eye(n, dtype=a.dtype)], 1), jnp.arange(n))[0][:, n:]
+    return jax.lax.scan(
+        eliminate, jnp.concatenate([a, jnp.eye(n, dtype=a.dtype)], 1), jnp.arange(n)
+    )[0][:, n:]
 
 
 def _tournament(n: int) -> np.ndarray:

@@ -33,7 +33,9 @@ class Pool:
     they are handed in."""
 
     def __init__(self, name: str, size: int | None = None):
-        self._threads = ThreadPoolExecutor(max_workers=size or os.cpu_count() or 1, thread_name_prefix=f"jaxid-{name}")
+        self._threads = ThreadPoolExecutor(
+            max_workers=size or os.cpu_count() or 1, thread_name_prefix=f"jaxid-{name}"
+        )
 
     def submit(self, job: Callable[..., T], *args: Any) -> Future[T]:
         return self._threads.submit(_on, default_device(), np.geterr(), job, *args)

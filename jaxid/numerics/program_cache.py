@@ -70,9 +70,14 @@ class CacheFolder:
                 shutil.rmtree(file)
             else:
                 file.unlink(missing_ok=True)
-            _say_once("damaged", f"a damaged program was removed from the cache and is made anew ({file})")
+            _say_once(
+                "damaged", f"a damaged program was removed from the cache and is made anew ({file})"
+            )
         except OSError as error:
-            _say_once("damaged", f"a damaged program in the cache is not used ({file}), nor can it be removed: {error.strerror}")
+            _say_once(
+                "damaged",
+                f"a damaged program in the cache is not used ({file}), nor can it be removed: {error.strerror}",
+            )
 
     def write(self, name: str, content: bytes) -> None:
         """All of it or nothing, also where several processes write it at once; nothing where the disk takes no more."""
@@ -127,7 +132,10 @@ def own_folder(path: Path) -> Path | None:
     """
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        other = any(not (entry.name in (TRACED, COMPILED) or entry.name.endswith("-cache")) for entry in os.scandir(path))
+        other = any(
+            not (entry.name in (TRACED, COMPILED) or entry.name.endswith("-cache"))
+            for entry in os.scandir(path)
+        )
     except OSError:
         return None
     return path if _is_own_folder(path, close=not other) and os.access(path, os.W_OK) else None
@@ -203,13 +211,18 @@ def keep_compiled() -> None:
         return
     import jax
 
-    place = jax.config.values["jax_compilation_cache_dir"] or str(folder)  # what the user's program has set wins
+    place = jax.config.values["jax_compilation_cache_dir"] or str(
+        folder
+    )  # what the user's program has set wins
     if "://" in place:
         return  # a store on the network that is JAX's own business
     taken = _take_over()
     jax.config.update("jax_compilation_cache_dir", place if taken else None)
     if not taken:
-        _say_once("version", f"JAX {jax.__version__} has no place to check its cache at: every start compiles anew")
+        _say_once(
+            "version",
+            f"JAX {jax.__version__} has no place to check its cache at: every start compiles anew",
+        )
 
 
 def _take_over() -> bool:
@@ -218,7 +231,9 @@ def _take_over() -> bool:
         from jax._src import compilation_cache
     except ImportError:
         return False
-    if not callable(getattr(compilation_cache, "get_file_cache", None)) or not hasattr(compilation_cache, "reset_cache"):
+    if not callable(getattr(compilation_cache, "get_file_cache", None)) or not hasattr(
+        compilation_cache, "reset_cache"
+    ):
         return False
 
     def checked(path: Any, *_: Any, **__: Any) -> tuple[_Compiled, Any]:

@@ -31,7 +31,9 @@ TOLD = {
     "rev": "dimensions",
     "split": "sizes axis",
     "dot_general": "dimension_numbers precision preferred_element_type",
-    **dict.fromkeys(("reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "reduce_and", "reduce_or"), "axes"),
+    **dict.fromkeys(
+        ("reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "reduce_and", "reduce_or"), "axes"
+    ),
 }
 
 
@@ -39,7 +41,9 @@ def plain(eqn: JaxprEqn) -> bool:
     """Whether an equation is told nothing but what `TOLD` says (no sharding, no other accuracy)."""
     told = TOLD.get(eqn.primitive.name, "").split()
     missing = [key for key in told if key not in eqn.params]
-    return not missing and all(key in told or value is None or value is False for key, value in eqn.params.items())
+    return not missing and all(
+        key in told or value is None or value is False for key, value in eqn.params.items()
+    )
 
 
 def is_program(x: Any) -> bool:
@@ -54,7 +58,10 @@ def is_literal(v: Any) -> bool:
 
 def called(eqn: JaxprEqn) -> ClosedJaxpr | None:
     """The program that an equation only calls."""
-    for names, key in ((("jit", "pjit"), "jaxpr"), (("custom_jvp_call", "closed_call", "core_call"), "call_jaxpr")):
+    for names, key in (
+        (("jit", "pjit"), "jaxpr"),
+        (("custom_jvp_call", "closed_call", "core_call"), "call_jaxpr"),
+    ):
         if eqn.primitive.name in names:
             return _program(eqn, key, len(eqn.invars), len(eqn.outvars))
     return None
@@ -62,8 +69,13 @@ def called(eqn: JaxprEqn) -> ClosedJaxpr | None:
 
 def _program(eqn: JaxprEqn, key: str, arguments: int, results: int) -> ClosedJaxpr:
     program: Any = eqn.params.get(key)
-    if not is_program(program) or (len(program.jaxpr.invars), len(program.jaxpr.outvars)) != (arguments, results):
-        raise UnknownForm(f"`{key}` of {eqn.primitive.name} is no program of {arguments} arguments and {results} results")
+    if not is_program(program) or (len(program.jaxpr.invars), len(program.jaxpr.outvars)) != (
+        arguments,
+        results,
+    ):
+        raise UnknownForm(
+            f"`{key}` of {eqn.primitive.name} is no program of {arguments} arguments and {results} results"
+        )
     return program
 
 
@@ -111,7 +123,9 @@ def bound(eqn: JaxprEqn, args: Sequence[Any]) -> list[Any]:
     return list(out) if eqn.primitive.multiple_results else [out]
 
 
-def rearranged(name: str, params: dict[str, Any], arrays: list[np.ndarray]) -> list[np.ndarray] | None:
+def rearranged(
+    name: str, params: dict[str, Any], arrays: list[np.ndarray]
+) -> list[np.ndarray] | None:
     """Results of a primitive that only moves elements; None: it is none of them."""
     x = arrays[0]
     if name == "broadcast_in_dim":
@@ -128,7 +142,16 @@ def rearranged(name: str, params: dict[str, Any], arrays: list[np.ndarray]) -> l
         return [x.transpose(params["permutation"])]
     if name == "slice":
         strides = params["strides"] or (1,) * x.ndim
-        return [x[tuple(slice(*s) for s in zip(params["start_indices"], params["limit_indices"], strides, strict=True))]]
+        return [
+            x[
+                tuple(
+                    slice(*s)
+                    for s in zip(
+                        params["start_indices"], params["limit_indices"], strides, strict=True
+                    )
+                )
+            ]
+        ]
     if name == "stack":
         return [np.stack(arrays, params["axis"])]
     if name == "concatenate":

@@ -16,7 +16,9 @@ T = TypeVar("T")
 Tell = Callable[..., None]
 
 
-def side_by_side(jobs: Sequence[Callable[[Tell], T]], tell: Tell | None = None, workers: int | None = None) -> list[Future[T]]:
+def side_by_side(
+    jobs: Sequence[Callable[[Tell], T]], tell: Tell | None = None, workers: int | None = None
+) -> list[Future[T]]:
     """Jobs that are done, in their order, no more than `workers` at a time (None: one per core).
 
     Each is called with a function by which it tells how far it is; what it tells reaches `tell` in the caller's thread. What

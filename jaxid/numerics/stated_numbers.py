@@ -131,8 +131,14 @@ def _deviation(known: Known, kept: Sequence[int], stated: np.ndarray) -> float:
     off = known.value[k] - stated[k]
     _, _, far = known.beside(kept, stated[kept])
     chance = max(float(chdtrc(len(kept), far)), 1e-300)
-    sizes = (_gains(known, kept, stated)[-1], off**2 / known.covariance[k, k], float(chdtri(1, chance)))
-    side = np.sign(known.beside(kept[:-1], stated[kept[:-1]])[0][k] - stated[k]) or np.sign(off) or 1.0
+    sizes = (
+        _gains(known, kept, stated)[-1],
+        off**2 / known.covariance[k, k],
+        float(chdtri(1, chance)),
+    )
+    side = (
+        np.sign(known.beside(kept[:-1], stated[kept[:-1]])[0][k] - stated[k]) or np.sign(off) or 1.0
+    )
     return float(side * np.sqrt(max(sizes)))
 
 

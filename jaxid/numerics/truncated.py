@@ -119,7 +119,15 @@ def _terms(C: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray
     return precision, shift
 
 
-def _take_up(k: int, S: np.ndarray, mean: np.ndarray, precision: np.ndarray, shift: np.ndarray, low: float, high: float) -> None:
+def _take_up(
+    k: int,
+    S: np.ndarray,
+    mean: np.ndarray,
+    precision: np.ndarray,
+    shift: np.ndarray,
+    low: float,
+    high: float,
+) -> None:
     """The term of number k anew, beside those of all others; changes S, mean, precision and shift in place."""
     own = S[k, k]
     rest = 1 / own - precision[k]

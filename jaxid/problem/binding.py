@@ -43,8 +43,12 @@ class Binding:
     layout: Layout
     noise: dict[str, Noise]
     sigma: np.ndarray  # [ny]
-    readings: np.ndarray  # the sensors' own part of it [ny]: what noise is in the motion, however runs differ
-    motions: dict[str, Motion]  # experiment name -> smoothed motion; empty where the model does not measure its joints
+    readings: (
+        np.ndarray
+    )  # the sensors' own part of it [ny]: what noise is in the motion, however runs differ
+    motions: dict[
+        str, Motion
+    ]  # experiment name -> smoothed motion; empty where the model does not measure its joints
     references: list[Reference]  # of each joint
     inputs: list[Reference]  # of each input channel, its own magnitude in place of the torque
     theta: np.ndarray  # start values of every number
@@ -53,10 +57,18 @@ class Binding:
     scale: np.ndarray
     free: list[int]  # what a fit of this model determines
     stated: set[int]  # values that the dataset states itself
-    nominal: set[int]  # numbers of the model as the user has it, without added effects and candidates
-    read: dict[int, float] = field(default_factory=dict)  # numbers that the recording itself tells: their standard deviation
-    priors: dict[int, tuple[float, float]] = field(default_factory=dict)  # mean and standard deviation of numbers known before
-    doubts: dict[str, float] = field(default_factory=dict)  # what another simulator of the same file makes of numbers
+    nominal: set[
+        int
+    ]  # numbers of the model as the user has it, without added effects and candidates
+    read: dict[int, float] = field(
+        default_factory=dict
+    )  # numbers that the recording itself tells: their standard deviation
+    priors: dict[int, tuple[float, float]] = field(
+        default_factory=dict
+    )  # mean and standard deviation of numbers known before
+    doubts: dict[str, float] = field(
+        default_factory=dict
+    )  # what another simulator of the same file makes of numbers
     said: tuple[str, ...] = ()  # what the dataset asks for that changes a result
 
     def experiments(self, split: str) -> tuple[Experiment, ...]:
@@ -66,13 +78,19 @@ class Binding:
     def gains(self) -> set[int]:
         """Fitted numbers of a drive law that make the torque itself: no equation of torques can tell them."""
         known = self.chain.mechanism.known()
-        return {i for i in self.free if (name := self.layout.names[i]) in known and not name.startswith("delay@")}
+        return {
+            i
+            for i in self.free
+            if (name := self.layout.names[i]) in known and not name.startswith("delay@")
+        }
 
     def reference(self, effect: type[Effect] | Effect, place: int) -> Reference:
         """Typical magnitudes where an effect acts."""
         if effect.location == "number":
             first = self.references[0]
-            return first._replace(number=self.layout.typical(self.chain.places(effect)[place], first))
+            return first._replace(
+                number=self.layout.typical(self.chain.places(effect)[place], first)
+            )
         at_input = effect.location == "input" and not self.chain.mechanism.behind_law(effect)
         own = self.inputs if at_input and self.inputs else self.references
         return own[min(place, len(own) - 1)]
@@ -80,7 +98,11 @@ class Binding:
     def motions_of(self, experiments: Iterable[Experiment]) -> list[Motion] | None:
         """Motions of these runs, or None where the model does not measure its joints."""
         names = [e.name for e in experiments]
-        return [self.motions[n] for n in names] if self.motions and set(names) <= set(self.motions) else None
+        return (
+            [self.motions[n] for n in names]
+            if self.motions and set(names) <= set(self.motions)
+            else None
+        )
 
     def by_windows(self, window: Window | None) -> Binding:
         """With the noise of runs that begin anew in each window: what repeats differ by has not added up since they began. `self`
@@ -88,7 +110,11 @@ class Binding:
         if window is None or all(n.source != "repeatability" for n in self.noise.values()):
             return self
         noise = noise_floor(self.dataset, window=window)
-        return replace(self, noise=noise, sigma=np.array([noise[n].std for n, _ in self.chain.signature.outputs]))
+        return replace(
+            self,
+            noise=noise,
+            sigma=np.array([noise[n].std for n, _ in self.chain.signature.outputs]),
+        )
 
     def with_stamps(self, stamps: Mapping[str, Stamps]) -> Binding:
         """The spreads of time stamps as numbers of the model that no fit determines; output channel -> its stamps."""
@@ -106,7 +132,9 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     spec = dataset.model
     if model is None:
         if spec is None or (spec.name is None and spec.file is None):
-            raise UsageError(f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})")
+            raise UsageError(
+                f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})"
+            )
         model = spec.file or spec.name
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
     if isinstance(model, str):
@@ -131,7 +159,9 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
         catalogue.effect_class(name)
         builtin = [kind.name for kind, _ in model.mechanism.builtin]
         if name not in has and name not in builtin:
-            raise UsageError(f"{model.mechanism.name} has no {name} to leave out{nearest(name, has)}")
+            raise UsageError(
+                f"{model.mechanism.name} has no {name} to leave out{nearest(name, has)}"
+            )
     return model.without(*out)
 
 
@@ -214,7 +244,9 @@ def _check_units(model: str, dataset: Dataset, needed: Iterable[tuple[str, str]]
             )
 
 
-def parse_effect(text: str | Effect | type[Effect], chain: Chain) -> tuple[type[Effect], str | None]:
+def parse_effect(
+    text: str | Effect | type[Effect], chain: Chain
+) -> tuple[type[Effect], str | None]:
     """`dead_zone@tau`, or `dead_zone` where it has one place. One that the model comprises only where a fit holds some of its
     numbers, which it then fits (at all places, where none is named)."""
     name, _, place = catalogue.enrolled(text).partition("@")
@@ -223,16 +255,22 @@ def parse_effect(text: str | Effect | type[Effect], chain: Chain) -> tuple[type[
     if not places:
         kinds = [catalogue.effect_class(n) for n in catalogue.effect_names()]
         able = [k.name for k in kinds if k.name not in chain.contents and chain.offers(k)]
-        raise UsageError(f"{name} has no place in {chain.mechanism.name}, which can take: {', '.join(able) or 'none'}")
+        raise UsageError(
+            f"{name} has no place in {chain.mechanism.name}, which can take: {', '.join(able) or 'none'}"
+        )
     held = chain.mechanism.held() if any(e.name == name for e in chain.effects) else frozenset()
     layout = Layout(chain)
     frees = bool(held) and any(layout.names[i] in held for i in layout.of_effect(name))
     if name in chain.contents and not frees:
-        raise UsageError(f"{name} is part of {chain.mechanism.name} already: it is fitted without being asked for")
+        raise UsageError(
+            f"{name} is part of {chain.mechanism.name} already: it is fitted without being asked for"
+        )
     if place and place not in places:
         raise UsageError(f"{name} cannot act at {place!r}{nearest(place, places)}")
     if not place and len(places) > 1 and not frees:
-        raise UsageError(f"{name} can act at {', '.join(places)}: say where, as in {name}@{places[0]}")
+        raise UsageError(
+            f"{name} can act at {', '.join(places)}: say where, as in {name}@{places[0]}"
+        )
     return kind, place or None
 
 
@@ -265,13 +303,22 @@ def bind(
     layout = Layout(chain)
     noise = noise_floor(dataset)
     stamps: dict[str, Stamps] = {}
-    if scattered := [p for k, place in added if k.name == JITTER for p in ([place] if place else nominal.offers(k))]:
+    if scattered := [
+        p
+        for k, place in added
+        if k.name == JITTER
+        for p in ([place] if place else nominal.offers(k))
+    ]:
         stamps = {c: s for c, s in scattered_stamps(dataset, noise).items() if c in scattered}
         dataset = with_scatter(dataset, stamps, noise) if stamps else dataset
         noise = noise_floor(dataset)
     names = [n for n, _ in chain.signature.outputs]
     sigma = np.array([noise[n].std for n in names])
-    alone = noise_floor(dataset, readings=True) if any(n.source == "repeatability" for n in noise.values()) else noise
+    alone = (
+        noise_floor(dataset, readings=True)
+        if any(n.source == "repeatability" for n in noise.values())
+        else noise
+    )
     readings = np.array([alone[n].std for n in names])
 
     theta, stated = layout.values.copy(), set()
@@ -279,22 +326,36 @@ def bind(
     spec = dataset.model
     priors = dict(spec.parameters) if spec is not None else {}
     for name, value in (spec.constants if spec is not None else {}).items():
-        if name != "smoothing_velocity" and name not in settings(chain.mechanism) and not name.startswith(robots.POSE):
+        if (
+            name != "smoothing_velocity"
+            and name not in settings(chain.mechanism)
+            and not name.startswith(robots.POSE)
+        ):
             i = layout.index(name)
             theta[i] = value
             fixed.add(i)
             stated.add(i)
     priors = chain.mechanism.known() | priors
     for name, prior in priors.items():
-        value = prior.value if prior.value is not None or prior.prior is None else prior.prior["mean"]
+        value = (
+            prior.value if prior.value is not None or prior.prior is None else prior.prior["mean"]
+        )
         if value is not None:
             theta[layout.index(name)] = value
             stated.add(layout.index(name))
 
     chain = layout.model(theta)  # with what the dataset states
     layout = Layout(chain)
-    fixed |= {layout.index(name) for name in chain.mechanism.held() if name in layout.names and name not in priors}
-    own = {i for i, e in enumerate(layout.entries) if e.owner < 0 or chain.effects[e.owner].name in present}
+    fixed |= {
+        layout.index(name)
+        for name in chain.mechanism.held()
+        if name in layout.names and name not in priors
+    }
+    own = {
+        i
+        for i, e in enumerate(layout.entries)
+        if e.owner < 0 or chain.effects[e.owner].name in present
+    }
     free = sorted(i for i in own if i not in fixed)
     for kind, place in added:
         places = [place] if place else chain.offers(kind)
@@ -302,7 +363,9 @@ def bind(
 
     motions: dict[str, Motion] = {}
     if all_read(chain):
-        motions = {e.name: measured_motion.motion(dataset, e, chain, readings) for e in dataset.experiments}
+        motions = {
+            e.name: measured_motion.motion(dataset, e, chain, readings) for e in dataset.experiments
+        }
     references, inputs = typical_magnitudes(dataset, layout, theta, motions)
     lower, upper, scale = layout.boxes(references, inputs)
     for name, prior in priors.items():
@@ -311,7 +374,9 @@ def bind(
         upper[i] = prior.upper if prior.upper is not None else max(upper[i], theta[i])
         if not lower[i] <= theta[i] <= upper[i]:
             if prior.value is not None:
-                raise UsageError(f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]")
+                raise UsageError(
+                    f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]"
+                )
             theta[i] = np.sqrt(lower[i] * upper[i]) if lower[i] > 0 else (lower[i] + upper[i]) / 2
     known, said = _stated_scales(layout, priors, lower, upper)
     said = (*said, *_held_friction(chain, layout, free, fixed - stated, theta))
@@ -324,14 +389,22 @@ def bind(
     ).with_stamps(stamps)  # fmt: skip
 
 
-def _held_friction(chain: Chain, layout: Layout, free: list[int], fixed: set[int], theta: np.ndarray) -> list[str]:
+def _held_friction(
+    chain: Chain, layout: Layout, free: list[int], fixed: set[int], theta: np.ndarray
+) -> list[str]:
     """What is to be said of numbers of the model's own friction that a fit leaves as they are, effect by effect."""
     said = []
     for k, effect in enumerate(chain.effects):
         if not isinstance(effect, JointEffect):
             continue
-        own = [i for i, e in enumerate(layout.entries) if e.owner == k and i in fixed and i not in free and not e.spec.fixed]
-        own = [i for i in own if layout.entries[i].location not in robots.ANGLES]  # nothing brakes a base that floats
+        own = [
+            i
+            for i, e in enumerate(layout.entries)
+            if e.owner == k and i in fixed and i not in free and not e.spec.fixed
+        ]
+        own = [
+            i for i in own if layout.entries[i].location not in robots.ANGLES
+        ]  # nothing brakes a base that floats
         if own and any(i in free for i, e in enumerate(layout.entries) if e.owner == k):
             names = wording.listed([layout.names[i] for i in own])
             values = wording.listed([f"{v:g}" for v in dict.fromkeys(theta[own].tolist())])
@@ -366,6 +439,8 @@ def _stated_scales(
                     f"under [model.parameters.{name}]"
                 )
             layout.log[i] = prior.log
-            said.append(f"{name} is searched {'by its logarithm' if prior.log else 'linearly'} (stated)")
+            said.append(
+                f"{name} is searched {'by its logarithm' if prior.log else 'linearly'} (stated)"
+            )
     said += [f"prior of {', '.join(names)}: {text} (stated)" for text, names in alike.items()]
     return known, tuple(said)

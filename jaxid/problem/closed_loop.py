@@ -22,7 +22,15 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.controller import Law, law_of, Memory, Reading
 from jaxid.dynamics.effect import Command
 from jaxid.errors import UsageError
-from jaxid.problem.residual import OutputError, overrides, record_of, Residual, RESIDUALS, Runs, Simulation
+from jaxid.problem.residual import (
+    OutputError,
+    overrides,
+    record_of,
+    Residual,
+    RESIDUALS,
+    Runs,
+    Simulation,
+)
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import Engine
 from jaxid.simulation.rollout import Lane, over_time
@@ -58,7 +66,11 @@ def _lane(law: Law, signals: str) -> Lane:
             i = jnp.minimum(begin + k, last)
             row, t, h = samples.x[i], samples.t[i], samples.h[i]
             y, z = chain.sense(
-                body, state, jnp.zeros(n), jnp.zeros(n, bool), Command(t, h, memory.u, memory.u, lambda d: memory.u)
+                body,
+                state,
+                jnp.zeros(n),
+                jnp.zeros(n, bool),
+                Command(t, h, memory.u, memory.u, lambda d: memory.u),
             )
             state = state._replace(z=z)
             new = feedback.update(law, memory, y, body.port(state.x)[1], reading(row))
@@ -74,7 +86,9 @@ def _lane(law: Law, signals: str) -> Lane:
     return lane
 
 
-def reference_data(law: Law, experiments: Sequence[Experiment], samples: Samples, positions: Sequence[np.ndarray]) -> np.ndarray:
+def reference_data(
+    law: Law, experiments: Sequence[Experiment], samples: Samples, positions: Sequence[np.ndarray]
+) -> np.ndarray:
     """What the controller is told at every step of the buffers, [n 3 nq + 1]: reference, its rate, disturbance, and 1 where
     the controller samples. The rate is the difference to the controller's previous sample."""
     n = len(law.kp)
@@ -85,7 +99,9 @@ def reference_data(law: Law, experiments: Sequence[Experiment], samples: Samples
         if law.every_sample:
             ticks = np.isin(at, p)
         else:
-            count = np.floor((t - t[0]) / law.sample_time + 0.5 * np.minimum(1.0, h / law.sample_time))
+            count = np.floor(
+                (t - t[0]) / law.sample_time + 0.5 * np.minimum(1.0, h / law.sample_time)
+            )
             ticks = np.append(True, np.diff(count) > 0)
         for j in range(n):
             q_cmd = _auxiliary(e, law.references[j])
@@ -102,7 +118,9 @@ def reference_data(law: Law, experiments: Sequence[Experiment], samples: Samples
 
 def _auxiliary(e: Experiment, name: str) -> np.ndarray:
     if name not in e.auxiliary:
-        raise UsageError(f"experiment {e.name} has no auxiliary channel {name!r}, which [controller] needs")
+        raise UsageError(
+            f"experiment {e.name} has no auxiliary channel {name!r}, which [controller] needs"
+        )
     return e.auxiliary[name]
 
 
@@ -123,14 +141,18 @@ class ClosedLoopOutputError(Residual):
         if self.signals not in SIGNALS:
             raise UsageError(f"signals is {self.signals!r}; it is one of {', '.join(SIGNALS)}")
         chain: Chain = layout.chain
-        if getattr(chain.mechanism, "drive_law", None) is not None:  # its free run is the one under the law
+        if (
+            getattr(chain.mechanism, "drive_law", None) is not None
+        ):  # its free run is the one under the law
             if self.signals != "outputs":
                 raise UsageError("a robot that its goals drive is compared by its outputs alone")
             return OutputError().runs(dataset, experiments, layout, noise, motions, step, shape)
         law = law_of(dataset, chain.signature)
         shifted = {"input_delay", "input_hold"} & {e.name for e in chain.effects}
         if shifted:
-            raise UsageError(f"closed_loop does not simulate {' and '.join(sorted(shifted))}: use output_error for them")
+            raise UsageError(
+                f"closed_loop does not simulate {' and '.join(sorted(shifted))}: use output_error for them"
+            )
         step = min(step, 1.01 * law.sample_time)
         samples, positions = recorded.build(dataset, experiments, chain, noise, step, size=shape[0])
         iu, _ = recorded.columns(dataset, chain)
@@ -144,7 +166,10 @@ class ClosedLoopOutputError(Residual):
             "both": (np.concatenate([samples.y, u], 1), np.concatenate([samples.w, wu], 1)),
         }[self.signals]
         samples = samples._replace(y=y, w=w, x=reference_data(law, experiments, samples, positions))
-        records = [record_of(i, e, positions[i], 0, len(e.t), dataset, chain, False) for i, e in enumerate(experiments)]
+        records = [
+            record_of(i, e, positions[i], 0, len(e.t), dataset, chain, False)
+            for i, e in enumerate(experiments)
+        ]
         engine = Engine(
             layout,
             samples,

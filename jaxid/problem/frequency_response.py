@@ -53,7 +53,10 @@ def merged(measured: Measured) -> Lines:
     middle = np.array([np.median(np.real(g)) + 1j * np.median(np.imag(g)) for g in groups])
     counts = np.array([g.size for g in groups])
     if np.median(counts) >= 3:
-        parts = [np.concatenate([np.real(g - m), np.imag(g - m)]) for g, m in zip(groups, middle, strict=True)]
+        parts = [
+            np.concatenate([np.real(g - m), np.imag(g - m)])
+            for g, m in zip(groups, middle, strict=True)
+        ]
         share = np.array([np.median(np.abs(p)) for p in parts]) / np.maximum(np.abs(middle), 1e-300)
         # A line's own scatter is known from few repeats: pooled with its neighbours', in shares of the gain.
         pooled = np.array([np.median(share[max(0, k - 5) : k + 6]) for k in range(share.size)])
@@ -63,7 +66,10 @@ def merged(measured: Measured) -> Lines:
         return Lines(omega[first], middle, std, statement)
     gain = np.abs(middle)
     return Lines(
-        omega[first], middle, 0.02 * np.maximum(gain, 0.1 * np.median(gain)), "no repeats: noise taken as 2 % of the gain"
+        omega[first],
+        middle,
+        0.02 * np.maximum(gain, 0.1 * np.median(gain)),
+        "no repeats: noise taken as 2 % of the gain",
     )
 
 
@@ -75,8 +81,12 @@ def estimate(
     U, Y = np.fft.rfft(u), np.fft.rfft(y)
     f = np.fft.rfftfreq(t.size, float(np.median(np.diff(t))))
     size = np.abs(U)
-    least = max(least_input * size[1:].max(), 1e-9 * size.max())  # a constant input has but rounding beside f = 0
-    bins = np.flatnonzero((f >= band_hz[0]) & (f <= band_hz[1]) & (f > 0) & (size >= least) & (size > 0))
+    least = max(
+        least_input * size[1:].max(), 1e-9 * size.max()
+    )  # a constant input has but rounding beside f = 0
+    bins = np.flatnonzero(
+        (f >= band_hz[0]) & (f <= band_hz[1]) & (f > 0) & (size >= least) & (size > 0)
+    )
     return bins, U[bins], Y[bins]
 
 
@@ -88,7 +98,13 @@ def _interleaved(re: Array, im: Array, length: int) -> Array:
 
 
 def _of_lines(
-    chain: Chain, samples: Samples, begin: Array, last: Array, length: int, magnitude: bool, body: Mechanism | None = None
+    chain: Chain,
+    samples: Samples,
+    begin: Array,
+    last: Array,
+    length: int,
+    magnitude: bool,
+    body: Mechanism | None = None,
 ) -> Array:
     """Linear response at the lines of a record, [length 1]; `samples.x` holds omega, output and input of each line."""
     x = samples.x[jnp.minimum(begin + 2 * jnp.arange(length // 2), last)]
@@ -111,7 +127,15 @@ def line_lane(magnitude: bool) -> Lane:
 
 
 @functools.cache
-def record_lane(magnitude: bool, linear: bool, output: int, timed: tuple[int, ...], count: int, pieces: int, room: int) -> Lane:
+def record_lane(
+    magnitude: bool,
+    linear: bool,
+    output: int,
+    timed: tuple[int, ...],
+    count: int,
+    pieces: int,
+    room: int,
+) -> Lane:
     """Columns: the response to `output`, then the simulated outputs `timed`; records of `count` samples, `pieces` steps each, and
     at most `room` / 2 lines in any of them.
 
@@ -121,7 +145,18 @@ def record_lane(magnitude: bool, linear: bool, output: int, timed: tuple[int, ..
     def lane(chain, samples, where, start, steps, length, reach, burn):
         begin, _, last, _ = where
         body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
-        y = simulate_lane(chain, samples, where, start, steps, length, reach, burn, body, timed if linear else None)
+        y = simulate_lane(
+            chain,
+            samples,
+            where,
+            start,
+            steps,
+            length,
+            reach,
+            burn,
+            body,
+            timed if linear else None,
+        )
         size = min(room, length)
         if linear:
             response = _of_lines(chain, samples, begin, last, size, magnitude, body)
@@ -180,14 +215,23 @@ class FrequencyResponseError(Residual):
 
     def _lines(self, dataset: Dataset, experiments: Sequence[Experiment], layout: Layout) -> Runs:
         chain = layout.chain
-        outputs, inputs = ([n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs))
+        outputs, inputs = (
+            [n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs)
+        )
         table = {r.name: r for r in dataset.responses}
         x, y, w, records, first, statements = [], [], [], [], 0, []
         for number, e in enumerate(experiments):
             measured = table[e.name]
             lines = merged(measured)
-            where = _position(measured.output, outputs, "output"), _position(measured.input, inputs, "input")
-            x.append(np.repeat(np.column_stack([lines.omega, np.tile(where, (lines.omega.size, 1))]), 2, 0))
+            where = (
+                _position(measured.output, outputs, "output"),
+                _position(measured.input, inputs, "input"),
+            )
+            x.append(
+                np.repeat(
+                    np.column_stack([lines.omega, np.tile(where, (lines.omega.size, 1))]), 2, 0
+                )
+            )
             target, weight = _parts(lines.response, lines.std, self.magnitude)
             y.append(target)
             w.append(weight)
@@ -195,7 +239,18 @@ class FrequencyResponseError(Residual):
             still = np.zeros(chain.nq)
             kept = rows[weight > 0]
             records.append(
-                Record(number, first, len(rows), first, int(rows[-1]), 0, still, still, np.zeros(2 * chain.nq, bool), kept)
+                Record(
+                    number,
+                    first,
+                    len(rows),
+                    first,
+                    int(rows[-1]),
+                    0,
+                    still,
+                    still,
+                    np.zeros(2 * chain.nq, bool),
+                    kept,
+                )
             )
             first += len(rows)
             statements.append(lines.statement)
@@ -207,7 +262,13 @@ class FrequencyResponseError(Residual):
             np.arange(size) * 1.0, np.ones(size), zeros, zeros, zeros,
             pad(np.concatenate(y))[:, None], pad(np.concatenate(w))[:, None], pad(np.concatenate(x)),
         )  # fmt: skip
-        engine = Engine(layout, samples, records, overrides(layout, experiments, records), line_lane(self.magnitude))
+        engine = Engine(
+            layout,
+            samples,
+            records,
+            overrides(layout, experiments, records),
+            line_lane(self.magnitude),
+        )
         pairs = {(table[e.name].output, table[e.name].input) for e in experiments}
         channel = _ratio(chain, *pairs.pop()) if len(pairs) == 1 else ("response", "SI")
         part = "gain of the" if self.magnitude else "complex"
@@ -220,9 +281,13 @@ class FrequencyResponseError(Residual):
     def _records(self, dataset, experiments, layout, noise, step, shape) -> Runs:
         chain = layout.chain
         if len(chain.signature.inputs) != 1:
-            raise UsageError("a frequency response from records needs a model with one input; measure responses, or output_error")
+            raise UsageError(
+                "a frequency response from records needs a model with one input; measure responses, or output_error"
+            )
         outputs = [n for n, _ in chain.signature.outputs]
-        output = len(outputs) - 1 if self.output is None else _position(self.output, outputs, "output")
+        output = (
+            len(outputs) - 1 if self.output is None else _position(self.output, outputs, "output")
+        )
         timed = tuple(_position(n, outputs, "output") for n in self.timed)
         if dataset.responses:
             return self._mixed(dataset, experiments, layout, noise, step, shape, timed)
@@ -242,16 +307,29 @@ class FrequencyResponseError(Residual):
         records, lines = [], 0
         for number, e in enumerate(experiments):
             p = positions[number]
-            bins, U, Y = estimate(e.t, e.u[:, iu], e.motion()[:, iy[output]], self.band_hz, self.least_input)
+            bins, U, Y = estimate(
+                e.t, e.u[:, iu], e.motion()[:, iy[output]], self.band_hz, self.least_input
+            )
             if not bins.size and e.split == "fit":
-                raise UsageError(f"{e.name}: the input excites no line between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz")
+                raise UsageError(
+                    f"{e.name}: the input excites no line between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz"
+                )
             omega = 2 * np.pi * bins / (count * np.median(np.diff(e.t)))
             std = noise[output] * np.sqrt(count / 2) / np.abs(U)
             target, weight = _parts(Y / U, std, self.magnitude)
             rows = p[0] + np.arange(target.size)
             y[rows, 0], w[rows, 0] = target, weight
             inverse = 1 / U
-            each = np.column_stack([omega, np.full(omega.size, output), np.zeros(omega.size), bins, inverse.real, inverse.imag])
+            each = np.column_stack(
+                [
+                    omega,
+                    np.full(omega.size, output),
+                    np.zeros(omega.size),
+                    bins,
+                    inverse.real,
+                    inverse.imag,
+                ]
+            )
             x[rows] = np.repeat(each, 2, 0)
             for c, k in enumerate(timed):
                 y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
@@ -260,13 +338,23 @@ class FrequencyResponseError(Residual):
             records.append(Record(**{**record.__dict__, "samples": kept}))
             lines += bins.size
         samples = samples._replace(y=y, w=w, x=x)
-        inside = (self.band_hz[1] - self.band_hz[0]) * count * np.median(spacing) + 1  # lines of a record in the band, at most
+        inside = (self.band_hz[1] - self.band_hz[0]) * count * np.median(
+            spacing
+        ) + 1  # lines of a record in the band, at most
         room = recorded.bucket(2 * min(int(inside), count // 2 + 1), 64)
         lane = record_lane(self.magnitude, self.linear, output, timed, count, pieces, room)
-        engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane, shape[1])
+        engine = Engine(
+            layout, samples, records, overrides(layout, experiments, records), lane, shape[1]
+        )
         ratio = _ratio(chain, outputs[output], chain.signature.inputs[0][0])
-        own = [float(np.median(1 / w[w[:, 0] > 0, 0])) if lines else 1.0, *(noise[k] for k in timed)]
-        part, kind = "gain of the" if self.magnitude else "complex", "linear" if self.linear else "simulated"
+        own = [
+            float(np.median(1 / w[w[:, 0] > 0, 0])) if lines else 1.0,
+            *(noise[k] for k in timed),
+        ]
+        part, kind = (
+            "gain of the" if self.magnitude else "complex",
+            "linear" if self.linear else "simulated",
+        )
         return Runs(
             tuple(experiments), layout, (ratio, *(chain.signature.outputs[k] for k in timed)), np.array(own), engine,
             tuple(range(len(records))), (),
@@ -278,9 +366,13 @@ class FrequencyResponseError(Residual):
     def _mixed(self, dataset, experiments, layout, noise, step, shape, timed) -> Runs:
         """Measured lines (in the first record's rows) beside records that are compared in time."""
         if not self.linear:
-            raise UsageError("measured responses are compared with the linear one: say linear=True, or leave `timed` empty")
+            raise UsageError(
+                "measured responses are compared with the linear one: say linear=True, or leave `timed` empty"
+            )
         chain, split = layout.chain, experiments[0].split
-        outputs, inputs = ([n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs))
+        outputs, inputs = (
+            [n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs)
+        )
         samples, positions = recorded.build(dataset, experiments, chain, noise, step, size=shape[0])
         _, iy = recorded.columns(dataset, chain)
         n = len(samples.t)
@@ -289,7 +381,9 @@ class FrequencyResponseError(Residual):
         measured = [r for r in dataset.responses if r.split == split]
         for one in measured:
             lines = merged(one)
-            low, high = 2 * np.pi * np.asarray(self.band_hz) * [1 - 1e-9, 1 + 1e-9]  # a line at an end is in it, rounded or not
+            low, high = (
+                2 * np.pi * np.asarray(self.band_hz) * [1 - 1e-9, 1 + 1e-9]
+            )  # a line at an end is in it, rounded or not
             inside = (lines.omega >= low) & (lines.omega <= high)
             where = _position(one.output, outputs, "output"), _position(one.input, inputs, "input")
             target, weight = _parts(lines.response[inside], lines.std[inside], self.magnitude)
@@ -297,7 +391,9 @@ class FrequencyResponseError(Residual):
             if rows.stop > positions[0][-1] + 1:
                 raise UsageError("there are more lines than steps in the first run: narrow band_hz")
             y[rows, 0], w[rows, 0] = target, weight
-            x[rows] = np.repeat(np.column_stack([lines.omega[inside], np.tile(where, (inside.sum(), 1))]), 2, 0)
+            x[rows] = np.repeat(
+                np.column_stack([lines.omega[inside], np.tile(where, (inside.sum(), 1))]), 2, 0
+            )
             row += target.size
             statements.append(lines.statement)
         for number, e in enumerate(experiments):
@@ -307,13 +403,19 @@ class FrequencyResponseError(Residual):
             record = record_of(number, e, p, 0, len(e.t), dataset, chain, False)
             kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
             records.append(Record(**{**record.__dict__, "samples": kept}))
-        most = max(sum(r.omega.size for r in dataset.responses if r.split == s) for s in {r.split for r in dataset.responses})
+        most = max(
+            sum(r.omega.size for r in dataset.responses if r.split == s)
+            for s in {r.split for r in dataset.responses}
+        )
         lane = record_lane(self.magnitude, True, 0, timed, 0, 1, recorded.bucket(2 * most, 64))
         stated = overrides(layout, experiments, records)
         engine = Engine(layout, samples._replace(y=y, w=w, x=x), records, stated, lane, shape[1])
         pairs = {(r.output, r.input) for r in measured}
         ratio = _ratio(chain, *pairs.pop()) if len(pairs) == 1 else ("response", "SI")
-        own = [float(np.median(1 / w[w[:, 0] > 0, 0])) if measured else 1.0, *(noise[k] for k in timed)]
+        own = [
+            float(np.median(1 / w[w[:, 0] > 0, 0])) if measured else 1.0,
+            *(noise[k] for k in timed),
+        ]
         return Runs(
             tuple(experiments), layout, (ratio, *(chain.signature.outputs[k] for k in timed)), np.array(own), engine,
             tuple(range(len(records))), (),
@@ -326,15 +428,27 @@ def as_experiment(measured: Measured, dataset: Dataset) -> Experiment:
     """A response as a run of a split, for bookkeeping: its lines in place of time."""
     omega = np.unique(measured.omega)
     blank = lambda n: np.zeros((omega.size, n))
-    return Experiment(measured.name, measured.split, omega, blank(len(dataset.inputs)), blank(len(dataset.outputs)))
+    return Experiment(
+        measured.name,
+        measured.split,
+        omega,
+        blank(len(dataset.inputs)),
+        blank(len(dataset.outputs)),
+    )
 
 
 def _parts(response: np.ndarray, std: np.ndarray, magnitude: bool) -> tuple[np.ndarray, np.ndarray]:
     """Target and weight rows [2 lines]."""
     if magnitude:
-        target, weight = np.column_stack([np.abs(response), 0 * std]), np.column_stack([1 / std, 0 * std])
+        target, weight = (
+            np.column_stack([np.abs(response), 0 * std]),
+            np.column_stack([1 / std, 0 * std]),
+        )
     else:
-        target, weight = np.column_stack([np.real(response), np.imag(response)]), np.column_stack([1 / std, 1 / std])
+        target, weight = (
+            np.column_stack([np.real(response), np.imag(response)]),
+            np.column_stack([1 / std, 1 / std]),
+        )
     return target.ravel(), weight.ravel()
 
 

@@ -53,7 +53,11 @@ def _batches(lanes: Any, most: int) -> Iterator[dict[Key, list[int]]]:
 
 
 def _pieces(
-    jobs: Sequence[tuple[Any, np.ndarray]], lanes: Any, keys: dict[Key, list[int]], windows: Any, share: float
+    jobs: Sequence[tuple[Any, np.ndarray]],
+    lanes: Any,
+    keys: dict[Key, list[int]],
+    windows: Any,
+    share: float,
 ) -> Iterator[Rows]:
     """Rows of each window of each record."""
     begin, members = 0, []
@@ -121,7 +125,9 @@ def _joined(parts: Iterator[Rows]) -> Iterator[Rows]:
         yield own[0]._replace(r=both("r"), J=np.moveaxis(J, 0, -1), w=both("w"))
 
 
-def losses_by_windows(problem: Any, z: np.ndarray, whole: Callable[[np.ndarray], Callable[[], np.ndarray]]) -> np.ndarray:
+def losses_by_windows(
+    problem: Any, z: np.ndarray, whole: Callable[[np.ndarray], Callable[[], np.ndarray]]
+) -> np.ndarray:
     """Loss of each row of z [pop size]; `whole(z)()` gives it where windows cannot be taken."""
     engine, runs, records = problem.runs.engine, problem.runs, np.array(problem.records)
     loss, data, out = LOSSES[problem.loss_name], problem.data, np.empty(len(z))
@@ -140,12 +146,18 @@ def losses_by_windows(problem: Any, z: np.ndarray, whole: Callable[[np.ndarray],
             for first, (y,) in windows:
                 for lane in range(len(y)):
                     r = runs.record(records[lane % records.size])
-                    low, high = np.searchsorted(r.samples - r.offset, (first[lane], first[lane] + WINDOW))
+                    low, high = np.searchsorted(
+                        r.samples - r.offset, (first[lane], first[lane] + WINDOW)
+                    )
                     if low == high:
                         continue
                     at = r.samples[low:high]
                     w = problem.weights[at]
-                    e = np.where(w > 0, y[lane][at - r.offset - first[lane]] - runs.targets[at], 0.0)
+                    e = np.where(
+                        w > 0, y[lane][at - r.offset - first[lane]] - runs.targets[at], 0.0
+                    )
                     total[lane // records.size] += np.asarray(summed(e, w * e)).sum(0)
-            out[begin : begin + each] = np.asarray(penalised(loss.total(jnp.asarray(total), data.count, data.norm)))
+            out[begin : begin + each] = np.asarray(
+                penalised(loss.total(jnp.asarray(total), data.count, data.norm))
+            )
     return out

@@ -30,11 +30,18 @@ def motion(dataset: Dataset, experiment: Experiment, chain: Chain, noise: np.nda
     _, iy = columns(dataset, chain)
     rms = experiment.noise_rms(noise, iy)
     t, y = experiment.t, experiment.motion()[:, iy]
-    return Motion(*joint_motion(chain, t, y, cutoffs(chain, t, y, rms), stated_positions(experiment, chain.signature)))
+    return Motion(
+        *joint_motion(
+            chain, t, y, cutoffs(chain, t, y, rms), stated_positions(experiment, chain.signature)
+        )
+    )
 
 
 def references(
-    experiments: Sequence[Experiment], motions: Sequence[Motion], driven: np.ndarray, inertia_torque: np.ndarray
+    experiments: Sequence[Experiment],
+    motions: Sequence[Motion],
+    driven: np.ndarray,
+    inertia_torque: np.ndarray,
 ) -> list[Reference]:
     """Typical magnitudes per joint, of a drive with torques `driven` [samples nq]; where that has no columns, or does nothing,
     the torque that moves the inertia stands in for it."""

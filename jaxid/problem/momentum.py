@@ -29,7 +29,14 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.numerics.fast_math import sincos
 from jaxid.numerics.precision import float64
-from jaxid.problem.residual import InverseDynamics, overrides, record_of, RESIDUALS, Runs, Simulation
+from jaxid.problem.residual import (
+    InverseDynamics,
+    overrides,
+    record_of,
+    RESIDUALS,
+    Runs,
+    Simulation,
+)
 from jaxid.problem.torque_filter import evenly
 from jaxid.robots.bodies import BODY
 from jaxid.simulation import sample_buffers as recorded
@@ -62,7 +69,16 @@ def body_at(chain: Chain, t: Array) -> Any:
     return now.body().prepare(None)
 
 
-def momentum_lane(chain: Chain, samples: Any, where: Any, start: Any, steps: Any, length: int, reach: int, burn: bool) -> Array:
+def momentum_lane(
+    chain: Chain,
+    samples: Any,
+    where: Any,
+    start: Any,
+    steps: Any,
+    length: int,
+    reach: int,
+    burn: bool,
+) -> Array:
     """L at every sample of one run less its mean over those that count, [length 3]."""
     nq, (begin, _, last, _) = chain.nq, where
     body = body_at(chain, samples.t[begin])  # of all of the run: it lies on one side of a change
@@ -77,7 +93,9 @@ def momentum_lane(chain: Chain, samples: Any, where: Any, start: Any, steps: Any
     return L - jnp.sum(jnp.where(counts, L, 0.0), 0) / jnp.maximum(jnp.sum(counts), 1)
 
 
-def filtered(dataset: Dataset, e: Experiment, chain: Chain, cutoff: float) -> tuple[np.ndarray, int, str]:
+def filtered(
+    dataset: Dataset, e: Experiment, chain: Chain, cutoff: float
+) -> tuple[np.ndarray, int, str]:
     """Positions, speeds and accelerations of a run [time 3 nq], how many samples its ends spoil, and a sentence."""
     _, iy = recorded.columns(dataset, chain)
     q, qd, qdd, said = joint_motion(chain, e.t, e.motion()[:, iy], [cutoff] * chain.nq)
@@ -122,12 +140,18 @@ class Momentum(InverseDynamics):
             raise UsageError(
                 "when a number changes is not known to the residual momentum: jaxid fit finds it, state it nowhere else"
             )
-        experiments = [part for e in experiments for part in sides(evenly(e), self.moment, self.cutoff_hz)]
+        experiments = [
+            part for e in experiments for part in sides(evenly(e), self.moment, self.cutoff_hz)
+        ]
         rate, cutoff, every = self.rates(dataset, chain, noise)
-        measured, ends, texts = zip(*(filtered(dataset, e, chain, cutoff) for e in experiments), strict=True)
+        measured, ends, texts = zip(
+            *(filtered(dataset, e, chain, cutoff) for e in experiments), strict=True
+        )
         said = texts[-1]
         level = noise_of(chain, measured, noise[: chain.nq], rate, cutoff)
-        samples, positions = recorded.build(dataset, experiments, chain, np.ones(chain.nq), 1e9, [*measured], shape[0])
+        samples, positions = recorded.build(
+            dataset, experiments, chain, np.ones(chain.nq), 1e9, [*measured], shape[0]
+        )
         w = np.zeros((len(samples.w), 3))
         records = []
         for number, e in enumerate(experiments):
@@ -135,10 +159,25 @@ class Momentum(InverseDynamics):
             late = self.moment is not None and self.later and e.t[0] >= self.moment
             w[kept] = 1 / np.array(self.later) if late else 1 / level
             record = record_of(number, e, positions[number], 0, len(e.t), dataset, chain, 0)
-            records.append(recorded.Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}))
+            records.append(
+                recorded.Record(
+                    **{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}
+                )
+            )
         samples = samples._replace(y=np.zeros_like(w), w=w)
-        engine = Engine(layout, samples, records, overrides(layout, experiments, records), momentum_lane, shape[1])
-        text = f"{said}; angular momentum less its mean over the run, at every {every}th sample" if every > 1 else said
+        engine = Engine(
+            layout,
+            samples,
+            records,
+            overrides(layout, experiments, records),
+            momentum_lane,
+            shape[1],
+        )
+        text = (
+            f"{said}; angular momentum less its mean over the run, at every {every}th sample"
+            if every > 1
+            else said
+        )
         return Runs(
             tuple(experiments), layout, CHANNELS, level, engine, tuple(range(len(records))), (), text, dataset,
         )  # fmt: skip
@@ -174,13 +213,17 @@ def of_a_body(layout: Layout, i: int) -> bool:
     return e.name.split("@")[0] in BODY
 
 
-def noise_of(chain: Chain, measured: Sequence[np.ndarray], sigma: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
+def noise_of(
+    chain: Chain, measured: Sequence[np.ndarray], sigma: np.ndarray, rate: float, cutoff: float
+) -> np.ndarray:
     """Standard deviation of each component [3] for readings with noise `sigma` [nq], white, low-passed and differentiated."""
     nq = chain.nq
     speeds = sigma * 2 * np.pi * np.sqrt(2 * cutoff**3 / (3 * rate))
     with float64():
         body = chain.body().prepare(None)
-        slope = jax.jit(jax.vmap(lambda x: jax.jacfwd(lambda v: momentum(body, x[:nq], v))(x[nq : 2 * nq])))
+        slope = jax.jit(
+            jax.vmap(lambda x: jax.jacfwd(lambda v: momentum(body, x[:nq], v))(x[nq : 2 * nq]))
+        )
         x = np.concatenate(list(measured))
         J = np.asarray(slope(jnp.asarray(x[np.linspace(0, len(x) - 1, LOOKS).astype(int)])))
     return np.maximum(np.sqrt(np.mean(np.sum((J * speeds) ** 2, -1), 0)), 1e-12)
@@ -194,11 +237,19 @@ def of_the_joints(problem: Any, theta: np.ndarray) -> np.ndarray:
     most, out = max(len(r.samples) for r in records), []
     with float64():
         chain = runs.layout.model(theta)
-        own = jax.jit(lambda t, q, v: jax.vmap(lambda q, v, body: momentum(body, q, v), (0, 0, None))(q, v, body_at(chain, t)))
+        own = jax.jit(
+            lambda t, q, v: jax.vmap(lambda q, v, body: momentum(body, q, v), (0, 0, None))(
+                q, v, body_at(chain, t)
+            )
+        )
         for r in records:  # all of one on one side of a change
             x = np.asarray(runs.engine.samples.x)[np.resize(r.samples, most)]
             still = np.concatenate([x[:, nq : 2 * nq - 3], np.zeros((most, 3))], 1)
-            L = own(jnp.asarray(runs.engine.samples.t[r.offset]), jnp.asarray(x[:, :nq]), jnp.asarray(still))
+            L = own(
+                jnp.asarray(runs.engine.samples.t[r.offset]),
+                jnp.asarray(x[:, :nq]),
+                jnp.asarray(still),
+            )
             out.append(np.asarray(L)[: len(r.samples)])
     return np.concatenate(out)
 

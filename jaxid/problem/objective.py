@@ -53,9 +53,14 @@ class Loss(NamedTuple):
 
 LOSSES: dict[str, Loss] = {
     # mean square of residual / noise: 1.0 is down to the noise
-    "sum_of_squares": Loss(lambda e, r: r**2, lambda sums, count, norm: jnp.sum(sums, -1) / jnp.sum(count)),
+    "sum_of_squares": Loss(
+        lambda e, r: r**2, lambda sums, count, norm: jnp.sum(sums, -1) / jnp.sum(count)
+    ),
     # paper 002, equation (6): sum over channels of |e| / |y|
-    "sum_of_norms": Loss(lambda e, r: e**2, lambda sums, count, norm: jnp.sum(jnp.sqrt(sums / jnp.maximum(norm, 1e-300)), -1)),
+    "sum_of_norms": Loss(
+        lambda e, r: e**2,
+        lambda sums, count, norm: jnp.sum(jnp.sqrt(sums / jnp.maximum(norm, 1e-300)), -1),
+    ),
     # paper 003, equation (7): sum of absolute errors, in the channel's unit
     "sum_of_abs": Loss(lambda e, r: jnp.abs(e), lambda sums, count, norm: jnp.sum(sums, -1)),
 }
@@ -73,7 +78,9 @@ class Rows(NamedTuple):
     w: np.ndarray
 
 
-def rows(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0, pieces: bool = False) -> Iterator[Rows]:
+def rows(
+    jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0, pieces: bool = False
+) -> Iterator[Rows]:
     """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of each record only. `pieces`: a
     long record may come in several, one after the other, so that its Jacobian is never in memory as a whole."""
     return type(jobs[0][0]).rows(jobs, share, pieces)
@@ -166,7 +173,9 @@ class AbstractProblem(abc.ABC):
 
     @classmethod
     @abc.abstractmethod
-    def rows(cls, jobs: Sequence[tuple[Any, np.ndarray]], share: float = 1.0, pieces: bool = False) -> Iterator[Rows]:
+    def rows(
+        cls, jobs: Sequence[tuple[Any, np.ndarray]], share: float = 1.0, pieces: bool = False
+    ) -> Iterator[Rows]:
         """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of each record only;
         `pieces`: records may come in several."""
 
@@ -174,7 +183,9 @@ class AbstractProblem(abc.ABC):
         """Loss of each candidate, traceable; a candidate that diverges gets PENALTY."""
         return self.pure(z, data)
 
-    def compiled(self, name: Any, function: Callable, *args: Any, own: bool = True, count: bool = True) -> Any:
+    def compiled(
+        self, name: Any, function: Callable, *args: Any, own: bool = True, count: bool = True
+    ) -> Any:
         """The executable of a function for arguments of these shapes, compiled once for all problems of this structure, or for
         all problems if it does not depend on them (`own` False).
 
@@ -194,7 +205,13 @@ class AbstractProblem(abc.ABC):
     def _kind(self, name: Any, *args: Any) -> Any:
         """What a compiled program is found by."""
         leaves, tree = jax.tree.flatten(args)
-        return name, self.loss_name, default_platform(), tree, tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves)
+        return (
+            name,
+            self.loss_name,
+            default_platform(),
+            tree,
+            tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves),
+        )
 
     def losses(self, z: np.ndarray) -> np.ndarray:
         """Loss of each row of z [pop size], on all cores; the same program and numbers for every fitter."""
@@ -207,7 +224,9 @@ class AbstractProblem(abc.ABC):
         program = self._losses()
 
         def block(k: int) -> np.ndarray:
-            part = z[k : k + CANDIDATES]  # one shape, hence one program and the same bits, for any population
+            part = z[
+                k : k + CANDIDATES
+            ]  # one shape, hence one program and the same bits, for any population
             padded = np.concatenate([part, np.repeat(part[-1:], CANDIDATES - len(part), 0)])
             with float64():  # the setting belongs to the thread
                 return np.asarray(program(padded, data))[: len(part)]
@@ -263,8 +282,14 @@ class FunctionProblem(AbstractProblem):
         piece: Sequence[int] | np.ndarray | None = None,
     ):
         self.lower, self.upper = np.array(lower, np.float64), np.array(upper, np.float64)
-        if self.lower.shape != self.upper.shape or self.lower.ndim != 1 or not np.all(self.lower < self.upper):
-            raise UsageError("`lower` and `upper` are vectors of the same length, and every lower is below its upper")
+        if (
+            self.lower.shape != self.upper.shape
+            or self.lower.ndim != 1
+            or not np.all(self.lower < self.upper)
+        ):
+            raise UsageError(
+                "`lower` and `upper` are vectors of the same length, and every lower is below its upper"
+            )
         if loss not in LOSSES:
             raise UsageError(f"unknown loss {loss!r}; there is: {', '.join(LOSSES)}")
         n = self.lower.size
@@ -275,10 +300,14 @@ class FunctionProblem(AbstractProblem):
         self._compile_time_s = [0.0]  # shared by its parts
         self._residual = lambda z: jnp.reshape(r := residual(z), (r.shape[0], -1))
         with float64():
-            samples, columns = jax.eval_shape(self._residual, jax.ShapeDtypeStruct((n,), np.float64)).shape
+            samples, columns = jax.eval_shape(
+                self._residual, jax.ShapeDtypeStruct((n,), np.float64)
+            ).shape
         self._piece = np.zeros(samples, int) if piece is None else np.asarray(piece)
         self._data = Weighted(
-            np.full(columns, float(samples)), np.ones(columns) if norm is None else np.array(norm, np.float64), np.ones(samples)
+            np.full(columns, float(samples)),
+            np.ones(columns) if norm is None else np.array(norm, np.float64),
+            np.ones(samples),
         )
 
     @property
@@ -324,7 +353,12 @@ class FunctionProblem(AbstractProblem):
         return twin
 
     @classmethod
-    def rows(cls, jobs: Sequence[tuple[FunctionProblem, np.ndarray]], share: float = 1.0, pieces: bool = False):
+    def rows(
+        cls,
+        jobs: Sequence[tuple[FunctionProblem, np.ndarray]],
+        share: float = 1.0,
+        pieces: bool = False,
+    ):
         for j, (p, z) in enumerate(jobs):
             both = lambda z, residual=p._residual: (residual(z), jax.jacfwd(residual)(z))
             with float64():
@@ -334,7 +368,12 @@ class FunctionProblem(AbstractProblem):
             kept = kept[: max(1, round(share * len(kept)))]
             w = p._data.w[kept]
             yield Rows(
-                j, 0, w[:, None] * r[kept], w[:, None, None] * J[kept], list(range(p.size)), np.tile(w[:, None], r.shape[1])
+                j,
+                0,
+                w[:, None] * r[kept],
+                w[:, None, None] * J[kept],
+                list(range(p.size)),
+                np.tile(w[:, None], r.shape[1]),
             )
 
 
@@ -346,13 +385,19 @@ class Weighted(NamedTuple):
     w: Any
 
 
-def linearise(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0) -> list[Linear]:
+def linearise(
+    jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0
+) -> list[Linear]:
     """Sum of squares, gradient and Gauss-Newton matrix of many (problem, z), in one batch of lanes."""
     out = [[0.0, np.zeros(p.size), np.zeros((p.size, p.size)), 0] for p, _ in jobs]
     with np.errstate(all="ignore"):
         for part in rows(jobs, share, pieces=True):
             # A row for each column of z, as the lanes gave them.
-            job, r, J = out[part.job], part.r.ravel(), np.moveaxis(part.J, -1, 0).reshape(len(part.z_columns), part.r.size)
+            job, r, J = (
+                out[part.job],
+                part.r.ravel(),
+                np.moveaxis(part.J, -1, 0).reshape(len(part.z_columns), part.r.size),
+            )
             job[0] += float(r @ r)
             job[1][part.z_columns] += J @ r
             job[2][np.ix_(part.z_columns, part.z_columns)] += J @ J.T
@@ -370,7 +415,9 @@ def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.
     """`linearise` for any loss: twice the loss, its gradient, and the curvature of the reweighted least-squares problem that has
     the same gradient (Lawson's reweighting: e^2 / |e| for absolute values, |e_c|^2 / |e|_c for the norm of a channel)."""
     if all(p.loss_name == "sum_of_squares" for p, _ in jobs):
-        means = lambda at, n: Linear(2 * at.cost / n, 2 * at.gradient / n, 2 * at.hessian / n, at.count)
+        means = lambda at, n: Linear(
+            2 * at.cost / n, 2 * at.gradient / n, 2 * at.hessian / n, at.count
+        )
         return [means(at, max(1, at.count)) for at in linearise(jobs, share)]
     columns = [len(p.data.norm) for p, _ in jobs]
     cost = [np.zeros(c) for c in columns]
@@ -389,11 +436,19 @@ def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.
                 pull = np.sign(e) if absolute else e
                 cost[part.job][c] += np.sum(np.abs(e)) if absolute else e @ e
                 gradient[part.job][c, part.z_columns] += pull @ J
-                hessian[part.job][c][np.ix_(part.z_columns, part.z_columns)] += (J * weight[:, None]).T @ J
+                hessian[part.job][c][np.ix_(part.z_columns, part.z_columns)] += (
+                    J * weight[:, None]
+                ).T @ J
             count[part.job] += part.r.size
         for j, (p, _) in enumerate(jobs):
             if p.loss_name == "sum_of_norms":
                 scale = 1 / np.sqrt(np.maximum(cost[j] * p.data.norm, 1e-300))
                 cost[j] = np.sqrt(cost[j] / np.maximum(p.data.norm, 1e-300))
-                gradient[j], hessian[j] = gradient[j] * scale[:, None], hessian[j] * scale[:, None, None]
-    return [Linear(2 * float(c.sum()), g.sum(0), H.sum(0), n) for c, g, H, n in zip(cost, gradient, hessian, count, strict=True)]
+                gradient[j], hessian[j] = (
+                    gradient[j] * scale[:, None],
+                    hessian[j] * scale[:, None, None],
+                )
+    return [
+        Linear(2 * float(c.sum()), g.sum(0), H.sum(0), n)
+        for c, g, H, n in zip(cost, gradient, hessian, count, strict=True)
+    ]

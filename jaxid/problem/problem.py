@@ -102,23 +102,39 @@ class Problem(AbstractProblem):
         self.differences = differences
         self.runs, self.base, self.loss_name = runs, np.asarray(base, np.float64), loss
         self.free = np.asarray(free, int)
-        known = {k: priors[int(i)] for k, i in enumerate(self.free) if int(i) in priors} if priors else {}
+        known = (
+            {k: priors[int(i)] for k, i in enumerate(self.free) if int(i) in priors}
+            if priors
+            else {}
+        )
         if known and loss != "sum_of_squares":
-            raise UsageError(f"a prior is one more square: it has no place in {loss}; leave it out, or use sum_of_squares")
+            raise UsageError(
+                f"a prior is one more square: it has no place in {loss}; leave it out, or use sum_of_squares"
+            )
         n = self.free.size
         self.known = Known(np.zeros(n), np.zeros((n, n)), np.zeros(n))
         for k, (mean, std) in known.items():
             self.known.mean[k], self.known.R[k, k] = mean, 1 / std
         self.records = list(runs.records if records is None else records)
         self.log = runs.layout.log[self.free] & (lower[self.free] > 0)
-        self.start0 = np.array([np.concatenate([runs.record(r).q0, runs.record(r).qd0]) for r in self.records])
+        self.start0 = np.array(
+            [np.concatenate([runs.record(r).q0, runs.record(r).qd0]) for r in self.records]
+        )
         self.start_free = np.array([runs.record(r).free for r in self.records], bool)
         rows, columns = np.nonzero(self.start_free)
         self.start_rows, self.start_columns = rows, columns
         reach = self._start_reach()
-        self.lower = np.concatenate([self._search(lower[self.free]), (self.start0 - reach)[rows, columns]])
-        self.upper = np.concatenate([self._search(upper[self.free]), (self.start0 + reach)[rows, columns]])
-        typical = 0.02 * (self.upper - self.lower)[: self.free.size] if scale is None else scale[self.free]
+        self.lower = np.concatenate(
+            [self._search(lower[self.free]), (self.start0 - reach)[rows, columns]]
+        )
+        self.upper = np.concatenate(
+            [self._search(upper[self.free]), (self.start0 + reach)[rows, columns]]
+        )
+        typical = (
+            0.02 * (self.upper - self.lower)[: self.free.size]
+            if scale is None
+            else scale[self.free]
+        )
         self.scale = np.concatenate([np.where(self.log, 1.0, typical), 0.1 * reach[rows, columns]])
         self.whole, self.priors = (lower, upper, scale), priors
         self.predict, self.programs = runs.engine.predictor(self.base, self.free)
@@ -132,23 +148,37 @@ class Problem(AbstractProblem):
         """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run; the largest
         speed where that is read, and the whole travel (at least half a turn) where nothing else is."""
         out, chain = [], self.runs.layout.chain
-        own, linear = joint_readings(chain), [chain.signature.unit("{X}", j) == "m" for j in range(chain.nq)]
+        own, linear = (
+            joint_readings(chain),
+            [chain.signature.unit("{X}", j) == "m" for j in range(chain.nq)],
+        )
         for r in self.records:
             record = self.runs.record(r)
             e = self.runs.experiments[record.experiment]
             nq = len(record.q0)
             y = e.motion()
             travel = np.ptp(y, axis=0)[:nq] if y.shape[1] >= nq else np.full(nq, np.ptp(y))
-            q, qd = 0.2 * travel + 1e-6, 10 * travel / (e.t[-1] - e.t[0]) + 2 * np.abs(record.qd0) + 1e-6
+            q, qd = (
+                0.2 * travel + 1e-6,
+                10 * travel / (e.t[-1] - e.t[0]) + 2 * np.abs(record.qd0) + 1e-6,
+            )
             if self.start_free.any() and any(r.qd is not None for r in own):
                 at = np.arange(record.first, record.last + 1)
                 at = at[(self.runs.weights[at] > 0).any(1)]
-                travel, speed = sizes(chain, np.asarray(self.runs.engine.samples.t)[at], self.runs.targets[at])
+                travel, speed = sizes(
+                    chain, np.asarray(self.runs.engine.samples.t)[at], self.runs.targets[at]
+                )
                 for j, r in enumerate(own):
                     q[j] = q[j] if r == (None, None) else 0.2 * travel[j] + 1e-6
                     if r.qd is not None:
                         qd[j] = speed[j] + 1e-6
-                        q[j] = q[j] if r.q is not None else travel[j] + 1e-6 if linear[j] else max(travel[j], np.pi)
+                        q[j] = (
+                            q[j]
+                            if r.q is not None
+                            else travel[j] + 1e-6
+                            if linear[j]
+                            else max(travel[j], np.pi)
+                        )
             out.append(np.concatenate([q, qd]))
         return np.array(out)
 
@@ -161,12 +191,17 @@ class Problem(AbstractProblem):
         joints = self.runs.layout.chain.signature.joints
         states = [*joints, *(f"{j} velocity" for j in joints)]
         params = [self.runs.layout.names[i] for i in self.free]
-        return params + [f"start of record {r}: {states[c]}" for r, c in zip(self.start_rows, self.start_columns, strict=True)]
+        return params + [
+            f"start of record {r}: {states[c]}"
+            for r, c in zip(self.start_rows, self.start_columns, strict=True)
+        ]
 
     def z(self, theta: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
         """Search vector of a full parameter vector and starts [records 2 nq]."""
         starts = self.start0 if starts is None else starts
-        z = np.concatenate([self._search(theta[self.free]), starts[self.start_rows, self.start_columns]])
+        z = np.concatenate(
+            [self._search(theta[self.free]), starts[self.start_rows, self.start_columns]]
+        )
         return np.clip(z, self.lower, self.upper)
 
     def theta(self, z: np.ndarray) -> np.ndarray:
@@ -188,7 +223,10 @@ class Problem(AbstractProblem):
 
     def columns(self, row: int) -> list[int]:
         """Columns of z on which one record depends: the parameters and its own start."""
-        return [*range(self.free.size), *(self.free.size + np.flatnonzero(self.start_rows == row)).tolist()]
+        return [
+            *range(self.free.size),
+            *(self.free.size + np.flatnonzero(self.start_rows == row)).tolist(),
+        ]
 
     def steps(self, z: np.ndarray) -> dict[int, np.ndarray]:
         """Steps within the bounds to either side of z, by side; for forward differences one, to where there is room."""
@@ -252,7 +290,9 @@ class Problem(AbstractProblem):
             return super().begun(z)
         from jaxid.problem.long_records import losses_by_windows
 
-        return lambda: losses_by_windows(self, np.atleast_2d(np.asarray(z, np.float64)), super(Problem, self).begun)
+        return lambda: losses_by_windows(
+            self, np.atleast_2d(np.asarray(z, np.float64)), super(Problem, self).begun
+        )
 
     def compile_losses(self):
         return (lambda: None) if self.runs.engine.long else super().compile_losses()
@@ -272,7 +312,9 @@ class Problem(AbstractProblem):
         self.runs.engine.compile_time_s += seconds
 
     @classmethod
-    def rows(cls, jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0, pieces: bool = False) -> Iterator[Rows]:
+    def rows(
+        cls, jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0, pieces: bool = False
+    ) -> Iterator[Rows]:
         """A record's residual depends on the parameters and on its own start only, so the lanes of a record carry just those
         tangents. All jobs are on the same runs."""
         lanes = lanes_of(jobs)
@@ -280,7 +322,9 @@ class Problem(AbstractProblem):
             return rows_of_records(jobs, lanes, share)
         from jaxid.problem.long_records import rows_by_windows
 
-        return rows_by_windows(jobs, lanes, share, pieces, functools.partial(rows_of_records, share=share))
+        return rows_by_windows(
+            jobs, lanes, share, pieces, functools.partial(rows_of_records, share=share)
+        )
 
     @property
     def pieces(self) -> int:
@@ -298,7 +342,16 @@ class Problem(AbstractProblem):
         records = [self.records[k] for k in pieces]
         lower, upper, scale = self.whole
         twin = Problem(
-            self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale, self.differences, self.priors
+            self.runs,
+            self.base,
+            self.free,
+            lower,
+            upper,
+            records,
+            self.loss_name,
+            scale,
+            self.differences,
+            self.priors,
         )
         if any(w != 1 for w in weights):
             twin.weights = self.weights.copy()
@@ -319,7 +372,9 @@ class Problem(AbstractProblem):
         for r in self.records:
             record = self.runs.record(r)
             w = self.weights[record.samples] > 0
-            share = self.weights[record.samples] / np.where(w, self.runs.weights[record.samples], 1.0)
+            share = self.weights[record.samples] / np.where(
+                w, self.runs.weights[record.samples], 1.0
+            )
             count = count + (share**2).sum(0)
             norm = norm + np.sum(np.where(w, self.runs.targets[record.samples], 0.0) ** 2, 0)
         return np.asarray(count, float), np.asarray(norm, float)
@@ -334,10 +389,15 @@ class Problem(AbstractProblem):
     def residuals(self, z: np.ndarray) -> list[np.ndarray]:
         """Residual of each record at its samples over the noise, [samples columns]."""
         at = [self.runs.record(r).samples for r in self.records]
-        return [self.weights[k] * (y - self.targets[k]) for k, y in zip(at, self.predictions(z), strict=True)]
+        return [
+            self.weights[k] * (y - self.targets[k])
+            for k, y in zip(at, self.predictions(z), strict=True)
+        ]
 
 
-def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"], data: Data) -> Float[Array, "pop columns"]:
+def sums(
+    predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"], data: Data
+) -> Float[Array, "pop columns"]:
     """What a loss sums, per candidate and residual column. Pure.
 
     Blocks of candidates, of like size, on one record each: what depends neither on the candidate nor on the step is worked out
@@ -350,7 +410,9 @@ def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"]
     starts = starts.at[:, data.start_rows, data.start_columns].set(z[:, nfree:])
     blocks = -(-pop // CANDIDATES)
     lanes = 4 * -(-pop // (4 * blocks))
-    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1:], (blocks * lanes - pop, *a.shape[1:]))])
+    pad = lambda a: jnp.concatenate(
+        [a, jnp.broadcast_to(a[-1:], (blocks * lanes - pop, *a.shape[1:]))]
+    )
     values, starts = (pad(a).reshape(blocks, lanes, *a.shape[1:]) for a in (values, starts))
     k = jnp.arange(length)
 
@@ -364,7 +426,9 @@ def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"]
         y = data.samples.y[at]
 
         def lane(values, start):
-            prediction = predict(values, data.open[r], data.fixed[r], start, where, data.samples, data.steps[r])
+            prediction = predict(
+                values, data.open[r], data.fixed[r], start, where, data.samples, data.steps[r]
+            )
             e = jnp.where(w > 0, prediction - y, 0.0)
             return jnp.sum(loss.summed(e, w * e), 0)
 
@@ -374,4 +438,15 @@ def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"]
     return jnp.sum(totals, 1).reshape(blocks * lanes, -1)[:pop]
 
 
-__all__ = ["LOSSES", "PENALTY", "Data", "Linear", "Problem", "Rows", "expand", "linearise", "rows", "sums"]
+__all__ = [
+    "LOSSES",
+    "PENALTY",
+    "Data",
+    "Linear",
+    "Problem",
+    "Rows",
+    "expand",
+    "linearise",
+    "rows",
+    "sums",
+]

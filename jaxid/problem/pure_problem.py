@@ -89,7 +89,9 @@ class Problem(eqx.Module):
         given = {**(values or {}), **more}
         for name in given:
             if name not in self.names:
-                raise UsageError(f"the problem has no free number {name!r}{nearest(name, self.names)}")
+                raise UsageError(
+                    f"the problem has no free number {name!r}{nearest(name, self.names)}"
+                )
         z = [self.z0[i] for i in range(self.size)]
         for name, value in given.items():
             value = value["value"] if isinstance(value, Mapping) else getattr(value, "value", value)
@@ -112,7 +114,9 @@ def pure(problem: Runnable, z0: np.ndarray, priors: np.ndarray | None = None) ->
     layout, index = engine.free_layout(problem.base, problem.free)
     length = -(-int(problem.data.steps.max()) // BLOCK) * BLOCK
     free = tuple(problem.free.tolist())
-    predict = _Predict(layout, tuple(index.tolist()), free, engine.lane, length, engine.reach, engine.burns(layout))
+    predict = _Predict(
+        layout, tuple(index.tolist()), free, engine.lane, length, engine.reach, engine.burns(layout)
+    )
     priors = np.full((problem.free.size, 2), np.nan) if priors is None else priors
     data = jax.tree.map(np.asarray, problem.data)
     return Problem(
@@ -149,16 +153,29 @@ class _Predict:
     def __hash__(self) -> int:
         return hash(self._all)
 
-    def __call__(self, values: Array, still_open: Array, fixed: Array, start: Array, where: Array, samples: Any, steps: Array):
+    def __call__(
+        self,
+        values: Array,
+        still_open: Array,
+        fixed: Array,
+        start: Array,
+        where: Array,
+        samples: Any,
+        steps: Array,
+    ):
         place = {i: k for k, i in enumerate(self.free)}
-        own = lambda i: jnp.where(still_open[place[i]], values[place[i]], fixed[i]) if i in place else fixed[i]
+        own = lambda i: (
+            jnp.where(still_open[place[i]], values[place[i]], fixed[i]) if i in place else fixed[i]
+        )
         chain = self.layout.model([own(i) for i in self.index])
         return self.lane(chain, samples, where, start, steps, self.length, self.reach, self.burn)
 
 
 def _physical(problem: Problem, z: Vector) -> Vector:
     """The numbers that z stands for, each in its unit."""
-    log = jnp.concatenate([jnp.asarray(problem._data.log), jnp.zeros(problem.size - len(problem._data.log), bool)])
+    log = jnp.concatenate(
+        [jnp.asarray(problem._data.log), jnp.zeros(problem.size - len(problem._data.log), bool)]
+    )
     return jnp.where(log, jnp.exp(jnp.where(log, z, 0.0)), z)
 
 
@@ -170,7 +187,9 @@ def _checked(problem: Problem, z: Any) -> Vector:
             'jax.config.update("jax_enable_x64", True), or set JAX_ENABLE_X64=1 in the environment'
         )
     if z.shape != (problem.size,):
-        raise UsageError(f"z has the shape {z.shape}; there are {problem.size} free numbers: {', '.join(problem.names)}")
+        raise UsageError(
+            f"z has the shape {z.shape}; there are {problem.size} free numbers: {', '.join(problem.names)}"
+        )
     return z
 
 
@@ -179,7 +198,9 @@ def _residual(problem: Problem, z: Vector, args: Any = None) -> Float[Array, " n
     values = _physical(problem, z)[: len(d.log)]
     starts = jnp.asarray(d.start0).at[d.start_rows, d.start_columns].set(z[len(d.log) :])
     samples = jax.tree.map(jnp.asarray, d.samples)
-    one = lambda still_open, fixed, start, where, steps: problem._predict(values, still_open, fixed, start, where, samples, steps)
+    one = lambda still_open, fixed, start, where, steps: problem._predict(
+        values, still_open, fixed, start, where, samples, steps
+    )
     with in_reverse():
         y = jax.vmap(one)(*(jnp.asarray(a) for a in (d.open, d.fixed, starts, d.where, d.steps)))
     record, k, column = problem._rows.T
@@ -189,8 +210,12 @@ def _residual(problem: Problem, z: Vector, args: Any = None) -> Float[Array, " n
 def _loss(problem: Problem, z: Vector, args: Any = None) -> Float[Array, ""]:
     loss, d = LOSSES[problem.loss_name], problem._data
     r = _residual(problem, z)
-    sums = jnp.zeros(d.count.shape).at[problem._rows[:, 2]].add(loss.summed(r / problem._weights, r))
-    if problem.loss_name == "sum_of_squares":  # no other has room for a prior, as `Problem` of fits says
+    sums = (
+        jnp.zeros(d.count.shape).at[problem._rows[:, 2]].add(loss.summed(r / problem._weights, r))
+    )
+    if (
+        problem.loss_name == "sum_of_squares"
+    ):  # no other has room for a prior, as `Problem` of fits says
         sums = sums.at[0].add(jnp.sum(_beside_priors(problem, z) ** 2))
     return penalised(loss.total(sums, d.count, d.norm))
 
@@ -211,7 +236,11 @@ def _log_density(problem: Problem, z: Vector, args: Any = None) -> Float[Array, 
     there = ~jnp.isnan(mean)
     error = _beside_priors(problem, z)
     slope = jnp.where(problem._data.log, part, 0.0)  # log |d parameter / d z|
-    prior = jnp.where(there, slope - error**2 / 2 - jnp.log(jnp.where(there, std, 1.0)) - np.log(2 * np.pi) / 2, 0.0)
+    prior = jnp.where(
+        there,
+        slope - error**2 / 2 - jnp.log(jnp.where(there, std, 1.0)) - np.log(2 * np.pi) / 2,
+        0.0,
+    )
     density = likelihood + jnp.sum(prior)
     inside = jnp.all((z >= problem.lower) & (z <= problem.upper)) & jnp.isfinite(density)
     return jnp.where(inside, density, -jnp.inf)

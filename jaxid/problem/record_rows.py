@@ -34,7 +34,9 @@ class _Part(NamedTuple):
 class Lanes(NamedTuple):
     """The lanes of some jobs: whose each is, and what it starts from and along."""
 
-    of: list[tuple[int, int, int, int, int]]  # job, row of its record, column of z and its place (-1: none), side of z
+    of: list[
+        tuple[int, int, int, int, int]
+    ]  # job, row of its record, column of z and its place (-1: none), side of z
     theta: np.ndarray
     start: np.ndarray
     dtheta: np.ndarray
@@ -57,8 +59,13 @@ def lanes_of(jobs: Sequence[tuple[Problem, np.ndarray]]) -> Lanes:
     lanes: list[tuple[int, int, int, int, int]] = []
     for j, (p, _) in enumerate(jobs):
         for row in range(len(p.records)):
-            own = [(c, k, side) for k, c in enumerate(p.columns(row)) for side in SIDES[differences]]
-            lanes += [(j, row, *lane) for lane in ([(-1, -1, 0), *own] if differences else own or [(-1, -1, 0)])]
+            own = [
+                (c, k, side) for k, c in enumerate(p.columns(row)) for side in SIDES[differences]
+            ]
+            lanes += [
+                (j, row, *lane)
+                for lane in ([(-1, -1, 0), *own] if differences else own or [(-1, -1, 0)])
+            ]
     n = len(lanes)
     theta, start = np.empty((n, size)), np.empty((n, nx))
     dtheta, dstart = np.zeros((n, size)), np.zeros((n, nx))
@@ -81,7 +88,9 @@ def lanes_of(jobs: Sequence[tuple[Problem, np.ndarray]]) -> Lanes:
     return Lanes(lanes, theta, start, dtheta, dstart, record, steps)
 
 
-def rows_of_records(jobs: Sequence[tuple[Problem, np.ndarray]], given: Lanes, share: float) -> Iterator[Rows]:
+def rows_of_records(
+    jobs: Sequence[tuple[Problem, np.ndarray]], given: Lanes, share: float
+) -> Iterator[Rows]:
     """Rows of each job and record, from whole records."""
     runs, differences = jobs[0][0].runs, jobs[0][0].differences
     lanes, theta, start, dtheta, dstart, record, steps = given
@@ -90,7 +99,9 @@ def rows_of_records(jobs: Sequence[tuple[Problem, np.ndarray]], given: Lanes, sh
     order = list(rest)  # the rows of a job come in the order of its records
     found: dict[tuple[int, int], _Part] = {}
     if differences:
-        blocks = ((part, y, y) for part, y in runs.engine.output_blocks(theta, start, record, share))
+        blocks = (
+            (part, y, y) for part, y in runs.engine.output_blocks(theta, start, record, share)
+        )
     else:
         blocks = runs.engine.tangent_blocks(theta, start, dtheta, dstart, record, share)
     for part, y, dy in blocks:
@@ -101,7 +112,9 @@ def rows_of_records(jobs: Sequence[tuple[Problem, np.ndarray]], given: Lanes, sh
                 p = jobs[j][0]
                 at, inside = seen[p.records[row]]
                 w, columns = p.weights[at], p.columns(row)
-                own = _Part(np.empty(w.shape), np.zeros((len(columns), *w.shape)), columns, w, at, inside)
+                own = _Part(
+                    np.empty(w.shape), np.zeros((len(columns), *w.shape)), columns, w, at, inside
+                )
                 found[j, row] = own
                 if not differences:
                     own.base[:] = y[n][inside]
@@ -120,7 +133,9 @@ def rows_of_records(jobs: Sequence[tuple[Problem, np.ndarray]], given: Lanes, sh
             if differences:
                 own.J[:] *= own.weights / (steps[j][1] - steps[j][-1])[own.columns, None, None]
             residual = own.weights * (own.base - p.targets[own.at])
-            yield Rows(j, p.records[row], residual, np.moveaxis(own.J, 0, -1), own.columns, own.weights)
+            yield Rows(
+                j, p.records[row], residual, np.moveaxis(own.J, 0, -1), own.columns, own.weights
+            )
 
 
 def _seen(runs: Runs, number: int, share: float) -> tuple[slice | np.ndarray, slice | np.ndarray]:

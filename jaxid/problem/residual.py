@@ -33,7 +33,9 @@ from jaxid.simulation.sample_buffers import Record
 
 
 #: What a residual's runs are.
-Simulation = Literal["free_run", "windows", "closed_loop", "inverse_dynamics", "momentum", "frequency_response"]
+Simulation = Literal[
+    "free_run", "windows", "closed_loop", "inverse_dynamics", "momentum", "frequency_response"
+]
 
 #: A part of a longer run starts so long before it, and by so many samples at most.
 RUN_UP_S, RUN_UP_SAMPLES = 1.0, 500
@@ -57,7 +59,9 @@ class Runs:
     records: tuple[int, ...]
     heads: tuple[tuple[int, ...], ...]
     statement: str
-    dataset: Dataset | None = None  # where the residual was made from, and with which filter: for instruments
+    dataset: Dataset | None = (
+        None  # where the residual was made from, and with which filter: for instruments
+    )
     setting: TorqueSetting | None = None
     weights: np.ndarray = field(init=False)
     targets: np.ndarray = field(init=False)
@@ -155,26 +159,46 @@ class OutputError(Residual):
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
         chain = layout.chain
         every = [e.whole for e in experiments]
-        remembers = motions is not None and any(e.past for e in dataset.experiments) and chain.has_states()
+        remembers = (
+            motions is not None and any(e.past for e in dataset.experiments) and chain.has_states()
+        )
         known = zip(every, experiments, motions, strict=True) if remembers and motions else ()
-        smooth = [measured_motion.motion(dataset, e, chain, noise) if own.past else m for e, own, m in known]
-        samples, positions = recorded.build(dataset, every, chain, noise, step, _states(smooth), shape[0])
+        smooth = [
+            measured_motion.motion(dataset, e, chain, noise) if own.past else m
+            for e, own, m in known
+        ]
+        samples, positions = recorded.build(
+            dataset, every, chain, noise, step, _states(smooth), shape[0]
+        )
         records, heads = [], []
         for number, (e, own) in enumerate(zip(every, experiments, strict=True)):
             p, cut = positions[number], len(e) - len(own)
             a = run_up(own)
-            settled = a + (cut - a) // 4  # by then sensors and springs have forgotten how they began
+            settled = (
+                a + (cut - a) // 4
+            )  # by then sensors and springs have forgotten how they began
             n = cut + head_samples(own) - settled
             until = lambda b, c, number=number, e=e, p=p, a=a: replace(
-                record_of(number, e, p, a, b, dataset, chain, len(e) if remembers else 0), samples=p[c:b]
+                record_of(number, e, p, a, b, dataset, chain, len(e) if remembers else 0),
+                samples=p[c:b],
             )
             records.append(until(len(e), cut))
             lengths = tuple(dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16)))
-            steps = 0 if cut else standing(e)  # what stands still counts as one sample, unless the model moves otherwise
+            steps = (
+                0 if cut else standing(e)
+            )  # what stands still counts as one sample, unless the model moves otherwise
             moving = [until(steps + k, steps - 1) for k in lengths] if steps else []
             heads.append([*moving, *(until(settled + k, settled) for k in lengths)])
         lanes = [*records, *(h for nested in heads for h in nested)]
-        engine = Engine(layout, samples, lanes, overrides(layout, every, lanes), lane_of(layout), shape[1], burn=remembers)
+        engine = Engine(
+            layout,
+            samples,
+            lanes,
+            overrides(layout, every, lanes),
+            lane_of(layout),
+            shape[1],
+            burn=remembers,
+        )
         n = len(records)
         ends = np.cumsum([n, *(len(nested) for nested in heads)])
         return Runs(
@@ -205,16 +229,26 @@ class MultipleShooting(Residual):
                 "use the residual output_error"
             )
         if states and motions is None:
-            raise UsageError("windows need measured joint positions when an effect has states; use the residual output_error")
+            raise UsageError(
+                "windows need measured joint positions when an effect has states; use the residual output_error"
+            )
         measured = _states(motions if states else None)
-        samples, positions = recorded.build(dataset, experiments, layout.chain, noise, step, measured, shape[0])
+        samples, positions = recorded.build(
+            dataset, experiments, layout.chain, noise, step, measured, shape[0]
+        )
         records, length = [], 0.0
         for number, e in enumerate(experiments):
             length = self.window(e)
             begins = edges(e, length)
             for a, b in zip(begins, [*begins[1:], len(e.t)], strict=True):
-                records.append(record_of(number, e, positions[number], int(a), int(b), dataset, layout.chain, memory))
-        engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane_of(layout))
+                records.append(
+                    record_of(
+                        number, e, positions[number], int(a), int(b), dataset, layout.chain, memory
+                    )
+                )
+        engine = Engine(
+            layout, samples, records, overrides(layout, experiments, records), lane_of(layout)
+        )
         every = tuple(range(len(records)))
         return Runs(
             tuple(experiments), layout, layout.chain.signature.outputs, noise, engine, every, (),
@@ -250,10 +284,14 @@ class InverseDynamics(Residual):
             kept = p[setting.ends[number] : len(p) - setting.ends[number] : setting.decimate]
             w[kept] = 1 / setting.noise
             record = record_of(number, e, p, 0, len(e.t), dataset, chain, 0)
-            records.append(Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}))
+            records.append(
+                Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)})
+            )
         samples = samples._replace(y=np.zeros_like(samples.y), w=w)
         lane: Lane = decimated_torque_lane(setting.taps) if setting.decimate > 1 else torque_lane
-        engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane, shape[1])
+        engine = Engine(
+            layout, samples, records, overrides(layout, experiments, records), lane, shape[1]
+        )
         every = tuple(range(len(records)))
         return Runs(
             tuple(experiments), layout, chain.torque_channels, setting.noise, engine, every, (), setting.statement,
@@ -287,7 +325,9 @@ def head_samples(e: Experiment) -> int:
     run a third at most, so that the rest can be judged."""
     if e.initial_window_s is not None:
         return max(4, int(np.searchsorted(e.t, e.t[0] + e.initial_window_s, side="right")))
-    return min(max(4, len(e.t) // 3), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left"))))
+    return min(
+        max(4, len(e.t) // 3), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left")))
+    )
 
 
 def standing(e: Experiment) -> int:
@@ -297,11 +337,17 @@ def standing(e: Experiment) -> int:
     n = head_samples(e)
     moved = e.y != e.y[0]
     still = moved.any(0) & ~moved[:n].any(0)
-    first = int(np.argmax(moved[:, still], axis=0).max()) if e.initial_window_s is None and still.any() else 0
+    first = (
+        int(np.argmax(moved[:, still], axis=0).max())
+        if e.initial_window_s is None and still.any()
+        else 0
+    )
     return first if first + n <= len(e.t) // 3 else 0
 
 
-def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequence[Record]) -> np.ndarray:
+def overrides(
+    layout: Layout, experiments: Sequence[Experiment], records: Sequence[Record]
+) -> np.ndarray:
     """Constants that experiments state themselves, [records size], nan elsewhere."""
     out = np.full((len(records), len(layout)), np.nan)
     for row, record in zip(out, records, strict=True):
@@ -310,32 +356,62 @@ def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequen
     return out
 
 
-def record_of(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: int) -> Record:
+def record_of(
+    number: int,
+    e: Experiment,
+    p: np.ndarray,
+    a: int,
+    b: int,
+    dataset: Dataset,
+    chain: Chain,
+    burn: int,
+) -> Record:
     """Samples a ... b of an experiment as a record; its start from the statement of the experiment or its first samples. Up to
     `burn` samples before it effects follow the measured motion."""
     nq = chain.nq
     free = np.ones(2 * nq, bool)
     _, iy = recorded.columns(dataset, chain)
     q0, qd0 = start_of(chain, e, e.motion()[:, iy], a, min(len(e.t), a + head_samples(e)))
-    if any(r.q is None and r.qd is not None for r in joint_readings(chain)) and not position_matters(chain):
-        free[:nq] = [r.q is not None for r in joint_readings(chain)]  # counted from where the run starts
+    if any(
+        r.q is None and r.qd is not None for r in joint_readings(chain)
+    ) and not position_matters(chain):
+        free[:nq] = [
+            r.q is not None for r in joint_readings(chain)
+        ]  # counted from where the run starts
     if a == 0 and e.at_rest:
         qd0[:], free[nq:] = 0.0, False
     if a == 0 and e.initial is not None:
         for j in range(nq):
-            for target, known, value in zip((q0, qd0), (free[:nq], free[nq:]), stated_start(e, chain.signature, j), strict=True):
+            for target, known, value in zip(
+                (q0, qd0), (free[:nq], free[nq:]), stated_start(e, chain.signature, j), strict=True
+            ):
                 if value is not None:
                     target[j], known[j] = value, False
     lead = 0
     if burn and a > 0:
         lead = int(p[a] - p[max(0, a - burn)])
-    return Record(number, int(p[a]), int(p[b - 1] - p[a] + 1), int(p[0]), int(p[-1]), lead, q0, qd0, free, p[a:b])
+    return Record(
+        number,
+        int(p[a]),
+        int(p[b - 1] - p[a] + 1),
+        int(p[0]),
+        int(p[-1]),
+        lead,
+        q0,
+        qd0,
+        free,
+        p[a:b],
+    )
 
 
-RESIDUALS: dict[str, type[Residual]] = {r.name: r for r in (OutputError, MultipleShooting, InverseDynamics)}
+RESIDUALS: dict[str, type[Residual]] = {
+    r.name: r for r in (OutputError, MultipleShooting, InverseDynamics)
+}
 
 
-def resolve_residual(residual: Residual | str | None, cutoff_hz: float | None = None) -> Residual | None:
+def resolve_residual(
+    residual: Residual | str | None, cutoff_hz: float | None = None
+) -> Residual | None:
     """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics` and `momentum`. Raises `UsageError` for one that does
     not exist."""
     if residual is not None or cutoff_hz is not None:

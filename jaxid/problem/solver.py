@@ -26,8 +26,12 @@ def with_solver(binding: Binding, solver: Any, residual: Residual | None) -> Bin
     elif isinstance(solver, diffrax.AbstractSolver):
         solver = Diffrax(solver)
     if not isinstance(solver, Diffrax):
-        raise UsageError(f"a solver is one of diffrax, such as diffrax.Tsit5(), not {type(solver).__name__}")
+        raise UsageError(
+            f"a solver is one of diffrax, such as diffrax.Tsit5(), not {type(solver).__name__}"
+        )
     if residual is not None and not (residual.free_run or residual.windows):
-        raise UsageError(f"a solver simulates free runs (output_error, multiple_shooting); {residual.name} has its own way")
+        raise UsageError(
+            f"a solver simulates free runs (output_error, multiple_shooting); {residual.name} has its own way"
+        )
     check_smooth(binding.chain)
     return replace(binding, layout=Layout(binding.layout.chain, solver))

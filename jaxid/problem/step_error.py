@@ -18,14 +18,18 @@ STEP_SHARE = 0.02
 def finer_predictions(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.ndarray]:
     """Predictions at z by runs with finer steps: per record of the problem [samples columns]."""
     lanes = np.array(problem.records)
-    fine = finer.engine.outputs(np.tile(problem.theta(z), (lanes.size, 1)), problem.starts(z), lanes)
+    fine = finer.engine.outputs(
+        np.tile(problem.theta(z), (lanes.size, 1)), problem.starts(z), lanes
+    )
     return [finer.sample_prediction(r, row) for r, row in zip(lanes, fine, strict=True)]
 
 
 def defects(problem: Problem, z: np.ndarray, finer: Runs) -> np.ndarray:
     """What finer steps would add to the simulation at z, at the samples [samples columns]; 0 for what is no number."""
     out = np.zeros_like(problem.targets)
-    both = zip(problem.records, finer_predictions(problem, z, finer), problem.predictions(z), strict=True)
+    both = zip(
+        problem.records, finer_predictions(problem, z, finer), problem.predictions(z), strict=True
+    )
     for number, halved, coarse in both:
         out[problem.runs.record(number).samples] = halved - coarse
     return np.nan_to_num(out)
@@ -44,9 +48,14 @@ def step_error(problem: Problem, z: np.ndarray, finer: Runs) -> float:
     # Column by column: lines of a response and samples in time share a record, and other rows of it where the step is finer.
     coarse = _counted(problem.runs, records, problem.predictions(z))
     halved = _counted(finer, records, finer_predictions(problem, z, finer))
-    target = _counted(problem.runs, records, [problem.targets[problem.runs.record(r).samples] for r in records])
+    target = _counted(
+        problem.runs, records, [problem.targets[problem.runs.record(r).samples] for r in records]
+    )
     worst = 0.0
     for c, h, y, noise in zip(coarse, halved, target, problem.runs.noise, strict=True):
         if c.size:
-            worst = max(worst, float(np.sqrt(np.mean((h - c) ** 2)) / max(np.sqrt(np.mean((c - y) ** 2)), noise)))
+            worst = max(
+                worst,
+                float(np.sqrt(np.mean((h - c) ** 2)) / max(np.sqrt(np.mean((c - y) ** 2)), noise)),
+            )
     return worst if np.isfinite(worst) else 0.0

@@ -83,7 +83,9 @@ def torque_setting(
     statement = ""
     for e in experiments:
         start = stated_positions(e, chain.signature)
-        q, qd, qdd, statement = joint_motion(chain, e.t, e.motion()[:, iy], [cutoff_hz] * chain.nq, start)
+        q, qd, qdd, statement = joint_motion(
+            chain, e.t, e.motion()[:, iy], [cutoff_hz] * chain.nq, start
+        )
         motion.append(np.concatenate([q, qd, qdd], 1))
         ends.append(filter_ends(e.t, band))
     taps = np.ones(1)
@@ -94,14 +96,29 @@ def torque_setting(
         statement += f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every {decimate}th sample"
     level = np.ones(chain.nq)
     if iu:
-        torques = [drive_torque(Layout(chain), None, e.u[:, iu], m) for e, m in zip(experiments, motion, strict=True)]
+        torques = [
+            drive_torque(Layout(chain), None, e.u[:, iu], m)
+            for e, m in zip(experiments, motion, strict=True)
+        ]
         third = np.concatenate([np.diff(tau, 3, axis=0) for tau in torques]) / np.sqrt(20.0)
         white = 1.4826 * np.median(np.abs(third), axis=0)
         span = np.percentile(np.abs(np.concatenate(torques)), 99, axis=0)
         level = np.maximum(np.maximum(white * np.sqrt(np.sum(taps**2)), 1e-3 * span), 1e-12)
-        if np.any(span > 0):  # where nothing drives (the angles of a base that floats) rows are as good as the worst driven ones
+        if np.any(
+            span > 0
+        ):  # where nothing drives (the angles of a base that floats) rows are as good as the worst driven ones
             level = np.where(span > 0, level, level[span > 0].max())
-    return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, [iy[k] for k in chain.joint_outputs])
+    return TorqueSetting(
+        motion,
+        ends,
+        decimate,
+        taps,
+        level,
+        cutoff_hz,
+        statement,
+        iu,
+        [iy[k] for k in chain.joint_outputs],
+    )
 
 
 def check_motion(chain: Chain) -> None:
@@ -109,9 +126,13 @@ def check_motion(chain: Chain) -> None:
     from jaxid.dynamics.joint_readings import all_read
 
     if chain.mechanism.hidden_states:
-        raise UsageError(f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error")
+        raise UsageError(
+            f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error"
+        )
     if not all_read(chain):
-        raise UsageError(f"inverse dynamics needs every joint's position or speed measured ({', '.join(chain.signature.joints)})")
+        raise UsageError(
+            f"inverse dynamics needs every joint's position or speed measured ({', '.join(chain.signature.joints)})"
+        )
 
 
 def evenly(e: Experiment) -> Experiment:
@@ -123,13 +144,28 @@ def evenly(e: Experiment) -> Experiment:
         return e
     near = np.clip(np.searchsorted(e.t, grid), 0, len(e.t) - 1)
     take = lambda x: None if x is None else x[near]
-    u = np.stack([np.interp(grid, e.t, c) for c in e.u.T], 1) if e.u.size else np.zeros((len(grid), e.u.shape[1]))
+    u = (
+        np.stack([np.interp(grid, e.t, c) for c in e.u.T], 1)
+        if e.u.size
+        else np.zeros((len(grid), e.u.shape[1]))
+    )
     other = {k: np.interp(grid, e.t, v) for k, v in e.auxiliary.items()}
     y = spline(e.t, e.motion(), grid)
-    return replace(e, t=grid, u=u, y=y, auxiliary=other, past=None, scatter=take(e.scatter), left_out=take(e.left_out))
+    return replace(
+        e,
+        t=grid,
+        u=u,
+        y=y,
+        auxiliary=other,
+        past=None,
+        scatter=take(e.scatter),
+        left_out=take(e.left_out),
+    )
 
 
-def moving_band(chain: Chain, runs: Sequence[Experiment], iy: Sequence[int], sigma: np.ndarray) -> float:
+def moving_band(
+    chain: Chain, runs: Sequence[Experiment], iy: Sequence[int], sigma: np.ndarray
+) -> float:
     """Frequency (Hz) in which torques of runs at equal steps say something: `HARMONICS` times the one below which the speed of
     every joint lies, at least `LOWEST`, at most a tenth of the sampling frequency. `iy` are the columns of the chain's outputs,
     `sigma` their noise."""
@@ -140,7 +176,16 @@ def moving_band(chain: Chain, runs: Sequence[Experiment], iy: Sequence[int], sig
     used = [r.q for r in joint_readings(chain) if r.q is not None]
     # Of each joint the run in which it is quickest: in a slow one noise is most of the speed.
     quickest = [
-        (k, max(runs, key=lambda e, k=k: float(np.std(np.diff(e.motion()[:, iy[k]])) * len(e.t) / e.duration))) for k in used
+        (
+            k,
+            max(
+                runs,
+                key=lambda e, k=k: float(
+                    np.std(np.diff(e.motion()[:, iy[k]])) * len(e.t) / e.duration
+                ),
+            ),
+        )
+        for k in used
     ]
     content = [speed_content(e.t, e.motion()[:, iy[k]], float(sigma[k])) for k, e in quickest]
     return float(min(rate / 10, max(HARMONICS * max(content, default=0.0), LOWEST)))
@@ -150,7 +195,9 @@ def own_numbers(chain: Chain) -> int:
     """How many numbers of the nominal model a fit determines; candidates of a diagnosis do not count."""
     builtin = {kind.name for kind, _ in chain.mechanism.builtin}
     held = chain.mechanism.held()
-    own = [e for e in Layout(chain).entries if e.owner < 0 or chain.effects[e.owner].name in builtin]
+    own = [
+        e for e in Layout(chain).entries if e.owner < 0 or chain.effects[e.owner].name in builtin
+    ]
     return max(1, sum(not e.spec.fixed and e.name not in held for e in own))
 
 
@@ -158,7 +205,9 @@ def own_numbers(chain: Chain) -> int:
 MOMENT = 1e-9
 
 
-def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def drive_torque(
+    layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray
+) -> np.ndarray:
     """Joint torque (N m, N) that the drive makes of recorded inputs u [time nu], each in the unit of its channel, in a measured
     motion (q, qd, ...) [time 2 nq or more], with the numbers theta (None: those of the layout), [time nq]. Whatever compares
     recorded inputs with torques takes them from here."""
@@ -167,11 +216,15 @@ def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion
         model = chain if theta is None else layout.model(theta)
         return u * np.asarray(drive_gains(model), float)
     form = layout.form
-    made = lambda: Traced(lambda theta, *args: _driven(form.model(theta), *args), key_of(_driven, form.bare))
+    made = lambda: Traced(
+        lambda theta, *args: _driven(form.model(theta), *args), key_of(_driven, form.bare)
+    )
     room = bucket(len(u)) - len(u)  # runs of other lengths meet the same program
     args = [np.pad(a, ((0, room), (0, 0))) for a in (u, motion[:, :nq], motion[:, nq : 2 * nq])]
     with float64():
-        return np.asarray(shared("drive", form, made)(layout.values if theta is None else theta, *args))[: len(u)]
+        return np.asarray(
+            shared("drive", form, made)(layout.values if theta is None else theta, *args)
+        )[: len(u)]
 
 
 def _driven(chain: Chain, u: Any, q: Any, qd: Any) -> Any:
@@ -201,7 +254,9 @@ def _decimated(taps: tuple[float, ...]) -> Lane:
     def lane(chain, samples, where, start, steps, length, reach, burn):
         missing = torque_lane(chain, samples, where, start, steps, length, reach, burn)
         inside = jnp.arange(length)[:, None] <= where[2] - where[0]
-        smooth = jax.vmap(lambda column: jnp.convolve(column, jnp.asarray(kernel), mode="same"), 1, 1)
+        smooth = jax.vmap(
+            lambda column: jnp.convolve(column, jnp.asarray(kernel), mode="same"), 1, 1
+        )
         return smooth(jnp.where(inside, missing, 0.0))
 
     lane.taps = kernel  # type: ignore[attr-defined]
@@ -215,7 +270,12 @@ def measured_torque(dataset: Dataset, runs, theta: np.ndarray) -> np.ndarray:
     out = []
     for number in runs.records:
         record = runs.record(number)
-        u = drive_torque(runs.layout, theta, runs.experiments[record.experiment].u[:, iu], runs.setting.motion[record.experiment])
+        u = drive_torque(
+            runs.layout,
+            theta,
+            runs.experiments[record.experiment].u[:, iu],
+            runs.setting.motion[record.experiment],
+        )
         smooth = np.stack([np.convolve(c, taps, mode="same") for c in u.T], -1)
         out.append(smooth[record.samples - record.first])
     return np.concatenate(out)

@@ -20,7 +20,9 @@ from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation import sample_buffers as samples
 
 
-def inertia_torque(chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
+def inertia_torque(
+    chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n nq"]
+) -> Float[Array, "n nq"]:
     """Torque that accelerations take at rest, at each of n positions."""
     body, still = chain.body(), jnp.zeros(chain.nq)
     return jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q, qdd)
@@ -41,10 +43,16 @@ def typical_magnitudes(
     fit = dataset.split("fit") or dataset.experiments
     chain, nq = layout.chain, layout.chain.nq
     iu, _ = samples.columns(dataset, chain)
-    size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []
+    size = (
+        [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu]
+        if fit
+        else []
+    )
     if not fit:
         omega = np.concatenate([r.omega for r in dataset.responses])
-        joints = [Reference(1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max()))] * nq
+        joints = [
+            Reference(1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max()))
+        ] * nq
         size = [1.0] * len(iu)
     elif not motions:
         step = float(np.median(np.diff(fit[0].t)))
@@ -58,15 +66,21 @@ def typical_magnitudes(
         used = [motions[e.name] for e in fit]
         inertia = _of_inertia(layout, theta, used)
         driven = np.zeros((0, 0))
-        if (asks := getattr(chain.mechanism, "drive_law", None)) is not None:  # what the law asks for says more
-            asked = asks.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([m.q for m in used]))
+        if (
+            asks := getattr(chain.mechanism, "drive_law", None)
+        ) is not None:  # what the law asks for says more
+            asked = asks.size(
+                np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([m.q for m in used])
+            )
             inertia = np.maximum(inertia, asked)
         elif iu:
             driven = _driven(layout, theta, fit, iu, [np.concatenate([m.q, m.qd], 1) for m in used])
         if driven.size and not chain.direct:
             inertia, driven = np.maximum(inertia, _largest(driven)), np.zeros((0, 0))
         joints = measured_motion.references(fit, used, driven, inertia)
-    return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]
+    return joints, [
+        joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)
+    ]
 
 
 def _largest(x: np.ndarray) -> np.ndarray:
@@ -83,7 +97,11 @@ def _of_inertia(layout: Layout, theta: np.ndarray, used: list[Motion]) -> np.nda
 
 
 def _driven(
-    layout: Layout, theta: np.ndarray, runs: tuple[Experiment, ...], iu: list[int], motions: list[np.ndarray]
+    layout: Layout,
+    theta: np.ndarray,
+    runs: tuple[Experiment, ...],
+    iu: list[int],
+    motions: list[np.ndarray],
 ) -> np.ndarray:
     """Joint torque [samples nq] of the inputs of runs, along motions [time 2 nq]."""
     pairs = zip(runs, motions, strict=True)

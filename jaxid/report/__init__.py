@@ -55,7 +55,12 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
         parameters.section(diagnosis.final, diagnosis.nominal if diagnosis.which.effects else None),
         background.of_diagnosis(diagnosis),
     ]
-    return render(f"{one_line(diagnosis.dataset)}: diagnosis", sections, "diagnosis.json", json_bytes(diagnosis))
+    return render(
+        f"{one_line(diagnosis.dataset)}: diagnosis",
+        sections,
+        "diagnosis.json",
+        json_bytes(diagnosis),
+    )
 
 
 def fit_page(fit: Fit) -> str:
@@ -76,7 +81,12 @@ def fit_page(fit: Fit) -> str:
 def comparison_page(comparison: Comparison) -> str:
     """The page of a comparison."""
     sections = [compared.section(comparison), background.of_comparison(comparison)]
-    return render(f"{one_line(comparison.dataset)}: comparison", sections, "comparison.json", json_bytes(comparison))
+    return render(
+        f"{one_line(comparison.dataset)}: comparison",
+        sections,
+        "comparison.json",
+        json_bytes(comparison),
+    )
 
 
 def identification_page(result: Identification) -> str:
@@ -87,18 +97,31 @@ def identification_page(result: Identification) -> str:
         carry.section(result, "identification.json"),
         checked.asked(result.data),
     ]
-    return render(f"{one_line(result.dataset)}: identification", sections, "identification.json", json_bytes(result))
+    return render(
+        f"{one_line(result.dataset)}: identification",
+        sections,
+        "identification.json",
+        json_bytes(result),
+    )
 
 
 def check_page(result: Checked) -> str:
     """The page of a check."""
-    return render(f"{one_line(result.dataset)}: check", [checked.section(result)], "check.json", json_bytes(result))
+    return render(
+        f"{one_line(result.dataset)}: check",
+        [checked.section(result)],
+        "check.json",
+        json_bytes(result),
+    )
 
 
 def reproduction_page(result: Reproduction) -> str:
     """The page of a paper that was done again."""
     return render(
-        f"Paper {result.paper}: {one_line(result.title)}", [reproduced.section(result)], "result.json", json_bytes(result)
+        f"Paper {result.paper}: {one_line(result.title)}",
+        [reproduced.section(result)],
+        "result.json",
+        json_bytes(result),
     )
 
 

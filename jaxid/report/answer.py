@@ -29,17 +29,25 @@ def section(diagnosis: Diagnosis) -> Section:
             "which": which_card(diagnosis),
             "far": far_card(diagnosis),
             "remark": how_far.text[:1].upper() + how_far.text[1:],
-            "picture": None if which.verdict == "none" or not text.measured(how_far) else gap_picture(how_far, which.verdict),
+            "picture": None
+            if which.verdict == "none" or not text.measured(how_far)
+            else gap_picture(how_far, which.verdict),
             "effects_added": bool(which.effects),
             "channels": [(name, how_far.per_channel[name]) for name in text.telling(how_far)],
-            "measured": f"Measured on {how_far.split} data, {_used(how_far)}. " if text.measured(how_far) else "",
+            "measured": f"Measured on {how_far.split} data, {_used(how_far)}. "
+            if text.measured(how_far)
+            else "",
         },
     )
 
 
 def _used(how_far: HowFar) -> str:
     report = how_far.split == "report"
-    return "which were neither fitted nor used for choosing" if report else "which were not fitted, but chose the effect"
+    return (
+        "which were neither fitted nor used for choosing"
+        if report
+        else "which were not fitted, but chose the effect"
+    )
 
 
 def words(effect: EffectEstimate) -> str:
@@ -54,14 +62,20 @@ def headline(diagnosis: Diagnosis) -> str:
         return other_numbers(diagnosis) or "Nothing is missing: the model reaches the noise."
     if which.verdict == "unknown":
         return "There is a gap that no known effect explains."
-    return text.lacks(which, text.at_places, ", or an effect that looks the same in these data" if which.confusable_with else "")
+    return text.lacks(
+        which,
+        text.at_places,
+        ", or an effect that looks the same in these data" if which.confusable_with else "",
+    )
 
 
 def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     if not text.measured(diagnosis.how_far):
         return "Not measured", ["The data kept for it could not be compared."]
     if diagnosis.which.verdict != "none" and not diagnosis.where:
-        return "In no one place", ["No joint, direction or time holds more of it than chance would put there."]
+        return "In no one place", [
+            "No joint, direction or time holds more of it than chance would put there."
+        ]
     if other_numbers(diagnosis):
         return other_places(diagnosis)
     if diagnosis.which.verdict == "none":
@@ -71,7 +85,8 @@ def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     told = diagnosis.which.verdict == "named" or wording.percent(first.share_of_gap) in sentences[0]
     if first.text and not told:  # a sentence of its own may leave these out
         sentences.insert(
-            1, f"{wording.percent(first.share_of_gap)} of the gap, {wording.times(first.times_noise_floor)} times the noise."
+            1,
+            f"{wording.percent(first.share_of_gap)} of the gap, {wording.times(first.times_noise_floor)} times the noise.",
         )
     return place(first), sentences
 
@@ -90,13 +105,19 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         fact = "None" if which.verdict == "none" else "Unknown"
         hidden = [u for u in diagnosis.unseen if u.moved and not u.absorbed]
         many = f"{len(hidden)} effects" if len(hidden) > 1 else "one effect"
-        rest = f"Other motions may show more: {many} could hide in these recordings (below)." if hidden else ""
+        rest = (
+            f"Other motions may show more: {many} could hide in these recordings (below)."
+            if hidden
+            else ""
+        )
         said = first_of_all(diagnosis, which.text or text.which_sentence(which))
         return fact, [s for s in (said, rest) if s]
     sentences = text.meaning(which)
     for effect in which.effects:
         prefix = f"{words(effect)}: " if len(which.effects) > 1 else ""
-        inside = ", ".join(f"{name} {text.value_with_std(p)}" for name, p in effect.parameters.items())
+        inside = ", ".join(
+            f"{name} {text.value_with_std(p)}" for name, p in effect.parameters.items()
+        )
         if inside:
             sentences.append(prefix + inside)
     if which.verdict == "partly":
@@ -112,7 +133,13 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     if not text.measured(how_far):
         fact = "Not measured"
     elif how_far.shrinkage is None or not diagnosis.which.effects:
-        last = how_far.gap_retuned if verdict == "none" else how_far.gap_after if diagnosis.which.effects else how_far.gap_before
+        last = (
+            how_far.gap_retuned
+            if verdict == "none"
+            else how_far.gap_after
+            if diagnosis.which.effects
+            else how_far.gap_before
+        )
         fact = f"{wording.times(last)} × the noise"
     else:
         share = wording.percent(how_far.shrinkage)
@@ -122,7 +149,9 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         sentences.append(text.shrinkage_sentence(how_far, verdict))
     elif how_far.shrinkage_interval_95 is None:
         if how_far.interval_reason:
-            sentences.append(f"No interval: {how_far.interval_reason.rstrip('.').removeprefix('no interval: ')}.")
+            sentences.append(
+                f"No interval: {how_far.interval_reason.rstrip('.').removeprefix('no interval: ')}."
+            )
     else:
         sentences.append(f"In a further run: {text.interval(how_far)}.")
     return fact, [s for s in sentences if s]
@@ -131,7 +160,11 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
 def gap_picture(how_far: HowFar, verdict: str):
     """Bars of the gap before, after retuning and after adding the effect, against the noise."""
     bars = 3 if verdict in ("named", "partly") else 2
-    return plot.svg("gap", (plot.WIDE, 0.62 + 0.42 * bars), lambda figure: draw_gap(figure.add_subplot(), how_far, verdict))
+    return plot.svg(
+        "gap",
+        (plot.WIDE, 0.62 + 0.42 * bars),
+        lambda figure: draw_gap(figure.add_subplot(), how_far, verdict),
+    )
 
 
 def draw_gap(axes: Axes, how_far: HowFar, verdict: str) -> Axes:
@@ -162,14 +195,25 @@ def draw_gap(axes: Axes, how_far: HowFar, verdict: str) -> Axes:
             color="#000000",
         )
     axes.axvline(floor, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.2)
-    axes.annotate("noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left")
+    axes.annotate(
+        "noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left"
+    )
     axes.set_yticks(range(len(bars)), [name for name, _, _ in bars])
     axes.set_ylim(len(bars) - 0.5, -0.85)
     low = min([floor, *(gap for _, gap, _ in bars if 0 < gap < floor)])
-    axes.set_xlim(*((low / 1.25, longest * (longest / floor) ** 0.1) if logarithmic else (0.0, 1.12 * longest)))
+    axes.set_xlim(
+        *(
+            (low / 1.25, longest * (longest / floor) ** 0.1)
+            if logarithmic
+            else (0.0, 1.12 * longest)
+        )
+    )
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
-    axes.set_xlabel(f"gap on {how_far.split} data, in multiples of the noise" + (" (logarithmic)" if logarithmic else ""))
+    axes.set_xlabel(
+        f"gap on {how_far.split} data, in multiples of the noise"
+        + (" (logarithmic)" if logarithmic else "")
+    )
     if logarithmic:
         plot.plain_log(axes.xaxis)
     return axes

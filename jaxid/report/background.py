@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 def of_diagnosis(diagnosis: Diagnosis) -> Section:
     final = diagnosis.final
     notes = dict.fromkeys([*diagnosis.notes, *final.notes])
-    notes |= dict.fromkeys(f"nominal model: {note}" for note in diagnosis.nominal.notes if note not in notes)
+    notes |= dict.fromkeys(
+        f"nominal model: {note}" for note in diagnosis.nominal.notes if note not in notes
+    )
     return Section(
         "background.html",
         {
@@ -53,7 +55,10 @@ def of_fit(fit: Fit) -> Section:
                 ("loss", fit.loss_name),
                 ("seed", str(fit.seed)),
                 ("evaluations", str(fit.evaluations)),
-                ("time", f"{wording.number(fit.wall_time_s)} s, {wording.number(fit.compile_time_s)} s of it compiling"),
+                (
+                    "time",
+                    f"{wording.number(fit.wall_time_s)} s, {wording.number(fit.compile_time_s)} s of it compiling",
+                ),
                 *version_facts(),
             ],
         },

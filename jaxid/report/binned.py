@@ -46,7 +46,9 @@ def means(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], edges: np.n
     told = [k for k, values in enumerate(found) if values]
     values = [np.array(found[k]) for k in told]
     middle = 0.5 * (edges[1:] + edges[:-1])
-    half = [1.96 * np.std(v, ddof=1) / np.sqrt(len(v)) if len(v) >= VISITS else np.nan for v in values]
+    half = [
+        1.96 * np.std(v, ddof=1) / np.sqrt(len(v)) if len(v) >= VISITS else np.nan for v in values
+    ]
     return Means(middle[told], np.array([v.mean() for v in values]), np.array(half))
 
 
@@ -80,14 +82,28 @@ def draw(axes: Axes, forces: Sequence[MissingForce], field: str, which: str, law
     edges = edges_of(forces, field)
     if not len(edges):
         return
-    for (_, sign), color, mark in zip(directions(field), (plot.VERMILLION, plot.ORANGE), "o^", strict=False):
+    for (_, sign), color, mark in zip(
+        directions(field), (plot.VERMILLION, plot.ORANGE), "o^", strict=False
+    ):
         keep = [moving(f) & ((sign == 0) | (np.sign(f.qd) == sign)) for f in forces]
-        series = [(getattr(f, field), plot.series(getattr(f, which)), k) for f, k in zip(forces, keep, strict=True)]
+        series = [
+            (getattr(f, field), plot.series(getattr(f, which)), k)
+            for f, k in zip(forces, keep, strict=True)
+        ]
         m = means(series, edges)
         known = np.isfinite(m.half)
-        axes.errorbar(m.x[known], m.mean[known], m.half[known], fmt=mark, ms=3.6, lw=1.0, color=color)
+        axes.errorbar(
+            m.x[known], m.mean[known], m.half[known], fmt=mark, ms=3.6, lw=1.0, color=color
+        )
         axes.plot(m.x[~known], m.mean[~known], mark, ms=3.6, mfc="white", mew=0.9, color=color)
         if law:
             line = supplied(forces, field, sign)
-            axes.plot(line.x, line.mean, color=plot.BLUE, lw=1.6, ls="-" if sign >= 0 else (0, (4, 2)), zorder=3)
+            axes.plot(
+                line.x,
+                line.mean,
+                color=plot.BLUE,
+                lw=1.6,
+                ls="-" if sign >= 0 else (0, (4, 2)),
+                zorder=3,
+            )
     axes.axhline(0.0, color=plot.BLACK, linewidth=0.6)

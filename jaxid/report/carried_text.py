@@ -39,9 +39,15 @@ def export_text(exported: Exported, folder: Any = "") -> str:
         if r.how != "exact" and not r.kept
     )
     names = [one_line(name) for name in (*exported.files, "export.json")]
-    files = f"written: {listed(f'{folder}/{name}' for name in names)}" if folder else f"files: {listed(names)}"
+    files = (
+        f"written: {listed(f'{folder}/{name}' for name in names)}"
+        if folder
+        else f"files: {listed(names)}"
+    )
     kept = (
-        [f"as the file has them, which the data allow: {'; '.join(f'{k} at {listed(at)}' for k, at in same.items())}"]
+        [
+            f"as the file has them, which the data allow: {'; '.join(f'{k} at {listed(at)}' for k, at in same.items())}"
+        ]
         if same
         else []
     )
@@ -62,7 +68,13 @@ def replay_text(result: Replay) -> str:
     columns = (*(["before"] if patched else []), "mujoco", other, "difference")
     value = lambda v: "-" if v is None else number(v)
     rows = [
-        (one_line(r["experiment"]), one_line(r["joint"]), *(value(r.get(c)) for c in columns), r["unit"]) for r in result.rows
+        (
+            one_line(r["experiment"]),
+            one_line(r["joint"]),
+            *(value(r.get(c)) for c in columns),
+            r["unit"],
+        )
+        for r in result.rows
     ]
     head = (
         "run",
@@ -73,4 +85,10 @@ def replay_text(result: Replay) -> str:
         "between both",
         "unit",
     )
-    return "\n".join([f"{one_line(result.robot)} on {one_line(result.dataset)}", table(head, rows), *map(one_line, result.notes)])
+    return "\n".join(
+        [
+            f"{one_line(result.robot)} on {one_line(result.dataset)}",
+            table(head, rows),
+            *map(one_line, result.notes),
+        ]
+    )

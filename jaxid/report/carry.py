@@ -28,7 +28,9 @@ def section(result: Any, file: str) -> Section | None:
             "the patched file in MuJoCo on the same log, joint by joint",
         ),
     ]
-    return Section("carry.html", {"lines": lines, "robot": name.name, "changes": changes(result, to)})
+    return Section(
+        "carry.html", {"lines": lines, "robot": name.name, "changes": changes(result, to)}
+    )
 
 
 def changes(result: Any, to: str) -> list[tuple[str, str, str, str]]:
@@ -42,5 +44,12 @@ def changes(result: Any, to: str) -> list[tuple[str, str, str, str]]:
     told = []
     for r in (r for r in rows if not r.kept):
         value = f"{wording.number(r.value, 4) if isinstance(r.value, float) else r.value} {r.unit}".strip()
-        told.append((f"{r.effect} at {r.location}" if r.location else r.effect, r.field or f"no field ({r.how})", value, r.note))
+        told.append(
+            (
+                f"{r.effect} at {r.location}" if r.location else r.effect,
+                r.field or f"no field ({r.how})",
+                value,
+                r.note,
+            )
+        )
     return told

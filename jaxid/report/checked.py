@@ -17,14 +17,22 @@ if TYPE_CHECKING:
 
 def section(checked: Checked) -> Section:
     """All findings, and that there are none."""
-    return _section(checked.findings, words.headline(checked), checked.dataset, checked.model, checked.notes)
+    return _section(
+        checked.findings, words.headline(checked), checked.dataset, checked.model, checked.notes
+    )
 
 
 def before(findings: Sequence[DataFinding]) -> Section | None:
     """What was found in a recording before an answer; None where nothing was, or only asked."""
     if not any(f.applied or f.decisive for f in findings):
         return None
-    return _section(findings, " ".join(data_lines(findings)) or "Found in the recording, and not applied", "", "", ())
+    return _section(
+        findings,
+        " ".join(data_lines(findings)) or "Found in the recording, and not applied",
+        "",
+        "",
+        (),
+    )
 
 
 def asked(findings: Sequence[DataFinding]) -> Section | None:
@@ -41,7 +49,10 @@ def _section(findings, headline: str, dataset: str, model: str, notes) -> Sectio
             "headline": headline,
             "dataset": dataset,
             "model": model,
-            "rows": [(f, _state(f), _gap(f), f.line.split("\n") if f.line else [], _same(f)) for f in findings],
+            "rows": [
+                (f, _state(f), _gap(f), f.line.split("\n") if f.line else [], _same(f))
+                for f in findings
+            ],
             "notes": notes,
             "mending": any(f.line or _gap(f) for f in findings),
         },

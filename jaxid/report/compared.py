@@ -18,7 +18,16 @@ if TYPE_CHECKING:
     from jaxid.fitting.comparison import Comparison, Known
 
 
-COLORS = (plot.BLUE, plot.VERMILLION, plot.GREEN, plot.ORANGE, plot.PURPLE, plot.SKY, plot.BLACK, plot.GREY)
+COLORS = (
+    plot.BLUE,
+    plot.VERMILLION,
+    plot.GREEN,
+    plot.ORANGE,
+    plot.PURPLE,
+    plot.SKY,
+    plot.BLACK,
+    plot.GREY,
+)
 DASHES, MARKERS = ("-", "--", "-.", ":"), ("o", "^", "s", "D")
 #: Shares of the best loss below this are drawn at it.
 LOWEST = 1e-9
@@ -36,8 +45,12 @@ def section(c: Comparison) -> Section:
             "setting": comparison_text.comparison_setting(c),
             "common_time": wording.number(c.common_time, 2),
             "rows": comparison_text.comparison_rows(c),
-            "convergence": plot.svg("convergence", (plot.WIDE, 3.6), lambda figure: _convergence(c, figure)),
-            "scatter": plot.svg("scatter", (plot.WIDE, 1.1 + 0.52 * len(c.best)), lambda figure: _scatter(c, figure))
+            "convergence": plot.svg(
+                "convergence", (plot.WIDE, 3.6), lambda figure: _convergence(c, figure)
+            ),
+            "scatter": plot.svg(
+                "scatter", (plot.WIDE, 1.1 + 0.52 * len(c.best)), lambda figure: _scatter(c, figure)
+            )
             if c.best
             else None,
             "cost": plot.svg("cost", (plot.WIDE, 3.2), lambda figure: _cost(c, figure)),
@@ -75,14 +88,27 @@ def draw_convergence(c: Comparison, axes: Axes, by: str) -> None:
         seen = middle < DIVERGED
         if not seen.any():
             continue
-        low, middle, high = low[seen], middle[seen], np.minimum(high[seen], np.max(curves[curves < DIVERGED]))
+        low, middle, high = (
+            low[seen],
+            middle[seen],
+            np.minimum(high[seen], np.max(curves[curves < DIVERGED])),
+        )
         color, dash, _ = style(c, fitter)
         axes.fill_between(grid[seen], low, high, step="post", color=color, alpha=0.12, linewidth=0)
-        axes.step(grid[seen], middle, where="post", color=color, linestyle=dash, label=plot.label(fitter, 20))
+        axes.step(
+            grid[seen],
+            middle,
+            where="post",
+            color=color,
+            linestyle=dash,
+            label=plot.label(fitter, 20),
+        )
     axes.axhline(c.tolerance, color=plot.GREY, linestyle="--", linewidth=0.8)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xlabel("evaluations of the loss" if by == "evaluations" else "seconds (without compiling)")
+    axes.set_xlabel(
+        "evaluations of the loss" if by == "evaluations" else "seconds (without compiling)"
+    )
     axes.set_ylabel("loss above the best known")
     plot.plain_log(axes.xaxis)
     plot.plain_log(axes.yaxis)
@@ -98,7 +124,13 @@ def _convergence(c: Comparison, figure) -> None:
 
 def width(known: Known) -> float:
     """The unit in which a parameter's distance from the best known is drawn."""
-    return known.std if known.std else max(known.upper - known.lower, 1e-300) if np.isfinite(known.upper - known.lower) else 1.0
+    return (
+        known.std
+        if known.std
+        else max(known.upper - known.lower, 1e-300)
+        if np.isfinite(known.upper - known.lower)
+        else 1.0
+    )
 
 
 def _scatter(c: Comparison, figure) -> None:
@@ -108,7 +140,11 @@ def _scatter(c: Comparison, figure) -> None:
         known = c.best[name]
         for j, fitter in enumerate(fitters):
             runs = c.of(fitter)
-            x = np.clip([(r.parameters[name] - known.value) / width(known) for r in runs], -plot.LARGEST, plot.LARGEST)
+            x = np.clip(
+                [(r.parameters[name] - known.value) / width(known) for r in runs],
+                -plot.LARGEST,
+                plot.LARGEST,
+            )
             y = np.full(len(runs), k + 0.7 * ((j + 0.5) / len(fitters) - 0.5))
             won = np.array([r.loss <= c.target for r in runs])
             color, _, marker = style(c, fitter)
@@ -122,11 +158,23 @@ def _scatter(c: Comparison, figure) -> None:
                 alpha=0.8,
                 label=plot.label(fitter, 20) if not k else None,
             )
-            axes.scatter(x[~won], y[~won], s=13, marker=marker, facecolors="none", edgecolors=color, linewidths=0.8)
+            axes.scatter(
+                x[~won],
+                y[~won],
+                s=13,
+                marker=marker,
+                facecolors="none",
+                edgecolors=color,
+                linewidths=0.8,
+            )
     axes.set_xscale("symlog", linthresh=1.0)
     axes.axvline(0, color=plot.GREY, linewidth=0.8)
     axes.set_yticks(
-        range(len(names)), [plot.label(f"{n} = {wording.number(c.best[n].value)} {c.best[n].unit}", 40) for n in names]
+        range(len(names)),
+        [
+            plot.label(f"{n} = {wording.number(c.best[n].value)} {c.best[n].unit}", 40)
+            for n in names
+        ],
     )
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel("distance from the best known value, in its standard deviations")
@@ -150,8 +198,19 @@ def _cost(c: Comparison, figure) -> None:
             linewidths=0,
             label=plot.label(fitter, 20),
         )
-        right.scatter([max(r.seconds, 1e-4) for r in runs], y, s=14, marker=marker, color=color, alpha=0.75, linewidths=0)
-    for axes, title in ((left, "evaluations of a run"), (right, "seconds of a run (without compiling)")):
+        right.scatter(
+            [max(r.seconds, 1e-4) for r in runs],
+            y,
+            s=14,
+            marker=marker,
+            color=color,
+            alpha=0.75,
+            linewidths=0,
+        )
+    for axes, title in (
+        (left, "evaluations of a run"),
+        (right, "seconds of a run (without compiling)"),
+    ):
         axes.axhline(c.tolerance, color=plot.GREY, linestyle="--", linewidth=0.8)
         axes.set_xscale("log")
         axes.set_yscale("log")

@@ -27,7 +27,9 @@ def comparison_headline(c: Comparison) -> str:
     if not best.successes:
         return f"No fitter came within {percent(c.tolerance)} of the best known loss."
     equal = [s for s in table if s.successes * best.runs == best.successes * s.runs]
-    others = f", like {listed(s.fitter for s in equal[1:])} (at no less cost)" if len(equal) > 1 else ""
+    others = (
+        f", like {listed(s.fitter for s in equal[1:])} (at no less cost)" if len(equal) > 1 else ""
+    )
     return f"{best.fitter} reached the best known loss in {best.successes} of {best.runs} runs{others}."
 
 
@@ -66,7 +68,9 @@ def comparison_rows(c: Comparison) -> list[list[str]]:
 def spread(t: Typical) -> str:
     """`410 (380 to 520)`, with ∞ for what was never reached."""
     return (
-        f"{count(t.median)} ({count(t.lower)} to {count(t.upper)})" if math.isfinite(t.median) or math.isfinite(t.lower) else "∞"
+        f"{count(t.median)} ({count(t.lower)} to {count(t.upper)})"
+        if math.isfinite(t.median) or math.isfinite(t.lower)
+        else "∞"
     )
 
 

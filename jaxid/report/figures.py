@@ -41,24 +41,48 @@ def pick(kind: str, name: str | None, among: Sequence[str]) -> str:
 
 def legend(ax: Axes, count: int) -> None:
     """Above the axes, where it covers no data."""
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(4, count), frameon=False, fontsize=8.5, borderaxespad=0.2)
+    ax.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=min(4, count),
+        frameon=False,
+        fontsize=8.5,
+        borderaxespad=0.2,
+    )
 
 
 def dataset(data: Dataset, channel: str | None = None, ax: Axes | None = None) -> Axes:
-    names = [c.name for c in (*data.outputs, *data.inputs)] + [c.name for c in data.channels if c.role == "auxiliary"]
+    names = [c.name for c in (*data.outputs, *data.inputs)] + [
+        c.name for c in data.channels if c.role == "auxiliary"
+    ]
     channel = pick("channel", channel, names if data.experiments else [])
     unit = next(c.unit for c in data.channels if c.name == channel)
     ax = new_axes() if ax is None else ax
-    palette = (plot.BLUE, plot.VERMILLION, plot.GREEN, plot.ORANGE, plot.PURPLE, plot.SKY, plot.BLACK)
+    palette = (
+        plot.BLUE,
+        plot.VERMILLION,
+        plot.GREEN,
+        plot.ORANGE,
+        plot.PURPLE,
+        plot.SKY,
+        plot.BLACK,
+    )
     shown = 0
-    for e, color in zip(data.experiments, palette * (1 + len(data.experiments) // len(palette)), strict=False):
+    for e, color in zip(
+        data.experiments, palette * (1 + len(data.experiments) // len(palette)), strict=False
+    ):
         columns = {
             **{c.name: e.y[:, i] for i, c in enumerate(data.outputs)},
             **{c.name: e.u[:, i] for i, c in enumerate(data.inputs)},
             **e.auxiliary,
         }
         if channel in columns:
-            ax.plot(*plot.thin(e.t, columns[channel]), color=color, lw=1.1, label=f"{plot.label(e.name, 30)} ({e.split})")
+            ax.plot(
+                *plot.thin(e.t, columns[channel]),
+                color=color,
+                lw=1.1,
+                label=f"{plot.label(e.name, 30)} ({e.split})",
+            )
             shown += 1
     ax.set(xlabel="time (s)", ylabel=plot.with_unit(channel, unit))
     legend(ax, shown)
@@ -72,10 +96,20 @@ def trace(t: Trace, ax: Axes | None = None) -> Axes:
     for (label, rest), color in zip(rests.items(), colors(list(rests)), strict=True):
         ax.plot(*plot.thin(t.t, rest), color=color, lw=1.0, label=plot.label(label))
     if 0 < t.noise < plot.LARGEST:
-        ax.axhspan(-2 * t.noise, 2 * t.noise, color=plot.GREY, alpha=0.35, lw=0, label="noise, ±2 standard deviations")
+        ax.axhspan(
+            -2 * t.noise,
+            2 * t.noise,
+            color=plot.GREY,
+            alpha=0.35,
+            lw=0,
+            label="noise, ±2 standard deviations",
+        )
     if bounds := plot.limits(*rests.values()):
         ax.set_ylim(bounds)
-    ax.set(xlabel=f"time in {plot.label(t.experiment)} (s)", ylabel=f"measured − model, {plot.with_unit(t.channel, t.unit)}")
+    ax.set(
+        xlabel=f"time in {plot.label(t.experiment)} (s)",
+        ylabel=f"measured − model, {plot.with_unit(t.channel, t.unit)}",
+    )
     legend(ax, len(rests) + 1)
     return ax
 
@@ -88,7 +122,10 @@ def fit(result: Fit, channel: str | None = None, ax: Axes | None = None) -> Axes
     ax.plot(*plot.thin(t.t, plot.series(t.measured)), color=plot.BLACK, lw=2.0, label="measured")
     for (label, series), color in zip(t.simulated.items(), colors(list(t.simulated)), strict=True):
         ax.plot(*plot.thin(t.t, plot.series(series)), color=color, lw=1.1, label=plot.label(label))
-    ax.set(xlabel=f"time in {plot.label(t.experiment)}, {t.split} data (s)", ylabel=plot.with_unit(t.channel, t.unit))
+    ax.set(
+        xlabel=f"time in {plot.label(t.experiment)}, {t.split} data (s)",
+        ylabel=plot.with_unit(t.channel, t.unit),
+    )
     legend(ax, 1 + len(t.simulated))
     return ax
 
@@ -108,7 +145,14 @@ def missing_force(force: MissingForce, after: bool = False, ax: Axes | None = No
     values = plot.series(force.after if after else force.before)
     step = max(1, len(values) // 4000)
     dots = ax.scatter(
-        force.q[::step], force.qd[::step], c=values[::step], s=5, lw=0, cmap="PuOr", norm=Normalize(-span, span), rasterized=True
+        force.q[::step],
+        force.qd[::step],
+        c=values[::step],
+        s=5,
+        lw=0,
+        cmap="PuOr",
+        norm=Normalize(-span, span),
+        rasterized=True,
     )
     figure = ax.get_figure()
     assert figure is not None

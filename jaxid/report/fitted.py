@@ -16,7 +16,11 @@ if TYPE_CHECKING:
 
 
 def section(fit: Fit, history: bool = True) -> Section:
-    rows = [(split, channel, s) for split, channels in fit.scores.items() for channel, s in channels.items()]
+    rows = [
+        (split, channel, s)
+        for split, channels in fit.scores.items()
+        for channel, s in channels.items()
+    ]
     rows += [("windows", channel, s) for channel, s in fit.windowed.items()]
     return Section(
         "fitted.html",
@@ -36,9 +40,17 @@ def headline(fit: Fit) -> str:
         return f"The fit failed: {fit.stopped_because}."
     split = next((s for s in ("validation", "report", "fit") if fit.scores.get(s)), None)
     if split is None:
-        return "The fit has converged." if fit.converged else f"The fit has not converged: {fit.stopped_because}."
+        return (
+            "The fit has converged."
+            if fit.converged
+            else f"The fit has not converged: {fit.stopped_because}."
+        )
     channel, worst = max(fit.scores[split].items(), key=lambda item: item[1].relative_error)
-    tail = "" if fit.converged else f" ({'stalled' if fit.state == 'stalled' else 'not converged'}: {fit.stopped_because})"
+    tail = (
+        ""
+        if fit.converged
+        else f" ({'stalled' if fit.state == 'stalled' else 'not converged'}: {fit.stopped_because})"
+    )
     return f"{channel} is reproduced to {wording.number(worst.rmse)} {worst.unit} rms on {split} data{tail}."
 
 
@@ -48,7 +60,9 @@ def history_picture(fit: Fit):
 
     def draw(figure):
         axes = figure.add_subplot()
-        axes.step(*plot.thin(evaluations[positive], losses[positive]), where="post", color=plot.BLUE)
+        axes.step(
+            *plot.thin(evaluations[positive], losses[positive]), where="post", color=plot.BLUE
+        )
         axes.set_yscale("log")
         axes.set_xlabel("evaluations of the loss")
         axes.set_ylabel("best loss so far")
@@ -70,8 +84,16 @@ def recursion_picture(fit: Fit):
         for k, name in enumerate(names):
             axes = figure.add_subplot(len(names), 1, k + 1)
             value = np.array([s.parameters[name][0] for s in fit.recursion])
-            std = np.array([np.nan if s.parameters[name][1] is None else s.parameters[name][1] for s in fit.recursion], float)
-            axes.fill_between(at, value - 2 * std, value + 2 * std, color=plot.BLUE, alpha=0.2, linewidth=0)
+            std = np.array(
+                [
+                    np.nan if s.parameters[name][1] is None else s.parameters[name][1]
+                    for s in fit.recursion
+                ],
+                float,
+            )
+            axes.fill_between(
+                at, value - 2 * std, value + 2 * std, color=plot.BLUE, alpha=0.2, linewidth=0
+            )
             axes.plot(at, value, color=plot.BLUE, marker=".")
             axes.set_ylabel(text.one_line(name))
         figure.axes[-1].set_xlabel("recursion")

@@ -74,8 +74,12 @@ def friction_rows(result: Identification) -> list[tuple[str, str, list[str]]]:
     """(parameter, unit of the first joint, values by joint)."""
     joints = result.friction()
     keys = [k for k in joints[0] if k != "joint"]
-    told = lambda value, std: pair(value, std) if std is not None and np.isfinite(std) else "not determined"
-    return [(k, joints[0][k]["unit"], [told(j[k]["value"], j[k]["std"]) for j in joints]) for k in keys]
+    told = lambda value, std: (
+        pair(value, std) if std is not None and np.isfinite(std) else "not determined"
+    )
+    return [
+        (k, joints[0][k]["unit"], [told(j[k]["value"], j[k]["std"]) for j in joints]) for k in keys
+    ]
 
 
 def beside_head(result: Identification) -> tuple[str, ...]:
@@ -136,14 +140,33 @@ def picture(result: Identification, k: int):
         columns = 1 if plot.narrow(figure) else 2
         axes = figure.subplots(-(-joints // columns), columns, sharex=True, squeeze=False).ravel()
         for j in range(joints):
-            axes[j].plot(*plot.thin(t, tau[:, j], 700), color=plot.BLACK, linewidth=1.4, label="measured, filtered")
-            axes[j].plot(*plot.thin(t, predicted[:, j], 700), color=plot.BLUE, linewidth=0.9, label="predicted")
-            axes[j].plot(*plot.thin(t, tau[:, j] - predicted[:, j], 700), color=plot.VERMILLION, linewidth=0.7, label="left over")
-            axes[j].set_title(f"{result.labels[j]} ({result.torque_units[j]})", fontsize="medium", loc="left")
+            axes[j].plot(
+                *plot.thin(t, tau[:, j], 700),
+                color=plot.BLACK,
+                linewidth=1.4,
+                label="measured, filtered",
+            )
+            axes[j].plot(
+                *plot.thin(t, predicted[:, j], 700),
+                color=plot.BLUE,
+                linewidth=0.9,
+                label="predicted",
+            )
+            axes[j].plot(
+                *plot.thin(t, tau[:, j] - predicted[:, j], 700),
+                color=plot.VERMILLION,
+                linewidth=0.7,
+                label="left over",
+            )
+            axes[j].set_title(
+                f"{result.labels[j]} ({result.torque_units[j]})", fontsize="medium", loc="left"
+            )
         for left in axes[joints:]:
             left.set_visible(False)
         for lowest in axes[max(0, joints - columns) : joints]:
             lowest.set_xlabel("time (s)")
         plot.legend(figure, axes[0].get_legend_handles_labels()[0], 3, "outside upper right")
 
-    return plot.svg(f"torque-{k}", (plot.WIDE, 1.5 * (-(-joints // 2)) + 0.6), draw, 1.4 * joints + 0.8)
+    return plot.svg(
+        f"torque-{k}", (plot.WIDE, 1.5 * (-(-joints // 2)) + 0.6), draw, 1.4 * joints + 0.8
+    )

@@ -23,7 +23,9 @@ PARTS = 30
 FIELDS = {"speed": "qd", "position": "q", "load": "load", "command": "load"}
 
 
-def section(forces: Sequence[MissingForce], regimes: Sequence[Regime], where: Sequence[Finding] = ()) -> Section | None:
+def section(
+    forces: Sequence[MissingForce], regimes: Sequence[Regime], where: Sequence[Finding] = ()
+) -> Section | None:
     """`where`: the findings; the variable that the first of a joint is a law of is drawn first."""
     joints = list(dict.fromkeys(f.joint for f in forces))
     most = {j: max(supplied(f) for f in forces if f.joint == j) for j in joints}
@@ -33,7 +35,9 @@ def section(forces: Sequence[MissingForce], regimes: Sequence[Regime], where: Se
     for i, joint in enumerate(joints[:SHOWN]):
         own = [f for f in forces if f.joint == joint]
         variable = told_by.get(joint, "")
-        pictures.append((f"Joint {joint}", picture(own, f"force-{i}", variable), law_sentence(own, variable)))
+        pictures.append(
+            (f"Joint {joint}", picture(own, f"force-{i}", variable), law_sentence(own, variable))
+        )
     strongest = sorted(regimes, key=lambda r: -r.strength)[:30]
     if not pictures and not strongest:
         return None
@@ -66,7 +70,9 @@ def law_sentence(forces: Sequence[MissingForce], variable: str) -> str:
             at = sorted((int(np.argmin(law.mean)), int(np.argmax(law.mean))))
             values = [(wording.number(law.mean[k], 2), wording.number(law.x[k], 2)) for k in at]
             ends = [f"{force} {first.unit} at {of}{place} {unit}" for force, place in values]
-            parts.append(f"{f'moving {direction}, ' if direction else ''}from {ends[0]} to {ends[1]}")
+            parts.append(
+                f"{f'moving {direction}, ' if direction else ''}from {ends[0]} to {ends[1]}"
+            )
     comma = "," if field != "qd" else ""
     return f"The named effects supply{comma} {'; '.join(parts)}." if parts else ""
 
@@ -81,7 +87,11 @@ def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
         ("q", f"position ({plot.label(longest.q_unit, 20)})"),
         ("load", f"{'command' if variable == 'command' else 'load'} ({plot.label(unit, 20)})"),
     ]
-    against = [(field, title) for field, title in against if any(np.ptp(getattr(f, field)) > 0 for f in forces)]
+    against = [
+        (field, title)
+        for field, title in against
+        if any(np.ptp(getattr(f, field)) > 0 for f in forces)
+    ]
     against.sort(key=lambda a: a[0] != FIELDS.get(variable))
     added = any(not np.array_equal(f.before, f.after) for f in forces)
     bounds = plot.limits(*(plot.series(f.before) for f in forces), quantile=0.005)
@@ -96,15 +106,27 @@ def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
                 binned.draw(axes, forces, field, kind, law=added and kind == "before")
                 axes.set_xlabel(title)
             if kind == "before":
-                level = plot.limits(*(line.get_ydata() for axes in row for line in axes.get_lines()), quantile=0.0)
+                level = plot.limits(
+                    *(line.get_ydata() for axes in row for line in axes.get_lines()), quantile=0.0
+                )
             for axes in row:
                 if level:
                     axes.set_ylim(level)
                 if axes.get_subplotspec().is_first_col() or plot.narrow(figure):
-                    axes.set_ylabel(f"{'still ' if kind == 'after' else ''}missing ({plot.label(unit, 20)})")
-        over_time.plot(*plot.thin(longest.t, plot.series(longest.before), points), color=plot.VERMILLION, linewidth=0.9)
+                    axes.set_ylabel(
+                        f"{'still ' if kind == 'after' else ''}missing ({plot.label(unit, 20)})"
+                    )
+        over_time.plot(
+            *plot.thin(longest.t, plot.series(longest.before), points),
+            color=plot.VERMILLION,
+            linewidth=0.9,
+        )
         if added:
-            over_time.plot(*plot.thin(longest.t, plot.series(longest.after), points), color=plot.BLUE, linewidth=0.9)
+            over_time.plot(
+                *plot.thin(longest.t, plot.series(longest.after), points),
+                color=plot.BLUE,
+                linewidth=0.9,
+            )
         draw_noise(over_time, longest.t, plot.series(longest.floor), points // 4)
         over_time.set_xlabel(f"time in {plot.label(longest.experiment)} (s)")
         over_time.set_ylabel(f"missing ({plot.label(unit, 20)})")
@@ -121,25 +143,36 @@ def layout(figure, kinds: Sequence[str], count: int):
     """Axes [kind][field] of the means, one over time, one of the spectrum; on phones a field is a row, before beside after."""
     if plot.narrow(figure):
         rows = figure.add_gridspec(count + 2, 1)
-        by_field = [rows[k].subgridspec(1, len(kinds)).subplots(sharey=True, squeeze=False)[0] for k in range(count)]
+        by_field = [
+            rows[k].subgridspec(1, len(kinds)).subplots(sharey=True, squeeze=False)[0]
+            for k in range(count)
+        ]
         return (
             [[row[i] for row in by_field] for i in range(len(kinds))],
             figure.add_subplot(rows[-2]),
             figure.add_subplot(rows[-1]),
         )
     rows = figure.add_gridspec(len(kinds) + 1, 1)
-    panels = [rows[i].subgridspec(1, max(1, count)).subplots(sharey=True, squeeze=False)[0][:count] for i in range(len(kinds))]
+    panels = [
+        rows[i].subgridspec(1, max(1, count)).subplots(sharey=True, squeeze=False)[0][:count]
+        for i in range(len(kinds))
+    ]
     last = rows[-1].subgridspec(1, 3)
     return panels, figure.add_subplot(last[:2]), figure.add_subplot(last[2])
 
 
 def legend(axes, added: bool, both: bool) -> list:
-    mark = lambda style, color, label, **more: axes.plot([], [], style, color=color, label=label, **more)[0]
+    mark = lambda style, color, label, **more: axes.plot(
+        [], [], style, color=color, label=label, **more
+    )[0]
     out = [mark("o", plot.VERMILLION, "missing, 95 % interval (hollow: seen too seldom)", ms=5)]
     out += [mark("^", plot.ORANGE, "the same moving backwards", ms=5)] if both else []
     if added:
         out.append(mark("-", plot.BLUE, "supplied by the named effects; below: left over"))
-    return [*out, axes.axhspan(0, 0, color=plot.GREY, alpha=0.3, label="noise, ±2 standard deviations")]
+    return [
+        *out,
+        axes.axhspan(0, 0, color=plot.GREY, alpha=0.3, label="noise, ±2 standard deviations"),
+    ]
 
 
 def draw_noise(axes, x: np.ndarray, floor: np.ndarray, parts: int = PARTS) -> None:
@@ -199,7 +232,9 @@ def regime_picture(regimes: Sequence[Regime]):
     """How strong the missing force is in each regime of each joint, against the whole recording; where no named effect tells it
     apart from the noise, beside what a perfect model would show."""
     guessed = any(r.supplied is None for r in regimes)
-    labels = [(plot.label(r.joint, 20), plot.label(wording.regime_words(r.regime), 30)) for r in regimes]
+    labels = [
+        (plot.label(r.joint, 20), plot.label(wording.regime_words(r.regime), 30)) for r in regimes
+    ]
     lines = 1 + (max(len(a) + len(b) for a, b in labels) > 24)
 
     def draw(figure):
@@ -210,15 +245,25 @@ def regime_picture(regimes: Sequence[Regime]):
             axes.barh(i, strength, height=0.6, color=plot.VERMILLION if r.stands_out else "#b5b5b5")
             end = strength
             if r.supplied is None:
-                axes.plot([low, high], [i, i], color=plot.BLACK, linewidth=2.5, solid_capstyle="butt")
+                axes.plot(
+                    [low, high], [i, i], color=plot.BLACK, linewidth=2.5, solid_capstyle="butt"
+                )
                 end = max(strength, high)
-            axes.annotate(wording.number(r.strength, 2), (end, i), xytext=(6, 0), textcoords="offset points", va="center")
+            axes.annotate(
+                wording.number(r.strength, 2),
+                (end, i),
+                xytext=(6, 0),
+                textcoords="offset points",
+                va="center",
+            )
         axes.axvline(1.0, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.1)
         between = ",\n" if plot.narrow(figure) and lines > 1 else ", "
         axes.set_yticks(range(len(regimes)), [between.join(label) for label in labels])
         axes.set_ylim(len(regimes) - 0.4, -0.6)
         axes.tick_params(axis="y", length=0)
-        ends = [x for r in regimes for x in (r.strength, *(r.null[1:] if r.supplied is None else ()))]
+        ends = [
+            x for r in regimes for x in (r.strength, *(r.null[1:] if r.supplied is None else ()))
+        ]
         axes.set_xlim(0, 1.12 * max([1.0, *map(plot.drawable, ends)]))
         axes.set_xlabel("missing force there, as a multiple of that over the whole recording (rms)")
         handles = [
@@ -226,8 +271,16 @@ def regime_picture(regimes: Sequence[Regime]):
             axes.barh([0], [0], color="#b5b5b5", label="as elsewhere, or weaker"),
         ]
         if guessed:
-            handles += axes.plot([], [], color=plot.BLACK, linewidth=2.5, label="what a perfect model would show (95 %)")
+            handles += axes.plot(
+                [],
+                [],
+                color=plot.BLACK,
+                linewidth=2.5,
+                label="what a perfect model would show (95 %)",
+            )
         plot.legend(figure, handles, 3)
 
     height = 1.0 + 0.3 * len(regimes)
-    return plot.svg("regimes", (plot.WIDE, height), draw, 1.2 + (0.3 + 0.12 * (lines - 1)) * len(regimes))
+    return plot.svg(
+        "regimes", (plot.WIDE, height), draw, 1.2 + (0.3 + 0.12 * (lines - 1)) * len(regimes)
+    )

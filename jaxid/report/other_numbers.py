@@ -54,7 +54,10 @@ def other_places(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     refuted = refuted_numbers(diagnosis)
     places = dict.fromkeys(one_line(_place(s) or _word(s)) for s in refuted[:FEW])
     more = f" and {len(refuted) - FEW} more" if len(refuted) > FEW else ""
-    return f"In what is stated of {listed(places)}{more}", [other_numbers(diagnosis), "Nothing else is above the noise."]
+    return f"In what is stated of {listed(places)}{more}", [
+        other_numbers(diagnosis),
+        "Nothing else is above the noise.",
+    ]
 
 
 def _clause(s: Stated) -> str:

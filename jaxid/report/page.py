@@ -30,7 +30,12 @@ _environment = Environment(
     # Names from files may hold control and direction characters, which HTML does not escape.
     finalize=lambda value: value if isinstance(value, Markup) else one_line(value),
 )
-_environment.filters.update(number=wording.number, short=wording.short, percent=wording.percent, estimate=text.value_with_std)
+_environment.filters.update(
+    number=wording.number,
+    short=wording.short,
+    percent=wording.percent,
+    estimate=text.value_with_std,
+)
 
 
 def render(title: str, sections: Iterable[Section | None], result: str, content: bytes) -> str:
@@ -46,7 +51,9 @@ def render_fragment(sections: Iterable[Section | None]) -> str:
 
 
 def _body(sections: Iterable[Section | None]) -> Markup:
-    parts = [_environment.get_template(s.template).render(s.context) for s in sections if s is not None]
+    parts = [
+        _environment.get_template(s.template).render(s.context) for s in sections if s is not None
+    ]
     return Markup("\n".join(parts))
 
 

@@ -16,13 +16,26 @@ if TYPE_CHECKING:
 def section(fit: Fit, nominal: Fit | None = None) -> Section | None:
     """The parameters of `fit`, beside those of the nominal model where one is given."""
     before = {} if nominal is None else dict(text.parameter_rows(nominal))
-    stated = {name: s.stated for s in fit.stated for name in (s.parameter, f"{s.parameter}@{s.joint}", f"{s.parameter}@{s.link}")}
-    rows = [(name, p, before.get(name), stated.get(name), place(p), text.remark(p)) for name, p in text.parameter_rows(fit)]
+    stated = {
+        name: s.stated
+        for s in fit.stated
+        for name in (s.parameter, f"{s.parameter}@{s.joint}", f"{s.parameter}@{s.link}")
+    }
+    rows = [
+        (name, p, before.get(name), stated.get(name), place(p), text.remark(p))
+        for name, p in text.parameter_rows(fit)
+    ]
     if not rows:
         return None
     told = any(row[3] is not None for row in rows)
     return Section(
-        "parameters.html", {"rows": rows, "compare": nominal is not None, "stated": told, "together": text.together(fit)}
+        "parameters.html",
+        {
+            "rows": rows,
+            "compare": nominal is not None,
+            "stated": told,
+            "together": text.together(fit),
+        },
     )
 
 

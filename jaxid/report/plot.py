@@ -56,7 +56,12 @@ _SETTINGS: dict[Any, Any] = {
 }
 
 
-def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], object], narrow_height: float | None = None) -> Markup:
+def svg(
+    name: str,
+    size: tuple[float, float],
+    draw: Callable[[Figure], object],
+    narrow_height: float | None = None,
+) -> Markup:
     """What `draw` draws on a figure of this size (inches), as two SVG elements of which a page shows one: for screens and paper,
     and for phones (`NARROW` and `narrow_height` inches; by default as high as the other). The same bytes for the same data."""
     phone = element(f"{name}-narrow", (NARROW, narrow_height or size[1]), draw)
@@ -66,7 +71,9 @@ def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], object], 
 def element(name: str, size: tuple[float, float], draw: Callable[[Figure], object]) -> str:
     """One SVG element of this size (inches)."""
     with matplotlib.rc_context(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a glyph missing from matplotlib's font: the browser draws the text
+        warnings.simplefilter(
+            "ignore"
+        )  # a glyph missing from matplotlib's font: the browser draws the text
         matplotlib.rcdefaults()
         matplotlib.rcParams.update({**_SETTINGS, "svg.hashsalt": name})
         figure = Figure(figsize=size, dpi=72, layout="constrained")  # what SVG counts in
@@ -77,7 +84,9 @@ def element(name: str, size: tuple[float, float], draw: Callable[[Figure], objec
             _laid_out(figure)
         figure.set_layout_engine("none")
         buffer = io.StringIO()  # not by `savefig`, which would lay it out by drawing it once more
-        canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        canvas.print_svg(
+            buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
+        )
     source = buffer.getvalue()
     source = source[source.index("<svg") :]
     source = re.sub(r"<metadata>.*?</metadata>", "", source, flags=re.DOTALL)
@@ -97,7 +106,9 @@ def points(figure: Figure) -> int:
     return int(POINTS * figure.get_figwidth() / WIDE)
 
 
-def legend(figure: Figure, handles: Sequence[Any], columns: int, where: Any = "outside upper left") -> None:
+def legend(
+    figure: Figure, handles: Sequence[Any], columns: int, where: Any = "outside upper left"
+) -> None:
     """A legend outside the axes in at most so many columns: as many as fit."""
     longest = max(len(str(h.get_label())) for h in handles)
     fit = int(figure.get_figwidth() // (LETTER * longest + 0.5))
@@ -162,13 +173,18 @@ def thin(t: np.ndarray, y: np.ndarray, points: int = POINTS) -> tuple[np.ndarray
     keep = np.empty((len(edges) - 1, 2), int)
     for i, (start, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
         part = y[start:end]
-        low, high = np.where(np.isfinite(part), part, np.inf), np.where(np.isfinite(part), part, -np.inf)
+        low, high = (
+            np.where(np.isfinite(part), part, np.inf),
+            np.where(np.isfinite(part), part, -np.inf),
+        )
         keep[i] = start + np.sort([int(np.argmin(low)), int(np.argmax(high))])
     index = np.unique(keep)
     return t[index], y[index]
 
 
-def dots(axes: Axes, x: np.ndarray, y: np.ndarray, color: str, size: float = 1.8, alpha: float = 0.5) -> None:
+def dots(
+    axes: Axes, x: np.ndarray, y: np.ndarray, color: str, size: float = 1.8, alpha: float = 0.5
+) -> None:
     """Many points as one path: a marker each would make the page some ten times larger."""
     gap = np.full(len(x), np.nan)
     # A length of nothing is not drawn by every browser; a millionth of the axis is.
@@ -196,8 +212,12 @@ def limits(*series: np.ndarray, quantile: float = 0.002) -> tuple[float, float] 
 
 def plain_log(axis) -> None:
     """Numbers on a logarithmic axis written out (the usual powers of ten would need math text)."""
-    axis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0) if _decades(axis) < 2.5 else (1.0,), numticks=12))
-    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}" if 1e-3 <= v < 1e5 else f"{v:.0e}"))
+    axis.set_major_locator(
+        LogLocator(10.0, subs=(1.0, 2.0, 5.0) if _decades(axis) < 2.5 else (1.0,), numticks=12)
+    )
+    axis.set_major_formatter(
+        FuncFormatter(lambda v, _: f"{v:g}" if 1e-3 <= v < 1e5 else f"{v:.0e}")
+    )
     axis.set_minor_formatter(NullFormatter())
 
 

@@ -31,8 +31,12 @@ def section(which: Which) -> Section | None:
         {
             "rows": [(r, kind, told(r)) for r, kind in rows[:ROWS]],
             "hidden": max(0, len(rows) - ROWS),
-            "rounds": [round_of(own, beside, k) for k, (beside, own) in enumerate(rounds(rows).items())],
-            "above": [kind for _, kind in rows].index("named") if any(kind == "named" for _, kind in rows) else 0,
+            "rounds": [
+                round_of(own, beside, k) for k, (beside, own) in enumerate(rounds(rows).items())
+            ],
+            "above": [kind for _, kind in rows].index("named")
+            if any(kind == "named" for _, kind in rows)
+            else 0,
         },
     )
 
@@ -42,11 +46,17 @@ def rounds(rows: list[tuple[Ranked, str]]) -> dict[tuple[str, ...], list[tuple[R
     groups: dict[tuple[str, ...], list[tuple[Ranked, str]]] = {}
     for row in rows:
         groups.setdefault(tuple(sorted(row[0].beside)), []).append(row)
-    told = {k: own for k, own in groups.items() if len(own) > 2 or not k or any(kind == "named" for _, kind in own)}
+    told = {
+        k: own
+        for k, own in groups.items()
+        if len(own) > 2 or not k or any(kind == "named" for _, kind in own)
+    }
     return dict(sorted(told.items(), key=lambda pair: len(pair[0])))
 
 
-def round_of(own: list[tuple[Ranked, str]], beside: tuple[str, ...], number: int) -> tuple[str, Markup]:
+def round_of(
+    own: list[tuple[Ranked, str]], beside: tuple[str, ...], number: int
+) -> tuple[str, Markup]:
     """Caption and picture of the candidates of one round, the named ones first."""
     shown = sorted(own[:BARS], key=lambda row: row[1] != "named")
     caption = f"Beside {wording.listed(beside)}" if beside else "Alone"
@@ -78,17 +88,24 @@ def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:
                 va="center",
             )
         axes.axvline(1.0, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.1)
-        axes.set_yticks(range(len(rows)), [f"{plot.label(r.effect, 30)}{at}{plot.label(r.location, 20)}" for r, _ in rows])
+        axes.set_yticks(
+            range(len(rows)),
+            [f"{plot.label(r.effect, 30)}{at}{plot.label(r.location, 20)}" for r, _ in rows],
+        )
         axes.set_ylim(len(rows) - 0.4, -0.6)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
         high = max(1.0, *gaps)
         axes.set_xlim((min(start, *gaps) / 1.2, 1.6 * high) if logarithmic else (0, 1.12 * high))
-        axes.set_xlabel("gap on validation data after the refit, in multiples of the noise (dashed: the noise)")
+        axes.set_xlabel(
+            "gap on validation data after the refit, in multiples of the noise (dashed: the noise)"
+        )
         if logarithmic:
             plot.plain_log(axes.xaxis)
         present = [kind for kind in palette if any(k == kind for _, k in rows)]
-        handles = [axes.barh([0], [0], color=palette[kind], label=meaning[kind]) for kind in present]
+        handles = [
+            axes.barh([0], [0], color=palette[kind], label=meaning[kind]) for kind in present
+        ]
         plot.legend(figure, handles, 3)
 
     return plot.svg(name, (plot.WIDE, 1.0 + 0.27 * len(rows)), draw, 1.2 + 0.4 * len(rows))

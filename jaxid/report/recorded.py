@@ -19,10 +19,18 @@ ROWS = 12
 
 def section(data: Dataset) -> Section:
     runs = [
-        (e.name, e.split, f"{len(e)} samples, {wording.number(e.duration)} s", f"{wording.number(_rate(e.t))} Hz")
+        (
+            e.name,
+            e.split,
+            f"{len(e)} samples, {wording.number(e.duration)} s",
+            f"{wording.number(_rate(e.t))} Hz",
+        )
         for e in data.experiments
     ]
-    runs += [(r.name, r.split, f"{len(r.omega)} lines of {r.output} / {r.input}", "frequency response") for r in data.responses]
+    runs += [
+        (r.name, r.split, f"{len(r.omega)} lines of {r.output} / {r.input}", "frequency response")
+        for r in data.responses
+    ]
     return Section(
         "recorded.html",
         {
@@ -42,6 +50,8 @@ def _rate(t: np.ndarray) -> float:
 def _noise(channel) -> str:
     stated = [
         f"noise {wording.number(channel.noise_std, 2)} {channel.unit}" if channel.noise_std else "",
-        f"resolution {wording.number(channel.resolution, 2)} {channel.unit}" if channel.resolution else "",
+        f"resolution {wording.number(channel.resolution, 2)} {channel.unit}"
+        if channel.resolution
+        else "",
     ]
     return ", ".join(filter(None, stated))

@@ -31,7 +31,9 @@ def section(result: Reproduction) -> Section:
                         }
                         for t in part.tables
                     ],
-                    "pictures": [(p.caption, plot.svg(p.name, p.size, p.draw)) for p in part.pictures],
+                    "pictures": [
+                        (p.caption, plot.svg(p.name, p.size, p.draw)) for p in part.pictures
+                    ],
                 }
                 for part in result.parts
             ],
@@ -52,8 +54,13 @@ def lines(result: Reproduction) -> str:
     rows = [(c.verdict, c.claim, c.paper or "–", c.ours or c.why) for c in result.claims]
     return "\n".join(
         [
-            wording.wrapped(f"Paper {result.paper}, {result.title} ({result.budget} budget): {result.headline}"),
-            *(wording.wrapped(f"{v}: {c}. Paper: {p}. Here: {o}", "- ", "  ") for v, c, p, o in rows),
+            wording.wrapped(
+                f"Paper {result.paper}, {result.title} ({result.budget} budget): {result.headline}"
+            ),
+            *(
+                wording.wrapped(f"{v}: {c}. Paper: {p}. Here: {o}", "- ", "  ")
+                for v, c, p, o in rows
+            ),
             f"{result.wall_time_s:.0f} s",
         ]
     )

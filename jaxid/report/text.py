@@ -56,12 +56,16 @@ def at_places(effects: Sequence[EffectEstimate]) -> str:
     """`dead zone at tau1 and tau2 and backlash at q1`: every effect once, with its places, or how many they are."""
     places = by_effect((e.effect, one_line(e.location)) for e in effects)
     named = lambda at: listed(at) if len(at) <= PLACES else f"{len(at)} places"
-    return listed(f"{one_line(effect).replace('_', ' ')} at {named(at)}" for effect, at in places.items())
+    return listed(
+        f"{one_line(effect).replace('_', ' ')} at {named(at)}" for effect, at in places.items()
+    )
 
 
 def effect_with_parameters(effect: EffectEstimate) -> str:
     """`dead_zone at tau (width 0.312 ± 0.004 N m)`."""
-    inside = ", ".join(f"{one_line(name)} {value_with_std(p)}" for name, p in effect.parameters.items())
+    inside = ", ".join(
+        f"{one_line(name)} {value_with_std(p)}" for name, p in effect.parameters.items()
+    )
     return effect_name(effect) + (f" ({inside})" if inside else "")
 
 
@@ -99,10 +103,15 @@ def stated_sentences(stated: Sequence[Stated], named: Sequence[EffectEstimate] =
     unit = lambda s: "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
     every = [s.parameter for s in stated]
     together = lambda s: " " in s.parameter  # "kp / inertia"
-    several = lambda s: not together(s) and (s.link or every.count(s.parameter) > 1)  # "armature of elbow_flex"
+    several = lambda s: (
+        not together(s) and (s.link or every.count(s.parameter) > 1)
+    )  # "armature of elbow_flex"
     best = lambda s: s.fitted if s.beside is None else s.beside
     name = lambda s: s.text.partition(":")[0] if several(s) else s.parameter
-    shown = [f"{one_line(name(s))} {number(s.stated)} → {number(best(s), 4)}{unit(s)}" for s in refuted[:STATED]]
+    shown = [
+        f"{one_line(name(s))} {number(s.stated)} → {number(best(s), 4)}{unit(s)}"
+        for s in refuted[:STATED]
+    ]
     more = f", and {len(refuted) - STATED} more" if len(refuted) > STATED else ""
     off = dict.fromkeys(number(abs(s.deviation or 0.0), 2) for s in (refuted[-1], refuted[0]))
     return [
@@ -134,18 +143,27 @@ def meaning(which: Which) -> list[str]:
         if told := words(e, "plain"):
             told = f"If so: {told[:1].lower()}{told[1:]}" if str(e) in which.doubts else told
             said.setdefault(told, []).append(one_line(e.location))
-    return [(f"{listed(at)}: " if len(which.effects) > 1 else "") + told for told, at in said.items()]
+    return [
+        (f"{listed(at)}: " if len(which.effects) > 1 else "") + told for told, at in said.items()
+    ]
 
 
 def to_check(which: Which) -> list[str]:
     """What to look for at the machine."""
-    told = [words(e, "check") for e in which.effects] if which.verdict in ("named", "partly") else []
-    return [f"At the machine: {check[:1].lower()}{check[1:]}" for check in dict.fromkeys(told) if check]
+    told = (
+        [words(e, "check") for e in which.effects] if which.verdict in ("named", "partly") else []
+    )
+    return [
+        f"At the machine: {check[:1].lower()}{check[1:]}" for check in dict.fromkeys(told) if check
+    ]
 
 
 def lacks(which: Which, said: Callable[[Sequence[EffectEstimate]], str], same: str = "") -> str:
     """What the model lacks, and what may be the `same`; what is not to be believed as it stands is no more than possible."""
-    sure, perhaps = ([e for e in which.effects if (str(e) in which.doubts) == doubted] for doubted in (False, True))
+    sure, perhaps = (
+        [e for e in which.effects if (str(e) in which.doubts) == doubted]
+        for doubted in (False, True)
+    )
     if not sure:
         return f"Something is missing, and {said(perhaps)} may be part of it."
     possible = f", perhaps {said(perhaps)}" if perhaps else ""
@@ -170,14 +188,18 @@ def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
 def confusable_sentence(which: Which) -> str:
     if not which.confusable_with:
         return ""
-    return f"These data cannot tell it from {listed(effect_name(e) for e in which.confusable_with)}."
+    return (
+        f"These data cannot tell it from {listed(effect_name(e) for e in which.confusable_with)}."
+    )
 
 
 def how_far_sentence(how_far: HowFar, verdict: str) -> str:
     """The gaps in multiples of the noise."""
     if not measured(how_far):
         return f"No gap is given: {one_line(how_far.interval_reason).rstrip('.')}."
-    before, retuned, after = (times(g) for g in (how_far.gap_before, how_far.gap_retuned, how_far.gap_after))
+    before, retuned, after = (
+        times(g) for g in (how_far.gap_before, how_far.gap_retuned, how_far.gap_after)
+    )
     if verdict == "none":
         stated = f"; as it was stated, {before}" if before != retuned else ""
         away = (
@@ -190,7 +212,11 @@ def how_far_sentence(how_far: HowFar, verdict: str) -> str:
         )
     if verdict == "unknown":
         worse = before != retuned and how_far.gap_retuned > how_far.gap_before
-        led = " Re-tuned to the data that were fitted it is further from these than as it was stated." if worse else ""
+        led = (
+            " Re-tuned to the data that were fitted it is further from these than as it was stated."
+            if worse
+            else ""
+        )
         return f"The gap is {before} times the noise, {retuned} after re-tuning the model's own parameters.{led}"
     if math.isnan(how_far.gap_before) or math.isnan(how_far.gap_after):
         return f"The gap is {before} times the noise before, {after} after ({retuned} re-tuned alone); – could not be measured."
@@ -201,7 +227,9 @@ def how_far_sentence(how_far: HowFar, verdict: str) -> str:
 def unused(how_far: HowFar) -> str:
     """What the data of the gap were not used for."""
     return (
-        "data never fitted nor chosen on" if how_far.split == "report" else f"{how_far.split} data, which also chose the effect"
+        "data never fitted nor chosen on"
+        if how_far.split == "report"
+        else f"{how_far.split} data, which also chose the effect"
     )
 
 
@@ -212,7 +240,11 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
     if verdict == "none" and how_far.gap_before > NEAR * how_far.gap_retuned:
         return "Its own numbers close the gap once they are re-tuned: no effect is needed."
     if how_far.shrinkage is None:
-        return f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}." if how_far.interval_reason else ""
+        return (
+            f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}."
+            if how_far.interval_reason
+            else ""
+        )
     share = percent(how_far.shrinkage)
     head = f"{share[:1].upper()}{share[1:]} of its mean square is closed on {unused(how_far)}"
     if how_far.shrinkage_interval_95 is None:
@@ -223,7 +255,9 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
 
 def telling(how_far: HowFar) -> list[str]:
     """Channels, those first in which most happens: the error that goes or stays, against the noise."""
-    size = lambda g: max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / max(g.noise, 1e-300)
+    size = lambda g: (
+        max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / max(g.noise, 1e-300)
+    )
     order = {name: size(gap) for name, gap in how_far.per_channel.items()}
     return sorted(order, key=lambda name: -order[name] if math.isfinite(order[name]) else -math.inf)
 
@@ -231,8 +265,14 @@ def telling(how_far: HowFar) -> list[str]:
 def interval(how_far: HowFar) -> str:
     """What a further run like the report runs is to show."""
     assert how_far.shrinkage_interval_95 is not None
-    low, high = ("below 0 %" if x < 0 else percent(min(x, 1.0)) for x in how_far.shrinkage_interval_95)
-    doubt = "; how runs differ is not known from fewer than eight" if how_far.interval_from == "blocks" else ""
+    low, high = (
+        "below 0 %" if x < 0 else percent(min(x, 1.0)) for x in how_far.shrinkage_interval_95
+    )
+    doubt = (
+        "; how runs differ is not known from fewer than eight"
+        if how_far.interval_from == "blocks"
+        else ""
+    )
     reach = "as much" if how_far.shrinkage_interval_95[0] > 1 - CLOSE else f"{low} to {high}"
     return f"{reach}, with 95 % probability{doubt}"
 
@@ -241,7 +281,11 @@ def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
     """A channel's error in its unit."""
     gap = how_far.per_channel[name]
     unit = one_line(gap.unit)
-    before, retuned, after = number(gap.rmse_before), number(gap.rmse_retuned), number(gap.rmse_after)
+    before, retuned, after = (
+        number(gap.rmse_before),
+        number(gap.rmse_retuned),
+        number(gap.rmse_after),
+    )
     course = f"{before} → {after} {unit}" if verdict in ("named", "partly") else f"{before} {unit}"
     if verdict not in ("named", "partly") and retuned != before:
         course += f", {retuned} {unit} re-tuned"
@@ -273,7 +317,9 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}{COMPARED.get(diagnosis.final.simulation, '')}",
         joint_table(how_far.per_joint),
         paragraph("STATED", stated_sentences(diagnosis.final.stated, diagnosis.which.effects)),
-        "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
+        ""
+        if which.verdict == "none"
+        else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
         paragraph("WHICH", [verdict, *meaning(which), confusable_sentence(which)]),
         paragraph(
             "HOW FAR",
@@ -292,10 +338,20 @@ def joint_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[tuple
     """Head and rows of each joint's error with the file as it stands, re-tuned and with the effects, of the last split alone: the
     first table of every robot's result."""
     last = [r for r in rows if r["split"] == rows[-1]["split"]]
-    effects = any(r.get("with_effects") is not None and r["with_effects"] != r["retuned"] for r in last)
-    head = ["joint", "data", last[0]["text"] if last else "", "re-tuned", *(["with the effects"] if effects else [])]
+    effects = any(
+        r.get("with_effects") is not None and r["with_effects"] != r["retuned"] for r in last
+    )
+    head = [
+        "joint",
+        "data",
+        last[0]["text"] if last else "",
+        "re-tuned",
+        *(["with the effects"] if effects else []),
+    ]
     columns = ("as_it_stands", "retuned", *(("with_effects",) if effects else ()))
-    return head, [(r["joint"], r["split"], *(f"{number(r[c])} {r['unit']}" for c in columns)) for r in last]
+    return head, [
+        (r["joint"], r["split"], *(f"{number(r[c])} {r['unit']}" for c in columns)) for r in last
+    ]
 
 
 def joint_table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -310,7 +366,10 @@ def parameter_rows(fit: Fit) -> list[tuple[str, Estimate]]:
     """The model's parameters, then those of its effects as `effect@location.parameter`."""
     rows = list(fit.parameters.items())
     for effect in fit.effects:
-        rows += [(f"{effect.effect}@{effect.location}.{name}", p) for name, p in effect.parameters.items()]
+        rows += [
+            (f"{effect.effect}@{effect.location}.{name}", p)
+            for name, p in effect.parameters.items()
+        ]
     return rows
 
 
@@ -327,7 +386,10 @@ def fit_text(fit: Fit) -> str:
         joint_table(fit.per_joint),
         table(
             ("parameter", "value", "unit", ""),
-            [(name, value_with_std(p, unit=False), p.unit, remark(p)) for name, p in parameter_rows(fit)],
+            [
+                (name, value_with_std(p, unit=False), p.unit, remark(p))
+                for name, p in parameter_rows(fit)
+            ],
         ),
     ]
     if fit.recursion:
@@ -342,16 +404,25 @@ def fit_text(fit: Fit) -> str:
     parts += [together(fit)]
     parts += [paragraph("stated", [s.text]) for s in fit.stated]
     parts += [paragraph("note", [note]) for note in fit.notes]
-    parts.append(f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling")
+    parts.append(
+        f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling"
+    )
     return "\n".join(filter(None, parts))
 
 
 def recursion_table(fit: Fit, most: int = 10, columns: int = 4) -> str:
     """The first numbers over the recursions of a fit along its data; of many recursions some, first and last among them."""
     names, count = list(fit.recursion[0].parameters)[:columns], len(fit.recursion)
-    shown = sorted({round(k * (count - 1) / max(1, min(most, count) - 1)) for k in range(min(most, count))})
+    shown = sorted(
+        {round(k * (count - 1) / max(1, min(most, count) - 1)) for k in range(min(most, count))}
+    )
     rows = [
-        (str(k + 1), number(fit.recursion[k].t), *(number(fit.recursion[k].parameters[name][0]) for name in names)) for k in shown
+        (
+            str(k + 1),
+            number(fit.recursion[k].t),
+            *(number(fit.recursion[k].parameters[name][0]) for name in names),
+        )
+        for k in shown
     ]
     return table(("recursion", "until (s)", *map(one_line, names)), rows)
 
@@ -364,13 +435,22 @@ def simulation_text(simulation: Simulation) -> str:
         for channel, rmse in channels.items()
     ]
     head = f"model {one_line(simulation.model)}, {len(simulation.runs)} runs simulated"
-    return "\n".join([head, table(("run", "channel", "rms error"), rows), *map(one_line, simulation.notes)])
+    return "\n".join(
+        [head, table(("run", "channel", "rms error"), rows), *map(one_line, simulation.notes)]
+    )
 
 
 def identification_text(result: Identification) -> str:
     """The result as tables for a terminal."""
     from jaxid.conventions.finding import data_lines
-    from jaxid.report.identified import base_rows, beside_head, error, friction_rows, headline, payload_rows
+    from jaxid.report.identified import (
+        base_rows,
+        beside_head,
+        error,
+        friction_rows,
+        headline,
+        payload_rows,
+    )
     from jaxid.wording import table
 
     joints = result.labels

@@ -25,9 +25,17 @@ def section(traces: Sequence[Trace]) -> Section | None:
         return None
     ordered = sorted(traces, key=lambda trace: _ORDER.get(trace.split, 3))
     pictures = [
-        (f"{t.channel} in {t.experiment} ({t.split} data)", picture(t, f"trace-{i}")) for i, t in enumerate(ordered[:SHOWN])
+        (f"{t.channel} in {t.experiment} ({t.split} data)", picture(t, f"trace-{i}"))
+        for i, t in enumerate(ordered[:SHOWN])
     ]
-    return Section("traces.html", {"pictures": pictures, "hidden": max(0, len(traces) - SHOWN), "windows": ordered[0].windows})
+    return Section(
+        "traces.html",
+        {
+            "pictures": pictures,
+            "hidden": max(0, len(traces) - SHOWN),
+            "windows": ordered[0].windows,
+        },
+    )
 
 
 def colors(labels: Sequence[str]) -> list[str]:
@@ -46,22 +54,32 @@ def picture(trace: Trace, name: str):
     def draw(figure):
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[4, 3])
         points = plot.points(figure)
-        handles = above.plot(*plot.thin(trace.t, measured, points), color=plot.BLACK, linewidth=1.8, label="measured")
+        handles = above.plot(
+            *plot.thin(trace.t, measured, points), color=plot.BLACK, linewidth=1.8, label="measured"
+        )
         rests = []
         for label, color in zip(labels, colors(labels), strict=True):
             series = plot.series(trace.simulated[label])
-            handles += above.plot(*plot.thin(trace.t, series, points), color=color, label=plot.label(label))
+            handles += above.plot(
+                *plot.thin(trace.t, series, points), color=color, label=plot.label(label)
+            )
             rest = measured - series
             rests.append(rest)
             below.plot(*plot.thin(trace.t, rest, points), color=color, linewidth=1.0)
         if 0 < trace.noise < plot.LARGEST:
-            band = below.axhspan(-2 * trace.noise, 2 * trace.noise, color=plot.GREY, alpha=0.35, linewidth=0)
+            band = below.axhspan(
+                -2 * trace.noise, 2 * trace.noise, color=plot.GREY, alpha=0.35, linewidth=0
+            )
             band.set_label("noise, ±2 standard deviations")
             handles.append(band)
         below.axhline(0.0, color=plot.BLACK, linewidth=0.6)
         # A model that runs away must not flatten the measurement into a line.
-        span = float(np.ptp(measured[np.isfinite(measured)])) if np.isfinite(measured).any() else 1.0
-        bounds = plot.limits(measured, *(plot.series(s) for s in trace.simulated.values()), quantile=0.0)
+        span = (
+            float(np.ptp(measured[np.isfinite(measured)])) if np.isfinite(measured).any() else 1.0
+        )
+        bounds = plot.limits(
+            measured, *(plot.series(s) for s in trace.simulated.values()), quantile=0.0
+        )
         if bounds and span > 0:
             low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
             above.set_ylim(max(bounds[0], low - 2 * span), min(bounds[1], high + 2 * span))

@@ -27,4 +27,7 @@ def section(unseen: tuple[Unseen, ...]) -> Section | None:
 
 def size(unseen: Unseen) -> str:
     plain = lambda unit: "" if unit == "1" else f" {unit}"
-    return ", ".join(f"{name} {wording.number(value)}{plain(unit)}" for name, (value, unit) in unseen.parameters.items())
+    return ", ".join(
+        f"{name} {wording.number(value)}{plain(unit)}"
+        for name, (value, unit) in unseen.parameters.items()
+    )

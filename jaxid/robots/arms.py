@@ -33,15 +33,26 @@ def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
     arm = SerialArm(table_of(tree))
     gravity = np.array(tree.gravity)
     if np.any(np.abs(gravity[:2]) > 1e-9):
-        raise UsageError(f"{tree.file}: gravity is not along z; identify needs an upright world (tilt the base by [model.base])")
-    named = {"gravity": float(-gravity[2]), **{f"base_{k}": float(getattr(mechanism, f"base_{k}")) for k in ("roll", "pitch")}}
+        raise UsageError(
+            f"{tree.file}: gravity is not along z; identify needs an upright world (tilt the base by [model.base])"
+        )
+    named = {
+        "gravity": float(-gravity[2]),
+        **{f"base_{k}": float(getattr(mechanism, f"base_{k}")) for k in ("roll", "pitch")},
+    }
     joints = ", ".join(f"{k + 1} {j}" for k, j in enumerate(tree.joints))
     note = f"numbers of parameters are joints: {joints}"
     law = mechanism.drive_law
     said = (note,) if law is None else (note, "torque is what the law asked for")
     order = {f"q{k + 1}": j for k, j in enumerate(tree.joints)}
     spec = replace(
-        dataset.model or ModelSpec(), name="serial_arm", geometry=None, constants=named, parameters={}, joints=order, base={}
+        dataset.model or ModelSpec(),
+        name="serial_arm",
+        geometry=None,
+        constants=named,
+        parameters={},
+        joints=order,
+        base={},
     )
     data = replace(_numbered(dataset, tree, law), model=spec)
     return arm, replace(data, notes=(*data.notes, *notes_of(robot, dataset), *said))
@@ -88,15 +99,31 @@ def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
         y = e.y[:, iy]
         if law is None:
             tau = e.u[:, [inputs.index(f"{j}_tau") for j in tree.joints]]
-            goals = {f"q{k + 1}_cmd": e.auxiliary[f"{j}_cmd"] for k, j in enumerate(tree.joints) if f"{j}_cmd" in e.auxiliary}
+            goals = {
+                f"q{k + 1}_cmd": e.auxiliary[f"{j}_cmd"]
+                for k, j in enumerate(tree.joints)
+                if f"{j}_cmd" in e.auxiliary
+            }
         else:
             goal = e.u[:, [inputs.index(f"{j}_cmd") for j in tree.joints]]
             rate = e.u[:, [inputs.index(n) for n in law.rates]] if law.rates else None
             tau = law.torque(e.t, goal, y, rate, held)
             goals = {f"q{k + 1}_cmd": goal[:, k] for k in range(tree.n)}
         unread = None if e.left_out is None else e.left_out[:, iy]
-        return replace(e, u=tau, y=y, left_out=unread, auxiliary=goals, past=None, initial=None, scatter=None, constants={})
+        return replace(
+            e,
+            u=tau,
+            y=y,
+            left_out=unread,
+            auxiliary=goals,
+            past=None,
+            initial=None,
+            scatter=None,
+            constants={},
+        )
 
     experiments = tuple(map(one, dataset.experiments))
-    goals = [Channel(n, "auxiliary", "rad") for n in (experiments[0].auxiliary if experiments else {})]
+    goals = [
+        Channel(n, "auxiliary", "rad") for n in (experiments[0].auxiliary if experiments else {})
+    ]
     return replace(dataset, channels=(*channels, *goals), experiments=experiments, controller=None)

@@ -30,7 +30,9 @@ def as_inputs(dataset: Dataset, names: Sequence[str]) -> Dataset:
     def one(e: Experiment) -> Experiment:
         columns = [e.auxiliary[n] if n in chosen else e.u[:, before.index(n)] for n in order]
         rest = {k: v for k, v in e.auxiliary.items() if k not in chosen}
-        return replace(e, u=np.stack(columns, 1), auxiliary=rest, past=None if e.past is None else one(e.past))
+        return replace(
+            e, u=np.stack(columns, 1), auxiliary=rest, past=None if e.past is None else one(e.past)
+        )
 
     return replace(dataset, channels=moved, experiments=tuple(map(one, dataset.experiments)))
 
@@ -60,7 +62,11 @@ def with_rates(dataset: Dataset, tree: Tree) -> Dataset:
     Raises `UsageError` for one that is not recorded.
     """
     inputs = {c.name for c in dataset.inputs}
-    stated = dataset.controller.settings.get("reference_velocity") if dataset.controller is not None else None
+    stated = (
+        dataset.controller.settings.get("reference_velocity")
+        if dataset.controller is not None
+        else None
+    )
     if stated in (None, "none", "difference") or not any(f"{j}_cmd" in inputs for j in tree.joints):
         return dataset
     joints = [j for j in tree.leading if f"{j}_cmd" in inputs]
@@ -112,7 +118,9 @@ def with_base(dataset: Dataset, tree: Tree) -> Dataset:
         return dataset if note in dataset.notes else replace(dataset, notes=(*dataset.notes, note))
     for c in dataset.channels:
         if c.name in recorded and (c.unit != "rad" or c.role == "output"):
-            raise UsageError(f'{c.name} is the angle of the base: give it role = "auxiliary" and unit = "rad" (or "deg")')
+            raise UsageError(
+                f'{c.name} is the angle of the base: give it role = "auxiliary" and unit = "rad" (or "deg")'
+            )
     taken = [f"base_{k}" for k in ANGLES if f"base_{k}" in tree.joints]
     if taken:
         raise UsageError(
@@ -123,17 +131,31 @@ def with_base(dataset: Dataset, tree: Tree) -> Dataset:
     read = _reader(dataset, own)
 
     def one(e: Experiment) -> Experiment:
-        motion = [_motion(e.t, read(e, f"base_{k}")) if f"base_{k}" in recorded else np.zeros((3, len(e.t))) for k in ANGLES]
+        motion = [
+            _motion(e.t, read(e, f"base_{k}"))
+            if f"base_{k}" in recorded
+            else np.zeros((3, len(e.t)))
+            for k in ANGLES
+        ]
         columns = [m[order] for order in range(3) for m in motion]
         rest = {k: v for k, v in e.auxiliary.items() if k not in recorded}
         u = np.concatenate([e.u[:, kept], np.stack(columns, 1)], 1)
         return replace(e, u=u, auxiliary=rest, past=None if e.past is None else one(e.past))
 
     units = (("", "rad"), ("_qd", "rad/s"), ("_qdd", "rad/s^2"))
-    ride = [Channel(f"base_{k}{end}", "input", unit, hold="linear") for end, unit in units for k in ANGLES]
+    ride = [
+        Channel(f"base_{k}{end}", "input", unit, hold="linear")
+        for end, unit in units
+        for k in ANGLES
+    ]
     channels = (*(c for c in dataset.channels if c.name not in recorded), *ride)
     note = f"the base turns about its origin as recorded ({', '.join(recorded)})"
-    return replace(dataset, channels=channels, experiments=tuple(map(one, dataset.experiments)), notes=(*dataset.notes, note))
+    return replace(
+        dataset,
+        channels=channels,
+        experiments=tuple(map(one, dataset.experiments)),
+        notes=(*dataset.notes, note),
+    )
 
 
 def _reader(dataset: Dataset, inputs: set[str]) -> Callable[[Experiment, str], np.ndarray]:
@@ -143,6 +165,10 @@ def _reader(dataset: Dataset, inputs: set[str]) -> Callable[[Experiment, str], n
 
 def _motion(t: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Angle, rate and acceleration, [3 time], through a low-pass above which the angle has no content."""
-    noise = max(float(np.std(np.diff(angle, 3))) / np.sqrt(20.0), FINE * float(np.ptp(angle)), 1e-12)
-    smooth, rate, acceleration = differentiate(t, angle[:, None], content_cutoff(t, angle, noise))[:3]
+    noise = max(
+        float(np.std(np.diff(angle, 3))) / np.sqrt(20.0), FINE * float(np.ptp(angle)), 1e-12
+    )
+    smooth, rate, acceleration = differentiate(t, angle[:, None], content_cutoff(t, angle, noise))[
+        :3
+    ]
     return np.stack([smooth[:, 0], rate[:, 0], acceleration[:, 0]])

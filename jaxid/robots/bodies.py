@@ -62,12 +62,14 @@ def fault(link: str, inertia: np.ndarray) -> str | None:
         return f"link {link!r} has a mass of {m:g} kg"
     size = max(float(np.abs(moments).max()), 1e-300)
     if m == 0:
-        return None if not np.any(inertia) else f"link {link!r} has no mass and moments of inertia up to {size:g} kg m^2"
+        return (
+            None
+            if not np.any(inertia)
+            else f"link {link!r} has no mass and moments of inertia up to {size:g} kg m^2"
+        )
     listed = ", ".join(f"{v:.4g}" for v in moments)
     if moments[0] < -DIGITS * size:
         return f"link {link!r} has a negative principal moment of inertia ({listed} kg m^2)"
     if moments[0] + moments[1] < moments[2] * (1 - DIGITS):
-        return (
-            f"link {link!r} has principal moments of inertia {listed} kg m^2, of which the largest exceeds the sum of the others"
-        )
+        return f"link {link!r} has principal moments of inertia {listed} kg m^2, of which the largest exceeds the sum of the others"
     return None

@@ -25,10 +25,16 @@ def torque(joint: str) -> str:
 
 
 #: How a base that is measured moves: its angles, their rates and accelerations.
-RIDE = tuple((f"base_{k}{end}", unit) for end, unit in (("", "rad"), ("_qd", "rad/s"), ("_qdd", "rad/s^2")) for k in PLACE[3:])
+RIDE = tuple(
+    (f"base_{k}{end}", unit)
+    for end, unit in (("", "rad"), ("_qd", "rad/s"), ("_qdd", "rad/s^2"))
+    for k in PLACE[3:]
+)
 
 
-def signature_of(tree: Tree, driven: bool, rates: tuple[str, ...] = (), rides: bool = False) -> Signature:
+def signature_of(
+    tree: Tree, driven: bool, rates: tuple[str, ...] = (), rides: bool = False
+) -> Signature:
     """Channels of a robot: goals or torques in, then the goals' rates and the motion of the base, joint positions out, by the
     joints' names."""
     joints = tree.leading
@@ -36,8 +42,13 @@ def signature_of(tree: Tree, driven: bool, rates: tuple[str, ...] = (), rides: b
     slides = tuple(tree.slides[tree.joints.index(j)] for j in joints)
     outputs = tuple((j, "m" if s else "rad") for j, s in zip(joints, slides, strict=True))
     goals = tuple((goal(j), unit) for j, (_, unit) in zip(driven_joints, outputs, strict=False))
-    torques = tuple((torque(j), "N" if s else "N m") for j, s in zip(driven_joints, slides, strict=False))
-    beside = (*((n, f"{unit}/s") for n, (_, unit) in zip(rates, outputs, strict=False)), *(RIDE if rides else ()))
+    torques = tuple(
+        (torque(j), "N" if s else "N m") for j, s in zip(driven_joints, slides, strict=False)
+    )
+    beside = (
+        *((n, f"{unit}/s") for n, (_, unit) in zip(rates, outputs, strict=False)),
+        *(RIDE if rides else ()),
+    )
     return Signature(
         (*(goals if driven else torques), *beside), outputs, joints, prismatic=slides if any(slides) else (),
         beside=len(beside), rates=len(rates),

@@ -16,11 +16,27 @@ from jaxid.robots.tree import Tree
 
 
 #: Numbers of a law per joint, and what they are where nothing is stated.
-NUMBERS = {"kp": 0.0, "kd": 0.0, "ki": 0.0, "gain": 1.0, "saturation": np.inf, "offset": 0.0, "delay": 0.0}
+NUMBERS = {
+    "kp": 0.0,
+    "kd": 0.0,
+    "ki": 0.0,
+    "gain": 1.0,
+    "saturation": np.inf,
+    "offset": 0.0,
+    "delay": 0.0,
+}
 NEEDED = {"pd": ("kp", "kd"), "pid": ("kp", "ki", "kd"), "cascade": ("kp", "kv")}
 VELOCITIES = ("difference", "averaged_difference", "measured")
 #: Words and lists of [controller] that are no numbers per joint.
-OTHER = ("velocity", "reference_velocity", "sample_time", "fit", "spread", "reference", "disturbance")
+OTHER = (
+    "velocity",
+    "reference_velocity",
+    "sample_time",
+    "fit",
+    "spread",
+    "reference",
+    "disturbance",
+)
 SPREAD = 0.1
 #: A number of the law lies within so many standard deviations of what is stated, and is no less than this share of it.
 WITHIN, LEAST = 5.0, 0.01
@@ -79,14 +95,24 @@ class Law:
     @property
     def numbers(self) -> dict[str, np.ndarray]:
         """Fields of a `PositionLaw`."""
-        return {k: np.array(getattr(self, k)) for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")}
+        return {
+            k: np.array(getattr(self, k))
+            for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")
+        }
 
     @property
     def words(self) -> dict[str, Any]:
-        return {k: getattr(self, k) for k in ("kind", "velocity", "rate", "period", "control")} | {"recorded": bool(self.rates)}
+        return {k: getattr(self, k) for k in ("kind", "velocity", "rate", "period", "control")} | {
+            "recorded": bool(self.rates)
+        }
 
     def torque(
-        self, t: np.ndarray, goal: np.ndarray, q: np.ndarray, rate: np.ndarray | None = None, held: bool = True
+        self,
+        t: np.ndarray,
+        goal: np.ndarray,
+        q: np.ndarray,
+        rate: np.ndarray | None = None,
+        held: bool = True,
     ) -> np.ndarray:
         """Torque that the law asks for along a recording (t [time]; goal, q and the goal's recorded rate [time n]).
 
@@ -106,7 +132,9 @@ class Law:
         else:
             v = number["kp"] * (late - q) + number["kd"] * (wanted - speed)
         tau = number["gain"] * np.clip(v + number["offset"], number["lowest"], number["highest"])
-        return _at(t, np.tile(t - self.period / 2, (q.shape[1], 1)).T, tau) if self.period > 0 else tau
+        return (
+            _at(t, np.tile(t - self.period / 2, (q.shape[1], 1)).T, tau) if self.period > 0 else tau
+        )
 
     def _speed(self, t: np.ndarray, q: np.ndarray) -> np.ndarray:
         if self.velocity == "measured":
@@ -114,7 +142,9 @@ class Law:
         back = (1 if self.velocity == "difference" else 2) * self.period
         return (q - _at(t, np.tile(t - back, (q.shape[1], 1)).T, q)) / back
 
-    def _wanted(self, t: np.ndarray, late: np.ndarray, rate: np.ndarray | None, jump: Any) -> np.ndarray:
+    def _wanted(
+        self, t: np.ndarray, late: np.ndarray, rate: np.ndarray | None, jump: Any
+    ) -> np.ndarray:
         if rate is not None:
             return _at(t, t[:, None] - np.array(self.delay) - np.reshape(jump, (-1, 1)), rate)
         if not self.rate:
@@ -123,8 +153,15 @@ class Law:
 
     def size(self, error: np.ndarray) -> np.ndarray:
         """Torque that position errors [samples n] ask for, 99th percentile."""
-        kp = np.abs(np.array(self.kp) * np.array(self.gain) * (np.array(self.kd) if self.kind == "cascade" else 1.0))
-        return np.minimum(np.percentile(np.abs(error), 99, axis=0) * kp, np.abs(np.array(self.highest) * np.array(self.gain)))
+        kp = np.abs(
+            np.array(self.kp)
+            * np.array(self.gain)
+            * (np.array(self.kd) if self.kind == "cascade" else 1.0)
+        )
+        return np.minimum(
+            np.percentile(np.abs(error), 99, axis=0) * kp,
+            np.abs(np.array(self.highest) * np.array(self.gain)),
+        )
 
     def fitted(self, joints: Sequence[str]) -> tuple[Fitted, ...]:
         """What is fitted: a stated number has a Gaussian prior of its spread, one that is stated as 0 none."""
@@ -135,7 +172,9 @@ class Law:
             for joint, value in zip(joints, getattr(self, field), strict=True):
                 lower, upper, std = 0.0, self._room(name), 0.0
                 if value != 0 and np.isfinite(value):
-                    lower, upper = sorted((value * max(LEAST, 1 - WITHIN * spread), value * (1 + WITHIN * spread)))
+                    lower, upper = sorted(
+                        (value * max(LEAST, 1 - WITHIN * spread), value * (1 + WITHIN * spread))
+                    )
                     std = abs(value) * spread
                 if name == "delay":
                     lower, upper = 0.0, LONGEST_DELAY_S
@@ -145,14 +184,24 @@ class Law:
     def _room(self, name: str) -> float:
         """Upper bound of a number that is stated as 0: damping that stops a joint within seconds, an integral within 0.01 s."""
         kp = max(map(abs, self.kp)) or 1.0
-        return {"delay": LONGEST_DELAY_S, "kd": kp, "kv": kp, "ki": 100 * kp, "kp": 1e4}.get(name, 1e4)
+        return {"delay": LONGEST_DELAY_S, "kd": kp, "kv": kp, "ki": 100 * kp, "kp": 1e4}.get(
+            name, 1e4
+        )
 
     @property
     def text(self) -> str:
         listed = lambda a: ", ".join(f"{x:g}" for x in dict.fromkeys(a))
-        stated = "; ".join(f"{k} = {listed(a)}" for k, a in (("kp", self.kp), ("kd", self.kd), ("ki", self.ki)) if any(a))
+        stated = "; ".join(
+            f"{k} = {listed(a)}"
+            for k, a in (("kp", self.kp), ("kd", self.kd), ("ki", self.ki))
+            if any(a)
+        )
         when = "continuous" if self.period <= 0 else f"every {self.period:g} s"
-        rate = "the goal's rate less the joint's" if self.rate or any(self.rates) else "the joint's own rate"
+        rate = (
+            "the goal's rate less the joint's"
+            if self.rate or any(self.rates)
+            else "the joint's own rate"
+        )
         rates = f", on {rate}" if any(self.kd) else ""
         return f"driven by the {self.kind} law of {self.origin} ({stated}{rates}; {when})"
 
@@ -173,28 +222,40 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     allowed = (*NEEDED[kind], *(k for k in NUMBERS if k not in ("kp", "kd", "ki")), *OTHER)
     for key in settings:
         if key not in allowed:
-            raise UsageError(f"[controller]: kind {kind!r} has no setting {key!r}{nearest(key, allowed)}")
+            raise UsageError(
+                f"[controller]: kind {kind!r} has no setting {key!r}{nearest(key, allowed)}"
+            )
     for key in NEEDED[kind]:
         if key not in settings:
-            raise UsageError(f"[controller]: kind {kind!r} needs {' and '.join(NEEDED[kind])}; {key!r} is missing")
+            raise UsageError(
+                f"[controller]: kind {kind!r} needs {' and '.join(NEEDED[kind])}; {key!r} is missing"
+            )
     number = lambda key: per_joint(settings, key, NUMBERS.get(key, 0.0), joints)
     saturation, gain, delay = number("saturation"), number("gain"), number("delay")
     if min(saturation) <= 0 or 0.0 in gain:
         raise UsageError("[controller]: saturation is positive, gain is not zero")
     if min(delay) < 0 or max(delay) > LONGEST_DELAY_S:
-        raise UsageError(f"[controller]: delay is {settings['delay']!r}; it is from 0 to {LONGEST_DELAY_S:g} s")
+        raise UsageError(
+            f"[controller]: delay is {settings['delay']!r}; it is from 0 to {LONGEST_DELAY_S:g} s"
+        )
     if settings.get("disturbance"):
-        raise UsageError("[controller]: a disturbance is not simulated where the goal drives; make the goals auxiliary channels")
+        raise UsageError(
+            "[controller]: a disturbance is not simulated where the goal drives; make the goals auxiliary channels"
+        )
     every = settings.get("sample_time", period)
     if not isinstance(every, int | float) or every < 0:
-        raise UsageError(f"[controller]: sample_time is {every!r}; it is a number of seconds, 0 where the law is continuous")
+        raise UsageError(
+            f"[controller]: sample_time is {every!r}; it is a number of seconds, 0 where the law is continuous"
+        )
     velocity, rate, rates = _words(settings, float(every), kind, joints)
     fit: Any = settings.get("fit", ())
     fit = (fit,) if isinstance(fit, str) else tuple(fit)
     can = (*NEEDED[kind], "saturation", "delay")
     for name in fit:
         if name not in can:
-            raise UsageError(f"[controller]: fit names {name!r}{nearest(name, can)}; it takes {', '.join(can)}")
+            raise UsageError(
+                f"[controller]: fit names {name!r}{nearest(name, can)}; it takes {', '.join(can)}"
+            )
     spread = _spread(settings.get("spread", {}), can)
     n = len(joints)
     return Law(
@@ -206,7 +267,9 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
 
 def _spread(stated: Any, can: Sequence[str]) -> dict[str, float]:
     """The relative standard deviation of each number of a law; a plain number is that of all of them."""
-    spread: dict[str, Any] = dict(stated) if isinstance(stated, Mapping) else {name: stated for name in can}
+    spread: dict[str, Any] = (
+        dict(stated) if isinstance(stated, Mapping) else {name: stated for name in can}
+    )
     for name, value in spread.items():
         plain = isinstance(value, int | float) and not isinstance(value, bool)
         if name not in can or not (plain and 0 < value < np.inf):
@@ -217,22 +280,34 @@ def _spread(stated: Any, can: Sequence[str]) -> dict[str, float]:
     return {name: float(value) for name, value in spread.items()}
 
 
-def _words(settings: Mapping[str, Any], period: float, kind: str, joints: Sequence[str]) -> tuple[str, bool, tuple[str, ...]]:
+def _words(
+    settings: Mapping[str, Any], period: float, kind: str, joints: Sequence[str]
+) -> tuple[str, bool, tuple[str, ...]]:
     """(velocity, whether the goal's rate is its difference, channels of that rate)."""
     velocity = settings.get("velocity", "difference" if period > 0 else "measured")
     if velocity not in VELOCITIES:
-        raise UsageError(f"[controller]: velocity = {velocity!r} is unknown{nearest(str(velocity), VELOCITIES)}")
+        raise UsageError(
+            f"[controller]: velocity = {velocity!r} is unknown{nearest(str(velocity), VELOCITIES)}"
+        )
     if period <= 0 and velocity != "measured":
-        raise UsageError(f'[controller]: a continuous law (sample_time = 0) has no {velocity}: write velocity = "measured"')
-    wanted = settings.get("reference_velocity", "none" if period <= 0 or kind == "cascade" else "difference")
+        raise UsageError(
+            f'[controller]: a continuous law (sample_time = 0) has no {velocity}: write velocity = "measured"'
+        )
+    wanted = settings.get(
+        "reference_velocity", "none" if period <= 0 or kind == "cascade" else "difference"
+    )
     if wanted not in ("none", "difference"):
         return velocity, False, rates_of(wanted, joints)
     if period <= 0 and wanted != "none":
-        raise UsageError('[controller]: a continuous law (sample_time = 0) has no difference: write reference_velocity = "none"')
+        raise UsageError(
+            '[controller]: a continuous law (sample_time = 0) has no difference: write reference_velocity = "none"'
+        )
     return velocity, wanted == "difference", ()
 
 
-def per_joint(settings: Mapping[str, Any], key: str, default: float, joints: Sequence[str]) -> tuple[float, ...]:
+def per_joint(
+    settings: Mapping[str, Any], key: str, default: float, joints: Sequence[str]
+) -> tuple[float, ...]:
     """A number for all joints, a list in their order, or a table by name."""
     value = settings.get(key, default)
     if isinstance(value, Mapping):
@@ -244,8 +319,14 @@ def per_joint(settings: Mapping[str, Any], key: str, default: float, joints: Seq
             raise UsageError(f"[controller]: {key} states no number for {', '.join(lacking)}")
         values = [value.get(j, default) for j in joints]
     else:
-        values = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value] * len(joints)
-    if len(values) != len(joints) or not all(isinstance(v, int | float) and not isinstance(v, bool) and v == v for v in values):
+        values = (
+            list(value)
+            if isinstance(value, Sequence) and not isinstance(value, str)
+            else [value] * len(joints)
+        )
+    if len(values) != len(joints) or not all(
+        isinstance(v, int | float) and not isinstance(v, bool) and v == v for v in values
+    ):
         raise UsageError(
             f"[controller]: {key} is {value!r}; it is a number, a list of {len(joints)} (in the order {', '.join(joints)}), or a "
             "table by joint"

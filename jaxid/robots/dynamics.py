@@ -18,7 +18,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.dynamics.mechanism import Free
-from jaxid.dynamics.rigid_body import add, cross, inner, into, moved, out_of, Placements, scaled, times, Vector
+from jaxid.dynamics.rigid_body import (
+    add,
+    cross,
+    inner,
+    into,
+    moved,
+    out_of,
+    Placements,
+    scaled,
+    times,
+    Vector,
+)
 from jaxid.numerics.fast_math import dot, inverse, sincos
 
 
@@ -133,7 +144,9 @@ def frames(plan: Plan, body: Body, q: Float[Array, " n"]) -> Placements:
     if body.slide is None:
         return Placements(x, y, z, body.p)
     along = body.slide
-    return Placements(x, y, z, add(body.p, scaled(here, tuple(inner(row, along) for row in body.R0))))  # type: ignore[arg-type]
+    return Placements(
+        x, y, z, add(body.p, scaled(here, tuple(inner(row, along) for row in body.R0)))
+    )  # type: ignore[arg-type]
 
 
 def _routed(route: Any, parts: Any) -> Any:
@@ -162,7 +175,12 @@ def still(fall: Vector) -> Base:
 
 
 def inverse_dynamics(
-    plan: Plan, body: Body, E: Placements, base: Base, qd: Float[Array, " n"], qdd: Float[Array, " n"]
+    plan: Plan,
+    body: Body,
+    E: Placements,
+    base: Base,
+    qd: Float[Array, " n"],
+    qdd: Float[Array, " n"],
 ) -> Float[Array, " n"]:
     """Force or torque at every joint for a motion; armature, damping, friction and springs excluded."""
     v, a = spread(plan, qd), spread(plan, qdd)
@@ -191,9 +209,13 @@ def inverse_dynamics(
     row = jnp.zeros(plan.slots)
     start = jax.tree.map(lambda c: c + row, tuple(base))
     first = None if body.route is None else jnp.asarray(_opened(body.route))
-    _, (force, moment) = jax.lax.scan(outwards, start, (E, body.turn, body.slide, v, a, body.inertia, first))
+    _, (force, moment) = jax.lax.scan(
+        outwards, start, (E, body.turn, body.slide, v, a, body.inertia, first)
+    )
     zero = (row, row, row)
-    tau = jax.lax.scan(inwards, (zero, zero), (E, body.turn, body.slide, force, moment, first), reverse=True)[1]
+    tau = jax.lax.scan(
+        inwards, (zero, zero), (E, body.turn, body.slide, force, moment, first), reverse=True
+    )[1]
     return gathered(plan, tau)
 
 
@@ -243,13 +265,21 @@ LIGHTEST = 0.5
 
 
 def middle_step(
-    matrices: Callable[[Any, Any], tuple[Any, Any]], h: Any, x: tuple[Any, Any], tau: Any, qd: Any, slope: Any, stiffness: Any
+    matrices: Callable[[Any, Any], tuple[Any, Any]],
+    h: Any,
+    x: tuple[Any, Any],
+    tau: Any,
+    qd: Any,
+    slope: Any,
+    stiffness: Any,
 ) -> tuple[Free, Any, Any]:
     """`Mechanism.damped` of a rigid mechanism with these `matrices` of (q, qd), by its forces in the middle of the step alone:
     second order, and one evaluation where the scheme of Runge and Kutta takes four."""
     q, v = x
     M, bias = matrices(q + h / 2 * v, qd)
-    D, push = (jnp.diag(slope), slope * (v - qd)) if slope.ndim == 1 else (slope, dot(slope, v - qd))
+    D, push = (
+        (jnp.diag(slope), slope * (v - qd)) if slope.ndim == 1 else (slope, dot(slope, v - qd))
+    )
     unresolved = jnp.maximum(LIGHTEST * h * h * stiffness - jnp.sum(M * np.eye(len(v)), -1), 0.0)
     A = h * inverse(M + h / 2 * D + jnp.diag(unresolved))
     w = v + dot(A, tau - bias - push)
@@ -262,7 +292,9 @@ def poses(plan: Plan, E: Placements, route: Any) -> Placements:
     def outwards(carry, x):
         E, route = x
         up = _routed(route, carry)
-        here = Placements(out_of(up, E.x), out_of(up, E.y), out_of(up, E.z), add(up.p, out_of(up, E.p)))
+        here = Placements(
+            out_of(up, E.x), out_of(up, E.y), out_of(up, E.z), add(up.p, out_of(up, E.p))
+        )
         return here, here
 
     one, zero = jnp.ones(plan.slots), jnp.zeros(plan.slots)
@@ -289,7 +321,10 @@ def falling(angles: Any, gravity: Float[Array, " 3"], tilt: Any = None) -> tuple
     if tilt is not None:  # v cos - (axis x v) sin + axis (axis . v) (1 - cos)
         angle, axis = tilt
         sine, cosine = sincos(angle)
-        along, across = scaled((1 - cosine) * inner(axis, fall), axis), scaled(-sine, cross(axis, fall))
+        along, across = (
+            scaled((1 - cosine) * inner(axis, fall), axis),
+            scaled(-sine, cross(axis, fall)),
+        )
         fall = add(scaled(cosine, fall), add(along, across))
     return fall
 

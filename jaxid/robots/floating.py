@@ -46,7 +46,9 @@ def floating(tree: Tree) -> Tree:
         return tree
     bodies = [n for n in tree.notes if AS_FIXED in n]
     if len(bodies) > 1:
-        raise UsageError(f"{tree.file}: {len(bodies)} bodies of it are free to move; one base can float: take the others out")
+        raise UsageError(
+            f"{tree.file}: {len(bodies)} bodies of it are free to move; one base can float: take the others out"
+        )
     if taken := [n for n in FLOATS if n in tree.joints]:
         raise UsageError(
             f"{tree.file}: a joint is called {taken[0]!r}, which is the name of a coordinate of a free base: rename it"

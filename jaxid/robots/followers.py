@@ -33,7 +33,9 @@ def led(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
         if lead != leader:
             tree = led_by(tree, lead)
             back = next(c for c in tree.couplings if c.follower == leader)
-            notes.append(f"{lead} is recorded and stands for {leader}, as the file couples them: {_equation(back)}")
+            notes.append(
+                f"{lead} is recorded and stands for {leader}, as the file couples them: {_equation(back)}"
+            )
     return _with_drives(tree), tuple(notes)
 
 
@@ -51,7 +53,9 @@ def led_by(tree: Tree, lead: str) -> Tree:
         if c is own:
             couplings.append(back)
         elif c.leader == own.leader:
-            couplings.append(Coupling(c.follower, lead, c.offset + c.ratio * back.offset, c.ratio * back.ratio))
+            couplings.append(
+                Coupling(c.follower, lead, c.offset + c.ratio * back.offset, c.ratio * back.ratio)
+            )
         else:
             couplings.append(c)
     return replace(tree, couplings=tuple(couplings))
@@ -111,7 +115,13 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
     if channel.unit not in known:
         return dataset
     scaled = lambda size: None if size is None else size * abs(scale)
-    moved = replace(channel, name=new, unit=unit, noise_std=scaled(channel.noise_std), resolution=scaled(channel.resolution))
+    moved = replace(
+        channel,
+        name=new,
+        unit=unit,
+        noise_std=scaled(channel.noise_std),
+        resolution=scaled(channel.resolution),
+    )
     column = _column(dataset.inputs, old)
 
     def one(e: Experiment) -> Experiment:
@@ -119,7 +129,9 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
         if column is not None:
             u = u.copy()
             u[:, column] = at_leader(u[:, column])
-        auxiliary = {new if k == old else k: at_leader(v) if k == old else v for k, v in e.auxiliary.items()}
+        auxiliary = {
+            new if k == old else k: at_leader(v) if k == old else v for k, v in e.auxiliary.items()
+        }
         return replace(e, u=u, auxiliary=auxiliary, past=None if e.past is None else one(e.past))
 
     what = "goal" if end == "_cmd" else "torque"

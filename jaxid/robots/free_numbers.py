@@ -15,8 +15,14 @@ from jaxid.robots.tree import Tree
 def held(robot: Any) -> frozenset[str]:
     """Names of the numbers that no fit moves unless it is told to."""
     joints, fitted = robot.signatures[0].joints, {one.name for one in robot.fitted}
-    out = {f"{field}@{link}" for field in BODY for link in robot.links} - robot.tree.tree.free_moments()
-    out |= {f"{field}@{j}" for field in ("encoder_bias", "stiffness", "quadratic_damping") for j in robot.joints}
+    out = {
+        f"{field}@{link}" for field in BODY for link in robot.links
+    } - robot.tree.tree.free_moments()
+    out |= {
+        f"{field}@{j}"
+        for field in ("encoder_bias", "stiffness", "quadratic_damping")
+        for j in robot.joints
+    }
     out |= {"base_roll", "base_pitch"}
     out |= {f"armature@{j}" for j in robot.joints if j not in robot.tree.tree.driven}
     if robot.floats:

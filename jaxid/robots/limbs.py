@@ -23,7 +23,10 @@ def limbs_of(model: object, dataset: Dataset) -> list[tuple[Any, Dataset]]:
         return [(whole, dataset)]
     tree, _ = recorded(whole.tree.tree, dataset)
     groups = tree.limbs()
-    return [(type(whole)(tree.only(joints), driven=False), part(dataset, tree, joints)) for joints in groups]
+    return [
+        (type(whole)(tree.only(joints), driven=False), part(dataset, tree, joints))
+        for joints in groups
+    ]
 
 
 def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
@@ -55,7 +58,12 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
 
     model = dataset.model
     if model is not None:
-        model = replace(model, constants=_own(model.constants, names), parameters=_own(model.parameters, names), joints={})
+        model = replace(
+            model,
+            constants=_own(model.constants, names),
+            parameters=_own(model.parameters, names),
+            joints={},
+        )
     return replace(
         dataset,
         channels=tuple(keep),
@@ -67,7 +75,11 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
 
 def _own(numbers: Mapping[str, Any], names: set[str]) -> dict[str, Any]:
     """Numbers that belong to no joint or link, or to one of these."""
-    return {k: v for k, v in numbers.items() if "@" not in k or k.split("@", 1)[1].removesuffix("_cmd") in names}
+    return {
+        k: v
+        for k, v in numbers.items()
+        if "@" not in k or k.split("@", 1)[1].removesuffix("_cmd") in names
+    }
 
 
 def _law(controller: Controller, every: Sequence[str], joints: Sequence[str]) -> Controller:
@@ -92,4 +104,6 @@ def effects_at(effects: Sequence[Any], robot: Any) -> tuple[Any, ...]:
     """Those effects (`dead_zone@NAME_cmd`) that have no place, or one in this limb."""
     joints = robot.tree.tree.joints
     at = lambda e: e.partition("@")[2] if isinstance(e, str) else ""
-    return tuple(e for e in effects if not at(e) or at(e) in joints or at(e).rsplit("_", 1)[0] in joints)
+    return tuple(
+        e for e in effects if not at(e) or at(e) in joints or at(e).rsplit("_", 1)[0] in joints
+    )

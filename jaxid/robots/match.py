@@ -38,7 +38,9 @@ def robot_of(text: str, file: str, tip: str | None = None) -> Any:
     from jaxid.models import Robot
 
     urdf = re.search(r"<\s*(robot|mujoco)\b", text)
-    return (Robot.from_urdf if urdf and urdf[1] == "robot" else Robot.from_mjcf)(file, tip=tip, text=text)
+    return (Robot.from_urdf if urdf and urdf[1] == "robot" else Robot.from_mjcf)(
+        file, tip=tip, text=text
+    )
 
 
 def robot_from(path: str, tip: str | None = None) -> Any:
@@ -55,8 +57,14 @@ def is_file(model: object) -> TypeGuard[str]:
 
 def spec_of_file(path: str) -> ModelSpec:
     """What a dataset says of a robot by its file, includes in place."""
-    text = Path(path).read_text(encoding="utf-8-sig") if path.lower().endswith(".urdf") else expanded(Path(path))
-    return ModelSpec("robot", geometry=Geometry(file=Path(path).name, tip=getattr(path, "tip", None), robot=text))
+    text = (
+        Path(path).read_text(encoding="utf-8-sig")
+        if path.lower().endswith(".urdf")
+        else expanded(Path(path))
+    )
+    return ModelSpec(
+        "robot", geometry=Geometry(file=Path(path).name, tip=getattr(path, "tip", None), robot=text)
+    )
 
 
 def is_robot(model: object) -> bool:
@@ -68,11 +76,17 @@ def forms_of(channel: str, joint: str) -> dict[str, str]:
     forms = {channel: joint, **{channel + end: joint + end for end in KINDS}}
     if re.fullmatch(r"q\d*", channel):
         number = channel[1:]
-        forms |= {f"tau{number}": f"{joint}_tau", f"qd{number}": f"{joint}_qd", f"force{number}": f"{joint}_tau"}
+        forms |= {
+            f"tau{number}": f"{joint}_tau",
+            f"qd{number}": f"{joint}_qd",
+            f"force{number}": f"{joint}_tau",
+        }
     return forms
 
 
-def of_the_file(joints: Mapping[str, str], tree: Tree, have: set[str]) -> tuple[dict[str, str], dict[str, str]]:
+def of_the_file(
+    joints: Mapping[str, str], tree: Tree, have: set[str]
+) -> tuple[dict[str, str], dict[str, str]]:
     """Channel -> joint of the file, whose names may be written a little differently (`arm/Shoulder-Pan`, `shoulder_pan.pos`); and
     those that the file lacks while all joints that it has are recorded.
 
@@ -80,7 +94,11 @@ def of_the_file(joints: Mapping[str, str], tree: Tree, have: set[str]) -> tuple[
     """
     found, gone = {}, {}
     for channel, joint in joints.items():
-        alike = [joint] if joint in tree.joints else [j for j in tree.joints if plain_name(j) == plain_name(joint)]
+        alike = (
+            [joint]
+            if joint in tree.joints
+            else [j for j in tree.joints if plain_name(j) == plain_name(joint)]
+        )
         if len(alike) == 1:
             found[channel] = alike[0]
         else:
@@ -88,7 +106,9 @@ def of_the_file(joints: Mapping[str, str], tree: Tree, have: set[str]) -> tuple[
     lacking = [joint for joint in gone.values() if joint not in tree.held]
     if lacking and not set(tree.leading) <= {*found.values(), *(have - set(gone))}:
         first = lacking[0]
-        raise UsageError(f"[model.joints] names {first!r}, no joint of {tree.file}{nearest(first, tree.joints)}")
+        raise UsageError(
+            f"[model.joints] names {first!r}, no joint of {tree.file}{nearest(first, tree.joints)}"
+        )
     return found, gone
 
 
@@ -103,16 +123,25 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
         dataset = left_out(dataset, out)
         notes = [f"left out, for {tree.file or 'the robot'} lacks them: {', '.join(gone.values())}"]
         have = {c.name for c in dataset.channels}
-    numbered = sorted((c.name for c in dataset.outputs if re.fullmatch(r"q\d*", c.name)), key=lambda c: int(c[1:] or 1))
+    numbered = sorted(
+        (c.name for c in dataset.outputs if re.fullmatch(r"q\d*", c.name)),
+        key=lambda c: int(c[1:] or 1),
+    )
     if not joints and numbered and not have & set(tree.joints):
         places = [int(c[1:] or 1) for c in numbered]
         if max(places) > len(tree.leading):
-            raise UsageError(f"channel {numbered[-1]} has no joint: {tree.file} has {', '.join(tree.leading)}")
+            raise UsageError(
+                f"channel {numbered[-1]} has no joint: {tree.file} has {', '.join(tree.leading)}"
+            )
         joints = {c: tree.leading[k - 1] for c, k in zip(numbered, places, strict=True)}
         listed = ", ".join(f"{c} = {j}" for c, j in joints.items())
-        notes += [f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"]
+        notes += [
+            f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"
+        ]
     elif not joints and numbered and {c.name for c in dataset.outputs} <= set(tree.joints):
-        joints = {c: c for c in numbered}  # joints that are named q, q1 …: their torques are tau, tau1 …
+        joints = {
+            c: c for c in numbered
+        }  # joints that are named q, q1 …: their torques are tau, tau1 …
     names = {}
     for channel, joint in joints.items():
         forms = forms_of(channel, joint)
@@ -121,7 +150,9 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
         return replace(dataset, notes=(*dataset.notes, *notes)) if notes else dataset
     clash = sorted({new for new in names.values() if new in have and new not in names})
     if clash:
-        raise UsageError(f"the recording has a channel {clash[0]!r} beside the one that [model.joints] names so: rename one")
+        raise UsageError(
+            f"the recording has a channel {clash[0]!r} beside the one that [model.joints] names so: rename one"
+        )
     new = lambda name: names.get(name, name)
     return replace(
         dataset,
@@ -147,11 +178,22 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
              and c.name.endswith("_cmd")]  # fmt: skip
     spec = dataset.model
     free = spec is not None and spec.free and dataset.controller is None
-    if not goals or free or any(n.removesuffix("_tau") in tree.joints or n.removesuffix("_cmd") in tree.joints for n in inputs):
+    if (
+        not goals
+        or free
+        or any(
+            n.removesuffix("_tau") in tree.joints or n.removesuffix("_cmd") in tree.joints
+            for n in inputs
+        )
+    ):
         return dataset
     note = "no torque was recorded: the goals drive through the stated law"
     moved = as_inputs(dataset, [c.name for c in goals])
-    return replace(moved, model=None if spec is None else replace(spec, free=False), notes=(*dataset.notes, note))
+    return replace(
+        moved,
+        model=None if spec is None else replace(spec, free=False),
+        notes=(*dataset.notes, note),
+    )
 
 
 def for_a_robot(dataset: Dataset) -> Dataset:
@@ -159,11 +201,19 @@ def for_a_robot(dataset: Dataset) -> Dataset:
     spec = dataset.model
     if spec is None or spec.name in (None, "robot"):
         return dataset
-    own = lambda numbers: {k: v for k, v in numbers.items() if "@" in k or k == "smoothing_velocity"}
+    own = lambda numbers: {
+        k: v for k, v in numbers.items() if "@" in k or k == "smoothing_velocity"
+    }
     constants, parameters = own(spec.constants), own(spec.parameters)
     gone = [k for k in (*spec.constants, *spec.parameters) if k not in (*constants, *parameters)]
-    note = f"dataset.toml states {', '.join(gone)} of {spec.name}, which is not the model asked for: not used" if gone else ""
-    spec = replace(spec, name="robot", geometry=None, without=(), constants=constants, parameters=parameters)
+    note = (
+        f"dataset.toml states {', '.join(gone)} of {spec.name}, which is not the model asked for: not used"
+        if gone
+        else ""
+    )
+    spec = replace(
+        spec, name="robot", geometry=None, without=(), constants=constants, parameters=parameters
+    )
     return replace(dataset, model=spec, notes=(*dataset.notes, *([note] if note else [])))
 
 
@@ -174,8 +224,17 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     if isinstance(model, str) and model.lower().endswith((".xml", ".mjcf")):
         model = robot_from(model, tip)
     elif isinstance(model, str) and model.lower().endswith(".urdf"):
-        model = robot_from(model, tip) if tip is not None or wanted(dataset) else _beyond_an_arm(model, dataset)
-    elif (model is None or model == "robot") and spec is not None and spec.geometry is not None and spec.geometry.robot:
+        model = (
+            robot_from(model, tip)
+            if tip is not None or wanted(dataset)
+            else _beyond_an_arm(model, dataset)
+        )
+    elif (
+        (model is None or model == "robot")
+        and spec is not None
+        and spec.geometry is not None
+        and spec.geometry.robot
+    ):
         model = robot_of(spec.geometry.robot, spec.geometry.file, spec.geometry.tip)
     if not is_robot(model):
         return model, dataset
@@ -236,7 +295,11 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     if goals:
         first = (dataset.split("fit") or dataset.experiments)[0]
         period = float(np.median(np.diff(first.t)))
-        law = stated_law(dataset.controller, joints, period) if dataset.controller is not None else file_law(tree)
+        law = (
+            stated_law(dataset.controller, joints, period)
+            if dataset.controller is not None
+            else file_law(tree)
+        )
         out = out.driven_by(law)
     out = _placed(out, spec)
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
@@ -244,7 +307,9 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     units = {c.name: c.unit for c in dataset.channels}
     for name, unit in (*signature.outputs, *(() if free else signature.inputs)):
         if (have := units.get(name, unit)) != unit:
-            raise UsageError(f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}: correct its unit")
+            raise UsageError(
+                f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}: correct its unit"
+            )
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
 
 
@@ -296,7 +361,10 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
         held[joint] = constants.get(f"{POSE}{joint}", value)
     if held:
         listed = ", ".join(f"{j} at {v:.4g}" for j, v in held.items())
-        notes = (*notes, f"not recorded and held: {listed} (state {POSE}NAME under [model.constants] where that is wrong)")
+        notes = (
+            *notes,
+            f"not recorded and held: {listed} (state {POSE}NAME under [model.constants] where that is wrong)",
+        )
     if tree.ties:
         listed = "; ".join(f"{t.what}, of {', '.join(t.joints)}" for t in tree.ties)
         notes = (*notes, f"not simulated, for all joints that it acts on are held: {listed}")
@@ -339,5 +407,7 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     _, notes = recorded(tree, dataset)
     law = matched(model, dataset).mechanism.drive_law  # type: ignore[attr-defined]
     notes = notes if law is None else (*notes, law.text)
-    impossible = [f"{text}: no body has it, the nearest one is simulated" for _, text in tree.impossible]
+    impossible = [
+        f"{text}: no body has it, the nearest one is simulated" for _, text in tree.impossible
+    ]
     return (*tree.notes, *impossible, *notes, *stops.sentences(tree, dataset))

@@ -33,7 +33,9 @@ def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
     try:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
+        raise UsageError(
+            f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}"
+        ) from None
     return _Reader(path, model, tendons).tree()
 
 
@@ -55,7 +57,17 @@ class _Reader:
 
     def tree(self) -> Tree:
         m, mj = self.m, self.mj
-        joints, links, parent, slides, axis, place, inertia, anchor, number = [], [], [], [], [], [], [], [], []
+        joints, links, parent, slides, axis, place, inertia, anchor, number = (
+            [],
+            [],
+            [],
+            [],
+            [],
+            [],
+            [],
+            [],
+            [],
+        )
         carrier = {0: (-1, np.eye(4))}  # body -> (node that carries it, its frame there)
         trunk, root, free, base = (
             np.zeros(10),
@@ -105,14 +117,22 @@ class _Reader:
                 inertia[node] = inertia[node] + turned(self.ten(b), carrier[b][1])
         if not joints:
             raise self.refuse("no hinge or slide joint moves anything in it")
-        unmoved = [links[k] or joints[k] for k in range(len(joints)) if not self.carries(k, parent, inertia)]
+        unmoved = [
+            links[k] or joints[k]
+            for k in range(len(joints))
+            if not self.carries(k, parent, inertia)
+        ]
         if unmoved:
             raise self.refuse(f"nothing of mass hangs on {unmoved[0]!r}; state its <inertial>")
         j, dof = np.array(number), m.jnt_dofadr[number]
         for k in j:
-            poly = [getattr(m, f)[k] for f in ("jnt_stiffnesspoly", "jnt_springyield") if hasattr(m, f)]
+            poly = [
+                getattr(m, f)[k] for f in ("jnt_stiffnesspoly", "jnt_springyield") if hasattr(m, f)
+            ]
             if np.any(np.concatenate([np.ravel(p) for p in poly])):
-                raise self.refuse(f"joint {self.name('JOINT', k)!r} has a spring that is not linear, which is not simulated")
+                raise self.refuse(
+                    f"joint {self.name('JOINT', k)!r} has a spring that is not linear, which is not simulated"
+                )
         damping = np.column_stack([m.dof_damping[dof], m.dof_dampingpoly[dof]])[:, :3]
         limited = m.jnt_limited[j].astype(bool)
         force = [self.joint_force(k) for k in j]
@@ -141,27 +161,37 @@ class _Reader:
         R = pose(np.zeros(3), m.body_iquat[b])[:3, :3]
         I = R @ np.diag(m.body_inertia[b]) @ R.T
         if m.body_gravcomp[b]:
-            raise self.refuse(f"body {self.name('BODY', b)!r} has gravcomp, a force that is not simulated")
+            raise self.refuse(
+                f"body {self.name('BODY', b)!r} has gravcomp, a force that is not simulated"
+            )
         return about_origin(m.body_mass[b], m.body_ipos[b], I[np.triu_indices(3)])
 
     def carries(self, node: int, parent: list[int], inertia: list[np.ndarray]) -> bool:
-        return inertia[node][9] > 0 or any(self.carries(k, parent, inertia) for k, up in enumerate(parent) if up == node)
+        return inertia[node][9] > 0 or any(
+            self.carries(k, parent, inertia) for k, up in enumerate(parent) if up == node
+        )
 
     def options(self) -> None:
         o, flags = self.m.opt, int(self.m.opt.disableflags)
         if o.density or o.viscosity or np.any(o.wind):
             self.notes.append("the file's fluid (density, viscosity, wind) is not simulated")
         if flags & int(self.mj.mjtDisableBit.mjDSBL_GRAVITY):
-            raise self.refuse('<flag gravity="disable"> is not read: write <option gravity="0 0 0"/>')
+            raise self.refuse(
+                '<flag gravity="disable"> is not read: write <option gravity="0 0 0"/>'
+            )
 
     def joint_force(self, j: int) -> tuple[float, float]:
         m = self.m
-        return tuple(map(float, m.jnt_actfrcrange[j])) if m.jnt_actfrclimited[j] else (-np.inf, np.inf)  # type: ignore[return-value]
+        return (
+            tuple(map(float, m.jnt_actfrcrange[j])) if m.jnt_actfrclimited[j] else (-np.inf, np.inf)
+        )  # type: ignore[return-value]
 
     def ball(self, j: int) -> None:
         """A ball joint is held where the file puts it, and everything behind it with it."""
         name = self.name("JOINT", j)
-        self.notes.append(f"joint {name!r} is a ball joint: held where the file puts it (jaxid takes hinge and slide joints)")
+        self.notes.append(
+            f"joint {name!r} is a ball joint: held where the file puts it (jaxid takes hinge and slide joints)"
+        )
         self.ties.add(f"ball joint {name!r}", self.ties.behind(j))
 
     def couplings(self) -> tuple[tuple[Coupling, ...], dict[str, float]]:
@@ -186,10 +216,20 @@ class _Reader:
             if np.any(c[2:]):
                 self.ties.add(f"equality {name!r}, a polynomial of degree above 1", (first, second))
                 continue
-            out.append(Coupling(first, second, float(start + c[0] - c[1] * m.qpos0[m.jnt_qposadr[b]]), float(c[1])))
+            out.append(
+                Coupling(
+                    first,
+                    second,
+                    float(start + c[0] - c[1] * m.qpos0[m.jnt_qposadr[b]]),
+                    float(c[1]),
+                )
+            )
         couplings, rest = resolved(out)
         for c in rest:
-            self.ties.add(f"equality of {c.follower!r} with {c.leader!r}, one of several", (c.follower, c.leader))
+            self.ties.add(
+                f"equality of {c.follower!r} with {c.leader!r}, one of several",
+                (c.follower, c.leader),
+            )
         return couplings, fixed
 
     def loop(self, e: int, name: str, kind: int) -> None:
@@ -207,7 +247,9 @@ class _Reader:
             return out
         for a, j in self.on_joints():
             if j in number:
-                out[number.index(j)] += float(np.ravel(values[a])[0]) * self.m.actuator_gear[a, 0] ** 2
+                out[number.index(j)] += (
+                    float(np.ravel(values[a])[0]) * self.m.actuator_gear[a, 0] ** 2
+                )
         return out
 
     def on_joints(self) -> Iterable[tuple[int, int]]:
@@ -222,8 +264,12 @@ class _Reader:
         on = dict(self.on_joints())
         for a in range(m.nu):
             if a not in on:
-                what = self.mj.mjtTrn(int(m.actuator_trntype[a])).name.removeprefix("mjTRN_").lower()
-                self.notes.append(f"actuator {self.name('ACTUATOR', a)!r} acts on a {what}, not on a joint: left out")
+                what = (
+                    self.mj.mjtTrn(int(m.actuator_trntype[a])).name.removeprefix("mjTRN_").lower()
+                )
+                self.notes.append(
+                    f"actuator {self.name('ACTUATOR', a)!r} acts on a {what}, not on a joint: left out"
+                )
         out: dict[str, Actuator] = {}
         for a, j in on.items():
             if j in number:
@@ -242,7 +288,10 @@ class _Reader:
         b0, b1, b2 = (float(v) for v in bias[:3]) if affine else (0.0, 0.0, 0.0)
         dyn, kinds = int(m.actuator_dyntype[a]), mj.mjtDyn
         known = int(m.actuator_gaintype[a]) == int(mj.mjtGain.mjGAIN_FIXED) and g != 0
-        known &= int(m.actuator_biastype[a]) in (int(mj.mjtBias.mjBIAS_NONE), int(mj.mjtBias.mjBIAS_AFFINE))
+        known &= int(m.actuator_biastype[a]) in (
+            int(mj.mjtBias.mjBIAS_NONE),
+            int(mj.mjtBias.mjBIAS_AFFINE),
+        )
         lagging = dyn in (int(kinds.mjDYN_FILTER), int(kinds.mjDYN_FILTEREXACT))
         known &= lagging or dyn == int(kinds.mjDYN_NONE)
         if b1 == 0 and b2 == 0:
@@ -255,10 +304,20 @@ class _Reader:
             self.notes.append(
                 f"actuator {self.name('ACTUATOR', a)!r} has a gear of {g:g}: its goal is a position of the joint, ctrl / {g:g}"
             )
-        force = tuple(map(float, m.actuator_forcerange[a])) if m.actuator_forcelimited[a] else endless
+        force = (
+            tuple(map(float, m.actuator_forcerange[a])) if m.actuator_forcelimited[a] else endless
+        )
         low, high = self.joint_force(j)
-        force = (max(force[0], min(low / g, high / g)), min(force[1], max(low / g, high / g))) if g else force
-        control: Any = sorted(float(v) / g for v in m.actuator_ctrlrange[a]) if m.actuator_ctrllimited[a] and g else endless
+        force = (
+            (max(force[0], min(low / g, high / g)), min(force[1], max(low / g, high / g)))
+            if g
+            else force
+        )
+        control: Any = (
+            sorted(float(v) / g for v in m.actuator_ctrlrange[a])
+            if m.actuator_ctrllimited[a] and g
+            else endless
+        )
         return Actuator(
             self.name("ACTUATOR", a), kind if known else "other", -b1 * g * g, -b2 * g * g, float(gain[0]), b0 * g,
             (min(force[0] * g, force[1] * g), max(force[0] * g, force[1] * g)), tuple(control),
@@ -268,7 +327,10 @@ class _Reader:
     def poses(self, number: list[int], joints: list[str]) -> dict[str, dict[str, float]]:
         m = self.m
         at = m.jnt_qposadr[number]
-        return {self.name("KEY", k): dict(zip(joints, map(float, m.key_qpos[k][at]), strict=True)) for k in range(m.nkey)}
+        return {
+            self.name("KEY", k): dict(zip(joints, map(float, m.key_qpos[k][at]), strict=True))
+            for k in range(m.nkey)
+        }
 
 
 def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:

@@ -16,7 +16,19 @@ from jaxid.wording import listed
 
 
 #: What is drawn, touched or sensed, and moves nothing.
-DROPPED = ("geoms", "pairs", "excludes", "skins", "meshes", "hfields", "materials", "textures", "sensors", "cameras", "lights")
+DROPPED = (
+    "geoms",
+    "pairs",
+    "excludes",
+    "skins",
+    "meshes",
+    "hfields",
+    "materials",
+    "textures",
+    "sensors",
+    "cameras",
+    "lights",
+)
 
 
 def library() -> Any:
@@ -33,11 +45,17 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
     try:
         spec = mujoco.MjSpec.from_string(text)
     except (ValueError, mujoco.FatalError) as error:
-        raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
+        raise UsageError(
+            f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}"
+        ) from None
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         raise UsageError(f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is not read; state '
                          f"<inertial> in each body and remove it. {_written_by_mujoco(path)}")  # fmt: skip
-    silent = [] if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE else _silent(spec)
+    silent = (
+        []
+        if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+        else _silent(spec)
+    )
     shapes = [(b.name, list(_heavy(b, spec))) for b in silent]
     lacking = [name or "a body without a name" for name, own in shapes if not all(map(_plain, own))]
     if lacking:
@@ -47,7 +65,9 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
         )
     faults = [f for b in spec.bodies if b.explicitinertial and (f := _fault(b))]
     if faults:
-        raise UsageError(f"{path}: {'; '.join(faults)}: no body has such an inertia; correct <inertial>")
+        raise UsageError(
+            f"{path}: {'; '.join(faults)}: no body has such an inertia; correct <inertial>"
+        )
     tendons, lost = acting_tendons(mujoco, spec)
     if lost:
         raise UsageError(f"{path}: tendon {lost[0]!r} is used and stands nowhere")
@@ -84,7 +104,11 @@ def _written_by_mujoco(path: Path) -> str:
 
 def _silent(spec: Any) -> list[Any]:
     """Bodies without a stated inertia that a joint of the robot carries, and that geometry gives mass."""
-    return [b for b in spec.bodies if not b.explicitinertial and _moves(b) and not _loose(b) and any(_heavy(b, spec))]
+    return [
+        b
+        for b in spec.bodies
+        if not b.explicitinertial and _moves(b) and not _loose(b) and any(_heavy(b, spec))
+    ]
 
 
 def _up(body: Any) -> list[Any]:
@@ -124,11 +148,19 @@ def _heavy(body: Any, spec: Any) -> Iterable[Any]:
 def _plain(geom: Any) -> bool:
     """Whether a geom is a shape of its own, whose inertia needs no file."""
     kinds = library().mjtGeom
-    shapes = (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE, kinds.mjGEOM_ELLIPSOID, kinds.mjGEOM_CYLINDER, kinds.mjGEOM_BOX)
+    shapes = (
+        kinds.mjGEOM_SPHERE,
+        kinds.mjGEOM_CAPSULE,
+        kinds.mjGEOM_ELLIPSOID,
+        kinds.mjGEOM_CYLINDER,
+        kinds.mjGEOM_BOX,
+    )
     return geom.type in shapes and not geom.meshname
 
 
 def _fault(body: Any) -> str | None:
     full = np.asarray(body.fullinertia, np.float64)
-    xx, yy, zz, xy, xz, yz = full if np.isfinite(full).all() else (*np.asarray(body.inertia, np.float64), 0.0, 0.0, 0.0)
+    xx, yy, zz, xy, xz, yz = (
+        full if np.isfinite(full).all() else (*np.asarray(body.inertia, np.float64), 0.0, 0.0, 0.0)
+    )
     return fault(body.name, about_origin(body.mass, np.zeros(3), [xx, xy, xz, yy, yz, zz]))

@@ -17,18 +17,30 @@ def expanded(path: Path, text: str | None = None) -> str:
     """The MJCF with its includes in place. Raises `UsageError` for what is no MJCF, lies outside its folder, or is too large."""
     root = _parsed(path, text)
     if root.tag not in ("mujoco", "mujocoinclude"):
-        raise UsageError(f"{path}: the outermost tag is <{root.tag}>, not <mujoco>; give an MJCF (or name a .urdf)")
+        raise UsageError(
+            f"{path}: the outermost tag is <{root.tag}>, not <mujoco>; give an MJCF (or name a .urdf)"
+        )
     budget = [LARGEST]
     _include(root, path, path.parent.resolve(), 0, budget)
-    for tag, what in (("flexcomp", "a flexible body"), ("composite", "a composite body"), ("attach", "another model")):
+    for tag, what in (
+        ("flexcomp", "a flexible body"),
+        ("composite", "a composite body"),
+        ("attach", "another model"),
+    ):
         found = next(root.iter(tag), None)
         if found is not None:
-            raise UsageError(f"{path}: <{tag}> {found.get('name') or found.get('prefix') or ''} is {what}, which is not read")
+            raise UsageError(
+                f"{path}: <{tag}> {found.get('name') or found.get('prefix') or ''} is {what}, which is not read"
+            )
     for parent in list(root.iter()):
-        for child in [c for c in parent if c.tag in ("extension", "plugin", "visual", "statistic", "size")]:
+        for child in [
+            c for c in parent if c.tag in ("extension", "plugin", "visual", "statistic", "size")
+        ]:
             parent.remove(child)
         for child in [c for c in parent if parent.tag == "asset"]:
-            if child.tag != "material":  # geoms name them in defaults; they read no file once their texture is gone
+            if (
+                child.tag != "material"
+            ):  # geoms name them in defaults; they read no file once their texture is gone
                 parent.remove(child)
             child.attrib.pop("texture", None)
             for layer in list(child):
@@ -45,11 +57,15 @@ def _parsed(path: Path, text: str | None) -> Element:
             if not path.is_file():
                 raise UsageError(f"{path}: not a file")
             if size > LARGEST:
-                raise UsageError(f"{path}: {size / 1e6:.0f} MB; a robot's file has at most {LARGEST / 1e6:.0f} MB")
+                raise UsageError(
+                    f"{path}: {size / 1e6:.0f} MB; a robot's file has at most {LARGEST / 1e6:.0f} MB"
+                )
             text = path.read_text(encoding="utf-8-sig")
         root = xml_root(text)
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: a character that is not UTF-8; save the file as UTF-8") from error
+        raise UsageError(
+            f"{path}: a character that is not UTF-8; save the file as UTF-8"
+        ) from error
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror})") from error
     except (ParseError, ValueError, RecursionError) as error:
@@ -69,10 +85,19 @@ def _include(element: Element, path: Path, folder: Path, depth: int, budget: lis
         name = child.get("file") or ""
         target = folder / name
         parts = name.replace("\\", "/").split("/")
-        if not name or ".." in parts or Path(name).is_absolute() or not target.resolve().is_relative_to(folder):
-            raise UsageError(f"{path}: includes {name!r}, which lies outside its folder; put it beside the file")
+        if (
+            not name
+            or ".." in parts
+            or Path(name).is_absolute()
+            or not target.resolve().is_relative_to(folder)
+        ):
+            raise UsageError(
+                f"{path}: includes {name!r}, which lies outside its folder; put it beside the file"
+            )
         if depth >= DEEPEST:
-            raise UsageError(f"{path}: includes {name!r} more than {DEEPEST} files deep; does a file include itself?")
+            raise UsageError(
+                f"{path}: includes {name!r} more than {DEEPEST} files deep; does a file include itself?"
+            )
         root = _parsed(target, None)
         budget[0] -= target.stat().st_size
         if budget[0] < 0:

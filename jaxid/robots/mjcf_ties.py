@@ -30,7 +30,13 @@ class Tendon:
 def acting_tendons(mujoco: Any, spec: Any) -> tuple[list[Tendon], list[str]]:
     """(tendons of a spec that drive, couple or brake, names that are used and stand nowhere)."""
     used = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_TENDON}
-    used |= {n for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_TENDON for n in (e.name1, e.name2) if n}
+    used |= {
+        n
+        for e in spec.equalities
+        if e.type == mujoco.mjtEq.mjEQ_TENDON
+        for n in (e.name1, e.name2)
+        if n
+    }
     automatic = bool(spec.compiler.autolimits)
     acting = []
     for tendon in spec.tendons:
@@ -106,7 +112,11 @@ class Ties:
     def behind(self, joint: int) -> list[str]:
         """Names of hinge and slide joints that a joint carries."""
         numbers = [j for j in range(self.m.njnt) if joint in self.above(int(self.m.jnt_bodyid[j]))]
-        return [self.joint(j) for j in numbers if int(self.m.jnt_type[j]) in self.singles() and j != joint]
+        return [
+            self.joint(j)
+            for j in numbers
+            if int(self.m.jnt_type[j]) in self.singles() and j != joint
+        ]
 
     def tendons(self, tendons: Sequence[Tendon]) -> None:
         body = lambda name: self.mj.mj_name2id(self.m, self.mj.mjtObj.mjOBJ_BODY, name)

@@ -46,7 +46,9 @@ def origin_on(model: object, dataset: Dataset) -> dict[str, Any]:
     robot, data = prepared(model, dataset)
     if not is_robot(robot):
         return {}
-    return origin(matched(robot, data).mechanism, None if data.model is None else data.model.geometry)
+    return origin(
+        matched(robot, data).mechanism, None if data.model is None else data.model.geometry
+    )
 
 
 def joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -54,7 +56,10 @@ def joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     out = dict(parts[0])
     out["joints"] = [j for p in parts for j in p.get("joints", ())]
     if out.get("drive"):
-        out["drive"] = {**out["drive"], "joints": {j: n for p in parts for j, n in p["drive"]["joints"].items()}}
+        out["drive"] = {
+            **out["drive"],
+            "joints": {j: n for p in parts for j, n in p["drive"]["joints"].items()},
+        }
     return out
 
 

@@ -40,7 +40,9 @@ def sentences(tree: Tree, dataset: Dataset) -> tuple[str, ...]:
         k = tree.joint(joint)
         unit = "m" if tree.slides[k] else "rad"
         ends = f"{number(float(tree.lower[k]))} to {number(float(tree.upper[k]))} {unit}"
-        told.append(f"{joint} stands at or past its range ({ends}) in {100 * share:.2g} % of the samples")
+        told.append(
+            f"{joint} stands at or past its range ({ends}) in {100 * share:.2g} % of the samples"
+        )
     text = f"{'; '.join(told)}: MuJoCo stops it there, jaxid's model has no stops"
     return (f"{text}{_in_degrees(tree, [j for j, _ in found])}",)
 

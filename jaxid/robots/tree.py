@@ -143,7 +143,9 @@ class Tree:
         arrays = ("axis", "place", "reference", "inertia", "anchor", "armature", "damping", "frictionloss", "stiffness",
                   "spring", "lower", "upper", "velocity", "effort")  # fmt: skip
         out: dict[str, Any] = {name: getattr(self, name)[k] for name in arrays}
-        return out | {name: tuple(getattr(self, name)[i] for i in k) for name in ("joints", "links", "slides")}
+        return out | {
+            name: tuple(getattr(self, name)[i] for i in k) for name in ("joints", "links", "slides")
+        }
 
     def locked(self, pose: Mapping[str, float]) -> Tree:
         """The same with these joints (and what follows them) held; their bodies belong to what carries them."""
@@ -158,14 +160,19 @@ class Tree:
         fields = self.taken(keep)
         inertia, places, parents = fields["inertia"].copy(), [], []
         trunk = np.array(self.trunk)
-        carrier: dict[int, tuple[int, np.ndarray]] = {}  # held node -> (node that carries it or -1, its frame there)
+        carrier: dict[
+            int, tuple[int, np.ndarray]
+        ] = {}  # held node -> (node that carries it or -1, its frame there)
         for k in range(self.n):  # parents stand before their children
             up, T = self.parent[k], self.place[k]
             if up in carrier:
                 up, before = carrier[up]
                 T = before @ T
             if k in held:
-                carrier[k] = up, T @ motion(self.axis[k], self.slides[k], held[k] - self.reference[k])
+                carrier[k] = (
+                    up,
+                    T @ motion(self.axis[k], self.slides[k], held[k] - self.reference[k]),
+                )
                 if up >= 0:
                     inertia[number[up]] += turned(self.inertia[k], carrier[k][1])
                 else:
@@ -174,15 +181,27 @@ class Tree:
                 places.append(T)
                 parents.append(number.get(up, -1))
         gone = {self.joints[k] for k in held}
-        own = {**fields, "place": np.array(places).reshape(-1, 4, 4), "inertia": inertia, "parent": tuple(parents)}
+        own = {
+            **fields,
+            "place": np.array(places).reshape(-1, 4, 4),
+            "inertia": inertia,
+            "parent": tuple(parents),
+        }
         own["trunk"] = tuple(trunk.tolist())
         return replace(
             self,
             **own,
-            couplings=tuple(c for c in self.couplings if c.follower not in gone and c.leader not in gone),
+            couplings=tuple(
+                c for c in self.couplings if c.follower not in gone and c.leader not in gone
+            ),
             actuators={k: a for k, a in self.actuators.items() if k not in gone},
-            poses={name: {j: v for j, v in p.items() if j not in gone} for name, p in self.poses.items()},
-            ties=tuple(t for t in self.ties if not gone.issuperset(set(t.joints) & set(self.joints))),
+            poses={
+                name: {j: v for j, v in p.items() if j not in gone}
+                for name, p in self.poses.items()
+            },
+            ties=tuple(
+                t for t in self.ties if not gone.issuperset(set(t.joints) & set(self.joints))
+            ),
             held={**self.held, **{self.joints[k]: value for k, value in held.items()}},
         )
 
@@ -202,7 +221,9 @@ class Tree:
         total, out = self.inertia.copy(), np.zeros(self.n)
         for k in reversed(range(self.n)):
             xx, xy, xz, yy, yz, zz = total[k, :6]
-            about = self.axis[k] @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ self.axis[k]
+            about = (
+                self.axis[k] @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ self.axis[k]
+            )
             out[k] = total[k, 9] if self.slides[k] else about
             if self.parent[k] >= 0:
                 total[self.parent[k]] += turned(total[k], self.place[k])
@@ -210,7 +231,11 @@ class Tree:
 
     def size(self, node: int) -> float:
         """Length of a link, m: to the next joints, or twice as far as its centre of mass; at least 0.02."""
-        ends = [float(np.linalg.norm(self.place[k][:3, 3])) for k, up in enumerate(self.parent) if up == node]
+        ends = [
+            float(np.linalg.norm(self.place[k][:3, 3]))
+            for k, up in enumerate(self.parent)
+            if up == node
+        ]
         m = float(self.inertia[node][9])
         com = float(np.linalg.norm(self.inertia[node][6:9])) / m if m > 0 else 0.0
         return max(0.02, 2 * com, *ends)

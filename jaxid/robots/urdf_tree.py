@@ -67,13 +67,25 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
     return tree.locked({j.name: 0.0 for j in massless})
 
 
-def _massless(joints: list[Any], parent: tuple[int, ...], bodies: list[np.ndarray], couplings: tuple[Coupling, ...]) -> list[Any]:
+def _massless(
+    joints: list[Any],
+    parent: tuple[int, ...],
+    bodies: list[np.ndarray],
+    couplings: tuple[Coupling, ...],
+) -> list[Any]:
     """Joints that move nothing of mass, neither by themselves nor by what follows them or what they follow (fingers without
     <inertial>, wheels for show)."""
     alone = {
-        j.name for k, j in enumerate(joints) if not sum(body[9] for i, body in enumerate(bodies) if _behind(i, k, parent)) > 0
+        j.name
+        for k, j in enumerate(joints)
+        if not sum(body[9] for i, body in enumerate(bodies) if _behind(i, k, parent)) > 0
     }
-    heavy = {name for c in couplings for name in (c.follower, c.leader) if not {c.follower, c.leader} <= alone}
+    heavy = {
+        name
+        for c in couplings
+        for name in (c.follower, c.leader)
+        if not {c.follower, c.leader} <= alone
+    }
     return [j for j in joints if j.name in alone - heavy]
 
 
@@ -88,7 +100,11 @@ def _couplings(path: Path, joints: list[Any]) -> tuple[Coupling, ...]:
     names, followers = {j.name for j in joints}, {c.follower for c in out}
     for c in out:
         if c.leader not in names:
-            raise UsageError(f"{path}: joint {c.follower!r} mimics {c.leader!r}, which does not move")
+            raise UsageError(
+                f"{path}: joint {c.follower!r} mimics {c.leader!r}, which does not move"
+            )
         if c.leader in followers:
-            raise UsageError(f"{path}: joint {c.follower!r} mimics {c.leader!r}, which mimics another; name the last one in each")
+            raise UsageError(
+                f"{path}: joint {c.follower!r} mimics {c.leader!r}, which mimics another; name the last one in each"
+            )
     return tuple(out)

@@ -32,7 +32,11 @@ def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
         if i not in binding.stated and (tree is None or not _states(tree, kind, value)):
             continue
         std = estimate.std
-        added = 0.0 if tree is None or kind != "armature" else _added_by_steps(binding, found, tree, place)
+        added = (
+            0.0
+            if tree is None or kind != "armature"
+            else _added_by_steps(binding, found, tree, place)
+        )
         off = estimate.value - value
         if added:
             off = nearest(value, estimate.value, added) - value
@@ -42,7 +46,9 @@ def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
         fitted = estimate.value - added if added and refuted else estimate.value
         more = f"; the file's own steps add {added:.2g} to it" if added else ""
         link = place if tree is not None and place in tree.links else _link(tree, place)
-        joint = place if tree is None or place in tree.joints else tree.joints[tree.links.index(place)]
+        joint = (
+            place if tree is None or place in tree.joints else tree.joints[tree.links.index(place)]
+        )
         text = f"{kind.replace('_', ' ')} of {place or mechanism.name}: {fitted:.4g} {estimate.unit}, stated {value:.4g}{more}"
         if deviation is not None:
             text += f" ({abs(deviation):.1f} standard deviations)"
@@ -71,7 +77,9 @@ def _added_by_steps(binding: Any, found: Mapping[int, Any], tree: Tree, joint: s
         i = binding.layout.index(name)
         return float(found[i].value if i in found else binding.theta[i])
 
-    return tree.steps.inertia(value(f"damping@{joint}"), value(f"kd@{joint}") * (value(f"gain@{joint}") or 1.0))
+    return tree.steps.inertia(
+        value(f"damping@{joint}"), value(f"kd@{joint}") * (value(f"gain@{joint}") or 1.0)
+    )
 
 
 def _states(tree: Tree, kind: str, value: float) -> bool:
@@ -79,7 +87,10 @@ def _states(tree: Tree, kind: str, value: float) -> bool:
     return (
         kind in ALWAYS
         or value != 0
-        or (not tree.file.lower().endswith(".urdf") and kind in ("armature", "damping", "frictionloss"))
+        or (
+            not tree.file.lower().endswith(".urdf")
+            and kind in ("armature", "damping", "frictionloss")
+        )
     )
 
 
@@ -93,7 +104,11 @@ def sentences(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     wrong = [r for r in rows if r["deviation"] is not None and abs(r["deviation"]) > REFUTED]
     links = dict.fromkeys(r["link"] for r in wrong if r["parameter"].startswith("com_"))
     for link in links:
-        own = {r["parameter"][-1]: r for r in rows if r["link"] == link and r["parameter"].startswith("com_")}
+        own = {
+            r["parameter"][-1]: r
+            for r in rows
+            if r["link"] == link and r["parameter"].startswith("com_")
+        }
         was, now = (np.array([r[k] for r in own.values()]) for k in ("stated", "fitted"))
         std = np.array([r["std"] if r["std"] else np.nan for r in own.values()])
         size = float(was @ was)
@@ -103,7 +118,9 @@ def sentences(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
         doubt = float(np.sqrt(np.sum((was * std) ** 2)) / size)
         if abs(share) > REFUTED * doubt and abs(share) > 0.01:
             more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
-            out.append((abs(share) / doubt, f"link {link} carries {more} first moment than the file says"))
+            out.append(
+                (abs(share) / doubt, f"link {link} carries {more} first moment than the file says")
+            )
     for r in wrong:
         if not r["parameter"].startswith("com_"):
             out.append((abs(r["deviation"]), r["text"]))
@@ -117,8 +134,13 @@ def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:
     theta, mechanism = binding.theta.copy(), binding.chain.mechanism
     tree: Tree = mechanism.tree.tree
     joints = binding.chain.signature.joints
-    if mechanism.drive_law is None or not all(j in tree.actuators and tree.actuators[j].kind == "position" for j in joints):
-        return theta, f"the file as it stands{', under the stated law' if mechanism.drive_law else ''}"
+    if mechanism.drive_law is None or not all(
+        j in tree.actuators and tree.actuators[j].kind == "position" for j in joints
+    ):
+        return (
+            theta,
+            f"the file as it stands{', under the stated law' if mechanism.drive_law else ''}",
+        )
     law = file_law(tree)
     for field, values in law.numbers.items():
         for joint, value in zip(joints, values, strict=True):

@@ -36,7 +36,11 @@ class Motion:
         from matplotlib import colormaps
         from matplotlib.figure import Figure
 
-        ax = Figure(figsize=(1.5 * count, 2.2), layout="constrained").add_subplot() if ax is None else ax
+        ax = (
+            Figure(figsize=(1.5 * count, 2.2), layout="constrained").add_subplot()
+            if ax is None
+            else ax
+        )
         flat = plane(self.outline)
         low, high = flat.min((0, 1)), flat.max((0, 1))
         width, height = np.maximum(high - low, 0.3 * max(*(high - low), 1e-9))
@@ -44,9 +48,15 @@ class Motion:
         picks = np.linspace(0, len(self.t) - 1, count).round().astype(int)
         for k, i in enumerate(picks):
             shift = np.array([k * pitch, 0.0])
-            ax.plot(*(flat[picks[max(k - 1, 0)]] + shift).T, color="0.85", lw=3, solid_capstyle="round")
             ax.plot(
-                *(flat[i] + shift).T, "-", color=colormaps["viridis"](0.85 * k / max(count - 1, 1)), lw=3, solid_capstyle="round"
+                *(flat[picks[max(k - 1, 0)]] + shift).T, color="0.85", lw=3, solid_capstyle="round"
+            )
+            ax.plot(
+                *(flat[i] + shift).T,
+                "-",
+                color=colormaps["viridis"](0.85 * k / max(count - 1, 1)),
+                lw=3,
+                solid_capstyle="round",
             )
             ax.plot(*(flat[i, :1] + shift).T, "s", color="0.2", ms=5)
             ax.text(
@@ -58,7 +68,9 @@ class Motion:
             )
         ax.set_aspect("equal")
         ax.set_axis_off()
-        ax.set_title(f"{self.name}: poses over time (grey: the one before)", fontsize=10, loc="left")
+        ax.set_title(
+            f"{self.name}: poses over time (grey: the one before)", fontsize=10, loc="left"
+        )
         return ax
 
     def animate(self, seconds: float | None = None, frames: int = 80) -> Any:
@@ -67,13 +79,19 @@ class Motion:
         from matplotlib import pyplot
         from matplotlib.animation import FuncAnimation
 
-        picks = np.linspace(0, len(self.t) - 1, max(2, min(frames, len(self.t)))).round().astype(int)
+        picks = (
+            np.linspace(0, len(self.t) - 1, max(2, min(frames, len(self.t)))).round().astype(int)
+        )
         flat, t = plane(self.outline), self.t - self.t[0]
         low, high = flat.min((0, 1)), flat.max((0, 1))
         margin = 0.1 * max(*(high - low), 1e-9)
         figure, ax = pyplot.subplots(figsize=(4, 4))
         pyplot.close(figure)
-        ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
+        ax.set(
+            xlim=(low[0] - margin, high[0] + margin),
+            ylim=(low[1] - margin, high[1] + margin),
+            aspect="equal",
+        )
         ax.set_axis_off()
         (line,) = ax.plot([], [], "-o", color="#0072b2", lw=3, ms=4)
         label = ax.text(0.02, 0.97, "", transform=ax.transAxes, va="top")
@@ -84,7 +102,9 @@ class Motion:
             return line, label
 
         span = float(t[-1]) if seconds is None else seconds
-        return FuncAnimation(figure, frame, frames=len(picks), interval=1e3 * span / len(picks), blit=True)
+        return FuncAnimation(
+            figure, frame, frames=len(picks), interval=1e3 * span / len(picks), blit=True
+        )
 
 
 def plane(outline: Float[np.ndarray, "frames points d"]) -> Float[np.ndarray, "frames points 2"]:
@@ -97,9 +117,16 @@ def plane(outline: Float[np.ndarray, "frames points d"]) -> Float[np.ndarray, "f
     return np.stack([across, np.cos(tilt) * z + np.sin(tilt) * away], -1)
 
 
-def motion(model: Chain, dataset: Dataset, experiment: Experiment, start: np.ndarray, noise: np.ndarray) -> Motion | None:
+def motion(
+    model: Chain, dataset: Dataset, experiment: Experiment, start: np.ndarray, noise: np.ndarray
+) -> Motion | None:
     """How a model with its numbers in place moves on an experiment's inputs from `start` (q, qd); None without an outline."""
-    if model.mechanism.outline(model.mechanism.start(jnp.zeros(model.nq), jnp.zeros(model.nq)), model.signature) is None:
+    if (
+        model.mechanism.outline(
+            model.mechanism.start(jnp.zeros(model.nq), jnp.zeros(model.nq)), model.signature
+        )
+        is None
+    ):
         return None
     buffers, (positions,) = recorded.build(dataset, [experiment], model, noise)
     with float64():
@@ -119,7 +146,9 @@ def _outlines(model: Chain, samples: Samples, start: Array, last: int) -> Any:
         if x is None:  # an effect wraps the mechanism: its rigid pose
             x = model.mechanism.start(*body.port(carry.x))
         shape = model.mechanism.outline(x, model.signature)
-        return model.step(body, carry, command_at(samples, k, jnp.asarray(0), jnp.asarray(last), 0))[0], shape
+        return model.step(
+            body, carry, command_at(samples, k, jnp.asarray(0), jnp.asarray(last), 0)
+        )[0], shape
 
     carry = model.start(start[:nq], start[nq:], samples.u[0])
     return jax.lax.scan(step, carry, jnp.arange(last + 1))[1]

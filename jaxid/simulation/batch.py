@@ -81,7 +81,11 @@ class Programs(NamedTuple):
 def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
     """Programs shared by all engines of the same structure: numbers, data and lengths up to the bucket are arguments."""
     form = layout.form
-    return shared("lanes", (form, lane, length, reach, burn), lambda: _programs(form, lane, length, reach, burn))
+    return shared(
+        "lanes",
+        (form, lane, length, reach, burn),
+        lambda: _programs(form, lane, length, reach, burn),
+    )
 
 
 def _programs(form: Form, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
@@ -116,7 +120,9 @@ def families(layout: Layout) -> dict[str, np.ndarray]:
 def restricted(layout: Layout, kept: frozenset[str]) -> tuple[Layout, np.ndarray]:
     """The layout without the families that are not kept, and the positions of its numbers in the whole."""
     own = families(layout)
-    gone = {layout.entries[i].owner for name, index in own.items() if name not in kept for i in index}
+    gone = {
+        layout.entries[i].owner for name, index in own.items() if name not in kept for i in index
+    }
     small = layout.without(frozenset(layout.chain.effects[k].name for k in gone))
     return small, np.array([layout.index(n) for n in small.names])
 
@@ -142,7 +148,12 @@ class Engine:
         """`overrides` [records size]: numbers that a record's experiment states itself, nan elsewhere. `length` is the least
         size of a lane's output, so that engines on other records share one program. `whole` runs every lane in the program of
         all effects, also those that do nothing; `burn` takes the program for records with a lead even if none has one."""
-        self.layout, self.records, self.overrides, self.lane = layout, list(records), overrides, lane
+        self.layout, self.records, self.overrides, self.lane = (
+            layout,
+            list(records),
+            overrides,
+            lane,
+        )
         self.length = bucket(max(length, *(r.count + r.lead for r in records)), BLOCK)
         self.compile_time_s, self.simulated = 0.0, 0  # steps of all lanes so far
         self.long = self.length > LONG and lane in WINDOWED
@@ -150,7 +161,10 @@ class Engine:
             self.samples = Samples(*(jnp.asarray(a) for a in samples))
         reach = max(reach_of(samples, r) for r in self.records)
         self.reach = reach
-        self._kind, self._burn = (lane, self.length, reach), burn or any(r.lead for r in self.records)
+        self._kind, self._burn = (
+            (lane, self.length, reach),
+            burn or any(r.lead for r in self.records),
+        )
         self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
         self._restricted: dict[frozenset[str], tuple[Layout, np.ndarray, bool]] = {}
@@ -158,7 +172,11 @@ class Engine:
         self.steps = np.array([r.count for r in self.records], np.int32)
         optional = [i for index in self._families.values() for i in index]
         stateful = layout.chain.stateful() if self._burn else ()
-        own = [i for i, e in enumerate(layout.entries) if e.owner >= 0 and self._burn and stateful[e.owner]]
+        own = [
+            i
+            for i, e in enumerate(layout.entries)
+            if e.owner >= 0 and self._burn and stateful[e.owner]
+        ]
         self._memory = np.array(own, int)
         self._always = layout.chain.mechanism.hidden_states or not set(own) <= set(optional)
 
@@ -172,19 +190,28 @@ class Engine:
         return np.where(np.isnan(stated), theta, stated)
 
     def outputs(
-        self, theta: np.ndarray, start: np.ndarray, record: np.ndarray, share: float = 1.0, once: bool = False
+        self,
+        theta: np.ndarray,
+        start: np.ndarray,
+        record: np.ndarray,
+        share: float = 1.0,
+        once: bool = False,
     ) -> np.ndarray:
         """Predictions [lanes length ny]; theta [lanes size], start [lanes 2 nq], record [lanes]; only the first `share`. `once`:
         such a call does not come again."""
         if self.long and (own := self.windows(theta, start, record, share)):
             return own.together(self.length)
-        return self._call("outputs", (self.theta_of(theta, record),), (start,), record, share, once)[0]
+        return self._call(
+            "outputs", (self.theta_of(theta, record),), (start,), record, share, once
+        )[0]
 
     def output_blocks(
         self, theta: np.ndarray, start: np.ndarray, record: np.ndarray, share: float = 1.0
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """(lanes, predictions) of some lanes at a time, as of `tangent_blocks`."""
-        for lanes, (y,) in self._blocks("outputs", (self.theta_of(theta, record),), (start,), record, share):
+        for lanes, (y,) in self._blocks(
+            "outputs", (self.theta_of(theta, record),), (start,), record, share
+        ):
             yield lanes, y
 
     def tangents(
@@ -198,7 +225,9 @@ class Engine:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Predictions and their derivative along (dtheta, dstart), each [lanes length ny]."""
         dtheta = np.where(np.isnan(self.overrides[record]), dtheta, 0.0)
-        y, dy = self._call("tangents", (self.theta_of(theta, record), dtheta), (start, dstart), record, share)
+        y, dy = self._call(
+            "tangents", (self.theta_of(theta, record), dtheta), (start, dstart), record, share
+        )
         return y, dy
 
     def tangent_blocks(
@@ -233,7 +262,10 @@ class Engine:
             return None
         numbers, states = [self.theta_of(theta, record)], [start]
         if along is not None:
-            numbers, states = [*numbers, np.where(np.isnan(self.overrides[record]), along[0], 0.0)], [*states, along[1]]
+            numbers, states = (
+                [*numbers, np.where(np.isnan(self.overrides[record]), along[0], 0.0)],
+                [*states, along[1]],
+            )
         busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
         kept = self._families_of(np.any(busy, 0))
         programs, index = self._programs_of(kept)
@@ -249,24 +281,40 @@ class Engine:
         """Families at work -> lanes, of which numbers at work [lanes size]. An effect at its neutral value is the identity, so
         that a lane predicts the same in each of these programs, but for rounding where XLA fuses them differently."""
         names = list(self._families)
-        table = np.array([np.any(busy[:, index], 1) for index in self._families.values()], bool).reshape(len(names), len(busy)).T
+        table = (
+            np.array([np.any(busy[:, index], 1) for index in self._families.values()], bool)
+            .reshape(len(names), len(busy))
+            .T
+        )
         groups: dict[frozenset[str], list[int]] = {}
         for k, row in enumerate(table):
-            groups.setdefault(frozenset(n for n, b in zip(names, row, strict=True) if b), []).append(k)
+            groups.setdefault(
+                frozenset(n for n, b in zip(names, row, strict=True) if b), []
+            ).append(k)
         return {kept: np.array(lanes) for kept, lanes in groups.items()}
 
-    def _merged(self, groups: dict[frozenset[str], np.ndarray], steps: np.ndarray) -> dict[frozenset[str], np.ndarray]:
+    def _merged(
+        self, groups: dict[frozenset[str], np.ndarray], steps: np.ndarray
+    ) -> dict[frozenset[str], np.ndarray]:
         """The lanes of a call that does not come again, by the programs in which they run: see `ONCE`."""
         mixed = [kept for kept in groups if len(kept) > 1]
-        lanes = np.sort(np.concatenate([groups[kept] for kept in mixed])) if len(mixed) > 1 else np.zeros(0, int)
+        lanes = (
+            np.sort(np.concatenate([groups[kept] for kept in mixed]))
+            if len(mixed) > 1
+            else np.zeros(0, int)
+        )
         if not lanes.size or steps[lanes].sum() > ONCE:
             return groups
-        return {kept: own for kept, own in groups.items() if kept not in mixed} | {frozenset(self._families): lanes}
+        return {kept: own for kept, own in groups.items() if kept not in mixed} | {
+            frozenset(self._families): lanes
+        }
 
     def _programs_of(self, kept: frozenset[str]) -> tuple[Programs, np.ndarray]:
         if kept not in self._restricted:
             everything = self.layout, np.arange(len(self.layout))
-            small, index = restricted(self.layout, kept) if len(kept) < len(self._families) else everything
+            small, index = (
+                restricted(self.layout, kept) if len(kept) < len(self._families) else everything
+            )
             self._restricted[kept] = small, index, self.burns(small)
         small, index, burns = self._restricted[kept]
         return programs_for(small, *self._kind, burns), index
@@ -280,7 +328,9 @@ class Engine:
     def _families_of(self, could: np.ndarray) -> frozenset[str]:
         return frozenset(name for name, index in self._families.items() if could[index].any())
 
-    def bounds(self, theta: np.ndarray, free: np.ndarray, record: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(
+        self, theta: np.ndarray, free: np.ndarray, record: Sequence[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """`where` [records 4] and `steps` [records] for lanes of the program that `predictor` makes of theta and `free`."""
         busy = np.broadcast_to(self._could_work(theta, free), (len(record), len(theta)))
         where = self._where(busy, np.asarray(record, int))
@@ -294,7 +344,9 @@ class Engine:
             where[~np.any(busy[:, self._memory], 1), 3] = 0
         return where
 
-    def predictor(self, theta: np.ndarray, free: np.ndarray) -> tuple[Callable[..., Array], dict[Any, Any]]:
+    def predictor(
+        self, theta: np.ndarray, free: np.ndarray
+    ) -> tuple[Callable[..., Array], dict[Any, Any]]:
         """How one lane runs whose numbers equal theta but in `free`, and the compiled losses made of it.
 
         (values of the free numbers, which of them the record leaves open, all numbers fixed on the record, start, where,
@@ -305,7 +357,11 @@ class Engine:
         place = {int(i): k for k, i in enumerate(free)}
 
         def predict(values, still_open, fixed, start, where, samples, steps):
-            own = lambda i: jnp.where(still_open[place[i]], values[place[i]], fixed[i]) if i in place else fixed[i]
+            own = lambda i: (
+                jnp.where(still_open[place[i]], values[place[i]], fixed[i])
+                if i in place
+                else fixed[i]
+            )
             return programs.predict([own(int(i)) for i in index], start, where, samples, steps)
 
         return predict, programs.losses.setdefault((tuple(index), tuple(place)), {})
@@ -338,7 +394,10 @@ class Engine:
         programs, index = self._programs_of(kept)
         if name in programs.making:
             return
-        point = np.repeat(self._neutral[None, index], LANES, 0), np.zeros((LANES, 2 * self.layout.chain.nq))
+        point = (
+            np.repeat(self._neutral[None, index], LANES, 0),
+            np.zeros((LANES, 2 * self.layout.chain.nq)),
+        )
         along = (np.zeros_like(point[0]), point[1]) if name == "tangents" else ()
         args = *point, *along, np.repeat(self.where[:1], LANES, 0), self.samples, np.int32(0)
         program = getattr(programs, name)
@@ -350,7 +409,9 @@ class Engine:
         with programs.first_call(name):
             return call()
 
-    def _call(self, name: str, numbers, states, record: np.ndarray, share: float, once: bool = False) -> list[np.ndarray]:
+    def _call(
+        self, name: str, numbers, states, record: np.ndarray, share: float, once: bool = False
+    ) -> list[np.ndarray]:
         results: list[np.ndarray] = []
         for lanes, out in self._blocks(name, numbers, states, record, share, once):
             if not results:
@@ -374,9 +435,13 @@ class Engine:
         for kept, lanes in (self._merged(groups, steps) if once else groups).items():
             programs, index = self._programs_of(kept)
             program, own = getattr(programs, name), [a[:, index] for a in numbers]
-            lanes = lanes[np.argsort(-steps[lanes], kind="stable")]  # longest first, so that a block holds lanes of like length
+            lanes = lanes[
+                np.argsort(-steps[lanes], kind="stable")
+            ]  # longest first, so that a block holds lanes of like length
             blocks = [
-                partial(self._block, program, own, states, where, lanes[k : k + LANES], steps[lanes[k]])
+                partial(
+                    self._block, program, own, states, where, lanes[k : k + LANES], steps[lanes[k]]
+                )
                 for k in range(0, lanes.size, LANES)
             ]
             if name not in programs.ready:
@@ -390,7 +455,9 @@ class Engine:
             yield from done
         yield from _POOL.ahead(jobs)
 
-    def _block(self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any):
+    def _block(
+        self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any
+    ):
         padded = np.concatenate([lanes, np.repeat(lanes[-1:], LANES - lanes.size)])
         arrays = [a[padded] for pair in zip(numbers, states, strict=True) for a in pair]
         out = in_float64(program, *arrays, where[padded], self.samples, steps)

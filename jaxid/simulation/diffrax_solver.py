@@ -43,8 +43,16 @@ def named(text: str) -> Diffrax:
     import diffrax
 
     kind, _, name = text.partition(":")
-    kinds = {n: c for n, c in vars(diffrax).items() if isinstance(c, type) and issubclass(c, diffrax.AbstractSolver)}
-    usable = [n for n in kinds if not n.startswith("Abstract") and not issubclass(kinds[n], diffrax.AbstractItoSolver)]
+    kinds = {
+        n: c
+        for n, c in vars(diffrax).items()
+        if isinstance(c, type) and issubclass(c, diffrax.AbstractSolver)
+    }
+    usable = [
+        n
+        for n in kinds
+        if not n.startswith("Abstract") and not issubclass(kinds[n], diffrax.AbstractItoSolver)
+    ]
     if kind != "diffrax" or not name:
         raise UsageError(f"a solver is `own` or `diffrax:NAME`, as in diffrax:Tsit5, not {text!r}")
     if name not in usable:
@@ -52,7 +60,9 @@ def named(text: str) -> Diffrax:
     try:
         return Diffrax(kinds[name]())
     except TypeError as error:
-        raise UsageError(f"diffrax:{name} needs settings: make it in Python, solver=diffrax.{name}(...)") from error
+        raise UsageError(
+            f"diffrax:{name} needs settings: make it in Python, solver=diffrax.{name}(...)"
+        ) from error
 
 
 @cache
@@ -63,16 +73,23 @@ def diffrax_lane(solver: Diffrax) -> Lane:
         return solved_step(solver, chain, body, carry, command)
 
     def lane(chain, samples, where, start, steps, length, reach, burn, body=None, wanted=None):
-        return simulate_lane(chain, samples, where, start, steps, length, reach, burn, body, wanted, advance)
+        return simulate_lane(
+            chain, samples, where, start, steps, length, reach, burn, body, wanted, advance
+        )
 
     return lane
 
 
-def solved_step(solver: Diffrax, chain: Chain, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Any]:
+def solved_step(
+    solver: Diffrax, chain: Chain, body: Mechanism, carry: Carry, command: Command
+) -> tuple[Carry, Any]:
     """`Chain.step` by a solver: state at the end of a step, and what the sensors record at its beginning."""
     import diffrax
 
-    moving = tuple(() if isinstance(e, OutputEffect) else z for e, z in zip(chain.effects, carry.z, strict=True))
+    moving = tuple(
+        () if isinstance(e, OutputEffect) else z
+        for e, z in zip(chain.effects, carry.z, strict=True)
+    )
     y0, unravel = ravel_pytree((carry.x, moving))
     late = command.delayed  # the mean over the step, as of the input itself
 
@@ -85,7 +102,11 @@ def solved_step(solver: Diffrax, chain: Chain, body: Mechanism, carry: Carry, co
 
     _, _, tau = rates(chain, body, command.t, carry.x, moving, command)
     adaptive = isinstance(solver.solver, diffrax.AbstractAdaptiveSolver)
-    control: Any = diffrax.PIDController(rtol=solver.rtol, atol=solver.atol) if adaptive else diffrax.ConstantStepSize()
+    control: Any = (
+        diffrax.PIDController(rtol=solver.rtol, atol=solver.atol)
+        if adaptive
+        else diffrax.ConstantStepSize()
+    )
     adjoint = solver.adjoint or (diffrax.DirectAdjoint() if reversible() else diffrax.ForwardMode())
     first = command.h if adaptive else command.h / solver.steps
     found = diffrax.diffeqsolve(
@@ -98,4 +119,6 @@ def solved_step(solver: Diffrax, chain: Chain, body: Mechanism, carry: Carry, co
     q, _ = body.port(carry.x)
     y, sensed = chain.sense(body, carry, tau, jnp.zeros(q.shape, bool), command)
     pairs = zip(chain.effects, z, sensed, strict=True)
-    return carry._replace(x=x, z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in pairs)), y
+    return carry._replace(
+        x=x, z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in pairs)
+    ), y

@@ -55,7 +55,9 @@ class MujocoRobot:
         try:
             self.model = spec.compile()
         except (ValueError, self.mj.FatalError) as error:
-            raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
+            raise UsageError(
+                f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}"
+            ) from None
         if gravity is not None:
             self.model.opt.gravity[:] = gravity
         self.held = dict(held)
@@ -80,7 +82,11 @@ class MujocoRobot:
         mj = self.mj
         spec = mj.MjSpec()
         spec.compiler.degree = False
-        stiffest = np.sqrt(max(law.kp) / float((tree.swung() + tree.armature).min())) if law is not None else 0.0
+        stiffest = (
+            np.sqrt(max(law.kp) / float((tree.swung() + tree.armature).min()))
+            if law is not None
+            else 0.0
+        )
         step = float(np.clip(0.2 / max(stiffest, 1e-9), STEP / 10, STEP))
         spec.option.timestep, spec.option.integrator = step, mj.mjtIntegrator.mjINT_IMPLICITFAST
         bodies: list[Any] = []
@@ -92,7 +98,9 @@ class MujocoRobot:
             xx, xy, xz, yy, yz, zz, hx, hy, hz, m = tree.inertia[k]
             m = max(float(m), 1e-9)
             c = np.array([hx, hy, hz]) / m
-            I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * (c @ c * np.eye(3) - np.outer(c, c))
+            I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * (
+                c @ c * np.eye(3) - np.outer(c, c)
+            )
             I = I + max(0.0, 1e-12 - float(np.linalg.eigvalsh(I)[0])) * np.eye(3)
             body.mass, body.ipos, body.explicitinertial = m, c, True
             body.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
@@ -114,7 +122,9 @@ class MujocoRobot:
             spec.delete(one)
         for k, joint in enumerate(joints):
             g, big = law.gain[k], 1e12
-            a = spec.add_actuator(name=f"law of {joint}", target=joint, trntype=mj.mjtTrn.mjTRN_JOINT)
+            a = spec.add_actuator(
+                name=f"law of {joint}", target=joint, trntype=mj.mjtTrn.mjTRN_JOINT
+            )
             a.gaintype, a.biastype = mj.mjtGain.mjGAIN_FIXED, mj.mjtBias.mjBIAS_AFFINE
             a.gainprm[0] = g * law.kp[k]
             a.biasprm[:3] = [g * law.offset[k], -g * law.kp[k], -g * law.kd[k]]
@@ -133,7 +143,11 @@ class MujocoRobot:
         m, trn = self.model, self.mj.mjtTrn
         _, dof = self.address(joint)
         on = (int(trn.mjTRN_JOINT), int(trn.mjTRN_JOINTINPARENT))
-        found = [a for a in range(m.nu) if int(m.actuator_trntype[a]) in on and int(m.jnt_dofadr[m.actuator_trnid[a, 0]]) == dof]
+        found = [
+            a
+            for a in range(m.nu)
+            if int(m.actuator_trntype[a]) in on and int(m.jnt_dofadr[m.actuator_trnid[a, 0]]) == dof
+        ]
         return found[0] if len(found) == 1 else -1
 
     def run(
@@ -156,7 +170,9 @@ class MujocoRobot:
         d.qpos[at], d.qvel[dof] = q, qd
         dt, steps = float(m.opt.timestep), int(np.ceil((t[-1] - t[0]) / m.opt.timestep)) + 1
         if steps > MOST_STEPS:
-            raise UsageError(f"{t[-1] - t[0]:g} s in steps of {dt:g} s are {steps:,} steps, more than MuJoCo is asked for here")
+            raise UsageError(
+                f"{t[-1] - t[0]:g} s in steps of {dt:g} s are {steps:,} steps, more than MuJoCo is asked for here"
+            )
         inputs = _Inputs(t - t[0], u, linear)
         push = self._pusher(d, joints, dof, drive, inputs, at)
         out, now, k = np.full((len(t), len(joints)), np.nan), 0.0, 0
@@ -171,11 +187,15 @@ class MujocoRobot:
                 for place, moving, value in held:  # else it falls by a little each step
                     d.qpos[place], d.qvel[moving] = value, 0.0
                 if _diverged(mj, d):
-                    self.notes.append(f"MuJoCo's run diverged after {now:.3g} s: a smaller timestep, or armature, may help")
+                    self.notes.append(
+                        f"MuJoCo's run diverged after {now:.3g} s: a smaller timestep, or armature, may help"
+                    )
                     break
                 after = d.qpos[at]
                 while k < len(t) and t[k] - t[0] < now + dt - 1e-9 * dt:
-                    out[k] = _between(before, after, speed, d.qvel[dof], (t[k] - t[0] - now) / dt, dt)
+                    out[k] = _between(
+                        before, after, speed, d.qvel[dof], (t[k] - t[0] - now) / dt, dt
+                    )
                     k += 1
                 if k == len(t):
                     break
@@ -183,7 +203,15 @@ class MujocoRobot:
             mj.set_mju_user_warning(before_all)
         return out
 
-    def _pusher(self, d: Any, joints: Sequence[str], dof: np.ndarray, drive: Driven, inputs: _Inputs, at: np.ndarray) -> Any:
+    def _pusher(
+        self,
+        d: Any,
+        joints: Sequence[str],
+        dof: np.ndarray,
+        drive: Driven,
+        inputs: _Inputs,
+        at: np.ndarray,
+    ) -> Any:
         mj, m = self.mj, self.model
         if drive.kind == "free":
             return lambda now: None
@@ -197,7 +225,9 @@ class MujocoRobot:
             return by_law
         acts = np.array([self.actuator(j) for j in joints])
         gear = np.array([m.actuator_gear[a, 0] if a >= 0 else 1.0 for a in acts])
-        goals = _Goals(drive.law, inputs) if drive.kind == "law" and drive.law is not None else inputs
+        goals = (
+            _Goals(drive.law, inputs) if drive.kind == "law" and drive.law is not None else inputs
+        )
         if drive.kind == "torque":
             there = drive.reference
             ids = [there.actuator(j) for j in joints]
@@ -210,7 +240,9 @@ class MujocoRobot:
                 d.act[m.actuator_actadr[a]] = value
             if m.actuator_history[a, 0] > 0:
                 n = int(m.actuator_history[a, 0])
-                mj.mj_initCtrlHistory(m, d, int(a), np.arange(-n, 0) * float(m.opt.timestep), np.full((n, 1), value))
+                mj.mj_initCtrlHistory(
+                    m, d, int(a), np.arange(-n, 0) * float(m.opt.timestep), np.full((n, 1), value)
+                )
 
         def by_actuators(now: float) -> None:
             value = gear * goals(now)
@@ -222,7 +254,11 @@ class MujocoRobot:
 
 def _diverged(mj: Any, d: Any) -> bool:
     """Whether MuJoCo has given up a run; it would begin anew."""
-    kinds = (mj.mjtWarning.mjWARN_BADQPOS, mj.mjtWarning.mjWARN_BADQVEL, mj.mjtWarning.mjWARN_BADQACC)
+    kinds = (
+        mj.mjtWarning.mjWARN_BADQPOS,
+        mj.mjtWarning.mjWARN_BADQVEL,
+        mj.mjtWarning.mjWARN_BADQACC,
+    )
     return any(d.warning[int(k)].number for k in kinds)
 
 
@@ -257,7 +293,10 @@ class _LawRun:
 
     def __init__(self, law: Law, inputs: _Inputs, dt: float):
         self.law, self.goals, self.dt = law, _Goals(law, inputs), dt
-        self.n = {k: np.array(getattr(law, k), float) for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")}
+        self.n = {
+            k: np.array(getattr(law, k), float)
+            for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")
+        }
         self.integral, self.tick, self.held = np.zeros(len(law.kp)), -1, np.zeros(len(law.kp))
         self.last = self.before = self.goal = None
 
@@ -272,7 +311,11 @@ class _LawRun:
             last = q - T * qd if self.last is None else self.last
             before = q - 2 * T * qd if self.before is None else self.before
             old = goal if self.goal is None else self.goal
-            speed = {"measured": qd, "difference": (q - last) / T, "averaged_difference": (q - before) / (2 * T)}[law.velocity]
+            speed = {
+                "measured": qd,
+                "difference": (q - last) / T,
+                "averaged_difference": (q - before) / (2 * T),
+            }[law.velocity]
             self.held = self._output(goal - q, ((goal - old) / T if law.rate else 0.0) - speed, T)
             self.last, self.before, self.goal = q.copy(), last, goal
         return self.held
@@ -290,7 +333,9 @@ class _LawRun:
         return n["gain"] * np.clip(v, n["lowest"], n["highest"])
 
 
-def _between(q0: np.ndarray, q1: np.ndarray, v0: np.ndarray, v1: np.ndarray, share: float, dt: float) -> np.ndarray:
+def _between(
+    q0: np.ndarray, q1: np.ndarray, v0: np.ndarray, v1: np.ndarray, share: float, dt: float
+) -> np.ndarray:
     """Cubic between two steps, exact at both ends."""
     s = float(np.clip(share, 0.0, 1.0))
     a, b = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s

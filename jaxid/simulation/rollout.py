@@ -32,18 +32,29 @@ Advance = Callable[[Chain, Mechanism, Carry, Command], tuple[Carry, Array]]
 def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int) -> Command:
     """Command of buffer step k of the run that occupies first ... last; `reach` as of `reach_of`."""
     mean = (samples.t[last] - samples.t[first]) / jnp.maximum(last - first, 1)
-    now, h = (samples.t[first] + (k - first) * mean, mean) if reach == EVEN else (samples.t[k], samples.h[k])
+    now, h = (
+        (samples.t[first] + (k - first) * mean, mean)
+        if reach == EVEN
+        else (samples.t[k], samples.h[k])
+    )
 
     def step_of(t: Array) -> Array:
         """Position of the step that holds each time [nu], none later than one step ahead."""
-        if reach == EVEN:  # by arithmetic: where rounding takes a neighbour, the integral is the same
-            return jnp.clip(first + jnp.floor((t - samples.t[first]) / mean).astype(k.dtype), first, last)
+        if (
+            reach == EVEN
+        ):  # by arithmetic: where rounding takes a neighbour, the integral is the same
+            return jnp.clip(
+                first + jnp.floor((t - samples.t[first]) / mean).astype(k.dtype), first, last
+            )
         if reach == 0:  # nearly so: one place to either side
             low = jnp.clip(k + jnp.floor((t - now) / h).astype(k.dtype), first, last)
             low = jnp.where(samples.t[low] > t, jnp.maximum(low - 1, first), low)
             up = jnp.minimum(low + 1, last)
             return jnp.where(samples.t[up] <= t, up, low)
-        low, high = jnp.full(t.shape, jnp.maximum(k - reach, first)), jnp.full(t.shape, jnp.minimum(k + 1, last))
+        low, high = (
+            jnp.full(t.shape, jnp.maximum(k - reach, first)),
+            jnp.full(t.shape, jnp.minimum(k + 1, last)),
+        )
         for _ in range(reach.bit_length() + 1):
             middle = (low + high + 1) // 2
             down = samples.t[middle] > t
@@ -85,11 +96,20 @@ def simulate_lane(
     """
     nq = chain.nq
     offset, _, last, lead = where
-    prepared, initial, step = _stepping(chain, samples, where, start, reach, burn, body, wanted, advance)
-    y = over_time(step, initial, steps, length, len(chain.signature.outputs), marked=advance is None)
+    prepared, initial, step = _stepping(
+        chain, samples, where, start, reach, burn, body, wanted, advance
+    )
+    y = over_time(
+        step, initial, steps, length, len(chain.signature.outputs), marked=advance is None
+    )
     k = jnp.arange(length)
-    beyond = jnp.maximum(offset + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
-    times, even = samples.t[jnp.minimum(offset + k, last)] + beyond, samples.h[offset] if reach == EVEN else None
+    beyond = (
+        jnp.maximum(offset + k - last, 0) * samples.h[last]
+    )  # the loop goes on to the end of its block, and so does time
+    times, even = (
+        samples.t[jnp.minimum(offset + k, last)] + beyond,
+        samples.h[offset] if reach == EVEN else None,
+    )
     y = y[jnp.minimum(lead + k, length - 1)] if burn else y
     return chain.recorded(times, y, even, chain.begins(prepared, start[:nq], start[nq:])[1])
 
@@ -109,15 +129,28 @@ def _stepping(
         i = jnp.minimum(begin + k, last)
         if burn:
             q, qd = jnp.split(jnp.where(k < lead, samples.x[i], start), 2)
-            x = jax.tree.map(lambda a, b: jnp.where(k == 0, a, b), body.start(q, qd), body.follow(carry.x, q, qd))
-            z = chain.sensed_anew(carry.z, initial.z, k == lead)  # what was measured has gone through the sensors
+            x = jax.tree.map(
+                lambda a, b: jnp.where(k == 0, a, b), body.start(q, qd), body.follow(carry.x, q, qd)
+            )
+            z = chain.sensed_anew(
+                carry.z, initial.z, k == lead
+            )  # what was measured has gone through the sensors
             x = jax.tree.map(lambda a, b: jnp.where(k <= lead, a, b), x, carry.x)
             anew = lambda a, b: jnp.where(k == lead, a, b)
-            predictors = ((initial.lam, initial.acc, initial.net), (carry.lam, carry.acc, carry.net))
+            predictors = (
+                (initial.lam, initial.acc, initial.net),
+                (carry.lam, carry.acc, carry.net),
+            )
             carry = Carry(x, z, *jax.tree.map(anew, *predictors))
         command = command_at(samples, i, first, last, reach)
-        carry, y = chain.step(body, carry, command) if advance is None else advance(chain, body, carry, command)
-        return carry, y if wanted is None else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])
+        carry, y = (
+            chain.step(body, carry, command)
+            if advance is None
+            else advance(chain, body, carry, command)
+        )
+        return carry, y if wanted is None else jnp.stack(
+            [y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))]
+        )
 
     return body, initial, step
 
@@ -157,17 +190,23 @@ def torque_window(
     return _window(step, initial, at, carry, steps, size, chain.nq)
 
 
-def simulate_begin(chain: Chain, samples: Samples, where: Array, start: Array, reach: int, burn: bool) -> Any:
+def simulate_begin(
+    chain: Chain, samples: Samples, where: Array, start: Array, reach: int, burn: bool
+) -> Any:
     """The state with which `simulate_window` begins."""
     return _stepping(chain, samples, where, start, reach, burn)[1]
 
 
-def torque_begin(chain: Chain, samples: Samples, where: Array, start: Array, reach: int, burn: bool) -> Any:
+def torque_begin(
+    chain: Chain, samples: Samples, where: Array, start: Array, reach: int, burn: bool
+) -> Any:
     """The same of `torque_window`."""
     return _torques(chain, samples, where, reach)[0]
 
 
-def _window(step: Callable, initial: Any, at: Array, carry: Any, steps: Array, size: int, width: int) -> tuple[Any, Array]:
+def _window(
+    step: Callable, initial: Any, at: Array, carry: Any, steps: Array, size: int, width: int
+) -> tuple[Any, Array]:
     carry = jax.tree.map(lambda a, b: jnp.where(at == 0, a, b), initial, carry)
     state = _blocks(lambda c, k: step(c, k + at), carry, steps, size, width)
     return loop_over_time(lambda: state()[1:])
@@ -212,11 +251,15 @@ def _about(command: Command, samples: Samples, before: Array) -> Command:
     half = command.h / 2
     mean = lambda a, now: (a[before] + now) / 2
     return command._replace(
-        u=mean(samples.u, command.u), other=mean(samples.other, command.other), delayed=lambda d: command.delayed(d + half)
+        u=mean(samples.u, command.u),
+        other=mean(samples.other, command.other),
+        delayed=lambda d: command.delayed(d + half),
     )
 
 
-def over_time(step: Callable, carry: Any, steps: Array, length: int, width: int, marked: bool = True) -> Array:
+def over_time(
+    step: Callable, carry: Any, steps: Array, length: int, width: int, marked: bool = True
+) -> Array:
     """What `step(carry, k) -> carry, y [width]` gives at each of so many steps, [length width]; after them it is no result.
     `marked`: lanes are laid out for vector code, which a step with a solver of its own inside is not for."""
     if reversible():
@@ -226,7 +269,9 @@ def over_time(step: Callable, carry: Any, steps: Array, length: int, width: int,
     return loop_over_time(outputs) if marked else outputs()
 
 
-def _blocks(step: Callable, carry: Any, steps: Array, length: int, width: int) -> Callable[[], tuple[Array, Any, Array]]:
+def _blocks(
+    step: Callable, carry: Any, steps: Array, length: int, width: int
+) -> Callable[[], tuple[Array, Any, Array]]:
     """The loop over blocks of steps: (steps done, state, what each step gave [length width])."""
 
     def block(state):

@@ -135,7 +135,10 @@ def build(
         middle = ((inside + 0.5) / divided[owner])[:, None]
         zero, slope = u[:-1][owner], (u[1:] - u[:-1])[owner]
         ramp = zero + middle * slope
-        stated, other = np.where(linear, ramp, zero) if iu else zero, np.where(linear, zero, ramp) if iu else zero
+        stated, other = (
+            np.where(linear, ramp, zero) if iu else zero,
+            np.where(linear, zero, ramp) if iu else zero,
+        )
         total = np.concatenate([np.zeros((1, nu)), np.cumsum(stated * h[:, None], 0)])
         y, w = np.zeros((n, len(iy))), np.zeros((n, len(iy)))
         y[start] = e.y[:, iy]
@@ -143,9 +146,17 @@ def build(
         x = np.zeros((n, 0))
         if measured is not None:
             m = measured[number]
-            x = np.append(m[:-1][owner] + (inside / divided[owner])[:, None] * np.diff(m, axis=0)[owner], m[-1:], 0)
+            x = np.append(
+                m[:-1][owner] + (inside / divided[owner])[:, None] * np.diff(m, axis=0)[owner],
+                m[-1:],
+                0,
+            )
         tail = lambda a: np.concatenate([a, a[-1:]])
-        for part, a in zip(parts, (np.append(t, e.t[-1]), tail(h), tail(stated), tail(other), total, y, w, x), strict=True):
+        for part, a in zip(
+            parts,
+            (np.append(t, e.t[-1]), tail(h), tail(stated), tail(other), total, y, w, x),
+            strict=True,
+        ):
             part.append(a)
         positions.append(first + start)
         first += n

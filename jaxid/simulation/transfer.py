@@ -17,7 +17,10 @@ Complex = tuple[Array, Array]
 
 
 def transfer(
-    chain: Chain, omega: Float[Array, " lines"], q0: Float[Array, " nq"] | None = None, body: Mechanism | None = None
+    chain: Chain,
+    omega: Float[Array, " lines"],
+    q0: Float[Array, " nq"] | None = None,
+    body: Mechanism | None = None,
 ) -> tuple[Float[Array, "lines ny nu"], Float[Array, "lines ny nu"]]:
     """Real and imaginary part of outputs / inputs at omega (rad/s), linearised at rest in q0 (default 0). Traceable. `body` is
     the chain's mechanism with its effects, prepared, where that has been done."""
@@ -33,7 +36,8 @@ def transfer(
 
     ny, ones = len(chain.signature.outputs), jnp.ones_like(still)
     stiffness, slope = (
-        jax.jvp(lambda q, qd: opposing(q, qd, still), (q0, still), along)[1] for along in ((ones, still), (still, ones))
+        jax.jvp(lambda q, qd: opposing(q, qd, still), (q0, still), along)[1]
+        for along in ((ones, still), (still, ones))
     )
     own = None if chain.signature.speeds else body.transfer(omega, slope, stiffness)
     if own is not None:

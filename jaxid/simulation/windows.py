@@ -59,7 +59,11 @@ def windowed(form: Form, lane: Lane, reach: int, burn: bool) -> WindowPrograms:
 
     along = 0, 0, 0
     rest = None, None, None
-    return WindowPrograms(over_lanes(predict, (*along, 0, *rest)), over_lanes(tangent, (*along, *along, 0, *rest)), begins)
+    return WindowPrograms(
+        over_lanes(predict, (*along, 0, *rest)),
+        over_lanes(tangent, (*along, *along, 0, *rest)),
+        begins,
+    )
 
 
 class _Block(NamedTuple):
@@ -88,7 +92,9 @@ class Windows:
         self._numbers, self._states = [a[:, index] for a in numbers], states
         self._where, self._steps = where, steps
         with float64():
-            shapes = jax.eval_shape(programs.begins, self._numbers[0][0], states[0][0], where[0], engine.samples)
+            shapes = jax.eval_shape(
+                programs.begins, self._numbers[0][0], states[0][0], where[0], engine.samples
+            )
         self._carry = tuple(np.zeros((WIDTH, *x.shape), x.dtype) for x in jax.tree.leaves(shapes))
         self._name = "tangent_windows" if len(numbers) > 1 else "output_windows"
 
@@ -117,9 +123,15 @@ class Windows:
     def _run(self, block: _Block, at: int) -> tuple[np.ndarray, list[np.ndarray]]:
         own, carry = block.padded, block.carry
         steps = np.int32(min(max(int(self._steps[block.lanes].max()) - at, 0), WINDOW))
-        arrays = [x for a, b, c in zip(self._numbers, self._states, carry, strict=True) for x in (a[own], b[own], c)]
+        arrays = [
+            x
+            for a, b, c in zip(self._numbers, self._states, carry, strict=True)
+            for x in (a[own], b[own], c)
+        ]
         with float64():  # the setting belongs to the thread
-            found = getattr(self._programs, self._name)(*arrays, self._where[own], self._engine.samples, np.int32(at), steps)
+            found = getattr(self._programs, self._name)(
+                *arrays, self._where[own], self._engine.samples, np.int32(at), steps
+            )
         block.carry[:] = found[::2]
         return block.lanes, [np.asarray(o) for o in found[1::2]]
 

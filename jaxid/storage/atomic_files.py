@@ -17,7 +17,9 @@ from jaxid.errors import NotSaved
 STAGE, CURRENT = ".jaxid-exchange", "current"
 
 
-def replace_files(folder: str | Path, files: Mapping[str, bytes], obsolete: Collection[str] = ()) -> Path:
+def replace_files(
+    folder: str | Path, files: Mapping[str, bytes], obsolete: Collection[str] = ()
+) -> Path:
     """Writes `files` (name -> content) into `folder`, made if missing, and removes the `obsolete` ones there, as one act; returns
     the folder. No other file in it is touched.
 
@@ -41,7 +43,10 @@ def replace_files(folder: str | Path, files: Mapping[str, bytes], obsolete: Coll
                     writing = folder / name
                     _write(stage / "new" / name, content)
                 writing = folder
-                names = [*files, *(n for n in obsolete if n not in files and os.path.lexists(folder / n))]
+                names = [
+                    *files,
+                    *(n for n in obsolete if n not in files and os.path.lexists(folder / n)),
+                ]
                 if len(names) == 1 and files:
                     (stage / "new" / names[0]).replace(folder / names[0])
                 else:
@@ -51,7 +56,9 @@ def replace_files(folder: str | Path, files: Mapping[str, bytes], obsolete: Coll
                     _settle(folder)
     except OSError as error:
         needed = sum(map(len, files.values()))
-        raise NotSaved(error.errno, error.strerror or str(error), str(writing), needed, _free(folder)) from error
+        raise NotSaved(
+            error.errno, error.strerror or str(error), str(writing), needed, _free(folder)
+        ) from error
     return folder
 
 

@@ -102,7 +102,11 @@ def _tables(result: Any) -> dict[str, bytes]:
 
 def _written(place: Path) -> list[str]:
     """Names of the files that stopped runs may have left."""
-    return [name for name in (*(json_name(kind) for kind in DRAWN), "runs.parquet", PAGE) if (place / name).is_file()]
+    return [
+        name
+        for name in (*(json_name(kind) for kind in DRAWN), "runs.parquet", PAGE)
+        if (place / name).is_file()
+    ]
 
 
 def _kept_page(folder: Path, name: str) -> dict[str, bytes]:
@@ -110,7 +114,11 @@ def _kept_page(folder: Path, name: str) -> dict[str, bytes]:
     with suppress(OSError):
         page = (folder / PAGE).read_bytes()
         about = result_of(page)
-        if about is None or about[0] == name or sha256((folder / about[0]).read_bytes()).hexdigest() != about[1]:
+        if (
+            about is None
+            or about[0] == name
+            or sha256((folder / about[0]).read_bytes()).hexdigest() != about[1]
+        ):
             return {}
         other = Path(about[0]).with_suffix(".html").name
         if not (folder / other).exists() or result_of((folder / other).read_bytes()) is not None:
@@ -135,5 +143,7 @@ def _obsolete(folder: Path, name: str, files: dict[str, bytes]) -> list[str]:
 
 def result_of(page: bytes) -> tuple[str, str] | None:
     """Name and SHA-256 of the file that belongs to a page; None for one that is not ours."""
-    found = re.search(rb'<meta name="jaxid-result" content="([^"/]+) sha256:([0-9a-f]{64})">', page[:4096])
+    found = re.search(
+        rb'<meta name="jaxid-result" content="([^"/]+) sha256:([0-9a-f]{64})">', page[:4096]
+    )
     return None if found is None else (found[1].decode(), found[2].decode())

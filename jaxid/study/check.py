@@ -52,22 +52,41 @@ class _Check:
         named = (lambda e: e.partition("@")[0]) if entry.command == "fit" else (lambda e: e)
         effects = [e for e in ids if self.ask("effects", catalogue.effect_class, named(e))]
         without = [e for e in entry.without if self.ask("without", catalogue.effect_class, e)]
-        models = {m for m in entry.models or [] if is_file(m) or is_model_file(m) or self.ask("models", catalogue.model_class, m)}
+        models = {
+            m
+            for m in entry.models or []
+            if is_file(m) or is_model_file(m) or self.ask("models", catalogue.model_class, m)
+        }
         for name in entry.fitters or []:
             kind = self.ask("fitters", fitter_of, name)
             wanted = getattr(kind, "residual_name", None)
             if wanted is not None and entry.residual not in (None, wanted):
-                self.say("fitters", f"{name} solves {wanted}, not {entry.residual}", "Leave it out or change `residual`")
+                self.say(
+                    "fitters",
+                    f"{name} solves {wanted}, not {entry.residual}",
+                    "Leave it out or change `residual`",
+                )
         for task in {(t.dataset, t.model): t for t in self.runs.tasks}.values():
-            unknown = task.model is not None and task.model_sha256 is None and task.model not in models
+            unknown = (
+                task.model is not None and task.model_sha256 is None and task.model not in models
+            )
             if task.dataset in data and not unknown:
                 where = "datasets" if task.model is None else "models"
-                chain = self.ask(where, resolve_model, task.model, data[task.dataset], without, of=task.label)
+                chain = self.ask(
+                    where, resolve_model, task.model, data[task.dataset], without, of=task.label
+                )
                 for effect in effects if chain is not None else []:
                     if entry.command == "fit":
                         self.ask("effects", parse_effect, effect, chain, of=task.label)
                     else:
-                        self.ask("effects", check_asked, chain, [effect], entry.residual or "", of=task.label)
+                        self.ask(
+                            "effects",
+                            check_asked,
+                            chain,
+                            [effect],
+                            entry.residual or "",
+                            of=task.label,
+                        )
         return self.found
 
     def ask(self, field: str, question: Callable[..., Any], *arguments: Any, of: str = "") -> Any:
@@ -75,8 +94,14 @@ class _Check:
         try:
             return question(*arguments)
         except (UsageError, DatasetError) as error:
-            self.say(field, f"{f'dataset {of!r}: ' if of else ''}{error}", "Correct the name or leave it out")
+            self.say(
+                field,
+                f"{f'dataset {of!r}: ' if of else ''}{error}",
+                "Correct the name or leave it out",
+            )
             return None
 
     def say(self, field: str, message: str, remedy: str) -> None:
-        self.found.append(self.places.problem(("runs", self.runs.index, field), message.rstrip("."), remedy))
+        self.found.append(
+            self.places.problem(("runs", self.runs.index, field), message.rstrip("."), remedy)
+        )

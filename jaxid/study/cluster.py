@@ -24,8 +24,18 @@ CLOSE_S = 2.0
 class Cluster:
     """A dask client, and a session of solvers on its workers; `hopeless` says why no worker will come where there is none."""
 
-    def __init__(self, client: Any, everywhere: Callable[..., Any], hopeless: Callable[[], str | None] = lambda: None):
-        self.client, self.session, self._everywhere, self.hopeless = client, uuid.uuid4().hex, everywhere, hopeless
+    def __init__(
+        self,
+        client: Any,
+        everywhere: Callable[..., Any],
+        hopeless: Callable[[], str | None] = lambda: None,
+    ):
+        self.client, self.session, self._everywhere, self.hopeless = (
+            client,
+            uuid.uuid4().hex,
+            everywhere,
+            hopeless,
+        )
         self.patience = CLOSE_S  # seconds for each of its parts to close
 
     def drain(self) -> None:
@@ -49,7 +59,9 @@ def dask_cluster(**settings: Any) -> Iterator[Any]:
     """A scheduler in this process, and workers as set; no part of it serves pages."""
     distributed = distributed_()
     config = needed("dask.config")
-    with config.set({"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}):
+    with config.set(
+        {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+    ):
         parts = distributed.LocalCluster(
             processes=False,
             dashboard_address="127.0.0.1:0",
@@ -98,17 +110,31 @@ async def _stop_listening(parts: Any) -> None:
 @contextlib.contextmanager
 def running_cluster(address: str) -> Iterator[Cluster]:
     """The cluster of the scheduler at an address. Raises `UsageError` where none answers."""
-    if not re.fullmatch(r"((tcp|tls|ws|wss|ucx|ucxx)://)?(\[[0-9a-fA-F:.]+\]|[^\s:/@\[\]]+):\d{1,5}", address):
-        raise UsageError(f"--scheduler {address}: no address of a scheduler; write it as in tcp://10.0.0.1:8786")
+    if not re.fullmatch(
+        r"((tcp|tls|ws|wss|ucx|ucxx)://)?(\[[0-9a-fA-F:.]+\]|[^\s:/@\[\]]+):\d{1,5}", address
+    ):
+        raise UsageError(
+            f"--scheduler {address}: no address of a scheduler; write it as in tcp://10.0.0.1:8786"
+        )
     distributed = distributed_()
     try:
         kind = asyncio.run(asyncio.wait_for(_kind(address), CONNECT_S))
     except Exception as error:  # what is no scheduler answers anything
         silent = isinstance(error, TimeoutError | asyncio.TimeoutError)
-        why = f"nothing within {CONNECT_S:g} s" if silent else str(error) if isinstance(error, OSError) else "it speaks otherwise"
-        raise UsageError(f"--scheduler {address}: no scheduler answers there ({why}); start one with `dask scheduler`") from None
+        why = (
+            f"nothing within {CONNECT_S:g} s"
+            if silent
+            else str(error)
+            if isinstance(error, OSError)
+            else "it speaks otherwise"
+        )
+        raise UsageError(
+            f"--scheduler {address}: no scheduler answers there ({why}); start one with `dask scheduler`"
+        ) from None
     if kind != "Scheduler":
-        raise UsageError(f"--scheduler {address}: that is a {kind.lower()}, no scheduler; `dask scheduler` tells its address")
+        raise UsageError(
+            f"--scheduler {address}: that is a {kind.lower()}, no scheduler; `dask scheduler` tells its address"
+        )
     client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     cluster = Cluster(client, client.run)
     try:

@@ -97,8 +97,19 @@ class Stop:
 class Coordinator:
     """Runs tasks on a cluster and saves their outcomes. `done`, `failed`, `running` and `outcomes` tell how far it is."""
 
-    def __init__(self, store: Store, tasks: Sequence[Task], cluster: Cluster, command: Sequence[str] = supervisor.SOLVER):
-        self.store, self.cluster, self.client, self.command = store, cluster, cluster.client, tuple(command)
+    def __init__(
+        self,
+        store: Store,
+        tasks: Sequence[Task],
+        cluster: Cluster,
+        command: Sequence[str] = supervisor.SOLVER,
+    ):
+        self.store, self.cluster, self.client, self.command = (
+            store,
+            cluster,
+            cluster.client,
+            tuple(command),
+        )
         self.groups: dict[str, Group] = {}
         for task in tasks:
             self.groups.setdefault(task.group, Group()).waiting.append(task)
@@ -164,14 +175,24 @@ class Coordinator:
         """The cluster's answer; a scheduler that is gone is no fault of a file or a task."""
         try:
             return question(*arguments, **more)
-        except (OSError, RuntimeError, concurrent.futures.CancelledError, asyncio.CancelledError) as error:
+        except (
+            OSError,
+            RuntimeError,
+            concurrent.futures.CancelledError,
+            asyncio.CancelledError,
+        ) as error:
             if isinstance(error, StudyFailed):
                 raise
             raise StudyFailed(f"{GONE} ({error or type(error).__name__})") from error
 
     def _hand_out(self) -> None:
         busy = collections.Counter(b.worker for b in self.batches.values())
-        slots = [w for depth in (1, 2) for w, threads in self.workers.items() for _ in range(threads * depth - busy[w])]
+        slots = [
+            w
+            for depth in (1, 2)
+            for w, threads in self.workers.items()
+            for _ in range(threads * depth - busy[w])
+        ]
         room = max(0, 2 * sum(self.workers.values()) - len(self.batches))
         threads = max(1, sum(self.workers.values()))
         counted = collections.Counter(busy)
@@ -198,7 +219,9 @@ class Coordinator:
         group = self.groups[name]
         tasks = self._draw(name, max(1, min(group.size, self._share(len(group.waiting), threads))))
         if self.seconds < QUICK_S:
-            most = min(BATCH_MOST, int(self.pace / self.seconds), self._share(self.waiting, threads))
+            most = min(
+                BATCH_MOST, int(self.pace / self.seconds), self._share(self.waiting, threads)
+            )
             while self.open and len(tasks) < most:
                 name = next(iter(self.open))
                 tasks += self._draw(name, most - len(tasks))
@@ -243,7 +266,11 @@ class Coordinator:
                 keys.append(self.arrived.get_nowait())
         back = [(self.batches.pop(k), self.futures.pop(k)) for k in keys if k in self.batches]
         good = [f for _, f in back if f.status == "finished"]
-        answers = dict(zip([f.key for f in good], self._asked(self.client.gather, good), strict=True)) if good else {}
+        answers = (
+            dict(zip([f.key for f in good], self._asked(self.client.gather, good), strict=True))
+            if good
+            else {}
+        )
         for batch, future in back:
             if future.key in answers:
                 self._take(batch, json.loads(answers[future.key]))
@@ -255,7 +282,9 @@ class Coordinator:
         if "failed_to_start" in answer:
             self.starts += 1
             if self.starts >= STARTS:
-                raise StudyFailed(f"no solver can be started: {answer['failed_to_start']}\n{answer['log']}")
+                raise StudyFailed(
+                    f"no solver can be started: {answer['failed_to_start']}\n{answer['log']}"
+                )
         compiling, finished = 0.0, 0
         for message in answer["outcomes"]:
             task = batch.tasks[message["key"]]
@@ -277,19 +306,32 @@ class Coordinator:
         self.seconds = max(1e-6, (seconds + self.seconds) / 2)
         group = self.groups[batch.group]
         slower = group.seconds is not None and seconds > group.seconds
-        group.seconds = (seconds + group.seconds) / 2 if slower and group.seconds is not None else max(seconds, 1e-6)
+        group.seconds = (
+            (seconds + group.seconds) / 2
+            if slower and group.seconds is not None
+            else max(seconds, 1e-6)
+        )
         group.size = max(1, min(int(self.pace / group.seconds), 8 * len(batch.tasks), BATCH_MOST))
 
     def _died(self, task: Task, message: dict[str, Any], host: str) -> None:
         """The process died while this task was at work, perhaps with others beside it."""
         if message["alone"] and message["late"]:
-            outcome = Outcome(task.key, "timeout", message["died"], wall_time_s=task.timeout_s, log=message["log"], host=host)
+            outcome = Outcome(
+                task.key,
+                "timeout",
+                message["died"],
+                wall_time_s=task.timeout_s,
+                log=message["log"],
+                host=host,
+            )
             self.unsaved.append((outcome, task, None))
             return
         self.deaths[task.key] += message["alone"]
         if self.deaths[task.key] >= DEATHS:
             reason = f"{message['died']}, {DEATHS} times"
-            self.unsaved.append((Outcome(task.key, "crashed", reason, log=message["log"], host=host), task, None))
+            self.unsaved.append(
+                (Outcome(task.key, "crashed", reason, log=message["log"], host=host), task, None)
+            )
         else:
             self.suspects.append(task)
 
@@ -300,7 +342,12 @@ class Coordinator:
         error = future.exception()
         if type(error).__name__ != "KilledWorker":
             raise StudyFailed(f"the cluster cannot run a batch: {type(error).__name__}: {error}")
-        message = {"died": "its worker of the cluster died", "alone": len(batch.tasks) == 1, "late": False, "log": ""}
+        message = {
+            "died": "its worker of the cluster died",
+            "alone": len(batch.tasks) == 1,
+            "late": False,
+            "log": "",
+        }
         for task in batch.tasks.values():
             self._died(task, message, batch.worker)
 
@@ -310,8 +357,14 @@ class Coordinator:
             return
         taken = [(o, t, h) for o, t, h in self.unsaved if o.key not in self.outcomes]
         histories = {o.key: h for o, _, h in taken if h}
-        name = self.store.save_arrays(f"{next(iter(histories))}-{len(histories)}", histories) if histories else ""
-        self.store.save([o.row(t, name if o.key in histories else "") for o, t, _ in taken], self.running)
+        name = (
+            self.store.save_arrays(f"{next(iter(histories))}-{len(histories)}", histories)
+            if histories
+            else ""
+        )
+        self.store.save(
+            [o.row(t, name if o.key in histories else "") for o, t, _ in taken], self.running
+        )
         self._renewed = time.monotonic()
         self.outcomes |= {o.key: o for o, _, _ in taken}
         self.unsaved.clear()

@@ -59,6 +59,8 @@ def of_message(message: Mapping[str, Any], host: str = "") -> Outcome:
 
 
 def _outcome(given: Mapping[str, Any]) -> Outcome:
-    own: dict[str, Any] = {name: given[name] for name in ("key", "status", *FIELDS) if name in given}
+    own: dict[str, Any] = {
+        name: given[name] for name in ("key", "status", *FIELDS) if name in given
+    }
     own["named"] = tuple(own.get("named", ()))
     return Outcome(**own)

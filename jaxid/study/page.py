@@ -41,10 +41,19 @@ def section(result: StudyResult) -> Section:
             "ranking": [ranking_row(r) for r in tables.rankings(result)],
             "tolerance": wording.percent(tables.TOLERANCE),
             "left_out": len(problems) - len(shown),
-            "losses": plot.svg("losses", (9.2, 1.1 + 0.42 * len(shown)), lambda f: _losses(shown, fitters, f)) if shown else None,
-            "seconds": plot.svg("seconds", (9.2, 2.8), lambda f: _seconds(result, fitters, f)) if shown else None,
+            "losses": plot.svg(
+                "losses", (9.2, 1.1 + 0.42 * len(shown)), lambda f: _losses(shown, fitters, f)
+            )
+            if shown
+            else None,
+            "seconds": plot.svg("seconds", (9.2, 2.8), lambda f: _seconds(result, fitters, f))
+            if shown
+            else None,
             "problems": [(str(p), *problem_row(runs)) for p, runs in shown.items()],
-            "verdicts": [(str(p), _counted(v), _counted(n)) for p, v, n in tables.verdicts(result)[: 10 * MOST]],
+            "verdicts": [
+                (str(p), _counted(v), _counted(n))
+                for p, v, n in tables.verdicts(result)[: 10 * MOST]
+            ],
             "failures": tables.failures(result)[:MOST],
             "notes": result.notes,
             "store": str(result.study.store),
@@ -95,7 +104,11 @@ def problem_row(runs) -> tuple[str, list[tuple[str, str]]]:
             low, middle, high = np.percentile(values, [10, 50, 90])
             wide = high - low > 1e-6 * abs(middle)
             out.append(
-                (name, wording.number(middle, 4) + (f" ({wording.number(low, 4)} to {wording.number(high, 4)})" if wide else ""))
+                (
+                    name,
+                    wording.number(middle, 4)
+                    + (f" ({wording.number(low, 4)} to {wording.number(high, 4)})" if wide else ""),
+                )
             )
     return (wording.number(best, 4) if np.isfinite(best) else "none"), out
 
@@ -118,35 +131,63 @@ def _losses(shown: dict[Problem, list[tuple[Task, Outcome]]], fitters: list[str]
     for j, (fitter, own) in enumerate(points.items()):
         color, marker = COLORS[j % len(COLORS)], MARKERS[(j // len(COLORS)) % len(MARKERS)]
         x, y = np.array(own).reshape(-1, 2).T
-        axes.scatter(x, y, s=12, marker=marker, color=color, alpha=0.7, linewidths=0, label=plot.label(fitter, 20))
+        axes.scatter(
+            x,
+            y,
+            s=12,
+            marker=marker,
+            color=color,
+            alpha=0.7,
+            linewidths=0,
+            label=plot.label(fitter, 20),
+        )
     axes.axvline(TOLERANCE, color=plot.GREY, linestyle="--", linewidth=0.8)
     axes.set_xscale("log")
     axes.set_yticks(range(len(shown)), [plot.label(str(p), 40) for p in shown])
     axes.set_ylim(len(shown) - 0.5, -0.5)
-    axes.set_xlabel("loss above the best of the problem, as a share of it (failed runs at the right edge)")
+    axes.set_xlabel(
+        "loss above the best of the problem, as a share of it (failed runs at the right edge)"
+    )
     plot.plain_log(axes.xaxis)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, len(fitters)))
+    figure.legend(
+        *axes.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, len(fitters))
+    )
 
 
 def _seconds(result: StudyResult, fitters: list[str], figure) -> None:
     left, right = figure.subplots(1, 2)
-    for axes, field, title in ((left, "wall_time_s", "seconds of a task"), (right, "evaluations", "evaluations of a run")):
+    for axes, field, title in (
+        (left, "wall_time_s", "seconds of a task"),
+        (right, "evaluations", "evaluations of a run"),
+    ):
         for j, fitter in enumerate(fitters):
             values = [
                 getattr(o, field)
                 for k, o in result.outcomes.items()
-                if result.study.tasks[k].command == "fit" and result.study.tasks[k].method == fitter and getattr(o, field)
+                if result.study.tasks[k].command == "fit"
+                and result.study.tasks[k].method == fitter
+                and getattr(o, field)
             ]
             if values:
                 x = np.quantile(values, np.linspace(0, 1, min(len(values), 200)))
                 label = plot.label(fitter, 20)
-                axes.step(x, (np.arange(len(x)) + 1) / len(x), where="post", color=COLORS[j % len(COLORS)], label=label)
+                axes.step(
+                    x,
+                    (np.arange(len(x)) + 1) / len(x),
+                    where="post",
+                    color=COLORS[j % len(COLORS)],
+                    label=label,
+                )
         axes.set_xscale("log")
         plot.plain_log(axes.xaxis)
         axes.set_xlabel(title)
         axes.set_ylim(0, 1.02)
     left.set_ylabel("share of runs")
-    figure.legend(*right.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, max(1, len(fitters))))
+    figure.legend(
+        *right.get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=min(8, max(1, len(fitters))),
+    )
 
 
 def study_page(result: StudyResult, table: bytes) -> str:

@@ -81,7 +81,11 @@ class RunsEntry(_Strict):
     @field_validator("timeout_s", mode="before")
     @classmethod
     def _number(cls, value: Any) -> Any:
-        return float(value) if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1e15 else value
+        return (
+            float(value)
+            if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1e15
+            else value
+        )
 
     @field_validator("seeds")
     @classmethod
@@ -90,7 +94,9 @@ class RunsEntry(_Strict):
             _distinct(value)
         for seed in value if isinstance(value, list) else [value]:
             if not (0 if isinstance(value, list) else 1) <= seed <= SEEDS:
-                raise ValueError(f"is {seed}: a number of seeds is 1 or more, a list holds seeds from 0 to {SEEDS}")
+                raise ValueError(
+                    f"is {seed}: a number of seeds is 1 or more, a list holds seeds from 0 to {SEEDS}"
+                )
         return value
 
     @property
@@ -185,7 +191,9 @@ class StudyError(UsageError):
         self.problems = list(problems)
         lines = [str(p) for p in self.problems]
         head = f"{len(lines)} problems in the study:"
-        super().__init__(lines[0] if len(lines) == 1 else "\n".join([head, *(f"- {line}" for line in lines)]))
+        super().__init__(
+            lines[0] if len(lines) == 1 else "\n".join([head, *(f"- {line}" for line in lines)])
+        )
 
 
 def jaxid_version() -> str:
@@ -214,22 +222,34 @@ def parse_study(path: str | Path) -> tuple[Study, list[Problem]]:
     places = Places(path.name, text)
     document = Document()
     rest = {k: v for k, v in raw.items() if k != "runs"}
-    head = entry_of(StudyEntry, rest, (), places, document, "header", [*StudyEntry.model_fields, "runs"])
+    head = entry_of(
+        StudyEntry, rest, (), places, document, "header", [*StudyEntry.model_fields, "runs"]
+    )
     runs, entries = raw.get("runs"), {}
     if not isinstance(runs, list) or not runs:
-        document.problems.append(places.problem(("runs",), "there is no [[runs]]", "Add one with `command` and `datasets`"))
+        document.problems.append(
+            places.problem(
+                ("runs",), "there is no [[runs]]", "Add one with `command` and `datasets`"
+            )
+        )
     for index, value in enumerate(runs if isinstance(runs, list) else []):
         entry = entry_of(RunsEntry, value, ("runs", index), places, document, "runs")
         if entry is not None:
             entries[index] = entry
             document.problems += _meaningless(entry, ("runs", index), places)
         elif isinstance(value, dict):
-            sound = {k: v for k, v in value.items() if k not in document.faulty.get(("runs", index), ())}
+            sound = {
+                k: v for k, v in value.items() if k not in document.faulty.get(("runs", index), ())
+            }
             entries[index] = RunsEntry.model_construct(**{"command": "fit", "datasets": []} | sound)
     total = sum(entry.count for entry in entries.values())
     if total > MOST:
         document.problems.append(
-            places.problem(("runs",), f"{total} tasks are more than a study can hold ({MOST})", "Divide it into several studies")
+            places.problem(
+                ("runs",),
+                f"{total} tasks are more than a study can hold ({MOST})",
+                "Divide it into several studies",
+            )
         )
     folders = _Folders(path.parent, places, document)
     tasks_of = lambda k, e: tuple(_tasks(e, ("runs", k), folders)) if total <= MOST else ()
@@ -243,9 +263,15 @@ def parse_study(path: str | Path) -> tuple[Study, list[Problem]]:
     store = path.parent / head.store
     try:
         if store.is_file():
-            document.problems.append(places.problem(("store",), f"{head.store!r} is a file", "Name a folder"))
+            document.problems.append(
+                places.problem(("store",), f"{head.store!r} is a file", "Name a folder")
+            )
     except (OSError, ValueError) as error:  # a name that is too long
-        document.problems.append(places.problem(("store",), f"{head.store!r} cannot be a folder ({_why(error)})", "Name another"))
+        document.problems.append(
+            places.problem(
+                ("store",), f"{head.store!r} cannot be a folder ({_why(error)})", "Name another"
+            )
+        )
     return Study(path, head.name, head.description, store, tasks, parts), document.problems
 
 
@@ -255,14 +281,22 @@ def _toml(path: Path) -> tuple[str, dict[str, Any]]:
 
     try:
         if not path.is_file():
-            raise refuse("there is no such file", "Name a study, a TOML file with `name`, `store` and [[runs]]")
+            raise refuse(
+                "there is no such file",
+                "Name a study, a TOML file with `name`, `store` and [[runs]]",
+            )
         if path.stat().st_size > LARGEST_BYTES:
-            raise refuse("is too large for a study", "Name a study, a TOML file with `name`, `store` and [[runs]]")
+            raise refuse(
+                "is too large for a study",
+                "Name a study, a TOML file with `name`, `store` and [[runs]]",
+            )
         content = path.read_bytes()
     except (OSError, ValueError) as error:
         if isinstance(error, StudyError):
             raise
-        raise refuse(f"not readable ({_why(error)})", "Check the path and its permissions") from None
+        raise refuse(
+            f"not readable ({_why(error)})", "Check the path and its permissions"
+        ) from None
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -274,7 +308,9 @@ def _toml(path: Path) -> tuple[str, dict[str, Any]]:
         line = re.search(r"at line (\d+)", str(error))
         message = str(error).split(" (at ")[0].strip().rstrip(".") or type(error).__name__
         row = int(line[1]) if line else None
-        raise refuse(f"not readable as TOML: {message[:1].lower()}{message[1:]}", "Correct the line", row) from None
+        raise refuse(
+            f"not readable as TOML: {message[:1].lower()}{message[1:]}", "Correct the line", row
+        ) from None
 
 
 def _why(error: Exception) -> str:
@@ -286,12 +322,16 @@ def _meaningless(entry: RunsEntry, key: tuple[str | int, ...], places: Places) -
     given = entry.model_fields_set
     wrong = {"fit": {"max_effects"}, "diagnose": {"fitters", "loss", "budget"}}[entry.command]
     for name in sorted(given & wrong):
-        yield places.problem((*key, name), f"{name!r} has no meaning for the command {entry.command!r}", "Remove it")
+        yield places.problem(
+            (*key, name), f"{name!r} has no meaning for the command {entry.command!r}", "Remove it"
+        )
     for name, choices in (("residual", RESIDUAL_NAMES), ("loss", LOSSES)):
         value = getattr(entry, name)
         if value is not None and value not in choices:
             yield places.problem(
-                (*key, name), f"{name!r} is {value!r}{nearest(value, choices)}", f"Write one of: {', '.join(choices)}"
+                (*key, name),
+                f"{name!r} is {value!r}{nearest(value, choices)}",
+                f"Write one of: {', '.join(choices)}",
             )
 
 
@@ -299,7 +339,9 @@ def _tasks(entry: RunsEntry, key: tuple[str | int, ...], folders: _Folders) -> I
     found = [folders.dataset(name, (*key, "datasets")) for name in entry.datasets]
     models = [folders.model(name, (*key, "models")) for name in (entry.models or [None])]
     now = jaxid_version()
-    for data, model, effects, fitter in itertools.product(found, models, entry.effects or [None], entry.fitters or [None]):
+    for data, model, effects, fitter in itertools.product(
+        found, models, entry.effects or [None], entry.fitters or [None]
+    ):
         if data is None or model is None:
             continue
         system = called(model[0]) if model[1] else model[0] or data[3]
@@ -332,11 +374,15 @@ class _Folders:
                 if not (folder / "dataset.toml").is_file():
                     here = "" if folder.is_dir() else f"; paths count from {self.folder.resolve()}"
                     what = "holds no dataset.toml" if folder.is_dir() else "is no folder"
-                    self.problem(key, f"dataset {name!r} {what}{here}", "Name a folder with a dataset.toml")
+                    self.problem(
+                        key, f"dataset {name!r} {what}{here}", "Name a folder with a dataset.toml"
+                    )
                     return None
                 digest, label, model = fingerprint(folder)
             except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: a circle of links
-                self.problem(key, f"dataset {name!r} cannot be read ({_why(error)})", "Correct the path")
+                self.problem(
+                    key, f"dataset {name!r} cannot be read ({_why(error)})", "Correct the path"
+                )
                 return None
             if self.labels.setdefault(label or name, digest) != digest:
                 label = name  # another recording has this name
@@ -352,7 +398,11 @@ class _Folders:
         try:
             path = (self.folder / file).resolve()
             if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
-                self.problem(key, f"model {name!r} is no file of {what} here", f"Paths count from {self.folder.resolve()}")
+                self.problem(
+                    key,
+                    f"model {name!r} is no file of {what} here",
+                    f"Paths count from {self.folder.resolve()}",
+                )
                 return None
             return str(path) + suffix, hashlib.sha256(path.read_bytes()).hexdigest()
         except (OSError, ValueError, RuntimeError) as error:
@@ -375,7 +425,11 @@ def fingerprint(folder: Path) -> tuple[str, str, str]:
     except (ValueError, RecursionError):
         pass  # loading says what is wrong with it
     experiments, spec = raw.get("experiments"), raw.get("model")
-    listed = [e.get("file") for e in experiments if isinstance(e, Mapping)] if isinstance(experiments, list) else []
+    listed = (
+        [e.get("file") for e in experiments if isinstance(e, Mapping)]
+        if isinstance(experiments, list)
+        else []
+    )
     if isinstance(spec, Mapping):
         listed += [spec.get(key) for key in ("file", "urdf", "robot")]
     for file in sorted({f for f in listed if isinstance(f, str)}):
@@ -383,11 +437,17 @@ def fingerprint(folder: Path) -> tuple[str, str, str]:
         try:
             if path.is_file() and path.resolve().is_relative_to(folder.resolve()):
                 with open(path, "rb") as stream:
-                    digest.update(file.encode() + b"\0" + hashlib.file_digest(stream, "sha256").digest())
+                    digest.update(
+                        file.encode() + b"\0" + hashlib.file_digest(stream, "sha256").digest()
+                    )
         except (OSError, ValueError, RuntimeError):
             continue
     name, model = raw.get("name"), spec.get("name") if isinstance(spec, Mapping) else None
-    return digest.hexdigest(), name if isinstance(name, str) else "", model if isinstance(model, str) else ""
+    return (
+        digest.hexdigest(),
+        name if isinstance(name, str) else "",
+        model if isinstance(model, str) else "",
+    )
 
 
 def dataset_problems(error: DatasetError, name: str) -> Iterator[Problem]:

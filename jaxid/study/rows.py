@@ -12,7 +12,9 @@ from typing import Any
 
 
 #: A row as bytes: SQLite takes any bytes for text, and Python stops at those that are none.
-COLUMNS = "id, CAST(key AS BLOB), CAST(status AS BLOB), CAST(arrays AS BLOB), CAST(body AS BLOB), crc"
+COLUMNS = (
+    "id, CAST(key AS BLOB), CAST(status AS BLOB), CAST(arrays AS BLOB), CAST(body AS BLOB), crc"
+)
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,9 @@ class Row:
 
     @property
     def crc(self) -> int:
-        return zlib.crc32("\0".join((self.key, self.status, self.arrays)).encode() + b"\0" + self.body)
+        return zlib.crc32(
+            "\0".join((self.key, self.status, self.arrays)).encode() + b"\0" + self.body
+        )
 
 
 def sound(fields: Sequence[Any]) -> Row | None:
@@ -49,7 +53,9 @@ def read_damaged(path: Path) -> Iterator[Row]:
         at, step, seen = 0, 1, set()
         while step < 1 << 40:
             try:
-                cursor = db.execute(f"SELECT {COLUMNS} FROM results NOT INDEXED WHERE id > ? ORDER BY id", (at,))
+                cursor = db.execute(
+                    f"SELECT {COLUMNS} FROM results NOT INDEXED WHERE id > ? ORDER BY id", (at,)
+                )
                 for number, *fields in cursor:
                     at, step = max(at, number), 1
                     row = sound(fields)

@@ -29,7 +29,12 @@ class Status:
     running: int
 
     def to_dict(self) -> dict[str, int]:
-        return {"total": self.total, "done": self.done, "failed": self.failed, "running": self.running}
+        return {
+            "total": self.total,
+            "done": self.done,
+            "failed": self.failed,
+            "running": self.running,
+        }
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,9 @@ def run_study(
     with Store(study.store) as store:
         damaged = store.acquire()
         if store.salvaged is not None:
-            notes.append(f"the store was damaged: {store.salvaged} results were saved from it, the old file lies beside it")
+            notes.append(
+                f"the store was damaged: {store.salvaged} results were saved from it, the old file lies beside it"
+            )
         if damaged:
             notes.append(f"{damaged} results were damaged on the disk; their tasks run again")
         store.sweep()
@@ -144,13 +151,16 @@ def run_study(
                 complete = coordinator.run(stop, tell)
             new, outcomes = len(coordinator.outcomes), outcomes | coordinator.outcomes
         ordered = {k: outcomes[k] for k in study.tasks if k in outcomes}
-        result = StudyResult(study, ordered, complete, not complete, new, time.monotonic() - began, tuple(notes))
+        result = StudyResult(
+            study, ordered, complete, not complete, new, time.monotonic() - began, tuple(notes)
+        )
         if complete:
             try:
                 write_tables(result, store)
             except NotSaved as error:
                 return replace(
-                    result, unsaved=f"{error}. All results are in study.sqlite: make room, start the same command again"
+                    result,
+                    unsaved=f"{error}. All results are in study.sqlite: make room, start the same command again",
                 )
         return result
 
@@ -168,14 +178,23 @@ def _read(path: str | Path, check: bool) -> Study:
 
 
 def _place(
-    store: Path, tasks: int, workers: int | None, scheduler: str | None, cluster: str | None, interface: str | None
+    store: Path,
+    tasks: int,
+    workers: int | None,
+    scheduler: str | None,
+    cluster: str | None,
+    interface: str | None,
 ) -> AbstractContextManager[Cluster]:
     """Where the tasks run."""
     if cluster == "slurm":
         from jaxid.study.slurm import slurm_cluster
 
         return slurm_cluster(store, workers and min(workers, tasks), interface)
-    return running_cluster(scheduler) if scheduler is not None else local_cluster(min(workers or cores(), tasks))
+    return (
+        running_cluster(scheduler)
+        if scheduler is not None
+        else local_cluster(min(workers or cores(), tasks))
+    )
 
 
 def _check_places(scheduler: str | None, cluster: str | None, interface: str | None) -> None:
@@ -183,9 +202,13 @@ def _check_places(scheduler: str | None, cluster: str | None, interface: str | N
     if cluster not in (None, "local", "slurm"):
         raise UsageError(f"--cluster {cluster}: there is local and slurm")
     if scheduler is not None and cluster is not None:
-        raise UsageError("--cluster starts workers, --scheduler uses those that run: leave one of them out")
+        raise UsageError(
+            "--cluster starts workers, --scheduler uses those that run: leave one of them out"
+        )
     if interface is not None and cluster != "slurm":
-        raise UsageError("--interface is for --cluster slurm: on one computer nothing listens on any network")
+        raise UsageError(
+            "--interface is for --cluster slurm: on one computer nothing listens on any network"
+        )
 
 
 def summary(result: StudyResult) -> dict[str, Any]:
@@ -203,6 +226,10 @@ def summary(result: StudyResult) -> dict[str, Any]:
         "wall_time_s": result.seconds,
         "store": str(result.study.store),
         "fitters": [r.to_dict() for r in rankings(result)],
-        "failures": [{"task": k, "status": o.status, "reason": o.reason} for k, o in result.outcomes.items() if o.failed],
+        "failures": [
+            {"task": k, "status": o.status, "reason": o.reason}
+            for k, o in result.outcomes.items()
+            if o.failed
+        ],
         "notes": list(result.notes),
     }

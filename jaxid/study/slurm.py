@@ -44,9 +44,13 @@ def address_of(interface: str | None) -> str:
         found[name] = [a.address for a in addresses if a.family.name == "AF_INET"]
     usable = {name: a[0] for name, a in found.items() if a}
     if interface is None:
-        raise UsageError(f"--cluster slurm: name the network between the nodes with --interface (there is: {', '.join(usable)})")
+        raise UsageError(
+            f"--cluster slurm: name the network between the nodes with --interface (there is: {', '.join(usable)})"
+        )
     if interface not in usable:
-        raise UsageError(f"--interface {interface}: no network of this machine{nearest(interface, usable)}")
+        raise UsageError(
+            f"--interface {interface}: no network of this machine{nearest(interface, usable)}"
+        )
     return usable[interface]
 
 
@@ -62,9 +66,13 @@ def slurm_cluster(store: Path, workers: int | None, interface: str | None) -> It
             "--cluster slurm: there is no `sbatch` here; start it on a login node of the cluster, or use --cluster local"
         )
     if workers is None:
-        raise UsageError("--cluster slurm: how many workers? Type --workers N; each is a job of one core")
+        raise UsageError(
+            "--cluster slurm: how many workers? Type --workers N; each is a job of one core"
+        )
     host = address_of(interface)
-    for left in store.glob(f"{PRIVATE}*"):  # of a coordinator that was killed; the store is ours alone
+    for left in store.glob(
+        f"{PRIVATE}*"
+    ):  # of a coordinator that was killed; the store is ours alone
         shutil.rmtree(left, ignore_errors=True)
     private = Path(tempfile.mkdtemp(prefix=PRIVATE, dir=store))
     try:
@@ -96,7 +104,9 @@ def _certificate(folder: Path) -> tuple[Any, dict[str, Path]]:
     for name, content in security.get_tls_config_for_role("worker").items():
         if name in ("ca_file", "cert", "key"):
             files[name] = folder / f"{name}.pem"
-            with open(os.open(files[name], os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            with open(
+                os.open(files[name], os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w"
+            ) as file:
                 file.write(content)
     return security, files
 
@@ -117,7 +127,15 @@ def _worker(scheduler: str, interface: str, files: dict[str, Path]) -> list[str]
         "--tls-key": files["key"],
     }
     given = [str(part) for option in options.items() for part in option]
-    return [sys.executable, "-m", "distributed.cli.dask_worker", scheduler, "--no-nanny", "--no-dashboard", *given]
+    return [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_worker",
+        scheduler,
+        "--no-nanny",
+        "--no-dashboard",
+        *given,
+    ]
 
 
 def _submit(script: Path, workers: int, store: Path, command: list[str]) -> str:
@@ -126,7 +144,9 @@ def _submit(script: Path, workers: int, store: Path, command: list[str]) -> str:
     script.write_text(SCRIPT.format(count=workers, log=log, command=shlex.join(command)))
     done = subprocess.run(["sbatch", str(script)], capture_output=True, text=True, check=False)
     if done.returncode:
-        raise UsageError(f"--cluster slurm: sbatch refused the workers: {(done.stderr or done.stdout).strip()}")
+        raise UsageError(
+            f"--cluster slurm: sbatch refused the workers: {(done.stderr or done.stdout).strip()}"
+        )
     number = re.search(r"\d+", done.stdout)
     return number[0] if number else ""
 
@@ -142,7 +162,14 @@ class _Watch:
         if not self.job or not shutil.which("squeue") or time.monotonic() - self._asked < ASK_S:
             return None
         self._asked = time.monotonic()
-        done = subprocess.run(["squeue", "--noheader", f"--jobs={self.job}"], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            ["squeue", "--noheader", f"--jobs={self.job}"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         if done.returncode == 0 and done.stdout.strip():
             return None
-        return f"SLURM has ended the workers (job {self.job}); {self.store / 'worker-*.log'} says why"
+        return (
+            f"SLURM has ended the workers (job {self.job}); {self.store / 'worker-*.log'} says why"
+        )

@@ -63,7 +63,9 @@ class Store:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise StoreError(f"{folder}: cannot be made ({error.strerror}); name another `store`") from None
+                raise StoreError(
+                    f"{folder}: cannot be made ({error.strerror}); name another `store`"
+                ) from None
         self.db = self._connect()
         try:
             self._check()
@@ -93,7 +95,13 @@ class Store:
     # ---- opening
 
     def _connect(self) -> sqlite3.Connection:
-        mode = "rwc" if self.writable else "rw" if os.access(self.path, os.W_OK) and os.access(self.folder, os.W_OK) else "ro"
+        mode = (
+            "rwc"
+            if self.writable
+            else "rw"
+            if os.access(self.path, os.W_OK) and os.access(self.folder, os.W_OK)
+            else "ro"
+        )
         uri = f"{self.path.resolve().as_uri()}?mode={mode}"
         try:
             db = sqlite3.connect(uri, uri=True, timeout=BUSY_S, isolation_level=None)
@@ -103,7 +111,9 @@ class Store:
         return db
 
     def _check(self) -> None:
-        self.db.execute("BEGIN")  # all as it was at one time: another process may be making the tables
+        self.db.execute(
+            "BEGIN"
+        )  # all as it was at one time: another process may be making the tables
         try:
             (found,) = self.db.execute("PRAGMA application_id").fetchone()
             (version,) = self.db.execute("PRAGMA user_version").fetchone()
@@ -127,11 +137,15 @@ class Store:
         elif not tables:
             raise NotBegun(f"{self.path}: is empty")
         elif version < SCHEMA:
-            raise StoreError(f"{self.path}: is of an older schema; run the study once to bring it up to date")
+            raise StoreError(
+                f"{self.path}: is of an older schema; run the study once to bring it up to date"
+            )
 
     def _migrate(self) -> None:
         with self._transaction():
-            (version,) = self.db.execute("PRAGMA user_version").fetchone()  # another process may have been quicker
+            (version,) = self.db.execute(
+                "PRAGMA user_version"
+            ).fetchone()  # another process may have been quicker
             for step in MIGRATIONS[version:]:
                 for statement in filter(str.strip, step.split(";")):
                     self.db.execute(statement)
@@ -140,14 +154,20 @@ class Store:
 
     def _salvage(self, reason: object) -> None:
         """Puts a file whose structure is damaged aside and starts a new one with every row that can still be read."""
-        aside = next(p for n in range(1, 10_000) if not (p := self.folder / f"study.sqlite.damaged-{n}").exists())
+        aside = next(
+            p
+            for n in range(1, 10_000)
+            if not (p := self.folder / f"study.sqlite.damaged-{n}").exists()
+        )
         try:
             self.path.rename(aside)
             journal = self.folder / "study.sqlite-journal"
             if journal.exists():
                 journal.rename(self.folder / f"{aside.name}-journal")
         except OSError as error:
-            raise StoreError(f"{self.path}: is damaged ({reason}) and cannot be put aside ({error.strerror})") from None
+            raise StoreError(
+                f"{self.path}: is damaged ({reason}) and cannot be put aside ({error.strerror})"
+            ) from None
         self.db = self._connect()
         self._check()
         rows = list(read_damaged(aside))
@@ -209,13 +229,19 @@ class Store:
         self._write(*self._renewal(running))
 
     def _renewal(self, running: int) -> tuple[str, tuple]:
-        return "UPDATE lease SET renewed = ?, running = ? WHERE owner = ?", (time.time(), running, self.owner)
+        return "UPDATE lease SET renewed = ?, running = ? WHERE owner = ?", (
+            time.time(),
+            running,
+            self.owner,
+        )
 
     def save(self, rows: Sequence[Row], running: int = 0) -> None:
         """Saves finished tasks, all or none; when it returns they are on the disk. A task that has a result keeps it."""
         with self._transaction(len(rows)):
             if not self.db.execute(*self._renewal(running)).rowcount:
-                raise LeaseLost(f"{self.path}: another process has taken this study over; this one stops")
+                raise LeaseLost(
+                    f"{self.path}: another process has taken this study over; this one stops"
+                )
             self.db.executemany(
                 "INSERT OR IGNORE INTO results (key, status, arrays, body, crc) VALUES (?, ?, ?, ?, ?)",
                 [(r.key, r.status, r.arrays, r.body, r.crc) for r in rows],
@@ -310,12 +336,18 @@ class Store:
         """SQLite's error as a sentence that says what to do."""
         code = getattr(error, "sqlite_errorname", "") or ""
         if code.startswith(("SQLITE_FULL", "SQLITE_IOERR")):
-            return self._cannot_write("the disk is full" if code == "SQLITE_FULL" else f"the disk fails ({code})", unsaved)
+            return self._cannot_write(
+                "the disk is full" if code == "SQLITE_FULL" else f"the disk fails ({code})", unsaved
+            )
         if code.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")):
             verb = "written" if self.writable else "read"
-            return StoreError(f"{self.path}: cannot be {verb} ({error}); check its permissions, or name another `store`")
+            return StoreError(
+                f"{self.path}: cannot be {verb} ({error}); check its permissions, or name another `store`"
+            )
         if code.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
-            return StoreError(f"{self.path}: is locked by another process for more than {BUSY_S:g} s; try again")
+            return StoreError(
+                f"{self.path}: is locked by another process for more than {BUSY_S:g} s; try again"
+            )
         return StoreError(
             f"{self.path}: is damaged ({error}); run the study again: what can be read is kept, the rest is computed anew"
         )

@@ -29,7 +29,15 @@ YEAR_S = 3e7
 LOG_LINES = 30
 
 #: Every number cruncher on one thread: there is a solver a core.
-THREADS = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")}
+THREADS = {
+    name: "1"
+    for name in (
+        "OPENBLAS_NUM_THREADS",
+        "OMP_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+    )
+}
 
 _SOLVERS: dict[tuple[int, str], Solver] = {}  # (thread, session) -> its solver
 _CLOSED: set[str] = set()  # sessions that begin nothing more
@@ -53,7 +61,9 @@ class Solver:
         self.ready = False
         self.log: collections.deque[str] = collections.deque(maxlen=LOG_LINES)
         self.answers: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
-        self.readers = [threading.Thread(target=f, daemon=True) for f in (self._read_answers, self._read_log)]
+        self.readers = [
+            threading.Thread(target=f, daemon=True) for f in (self._read_answers, self._read_log)
+        ]
         for reader in self.readers:
             reader.start()
 
@@ -119,10 +129,14 @@ def run_batch(session: str, command: Sequence[str], batch: str) -> str:
     answer: dict[str, Any] = {"host": socket.gethostname()}
     if session not in _CLOSED:
         answer |= _watch(session, _solver(session, command), tasks, outcomes)
-    return json.dumps(answer | {"seconds": time.monotonic() - began, "outcomes": list(outcomes.values())})
+    return json.dumps(
+        answer | {"seconds": time.monotonic() - began, "outcomes": list(outcomes.values())}
+    )
 
 
-def _watch(session: str, solver: Solver, tasks: Sequence[dict[str, Any]], outcomes: dict[str, Any]) -> dict[str, Any]:
+def _watch(
+    session: str, solver: Solver, tasks: Sequence[dict[str, Any]], outcomes: dict[str, Any]
+) -> dict[str, Any]:
     """Fills in the outcomes until all tasks are answered or the solver is gone."""
     limits = {t["key"]: t["timeout_s"] for t in tasks if t.get("timeout_s") is not None}
     limit_s = None
@@ -141,7 +155,11 @@ def _watch(session: str, solver: Solver, tasks: Sequence[dict[str, Any]], outcom
             if not solver.ready:
                 return {"failed_to_start": how, "log": solver.tail}
             for key in (busy := [k for k in busy if k in waiting]):
-                blamed = {"key": key, "died": f"it took more than {limit_s:g} s" if late and limit_s else how, "log": solver.tail}
+                blamed = {
+                    "key": key,
+                    "died": f"it took more than {limit_s:g} s" if late and limit_s else how,
+                    "log": solver.tail,
+                }
                 outcomes[key] = blamed | {"alone": len(busy) == 1, "late": late}
             return {}
         solver.ready |= "ready" in message

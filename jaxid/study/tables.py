@@ -23,7 +23,18 @@ if TYPE_CHECKING:
 
 
 #: Columns of the tables; one per parameter follows.
-COLUMNS = ("dataset", "model", "effects", "fitter", "seed", "status", "loss", "evaluations", "wall_time_s", "compile_time_s")
+COLUMNS = (
+    "dataset",
+    "model",
+    "effects",
+    "fitter",
+    "seed",
+    "status",
+    "loss",
+    "evaluations",
+    "wall_time_s",
+    "compile_time_s",
+)
 #: A run has reached the best loss of its problem when it lies within this share of it.
 TOLERANCE = 1e-3
 #: What a spreadsheet takes for the beginning of a formula.
@@ -40,7 +51,10 @@ class Problem:
     residual: str
 
     def __str__(self) -> str:
-        parts = [f"{self.dataset}, {self.model}", *([f"with {', '.join(self.effects)}"] if self.effects else [])]
+        parts = [
+            f"{self.dataset}, {self.model}",
+            *([f"with {', '.join(self.effects)}"] if self.effects else []),
+        ]
         return " ".join(parts) + (f" ({self.residual})" if self.residual else "")
 
 
@@ -66,7 +80,12 @@ class Ranking:
 
 
 def problem_of(task: Task) -> Problem:
-    return Problem(task.label, task.system, task.effects or (), " ".join(filter(None, (task.residual, task.loss))))
+    return Problem(
+        task.label,
+        task.system,
+        task.effects or (),
+        " ".join(filter(None, (task.residual, task.loss))),
+    )
 
 
 def problems(result: StudyResult) -> dict[Problem, list[tuple[Task, Outcome]]]:
@@ -107,7 +126,9 @@ def rankings(result: StudyResult) -> list[Ranking]:
         middle = {fitter: _median(values) for fitter, values in own.items()}
         for fitter, values in own.items():
             shares[fitter] += values
-            lower, equal = (sum(test(m, middle[fitter]) for m in middle.values()) for test in (_below, _equal))
+            lower, equal = (
+                sum(test(m, middle[fitter]) for m in middle.values()) for test in (_below, _equal)
+            )
             ranks[fitter].append(lower + (equal + 1) / 2)
     out = []
     for fitter, values in shares.items():
@@ -119,7 +140,9 @@ def rankings(result: StudyResult) -> list[Ranking]:
                 _median([o.wall_time_s for o in outcomes[fitter] if o.wall_time_s is not None]),
             )
         )  # fmt: skip
-    return sorted(out, key=lambda r: (-r.reached / r.runs, np.nan_to_num(r.evaluations, nan=np.inf), r.fitter))
+    return sorted(
+        out, key=lambda r: (-r.reached / r.runs, np.nan_to_num(r.evaluations, nan=np.inf), r.fitter)
+    )
 
 
 def _median(values: Sequence[float]) -> float:
@@ -208,7 +231,9 @@ def write_tables(result: StudyResult, store: Store) -> None:
     rows, names = table_rows(result)
     text = csv_text(rows, names).encode()
     page = study_page(result, text).encode()
-    replace_files(store.folder, {"runs.parquet": _parquet(rows, names), "runs.csv": text, "report.html": page})
+    replace_files(
+        store.folder, {"runs.parquet": _parquet(rows, names), "runs.csv": text, "report.html": page}
+    )
 
 
 def _parquet(rows: list[dict[str, Any]], names: Sequence[str]) -> bytes:
@@ -216,7 +241,13 @@ def _parquet(rows: list[dict[str, Any]], names: Sequence[str]) -> bytes:
     import pyarrow.parquet
 
     text, whole = ("dataset", "model", "effects", "fitter", "status"), ("seed", "evaluations")
-    kind = lambda name: pyarrow.string() if name in text else pyarrow.int64() if name in whole else pyarrow.float64()
+    kind = lambda name: (
+        pyarrow.string()
+        if name in text
+        else pyarrow.int64()
+        if name in whole
+        else pyarrow.float64()
+    )
     schema = pyarrow.schema([(name, kind(name)) for name in (*COLUMNS, *names)])
     plain = [{name: _encodable(value) for name, value in row.items()} for row in rows]
     buffer = io.BytesIO()

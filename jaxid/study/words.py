@@ -47,7 +47,12 @@ def _progress_table(study: Study, outcomes: dict[str, Outcome]) -> str:
     for line, count in total.items():
         own = seen[line]
         states = ", ".join(f"{n} {status}" for status, n in own.most_common())
-        rows.append((own.total() == count, [*(_short(name) for name in line), f"{own.total()}/{count}", states]))
+        rows.append(
+            (
+                own.total() == count,
+                [*(_short(name) for name in line), f"{own.total()}/{count}", states],
+            )
+        )
     rows.sort(key=lambda row: row[0])  # what is not finished first
     lines = [cells for _, cells in rows[:LINES]]
     more = f"\n… and {len(rows) - LINES} more lines" if len(rows) > LINES else ""
@@ -63,7 +68,13 @@ def duration(seconds: float) -> str:
     minutes, hours = seconds / 60, seconds / 3600
     if seconds < 90:
         return f"{seconds:.0f} s"
-    return f"{minutes:.0f} min" if minutes < 90 else f"{hours:.1f} h" if hours < 48 else f"{hours / 24:.1f} days"
+    return (
+        f"{minutes:.0f} min"
+        if minutes < 90
+        else f"{hours:.1f} h"
+        if hours < 48
+        else f"{hours / 24:.1f} days"
+    )
 
 
 def result_text(result: StudyResult) -> str:
@@ -75,14 +86,30 @@ def result_text(result: StudyResult) -> str:
     parts = [f"{result.study.name}: {s.done} of {s.total} tasks have a result, {s.failed} failed"
              f" ({result.new} run now, in {duration(result.seconds)})"]  # fmt: skip
     if rows := tables.rankings(result):
-        header = ("fitter", "at the best loss", "mean rank", "median excess", "evaluations", "seconds", "failed")
+        header = (
+            "fitter",
+            "at the best loss",
+            "mean rank",
+            "median excess",
+            "evaluations",
+            "seconds",
+            "failed",
+        )
         parts.append(wording.table(header, [ranking_row(r) for r in rows]))
     if diagnosed := tables.verdicts(result)[:LINES]:
         header = ("diagnosed", "verdicts", "named")
         counted = lambda c: ", ".join(f"{name or '-'} {n}" for name, n in c.most_common(4))
-        parts.append(wording.table(header, [[_short(str(p)), counted(v), counted(n)] for p, v, n in diagnosed]))
+        parts.append(
+            wording.table(
+                header, [[_short(str(p)), counted(v), counted(n)] for p, v, n in diagnosed]
+            )
+        )
     for status, reason, count, which, _ in tables.failures(result)[:5]:
-        parts.append(wording.wrapped(f"{count} {status}: {reason.splitlines()[0] if reason else 'no reason'} ({which})"))
+        parts.append(
+            wording.wrapped(
+                f"{count} {status}: {reason.splitlines()[0] if reason else 'no reason'} ({which})"
+            )
+        )
     if result.complete:
         parts.append(f"runs.parquet, runs.csv and report.html are in {result.study.store}")
     return "\n".join(parts)

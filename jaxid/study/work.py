@@ -41,7 +41,11 @@ class Workshop:
 
     def _same(self, tasks: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
         first = tasks[0]
-        fitter = resolve_fitter(first["fitter"], first["loss"] or "sum_of_squares") if first["command"] == "fit" else None
+        fitter = (
+            resolve_fitter(first["fitter"], first["loss"] or "sum_of_squares")
+            if first["command"] == "fit"
+            else None
+        )
         together = [tasks] if isinstance(fitter, LevenbergMarquardt) else [[t] for t in tasks]
         for part in together:
             yield {"begin": [t["key"] for t in part]}
@@ -71,14 +75,24 @@ class Workshop:
                 warnings.simplefilter("ignore")  # each stands in the result
                 data = jaxid.load_dataset(t["dataset"])
             if data.sha256 != t["dataset_sha256"]:
-                raise UsageError(f"{t['dataset']} on {socket.gethostname()} is not the dataset that the study began with")
+                raise UsageError(
+                    f"{t['dataset']} on {socket.gethostname()} is not the dataset that the study began with"
+                )
             return data
 
         return _kept(self._data, (t["dataset"], t["dataset_sha256"]), load)
 
     def _bound(self, t: dict[str, Any]) -> Benches:
-        key = t["dataset_sha256"], t["model"], t["model_sha256"], tuple(t["effects"] or ()), tuple(t["without"])
-        make = lambda: Benches(bind(_model(t), self._dataset(t), effects=t["effects"] or (), without=t["without"]))
+        key = (
+            t["dataset_sha256"],
+            t["model"],
+            t["model_sha256"],
+            tuple(t["effects"] or ()),
+            tuple(t["without"]),
+        )
+        make = lambda: Benches(
+            bind(_model(t), self._dataset(t), effects=t["effects"] or (), without=t["without"])
+        )
         return _kept(self._benches, key, make)
 
 
@@ -89,7 +103,9 @@ def _model(t: dict[str, Any]) -> Any:
         return name
     model = own_model(name)()
     if sha256_of(model) != t["model_sha256"]:
-        raise UsageError(f"{name} on {socket.gethostname()} is not the file that the study began with: start it again")
+        raise UsageError(
+            f"{name} on {socket.gethostname()} is not the file that the study began with: start it again"
+        )
     return model
 
 
@@ -106,7 +122,10 @@ def _kept(kept: OrderedDict[Any, Any], key: Any, make: Callable[[], Any]) -> Any
 def _fitted(task: dict[str, Any], fit: Fit) -> dict[str, Any]:
     parameters = {name: e.value for name, e in fit.parameters.items()}
     for effect in fit.effects:
-        parameters |= {f"{effect.effect}.{name}@{effect.location}": e.value for name, e in effect.parameters.items()}
+        parameters |= {
+            f"{effect.effect}.{name}@{effect.location}": e.value
+            for name, e in effect.parameters.items()
+        }
     return finite(
         {
             "done": task["key"],
@@ -125,7 +144,15 @@ def _fitted(task: dict[str, Any], fit: Fit) -> dict[str, Any]:
 
 def _diagnosed(task: dict[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
     message = _fitted(task, diagnosis.final)
-    message |= {"verdict": diagnosis.which.verdict, "named": [str(e).replace(" at ", "@") for e in diagnosis.which.effects]}
+    message |= {
+        "verdict": diagnosis.which.verdict,
+        "named": [str(e).replace(" at ", "@") for e in diagnosis.which.effects],
+    }
     if diagnosis.nominal.failed:
-        message |= {"status": "failed", "reason": f"the nominal fit failed: {diagnosis.nominal.stopped_because}"}
-    return message | finite({"wall_time_s": diagnosis.wall_time_s, "result": diagnosis.to_dict(), "history": ()})
+        message |= {
+            "status": "failed",
+            "reason": f"the nominal fit failed: {diagnosis.nominal.stopped_because}",
+        }
+    return message | finite(
+        {"wall_time_s": diagnosis.wall_time_s, "result": diagnosis.to_dict(), "history": ()}
+    )

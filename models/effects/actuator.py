@@ -19,19 +19,25 @@ class DeadZone(InputEffect):
     name: ClassVar[str] = "dead_zone"
     span: ClassVar = staticmethod(lambda p: (-p["width"], p["width"]))
     equation: ClassVar[str] = "u -> u - clip(u, -width, width)"
-    signature: ClassVar[str] = "low commands do nothing; above the threshold a constant torque is lost in the sign of u"
+    signature: ClassVar[str] = (
+        "low commands do nothing; above the threshold a constant torque is lost in the sign of u"
+    )
     source: ClassVar[str] = "paper 003, equation (6)"
     excitation: ClassVar[str] = (
         "slow ramps of the command through zero with a load or gravity bias, and stops from speed "
         "(braking has command and motion of opposite sign)"
     )
     axis: ClassVar[str] = "command"
-    seen: ClassVar[str] = "whenever something is commanded: all of a command below {width} is lost, and {width} of a larger one"
+    seen: ClassVar[str] = (
+        "whenever something is commanded: all of a command below {width} is lost, and {width} of a larger one"
+    )
     plain: ClassVar[str] = "Small commands do nothing: the drive needs {width} before it answers."
     check: ClassVar[str] = (
         "Raise the command slowly from zero and note where it begins to act; look for a dead band in the drive's settings."
     )
-    width: Array = param(0.0, 0.0, TORQUE, scale=0.05 * TORQUE, unit="{u}", meaning="half width of the dead zone")
+    width: Array = param(
+        0.0, 0.0, TORQUE, scale=0.05 * TORQUE, unit="{u}", meaning="half width of the dead zone"
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"width": 0.03 * TORQUE},
         {"width": 0.1 * TORQUE},
@@ -51,15 +57,25 @@ class Saturation(InputEffect):
     name: ClassVar[str] = "saturation"
     span: ClassVar = staticmethod(lambda p: (p["limit"], None))
     equation: ClassVar[str] = "u -> clip(u, -limit, limit)"
-    signature: ClassVar[str] = "missing torque at high commands only, in proportion to what exceeds the limit"
+    signature: ClassVar[str] = (
+        "missing torque at high commands only, in proportion to what exceeds the limit"
+    )
     source: ClassVar[str] = "textbook"
-    excitation: ClassVar[str] = "a staircase of command amplitudes up to the largest that is allowed"
+    excitation: ClassVar[str] = (
+        "a staircase of command amplitudes up to the largest that is allowed"
+    )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "where the command is beyond {limit}"
     plain: ClassVar[str] = "The drive gives no more than {limit}, whatever is commanded."
     check: ClassVar[str] = "Look up the current or torque limit of the drive and its settings."
     limit: Array = param(
-        1e12, 0.02 * TORQUE, 2 * TORQUE, scale=0.05 * TORQUE, unit="{u}", meaning="largest magnitude that passes", log=True
+        1e12,
+        0.02 * TORQUE,
+        2 * TORQUE,
+        scale=0.05 * TORQUE,
+        unit="{u}",
+        meaning="largest magnitude that passes",
+        log=True,
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"limit": 0.95 * TORQUE},
@@ -84,13 +100,24 @@ class ActuatorLag(InputEffect):
     equation: ClassVar[str] = "lag du'/dt = u - u'"
     signature: ClassVar[str] = "phase lag and loss of gain towards high frequency"
     source: ClassVar[str] = "textbook; exact solution for a held input, mean over the step"
-    excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth: a lag bends the phase, a delay does not"
+    excitation: ClassVar[str] = (
+        "one multisine with energy up to ten times the bandwidth: a lag bends the phase, a delay does not"
+    )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "wherever the command changes faster than in {lag}"
-    plain: ClassVar[str] = "The drive answers late: it follows its command with a time constant of {lag}."
-    check: ClassVar[str] = "Look at the step response of the current; the bandwidth of the current loop or a valve."
+    plain: ClassVar[str] = (
+        "The drive answers late: it follows its command with a time constant of {lag}."
+    )
+    check: ClassVar[str] = (
+        "Look at the step response of the current; the bandwidth of the current loop or a valve."
+    )
     lag: Array = param(0.0, 0.0, 0.3, scale=0.003, unit="s", meaning="time constant of the drive")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"lag": 0.001}, {"lag": 0.006}, {"lag": 0.03}, {"lag": 0.12})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"lag": 0.001},
+        {"lag": 0.006},
+        {"lag": 0.03},
+        {"lag": 0.12},
+    )
 
     def start(self, u):
         return u
@@ -114,12 +141,25 @@ class TorqueScale(InputEffect):
     equation: ClassVar[str] = "u -> (1 + gain) u"
     signature: ClassVar[str] = "missing torque in proportion to the command"
     source: ClassVar[str] = "textbook"
-    excitation: ClassVar[str] = "motion against a known load: a payload or an inertia that was weighed"
+    excitation: ClassVar[str] = (
+        "motion against a known load: a payload or an inertia that was weighed"
+    )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "in proportion to the command"
-    plain: ClassVar[str] = "The drive gives {gain:%} of the command more than stated (less, if negative)."
-    check: ClassVar[str] = "Check the torque constant, the gear ratio and the amplifier's current scale."
-    gain: Array = param(0.0, -0.9, 5.0, scale=0.03, unit="1", meaning="share by which the drive gives more than commanded")
+    plain: ClassVar[str] = (
+        "The drive gives {gain:%} of the command more than stated (less, if negative)."
+    )
+    check: ClassVar[str] = (
+        "Check the torque constant, the gear ratio and the amplifier's current scale."
+    )
+    gain: Array = param(
+        0.0,
+        -0.9,
+        5.0,
+        scale=0.03,
+        unit="1",
+        meaning="share by which the drive gives more than commanded",
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"gain": 0.1},)
 
     def start(self, u):
@@ -138,18 +178,30 @@ class SupplyDroop(InputEffect):
     name: ClassVar[str] = "supply_droop"
     equation: ClassVar[str] = "u -> u (1 - droop |u|)"
     signature: ClassVar[str] = "missing torque that grows with the square of the command"
-    source: ClassVar[str] = "voltage drop at the inner resistance of the supply, to first order in the current drawn"
+    source: ClassVar[str] = (
+        "voltage drop at the inner resistance of the supply, to first order in the current drawn"
+    )
     excitation: ClassVar[str] = (
         "a staircase of command amplitudes: half of the largest command loses a quarter of what the largest loses"
     )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "at large commands, with their square"
-    plain: ClassVar[str] = "The drive weakens under large commands: it loses {droop} of the command per unit of it."
+    plain: ClassVar[str] = (
+        "The drive weakens under large commands: it loses {droop} of the command per unit of it."
+    )
     check: ClassVar[str] = "Measure the supply voltage under full load: supply, cables, battery."
     droop: Array = param(
-        0.0, 0.0, 0.5 / TORQUE, scale=0.02 / TORQUE, unit="1/({u})", meaning="relative loss per unit of the command"
+        0.0,
+        0.0,
+        0.5 / TORQUE,
+        scale=0.02 / TORQUE,
+        unit="1/({u})",
+        meaning="relative loss per unit of the command",
     )
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"droop": 0.03 / TORQUE}, {"droop": 0.3 / TORQUE})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"droop": 0.03 / TORQUE},
+        {"droop": 0.3 / TORQUE},
+    )
 
     def start(self, u):
         return ()
@@ -172,13 +224,24 @@ class BackEmf(InputEffect):
         "missing torque proportional to velocity, and none where the command is inside a dead zone or limit"
     )
     source: ClassVar[str] = "textbook: induced voltage of a motor"
-    excitation: ClassVar[str] = "coasting from speed with the drive switched off against the same speed under command"
+    excitation: ClassVar[str] = (
+        "coasting from speed with the drive switched off against the same speed under command"
+    )
     axis: ClassVar[str] = "speed"
     seen: ClassVar[str] = "in proportion to speed, through the drive"
-    plain: ClassVar[str] = "The drive loses {constant} of its command per unit of speed: the motor's back EMF."
-    check: ClassVar[str] = "Spin the motor by hand with open leads and measure its voltage against speed."
+    plain: ClassVar[str] = (
+        "The drive loses {constant} of its command per unit of speed: the motor's back EMF."
+    )
+    check: ClassVar[str] = (
+        "Spin the motor by hand with open leads and measure its voltage against speed."
+    )
     constant: Array = param(
-        0.0, 0.0, 100 * TORQUE / SPEED, scale=0.1 * TORQUE / SPEED, unit="{u} s/{X}", meaning="command lost per speed"
+        0.0,
+        0.0,
+        100 * TORQUE / SPEED,
+        scale=0.1 * TORQUE / SPEED,
+        unit="{u} s/{X}",
+        meaning="command lost per speed",
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"constant": 0.03 * TORQUE / SPEED},
@@ -198,15 +261,27 @@ class TorqueRipple(JointEffect):
 
     name: ClassVar[str] = "torque_ripple"
     equation: ClassVar[str] = "f = sine sin(order q) + cosine cos(order q)"
-    signature: ClassVar[str] = "missing torque periodic in position, the same in both directions and at any speed"
-    source: ClassVar[str] = "textbook; the order is the number of poles, slots or teeth per turn, or found from the data"
+    signature: ClassVar[str] = (
+        "missing torque periodic in position, the same in both directions and at any speed"
+    )
+    source: ClassVar[str] = (
+        "textbook; the order is the number of poles, slots or teeth per turn, or found from the data"
+    )
     excitation: ClassVar[str] = "slow constant speed over the whole travel, both ways"
     axis: ClassVar[str] = "position"
     seen: ClassVar[str] = "over and over with position, once every {order:period}"
-    plain: ClassVar[str] = "The torque repeats with position: cogging of the motor or an eccentric gear."
-    check: ClassVar[str] = "Turn slowly over a whole revolution and compare the period with poles and teeth."
-    sine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine")
-    cosine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine")
+    plain: ClassVar[str] = (
+        "The torque repeats with position: cogging of the motor or an eccentric gear."
+    )
+    check: ClassVar[str] = (
+        "Turn slowly over a whole revolution and compare the period with poles and teeth."
+    )
+    sine: Array = param(
+        0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine"
+    )
+    cosine: Array = param(
+        0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine"
+    )
     order: Array = param(
         10.0,
         6.2832 / ANGLE,
@@ -238,7 +313,10 @@ class TorqueRipple(JointEffect):
             if explained > best:
                 turned = amplitudes[0] + 1j * amplitudes[1]
                 turned *= np.exp(-1j * order * q.min())
-                best, found = explained, {"sine": turned.real, "cosine": turned.imag, "order": float(order)}
+                best, found = (
+                    explained,
+                    {"sine": turned.real, "cosine": turned.imag, "order": float(order)},
+                )
         return found
 
     def start(self, q):

@@ -22,13 +22,19 @@ class ActuatorCurve(InputEffect):
     equation: ClassVar[str] = (
         "u -> u + sign(u) (low min(|u|, k) + middle clip(|u| - k, 0, k) + high max(|u| - 2 k, 0)),  k = reach / 3"
     )
-    signature: ClassVar[str] = "missing torque that is a function of the command alone and bends where the drive's curve does"
-    source: ClassVar[str] = "piecewise linear interpolation; paper 003, Table 1 against its equation (6)"
+    signature: ClassVar[str] = (
+        "missing torque that is a function of the command alone and bends where the drive's curve does"
+    )
+    source: ClassVar[str] = (
+        "piecewise linear interpolation; paper 003, Table 1 against its equation (6)"
+    )
     excitation: ClassVar[str] = (
         "a staircase of command amplitudes, held until the speed is steady, from zero to the largest, both signs"
     )
     axis: ClassVar[str] = "command"
-    seen: ClassVar[str] = "with the command, by a law of its own below and above a third and two thirds of {reach}"
+    seen: ClassVar[str] = (
+        "with the command, by a law of its own below and above a third and two thirds of {reach}"
+    )
     plain: ClassVar[str] = (
         "The drive does not give what is commanded in proportion: its curve bends (slope off by {low:%}, {middle:%}, {high:%})."
     )
@@ -38,12 +44,25 @@ class ActuatorCurve(InputEffect):
     last_resort: ClassVar[bool] = True
     resembles: ClassVar[tuple[str, ...]] = ("torque_scale", "dead_zone", "saturation")
     low: Array = param(
-        0.0, -1.0, 4.0, scale=0.05, unit="1", meaning="share by which the slope differs up to a third of the reach"
+        0.0,
+        -1.0,
+        4.0,
+        scale=0.05,
+        unit="1",
+        meaning="share by which the slope differs up to a third of the reach",
     )
-    middle: Array = param(0.0, -1.0, 4.0, scale=0.05, unit="1", meaning="the same in the second third")
+    middle: Array = param(
+        0.0, -1.0, 4.0, scale=0.05, unit="1", meaning="the same in the second third"
+    )
     high: Array = param(0.0, -1.0, 4.0, scale=0.05, unit="1", meaning="the same beyond")
     reach: Array = param(
-        1.0, 0.1 * TORQUE, 3 * TORQUE, scale=0.05 * TORQUE, unit="{u}", meaning="command whose thirds are the kinks", log=True
+        1.0,
+        0.1 * TORQUE,
+        3 * TORQUE,
+        scale=0.05 * TORQUE,
+        unit="{u}",
+        meaning="command whose thirds are the kinks",
+        log=True,
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"high": -0.5, "reach": 1.0 * TORQUE},

@@ -60,11 +60,15 @@ class Loosenable(Protocol):
 
 
 def _where_stiffenable(mechanism, signature):
-    return signature.joints[:1] if isinstance(mechanism, Stiffenable) and mechanism.nonlinear else ()
+    return (
+        signature.joints[:1] if isinstance(mechanism, Stiffenable) and mechanism.nonlinear else ()
+    )
 
 
 def _where_loosenable(mechanism, signature):
-    return signature.joints[:1] if isinstance(mechanism, Loosenable) and not mechanism.floating else ()
+    return (
+        signature.joints[:1] if isinstance(mechanism, Loosenable) and not mechanism.floating else ()
+    )
 
 
 def _where_loadable(mechanism, signature):
@@ -72,7 +76,11 @@ def _where_loadable(mechanism, signature):
 
 
 def _where_tiltable(mechanism, signature):
-    return signature.joints[: getattr(mechanism, "tilts", 1)] if isinstance(mechanism, Tiltable) else ()
+    return (
+        signature.joints[: getattr(mechanism, "tilts", 1)]
+        if isinstance(mechanism, Tiltable)
+        else ()
+    )
 
 
 class ConstantTorque(JointEffect):
@@ -86,11 +94,21 @@ class ConstantTorque(JointEffect):
     axis: ClassVar[str] = "time"
     seen: ClassVar[str] = "always, at rest too"
     plain: ClassVar[str] = "A constant torque of {torque} acts that the model does not have."
-    check: ClassVar[str] = "Look for a weight, a counterbalance, an offset of the drive or of its current sensor."
-    torque: Array = param(
-        0.0, -TORQUE, TORQUE, scale=0.03 * TORQUE, unit="{F}", meaning="constant torque against positive motion"
+    check: ClassVar[str] = (
+        "Look for a weight, a counterbalance, an offset of the drive or of its current sensor."
     )
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"torque": 0.03 * TORQUE}, {"torque": -0.03 * TORQUE})
+    torque: Array = param(
+        0.0,
+        -TORQUE,
+        TORQUE,
+        scale=0.03 * TORQUE,
+        unit="{F}",
+        meaning="constant torque against positive motion",
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"torque": 0.03 * TORQUE},
+        {"torque": -0.03 * TORQUE},
+    )
 
     def start(self, q):
         return ()
@@ -146,11 +164,21 @@ class FlexibleMode(JointEffect):
     seen: ClassVar[str] = "around {frequency}, after steps and knocks"
     plain: ClassVar[str] = "Something swings along at {frequency}."
     check: ClassVar[str] = "Knock at tool, cables, table and base, and look for that frequency."
-    inertia: Array = param(0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia that swings")
-    frequency: Array = param(
-        5.0, 2 / DURATION, 0.4 / STEP, scale=1 / DURATION, unit="Hz", meaning="natural frequency with the joint held", log=True
+    inertia: Array = param(
+        0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia that swings"
     )
-    damping_ratio: Array = param(0.03, 1e-3, 1.0, scale=0.01, unit="1", meaning="damping ratio with the joint held", log=True)
+    frequency: Array = param(
+        5.0,
+        2 / DURATION,
+        0.4 / STEP,
+        scale=1 / DURATION,
+        unit="Hz",
+        meaning="natural frequency with the joint held",
+        log=True,
+    )
+    damping_ratio: Array = param(
+        0.03, 1e-3, 1.0, scale=0.01, unit="1", meaning="damping ratio with the joint held", log=True
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
         {"inertia": 0.1 * INERTIA, "frequency": ratio * SPEED / ANGLE, "damping_ratio": 0.05}
         for ratio in (1.0, 2.0, 4.0, 8.0, 16.0)
@@ -183,15 +211,28 @@ class ReflectedInertia(BodyEffect):
     name: ClassVar[str] = "reflected_inertia"
     stage: ClassVar[int] = 0
     equation: ClassVar[str] = "M_jj -> M_jj + inertia"
-    signature: ClassVar[str] = "missing torque in proportion to the joint's own acceleration, whatever the other joints do"
+    signature: ClassVar[str] = (
+        "missing torque in proportion to the joint's own acceleration, whatever the other joints do"
+    )
     source: ClassVar[str] = "textbook: gear ratio squared times the rotor's inertia"
-    excitation: ClassVar[str] = "accelerations of one joint while another one accelerates the same and the opposite way"
+    excitation: ClassVar[str] = (
+        "accelerations of one joint while another one accelerates the same and the opposite way"
+    )
     axis: ClassVar[str] = "acceleration"
     seen: ClassVar[str] = "in proportion to the joint's own acceleration"
-    plain: ClassVar[str] = "The joint is heavier to accelerate by {inertia}: the rotor behind its gear."
-    check: ClassVar[str] = "Look up the rotor inertia and multiply it by the square of the gear ratio."
-    inertia: Array = param(0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia at the joint")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"inertia": 0.02 * INERTIA}, {"inertia": 0.2 * INERTIA})
+    plain: ClassVar[str] = (
+        "The joint is heavier to accelerate by {inertia}: the rotor behind its gear."
+    )
+    check: ClassVar[str] = (
+        "Look up the rotor inertia and multiply it by the square of the gear ratio."
+    )
+    inertia: Array = param(
+        0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia at the joint"
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"inertia": 0.02 * INERTIA},
+        {"inertia": 0.2 * INERTIA},
+    )
 
     def __call__(self, mechanism):
         return with_inertia(mechanism, self.inertia)
@@ -203,16 +244,28 @@ class Payload(BodyEffect):
     name: ClassVar[str] = "payload"
     stage: ClassVar[int] = -2
     offered: ClassVar = staticmethod(_where_loadable)
-    equation: ClassVar[str] = "a point mass at the end of the joint's link: inertia, coupling and gravity together"
-    signature: ClassVar[str] = "gravity and acceleration together, at this joint and those before it"
+    equation: ClassVar[str] = (
+        "a point mass at the end of the joint's link: inertia, coupling and gravity together"
+    )
+    signature: ClassVar[str] = (
+        "gravity and acceleration together, at this joint and those before it"
+    )
     source: ClassVar[str] = "textbook"
-    excitation: ClassVar[str] = "two poses at rest and one fast motion, without the load and with it"
+    excitation: ClassVar[str] = (
+        "two poses at rest and one fast motion, without the load and with it"
+    )
     axis: ClassVar[str] = "acceleration"
     seen: ClassVar[str] = "wherever the link is lifted or accelerated"
     plain: ClassVar[str] = "The link carries {mass} more than the model has."
     check: ClassVar[str] = "Weigh what is mounted: tool, cables, workpiece."
-    mass: Array = param(0.0, -20.0, 200.0, scale=0.02, unit="kg", meaning="mass beyond what the model has")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"mass": 0.02}, {"mass": 0.3}, {"mass": 3.0})
+    mass: Array = param(
+        0.0, -20.0, 200.0, scale=0.02, unit="kg", meaning="mass beyond what the model has"
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"mass": 0.02},
+        {"mass": 0.3},
+        {"mass": 3.0},
+    )
 
     def __call__(self, mechanism):
         return mechanism.loaded(self.mass) if isinstance(mechanism, Loadable) else mechanism
@@ -221,10 +274,23 @@ class Payload(BodyEffect):
 class PlacedPayload(Payload):
     """The same on a robot of a file, which does not say where a link ends: where the mass sits is a number as well."""
 
-    equation: ClassVar[str] = "a point mass (dx, dy, dz) beyond the end of the joint's link: inertia and gravity together"
-    dx: Array = param(0.0, -1.0, 1.0, scale=0.02, unit="m", meaning="beyond the next joint, or the link's centre of mass, x")
-    dy: Array = param(0.0, -1.0, 1.0, scale=0.02, unit="m", meaning="the same in y of the link's frame")
-    dz: Array = param(0.0, -1.0, 1.0, scale=0.02, unit="m", meaning="the same in z of the link's frame")
+    equation: ClassVar[str] = (
+        "a point mass (dx, dy, dz) beyond the end of the joint's link: inertia and gravity together"
+    )
+    dx: Array = param(
+        0.0,
+        -1.0,
+        1.0,
+        scale=0.02,
+        unit="m",
+        meaning="beyond the next joint, or the link's centre of mass, x",
+    )
+    dy: Array = param(
+        0.0, -1.0, 1.0, scale=0.02, unit="m", meaning="the same in y of the link's frame"
+    )
+    dz: Array = param(
+        0.0, -1.0, 1.0, scale=0.02, unit="m", meaning="the same in z of the link's frame"
+    )
     #: Numbers whose products with the mass the motion shows, to first order.
     moments: ClassVar[tuple[str, ...]] = ("dx", "dy", "dz")
 
@@ -238,10 +304,16 @@ class GravityOffset(BodyEffect):
     name: ClassVar[str] = "gravity_offset"
     stage: ClassVar[int] = -1
     offered: ClassVar = staticmethod(_where_tiltable)
-    equation: ClassVar[str] = "gravity(q) -> gravity with the base turned by tilt about the first joint's axis"
-    signature: ClassVar[str] = "missing torque that follows the derivative of the gravity torque by position"
+    equation: ClassVar[str] = (
+        "gravity(q) -> gravity with the base turned by tilt about the first joint's axis"
+    )
+    signature: ClassVar[str] = (
+        "missing torque that follows the derivative of the gravity torque by position"
+    )
     source: ClassVar[str] = "textbook"
-    excitation: ClassVar[str] = "rests all around the travel, with the joint's zero checked by a level"
+    excitation: ClassVar[str] = (
+        "rests all around the travel, with the joint's zero checked by a level"
+    )
     axis: ClassVar[str] = "position"
     seen: ClassVar[str] = "with the posture, where gravity acts"
     plain: ClassVar[str] = "Gravity acts as if the base were tilted by {tilt}."
@@ -259,19 +331,31 @@ class GeometricStiffening(BodyEffect):
     name: ClassVar[str] = "geometric_stiffening"
     stage: ClassVar[int] = -1
     offered: ClassVar = staticmethod(_where_stiffenable)
-    equation: ClassVar[str] = "K_psi -> K_psi + share phid^2 K_G,  K_G = int (m_p L + rho A (L^2 - x^2) / 2) N' N'^T dx"
-    signature: ClassVar[str] = "the beam's frequency rises with the hub's speed where the model lets it fall"
-    source: ClassVar[str] = "foreshortening of a rotating beam; the linear strain of paper 002 has softening only"
+    equation: ClassVar[str] = (
+        "K_psi -> K_psi + share phid^2 K_G,  K_G = int (m_p L + rho A (L^2 - x^2) / 2) N' N'^T dx"
+    )
+    signature: ClassVar[str] = (
+        "the beam's frequency rises with the hub's speed where the model lets it fall"
+    )
+    source: ClassVar[str] = (
+        "foreshortening of a rotating beam; the linear strain of paper 002 has softening only"
+    )
     excitation: ClassVar[str] = "the same pulse at rest and during a fast turn (7 rad/s and more)"
     axis: ClassVar[str] = "speed"
     seen: ClassVar[str] = "at high speed of the hub"
     plain: ClassVar[str] = "The beam stiffens as it turns; the model leaves that out."
     check: ClassVar[str] = "Nothing is wrong with the machine: add the term to the simulator."
-    share: Array = param(0.0, -0.5, 3.0, scale=0.1, unit="1", meaning="1: all of the tension counts")
+    share: Array = param(
+        0.0, -0.5, 3.0, scale=0.1, unit="1", meaning="1: all of the tension counts"
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
 
     def __call__(self, mechanism):
-        return mechanism.stiffened(self.share) if isinstance(mechanism, Stiffenable) and mechanism.nonlinear else mechanism
+        return (
+            mechanism.stiffened(self.share)
+            if isinstance(mechanism, Stiffenable) and mechanism.nonlinear
+            else mechanism
+        )
 
 
 class BaseMotion(BodyEffect):
@@ -280,16 +364,33 @@ class BaseMotion(BodyEffect):
     name: ClassVar[str] = "base_motion"
     stage: ClassVar[int] = -1
     offered: ClassVar = staticmethod(_where_loosenable)
-    equation: ClassVar[str] = "M -> M_mm - M_mb M_bb^-1 M_bm, the base's mass and inertia counted 1 / share times"
-    signature: ClassVar[str] = "all inertias seem smaller, and the more so the more posture changes; hardly any residual"
-    source: ClassVar[str] = "exact reduced dynamics at zero momentum (paper 000 assumes a base that stands still)"
+    equation: ClassVar[str] = (
+        "M -> M_mm - M_mb M_bb^-1 M_bm, the base's mass and inertia counted 1 / share times"
+    )
+    signature: ClassVar[str] = (
+        "all inertias seem smaller, and the more so the more posture changes; hardly any residual"
+    )
+    source: ClassVar[str] = (
+        "exact reduced dynamics at zero momentum (paper 000 assumes a base that stands still)"
+    )
     excitation: ClassVar[str] = "two sets of postures far apart, and the base's own rate"
     axis: ClassVar[str] = "acceleration"
     seen: ClassVar[str] = "wherever the arm accelerates"
     plain: ClassVar[str] = "The base moves under the arm; the simulator holds it still."
     check: ClassVar[str] = "Watch the base: fixing, table, floating body."
-    share: Array = param(0.0, 0.0, 20.0, scale=0.1, unit="1", meaning="1: the base floats with its known mass and inertia")
+    share: Array = param(
+        0.0,
+        0.0,
+        20.0,
+        scale=0.1,
+        unit="1",
+        meaning="1: the base floats with its known mass and inertia",
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 0.1}, {"share": 1.0})
 
     def __call__(self, mechanism):
-        return mechanism.loosened(self.share) if isinstance(mechanism, Loosenable) and not mechanism.floating else mechanism
+        return (
+            mechanism.loosened(self.share)
+            if isinstance(mechanism, Loosenable) and not mechanism.floating
+            else mechanism
+        )

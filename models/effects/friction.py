@@ -25,7 +25,12 @@ class ViscousFriction(JointEffect):
     plain: ClassVar[str] = "Friction grows with speed by {coefficient} more than stated."
     check: ClassVar[str] = "Look at bearings, seals and the viscosity of the grease."
     coefficient: Array = param(
-        0.0, 0.0, 100 * TORQUE / SPEED, scale=0.1 * TORQUE / SPEED, unit="{F} s/{X}", meaning="viscous coefficient"
+        0.0,
+        0.0,
+        100 * TORQUE / SPEED,
+        scale=0.1 * TORQUE / SPEED,
+        unit="{F} s/{X}",
+        meaning="viscous coefficient",
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"coefficient": 0.03 * TORQUE / SPEED},
@@ -49,11 +54,15 @@ class CoulombFriction(JointEffect):
     excitation: ClassVar[str] = "slow reversals with rests between them"
     axis: ClassVar[str] = "speed"
     seen: ClassVar[str] = "whenever it moves, against the motion, and at standstill"
-    plain: ClassVar[str] = "Dry friction of {level} opposes every motion and holds the joint at standstill."
+    plain: ClassVar[str] = (
+        "Dry friction of {level} opposes every motion and holds the joint at standstill."
+    )
     check: ClassVar[str] = (
         "Find the smallest torque that starts the motion, both ways; look at bearings, seals, brakes that drag."
     )
-    level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry friction level")
+    level: Array = param(
+        0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry friction level"
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"level": 0.01 * TORQUE},
         {"level": 0.05 * TORQUE},
@@ -71,15 +80,32 @@ class AsymmetricFriction(JointEffect):
     """Viscous and dry friction that differ by direction; the means of both directions stay with the symmetric laws."""
 
     name: ClassVar[str] = "asymmetric_friction"
-    equation: ClassVar[str] = "f = viscous |qd| + dry |sign(qd)|: added forwards, taken away backwards"
-    signature: ClassVar[str] = "missing torque with the same sign in both directions of motion, zero at rest"
-    source: ClassVar[str] = "direction-dependent friction of linear drives (EMPS benchmark's own variant)"
+    equation: ClassVar[str] = (
+        "f = viscous |qd| + dry |sign(qd)|: added forwards, taken away backwards"
+    )
+    signature: ClassVar[str] = (
+        "missing torque with the same sign in both directions of motion, zero at rest"
+    )
+    source: ClassVar[str] = (
+        "direction-dependent friction of linear drives (EMPS benchmark's own variant)"
+    )
     excitation: ClassVar[str] = "the same constant speeds forwards and backwards, and a standstill"
     axis: ClassVar[str] = "speed"
     seen: ClassVar[str] = "otherwise forwards than backwards"
-    plain: ClassVar[str] = "Friction differs between forwards and backwards (half the difference: {dry} dry, {viscous} viscous)."
-    check: ClassVar[str] = "Run the same speed both ways; look at preload, screws, belts, gears that bind one way."
-    dry: Array = param(0.0, -TORQUE, TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="half the difference of the dry levels")
+    plain: ClassVar[str] = (
+        "Friction differs between forwards and backwards (half the difference: {dry} dry, {viscous} viscous)."
+    )
+    check: ClassVar[str] = (
+        "Run the same speed both ways; look at preload, screws, belts, gears that bind one way."
+    )
+    dry: Array = param(
+        0.0,
+        -TORQUE,
+        TORQUE,
+        scale=0.05 * TORQUE,
+        unit="{F}",
+        meaning="half the difference of the dry levels",
+    )
     viscous: Array = param(
         0.0,
         -20 * TORQUE / SPEED,
@@ -109,15 +135,36 @@ class StribeckFriction(JointEffect):
     span: ClassVar = staticmethod(lambda p: (-2 * p["speed"], 2 * p["speed"]))
     refines: ClassVar[str] = "coulomb_friction"
     equation: ClassVar[str] = "f = extra exp(-(qd / speed)^2) sign(qd)"
-    signature: ClassVar[str] = "a bump of the missing torque at low speed only; breakaway above the sliding level"
+    signature: ClassVar[str] = (
+        "a bump of the missing torque at low speed only; breakaway above the sliding level"
+    )
     source: ClassVar[str] = "paper 000 (Stribeck terms of both joints)"
-    excitation: ClassVar[str] = "slow ramps through zero speed and micro-reversals of a few milliradians"
+    excitation: ClassVar[str] = (
+        "slow ramps through zero speed and micro-reversals of a few milliradians"
+    )
     axis: ClassVar[str] = "speed"
     seen: ClassVar[str] = "at speeds below about {speed}"
-    plain: ClassVar[str] = "Friction is higher when it moves slowly: {extra} more at the start, gone at a few times {speed}."
+    plain: ClassVar[str] = (
+        "Friction is higher when it moves slowly: {extra} more at the start, gone at a few times {speed}."
+    )
     check: ClassVar[str] = "Look at lubrication; expect stick-slip in slow motion."
-    extra: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="breakaway level above the sliding level")
-    speed: Array = param(0.1, 0.002 * SPEED, SPEED, scale=0.05 * SPEED, unit="{X}/s", meaning="Stribeck velocity", log=True)
+    extra: Array = param(
+        0.0,
+        0.0,
+        2 * TORQUE,
+        scale=0.05 * TORQUE,
+        unit="{F}",
+        meaning="breakaway level above the sliding level",
+    )
+    speed: Array = param(
+        0.1,
+        0.002 * SPEED,
+        SPEED,
+        scale=0.05 * SPEED,
+        unit="{X}/s",
+        meaning="Stribeck velocity",
+        log=True,
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"extra": 0.1 * TORQUE, "speed": 0.02 * SPEED},
         {"extra": 0.1 * TORQUE, "speed": 0.1 * SPEED},
@@ -153,16 +200,24 @@ class LoadDependentFriction(JointEffect):
     excitation: ClassVar[str] = "the same motion under two or three payloads or poses"
     axis: ClassVar[str] = "load"
     seen: ClassVar[str] = "whenever it moves under load"
-    plain: ClassVar[str] = "Friction grows with the load: {mu:%} of the torque that passes the gear."
+    plain: ClassVar[str] = (
+        "Friction grows with the load: {mu:%} of the torque that passes the gear."
+    )
     check: ClassVar[str] = (
         "Compare the same motion with and without load; look at the efficiency of the gear (worm and screw drives)."
     )
-    mu: Array = param(0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque that passes the gear")
+    mu: Array = param(
+        0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque that passes the gear"
+    )
     drive_share: Array = param(
         1.0, 0.0, 1.0, scale=0.3, unit="1", meaning="share of the drive's torque in the load, the rest being what is transmitted",
         only=("load", "combined"),
     )  # fmt: skip
-    load: str = setting("combined", words=("drive", "transmitted", "combined"), meaning="the torque that friction grows with")
+    load: str = setting(
+        "combined",
+        words=("drive", "transmitted", "combined"),
+        meaning="the torque that friction grows with",
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
         {"mu": mu, "drive_share": share}
         for mu, share in ((0.02, 1.0), (0.1, 1.0), (0.3, 1.0), (0.02, 0.0), (0.1, 0.0), (0.3, 0.0))
@@ -173,7 +228,9 @@ class LoadDependentFriction(JointEffect):
 
     def __call__(self, s, z):
         both = self.drive_share * s.load + (1 - self.drive_share) * s.transmitted
-        level = self.mu * jnp.abs({"drive": s.load, "transmitted": s.transmitted, "combined": both}[self.load])
+        level = self.mu * jnp.abs(
+            {"drive": s.load, "transmitted": s.transmitted, "combined": both}[self.load]
+        )
         return 0.0, level, level, z
 
 
@@ -218,8 +275,12 @@ class LuGreFriction(JointEffect):
     """
 
     name: ClassVar[str] = "lugre_friction"
-    equation: ClassVar[str] = "f = level (z + relaxation dz/dt);  dz/dt = (qd - |qd| z) / presliding,  |z| <= 1"
-    signature: ClassVar[str] = "hysteresis after each reversal over a fixed distance, not a fixed time; motion below breakaway"
+    equation: ClassVar[str] = (
+        "f = level (z + relaxation dz/dt);  dz/dt = (qd - |qd| z) / presliding,  |z| <= 1"
+    )
+    signature: ClassVar[str] = (
+        "hysteresis after each reversal over a fixed distance, not a fixed time; motion below breakaway"
+    )
     source: ClassVar[str] = (
         "Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40(3), 1995, equations (1) to (3), constant g: "
         "level = g, presliding = g / sigma_0, relaxation = sigma_1 / sigma_0"
@@ -227,9 +288,18 @@ class LuGreFriction(JointEffect):
     excitation: ClassVar[str] = "micro-reversals of a few milliradians around rest, and slow ramps"
     axis: ClassVar[str] = "position"
     seen: ClassVar[str] = "in the first {presliding} after every reversal"
-    plain: ClassVar[str] = "The joint gives before it slides: friction builds up over {presliding} after each reversal."
+    plain: ClassVar[str] = (
+        "The joint gives before it slides: friction builds up over {presliding} after each reversal."
+    )
     check: ClassVar[str] = "Push with small forces and watch for a spring-like give at standstill."
-    level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="friction level while sliding")
+    level: Array = param(
+        0.0,
+        0.0,
+        2 * TORQUE,
+        scale=0.05 * TORQUE,
+        unit="{F}",
+        meaning="friction level while sliding",
+    )
     presliding: Array = param(
         0.01,
         1e-5 * ANGLE,
@@ -239,7 +309,9 @@ class LuGreFriction(JointEffect):
         meaning="distance over which friction builds up",
         log=True,
     )
-    relaxation: Array = param(0.0, 0.0, 0.01, scale=0.002, unit="s", meaning="damping of the bristle over its stiffness")
+    relaxation: Array = param(
+        0.0, 0.0, 0.01, scale=0.002, unit="s", meaning="damping of the bristle over its stiffness"
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"level": 0.05 * TORQUE, "presliding": 3e-4 * ANGLE},
         {"level": 0.05 * TORQUE, "presliding": 3e-3 * ANGLE},
@@ -252,7 +324,9 @@ class LuGreFriction(JointEffect):
     def __call__(self, s, z):
         x = s.qd * s.h / self.presliding
         end = z * jnp.exp(-jnp.abs(x)) - jnp.sign(x) * jnp.expm1(-jnp.abs(x))
-        end = jnp.where(jnp.abs(x) < 1e-8, z + x - jnp.abs(x) * z, end)  # the slope of |x| and sign x at rest
+        end = jnp.where(
+            jnp.abs(x) < 1e-8, z + x - jnp.abs(x) * z, end
+        )  # the slope of |x| and sign x at rest
         return self.level * ((z + end) / 2 + self.relaxation * (end - z) / s.h), 0.0, 0.0, end
 
 
@@ -264,15 +338,23 @@ class PositionDependentFriction(JointEffect):
     equation: ClassVar[str] = (
         "f = (sine sin(order q) + cosine cos(order q)) sign(qd), beside the dry level, never below zero in all"
     )
-    signature: ClassVar[str] = "a step of the missing torque at reversal whose height repeats with position"
+    signature: ClassVar[str] = (
+        "a step of the missing torque at reversal whose height repeats with position"
+    )
     source: ClassVar[str] = "textbook: first harmonic of a gear's friction"
     excitation: ClassVar[str] = "slow constant speed over the whole travel, both ways"
     axis: ClassVar[str] = "position"
     seen: ClassVar[str] = "with position, against the motion"
-    plain: ClassVar[str] = "Friction repeats with position: a gear or bearing that runs out of true."
+    plain: ClassVar[str] = (
+        "Friction repeats with position: a gear or bearing that runs out of true."
+    )
     check: ClassVar[str] = "Turn slowly through the whole travel and mark where it runs heavily."
-    sine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine")
-    cosine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine")
+    sine: Array = param(
+        0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine"
+    )
+    cosine: Array = param(
+        0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine"
+    )
     order: Array = param(
         1.0,
         1 / ANGLE,
@@ -305,22 +387,39 @@ class TemperatureDependentFriction(JointEffect):
     """
 
     name: ClassVar[str] = "temperature_dependent_friction"
-    equation: ClassVar[str] = "f = change warmth qd;  time d(warmth)/dt = qd^2 - warmth,  warmth = 0 at the start of a run"
-    signature: ClassVar[str] = "friction that differs between early and late in a run, and after rests"
+    equation: ClassVar[str] = (
+        "f = change warmth qd;  time d(warmth)/dt = qd^2 - warmth,  warmth = 0 at the start of a run"
+    )
+    signature: ClassVar[str] = (
+        "friction that differs between early and late in a run, and after rests"
+    )
     source: ClassVar[str] = "first-order heat balance of a joint"
-    excitation: ClassVar[str] = "the same motion for many minutes from a cold start, with a long rest before it is repeated"
+    excitation: ClassVar[str] = (
+        "the same motion for many minutes from a cold start, with a long rest before it is repeated"
+    )
     axis: ClassVar[str] = "time"
     seen: ClassVar[str] = "otherwise late in a run than early, and after rests"
-    plain: ClassVar[str] = "Friction changes by {change} with the work of the last {time}, as when a joint warms up."
+    plain: ClassVar[str] = (
+        "Friction changes by {change} with the work of the last {time}, as when a joint warms up."
+    )
     check: ClassVar[str] = "Repeat a run cold and warm; measure the temperature of motor and gear."
     change: Array = param(
         0.0, -20 * TORQUE / (SPEED * SPEED * SPEED), 20 * TORQUE / (SPEED * SPEED * SPEED),
         scale=0.1 * TORQUE / (SPEED * SPEED * SPEED), unit="{F} s^3/{X}^3",
         meaning="viscous coefficient gained (lost where negative) per squared speed",
     )  # fmt: skip
-    time: Array = param(10.0, 1.0, 5 * DURATION, scale=0.1 * DURATION, unit="s", meaning="time constant of warming", log=True)
+    time: Array = param(
+        10.0,
+        1.0,
+        5 * DURATION,
+        scale=0.1 * DURATION,
+        unit="s",
+        meaning="time constant of warming",
+        log=True,
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
-        {"change": -0.1 * TORQUE / (SPEED * SPEED * SPEED), "time": time * DURATION} for time in (0.15, 0.3, 2.0)
+        {"change": -0.1 * TORQUE / (SPEED * SPEED * SPEED), "time": time * DURATION}
+        for time in (0.15, 0.3, 2.0)
     )
 
     def start(self, q):
@@ -346,11 +445,15 @@ class CoupledFriction(JointEffect):
     couples: ClassVar[bool] = True
     offered: ClassVar = staticmethod(_but_the_last)
     equation: ClassVar[str] = "f_j = f_j+1 = viscous w + dry tanh(w / speed),  w = qd_j + qd_j+1"
-    signature: ClassVar[str] = "missing torque at a joint that follows the speed of its neighbour, the same at both"
+    signature: ClassVar[str] = (
+        "missing torque at a joint that follows the speed of its neighbour, the same at both"
+    )
     source: ClassVar[str] = (
         "wrists with coupled motors (Staubli TX series), e.g. Gautier, Janot, Vandanjon, IEEE TCST 21(2), 2013"
     )
-    excitation: ClassVar[str] = "one joint moving while the other rests, then both with equal and with opposite speeds"
+    excitation: ClassVar[str] = (
+        "one joint moving while the other rests, then both with equal and with opposite speeds"
+    )
     axis: ClassVar[str] = "speed"
     seen: ClassVar[str] = "with the sum of the speeds of this joint and the next"
     plain: ClassVar[str] = "Two joints share a gear: its friction follows the sum of their speeds."
@@ -363,9 +466,22 @@ class CoupledFriction(JointEffect):
         unit="{F} s/{X}",
         meaning="viscous coefficient of the shared gear",
     )
-    dry: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry level of the shared gear")
+    dry: Array = param(
+        0.0,
+        0.0,
+        2 * TORQUE,
+        scale=0.05 * TORQUE,
+        unit="{F}",
+        meaning="dry level of the shared gear",
+    )
     speed: Array = param(
-        0.1, 0.002 * SPEED, 0.5 * SPEED, scale=0.02 * SPEED, unit="{X}/s", meaning="speed over which the dry part turns", log=True
+        0.1,
+        0.002 * SPEED,
+        0.5 * SPEED,
+        scale=0.02 * SPEED,
+        unit="{X}/s",
+        meaning="speed over which the dry part turns",
+        log=True,
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"viscous": 0.1 * TORQUE / SPEED, "speed": 0.02 * SPEED},

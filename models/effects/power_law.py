@@ -25,8 +25,12 @@ class PowerLawFriction(JointEffect):
     """Viscous friction with an exponent: below 1, lubricant that thins with speed."""
 
     name: ClassVar[str] = "power_law_friction"
-    equation: ClassVar[str] = "f = coefficient (qd^2 + rest^2)^((exponent - 1) / 2) qd, rest = 0.001 rad/s (m/s)"
-    signature: ClassVar[str] = "missing torque that rises steeply at low speed and flattens at high speed (exponent below 1)"
+    equation: ClassVar[str] = (
+        "f = coefficient (qd^2 + rest^2)^((exponent - 1) / 2) qd, rest = 0.001 rad/s (m/s)"
+    )
+    signature: ClassVar[str] = (
+        "missing torque that rises steeply at low speed and flattens at high speed (exponent below 1)"
+    )
     source: ClassVar[str] = "paper 001, equation (2): F_v |qd|^alpha sign(qd)"
     excitation: ClassVar[str] = "constant speeds over two decades in both directions"
     axis: ClassVar[str] = "speed"
@@ -42,7 +46,15 @@ class PowerLawFriction(JointEffect):
         unit="{F} (s/{X})^exponent",
         meaning="friction at 1 rad/s (m/s)",
     )
-    exponent: Array = param(1.0, 0.1, 2.0, log=True, scale=0.1, unit="1", meaning="power of the speed; 1 is viscous friction")
+    exponent: Array = param(
+        1.0,
+        0.1,
+        2.0,
+        log=True,
+        scale=0.1,
+        unit="1",
+        meaning="power of the speed; 1 is viscous friction",
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"coefficient": 0.1 * TORQUE, "exponent": 0.3},
         {"coefficient": 0.1 * TORQUE, "exponent": 0.6},

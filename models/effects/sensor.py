@@ -18,14 +18,20 @@ class SensorBias(OutputEffect):
 
     name: ClassVar[str] = "sensor_bias"
     equation: ClassVar[str] = "y -> y + bias"
-    signature: ClassVar[str] = "a constant offset; where gravity or a spring acts, a motion that belongs to another position"
+    signature: ClassVar[str] = (
+        "a constant offset; where gravity or a spring acts, a motion that belongs to another position"
+    )
     source: ClassVar[str] = "textbook"
-    excitation: ClassVar[str] = "a rest at a position known otherwise (hanging freely, a stop, a level)"
+    excitation: ClassVar[str] = (
+        "a rest at a position known otherwise (hanging freely, a stop, a level)"
+    )
     axis: ClassVar[str] = "reading"
     seen: ClassVar[str] = "always, by the same amount"
     plain: ClassVar[str] = "The sensor reads {bias} too much at every position."
     check: ClassVar[str] = "Set the zero again at a mechanical stop or with a gauge."
-    bias: Array = param(0.0, -0.5 * ANGLE, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{y}", meaning="reading at zero")
+    bias: Array = param(
+        0.0, -0.5 * ANGLE, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{y}", meaning="reading at zero"
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"bias": 0.02 * ANGLE},)
 
     def offset(self):
@@ -50,7 +56,9 @@ class SensorScale(OutputEffect):
     seen: ClassVar[str] = "in proportion to the reading"
     plain: ClassVar[str] = "The sensor reads {gain:%} too much of every angle."
     check: ClassVar[str] = "Check counts per turn and the gear ratio between sensor and joint."
-    gain: Array = param(0.0, -0.9, 2.0, scale=0.01, unit="1", meaning="share by which the sensor reads more")
+    gain: Array = param(
+        0.0, -0.9, 2.0, scale=0.01, unit="1", meaning="share by which the sensor reads more"
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"gain": 0.03},)
 
     def start(self, y, rate):
@@ -68,9 +76,13 @@ class SensorLag(OutputEffect):
 
     name: ClassVar[str] = "sensor_lag"
     equation: ClassVar[str] = "lag dy'/dt = y - y'"
-    signature: ClassVar[str] = "phase lag and loss of gain towards high frequency, in this channel alone"
+    signature: ClassVar[str] = (
+        "phase lag and loss of gain towards high frequency, in this channel alone"
+    )
     source: ClassVar[str] = "textbook; exact solution for a ramp"
-    excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, with a second sensor or a clock pulse"
+    excitation: ClassVar[str] = (
+        "one multisine with energy up to ten times the bandwidth, with a second sensor or a clock pulse"
+    )
     axis: ClassVar[str] = "reading"
     seen: ClassVar[str] = "wherever the reading changes faster than in {lag}"
     plain: ClassVar[str] = "The reading is filtered: it follows with a time constant of {lag}."
@@ -78,13 +90,19 @@ class SensorLag(OutputEffect):
         "Look up the filter of the sensor, and switch it off for the recording; a drive that answers late looks alike."
     )
     lag: Array = param(0.0, 0.0, 0.1, scale=0.003, unit="s", meaning="time constant of the sensor")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"lag": 0.001}, {"lag": 0.006}, {"lag": 0.03})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"lag": 0.001},
+        {"lag": 0.006},
+        {"lag": 0.03},
+    )
 
     def start(self, y, rate):
         return y - self.lag * rate, y, jnp.zeros_like(y)
 
     def __call__(self, y, s, z):
-        lagged, before, h = z  # reading and signal at the last step's beginning, and how long ago that was
+        lagged, before, h = (
+            z  # reading and signal at the last step's beginning, and how long ago that was
+        )
         present = self.lag > 0
         lag, h = jnp.where(present, self.lag, 1.0), jnp.where(h > 0, h, 1.0) + 0 * y
         slope = jnp.where(z[2] > 0, (y - before) / h, 0.0)
@@ -106,13 +124,19 @@ class SensorDelay(RecordEffect):
     name: ClassVar[str] = "sensor_delay"
     mirrors: ClassVar[str] = "input_delay"
     equation: ClassVar[str] = "y(t) -> y(t - delay)"
-    signature: ClassVar[str] = "phase lag that grows in proportion to frequency, in this channel alone"
+    signature: ClassVar[str] = (
+        "phase lag that grows in proportion to frequency, in this channel alone"
+    )
     source: ClassVar[str] = "exact but for the interpolation (four points)"
-    excitation: ClassVar[str] = "a pulse that both the command and this channel record, or closed loop with the command logged"
+    excitation: ClassVar[str] = (
+        "a pulse that both the command and this channel record, or closed loop with the command logged"
+    )
     axis: ClassVar[str] = "reading"
     seen: ClassVar[str] = "wherever the reading changes"
     plain: ClassVar[str] = "The reading arrives {delay} late."
-    check: ClassVar[str] = "Look at the bus, the driver's buffer, and which clock stamps the samples."
+    check: ClassVar[str] = (
+        "Look at the bus, the driver's buffer, and which clock stamps the samples."
+    )
     delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the reading")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"delay": 0.001},
@@ -122,7 +146,9 @@ class SensorDelay(RecordEffect):
     )
 
     def __call__(self, t, y, h, rate):
-        late = lambda x, d, r: interpolated(t, x, t - d, r) if h is None else shifted(x, d / h, r * h)
+        late = lambda x, d, r: (
+            interpolated(t, x, t - d, r) if h is None else shifted(x, d / h, r * h)
+        )
         return jnp.where(self.delay > 0, jax.vmap(late, (1, 0, 0), 1)(y, self.delay, rate), y)
 
     def transfer(self, omega):
@@ -138,16 +164,25 @@ class TimestampJitter(RecordEffect):
     """
 
     name: ClassVar[str] = "timestamp_jitter"
-    equation: ClassVar[str] = "y -> y(t + e), e normal: mean y + spread^2 / 2 d2y/dt2, noise spread |dy/dt| beside the sensor's"
+    equation: ClassVar[str] = (
+        "y -> y(t + e), e normal: mean y + spread^2 / 2 d2y/dt2, noise spread |dy/dt| beside the sensor's"
+    )
     signature: ClassVar[str] = "white residuals whose variance grows with the square of speed"
     source: ClassVar[str] = "second-order expansion"
-    excitation: ClassVar[str] = "the same motion slowly and fast, with a hardware clock beside the recorder's"
+    excitation: ClassVar[str] = (
+        "the same motion slowly and fast, with a hardware clock beside the recorder's"
+    )
     axis: ClassVar[str] = "time"
     seen: ClassVar[str] = "at high speed"
     plain: ClassVar[str] = "The time stamps scatter by {spread}."
     check: ClassVar[str] = "Let the device stamp the samples, or record on a real-time system."
-    spread: Array = param(0.0, 0.0, 0.02, scale=0.001, unit="s", meaning="standard deviation of the time stamps")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"spread": 0.003}, {"spread": 0.01})
+    spread: Array = param(
+        0.0, 0.0, 0.02, scale=0.001, unit="s", meaning="standard deviation of the time stamps"
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"spread": 0.003},
+        {"spread": 0.01},
+    )
 
     def __call__(self, t, y, h, rate):
         h = jnp.diff(t)[:, None]
@@ -157,21 +192,31 @@ class TimestampJitter(RecordEffect):
 
 
 def interpolated(
-    t: Float[Array, " time"], y: Float[Array, " time"], at: Float[Array, " n"], rate: Float[Array, ""]
+    t: Float[Array, " time"],
+    y: Float[Array, " time"],
+    at: Float[Array, " n"],
+    rate: Float[Array, ""],
 ) -> Float[Array, " n"]:
     """A series at other times through the four samples around each (Lagrange); straight, with this rate, before it begins."""
     k = jnp.clip(jnp.searchsorted(t, at, side="right") - 2, 0, t.shape[0] - 4)
     return jnp.where(
-        at <= t[0], y[0] + rate * (at - t[0]), _cubic(at, [t[k + i] for i in range(4)], [y[k + i] for i in range(4)])
+        at <= t[0],
+        y[0] + rate * (at - t[0]),
+        _cubic(at, [t[k + i] for i in range(4)], [y[k + i] for i in range(4)]),
     )
 
 
-def shifted(y: Float[Array, " time"], steps: Float[Array, ""], rise: Float[Array, ""]) -> Float[Array, " time"]:
+def shifted(
+    y: Float[Array, " time"], steps: Float[Array, ""], rise: Float[Array, ""]
+) -> Float[Array, " time"]:
     """The same for a series by equal steps that is late by so many of them, and rose by `rise` in each before it began: four
     slices instead of a search for each sample."""
     whole = jnp.floor(steps)
     part = 1 - (steps - whole)  # from the second of the four samples
-    before, after = 4 * y[0] - 6 * y[1] + 4 * y[2] - y[3], 4 * y[-1] - 6 * y[-2] + 4 * y[-3] - y[-4]  # on the same cubic
+    before, after = (
+        4 * y[0] - 6 * y[1] + 4 * y[2] - y[3],
+        4 * y[-1] - 6 * y[-2] + 4 * y[-3] - y[-4],
+    )  # on the same cubic
     n = y.shape[0]
     late = jnp.concatenate([jnp.full((n,), y[0]), y[:1], before[None], y, after[None]])
     begin = n - jnp.clip(whole, 0, n).astype(jnp.int32)

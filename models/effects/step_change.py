@@ -20,16 +20,33 @@ class StepChange(NumberEffect):
     """
 
     name: ClassVar[str] = "step_change"
-    equation: ClassVar[str] = "p -> p + size for t >= time; in the step that holds `time`, by the share of it that is left"
-    signature: ClassVar[str] = "a residual that is noise before one moment and none of it after, in every regime of the motion"
-    source: ClassVar[str] = "textbook: change point; paper 000, section 1 (a target that is captured)"
-    excitation: ClassVar[str] = "the same motion before and after the event, twice as long as what determines the number once"
+    equation: ClassVar[str] = (
+        "p -> p + size for t >= time; in the step that holds `time`, by the share of it that is left"
+    )
+    signature: ClassVar[str] = (
+        "a residual that is noise before one moment and none of it after, in every regime of the motion"
+    )
+    source: ClassVar[str] = (
+        "textbook: change point; paper 000, section 1 (a target that is captured)"
+    )
+    excitation: ClassVar[str] = (
+        "the same motion before and after the event, twice as long as what determines the number once"
+    )
     axis: ClassVar[str] = "time"
     seen: ClassVar[str] = "from {time} on"
     plain: ClassVar[str] = "At {time} something changed for good: the number named gains {size}."
-    check: ClassVar[str] = "Look in the log or the video for what happened then: a load picked up or lost, a part that broke."
+    check: ClassVar[str] = (
+        "Look in the log or the video for what happened then: a load picked up or lost, a part that broke."
+    )
     last_resort: ClassVar[bool] = True
-    size: Array = param(0.0, -10 * NUMBER, 10 * NUMBER, scale=0.1 * NUMBER, unit="{p}", meaning="what the number gains")
+    size: Array = param(
+        0.0,
+        -10 * NUMBER,
+        10 * NUMBER,
+        scale=0.1 * NUMBER,
+        unit="{p}",
+        meaning="what the number gains",
+    )
     time: Array = param(
         1.0,
         1e-3 * DURATION,
@@ -40,7 +57,8 @@ class StepChange(NumberEffect):
         log=True,
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
-        {"size": 0.3 * NUMBER, "time": share * DURATION} for share in (0.15, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85)
+        {"size": 0.3 * NUMBER, "time": share * DURATION}
+        for share in (0.15, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85)
     )
 
     def __call__(self, values, t, h):

@@ -20,7 +20,9 @@ class InputDelay(InputEffect):
     equation: ClassVar[str] = "u(t) -> u(t - delay)"
     signature: ClassVar[str] = "phase lag that grows in proportion to frequency"
     source: ClassVar[str] = "exact for a held input: mean of the delayed command over the step"
-    excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, and a recorded clock pulse"
+    excitation: ClassVar[str] = (
+        "one multisine with energy up to ten times the bandwidth, and a recorded clock pulse"
+    )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "wherever the command changes"
     plain: ClassVar[str] = "Commands take effect {delay} late."
@@ -55,10 +57,16 @@ class InputHold(InputEffect):
 
     name: ClassVar[str] = "input_hold"
     stage: ClassVar[int] = 0
-    equation: ClassVar[str] = "u -> (1 - share) u_stated + share u_other   (zero-order against linear hold)"
+    equation: ClassVar[str] = (
+        "u -> (1 - share) u_stated + share u_other   (zero-order against linear hold)"
+    )
     signature: ClassVar[str] = "half a sample of lead or lag between command and motion"
-    source: ClassVar[str] = "a wrong hold alone moves well-known tools by 1 to 3 % on a clean pendulum"
-    excitation: ClassVar[str] = "a command that changes at every sample (fast chirp), and the same at half the sampling rate"
+    source: ClassVar[str] = (
+        "a wrong hold alone moves well-known tools by 1 to 3 % on a clean pendulum"
+    )
+    excitation: ClassVar[str] = (
+        "a command that changes at every sample (fast chirp), and the same at half the sampling rate"
+    )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "wherever the command changes from sample to sample"
     plain: ClassVar[str] = (
@@ -68,7 +76,9 @@ class InputHold(InputEffect):
     check: ClassVar[str] = (
         "Look up whether the drive keeps a command until the next one or ramps to it, and state it as the channel's hold."
     )
-    share: Array = param(0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one")
+    share: Array = param(
+        0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one"
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
 
     def start(self, u):

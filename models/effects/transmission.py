@@ -25,9 +25,13 @@ class JointElasticity(BodyEffect):
     equation: ClassVar[str] = (
         "t = gap / compliance + damping d(gap)/dt,  gap = q_motor - q_link,  motor_share J qdd_motor = u - f - t"
     )
-    signature: ClassVar[str] = "a residual in a narrow band of frequencies that rings after steps; the load sags"
+    signature: ClassVar[str] = (
+        "a residual in a narrow band of frequencies that rings after steps; the load sags"
+    )
     source: ClassVar[str] = "Spong, ASME J. Dyn. Syst. 109(4), 1987"
-    excitation: ClassVar[str] = "steps or a chirp through the resonance, with a free decay after it; a second encoder at the link"
+    excitation: ClassVar[str] = (
+        "steps or a chirp through the resonance, with a free decay after it; a second encoder at the link"
+    )
     axis: ClassVar[str] = "time"
     seen: ClassVar[str] = "around the resonance of motor and link, after steps and knocks"
     plain: ClassVar[str] = "The gear gives like a spring: {compliance} between motor and link."
@@ -35,10 +39,25 @@ class JointElasticity(BodyEffect):
         "Block the motor, load the link and measure how far it gives; look at belts, harmonic drives, couplings."
     )
     compliance: Array = param(
-        0.0, 0.0, 0.5 * ANGLE / TORQUE, scale=0.001 * ANGLE / TORQUE, unit="{X}/({F})", meaning="deflection per torque"
+        0.0,
+        0.0,
+        0.5 * ANGLE / TORQUE,
+        scale=0.001 * ANGLE / TORQUE,
+        unit="{X}/({F})",
+        meaning="deflection per torque",
     )
-    motor_share: Array = param(0.3, 0.02, 0.95, scale=0.1, unit="1", meaning="share of the inertia on the motor's side")
-    damping_ratio: Array = param(0.05, 1e-3, 2.0, scale=0.02, unit="1", meaning="damping ratio of motor against link", log=True)
+    motor_share: Array = param(
+        0.3, 0.02, 0.95, scale=0.1, unit="1", meaning="share of the inertia on the motor's side"
+    )
+    damping_ratio: Array = param(
+        0.05,
+        1e-3,
+        2.0,
+        scale=0.02,
+        unit="1",
+        meaning="damping ratio of motor against link",
+        log=True,
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
         {"compliance": c * ANGLE / TORQUE, "motor_share": share, "damping_ratio": 0.05}
         for c in (3e-4, 3e-3, 2e-2)
@@ -66,16 +85,30 @@ class Backlash(BodyEffect):
 
     name: ClassVar[str] = "backlash"
     stage: ClassVar[int] = 2
-    equation: ClassVar[str] = "t = soft(gap, play / 2) / contact_compliance + damping;  motor_share J qdd_motor = u - f - t"
-    signature: ClassVar[str] = "light motion of the motor alone after each change of sign of the load, then a knock"
-    source: ClassVar[str] = "Nordin, Gutman, Automatica 38(10), 2002 (dead-zone model with compliance)"
-    excitation: ClassVar[str] = "small slow reversals around an unloaded position, and a second encoder at the link"
+    equation: ClassVar[str] = (
+        "t = soft(gap, play / 2) / contact_compliance + damping;  motor_share J qdd_motor = u - f - t"
+    )
+    signature: ClassVar[str] = (
+        "light motion of the motor alone after each change of sign of the load, then a knock"
+    )
+    source: ClassVar[str] = (
+        "Nordin, Gutman, Automatica 38(10), 2002 (dead-zone model with compliance)"
+    )
+    excitation: ClassVar[str] = (
+        "small slow reversals around an unloaded position, and a second encoder at the link"
+    )
     axis: ClassVar[str] = "load"
     seen: ClassVar[str] = "after each change of the load's sign, over {play}"
     plain: ClassVar[str] = "There is play of {play} between motor and link."
-    check: ClassVar[str] = "Block the motor and move the link by hand; look at gears, keys, couplings and belts."
-    play: Array = param(0.0, 0.0, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{X}", meaning="full width of the gap")
-    motor_share: Array = param(0.3, 0.02, 0.95, scale=0.1, unit="1", meaning="share of the inertia on the motor's side")
+    check: ClassVar[str] = (
+        "Block the motor and move the link by hand; look at gears, keys, couplings and belts."
+    )
+    play: Array = param(
+        0.0, 0.0, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{X}", meaning="full width of the gap"
+    )
+    motor_share: Array = param(
+        0.3, 0.02, 0.95, scale=0.1, unit="1", meaning="share of the inertia on the motor's side"
+    )
     contact_compliance: Array = param(
         1e-3, 1e-5 * ANGLE / TORQUE, 0.05 * ANGLE / TORQUE, scale=1e-4 * ANGLE / TORQUE, unit="{X}/({F})",
         meaning="deflection of the contact per torque", log=True,
@@ -102,17 +135,42 @@ class Hysteresis(JointEffect):
     """A torque that remembers the way: belts, cables, harmonic drives. It gives way elastically when the motion turns back."""
 
     name: ClassVar[str] = "hysteresis"
-    equation: ClassVar[str] = "f = level z;  dz/dq = (1 - |z|) / width where |z| grows, 1 / width where it falls"
-    signature: ClassVar[str] = "loops of the missing torque against position, at any speed, with soft corners"
-    source: ClassVar[str] = "Bouc-Wen model with n = 1, beta = gamma = A / 2 (Wen, ASCE J. Eng. Mech. 102(2), 1976)"
-    excitation: ClassVar[str] = "slow strokes of several sizes around one position, from a tenth of the travel to all of it"
+    equation: ClassVar[str] = (
+        "f = level z;  dz/dq = (1 - |z|) / width where |z| grows, 1 / width where it falls"
+    )
+    signature: ClassVar[str] = (
+        "loops of the missing torque against position, at any speed, with soft corners"
+    )
+    source: ClassVar[str] = (
+        "Bouc-Wen model with n = 1, beta = gamma = A / 2 (Wen, ASCE J. Eng. Mech. 102(2), 1976)"
+    )
+    excitation: ClassVar[str] = (
+        "slow strokes of several sizes around one position, from a tenth of the travel to all of it"
+    )
     axis: ClassVar[str] = "position"
     seen: ClassVar[str] = "after every reversal, over about {width}"
-    plain: ClassVar[str] = "The joint winds up: {level} builds up over {width} after each reversal and stays, at any speed."
-    check: ClassVar[str] = "Load and unload slowly and draw torque against angle; look at cables, belts, harmonic drives."
-    level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="torque at the end of a long stroke")
+    plain: ClassVar[str] = (
+        "The joint winds up: {level} builds up over {width} after each reversal and stays, at any speed."
+    )
+    check: ClassVar[str] = (
+        "Load and unload slowly and draw torque against angle; look at cables, belts, harmonic drives."
+    )
+    level: Array = param(
+        0.0,
+        0.0,
+        2 * TORQUE,
+        scale=0.05 * TORQUE,
+        unit="{F}",
+        meaning="torque at the end of a long stroke",
+    )
     width: Array = param(
-        0.1, 1e-4 * ANGLE, ANGLE, scale=0.01 * ANGLE, unit="{X}", meaning="distance over which the torque turns", log=True
+        0.1,
+        1e-4 * ANGLE,
+        ANGLE,
+        scale=0.01 * ANGLE,
+        unit="{X}",
+        meaning="distance over which the torque turns",
+        log=True,
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"level": 0.05 * TORQUE, "width": 3e-3 * ANGLE},

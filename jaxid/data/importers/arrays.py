@@ -32,11 +32,22 @@ def kind_of(path: Path, content: bytes) -> str:
         raise refused(path, "a spreadsheet, which jaxid does not read", _EXCEL)
     if suffix in (".pkl", ".pickle"):
         raise refused(
-            path, "a pickle, which can run any program and is not read", "Write it as npz: numpy.savez('log.npz', t=t, q=q)"
+            path,
+            "a pickle, which can run any program and is not read",
+            "Write it as npz: numpy.savez('log.npz', t=t, q=q)",
         )
-    begins = {b"PAR1": "parquet", b"\x93NUMPY": "npz", b"TDSm": "tdms", b"\x89HDF": "mat", b"MATLAB 5": "mat", b"MATLAB 7": "mat"}
+    begins = {
+        b"PAR1": "parquet",
+        b"\x93NUMPY": "npz",
+        b"TDSm": "tdms",
+        b"\x89HDF": "mat",
+        b"MATLAB 5": "mat",
+        b"MATLAB 7": "mat",
+    }
     if content[:2] == b"\x1f\x8b":
-        raise refused(path, "a compressed file", f"Unpack it and import what is inside: gunzip --keep {path}")
+        raise refused(
+            path, "a compressed file", f"Unpack it and import what is inside: gunzip --keep {path}"
+        )
     for start, kind in begins.items():
         if content.startswith(start):
             return kind
@@ -63,7 +74,9 @@ def read_arrays(kind: str, path: Path) -> Arrays:
 
         if isinstance(error, DatasetError | UsageError):
             raise
-        raise refused(path, f"not readable as {_WORDS[kind]} ({first_line(error)})", "Write the file again") from None
+        raise refused(
+            path, f"not readable as {_WORDS[kind]} ({first_line(error)})", "Write the file again"
+        ) from None
 
 
 _WORDS = {
@@ -83,7 +96,9 @@ def _zip_names(path: Path, content: bytes) -> list[str]:
     try:
         return zipfile.ZipFile(io.BytesIO(content)).namelist()
     except (zipfile.BadZipFile, OSError) as error:
-        raise refused(path, f"a damaged archive ({first_line(error)})", "Write the file again") from None
+        raise refused(
+            path, f"a damaged archive ({first_line(error)})", "Write the file again"
+        ) from None
 
 
 def _flat(name: str, value: Any, out: Arrays) -> None:
@@ -119,7 +134,9 @@ def _records(rows: list[Any]) -> dict[str, list[Any]] | None:
     keys = list(rows[0])
     if len(rows) < 2 or any(set(r) != set(keys) for r in rows):
         return None
-    if len(rows) < MINIMUM_SAMPLES and any(isinstance(v, list | np.ndarray) for v in rows[0].values()):
+    if len(rows) < MINIMUM_SAMPLES and any(
+        isinstance(v, list | np.ndarray) for v in rows[0].values()
+    ):
         return None  # a few recordings, not a few samples
     return {k: [r[k] for r in rows] for k in keys}
 
@@ -136,7 +153,9 @@ def _npz(path: Path) -> Arrays:
                 _flat(name, loaded[name], out)
             except ValueError:
                 what = f"{name!r} holds Python objects (a pickle, which can run any program and is not read)"
-                raise refused(path, what, "Write plain arrays: numpy.savez('log.npz', t=t, q=q)") from None
+                raise refused(
+                    path, what, "Write plain arrays: numpy.savez('log.npz', t=t, q=q)"
+                ) from None
     return out
 
 
@@ -189,16 +208,30 @@ def _mat(path: Path) -> Arrays:
     try:
         content = loadmat(path, squeeze_me=True, simplify_cells=True)
     except (MatReadError, NotImplementedError) as error:
-        raise refused(path, f"not readable as a MAT file ({first_line(error)})", "Write it again with save(..., '-v7')") from None
+        raise refused(
+            path,
+            f"not readable as a MAT file ({first_line(error)})",
+            "Write it again with save(..., '-v7')",
+        ) from None
     except Exception as error:  # SciPy raises whatever its parser stumbles on
-        raise refused(path, f"not readable as a MAT file ({first_line(error)})", "Write the file again") from None
-    opaque = [n for n, v in content.items() if isinstance(v, MatlabOpaque) or n == "None" or n == "__function_workspace__"]
+        raise refused(
+            path, f"not readable as a MAT file ({first_line(error)})", "Write the file again"
+        ) from None
+    opaque = [
+        n
+        for n, v in content.items()
+        if isinstance(v, MatlabOpaque) or n == "None" or n == "__function_workspace__"
+    ]
     out: Arrays = {}
     for name, value in content.items():
         if not name.startswith("__") and name not in opaque:
             _flat(name, value, out)
     if opaque and not any(np.ndim(v) for v in out.values()):
-        raise refused(path, "holds MATLAB objects (timeseries, timetable, table), which only MATLAB reads", _MATLAB_TIME)
+        raise refused(
+            path,
+            "holds MATLAB objects (timeseries, timetable, table), which only MATLAB reads",
+            _MATLAB_TIME,
+        )
     return out
 
 
@@ -213,7 +246,10 @@ def _mat73(path: Path) -> Arrays:
                 continue
             full = f"{prefix}.{name}" if prefix else name
             made_by = item.attrs.get("MATLAB_class", b"")
-            if made_by in (b"timeseries", b"timetable", b"table") or "MATLAB_object_decode" in item.attrs:
+            if (
+                made_by in (b"timeseries", b"timetable", b"table")
+                or "MATLAB_object_decode" in item.attrs
+            ):
                 objects.append(full)
             elif isinstance(item, h5py.Group):
                 visit(full, item)
@@ -224,7 +260,9 @@ def _mat73(path: Path) -> Arrays:
         visit("", file)
     if objects and not any(np.ndim(v) for v in out.values()):
         raise refused(
-            path, f"{objects[0]!r} is a MATLAB object (timeseries, timetable, table), which only MATLAB reads", _MATLAB_TIME
+            path,
+            f"{objects[0]!r} is a MATLAB object (timeseries, timetable, table), which only MATLAB reads",
+            _MATLAB_TIME,
         )
     return out
 
@@ -251,4 +289,10 @@ def _torch(path: Path) -> Arrays:
     return out
 
 
-READERS: dict[str, Callable[[Path], Arrays]] = {"npz": _npz, "json": _json, "mat": _mat, "tdms": _tdms, "torch": _torch}
+READERS: dict[str, Callable[[Path], Arrays]] = {
+    "npz": _npz,
+    "json": _json,
+    "mat": _mat,
+    "tdms": _tdms,
+    "torch": _torch,
+}

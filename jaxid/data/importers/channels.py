@@ -38,7 +38,9 @@ class Proposed:
         return f"{self.name}={self.column}:{self.unit or '1'}:{self.role}"
 
 
-def channels_of(columns: Sequence[str], units: Mapping[str, str], everything: Sequence[str]) -> list[Proposed]:
+def channels_of(
+    columns: Sequence[str], units: Mapping[str, str], everything: Sequence[str]
+) -> list[Proposed]:
     """A channel for every one of `columns`, those of several joints together as one pattern.
 
     `everything` are all names that a pattern would match. Some channel is an output, for a dataset needs one.
@@ -66,7 +68,9 @@ def channels_of(columns: Sequence[str], units: Mapping[str, str], everything: Se
     return _named_once(found)
 
 
-def _of_group(members: Sequence[str], meanings: Mapping[str, Meaning], role: str, everything: Sequence[str]) -> list[Proposed]:
+def _of_group(
+    members: Sequence[str], meanings: Mapping[str, Meaning], role: str, everything: Sequence[str]
+) -> list[Proposed]:
     """Columns of one quantity: one by its name, several as a pattern, or else numbered."""
     meaning = meanings[members[0]]
     if not meaning.quantity:
@@ -76,11 +80,18 @@ def _of_group(members: Sequence[str], meanings: Mapping[str, Meaning], role: str
         return [Proposed(f"{base}{tail}", members[0], meaning.unit, role, meaning.quantity)]
     pattern = _pattern(members)
     one_unit = len({meanings[c].unit for c in members}) == 1
-    if one_unit and pattern and list((captures_of(pattern, list(everything)) or {}).values()) == list(members):
+    if (
+        one_unit
+        and pattern
+        and list((captures_of(pattern, list(everything)) or {}).values()) == list(members)
+    ):
         stem = _NAMES[meaning.quantity]
         return [Proposed(f"{stem}*{tail}", pattern, meaning.unit, role, meaning.quantity)]
     stem = _NAMES[meaning.quantity]
-    return [Proposed(f"{stem}{k}{tail}", c, meanings[c].unit, role, meaning.quantity) for k, c in enumerate(members, 1)]
+    return [
+        Proposed(f"{stem}{k}{tail}", c, meanings[c].unit, role, meaning.quantity)
+        for k, c in enumerate(members, 1)
+    ]
 
 
 def _base(meaning: Meaning) -> str:
@@ -88,7 +99,11 @@ def _base(meaning: Meaning) -> str:
         si = conversion(meaning.unit).si if meaning.unit else ""
     except UnitError:
         si = ""
-    return _LINEAR.get(meaning.quantity, _NAMES[meaning.quantity]) if si.startswith("m") else _NAMES[meaning.quantity]
+    return (
+        _LINEAR.get(meaning.quantity, _NAMES[meaning.quantity])
+        if si.startswith("m")
+        else _NAMES[meaning.quantity]
+    )
 
 
 def _pattern(names: Sequence[str]) -> str:

@@ -28,7 +28,11 @@ class Asked:
 
 def command_with(asked: Asked, form: str, channels: Sequence[str], rate: float | None) -> str:
     """`jaxid import …` of these files with `form`, the options of how the text is written, and `channels`."""
-    parts = [f"jaxid import {asked.sources[0].kind}", *(shlex.quote(str(s.path)) for s in asked.sources), form]
+    parts = [
+        f"jaxid import {asked.sources[0].kind}",
+        *(shlex.quote(str(s.path)) for s in asked.sources),
+        form,
+    ]
     parts += [f"--join {shlex.quote(str(s.path))}" for s in asked.joined]
     parts += [f"--rows {asked.rows[0]}:{asked.rows[1]}"] if asked.rows is not None else []
     parts += [f"--rate {rate:.12g}"] if rate is not None else []

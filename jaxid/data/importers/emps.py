@@ -38,7 +38,9 @@ def import_emps(
     recordings = [_read_emps(path, problems) for path in paths]
     if not problems and all("pulses_N" in r for r in recordings):
         remedy = "Give DATA_EMPS.mat too"
-        problems.append(Problem(str(paths[0]) if paths else "emps", None, None, "no recording to fit", remedy))
+        problems.append(
+            Problem(str(paths[0]) if paths else "emps", None, None, "no recording to fit", remedy)
+        )
     if problems:
         raise DatasetError(problems)
     pulses = any("pulses_N" in r for r in recordings)
@@ -48,7 +50,9 @@ def import_emps(
         "coulomb": ParameterPrior(10.0, 0.0, 100.0),
         "offset": ParameterPrior(0.0, -20.0, 20.0),
     }
-    auxiliary = {"position_cmd": [r["qg"] if "qg" in r else np.zeros_like(r["t"]) for r in recordings]}
+    auxiliary = {
+        "position_cmd": [r["qg"] if "qg" in r else np.zeros_like(r["t"]) for r in recordings]
+    }
     if not all("qg" in r for r in recordings):
         auxiliary = {}
     if pulses:
@@ -81,17 +85,27 @@ def _read_emps(path: Path, problems: list[Problem]) -> dict[str, Any]:
     try:
         content = loadmat(path)
     except FileNotFoundError:
-        problems.append(Problem(str(path), None, None, "there is no such file", "Get it from nonlinearbenchmark.org"))
+        problems.append(
+            Problem(
+                str(path), None, None, "there is no such file", "Get it from nonlinearbenchmark.org"
+            )
+        )
         return {}
     except Exception as error:  # SciPy raises whatever its parser stumbles on
         reason = (str(error).splitlines() or [type(error).__name__])[0][:100]
-        problems.append(Problem(file, None, None, f"not readable as a MAT file ({reason})", "Download it again"))
+        problems.append(
+            Problem(file, None, None, f"not readable as a MAT file ({reason})", "Download it again")
+        )
         return {}
     names = [n for n in content if not n.startswith("__")]
     lacking = [n for n in _EMPS if n not in names]
     for name in lacking:
         message = f"there is no variable {name!r}{nearest(name, names)}"
-        problems.append(Problem(file, None, name, message, "Give DATA_EMPS.mat or DATA_EMPS_PULSES.mat as published"))
+        problems.append(
+            Problem(
+                file, None, name, message, "Give DATA_EMPS.mat or DATA_EMPS_PULSES.mat as published"
+            )
+        )
     if lacking:
         return {}
     recording: dict[str, Any] = {}
@@ -100,9 +114,15 @@ def _read_emps(path: Path, problems: list[Problem]) -> dict[str, Any]:
             continue
         values = np.asarray(content[name]).ravel()
         if values.dtype.kind not in "biuf" or len(values) == 0:
-            problems.append(Problem(file, None, name, "holds no numbers", "Give the file as published"))
+            problems.append(
+                Problem(file, None, name, "holds no numbers", "Give the file as published")
+            )
             continue
         recording[name] = float(values[0]) if name == "gtau" else values.astype(float)
     if len({len(v) for k, v in recording.items() if k != "gtau"}) > 1:
-        problems.append(Problem(file, None, None, "its variables differ in length", "Give the file as published"))
+        problems.append(
+            Problem(
+                file, None, None, "its variables differ in length", "Give the file as published"
+            )
+        )
     return recording

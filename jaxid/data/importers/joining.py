@@ -38,7 +38,9 @@ def joined_files(sources: Sequence[Source]) -> list[Joined]:
     """
     stems = Counter(s.path.stem for s in sources)
     if twice := [stem for stem, count in stems.items() if count > 1]:
-        raise UsageError(f"--join: two files are called {twice[0]!r}, so their columns cannot be told apart; rename one")
+        raise UsageError(
+            f"--join: two files are called {twice[0]!r}, so their columns cannot be told apart; rename one"
+        )
     every = [series_of(s.columns, None) for s in sources]
     counts = Counter(name for series in every for name in series)
     found = []
@@ -54,7 +56,11 @@ def names_once(series: Arrays, joined: Sequence[Joined]) -> list[str]:
     names = list(series)
     for join in joined:
         taken = {own for name, own in join.names.items() if name == own and name not in series}
-        names += [name for name, own in join.names.items() if name in taken or (name != own and own not in taken)]
+        names += [
+            name
+            for name, own in join.names.items()
+            if name in taken or (name != own and own not in taken)
+        ]
     return names
 
 
@@ -75,23 +81,38 @@ def join_columns(
     name = find_column(source, series, clock.column)
     if name is None:
         message = f"there is no column {clock.column!r} to join on{nearest(clock.column, series)}"
-        raise refused(source.path, message, "All files need the time under one name; rename the column")
+        raise refused(
+            source.path, message, "All files need the time under one name; rename the column"
+        )
     own, own_start = times_of(source, series[name], name, clock.unit, None)
     if (start is None) != (own_start is None):
-        raise refused(source.path, "only one of the two files has a clock that counts from 1970", "Give files on one clock")
+        raise refused(
+            source.path,
+            "only one of the two files has a clock that counts from 1970",
+            "Give files on one clock",
+        )
     own = own + ((own_start or 0) - (start or 0)) * 1e-9
     if (np.diff(own) < 0).any() or (np.diff(t) < 0).any():
-        raise refused(source.path, "time runs backwards in one of the two files", "Join one run at a time: --rows FIRST:END")
+        raise refused(
+            source.path,
+            "time runs backwards in one of the two files",
+            "Join one run at a time: --rows FIRST:END",
+        )
     step = float(np.median(np.diff(own)))
     inside = (t >= own[0]) & (t <= own[-1] + step)
     if not inside.any():
         message = f"its times, {own[0]:g} to {own[-1]:g} s, lie outside of {t[0]:g} to {t[-1]:g} s"
         raise refused(source.path, message, "Give files of one recording on one clock")
     every = slice(None)
-    values = {c: numbers_of(source, series[column], column, every, len(own), notes) for c, column in wanted.items()}
+    values = {
+        c: numbers_of(source, series[column], column, every, len(own), notes)
+        for c, column in wanted.items()
+    }
     taken = {c: held(t[inside], own, v) for c, v in values.items()}
     drift = _drift(t[inside], own)
-    notes.append(f"{source.path.name} joined on the time: its last value at each of {inside.sum()} samples ({drift})")
+    notes.append(
+        f"{source.path.name} joined on the time: its last value at each of {inside.sum()} samples ({drift})"
+    )
     if lost := int(np.sum(~inside)):
         notes.append(f"{lost} samples before or after {source.path.name} left out")
     return t[inside], {c: v[inside] for c, v in columns.items()} | taken
@@ -111,4 +132,8 @@ def _drift(t: np.ndarray, own: np.ndarray) -> str:
     slope = float(x @ apart / (x @ x))
     std = float(np.std(apart - apart.mean() - slope * x) / np.sqrt(x @ x))
     size = f"their stamps move apart by {1e6 * slope:.2g} +- {1e6 * std:.1g} ppm, by {1e3 * apart[0]:.3g} ms at the start"
-    return size + ("; with clocks of their own: clock_ppm for its channels" if abs(slope) > 3 * std and abs(slope) > 1e-6 else "")
+    return size + (
+        "; with clocks of their own: clock_ppm for its channels"
+        if abs(slope) > 3 * std and abs(slope) > 1e-6
+        else ""
+    )

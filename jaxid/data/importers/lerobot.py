@@ -60,10 +60,14 @@ def import_lerobot(
     """
     sets = [_read(p) for p in paths_of(files)]
     if any(s.names != sets[0].names for s in sets):
-        raise refused(sets[1].path, f"its joints are not those of {sets[0].path.name}", "Import them apart")
+        raise refused(
+            sets[1].path, f"its joints are not those of {sets[0].path.name}", "Import them apart"
+        )
     names = sets[0].names
     units, everywhere = _units(unit, names)
-    scales: dict[str, Scale] = {} if calibration is None else _calibrated(Path(calibration), names, sets)
+    scales: dict[str, Scale] = (
+        {} if calibration is None else _calibrated(Path(calibration), names, sets)
+    )
     scales |= _ranged(ranges, names, units, everywhere, sets)
     if not units and everywhere is None and not scales:
         raise UsageError(
@@ -77,7 +81,9 @@ def import_lerobot(
     arm = [j for j, n in enumerate(names) if "gripper" not in n.lower()]
     shown = any(_normalised(sets, j) for j in arm)
     if everywhere == "deg" and not shown and not scales and all(_within(sets, j) for j in arm):
-        notes.append("every joint stays within -100..100: normalised by the recorder they are no degrees (--calibration FILE)")
+        notes.append(
+            "every joint stays within -100..100: normalised by the recorder they are no degrees (--calibration FILE)"
+        )
     for j, name in enumerate(names):
         own = units.get(name)
         share = _share_of_closing(sets, j, name)
@@ -89,7 +95,11 @@ def import_lerobot(
         elif own is not None:
             kept.append((name, Scale(1.0, 0.0, own)))
         elif "gripper" in name.lower() or share:
-            what = "moves within 0..1, a share of its closing" if share else f"is a gripper{normal and ' in percent'}"
+            what = (
+                "moves within 0..1, a share of its closing"
+                if share
+                else f"is a gripper{normal and ' in percent'}"
+            )
             notes.append(f"{name} {what}: kept as auxiliary, unit 1 (--unit {name}=UNIT takes it)")
             kept.append((name, Scale(1.0, 0.0, "")))
         elif normal or everywhere is None:
@@ -113,7 +123,13 @@ def import_lerobot(
     return _written(sets, kept, out, overwrite, notes)
 
 
-def _written(sets: Sequence[Episodes], kept: Sequence[tuple[str, Scale]], out: Any, overwrite: bool, notes: list[str]) -> Path:
+def _written(
+    sets: Sequence[Episodes],
+    kept: Sequence[tuple[str, Scale]],
+    out: Any,
+    overwrite: bool,
+    notes: list[str],
+) -> Path:
     """The folder: joints in the order of the file, grippers without a unit behind them as auxiliary channels."""
     joints: dict[str, str] = {}
     channels: dict[str, tuple[int, np.ndarray | None, Scale]] = {}
@@ -129,8 +145,13 @@ def _written(sets: Sequence[Episodes], kept: Sequence[tuple[str, Scale]], out: A
     for s in sets:
         for number in np.unique(s.episode):
             own = s.episode == number
-            columns = {f"{c}_cmd": k.factor * s.action[own, j] + k.offset for c, (j, _, k) in channels.items()}
-            columns |= {c: k.factor * s.state[own, j] + k.offset for c, (j, _, k) in channels.items()}
+            columns = {
+                f"{c}_cmd": k.factor * s.action[own, j] + k.offset
+                for c, (j, _, k) in channels.items()
+            }
+            columns |= {
+                c: k.factor * s.state[own, j] + k.offset for c, (j, _, k) in channels.items()
+            }
             runs += runs_of(f"episode_{int(number)}", s.t[own], columns, s.path.name)
     said = "joints are " + ", ".join(f"{c} = {n}" for c, n in joints.items())
     return save_runs(
@@ -146,23 +167,31 @@ def _read(path: Path) -> Episodes:
         info = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))
         parts = [pq.read_table(p) for p in sorted((path / "data").rglob("*.parquet"))]
     except (OSError, ValueError) as error:
-        raise refused(path, f"not readable as a LeRobot data set ({first_line(error)})", "Name its folder") from None
+        raise refused(
+            path, f"not readable as a LeRobot data set ({first_line(error)})", "Name its folder"
+        ) from None
     if not parts or any(w not in p.column_names for w in _COLUMNS for p in parts):
         there = ", ".join(parts[0].column_names[:20]) if parts else "no Parquet file under data/"
         raise refused(
-            path, f"its data lack one of {', '.join(_COLUMNS)} (there is: {there})", "Give a LeRobot data set of a robot"
+            path,
+            f"its data lack one of {', '.join(_COLUMNS)} (there is: {there})",
+            "Give a LeRobot data set of a robot",
         )
     column = lambda name: np.concatenate([np.array(p[name].to_pylist(), float) for p in parts])
     state, action, t, episode = (column(w) for w in _COLUMNS)
     if state.ndim != 2 or state.shape != action.shape:
         message = f"states of shape {state.shape[1:]} and actions of shape {action.shape[1:]} are not of the same joints"
-        raise refused(path, message, "Give a data set whose actions are goals of the joints that are measured")
+        raise refused(
+            path, message, "Give a data set whose actions are goals of the joints that are measured"
+        )
     names, goals = (_names(info, key, state.shape[1]) for key in ("observation.state", "action"))
     if set(names) == set(goals) and names != goals:
         action = action[:, [goals.index(n) for n in names]]
     elif names != goals:
         message = f"states are of {', '.join(names)}, actions of {', '.join(goals)}"
-        raise refused(path, message, "Give a data set whose actions are goals of the joints that are measured")
+        raise refused(
+            path, message, "Give a data set whose actions are goals of the joints that are measured"
+        )
     return Episodes(path, names, state, action, t, episode, float(info.get("fps", 0) or 0))
 
 
@@ -170,12 +199,20 @@ def _names(info: Any, feature: str, count: int) -> tuple[str, ...]:
     """Names of a feature's elements without what they measure (`pan.pos`), from lists and mappings in one another."""
     found = ((info.get("features") or {}).get(feature) or {}).get("names")
     names = [n.removesuffix(".pos").removeprefix("main_") for n in _leaves(found)]
-    return tuple(names) if len(names) == count == len(set(names)) else tuple(f"joint_{k + 1}" for k in range(count))
+    return (
+        tuple(names)
+        if len(names) == count == len(set(names))
+        else tuple(f"joint_{k + 1}" for k in range(count))
+    )
 
 
 def _leaves(names: Any) -> list[str]:
     """The names in lists and mappings, however deep they lie in one another, in their order."""
-    if isinstance(names, Mapping) and names and all(isinstance(place, int) for place in names.values()):
+    if (
+        isinstance(names, Mapping)
+        and names
+        and all(isinstance(place, int) for place in names.values())
+    ):
         return sorted(names, key=lambda name: names[name])
     if isinstance(names, Mapping):
         return [leaf for group in names.values() for leaf in _leaves(group)]
@@ -207,7 +244,9 @@ def _within(sets: Sequence[Episodes], j: int) -> bool:
     return all(np.abs(a[:, j]).max() <= 100.001 for s in sets for a in (s.state, s.action))
 
 
-def _units(unit: str | Sequence[str] | None, names: Sequence[str]) -> tuple[dict[str, str], str | None]:
+def _units(
+    unit: str | Sequence[str] | None, names: Sequence[str]
+) -> tuple[dict[str, str], str | None]:
     """Unit of single joints, and that of all others."""
     own: dict[str, str] = {}
     everywhere = None
@@ -218,7 +257,9 @@ def _units(unit: str | Sequence[str] | None, names: Sequence[str]) -> tuple[dict
         except UnitError as error:
             raise UsageError(f"--unit {text}: {error}") from None
         if not sign and si not in ("rad", "m"):
-            raise UsageError(f"--unit {one} is no unit of a joint: rad, deg, m; normalised values need --calibration or --range")
+            raise UsageError(
+                f"--unit {one} is no unit of a joint: rad, deg, m; normalised values need --calibration or --range"
+            )
         if not sign:
             everywhere = one
         elif name in names:
@@ -229,7 +270,11 @@ def _units(unit: str | Sequence[str] | None, names: Sequence[str]) -> tuple[dict
 
 
 def _ranged(
-    ranges: Sequence[str], names: Sequence[str], units: Mapping[str, str], everywhere: str | None, sets: Sequence[Episodes]
+    ranges: Sequence[str],
+    names: Sequence[str],
+    units: Mapping[str, str],
+    everywhere: str | None,
+    sets: Sequence[Episodes],
 ) -> dict[str, Scale]:
     """`NAME=LO:HI`: what the ends of the normalised range stand for."""
     out = {}
@@ -238,12 +283,16 @@ def _ranged(
         try:
             low, high = (float(e) for e in ends.split(":"))
         except ValueError:
-            raise UsageError(f"--range {text}: write NAME=LO:HI, the joint's angle at -100 (or 0) and at 100") from None
+            raise UsageError(
+                f"--range {text}: write NAME=LO:HI, the joint's angle at -100 (or 0) and at 100"
+            ) from None
         if name not in names:
             raise UsageError(f"--range {text}: there is no joint {name!r}{nearest(name, names)}")
         unit = units.get(name, everywhere)
         if unit is None or low == high:
-            raise UsageError(f"--range {text}: state the unit of its ends, --unit deg, and two ends that differ")
+            raise UsageError(
+                f"--range {text}: state the unit of its ends, --unit deg, and two ends that differ"
+            )
         out[name] = _between(low, high, _from_zero(name), unit)
     return out
 
@@ -254,7 +303,11 @@ def _from_zero(name: str) -> bool:
 
 
 def _between(low: float, high: float, from_zero: bool, unit: str) -> Scale:
-    return Scale((high - low) / 100, low, unit) if from_zero else Scale((high - low) / 200, (low + high) / 2, unit)
+    return (
+        Scale((high - low) / 100, low, unit)
+        if from_zero
+        else Scale((high - low) / 200, (low + high) / 2, unit)
+    )
 
 
 def _calibrated(path: Path, names: Sequence[str], sets: Sequence[Episodes]) -> dict[str, Scale]:
@@ -262,15 +315,23 @@ def _calibrated(path: Path, names: Sequence[str], sets: Sequence[Episodes]) -> d
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         motors = {
-            n: content[n] for n in content if isinstance(content[n], dict) and {"range_min", "range_max"} <= set(content[n])
+            n: content[n]
+            for n in content
+            if isinstance(content[n], dict) and {"range_min", "range_max"} <= set(content[n])
         }
     except (OSError, ValueError, TypeError) as error:
-        raise UsageError(f"--calibration {path}: not readable as JSON ({first_line(error)})") from None
+        raise UsageError(
+            f"--calibration {path}: not readable as JSON ({first_line(error)})"
+        ) from None
     if not motors:
-        raise UsageError(f"--calibration {path}: it names no motor with range_min and range_max; give LeRobot's own file")
+        raise UsageError(
+            f"--calibration {path}: it names no motor with range_min and range_max; give LeRobot's own file"
+        )
     lacking = [n for n in names if n not in motors]
     if lacking:
-        raise UsageError(f"--calibration {path}: nothing of {', '.join(lacking)}{nearest(lacking[0], motors)}")
+        raise UsageError(
+            f"--calibration {path}: nothing of {', '.join(lacking)}{nearest(lacking[0], motors)}"
+        )
     out = {}
     for name in names:
         half = np.pi * (float(motors[name]["range_max"]) - float(motors[name]["range_min"])) / _TURN

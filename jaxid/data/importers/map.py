@@ -18,7 +18,16 @@ from jaxid.data.importers.command import Asked, full_command
 from jaxid.data.importers.joining import Clock, join_columns, Joined, joined_files, names_once
 from jaxid.data.importers.propose import proposal
 from jaxid.data.importers.runs import Paths, paths_of, refused, role_of, Run, runs_of, save_runs
-from jaxid.data.importers.source import find_column, numbers_of, parts_of, read_source, series_of, Source, stated_rate, times_of
+from jaxid.data.importers.source import (
+    find_column,
+    numbers_of,
+    parts_of,
+    read_source,
+    series_of,
+    Source,
+    stated_rate,
+    times_of,
+)
 from jaxid.data.importers.text import Stated
 from jaxid.data.patterns import captures_of, joint_numbers
 from jaxid.data.time_axis import PER_SECOND
@@ -69,7 +78,11 @@ def import_table(
     joined = joined_files([read_source(p, Stated()) for p in paths_of(join)])
     asked = Asked(sources, [j.source for j in joined], stated, rows, rate, out, overwrite)
     time = [w for w in wanted if w.name == "t"]
-    if len(time) > 1 or len(wanted) == len(time) or (not time and rate is None and stated_rate(sources[0]) is None):
+    if (
+        len(time) > 1
+        or len(wanted) == len(time)
+        or (not time and rate is None and stated_rate(sources[0]) is None)
+    ):
         raise UsageError(proposal(asked))
     clock = Clock(time[0].column, time[0].unit) if time else Clock("", None)
     runs: list[Run] = []
@@ -78,7 +91,9 @@ def import_table(
     found: list[Wanted] = []
     for source in sources:
         for part in parts_of(source):
-            found, t, columns, said = _read(part, clock, [w for w in wanted if w.name != "t"], joined, rows, rate, joints)
+            found, t, columns, said = _read(
+                part, clock, [w for w in wanted if w.name != "t"], joined, rows, rate, joints
+            )
             notes += said
             runs += runs_of(part.path.stem, t, columns, part.path.name)
     roles = {w.name: (w.role or role_of(w.name), w.unit or "1") for w in found}
@@ -94,7 +109,9 @@ def parse_channel(text: str) -> Wanted:
     """`NAME=COLUMN`, `NAME=COLUMN:UNIT` or `NAME=COLUMN:UNIT:ROLE`."""
     match = re.fullmatch(r"([A-Za-z_][\w]*(?:\*\w*)?)=(.+)", text)
     if match is None:
-        raise UsageError(f"--channel {text}: write NAME=COLUMN:UNIT or NAME=COLUMN:UNIT:ROLE (input, output, auxiliary)")
+        raise UsageError(
+            f"--channel {text}: write NAME=COLUMN:UNIT or NAME=COLUMN:UNIT:ROLE (input, output, auxiliary)"
+        )
     name, rest = match[1], match[2].split(":")
     role = rest.pop() if len(rest) > 1 and rest[-1] in ROLES else None
     unit = rest.pop() if len(rest) > 1 else None
@@ -104,7 +121,9 @@ def parse_channel(text: str) -> Wanted:
         except UnitError as error:
             raise UsageError(f"--channel {text}: {error}") from None
     if name == "t" and unit is not None and unit not in PER_SECOND:
-        raise UsageError(f"--channel {text}: unknown unit of time {unit!r}{nearest(unit, PER_SECOND)}")
+        raise UsageError(
+            f"--channel {text}: unknown unit of time {unit!r}{nearest(unit, PER_SECOND)}"
+        )
     return Wanted(name, ":".join(rest), unit, role)
 
 
@@ -120,7 +139,9 @@ def _read(
     """The channels that were found (patterns as one a joint), t [time] s, channel -> [time], and notes."""
     notes: list[str] = []
     flat = series_of(source.columns, None)
-    column = source.clock if source.clock and clock.column in flat else clock.column  # a block's name means its times
+    column = (
+        source.clock if source.clock and clock.column in flat else clock.column
+    )  # a block's name means its times
     name = find_column(source, flat, column) if column else None
     length = len(flat[name]) if name is not None else None
     series = series_of(source.columns, length)
@@ -130,63 +151,137 @@ def _read(
         t, start = _nominal(source, clock, series, rate, length, notes), None
     else:
         t, start = times_of(source, flat[name], name, clock.unit, rows)
-        notes += [f"{source.path.name}: --rate is not used, for its times were recorded"] if rate is not None else []
+        notes += (
+            [f"{source.path.name}: --rate is not used, for its times were recorded"]
+            if rate is not None
+            else []
+        )
     chosen = slice(*rows) if rows is not None else slice(None)
     t = t[chosen]
     own = [w for w in found if w.column in series]
-    columns = {w.name: numbers_of(source, series[w.column], w.column, chosen, len(t), notes) for w in own}
+    columns = {
+        w.name: numbers_of(source, series[w.column], w.column, chosen, len(t), notes) for w in own
+    }
     for join in joined:
-        others = {w.name: join.names[w.column] for w in found if w.column not in series and w.column in join.names}
+        others = {
+            w.name: join.names[w.column]
+            for w in found
+            if w.column not in series and w.column in join.names
+        }
         t, columns = join_columns(join, clock, others, t, start, columns, notes)
     columns = {w.name: columns[w.name] for w in found}
     return found, t, columns, notes
 
 
 def _expanded(
-    wanted: Sequence[Wanted], source: Source, series: Arrays, joined: Sequence[Joined], joints: dict[str, int]
+    wanted: Sequence[Wanted],
+    source: Source,
+    series: Arrays,
+    joined: Sequence[Joined],
+    joints: dict[str, int],
 ) -> list[Wanted]:
     """Channels with the columns they are read from, patterns as one a joint; units that the file states are filled in."""
     problems: list[Problem] = []
     found: list[Wanted] = []
-    units = {name: join.source.units.get(own) for join in joined for name, own in join.names.items()} | source.units
+    units = {
+        name: join.source.units.get(own) for join in joined for name, own in join.names.items()
+    } | source.units
     everything = list(dict.fromkeys([*series, *(name for join in joined for name in join.names)]))
     for w in wanted:
         if "*" in w.name:
-            names = captures_of(w.column, names_once(series, joined)) or captures_of(w.column, everything) or {}
+            names = (
+                captures_of(w.column, names_once(series, joined))
+                or captures_of(w.column, everything)
+                or {}
+            )
             if not names:
                 message = f"no column matches {w.column!r} (there is: {', '.join(everything[:20])})"
-                problems.append(Problem(source.path.name, None, w.column, message, "Write 'q*=pos_*:rad' or 'q*=q[*]:rad'"))
+                problems.append(
+                    Problem(
+                        source.path.name,
+                        None,
+                        w.column,
+                        message,
+                        "Write 'q*=pos_*:rad' or 'q*=q[*]:rad'",
+                    )
+                )
             numbers = joint_numbers(list(names), joints)
             pairs = sorted((numbers[c], at) for c, at in names.items())
-            found += [replace(w, name=w.name.replace("*", str(k)), column=at, unit=w.unit or units.get(at)) for k, at in pairs]
+            found += [
+                replace(
+                    w, name=w.name.replace("*", str(k)), column=at, unit=w.unit or units.get(at)
+                )
+                for k, at in pairs
+            ]
             continue
-        column = find_column(source, series, w.column) or (w.column if w.column in everything else None)
+        column = find_column(source, series, w.column) or (
+            w.column if w.column in everything else None
+        )
         if column is None:
             wide = [n for n in everything if n.startswith(f"{w.column}[")]
-            hint = f": it is an array of {len(wide)} columns" if wide else nearest(w.column, everything)
+            hint = (
+                f": it is an array of {len(wide)} columns"
+                if wide
+                else nearest(w.column, everything)
+            )
             remedy = "Correct the column"
             if wide:
-                remedy = f"Name one, {w.name}={wide[0]}:UNIT, or all: '{w.name}*={w.column}[*]:UNIT'"
+                remedy = (
+                    f"Name one, {w.name}={wide[0]}:UNIT, or all: '{w.name}*={w.column}[*]:UNIT'"
+                )
             elif list(series) == [str(k + 1) for k in range(len(series))]:
-                hint, remedy = ": the file has no header", f"Name it by number, from 1: --channel {w.name}=2:UNIT"
-            problems.append(Problem(source.path.name, None, w.column, f"there is no column {w.column!r}{hint}", remedy))
+                hint, remedy = (
+                    ": the file has no header",
+                    f"Name it by number, from 1: --channel {w.name}=2:UNIT",
+                )
+            problems.append(
+                Problem(
+                    source.path.name,
+                    None,
+                    w.column,
+                    f"there is no column {w.column!r}{hint}",
+                    remedy,
+                )
+            )
             continue
         found.append(replace(w, column=column, unit=w.unit or units.get(column)))
     for w in found:
         if w.unit is None and not problems:
             message = f"the unit of channel {w.name!r} is not stated"
-            problems.append(Problem(source.path.name, None, w.column, message, f"Write --channel {w.name}={w.column}:UNIT"))
+            problems.append(
+                Problem(
+                    source.path.name,
+                    None,
+                    w.column,
+                    message,
+                    f"Write --channel {w.name}={w.column}:UNIT",
+                )
+            )
     if problems:
         raise DatasetError(problems)
     return found
 
 
-def _nominal(source: Source, clock: Clock, series: Arrays, rate: float | None, length: int, notes: list[str]) -> np.ndarray:
+def _nominal(
+    source: Source, clock: Clock, series: Arrays, rate: float | None, length: int, notes: list[str]
+) -> np.ndarray:
     """Times of a file that has none: its samples by a rate that is stated."""
     stated = stated_rate(source)
     if rate is None and stated is None:
         message = f"there is no column {clock.column!r} for the time{nearest(clock.column, series)}"
-        raise refused(source.path, message, "Name it, --channel t=COLUMN:UNIT, or state the sampling rate: --rate HZ")
-    hz, said = (rate, "--rate") if rate is not None else (stated[1], f"{stated[0]!r} of the file") if stated else (1.0, "")
-    notes.append(f"{source.path.name}: its times are nominal, samples at {hz:g} Hz by {said}; none were recorded")
+        raise refused(
+            source.path,
+            message,
+            "Name it, --channel t=COLUMN:UNIT, or state the sampling rate: --rate HZ",
+        )
+    hz, said = (
+        (rate, "--rate")
+        if rate is not None
+        else (stated[1], f"{stated[0]!r} of the file")
+        if stated
+        else (1.0, "")
+    )
+    notes.append(
+        f"{source.path.name}: its times are nominal, samples at {hz:g} Hz by {said}; none were recorded"
+    )
     return np.arange(length) / hz

@@ -21,7 +21,8 @@ from jaxid.data.time_axis import contradicted, impossible, PER_SECOND
 
 #: Names that a column of times has, and the unit behind them: `t`, `Time`, `__time`, `stamp_ns`, `log.t_ms`, `X_Value`.
 _TIME = re.compile(
-    r"(?:.*[./])?_*(?:t|time|timestamp|time_?stamp|stamp|zeit|temps|x_value|clock)s?(?:_?(s|ms|us|ns|sec|seconds))?", re.I
+    r"(?:.*[./])?_*(?:t|time|timestamp|time_?stamp|stamp|zeit|temps|x_value|clock)s?(?:_?(s|ms|us|ns|sec|seconds))?",
+    re.I,
 )
 _SHOWN = 40  # columns and channels that are listed
 
@@ -32,20 +33,35 @@ def proposal(asked: Asked) -> str:
     part = parts_of(source)[0]  # of several recordings, all of which are read by the same names
     series = series_of(part.columns, None)
     joined = joined_files(asked.joined)
-    others = {name: (join, own) for join in joined for name, own in join.names.items() if name not in series}
+    others = {
+        name: (join, own)
+        for join in joined
+        for name, own in join.names.items()
+        if name not in series
+    }
     time = None if asked.rate is not None else _time(part, series)
-    clock = "" if time is None else time.removeprefix("t=").rpartition(":")[0] or time.removeprefix("t=")
+    clock = (
+        ""
+        if time is None
+        else time.removeprefix("t=").rpartition(":")[0] or time.removeprefix("t=")
+    )
     own = [n for n in series if n != clock and np.size(series[n]) != 1 and _takes(n, series)]
     once = names_once(series, joined)
-    more = [n for n, (join, k) in others.items() if n in once and k != clock and _takes(k, join.series)]
+    more = [
+        n for n, (join, k) in others.items() if n in once and k != clock and _takes(k, join.series)
+    ]
     units = {n: join.source.units.get(k, "") for n, (join, k) in others.items()} | part.units
     channels = channels_of([*own, *more], units, once)
     said = [str(c) for c in channels[:_SHOWN]]
     no_time = time is None and asked.rate is None and stated_rate(part) is None
-    command = command_with(asked, asked.stated.options(), [*([] if time is None else [time]), *said], asked.rate)
+    command = command_with(
+        asked, asked.stated.options(), [*([] if time is None else [time]), *said], asked.rate
+    )
     command = command.replace(" --channel ", " --rate HZ --channel ", 1) if no_time else command
     words = f" ({source.words})" if source.words else ""
-    registers = "".join(f"; {n} {register_words(*found)}" for n, found in _registers(part, own).items())
+    registers = "".join(
+        f"; {n} {register_words(*found)}" for n, found in _registers(part, own).items()
+    )
     listed = _listed([*series_of(source.columns, None), *more], units)
     needs = _needed(part, time, no_time)
     return f"{source.path.name}{words} holds: {listed}; {needs}: {command} ({_remarks(channels)}{registers})"
@@ -55,7 +71,11 @@ def _listed(names: Sequence[str], units: Mapping[str, str]) -> str:
     """The columns with the units that the file states; of more than are shown, how many, and how to see them."""
     shown = [f"{n} ({units[n]})" if units.get(n) else n for n in names[:_SHOWN]]
     left = len(names) - len(shown)
-    more = f", and {left} more, the last {names[-1]!r} (name any of them, or a pattern such as 'q*=q_*:rad')" if left else ""
+    more = (
+        f", and {left} more, the last {names[-1]!r} (name any of them, or a pattern such as 'q*=q_*:rad')"
+        if left
+        else ""
+    )
     return (", ".join(shown) or "no columns") + more
 
 
@@ -64,7 +84,9 @@ def _needed(part: Source, time: str | None, no_time: bool) -> str:
         return "no column of times is found; state the sampling rate in place of HZ, and at least one channel with its unit"
     rate = stated_rate(part)
     if time is None and rate is not None:
-        return f"state (sampled at {rate[1]:g} Hz by {rate[0]!r}) at least one channel with its unit"
+        return (
+            f"state (sampled at {rate[1]:g} Hz by {rate[0]!r}) at least one channel with its unit"
+        )
     return "state the time and at least one channel with its unit"
 
 
@@ -72,7 +94,9 @@ def _remarks(channels: Sequence[Proposed]) -> str:
     """What of the proposal is a guess, and what only the user knows."""
     said = ["roles input, output, auxiliary are proposed by the names; correct them"]
     if unknown := [c.column for c in channels[:_SHOWN] if not c.unit]:
-        said.append(f"unit 1 stands where the file states none ({', '.join(unknown[:6])}): write theirs")
+        said.append(
+            f"unit 1 stands where the file states none ({', '.join(unknown[:6])}): write theirs"
+        )
     if drives := [c for c in channels if c.quantity == "current" and c.role == "input"]:
         said.append(
             f"{drives[0].column} is a current: a model that takes a force needs its constant, N/A or N m/A, as `scale` "
@@ -90,7 +114,9 @@ def _takes(name: str, series: Arrays) -> bool:
 
 def _alone(name: str, series: Arrays) -> bool:
     base, _, element = name.rpartition("[") if name.endswith("]") else (name, "", "")
-    return bool(element) and base in series and f"{base}[1]" not in series and _numeric(series[base])
+    return (
+        bool(element) and base in series and f"{base}[1]" not in series and _numeric(series[base])
+    )
 
 
 def _registers(source: Source, names: Sequence[str]) -> dict[str, tuple[str, int]]:
@@ -99,7 +125,9 @@ def _registers(source: Source, names: Sequence[str]) -> dict[str, tuple[str, int
     series = series_of(source.columns, None)
     for name in names:
         cells = series[name]
-        numbers = Table(source.path.name, {name: cells}, len(cells), source.rows).numbers(name).values
+        numbers = (
+            Table(source.path.name, {name: cells}, len(cells), source.rows).numbers(name).values
+        )
         form = found_sign([numbers[np.isfinite(numbers)]])
         if form is not None:
             found[name] = form
@@ -116,13 +144,21 @@ def _time(source: Source, series: Arrays) -> str | None:
     name = names[0] if names else next(iter(series), "")
     if name not in series:
         return None
-    numbers = Table(source.path.name, {name: series[name]}, len(series[name]), source.rows).numbers(name).values
+    numbers = (
+        Table(source.path.name, {name: series[name]}, len(series[name]), source.rows)
+        .numbers(name)
+        .values
+    )
     if not names and not (np.diff(numbers) > 0).all():
         return None
     if not np.isfinite(numbers).any():  # dates
         return f"t={name}"
     match = _TIME.fullmatch(name)
-    suffix = {"sec": "s", "seconds": "s"}.get(match[1].lower(), match[1].lower()) if match and match[1] else None
+    suffix = (
+        {"sec": "s", "seconds": "s"}.get(match[1].lower(), match[1].lower())
+        if match and match[1]
+        else None
+    )
     unit = suffix or (source.units.get(name) if source.units.get(name) in PER_SECOND else None)
     return f"t={name}:{unit or _unit(numbers)}"
 
@@ -130,13 +166,19 @@ def _time(source: Source, series: Arrays) -> str | None:
 def _unit(numbers: np.ndarray) -> str:
     if (why := contradicted(numbers, "s")) is not None:
         return why[1]
-    found = re.search(r'time_unit = "(\w+)"', " ".join(impossible(np.sort(numbers[np.isfinite(numbers)])) or ()))
+    found = re.search(
+        r'time_unit = "(\w+)"', " ".join(impossible(np.sort(numbers[np.isfinite(numbers)])) or ())
+    )
     return found[1] if found else "s"
 
 
 def _numeric(cells: Any) -> bool:
     """Whether the first cells are numbers."""
-    first = [c for c in (cells[:20] if isinstance(cells, list) else np.ravel(cells)[:20]) if c not in ("", None)]
+    first = [
+        c
+        for c in (cells[:20] if isinstance(cells, list) else np.ravel(cells)[:20])
+        if c not in ("", None)
+    ]
     try:
         return bool(first) and bool(np.array(first, dtype=float).size)
     except (ValueError, TypeError):

@@ -24,7 +24,9 @@ _GOAL = set(
     "action vorgabe demand demanded leader".split()
 )
 _ACTUAL = set("act actual meas measured ist istwert state feedback fb present obs".split())
-_ERROR = set("err error errors deviation following fehler schleppfehler abweichung regelabweichung".split())
+_ERROR = set(
+    "err error errors deviation following fehler schleppfehler abweichung regelabweichung".split()
+)
 _SI = {
     "rad": "position", "m": "position", "rad/s": "velocity", "m/s": "velocity", "rad/s^2": "acceleration",
     "m/s^2": "acceleration", "N m": "torque", "N": "force", "A": "current", "V": "voltage", "K": "temperature",

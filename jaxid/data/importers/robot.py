@@ -21,7 +21,9 @@ from jaxid.data.table import ragged_rows, read_table, Table
 from jaxid.errors import DatasetError, Problem
 
 
-def import_ur_rtde_csv(files: Paths, out: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+def import_ur_rtde_csv(
+    files: Paths, out: str | os.PathLike[str], *, overwrite: bool = False
+) -> Path:
     """Files of `startFileRecording` of ur_rtde, or of Universal Robots' own RTDE client; one run a file.
 
     `actual_q_0` becomes q1, `actual_current_0` current1 (the input), and so on; other columns are left out. The controller's
@@ -45,7 +47,13 @@ def import_rosbag(
     `effort` becomes tau1 …, in N m as ROS has it; drivers that put a current there need the unit corrected in dataset.toml.
     """
     return import_ros(
-        files, out, "rosbag", topic=topic, command_topic=command_topic, command_joints=command_joints, overwrite=overwrite
+        files,
+        out,
+        "rosbag",
+        topic=topic,
+        command_topic=command_topic,
+        command_joints=command_joints,
+        overwrite=overwrite,
     )
 
 
@@ -63,11 +71,23 @@ def import_mcap(
     Needs the package `mcap`, and `rosbags` for ROS 2 messages. See `jaxid.data.importers.ros.import_ros`.
     """
     return import_ros(
-        files, out, "mcap", topic=topic, command_topic=command_topic, command_joints=command_joints, overwrite=overwrite
+        files,
+        out,
+        "mcap",
+        topic=topic,
+        command_topic=command_topic,
+        command_joints=command_joints,
+        overwrite=overwrite,
     )
 
 
-def import_csv(files: Paths, out: str | os.PathLike[str], *, channels: Sequence[str] = (), overwrite: bool = False) -> Path:
+def import_csv(
+    files: Paths,
+    out: str | os.PathLike[str],
+    *,
+    channels: Sequence[str] = (),
+    overwrite: bool = False,
+) -> Path:
     """Any table by a map of channels `NAME=COLUMN:UNIT:ROLE`, and `t=COLUMN:UNIT` the time; see `map.import_table`.
 
     ROLE (input, output, auxiliary) may lack for names by convention: q, position … are outputs; tau, force, …_cmd inputs.
@@ -98,17 +118,23 @@ def _ur_rtde(path: Path) -> list[Run]:
         stem, _, number = name.rpartition("_")
         if stem in _UR_NAMES and number.isdigit():
             base, _, tail = _UR_NAMES[stem].partition("_")
-            columns[f"{base}{int(number) + 1}" + (f"_{tail}" if tail else "")] = _column(table, name)
+            columns[f"{base}{int(number) + 1}" + (f"_{tail}" if tail else "")] = _column(
+                table, name
+            )
         elif name == "speed_scaling":
             columns[name] = _column(table, name)
         elif name != "timestamp":
             left.append(name)
     if not any(c.startswith("q") and c[1:].isdigit() for c in columns):
-        raise refused(path, "there is no column actual_q_0", "Record timestamp, actual_q and actual_current")
+        raise refused(
+            path, "there is no column actual_q_0", "Record timestamp, actual_q and actual_current"
+        )
     runs = runs_of(path.stem, _column(table, "timestamp"), columns, path.name)
     run = runs[0]
     if left:
-        run.notes.append(f"{run.name}: {len(left)} columns left out ({', '.join(left[:4])}{' …' if len(left) > 4 else ''})")
+        run.notes.append(
+            f"{run.name}: {len(left)} columns left out ({', '.join(left[:4])}{' …' if len(left) > 4 else ''})"
+        )
     slow = columns.get("speed_scaling")
     if slow is not None and slow.min() < 0.999:
         run.notes.append(
@@ -123,7 +149,9 @@ def _table(path: Path, content: bytes) -> Table:
     table = read_table(path, path.name, content)
     if table.ragged and not table.problems:
         rows = table.rows if table.rows is not None else np.arange(table.count)
-        raise DatasetError([ragged_rows(table.file, rows.tolist(), table.ragged, len(table.columns))])
+        raise DatasetError(
+            [ragged_rows(table.file, rows.tolist(), table.ragged, len(table.columns))]
+        )
     if table.problems:
         raise DatasetError(table.problems)
     return table
@@ -135,5 +163,7 @@ def _column(table: Table, name: str) -> np.ndarray:
     numbers = table.numbers(name)
     if numbers.faults:
         sample, what = next(iter(numbers.faults.items()))
-        raise DatasetError([Problem(table.file, table.row(sample), name, what, "Correct or remove the row")])
+        raise DatasetError(
+            [Problem(table.file, table.row(sample), name, what, "Correct or remove the row")]
+        )
     return numbers.values

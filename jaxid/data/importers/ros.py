@@ -27,7 +27,9 @@ _ROLES = {
 _OPENING = 0.2  # m, more than the fingers of a gripper move
 _GOALS = ("leader", "command", "goal", "desired", "target", "reference")
 #: Order of the motors in Unitree's messages for quadrupeds, as its SDK has it.
-_QUADRUPED = tuple(f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip", "thigh", "calf"))
+_QUADRUPED = tuple(
+    f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip", "thigh", "calf")
+)
 
 
 @dataclass(frozen=True)
@@ -69,8 +71,16 @@ def import_ros(
         if command_topic is not None:
             commands = _commands(recording, command_topic, names, command_joints)
             t, columns = _with_commands(t, columns, commands, names, command_topic, notes)
-        flat = {_channel(k, j): v[:, j] for k, v in columns.items() for j in range(len(names)) if np.isfinite(v[:, j]).all()}
-        notes += [f"{recording.path.name}: {n} messages of {what} have trailing bytes" for what, n in recording.trailing.items()]
+        flat = {
+            _channel(k, j): v[:, j]
+            for k, v in columns.items()
+            for j in range(len(names))
+            if np.isfinite(v[:, j]).all()
+        }
+        notes += [
+            f"{recording.path.name}: {n} messages of {what} have trailing bytes"
+            for what, n in recording.trailing.items()
+        ]
         found = runs_of(recording.path.stem, t, flat, recording.path.name)
         found[0].notes[:0] = notes
         runs += found
@@ -93,7 +103,10 @@ def import_ros(
 
 def _finger(name: str, q: np.ndarray) -> bool:
     """Whether a joint is named like a finger and never leaves the opening of a gripper in m: no angle then, perhaps."""
-    return re.search(r"finger|gripper|claw", name, re.IGNORECASE) is not None and float(np.abs(q).max()) <= _OPENING
+    return (
+        re.search(r"finger|gripper|claw", name, re.IGNORECASE) is not None
+        and float(np.abs(q).max()) <= _OPENING
+    )
 
 
 def _arm_first(states: Rows) -> tuple[str, ...]:
@@ -125,31 +138,47 @@ def _topic(recording: Recording, asked: str | None) -> str:
     listed = _list(recording)
     if asked is not None:
         if asked not in recording.topics:
-            raise refused(recording.path, f"there is no topic {asked!r}{nearest(asked, recording.topics)}", f"Topics: {listed}")
+            raise refused(
+                recording.path,
+                f"there is no topic {asked!r}{nearest(asked, recording.topics)}",
+                f"Topics: {listed}",
+            )
         if recording.topics[asked][0] not in STATES:
-            message = f"topic {asked!r} holds {recording.topics[asked][0]}, which is no state of joints"
-            raise refused(recording.path, message, f"Name one of {', '.join(STATES)}; topics: {listed}")
+            message = (
+                f"topic {asked!r} holds {recording.topics[asked][0]}, which is no state of joints"
+            )
+            raise refused(
+                recording.path, message, f"Name one of {', '.join(STATES)}; topics: {listed}"
+            )
         return asked
     for kinds in (("JointState", "LowState"), STATES):
         found = [n for n, (kind, count) in recording.topics.items() if kind in kinds and count]
         if len(found) == 1:
             return found[0]
         if found:
-            message = f"{len(found)} topics hold states of joints, and they are not mixed: " + ", ".join(
-                f"{n} ({recording.topics[n][1]} messages: {', '.join(_joints_of(recording, n))})" for n in found
+            message = (
+                f"{len(found)} topics hold states of joints, and they are not mixed: "
+                + ", ".join(
+                    f"{n} ({recording.topics[n][1]} messages: {', '.join(_joints_of(recording, n))})"
+                    for n in found
+                )
             )
             goals = [n for n in found if any(word in n for word in _GOALS)]
             own = next((n for n in found if n not in goals), found[0])
             other = next((n for n in [*goals, *found] if n != own), own)
             raise refused(
-                recording.path, message, f"Choose one: --topic {own} (and --command-topic {other} if those are its goals)"
+                recording.path,
+                message,
+                f"Choose one: --topic {own} (and --command-topic {other} if those are its goals)",
             )
     there = f"there are no joint states in it (topics: {listed or 'none'})"
     raise refused(recording.path, there, "Record a topic of sensor_msgs/JointState")
 
 
 def _list(recording: Recording) -> str:
-    return ", ".join(f"{n} ({kind}, {count})" for n, (kind, count) in list(recording.topics.items())[:30])
+    return ", ".join(
+        f"{n} ({kind}, {count})" for n, (kind, count) in list(recording.topics.items())[:30]
+    )
 
 
 def _joints_of(recording: Recording, topic: str) -> list[str]:
@@ -170,14 +199,18 @@ def _joint_values(kind: str, m: Message) -> tuple[list[str], Mapping[str, Sequen
             else {"q": "q", "qd": "dq", "tau": "tau", "kp": "kp", "kd": "kd"}
         )
         of = lambda motor, key: motor[key] if isinstance(motor, dict) else getattr(motor, key)
-        values = {ours: [float(of(motor, theirs)) for motor in motors] for ours, theirs in names.items()}
+        values = {
+            ours: [float(of(motor, theirs)) for motor in motors] for ours, theirs in names.items()
+        }
         return [*_QUADRUPED, *(f"motor_{k}" for k in range(12, len(motors)))] if len(motors) == 20 else [
             f"motor_{k}" for k in range(len(motors))
         ], values  # fmt: skip
     if kind == "JointTrajectoryControllerState":
         point = m.get("feedback") or m.get("actual")
         part = lambda key: (
-            (point.get(key) if isinstance(point, dict) else getattr(point, key, None)) if point is not None else None
+            (point.get(key) if isinstance(point, dict) else getattr(point, key, None))
+            if point is not None
+            else None
         )
         return list(m.get("joint_names")), {
             "q": _list_of(part("positions")),
@@ -198,7 +231,9 @@ def _list_of(values: Any) -> Sequence[float]:
 def _states(recording: Recording, topic: str, notes: list[str]) -> Rows:
     """The joints that stand together in one message; several publishers on the topic are told apart by their joints."""
     kind = recording.topics[topic][0]
-    rows = sorted(((m.t, *_joint_values(kind, m)) for m in recording.read(topic)), key=lambda r: r[0])
+    rows = sorted(
+        ((m.t, *_joint_values(kind, m)) for m in recording.read(topic)), key=lambda r: r[0]
+    )
     if not rows:
         raise refused(recording.path, f"topic {topic!r} is empty", "Record again")
     sets = Counter(frozenset(names) for _, names, _ in rows)
@@ -209,29 +244,45 @@ def _states(recording: Recording, topic: str, notes: list[str]) -> Rows:
         if other == largest:
             continue
         if other < largest:
-            notes.append(f"{recording.path.stem}: {count} messages with only some of the joints were left out")
+            notes.append(
+                f"{recording.path.stem}: {count} messages with only some of the joints were left out"
+            )
         else:
             left = ", ".join(sorted(other)[:8])
-            notes.append(f"{recording.path.stem}: {topic} has another publisher, of {left} ({count} messages); it was left out")
+            notes.append(
+                f"{recording.path.stem}: {topic} has another publisher, of {left} ({count} messages); it was left out"
+            )
     names = own[0][1]
     repeated = [n for n in names if names.count(n) > 1]
     if repeated:
-        raise refused(recording.path, f"joint {repeated[0]!r} stands twice in a message of {topic}", "Record again")
+        raise refused(
+            recording.path,
+            f"joint {repeated[0]!r} stands twice in a message of {topic}",
+            "Record again",
+        )
     values: dict[str, np.ndarray] = {}
     for quantity in ("q", "qd", "tau"):
         if all(len(r[2][quantity]) == len(r[1]) for r in own):
-            values[quantity] = np.array([[r[2][quantity][r[1].index(n)] for n in names] for r in own], float)
+            values[quantity] = np.array(
+                [[r[2][quantity][r[1].index(n)] for n in names] for r in own], float
+            )
         elif any(len(r[2][quantity]) for r in own):
-            notes.append(f"{recording.path.stem}: {quantity} stands in some messages only and was left out")
+            notes.append(
+                f"{recording.path.stem}: {quantity} stands in some messages only and was left out"
+            )
     for quantity in ("qd", "tau"):
         if quantity in values and not values[quantity].any():
-            notes.append(f"{recording.path.stem}: {quantity} is 0 throughout, so it was not measured, and was left out")
+            notes.append(
+                f"{recording.path.stem}: {quantity} is 0 throughout, so it was not measured, and was left out"
+            )
             del values[quantity]
     if kind == "LowState":
         moved = [j for j in range(len(names)) if any(v[:, j].any() for v in values.values())]
         names, values = [names[j] for j in moved], {k: v[:, moved] for k, v in values.items()}
     if "q" not in values:
-        raise refused(recording.path, f"topic {topic!r} holds no positions", "Name another with --topic")
+        raise refused(
+            recording.path, f"topic {topic!r} holds no positions", "Name another with --topic"
+        )
     _one_publisher(recording, topic, np.array([r[0] for r in own]), values["q"])
     return Rows(np.array([r[0] for r in own]), tuple(names), values)
 
@@ -252,14 +303,22 @@ def _one_publisher(recording: Recording, topic: str, t: np.ndarray, q: np.ndarra
 # ---- commands
 
 
-def _commands(recording: Recording, asked: str, joints: Sequence[str], stated: Sequence[str]) -> Rows:
+def _commands(
+    recording: Recording, asked: str, joints: Sequence[str], stated: Sequence[str]
+) -> Rows:
     """The goals of a topic, at the times when they were given."""
     topic, _, quantity = asked.partition(":") if asked not in recording.topics else (asked, "", "")
     if topic not in recording.topics or recording.topics[topic][0] not in COMMANDS:
         found = [n for n, (kind, _) in recording.topics.items() if kind in COMMANDS]
-        what = f"holds {recording.topics[topic][0]}, which is no command" if topic in recording.topics else "is not there"
+        what = (
+            f"holds {recording.topics[topic][0]}, which is no command"
+            if topic in recording.topics
+            else "is not there"
+        )
         remedy = f"Name one of: {', '.join(found) or 'none is there'}"
-        raise refused(recording.path, f"topic {topic!r} {what} (topics: {_list(recording)})", remedy)
+        raise refused(
+            recording.path, f"topic {topic!r} {what} (topics: {_list(recording)})", remedy
+        )
     kind = recording.topics[topic][0]
     messages = sorted(recording.read(topic), key=lambda m: m.t)
     if not messages:
@@ -270,9 +329,20 @@ def _commands(recording: Recording, asked: str, joints: Sequence[str], stated: S
         return _points(messages, joints, recording, topic)
     rows = []
     for m in messages:
-        names, values = _joint_values(kind, m) if kind != "JointTrajectoryControllerState" else _reference(m)
+        names, values = (
+            _joint_values(kind, m) if kind != "JointTrajectoryControllerState" else _reference(m)
+        )
         if set(joints) <= set(names):
-            rows.append((m.t, {k: [v[names.index(j)] for j in joints] for k, v in values.items() if len(v) == len(names)}))
+            rows.append(
+                (
+                    m.t,
+                    {
+                        k: [v[names.index(j)] for j in joints]
+                        for k, v in values.items()
+                        if len(v) == len(names)
+                    },
+                )
+            )
     if not rows:
         message = f"topic {topic!r} commands other joints than {', '.join(joints)}"
         raise refused(recording.path, message, "Name the topic of this robot's commands")
@@ -280,24 +350,37 @@ def _commands(recording: Recording, asked: str, joints: Sequence[str], stated: S
     if kind == "JointState":
         kept = [k for k in kept if k == "q" or any(np.any(r[1][k]) for r in rows)]
     return Rows(
-        np.array([r[0] for r in rows]), tuple(joints), {f"{k}_cmd": np.array([r[1][k] for r in rows], float) for k in kept}
+        np.array([r[0] for r in rows]),
+        tuple(joints),
+        {f"{k}_cmd": np.array([r[1][k] for r in rows], float) for k in kept},
     )
 
 
 def _reference(m: Message) -> tuple[list[str], dict[str, Sequence[float]]]:
     point = m.get("reference") or m.get("desired")
-    part = lambda key: _list_of(point.get(key) if isinstance(point, dict) else getattr(point, key, None))
+    part = lambda key: _list_of(
+        point.get(key) if isinstance(point, dict) else getattr(point, key, None)
+    )
     return list(m.get("joint_names")), {"q": part("positions"), "qd": part("velocities")}
 
 
 def _plain_commands(
-    recording: Recording, topic: str, quantity: str, messages: list[Message], joints: Sequence[str], stated: Sequence[str]
+    recording: Recording,
+    topic: str,
+    quantity: str,
+    messages: list[Message],
+    joints: Sequence[str],
+    stated: Sequence[str],
 ) -> Rows:
     """Numbers without names: what they are and whose has to be said."""
     quantity = quantity or next((q for q in _QUANTITIES if q in topic), "")
     if quantity not in _QUANTITIES:
         message = f"{topic} holds numbers, and its name does not say of what"
-        raise refused(recording.path, message, f"Write --command-topic {topic}:position (or :velocity, :effort)")
+        raise refused(
+            recording.path,
+            message,
+            f"Write --command-topic {topic}:position (or :velocity, :effort)",
+        )
     width = len(messages[0].get("data"))
     if set(stated) != set(joints) or len(stated) != width:
         message = f"{topic} holds {width} numbers a message without names of joints; the states are of {', '.join(joints)}"
@@ -306,10 +389,14 @@ def _plain_commands(
     order = [list(stated).index(j) for j in joints]
     whole = [m for m in messages if len(m.get("data")) == width]
     values = np.array([list(m.get("data")) for m in whole], float)[:, order]
-    return Rows(np.array([m.t for m in whole]), tuple(joints), {f"{_QUANTITIES[quantity]}_cmd": values})
+    return Rows(
+        np.array([m.t for m in whole]), tuple(joints), {f"{_QUANTITIES[quantity]}_cmd": values}
+    )
 
 
-def _points(messages: list[Message], joints: Sequence[str], recording: Recording, topic: str) -> Rows:
+def _points(
+    messages: list[Message], joints: Sequence[str], recording: Recording, topic: str
+) -> Rows:
     """The points of trajectories at their times: a point is the goal from when it is due."""
     rows = []
     of = lambda thing, key: thing[key] if isinstance(thing, dict) else getattr(thing, key)
@@ -323,21 +410,40 @@ def _points(messages: list[Message], joints: Sequence[str], recording: Recording
             positions = of(point, "positions")
             rows.append((t, [positions[names.index(j)] for j in joints]))
     if not rows:
-        raise refused(recording.path, f"topic {topic!r} commands other joints than {', '.join(joints)}", "Name another topic")
+        raise refused(
+            recording.path,
+            f"topic {topic!r} commands other joints than {', '.join(joints)}",
+            "Name another topic",
+        )
     rows.sort(key=lambda r: r[0])
-    return Rows(np.array([r[0] for r in rows]), tuple(joints), {"q_cmd": np.array([r[1] for r in rows], float)})
+    return Rows(
+        np.array([r[0] for r in rows]),
+        tuple(joints),
+        {"q_cmd": np.array([r[1] for r in rows], float)},
+    )
 
 
 def _with_commands(
-    t: np.ndarray, columns: dict[str, np.ndarray], commands: Rows, names: Sequence[str], topic: str, notes: list[str]
+    t: np.ndarray,
+    columns: dict[str, np.ndarray],
+    commands: Rows,
+    names: Sequence[str],
+    topic: str,
+    notes: list[str],
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The last command at the time of each state; what was before the first one is left out."""
     inside = t >= commands.t[0]
     if inside.sum() < 2:
-        raise UsageError(f"--command-topic {topic}: its first command came {commands.t[0] - t[-1]:.3g} s after the last state")
+        raise UsageError(
+            f"--command-topic {topic}: its first command came {commands.t[0] - t[-1]:.3g} s after the last state"
+        )
     if not inside.all():
-        notes.append(f"{int(np.sum(~inside))} samples before the first command of {topic} were left out")
+        notes.append(
+            f"{int(np.sum(~inside))} samples before the first command of {topic} were left out"
+        )
     late = t[inside] - commands.t[np.searchsorted(commands.t, t[inside], side="right") - 1]
-    notes.append(f"{topic}: the last command at each sample, {1e3 * float(np.median(late)):.3g} ms old in the median")
+    notes.append(
+        f"{topic}: the last command at each sample, {1e3 * float(np.median(late)):.3g} ms old in the median"
+    )
     taken = {k: held(t[inside], commands.t, v) for k, v in commands.values.items()}
     return t[inside], {k: v[inside] for k, v in columns.items()} | taken

@@ -18,7 +18,13 @@ from jaxid.extras import needed
 
 
 STATES = ("JointState", "LowState", "JointTrajectoryControllerState")
-COMMANDS = ("JointState", "JointTrajectory", "JointTrajectoryControllerState", "Float64MultiArray", "LowCmd")
+COMMANDS = (
+    "JointState",
+    "JointTrajectory",
+    "JointTrajectoryControllerState",
+    "Float64MultiArray",
+    "LowCmd",
+)
 
 
 @dataclass(frozen=True)
@@ -52,25 +58,41 @@ def open_bag(path: Path) -> Recording:
     reader_of = needed("rosbags.highlevel").AnyReader
     stores = needed("rosbags.typesys")
     try:
-        with reader_of([path], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)) as reader:
+        with reader_of(
+            [path], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+        ) as reader:
             kinds = {c.topic: c.msgtype for c in reader.connections}
             counts = Counter[str]()
             for c in reader.connections:
                 counts[c.topic] += c.msgcount
     except Exception as error:  # whatever a damaged bag makes its parser raise
-        raise refused(path, f"not readable as a ROS 2 bag ({first_line(error)})", "Name the bag's folder") from None
-    recording = Recording(path, {t: (k.rpartition("/")[2], counts[t]) for t, k in kinds.items()}, lambda topic: iter(()))
+        raise refused(
+            path, f"not readable as a ROS 2 bag ({first_line(error)})", "Name the bag's folder"
+        ) from None
+    recording = Recording(
+        path,
+        {t: (k.rpartition("/")[2], counts[t]) for t, k in kinds.items()},
+        lambda topic: iter(()),
+    )
 
     def read(topic: str) -> Iterator[Message]:
         try:
-            with reader_of([path], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)) as reader:
+            with reader_of(
+                [path], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+            ) as reader:
                 own = [c for c in reader.connections if c.topic == topic]
                 for connection, stamp, raw in reader.messages(connections=own):
-                    yield _message(_deserialized(reader.typestore, raw, connection.msgtype, recording), stamp, recording)
+                    yield _message(
+                        _deserialized(reader.typestore, raw, connection.msgtype, recording),
+                        stamp,
+                        recording,
+                    )
         except DatasetError:
             raise
         except Exception as error:
-            raise refused(path, f"not readable as a ROS 2 bag ({first_line(error)})", _UNKNOWN) from None
+            raise refused(
+                path, f"not readable as a ROS 2 bag ({first_line(error)})", _UNKNOWN
+            ) from None
 
     recording.read = read
     return recording
@@ -92,7 +114,9 @@ def open_mcap(path: Path) -> Recording:
                 kind, count = topics[channel.topic]
                 topics[channel.topic] = (kind, count + 1)
     except Exception as error:
-        raise refused(path, f"not readable as MCAP ({first_line(error)})", "Give an .mcap file") from None
+        raise refused(
+            path, f"not readable as MCAP ({first_line(error)})", "Give an .mcap file"
+        ) from None
     recording = Recording(path, topics, lambda topic: iter(()))
 
     def read(topic: str) -> Iterator[Message]:
@@ -102,17 +126,27 @@ def open_mcap(path: Path) -> Recording:
                 for schema, channel, message in make_reader(stream).iter_messages(topics=[topic]):
                     if channel.message_encoding == "json":
                         content = json.loads(message.data)
-                        yield Message(recording.seconds(_json_stamp(content) or message.log_time), content.get)
+                        yield Message(
+                            recording.seconds(_json_stamp(content) or message.log_time), content.get
+                        )
                         continue
                     if channel.message_encoding != "cdr" or schema is None:
                         what = f"topic {topic!r} is encoded as {channel.message_encoding!r}; jaxid reads cdr (ROS 2) and json"
-                        raise refused(path, what, "Convert it (rosbags-convert), or record with ROS 2")
+                        raise refused(
+                            path, what, "Convert it (rosbags-convert), or record with ROS 2"
+                        )
                     store = store or _typestore(schema)
-                    yield _message(_deserialized(store, message.data, schema.name, recording), message.log_time, recording)
+                    yield _message(
+                        _deserialized(store, message.data, schema.name, recording),
+                        message.log_time,
+                        recording,
+                    )
         except (DatasetError, UsageError):
             raise
         except Exception as error:
-            raise refused(path, f"not readable as MCAP ({first_line(error)})", "Give an .mcap file") from None
+            raise refused(
+                path, f"not readable as MCAP ({first_line(error)})", "Give an .mcap file"
+            ) from None
 
     recording.read = read
     return recording
@@ -165,4 +199,8 @@ def _json_stamp(content: dict[str, Any]) -> int:
     """Nanoseconds of a message's own stamp, 0 where it has none."""
     header = content.get("header")
     stamp = header.get("stamp") if isinstance(header, dict) else None
-    return int(stamp.get("sec", 0)) * 10**9 + int(stamp.get("nanosec", stamp.get("nsec", 0))) if isinstance(stamp, dict) else 0
+    return (
+        int(stamp.get("sec", 0)) * 10**9 + int(stamp.get("nanosec", stamp.get("nsec", 0)))
+        if isinstance(stamp, dict)
+        else 0
+    )

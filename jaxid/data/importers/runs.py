@@ -44,10 +44,15 @@ def runs_of(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: s
     if len(back) == 0 or min(np.diff(edges)) >= MINIMUM_SAMPLES:
         parts = list(zip(edges[:-1], edges[1:], strict=True))
         names = [name] if len(parts) == 1 else [f"{name}_{k}" for k in range(1, len(parts) + 1)]
-        runs = [_counted(n, t[a:b], {k: v[a:b] for k, v in columns.items()}) for n, (a, b) in zip(names, parts, strict=True)]
+        runs = [
+            _counted(n, t[a:b], {k: v[a:b] for k, v in columns.items()})
+            for n, (a, b) in zip(names, parts, strict=True)
+        ]
         if len(back):
             rows = ", ".join(str(int(b)) for b in back[:5])
-            runs[0].notes.append(f"{name}: the time starts again at sample {rows}, so it is {len(parts)} runs")
+            runs[0].notes.append(
+                f"{name}: the time starts again at sample {rows}, so it is {len(parts)} runs"
+            )
         return runs
     order = np.argsort(t, kind="stable")
     late = int(np.sum(t < np.maximum.accumulate(t)))
@@ -55,9 +60,7 @@ def runs_of(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: s
     torn = _differing(sorted_t, sorted_columns)
     if torn:
         message = f"{late} rows run backwards in time, and {len(torn)} of the times stand there twice with other values"
-        remedy = (
-            "It seems to be several recordings mixed row by row: import each by itself (--rows FIRST:END), or sort them apart"
-        )
+        remedy = "It seems to be several recordings mixed row by row: import each by itself (--rows FIRST:END), or sort them apart"
         raise DatasetError([Problem(file, None, None, message, remedy)])
     run = _counted(name, sorted_t, sorted_columns)
     run.notes.insert(0, f"{name}: {late} rows were out of order in time; they were sorted")
@@ -115,23 +118,34 @@ def save_runs(
     stem = lambda c: c if c in roles else re.sub(r"\d+", "", c)
     role = {c: roles[stem(c)][0] or role_of(c) for c in names}
     outputs = [c for c in names if role[c] == "output"]
-    still = [c for c in outputs if all(np.ptp(r.columns[c][np.isfinite(r.columns[c])]) == 0 for r in runs)]
+    still = [
+        c
+        for c in outputs
+        if all(np.ptp(r.columns[c][np.isfinite(r.columns[c])]) == 0 for r in runs)
+    ]
     for c in still:
         if len(still) < len(outputs):  # a joint that was held is one of the arm's all the same
             notes.append(f"{c} never moves")
         else:  # a dataset in which no output moves cannot be read
             role[c] = "auxiliary"
             notes.append(f"{c} never moves and is kept as an auxiliary channel")
-    registers = {c: found for c in names if (found := found_sign([r.columns[c] for r in runs])) is not None}
+    registers = {
+        c: found for c in names if (found := found_sign([r.columns[c] for r in runs])) is not None
+    }
     bits = lambda key: {c: number for c, (form, number) in registers.items() if form == key}
     sign_bit = bits("sign_bit")
     # An output that is brought round to 0 may be a counter that wraps, which `jaxid check` tells.
     signed_bits = {c: number for c, number in bits("signed_bits").items() if role[c] != "output"}
-    notes += [f"{c} {register_words(*registers[c])}; it was taken with it" for c in (*sign_bit, *signed_bits)]
+    notes += [
+        f"{c} {register_words(*registers[c])}; it was taken with it"
+        for c in (*sign_bit, *signed_bits)
+    ]
     pick = lambda wanted: {c: [r.columns[c] for r in runs] for c in names if role[c] == wanted}
     blank = [c for c in names if any(np.isnan(r.columns[c]).any() for r in runs)]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DatasetWarning)  # the same is said below, in words that name the file
+        warnings.simplefilter(
+            "ignore", DatasetWarning
+        )  # the same is said below, in words that name the file
         dataset = Dataset.from_arrays(
             [r.t for r in runs],
             pick("input"),
@@ -139,7 +153,8 @@ def save_runs(
             auxiliary=pick("auxiliary"),
             units={c: (units or {}).get(c, roles[stem(c)][1]) for c in names},
             name=Path(out).name,
-            description=f"imported from {kind}; " + ("; ".join(notes) or "nothing repeated, nothing missing"),
+            description=f"imported from {kind}; "
+            + ("; ".join(notes) or "nothing repeated, nothing missing"),
             source={"source": kind, "files": ", ".join(r.name for r in runs)},
             names=_unique([r.name for r in runs]),
             split_at_gaps=True,
@@ -159,7 +174,9 @@ def save_runs(
 
 def _unique(names: Sequence[str]) -> list[str]:
     """Names of runs, numbered where files of other folders have the same."""
-    return [n if names.count(n) == 1 else f"{n}_{names[: k + 1].count(n)}" for k, n in enumerate(names)]
+    return [
+        n if names.count(n) == 1 else f"{n}_{names[: k + 1].count(n)}" for k, n in enumerate(names)
+    ]
 
 
 def role_of(name: str) -> str:

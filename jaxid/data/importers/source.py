@@ -43,21 +43,38 @@ class Source:
 def read_source(path: Path, stated: Stated) -> Source:
     """A file by its own kind, whatever it is called."""
     if not path.is_file():
-        raise refused(path, f"{path} {'is a folder' if path.is_dir() else 'does not exist'}", _instead(path))
+        raise refused(
+            path, f"{path} {'is a folder' if path.is_dir() else 'does not exist'}", _instead(path)
+        )
     content = path.read_bytes()
     if not content.strip():
         raise refused(path, "the file is empty", "Record again")
     kind = kind_of(path, content)
-    if kind == "csv" and (trace := read_trace(path, decoded(path, content).splitlines())) is not None:
+    if (
+        kind == "csv"
+        and (trace := read_trace(path, decoded(path, content).splitlines())) is not None
+    ):
         return Source(path, kind, trace, words=trace_words(trace), clock=CLOCK)
     if kind == "csv":
         table, units, form = read_text(path, content, stated)
-        return Source(path, kind, dict(table.columns), units, table.rows, form.words(), form.options(), table.twice, table.ragged)
+        return Source(
+            path,
+            kind,
+            dict(table.columns),
+            units,
+            table.rows,
+            form.words(),
+            form.options(),
+            table.twice,
+            table.ragged,
+        )
     if kind == "parquet":
         table = read_table(Path("a.parquet"), path.name, content)
         if table.problems:
             raise DatasetError(table.problems)
-        return Source(path, "csv", dict(table.columns), {}, table.rows, "a Parquet file", "", table.twice)
+        return Source(
+            path, "csv", dict(table.columns), {}, table.rows, "a Parquet file", "", table.twice
+        )
     return Source(path, kind, read_arrays(kind, path), words=f"read as {kind}")
 
 
@@ -79,7 +96,11 @@ def parts_of(source: Source) -> list[Source]:
     parts = []
     for k in numbers:
         own = {m[3]: source.columns[n] for n, m in split.items() if m and int(m[2]) == k}
-        path = source.path if len(numbers) == 1 else source.path.with_stem(f"{source.path.stem}_{k + 1}")
+        path = (
+            source.path
+            if len(numbers) == 1
+            else source.path.with_stem(f"{source.path.stem}_{k + 1}")
+        )
         parts.append(replace(source, path=path, columns=common | own))
     return parts
 
@@ -95,7 +116,10 @@ def series_of(columns: Arrays, length: int | None) -> Arrays:
             out[name] = values
         elif array.ndim == 2:
             along = (
-                array if array.shape[0] == length or (array.shape[1] != length and array.shape[0] >= array.shape[1]) else array.T
+                array
+                if array.shape[0] == length
+                or (array.shape[1] != length and array.shape[0] >= array.shape[1])
+                else array.T
             )
             out |= {f"{name}[{k}]": along[:, k] for k in range(min(along.shape[1], 200))}
             if along.shape[1] == 1:
@@ -111,7 +135,11 @@ def find_column(source: Source, columns: Arrays, column: str) -> str | None:
         raise refused(source.path, message, f"Name one by its number, as in q={numbers[0]}:rad")
     if column in columns:
         return column
-    if column.isdigit() and 1 <= int(column) <= len(columns) and (source.rows is not None or len(source.columns) == 1):
+    if (
+        column.isdigit()
+        and 1 <= int(column) <= len(columns)
+        and (source.rows is not None or len(source.columns) == 1)
+    ):
         return list(columns)[int(column) - 1]
     ends = [n for n in columns if n.endswith("." + column)]
     headed = re.fullmatch(r"(.*\S)\s*[\[(][^\[\]()]*[\])]", column)
@@ -125,7 +153,12 @@ def stated_rate(source: Source) -> tuple[str, float] | None:
     for names, invert in ((_RATES, False), (_STEPS, True)):
         for name, value in source.columns.items():
             last = name.rpartition(".")[2]
-            if last in names and np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf" and float(np.ravel(value)[0]) > 0:
+            if (
+                last in names
+                and np.size(value) == 1
+                and np.asarray(value).dtype.kind in "iuf"
+                and float(np.ravel(value)[0]) > 0
+            ):
                 return name, 1 / float(np.ravel(value)[0]) if invert else float(np.ravel(value)[0])
     return None
 
@@ -150,7 +183,14 @@ def times_of(
     return t, start
 
 
-def numbers_of(source: Source, cells: Any, column: str, chosen: slice, length: int, notes: list[str] | None = None) -> np.ndarray:
+def numbers_of(
+    source: Source,
+    cells: Any,
+    column: str,
+    chosen: slice,
+    length: int,
+    notes: list[str] | None = None,
+) -> np.ndarray:
     """A column as numbers at the chosen rows; raises `DatasetError` with the first cell that is none.
 
     With `notes`, blank cells are NaN, which a note counts; without, they are at fault like any other.
@@ -159,18 +199,32 @@ def numbers_of(source: Source, cells: Any, column: str, chosen: slice, length: i
     numbers = table.numbers(column)
     values = numbers.values[chosen]
     if len(values) != length:
-        raise refused(source.path, f"{column!r} has {len(values)} samples, the time {length}", "Name arrays of one recording")
+        raise refused(
+            source.path,
+            f"{column!r} has {len(values)} samples, the time {length}",
+            "Name arrays of one recording",
+        )
     bad = sorted(k for k in numbers.faults if k in range(*chosen.indices(len(cells))))
     blank = [k for k in bad if numbers.faults[k] == "missing" and k not in source.ragged]
     if notes is not None and blank:
         bad = [k for k in bad if k not in set(blank)]
         if length - len(blank) < MINIMUM_SAMPLES:
             message = f"{column!r} holds {length - len(blank)} readings in {length} rows; the other cells are blank"
-            raise refused(source.path, message, f"Leave it out; fewer than {MINIMUM_SAMPLES} readings say too little")
-        notes.append(f"{source.path.name}: {len(blank)} of {length} cells of {column} are blank, no reading there")
+            raise refused(
+                source.path,
+                message,
+                f"Leave it out; fewer than {MINIMUM_SAMPLES} readings say too little",
+            )
+        notes.append(
+            f"{source.path.name}: {len(blank)} of {length} cells of {column} are blank, no reading there"
+        )
     if bad:
         torn = source.ragged.get(bad[0])
-        what = f"{torn} fields where the others have {len(source.columns)}" if torn is not None else numbers.faults[bad[0]]
+        what = (
+            f"{torn} fields where the others have {len(source.columns)}"
+            if torn is not None
+            else numbers.faults[bad[0]]
+        )
         more = f"; so {len(bad)} rows" if len(bad) > 1 else ""
         row = table.row(bad[0]) if source.rows is not None else None
         remedy = f"Correct it, or choose other rows: --rows 0:{bad[0]}"

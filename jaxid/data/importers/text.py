@@ -29,7 +29,9 @@ _BODY = 60  # rows at the end that say how numbers are written, at most half of 
 _LIST = re.compile(
     r"(?:array|tensor)?[\[(]+(?:'\w',)?\s*[\[(]*\s*[-+.\d]"
 )  # `[0.1, 0.2]`, `array([0.1])`; units in brackets are none
-_TORN = re.compile(r"[\d\s.,;|+\-eE]*[.,;|\s][\d\s.,;|+\-eE]*\d[\d\s.,;|+\-eE]*")  # numbers that another sign separates
+_TORN = re.compile(
+    r"[\d\s.,;|+\-eE]*[.,;|\s][\d\s.,;|+\-eE]*\d[\d\s.,;|+\-eE]*"
+)  # numbers that another sign separates
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,11 @@ class Stated:
     def options(self) -> str:
         """The options that say it again."""
         named = {"\t": "tab", " ": "space"}
-        said = [f"--separator {shlex.quote(named.get(self.separator, self.separator))}"] if self.separator else []
+        said = (
+            [f"--separator {shlex.quote(named.get(self.separator, self.separator))}"]
+            if self.separator
+            else []
+        )
         said += [f"--decimal {self.decimal}"] if self.decimal else []
         said += [f"--header {self.header or 'none'}"] if self.header is not None else []
         said += [f"--first {self.first}"] if self.first is not None else []
@@ -87,7 +93,9 @@ def read_text(path: Path, content: bytes, stated: Stated) -> tuple[Table, dict[s
     if form is None:
         shown = next((line for line in lines if line.strip()), "")[:60]
         raise refused(
-            path, f"no rows of numbers are found in it (it begins with {shown!r})", "State --separator, --decimal and --header"
+            path,
+            f"no rows of numbers are found in it (it begins with {shown!r})",
+            "State --separator, --decimal and --header",
         )
     rows, numbers = [], []
     header = _fields(_bare(lines[form.header - 1], form), form) if form.header else None
@@ -118,8 +126,14 @@ def read_text(path: Path, content: bytes, stated: Stated) -> tuple[Table, dict[s
 
 def recognise(lines: Sequence[str], stated: Stated = Stated()) -> Form | None:
     """How rows of text hold a table, or None where none of them are numbers."""
-    comment = next((c for c in COMMENTS for line in lines[:1000] if line.lstrip().startswith(c)), None)
-    data = [k for k, line in enumerate(lines) if line.strip(" \t,;|") and not (comment and line.lstrip().startswith(comment))]
+    comment = next(
+        (c for c in COMMENTS for line in lines[:1000] if line.lstrip().startswith(c)), None
+    )
+    data = [
+        k
+        for k, line in enumerate(lines)
+        if line.strip(" \t,;|") and not (comment and line.lstrip().startswith(comment))
+    ]
     if stated.first is not None:
         data = [k for k in data if k >= stated.first - 1]
     body = [lines[k] for k in data[-min(_BODY, -(-len(data) // 2)) :]] if data else []
@@ -149,8 +163,16 @@ def _numeric(body: Sequence[str], form: Form) -> list[bool]:
     if not usual or len(usual) < 0.9 * len(rows):
         return []
     written = [[r[k] for r in usual if r[k]] for k in range(width)]
-    numeric = [bool(cells) and sum(_is_data(c, form) for c in cells) >= 0.9 * len(cells) for cells in written]
-    torn = any(_TORN.fullmatch(c) and not _is_data(c, form) for k in range(width) if not numeric[k] for c in written[k])
+    numeric = [
+        bool(cells) and sum(_is_data(c, form) for c in cells) >= 0.9 * len(cells)
+        for cells in written
+    ]
+    torn = any(
+        _TORN.fullmatch(c) and not _is_data(c, form)
+        for k in range(width)
+        if not numeric[k]
+        for c in written[k]
+    )
     return [] if torn else numeric
 
 
@@ -183,7 +205,9 @@ def _first(lines: Sequence[str], data: Sequence[int], numeric: Sequence[bool], f
     """The first row that looks like those at the end."""
     for k in data:
         cells = _fields(lines[k], form)
-        if len(cells) == len(numeric) and all(_is_data(c, form) or not c for c, n in zip(cells, numeric, strict=True) if n):
+        if len(cells) == len(numeric) and all(
+            _is_data(c, form) or not c for c, n in zip(cells, numeric, strict=True) if n
+        ):
             if any(_is_data(c, form) for c, n in zip(cells, numeric, strict=True) if n):
                 return k
     return data[0]
@@ -235,7 +259,11 @@ def _fields(line: str, form: Form) -> list[str]:
 
 def _bare(line: str, form: Form) -> str:
     """A header without the sign of a comment before it."""
-    return line.lstrip()[len(form.comment) :] if form.comment and line.lstrip().startswith(form.comment) else line
+    return (
+        line.lstrip()[len(form.comment) :]
+        if form.comment and line.lstrip().startswith(form.comment)
+        else line
+    )
 
 
 def _unit(name: str) -> tuple[str, str]:
@@ -263,7 +291,11 @@ def decoded(path: Path, content: bytes) -> str:
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16", errors="replace")
     if b"\0" in content[:4096]:
-        raise refused(path, "binary data of a kind that is not known", "Convert it to CSV, MAT, npz, JSON or Parquet")
+        raise refused(
+            path,
+            "binary data of a kind that is not known",
+            "Convert it to CSV, MAT, npz, JSON or Parquet",
+        )
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -274,7 +306,11 @@ def separator_of(text: str | None) -> str | None:
     """A separator as it is stated on the command line."""
     if text is None:
         return None
-    found = {"tab": "\t", "\\t": "\t", "space": " ", "comma": ",", "semicolon": ";"}.get(text.lower(), text)
+    found = {"tab": "\t", "\\t": "\t", "space": " ", "comma": ",", "semicolon": ";"}.get(
+        text.lower(), text
+    )
     if len(found) != 1:
-        raise UsageError(f"--separator {text}: write one character, or tab, space, comma, semicolon")
+        raise UsageError(
+            f"--separator {text}: write one character, or tab, space, comma, semicolon"
+        )
     return found

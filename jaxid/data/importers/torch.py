@@ -41,12 +41,20 @@ class _Tensors(pickle.Unpickler):
         return np.frombuffer(self.archive.read(f"{self.folder}/data/{key}"), dtype=_TYPES[kind])
 
 
-def _tensor(storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any) -> np.ndarray:
-    last = offset + sum((n - 1) * s for n, s in zip(size, stride, strict=True)) if all(size) else offset - 1
+def _tensor(
+    storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any
+) -> np.ndarray:
+    last = (
+        offset + sum((n - 1) * s for n, s in zip(size, stride, strict=True))
+        if all(size)
+        else offset - 1
+    )
     if min((offset, *size, *stride, 0)) < 0 or last >= len(storage):
         raise pickle.UnpicklingError("a tensor reaches beyond what is stored of it")
     width = storage.dtype.itemsize
-    view = np.lib.stride_tricks.as_strided(storage[offset:], tuple(size), tuple(s * width for s in stride), writeable=False)
+    view = np.lib.stride_tricks.as_strided(
+        storage[offset:], tuple(size), tuple(s * width for s in stride), writeable=False
+    )
     return view.copy()
 
 
@@ -54,7 +62,9 @@ def read_tensors(path: Path) -> dict[str, Any]:
     """name -> array, nested as in the file; one tensor alone is `data`. Raises `DatasetError` for any other content."""
     remedy = "Write tensors alone: torch.save({'t': t, 'q': q}, 'log.pt'), or numpy.savez('log.npz', t=t.numpy(), q=q.numpy())"
     if not zipfile.is_zipfile(path):
-        raise refused(path, "a file of PyTorch older than 1.6, a plain pickle, which is not read", remedy)
+        raise refused(
+            path, "a file of PyTorch older than 1.6, a plain pickle, which is not read", remedy
+        )
     try:
         with zipfile.ZipFile(path) as archive:
             member = next(n for n in archive.namelist() if n.rpartition("/")[2] == "data.pkl")

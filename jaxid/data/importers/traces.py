@@ -28,7 +28,9 @@ def read_trace(path: Path, lines: Sequence[str]) -> dict[str, np.ndarray] | None
         if (named := _NAMED.fullmatch(line)) is not None:
             separator, name = named[1], named[2]
             if name in blocks:
-                raise refused(path, f"the trace holds two blocks of {name!r}", "Give a trace of one recording")
+                raise refused(
+                    path, f"the trace holds two blocks of {name!r}", "Give a trace of one recording"
+                )
             blocks[name] = []
         elif name and (sample := _sample(line, separator)) is not None:
             blocks[name].append(sample)
@@ -37,9 +39,15 @@ def read_trace(path: Path, lines: Sequence[str]) -> dict[str, np.ndarray] | None
     arrays = {name: np.array(samples, float).reshape(-1, 2) for name, samples in blocks.items()}
     for name, samples in arrays.items():
         if len(samples) < MINIMUM_SAMPLES:
-            raise refused(path, f"the block of {name!r} holds {len(samples)} samples", "Record the trace again")
+            raise refused(
+                path,
+                f"the block of {name!r} holds {len(samples)} samples",
+                "Record the trace again",
+            )
         if not (np.diff(samples[:, 0]) > 0).all():
-            raise refused(path, f"the times of {name!r} do not rise", "Cut the trace where they start again")
+            raise refused(
+                path, f"the times of {name!r} do not rise", "Cut the trace where they start again"
+            )
     t = np.unique(np.concatenate([samples[:, 0] for samples in arrays.values()]))
     columns = {CLOCK: t}
     for name, samples in arrays.items():
@@ -57,7 +65,10 @@ def words_of(columns: dict[str, np.ndarray]) -> str:
 def unit_of(times: np.ndarray) -> str:
     """The unit in which a controller's step lies between microseconds and half a second: a guess to propose."""
     step = float(np.median(np.diff(times)))
-    return next((unit for unit, scale in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)) if step * scale < 0.5), "ns")
+    return next(
+        (unit for unit, scale in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)) if step * scale < 0.5),
+        "ns",
+    )
 
 
 def _sample(line: str, separator: str) -> tuple[float, float] | None:

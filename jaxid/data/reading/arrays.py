@@ -17,13 +17,30 @@ from jaxid.data.table import Table, table_of_arrays
 from jaxid.errors import DatasetError, nearest, Problem
 
 
-RUN_SETTINGS = ("split", "at_rest", "initial", "constants", "initial_window_s", "split_at_gaps", "repeat_of")
+RUN_SETTINGS = (
+    "split",
+    "at_rest",
+    "initial",
+    "constants",
+    "initial_window_s",
+    "split_at_gaps",
+    "repeat_of",
+)
 FORMS = (
     "sign_bit", "signed_bits", "scale", "offset", "unwrap", "drop_glitches", "sampled_every", "shift", "delay_s", "clock_ppm",
 )  # fmt: skip
 CHANNEL_SETTINGS = ("noise_std", "resolution", "hold", *FORMS)
 VALID = ".valid"  # behind a channel's name: the column that says where it was read; no channel can have such a name
-DATASET_SETTINGS = ("name", "time_unit", "names", "description", "source", "model", "controller", "check_model")
+DATASET_SETTINGS = (
+    "name",
+    "time_unit",
+    "names",
+    "description",
+    "source",
+    "model",
+    "controller",
+    "check_model",
+)
 
 # The conventions of names; a number behind a name is a joint.
 _NAMED_UNITS = {
@@ -71,18 +88,34 @@ def from_arrays(
     signals = {channel: values for group in roles.values() for channel, values in group.items()}
     twice = [c for c in signals if sum(c in group for group in roles.values()) > 1]
     if twice:
-        raise DatasetError([Problem(name, None, twice[0], "the channel has two roles", "Give it one role")])
+        raise DatasetError(
+            [Problem(name, None, twice[0], "the channel has two roles", "Give it one role")]
+        )
     count = _runs(t)
     valid = settings.get("valid") or {}
     signals |= {f"{channel}{VALID}": read for channel, read in valid.items()}
     runs = [(t, signals)] if count is None else _each_run(name, t, signals, count)
     entries = _run_entries(name, count, settings)
-    channels = {channel: _channel(channel, role, units, settings) for role, group in roles.items() for channel in group}
+    channels = {
+        channel: _channel(channel, role, units, settings)
+        for role, group in roles.items()
+        for channel in group
+    }
     for channel in valid.keys() & channels.keys():
         channels[channel]["valid"] = f"{channel}{VALID}"
     problems = [
-        Problem(name, None, key, f"{what} names a channel that is not there{nearest(key, signals)}", "Correct the name")
-        for what, given in (("units", units), ("valid", valid), *((s, settings.get(s) or {}) for s in CHANNEL_SETTINGS))
+        Problem(
+            name,
+            None,
+            key,
+            f"{what} names a channel that is not there{nearest(key, signals)}",
+            "Correct the name",
+        )
+        for what, given in (
+            ("units", units),
+            ("valid", valid),
+            *((s, settings.get(s) or {}) for s in CHANNEL_SETTINGS),
+        )
         for key in given
         if key not in signals
     ]
@@ -103,7 +136,10 @@ def from_arrays(
     if isinstance(controller, Controller):
         controller = {"kind": controller.kind, **controller.settings}
     raw |= {"controller": controller} if controller is not None else {}
-    tables = [table_of_arrays(entry["file"], {"t": time, **values}) for entry, (time, values) in zip(entries, runs, strict=True)]
+    tables = [
+        table_of_arrays(entry["file"], {"t": time, **values})
+        for entry, (time, values) in zip(entries, runs, strict=True)
+    ]
 
     def open_table(index: int, entry: ExperimentEntry) -> Table:
         return tables[index]
@@ -125,12 +161,18 @@ def _runs(t: Any) -> int | None:
     return None
 
 
-def _each_run(name: str, t: Sequence[Any], signals: Mapping[str, Any], count: int) -> list[tuple[Any, dict[str, Any]]]:
+def _each_run(
+    name: str, t: Sequence[Any], signals: Mapping[str, Any], count: int
+) -> list[tuple[Any, dict[str, Any]]]:
     for channel, values in signals.items():
         if not isinstance(values, list | tuple) or len(values) != count:
             message = f"t holds {count} runs, but {channel!r} is not a list of {count} arrays"
-            raise DatasetError([Problem(name, None, channel, message, "Give one array a run, in the same order")])
-    return [(t[i], {channel: values[i] for channel, values in signals.items()}) for i in range(count)]
+            raise DatasetError(
+                [Problem(name, None, channel, message, "Give one array a run, in the same order")]
+            )
+    return [
+        (t[i], {channel: values[i] for channel, values in signals.items()}) for i in range(count)
+    ]
 
 
 def _run_entries(name: str, count: int | None, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -148,19 +190,35 @@ def _run_entries(name: str, count: int | None, settings: Mapping[str, Any]) -> l
             if isinstance(value, list | tuple):
                 if len(value) != total:
                     message = f"{key} has {len(value)} values for {total} run{'s' * (total > 1)}"
-                    raise DatasetError([Problem(name, None, None, message, "Give one value, or one a run")])
+                    raise DatasetError(
+                        [Problem(name, None, None, message, "Give one value, or one a run")]
+                    )
                 value = value[i]
             if value is not None:
                 entry[key] = _builtin(value)
         entries.append(entry)
     if len(names) != total:
-        raise DatasetError([Problem(name, None, None, f"{len(names)} names for {total} runs", "Give one name a run")])
-    return [{"file": str(n), "name": str(n), **entry} for n, entry in zip(names, entries, strict=True)]
+        raise DatasetError(
+            [
+                Problem(
+                    name, None, None, f"{len(names)} names for {total} runs", "Give one name a run"
+                )
+            ]
+        )
+    return [
+        {"file": str(n), "name": str(n), **entry} for n, entry in zip(names, entries, strict=True)
+    ]
 
 
-def _channel(channel: str, role: str, units: Mapping[str, str], settings: Mapping[str, Any]) -> dict[str, Any]:
+def _channel(
+    channel: str, role: str, units: Mapping[str, str], settings: Mapping[str, Any]
+) -> dict[str, Any]:
     entry = {"role": role}
-    unit = units.get(channel) or _NAMED_UNITS.get(channel) or _NAMED_UNITS.get(re.sub(r"\d+(?=_cmd$|$)", "", channel))
+    unit = (
+        units.get(channel)
+        or _NAMED_UNITS.get(channel)
+        or _NAMED_UNITS.get(re.sub(r"\d+(?=_cmd$|$)", "", channel))
+    )
     entry |= {"unit": unit} if unit is not None else {}
     for key in CHANNEL_SETTINGS:
         value = (settings.get(key) or {}).get(channel)
@@ -207,13 +265,21 @@ def from_frame(
     name = str(settings.get("name", "data"))
     problems = []
     for one in frames:
-        there = [str(c) for c in (one.column_names if hasattr(one, "column_names") else one.columns)]
+        there = [
+            str(c) for c in (one.column_names if hasattr(one, "column_names") else one.columns)
+        ]
         for column in [time, *(c for g in groups for c in g.values())]:
             if column not in there:
                 message = f"there is no column {column!r}{nearest(column, there)}"
                 index = getattr(getattr(one, "index", None), "name", None)
-                own = column == time and (index == time or type(getattr(one, "index", None)).__name__ in _TIME_INDEX)
-                remedy = "The time is the frame's index: give frame.reset_index()" if own else "Name a column of the frame"
+                own = column == time and (
+                    index == time or type(getattr(one, "index", None)).__name__ in _TIME_INDEX
+                )
+                remedy = (
+                    "The time is the frame's index: give frame.reset_index()"
+                    if own
+                    else "Name a column of the frame"
+                )
                 problems.append(Problem(name, None, column, message, remedy))
     if problems:
         raise DatasetError(list(dict.fromkeys(problems)))

@@ -48,7 +48,11 @@ def assemble(
     problems += _still_outputs(harvests)
     if problems:
         raise DatasetError(_each_once(problems))
-    alerts = [text for h in harvests for text in h.warnings] + _still_inputs(harvests) + _held_outputs(harvests)
+    alerts = (
+        [text for h in harvests for text in h.warnings]
+        + _still_inputs(harvests)
+        + _held_outputs(harvests)
+    )
     for text in alerts:
         warnings.warn(text, DatasetWarning, stacklevel=3)
     header = document.header
@@ -61,8 +65,17 @@ def assemble(
         experiments=tuple(e for h in harvests for e in h.experiments),
         responses=tuple(r for h in harvests for r in h.responses),
         model=None if document.model is None else stated(document.model, geometry, file, info),
-        controller=None if document.controller is None else Controller(document.controller.kind, document.controller.settings),
-        notes=tuple([*document.notes, *runs_as_code(file, info), *(note for h in harvests for note in h.notes), *alerts]),
+        controller=None
+        if document.controller is None
+        else Controller(document.controller.kind, document.controller.settings),
+        notes=tuple(
+            [
+                *document.notes,
+                *runs_as_code(file, info),
+                *(note for h in harvests for note in h.notes),
+                *alerts,
+            ]
+        ),
         sha256=sha256(),
     )
     if check_model and geometry is not None and geometry.robot:
@@ -70,7 +83,9 @@ def assemble(
     try:
         return in_chain_order(dataset, chain)
     except UsageError as error:
-        raise DatasetError([places.problem(("model", "joints"), str(error), "Correct [model.joints]")]) from None
+        raise DatasetError(
+            [places.problem(("model", "joints"), str(error), "Correct [model.joints]")]
+        ) from None
 
 
 def _of_chain(document: Document, readings: list[Reading], chain: tuple[str, ...]) -> list[Reading]:
@@ -80,7 +95,11 @@ def _of_chain(document: Document, readings: list[Reading], chain: tuple[str, ...
         numbers = renumbered(joints, chain) if chain and joints else {}
     except UsageError:
         return readings  # said later, by name
-    return [replace(r, name=new) for r in readings if number_of(new := renamed(r.name, numbers)) <= len(chain) or not numbers]
+    return [
+        replace(r, name=new)
+        for r in readings
+        if number_of(new := renamed(r.name, numbers)) <= len(chain) or not numbers
+    ]
 
 
 def _each_once(problems: list[Problem]) -> list[Problem]:
@@ -94,22 +113,36 @@ def _each_once(problems: list[Problem]) -> list[Problem]:
             kept[key] = problem
         elif problem.file != kept[key].file and problem.file not in more.setdefault(key, []):
             more[key].append(problem.file)
-    return [replace(p, message=f"{p.message}, nor in {', '.join(more[key])}") if more.get(key) else p for key, p in kept.items()]
+    return [
+        replace(p, message=f"{p.message}, nor in {', '.join(more[key])}") if more.get(key) else p
+        for key, p in kept.items()
+    ]
 
 
 def _origin(header: Header) -> dict[str, Any] | str | None:
-    more = {k: getattr(header, k) for k in ("licence", "recorded", "hardware") if getattr(header, k) is not None}
+    more = {
+        k: getattr(header, k)
+        for k in ("licence", "recorded", "hardware")
+        if getattr(header, k) is not None
+    }
     if isinstance(header.source, str) and not more:
         return header.source
     first = {"source": header.source} if isinstance(header.source, str) else (header.source or {})
-    merged = {k: v if isinstance(v, str | int | float) else v.isoformat() for k, v in {**first, **more}.items()}
+    merged = {
+        k: v if isinstance(v, str | int | float) else v.isoformat()
+        for k, v in {**first, **more}.items()
+    }
     return merged or None
 
 
-def _readings(document: Document, places: Places, problems: list[Problem], info: Any) -> list[Reading]:
+def _readings(
+    document: Document, places: Places, problems: list[Problem], info: Any
+) -> list[Reading]:
     wanted = {}
     for signature in info.signatures if info is not None else ():
-        wanted.update({name: si_unit(unit) for name, unit in (*signature.inputs, *signature.outputs)})
+        wanted.update(
+            {name: si_unit(unit) for name, unit in (*signature.inputs, *signature.outputs)}
+        )
     readings = []
     for name, entry in document.channels.items():
         try:
@@ -128,24 +161,52 @@ def _roles(document: Document, places: Places, *, known_model: bool) -> list[Pro
     problems = []
     roles = [c.role for c in document.channels.values()]
     free = document.model is not None and document.model.free
-    robot = document.model is not None and document.model.robot is not None  # says itself what it lacks
+    robot = (
+        document.model is not None and document.model.robot is not None
+    )  # says itself what it lacks
     if "channels" in document.sound:
         if not roles or ("output" not in roles and not known_model):
-            message = 'there is no channel with role = "output"' if roles else "there are no channels"
-            problems.append(places.problem(("channels",), message, "Add what was measured as [channels.NAME]"))
-        elif "input" not in roles and not free and not known_model and "model" in document.sound and not robot:
+            message = (
+                'there is no channel with role = "output"' if roles else "there are no channels"
+            )
+            problems.append(
+                places.problem(("channels",), message, "Add what was measured as [channels.NAME]")
+            )
+        elif (
+            "input" not in roles
+            and not free
+            and not known_model
+            and "model" in document.sound
+            and not robot
+        ):
             remedy = "Add the channel that drives the motion, or say free = true under [model]"
-            problems.append(places.problem(("channels",), 'there is no channel with role = "input"', remedy))
+            problems.append(
+                places.problem(("channels",), 'there is no channel with role = "input"', remedy)
+            )
         elif "input" in roles and free:
             remedy = 'Give the input channels role = "auxiliary", or remove free = true'
-            problems.append(places.problem(("model", "free"), "free motion has no input, but there is an input channel", remedy))
+            problems.append(
+                places.problem(
+                    ("model", "free"),
+                    "free motion has no input, but there is an input channel",
+                    remedy,
+                )
+            )
     if "experiments" in document.sound:
         if not document.experiments:
             message = "there are no experiments"
-            problems.append(places.problem(("experiments",), message, "Add [[experiments]] with a `file` and a `split`"))
+            problems.append(
+                places.problem(
+                    ("experiments",), message, "Add [[experiments]] with a `file` and a `split`"
+                )
+            )
         elif all(e.split != "fit" for e in document.experiments.values()):
             message = 'no experiment has split = "fit"'
-            problems.append(places.problem(("experiments",), message, 'Give at least one run to the fit: split = "fit"'))
+            problems.append(
+                places.problem(
+                    ("experiments",), message, 'Give at least one run to the fit: split = "fit"'
+                )
+            )
     return problems
 
 
@@ -156,12 +217,17 @@ def _references(document: Document, places: Places) -> list[Problem]:
     for index, entry in document.experiments.items():
         if entry.name is not None and names.setdefault(entry.name, index) != index:
             message = f"experiment {names[entry.name] + 1} has the name {entry.name!r} already"
-            problems.append(places.problem(("experiments", index, "name"), message, "Choose another name"))
-        if entry.repeat_of is not None and entry.repeat_of not in _names(document.experiments).values():
-            message = (
-                f"there is no run {entry.repeat_of!r} to repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
+            problems.append(
+                places.problem(("experiments", index, "name"), message, "Choose another name")
             )
-            problems.append(places.problem(("experiments", index, "repeat_of"), message, "Name another run"))
+        if (
+            entry.repeat_of is not None
+            and entry.repeat_of not in _names(document.experiments).values()
+        ):
+            message = f"there is no run {entry.repeat_of!r} to repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
+            problems.append(
+                places.problem(("experiments", index, "repeat_of"), message, "Name another run")
+            )
         if entry.kind != "frequency_response" or "channels" not in document.sound:
             continue
         for role in ("input", "output"):
@@ -169,11 +235,23 @@ def _references(document: Document, places: Places) -> list[Problem]:
             known = [k for k, c in document.channels.items() if c.role == role]
             if channel not in known:
                 message = f"{channel!r} is no {role} channel{nearest(channel, known)}"
-                problems.append(places.problem(("experiments", index, role), message, f'Name a channel with role = "{role}"'))
+                problems.append(
+                    places.problem(
+                        ("experiments", index, role),
+                        message,
+                        f'Name a channel with role = "{role}"',
+                    )
+                )
     return problems
 
 
-def _model_info(document: Document, places: Places, problems: list[Problem], geometry: Geometry | None, file: str | None) -> Any:
+def _model_info(
+    document: Document,
+    places: Places,
+    problems: list[Problem],
+    geometry: Geometry | None,
+    file: str | None,
+) -> Any:
     """What the catalogue knows of the model, with the names of the file checked against it."""
     entry = document.model
     if entry is None or entry.robot is not None:
@@ -231,7 +309,9 @@ def _known_names(document: Document, places: Places, problems: list[Problem], in
     return info
 
 
-def _fits_model(document: Document, readings: list[Reading], places: Places, info: Any) -> list[Problem]:
+def _fits_model(
+    document: Document, readings: list[Reading], places: Places, info: Any
+) -> list[Problem]:
     """Whether the channels contain one signature of the model; the closest signature is the one to speak of."""
     if "channels" not in document.sound or not readings or document.model is None:
         return []
@@ -249,21 +329,31 @@ def _fits_model(document: Document, readings: list[Reading], places: Places, inf
     return best or []
 
 
-def _signature_faults(have: dict[str, Reading], signature: Any, free: bool, places: Places, model: str) -> list[Problem]:
+def _signature_faults(
+    have: dict[str, Reading], signature: Any, free: bool, places: Places, model: str
+) -> list[Problem]:
     problems = []
     needed = [(n, u, "output") for n, u in signature.outputs]
     needed += [] if free else [(n, u, "input") for n, u in signature.inputs]
     for name, unit, role in needed:
         reading = have.get(name)
         if reading is None:
-            others = [r.name for r in have.values() if r.entry.role == role and r.name not in [n for n, _, _ in needed]]
+            others = [
+                r.name
+                for r in have.values()
+                if r.entry.role == role and r.name not in [n for n, _, _ in needed]
+            ]
             rename = f" ({role} channel here: {', '.join(others)})" if others else ""
             message = f"model {model!r} needs the {role} channel {name!r} in {unit}, and the data lack it{rename}"
-            remedy = f'Add [channels.{name}] with role = "{role}"' + (" and the `column` to read" if others else "")
+            remedy = f'Add [channels.{name}] with role = "{role}"' + (
+                " and the `column` to read" if others else ""
+            )
             problems.append(places.problem(("channels", name), message, remedy))
         elif reading.entry.role != role:
             message = f"model {model!r} needs {name!r} as {role}, but it is {reading.entry.role}"
-            problems.append(places.problem(("channels", name, "role"), message, f'Write role = "{role}"'))
+            problems.append(
+                places.problem(("channels", name, "role"), message, f'Write role = "{role}"')
+            )
         elif reading.conversion.si != si_unit(unit):
             message = f"{name!r} is in {reading.entry.unit!r}, but model {model!r} needs a unit like {unit!r}"
             remedy = "Correct the unit, or convert with `scale` and state the unit of the result"
@@ -272,13 +362,17 @@ def _signature_faults(have: dict[str, Reading], signature: Any, free: bool, plac
         outputs = [n for n, _ in signature.outputs]
         for reading in have.values():
             if reading.entry.role == "output" and reading.name not in outputs:
-                message = f"model {model!r} has no output {reading.name!r} (it has: {', '.join(outputs)})"
+                message = (
+                    f"model {model!r} has no output {reading.name!r} (it has: {', '.join(outputs)})"
+                )
                 remedy = 'Give the channel role = "auxiliary", or name another model'
                 problems.append(places.problem(("channels", reading.name, "role"), message, remedy))
     return problems
 
 
-def _samples(document: Document, readings: list[Reading], open_table: OpenTable, problems: list[Problem]) -> list[Harvest]:
+def _samples(
+    document: Document, readings: list[Reading], open_table: OpenTable, problems: list[Problem]
+) -> list[Harvest]:
     names = _names(document.experiments)
     time = document.header.time if document.header is not None else "t"
     unit = document.header.time_unit if document.header is not None else None
@@ -314,7 +408,9 @@ def _names(entries: dict[int, ExperimentEntry]) -> dict[int, str]:
         name = entry.name
         if name is None:
             stem = entry.file.rsplit("/", 1)[-1]
-            stem = stem.rsplit(".", 1)[0] if entry.file.endswith((".csv", ".parquet", ".pq")) else stem
+            stem = (
+                stem.rsplit(".", 1)[0] if entry.file.endswith((".csv", ".parquet", ".pq")) else stem
+            )
             base = name = ":".join([stem, *(str(v) for v in entry.where.values())])
             number = 2
             while name in taken:
@@ -326,14 +422,20 @@ def _names(entries: dict[int, ExperimentEntry]) -> dict[int, str]:
 
 def _still_outputs(harvests: list[Harvest]) -> list[Problem]:
     """A run is refused where none of its outputs moves. A joint that is held while others move is sound."""
-    return [problem for harvest in harvests if not harvest.moving for problem in harvest.still.values()]
+    return [
+        problem for harvest in harvests if not harvest.moving for problem in harvest.still.values()
+    ]
 
 
 def _held_outputs(harvests: list[Harvest]) -> list[str]:
     """Words about outputs that move in no run though others do: a joint that its brake holds, or a sensor that is stuck."""
     moving = {name for h in harvests for name in h.moving}
     held = dict.fromkeys(name for h in harvests for name in h.still if name not in moving)
-    return [f"output {name!r} never moves: what it alone would show is not determined" for name in held if moving]
+    return [
+        f"output {name!r} never moves: what it alone would show is not determined"
+        for name in held
+        if moving
+    ]
 
 
 def _still_inputs(harvests: list[Harvest]) -> list[str]:
@@ -341,4 +443,7 @@ def _still_inputs(harvests: list[Harvest]) -> list[str]:
     for harvest in harvests:
         for name in sorted(harvest.still_inputs):
             runs.setdefault(name, []).append(harvest.experiments[0].name)
-    return [f"input {name!r} is constant in {', '.join(where)}: it excites nothing" for name, where in runs.items()]
+    return [
+        f"input {name!r} is constant in {', '.join(where)}: it excites nothing"
+        for name, where in runs.items()
+    ]

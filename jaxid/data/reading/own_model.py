@@ -17,7 +17,9 @@ from jaxid.errors import Problem, UsageError
 KEY = ("model", "file")
 
 
-def file_of(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> str | None:
+def file_of(
+    document: Document, places: Places, open_text: Any, problems: list[Problem]
+) -> str | None:
     """The path of the file, with the class that `name` states, as `jaxid.dynamics.model_file` takes it. It is read here, so that
     the dataset's hash has it, and not run. A file outside of the folder joins the problems."""
     entry = document.model

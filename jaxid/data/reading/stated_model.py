@@ -28,7 +28,9 @@ def prior_of(entry: PriorEntry) -> ParameterPrior:
     return ParameterPrior(**entry.model_dump())
 
 
-def geometry_of(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
+def geometry_of(
+    document: Document, places: Places, open_text: Any, problems: list[Problem]
+) -> Geometry | None:
     """The links that `[model]` states; a URDF is read from the folder and kept as text."""
     entry = document.model
     if entry is None or (entry.urdf is None and entry.dh is None and entry.robot is None):
@@ -40,20 +42,30 @@ def geometry_of(document: Document, places: Places, open_text: Any, problems: li
         return Geometry(convention=entry.dh.convention, columns=columns)
     assert entry.urdf is not None
     key = ("model", "urdf")
-    needs = places.problem(key, "a URDF needs a folder", "Give the model as SerialArm.from_urdf(...)")
+    needs = places.problem(
+        key, "a URDF needs a folder", "Give the model as SerialArm.from_urdf(...)"
+    )
     if (text := _text(entry.urdf, key, open_text, needs, problems)) is None:
         return None
     geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip, root=entry.root)
     try:
         arm_table(geometry)
     except UsageError as error:
-        stated = ("model", "tip") if "tip" in str(error) else ("model", "root") if "root" in str(error) else key
+        stated = (
+            ("model", "tip")
+            if "tip" in str(error)
+            else ("model", "root")
+            if "root" in str(error)
+            else key
+        )
         problems.append(places.problem(stated, str(error), "Correct it"))
         return None
     return geometry
 
 
-def _text(name: str, key: tuple[str, str], open_text: Any, needs: Problem, problems: list[Problem]) -> str | None:
+def _text(
+    name: str, key: tuple[str, str], open_text: Any, needs: Problem, problems: list[Problem]
+) -> str | None:
     """The text of a file that `[model]` names; where there is none, `needs` or what is wrong with it joins the problems."""
     text = needs if open_text is None else open_text(name, key)
     if isinstance(text, Problem):
@@ -69,7 +81,11 @@ def as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
     goals = any(name.endswith("_cmd") for name in document.channels)
     if entry is None or entry.urdf is None:
         return entry
-    text = open_text(entry.urdf, ("model", "urdf")) if open_text is not None and entry.urdf.endswith((".xml", ".mjcf")) else ""
+    text = (
+        open_text(entry.urdf, ("model", "urdf"))
+        if open_text is not None and entry.urdf.endswith((".xml", ".mjcf"))
+        else ""
+    )
     mjcf = isinstance(text, str) and re.search(r"<\s*mujoco\b", text) is not None
     driven = document.controller is not None and "input" not in roles and goals and not entry.free
     if not (mjcf or driven):
@@ -77,14 +93,18 @@ def as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
     return entry.model_copy(update={"name": None, "urdf": None, "robot": entry.urdf})
 
 
-def robot_geometry(entry: ModelEntry, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
+def robot_geometry(
+    entry: ModelEntry, places: Places, open_text: Any, problems: list[Problem]
+) -> Geometry | None:
     """The robot's file as text, if it can be read as a robot."""
     from jaxid.robots.match import robot_of
     from jaxid.robots.mjcf_text import expanded
 
     assert entry.robot is not None
     key = ("model", "robot")
-    needs = places.problem(key, "a robot's file needs a folder", "Give the model as Robot.from_mjcf(...)")
+    needs = places.problem(
+        key, "a robot's file needs a folder", "Give the model as Robot.from_mjcf(...)"
+    )
     if (text := _text(entry.robot, key, open_text, needs, problems)) is None:
         return None
     try:
@@ -94,7 +114,9 @@ def robot_geometry(entry: ModelEntry, places: Places, open_text: Any, problems: 
     except UsageError as error:
         problems.append(places.problem(key, str(error), "Correct the file, or name another"))
         return None
-    return Geometry(robot=text, file=str(entry.robot), tip=entry.tip, path=str(open_text.path(entry.robot)))
+    return Geometry(
+        robot=text, file=str(entry.robot), tip=entry.tip, path=str(open_text.path(entry.robot))
+    )
 
 
 def as_robot(dataset: Dataset, places: Places) -> Dataset:
@@ -106,7 +128,13 @@ def as_robot(dataset: Dataset, places: Places) -> Dataset:
         robot, dataset = prepared(None, dataset)
         robot.matched(dataset)
     except UsageError as error:
-        raise DatasetError([places.problem(("model",), str(error), "Correct [model], [controller] or the channels")]) from None
+        raise DatasetError(
+            [
+                places.problem(
+                    ("model",), str(error), "Correct [model], [controller] or the channels"
+                )
+            ]
+        ) from None
     return dataset
 
 

@@ -52,13 +52,18 @@ class Difference:
         """Whether MuJoCo's run of the file is the recording, down to the noise."""
         sigma = np.hypot(binding.sigma, self.floor)
         count = lambda split: len(sigma) * sum(len(e.t) for e in binding.experiments(split))
-        left = {split: np.mean((between.left / sigma) ** 2) for split, between in self.by_split.items() if split != "report"}
+        left = {
+            split: np.mean((between.left / sigma) ** 2)
+            for split, between in self.by_split.items()
+            if split != "report"
+        }
         return all(loss <= level(count(split)) for split, loss in left.items())
 
     def said(self, binding: Binding) -> str:
         names = [name for name, _ in binding.chain.signature.outputs]
         every = [
-            f"{name} {size:.2g} {binding.noise[name].unit}" for name, size in zip(names, self.by_split["fit"].size, strict=True)
+            f"{name} {size:.2g} {binding.noise[name].unit}"
+            for name, size in zip(names, self.by_split["fit"].size, strict=True)
         ]
         return f"{TAKEN_OFF} {listed(every)}"
 
@@ -74,7 +79,9 @@ class Difference:
         return bench
 
 
-def difference(bench: Bench, known: Mapping[str, Between], theta: np.ndarray | None = None) -> Difference | None:
+def difference(
+    bench: Bench, known: Mapping[str, Between], theta: np.ndarray | None = None
+) -> Difference | None:
     """None where MuJoCo has no run of some split; what is `known` already by split, and the numbers of jaxid's runs."""
     b, found = bench.binding, dict(known)
     for split in ("fit", "validation", "report"):
@@ -89,7 +96,9 @@ def difference(bench: Bench, known: Mapping[str, Between], theta: np.ndarray | N
 
 def _changed(b: Binding, of_fit: Between) -> np.ndarray:
     """By how much of itself [n] the motion is not MuJoCo's: what two simulators make of it changes by as much."""
-    moved = np.std(np.concatenate([e.y[:, b.chain.joint_outputs] for e in b.experiments("fit")]), axis=0)
+    moved = np.std(
+        np.concatenate([e.y[:, b.chain.joint_outputs] for e in b.experiments("fit")]), axis=0
+    )
     return np.minimum(1.0, of_fit.left / np.maximum(moved, 1e-300))
 
 
@@ -104,14 +113,21 @@ def by_its_steps(bench: Bench, study: LedStudy, plain: Difference) -> Difference
     found = difference(bench, {}, theta)
     if found is None:
         return None
-    speeds = {split: between.speeds(b.experiments(split)) for split, between in found.by_split.items()}
+    speeds = {
+        split: between.speeds(b.experiments(split)) for split, between in found.by_split.items()
+    }
     early = seen_early(found.by_split["fit"].apart, speeds["fit"])
     by_split = {}
     for split, between in found.by_split.items():
         own = [b.motions[e.name].qd[-len(e.t) :] for e in b.experiments(split)]
-        apart = [d + early * (now - then) for d, now, then in zip(between.apart, own, speeds[split], strict=True)]
+        apart = [
+            d + early * (now - then)
+            for d, now, then in zip(between.apart, own, speeds[split], strict=True)
+        ]
         by_split[split] = replace(between, apart=apart)
-    left = np.sqrt(np.mean(np.concatenate(found.by_split["fit"].at_once(b.experiments("fit"))) ** 2, 0))
+    left = np.sqrt(
+        np.mean(np.concatenate(found.by_split["fit"].at_once(b.experiments("fit"))) ** 2, 0)
+    )
     return Difference(by_split, theta, _changed(b, found.by_split["fit"]) * left)
 
 
@@ -131,7 +147,10 @@ class Change:
 def changes(binding: Binding, kinds: Sequence[type[Effect]], taken: Difference) -> list[Change]:
     """Single changes of a model whose other numbers stand as they are, likeliest first: an effect at one of its places or at all
     of them, a number of the model, one of all its joints, or the centre of mass of a link."""
-    runs = [_without(e, x) for e, x in zip(binding.experiments("fit"), taken.by_split["fit"].apart, strict=True)]
+    runs = [
+        _without(e, x)
+        for e, x in zip(binding.experiments("fit"), taken.by_split["fit"].apart, strict=True)
+    ]
     theta = taken.theta.copy()
     b = replace(binding, dataset=replace(binding.dataset, experiments=tuple(runs)), theta=theta)
     study = LedStudy(b, kinds, begin=theta.copy())  # not re-tuned
@@ -139,15 +158,24 @@ def changes(binding: Binding, kinds: Sequence[type[Effect]], taken: Difference) 
     p = study.plant.size
     stands = np.arange(p), theta[study.plant.free]
     every = [
-        np.concatenate([x[:, :, :p], x[:, :, rows.size : -1], rows.residual(k, *stands)[:, :, None]], 2)
+        np.concatenate(
+            [x[:, :, :p], x[:, :, rows.size : -1], rows.residual(k, *stands)[:, :, None]], 2
+        )
         for k, x in enumerate(rows.rows)
     ]
     out: dict[tuple[object, ...], Change] = {}
     for white in (Weights(study.noise, np.ones(len(study.noise))), by_left):
         g = gram(study.runs, every, study.unsure, white, 1).total
         effects = _of_effects(g, study, rows.units, p)
-        single, several = ([pair for pair in effects if (len(pair[1].proposal.units) > 1) == many] for many in (False, True))
-        for found, most in ((_of_numbers(g, study), FIRST // 2), (single, FIRST), (several, FIRST // 2)):
+        single, several = (
+            [pair for pair in effects if (len(pair[1].proposal.units) > 1) == many]
+            for many in (False, True)
+        )
+        for found, most in (
+            (_of_numbers(g, study), FIRST // 2),
+            (single, FIRST),
+            (several, FIRST // 2),
+        ):
             likeliest = sorted(found, key=lambda pair: pair[0])[:most]
             out |= {c.place: c for _, c in likeliest if c.place not in out}
     return list(out.values())
@@ -170,14 +198,18 @@ def _of_numbers(g: np.ndarray, study: LedStudy) -> list[tuple[float, Change]]:
     out = []
     for at in dict.fromkeys(map(tuple, groups.values())):
         index = [free[k] for k in at]
-        cost, moved = _alone(g, at, b.lower[index] - b.theta[index], b.upper[index] - b.theta[index])
+        cost, moved = _alone(
+            g, at, b.lower[index] - b.theta[index], b.upper[index] - b.theta[index]
+        )
         theta = b.theta.copy()
         theta[index] += moved
         out.append((cost, Change(Proposal((), (), theta), tuple(index))))
     return out
 
 
-def _of_effects(g: np.ndarray, study: LedStudy, every: Sequence[Unit], first: int) -> list[tuple[float, Change]]:
+def _of_effects(
+    g: np.ndarray, study: LedStudy, every: Sequence[Unit], first: int
+) -> list[tuple[float, Change]]:
     """The same of effects, each with the best of its shapes."""
     ends = first + np.cumsum([0, *(len(u.fields) for u in every)])
     best: dict[tuple[str, str], tuple[float, int, np.ndarray]] = {}
@@ -186,24 +218,38 @@ def _of_effects(g: np.ndarray, study: LedStudy, every: Sequence[Unit], first: in
         if np.any(numbers != 0) and not cost >= best.get(u.place, (np.inf,))[0]:
             best[u.place] = cost, k, numbers
     theta = study.binding.theta
-    out = [(cost, Change(Proposal((every[k],), (numbers,), theta))) for cost, k, numbers in best.values()]
+    out = [
+        (cost, Change(Proposal((every[k],), (numbers,), theta)))
+        for cost, k, numbers in best.values()
+    ]
     for effect in dict.fromkeys(e for e, _ in best):
         own = [k for (e, _), (_, k, _) in best.items() if e == effect]
         if len(own) > 1:
             at = [range(ends[k], ends[k + 1]) for k in own]
-            low, high = (np.concatenate([getattr(every[k], side) for k in own]) for side in ("least", "most"))
+            low, high = (
+                np.concatenate([getattr(every[k], side) for k in own]) for side in ("least", "most")
+            )
             cost, numbers = _alone(g, np.concatenate(at), low, high)
             parts = np.split(numbers, np.cumsum([len(x) for x in at])[:-1])
             out.append((cost, Change(Proposal(tuple(every[k] for k in own), tuple(parts), theta))))
     return out
 
 
-def _alone(g: np.ndarray, at: Sequence[int] | np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
+def _alone(
+    g: np.ndarray, at: Sequence[int] | np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[float, np.ndarray]:
     """What the columns `at` alone leave, and their numbers."""
     size = len(g) - 1
     low_, high_ = np.full(size, -np.inf), np.full(size, np.inf)
     low_[list(at)], high_[list(at)] = low, high
-    s = solve(g, np.asarray(at, int), Known(np.zeros((size, size)), np.zeros(size)), np.zeros(size), low_, high_)
+    s = solve(
+        g,
+        np.asarray(at, int),
+        Known(np.zeros((size, size)), np.zeros(size)),
+        np.zeros(size),
+        low_,
+        high_,
+    )
     return s.cost, s.theta
 
 
@@ -221,8 +267,12 @@ class Alone:
         decider.asked = self.own
         self.stands = decider.refit((), self.theta)
         self.tried: list[Hypothesis] = []
-        self.as_likely: Hypothesis | None = None  # the re-tuned model, where the data do not tell it from what was found
-        self.instead: Hypothesis | None = None  # what was found, where that model takes no more numbers
+        self.as_likely: Hypothesis | None = (
+            None  # the re-tuned model, where the data do not tell it from what was found
+        )
+        self.instead: Hypothesis | None = (
+            None  # what was found, where that model takes no more numbers
+        )
 
     def enough(self, found: Sequence[Change]) -> list[Hypothesis]:
         """Those that leave no more than the noise: the fewest numbers that leave next to nothing more than any, by the evidence
@@ -247,7 +297,12 @@ class Alone:
         fewest = min(map(self.numbers, near), default=0)
         few = [h for h in near if self.numbers(h) == fewest]
         told = min(map(self.evidence, few), default=0.0) + LIMITS.decisive  # what is as likely
-        order = lambda h: (h not in few, h not in near, not (self.of_numbers(h) and self.evidence(h) < told), self.evidence(h))
+        order = lambda h: (
+            h not in few,
+            h not in near,
+            not (self.of_numbers(h) and self.evidence(h) < told),
+            self.evidence(h),
+        )
         return sorted(good, key=order)
 
     def of_numbers(self, h: Hypothesis) -> bool:
@@ -258,14 +313,29 @@ class Alone:
         is as likely by no more numbers."""
         tried = list(self.tried)
         chosen = self.decider.thinned(self.stands, enough[0], tried)
-        if self.decider.at_noise(nominal) and self.evidence(nominal) < self.evidence(chosen) + LIMITS.decisive:
+        if (
+            self.decider.at_noise(nominal)
+            and self.evidence(nominal) < self.evidence(chosen) + LIMITS.decisive
+        ):
             self.as_likely = nominal
             if self.numbers(nominal) <= self.numbers(chosen):
                 self.instead = chosen
                 return Search(nominal, nominal, tried, stands=self.stands)
-        others = [h for h in self._as_few(chosen, enough[1:]) if not self.of_numbers(h) and indistinct(chosen, h)]
+        others = [
+            h
+            for h in self._as_few(chosen, enough[1:])
+            if not self.of_numbers(h) and indistinct(chosen, h)
+        ]
         mates = [c for h in others for c in h.effects if c not in chosen.effects]
-        return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1, stands=self.stands)
+        return Search(
+            nominal,
+            chosen,
+            tried,
+            mates,
+            None,
+            len({c.effect for c in chosen.effects}) > 1,
+            stands=self.stands,
+        )
 
     def told(self, h: Hypothesis) -> list[int]:
         """Which numbers of what is changed (all of the file's where no effect is) the fit runs tell from what they were, by what
@@ -308,29 +378,47 @@ class Alone:
         own_numbers = [h for h in self._as_few(first, enough) if self.of_numbers(h)][:1]
         if self.of_numbers(first):
             own = listed([value(i, first) for c in first.effects for i in c.index])
-            alike = [h for h in self._as_few(first, enough) if not self.of_numbers(h) and indistinct(first, h)]
-            more = f" So would {' or '.join(' and '.join(map(str, h.effects)) for h in alike)}." if alike else ""
+            alike = [
+                h
+                for h in self._as_few(first, enough)
+                if not self.of_numbers(h) and indistinct(first, h)
+            ]
+            more = (
+                f" So would {' or '.join(' and '.join(map(str, h.effects)) for h in alike)}."
+                if alike
+                else ""
+            )
             return f"One change of the file accounts for the gap: {own}.{more}"
         text = "All numbers of the file stand as they are."
         if self.as_likely is not None:
             own = listed([value(i, self.as_likely) for i in self.told(self.as_likely)])
             return f"{text} Re-tuned numbers would account for the gap as well: {own}."
         told = [listed([value(i, h) for c in h.effects for i in c.index]) for h in own_numbers]
-        return f"{text} Without it {' or '.join(told)} would come to the noise too, but not as near." if told else text
+        return (
+            f"{text} Without it {' or '.join(told)} would come to the noise too, but not as near."
+            if told
+            else text
+        )
 
 
 class AsStated:
     """What the file explains as MuJoCo runs it: by itself, or with a single change."""
 
-    def __init__(self, bench: Bench, study: LedStudy, kinds: Sequence[type[Effect]], between: Between):
+    def __init__(
+        self, bench: Bench, study: LedStudy, kinds: Sequence[type[Effect]], between: Between
+    ):
         """`bench` of the model without candidates, `between` of its fit runs."""
         self.plain = bench.binding
         self.taken = difference(bench, {"fit": between})
-        if self.taken is not None and not np.all(self.taken.floor <= np.maximum(between.left, self.plain.sigma)):
+        if self.taken is not None and not np.all(
+            self.taken.floor <= np.maximum(between.left, self.plain.sigma)
+        ):
             self.taken = None  # the difference is known less well than what the file leaves: nothing can be told beside it
         #: Whether it explains the recording by itself.
         self.stands = self.taken is not None and self.taken.accounts(self.plain)
-        self.stepped = None if self.stands or self.taken is None else by_its_steps(bench, study, self.taken)
+        self.stepped = (
+            None if self.stands or self.taken is None else by_its_steps(bench, study, self.taken)
+        )
         self.changes = [] if self.stepped is None else changes(self.plain, kinds, self.stepped)
         self.alone: Alone | None = None
         self.enough: list[Hypothesis] = []
@@ -339,7 +427,9 @@ class AsStated:
         """Simulates the changes; `made(floor)` makes a bench with their effects as candidates."""
         if self.stepped is not None and self.changes:
             bench = self.stepped.off(made(self.stepped.floor))
-            decider = Decider(bench, self.plain.layout.names, None, progress, 0, 1 + len(self.changes))
+            decider = Decider(
+                bench, self.plain.layout.names, None, progress, 0, 1 + len(self.changes)
+            )
             self.alone = Alone(decider, self.plain, self.stepped.theta)
             self.enough = self.alone.enough(self.changes)
 
@@ -350,7 +440,11 @@ class AsStated:
     @property
     def lacks(self) -> bool:
         """Whether an effect is what it lacks, and not another value of a number."""
-        return self.alone is not None and bool(self.enough) and not self.alone.of_numbers(self.enough[0])
+        return (
+            self.alone is not None
+            and bool(self.enough)
+            and not self.alone.of_numbers(self.enough[0])
+        )
 
     @property
     def difference(self) -> Difference:

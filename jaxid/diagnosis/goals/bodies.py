@@ -31,7 +31,9 @@ def body_units(b: Binding, runs: Sequence[Run], kind: Any, theta: np.ndarray) ->
     for place in b.chain.offers(kind):
         j = places.index(place)
         reference = b.reference(kind, j)
-        force = lambda r, **numbers: inverse_of(_with_body(kind, len(places), j, numbers)(mechanism), r)  # noqa: B023
+        force = lambda r, **numbers: inverse_of(
+            _with_body(kind, len(places), j, numbers)(mechanism), r
+        )  # noqa: B023
         steps = {f: CHANGED * float(resolve(s.scale, reference)) for f, s in own.items()}
         columns = []
         for r in runs:
@@ -44,14 +46,23 @@ def body_units(b: Binding, runs: Sequence[Run], kind: Any, theta: np.ndarray) ->
         first = len(own)
         # Where all axes are alike, a load may sit anywhere along them.
         kept = [k for k in range(len(size)) if k < first or size[k] > UNSEEN * size[first:].max()]
-        fields = tuple(name for k, name in enumerate((*own, *(f"{MOMENT}{f}" for f in moments))) if k in kept)
-        low, high = (np.array([resolve(getattr(s, k), reference) for s in own.values()]) for k in ("lower", "upper"))
+        fields = tuple(
+            name for k, name in enumerate((*own, *(f"{MOMENT}{f}" for f in moments))) if k in kept
+        )
+        low, high = (
+            np.array([resolve(getattr(s, k), reference) for s in own.values()])
+            for k in ("lower", "upper")
+        )
         free = np.full(len(fields) - first, np.inf)
         if any(np.any(c) for c in columns):
             bounds = np.concatenate([low, -free]), np.concatenate([high, free])
             infinite = np.full(len(fields), np.inf)
             shown = [c[:, :, kept] for c in columns]
-            out.append(Unit(kind.name, place, fields, *bounds, infinite, {}, tuple(range(b.chain.nq)), shown))
+            out.append(
+                Unit(
+                    kind.name, place, fields, *bounds, infinite, {}, tuple(range(b.chain.nq)), shown
+                )
+            )
     return out
 
 

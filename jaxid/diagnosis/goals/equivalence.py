@@ -35,7 +35,11 @@ def alike_under_goals(
         left[place] = max(left.get(place, 0.0), share)
         rest.setdefault(place, []).append(beside)
     seen = [p for p in left if left[p] > LIMITS.equivalent_goals]
-    pairs = [frozenset(pair) for pair in itertools.combinations(seen, 2) if _alike(*(rest[p] for p in pair))]
+    pairs = [
+        frozenset(pair)
+        for pair in itertools.combinations(seen, 2)
+        if _alike(*(rest[p] for p in pair))
+    ]
     return left, pairs, sorted(k.name for k in library if not shown(k))
 
 
@@ -48,5 +52,10 @@ def _span(columns: np.ndarray) -> np.ndarray:
 
 def _alike(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> bool:
     """Whether each shape of one is what some shape of the other can do, and the other way round."""
-    inside = lambda x, y: np.linalg.norm(x - (q := _span(y)) @ (q.T @ x)) < LIMITS.equivalent_goals * np.linalg.norm(x)
-    return all(any(inside(x, y) for y in b) for x in a) and all(any(inside(y, x) for x in a) for y in b)
+    inside = lambda x, y: (
+        np.linalg.norm(x - (q := _span(y)) @ (q.T @ x))
+        < LIMITS.equivalent_goals * np.linalg.norm(x)
+    )
+    return all(any(inside(x, y) for y in b) for x in a) and all(
+        any(inside(y, x) for x in a) for y in b
+    )

@@ -70,7 +70,9 @@ def seen_early(apart: Sequence[np.ndarray], speeds: Sequence[np.ndarray]) -> np.
     return np.sum(v * x, 0) / np.maximum(np.sum(v * v, 0), 1e-300)
 
 
-def between_simulators(bench: Bench, split: str = "fit", theta: np.ndarray | None = None) -> Between | None:
+def between_simulators(
+    bench: Bench, split: str = "fit", theta: np.ndarray | None = None
+) -> Between | None:
     """None where MuJoCo has no run of the file; `theta`: numbers of jaxid's run where not those of the file."""
     b = bench.binding
     path, runs = file_of(b), b.experiments(split)
@@ -81,16 +83,24 @@ def between_simulators(bench: Bench, split: str = "fit", theta: np.ndarray | Non
     starts = estimate_starts(bench, split, [theta])
     tree: Tree = b.chain.mechanism.tree.tree  # type: ignore[attr-defined]
     data = replace(b.dataset, experiments=tuple(e.whole for e in runs))
-    begun = [s if e.past is None else _measured(e.whole, b) for e, s in zip(runs, starts[0], strict=True)]
+    begun = [
+        s if e.past is None else _measured(e.whole, b) for e, s in zip(runs, starts[0], strict=True)
+    ]
     try:
         theirs = in_mujoco(data, path, tree, None, [np.asarray(s) for s in begun], [])
     except UsageError:
         return None
     for k, (e, y) in enumerate(zip(runs, theirs, strict=True)):
-        if e.past is not None:  # jaxid's run begins a little before the cut, where MuJoCo's is by then
-            starts[0][k] = np.concatenate([y[run_up(e)], np.gradient(y, e.whole.t, axis=0)[run_up(e)]])
+        if (
+            e.past is not None
+        ):  # jaxid's run begins a little before the cut, where MuJoCo's is by then
+            starts[0][k] = np.concatenate(
+                [y[run_up(e)], np.gradient(y, e.whole.t, axis=0)[run_up(e)]]
+            )
     made = bench.runs(OutputError(), split)
-    lanes = made.engine.outputs(np.repeat(theta[None], len(runs), 0), starts[0], np.array(made.records))
+    lanes = made.engine.outputs(
+        np.repeat(theta[None], len(runs), 0), starts[0], np.array(made.records)
+    )
     apart, before = [], []
     for k, (e, y, lane) in enumerate(zip(runs, theirs, lanes, strict=True)):
         own, first = made.record(made.records[k]), made.before(k)
@@ -98,7 +108,9 @@ def between_simulators(bench: Bench, split: str = "fit", theta: np.ndarray | Non
         apart.append(y[cut:] - lane[own.samples - own.offset, :n])
         before.append(y[cut - len(first) : cut] - lane[first - own.offset, :n])
     theirs = [y[-len(e.t) :] for e, y in zip(runs, theirs, strict=True)]
-    if not all(np.isfinite(x).all() for x in (*apart, *before)) or b.chain.joint_outputs != list(range(len(b.sigma))):
+    if not all(np.isfinite(x).all() for x in (*apart, *before)) or b.chain.joint_outputs != list(
+        range(len(b.sigma))
+    ):
         return None
     left = [e.y[:, b.chain.joint_outputs] - y for e, y in zip(runs, theirs, strict=True)]
     return Between(apart, _rms(left), theirs, before)
@@ -111,18 +123,24 @@ def _measured(e: Experiment, b: Binding) -> np.ndarray:
     return np.concatenate([joints[0], np.polyfit(e.t[first], joints[first], 1)[0]])
 
 
-def with_floor(binding: Binding, apart: np.ndarray | None, numbers: Mapping[str, float] | None = None) -> Binding:
+def with_floor(
+    binding: Binding, apart: np.ndarray | None, numbers: Mapping[str, float] | None = None
+) -> Binding:
     """The binding with noise that counts what two simulators of its file differ by, rms `apart` [ny], and with what this makes of
     its `numbers` as a standard deviation of theirs: a number is known only as well as its meaning."""
     if apart is None:
         return binding
     sigma, noise = np.hypot(binding.sigma, apart), {}
-    for (name, _), old, new, own in zip(binding.chain.signature.outputs, binding.sigma, sigma, apart, strict=True):
+    for (name, _), old, new, own in zip(
+        binding.chain.signature.outputs, binding.sigma, sigma, apart, strict=True
+    ):
         told = binding.noise[name]
         text = f"{told.text}; MuJoCo and jaxid differ by {own:.2g} {told.unit} on the same file: nearer"
         text += f" than {new:.2g} says nothing"
         noise[name] = replace(told, std=float(new), text=text) if new > 1.2 * old else told
-    return replace(binding, sigma=sigma, noise={**binding.noise, **noise}, doubts=dict(numbers or {}))
+    return replace(
+        binding, sigma=sigma, noise={**binding.noise, **noise}, doubts=dict(numbers or {})
+    )
 
 
 def not_this_file(binding: Binding, between: Between | None, apart: np.ndarray | None) -> str:
@@ -142,4 +160,6 @@ def not_this_file(binding: Binding, between: Between | None, apart: np.ndarray |
         f"lies {apart[worst]:.2g} {unit} from that one, whatever its numbers: something that the file says and jaxid does not "
         "simulate acts in this recording, and what is left says nothing of the robot."
     )
-    return " ".join((text, *(f"{s}." for s in stops.sentences_of(binding.chain.mechanism, binding.dataset))))
+    return " ".join(
+        (text, *(f"{s}." for s in stops.sentences_of(binding.chain.mechanism, binding.dataset)))
+    )

@@ -40,7 +40,9 @@ def law_told(fit: Fit, joints: Sequence[str]) -> list[str]:
 def correlation(fit: Fit, a: str, b: str) -> float | None:
     """Correlation of two numbers of a fit; None where either is not determined."""
     c = fit.covariance
-    if c is None or not all(n in c.names and n in fit.parameters and fit.parameters[n].std is not None for n in (a, b)):
+    if c is None or not all(
+        n in c.names and n in fit.parameters and fit.parameters[n].std is not None for n in (a, b)
+    ):
         return None
     i, j = (list(c.names).index(n) for n in (a, b))
     M = np.asarray(c.matrix)
@@ -51,4 +53,8 @@ def correlation(fit: Fit, a: str, b: str) -> float | None:
 
 def _value(fit: Fit, number: str, joint: str) -> str:
     e = fit.parameters[f"{number}@{joint}"]
-    return f"{joint} not determined" if e.std is None else f"{joint} {e.value:.3g} ± {e.std:.2g} {e.unit}"
+    return (
+        f"{joint} not determined"
+        if e.std is None
+        else f"{joint} {e.value:.3g} ± {e.std:.2g} {e.unit}"
+    )

@@ -34,7 +34,9 @@ def _shown(study: Any, kind: type[Effect]) -> list[tuple[float, Unit]]:
     n, drive = b.chain.nq, Drive(plant, [kind])
     base, places = drive.theta(b.theta), b.chain.offers(kind)[:n]
     known = [plant.balance(run, b.theta) for run in study.runs]
-    torque = lambda theta: [drive.torque(run, other, theta) for run, other in zip(study.runs, study.other, strict=True)]
+    torque = lambda theta: [
+        drive.torque(run, other, theta) for run, other in zip(study.runs, study.other, strict=True)
+    ]
     asked = torque(base)
     splits = [which for which in (study.of("fit"), study.of("validation")) if which]
 
@@ -57,11 +59,16 @@ def _shown(study: Any, kind: type[Effect]) -> list[tuple[float, Unit]]:
         return np.sqrt(np.mean(np.concatenate(own) ** 2, 0))
 
     retuned = [plant.missing(run, study.theta) for run in study.runs]
-    rms = lambda which: np.sqrt(np.mean(np.concatenate([study.runs[k].sampled(retuned[k]) for k in which]) ** 2, 0))
+    rms = lambda which: np.sqrt(
+        np.mean(np.concatenate([study.runs[k].sampled(retuned[k]) for k in which]) ** 2, 0)
+    )
     whole = [np.maximum(left([0.0] * len(study.runs), which), 1e-300) for which in splits]
     levels = np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in asked], 0)
     shares = lambda levels: np.array(
-        [[left(changed(x), w) / size for w, size in zip(splits, whole, strict=True)] for x in levels]
+        [
+            [left(changed(x), w) / size for w, size in zip(splits, whole, strict=True)]
+            for x in levels
+        ]
     )
     # [levels splits n]: each joint's best on what is fitted, then between its neighbours
     at = np.argmin(shares(levels)[:, 0], 0)
@@ -71,8 +78,16 @@ def _shown(study: Any, kind: type[Effect]) -> list[tuple[float, Unit]]:
     at, out = np.argmin(share[:, 0], 0), []
     for j, place in enumerate(places):
         level = levels[at[j], j]
-        beyond = all(s * w[j] < rms(which)[j] for s, w, which in zip(share[at[j], :, j], whole, splits, strict=True))
+        beyond = all(
+            s * w[j] < rms(which)[j]
+            for s, w, which in zip(share[at[j], :, j], whole, splits, strict=True)
+        )
         if share[at[j], :, j].max() < LIMITS.limit_leaves and beyond and level > 0:
             made = [(c[:, j, None] * np.eye(n)[j])[:, :, None] for c in changed(levels[at[j]])]
-            out.append((float(share[at[j], 0, j]), scaled(kind, place, at_levels(kind, np.array([level]))[0], j, made)))
+            out.append(
+                (
+                    float(share[at[j], 0, j]),
+                    scaled(kind, place, at_levels(kind, np.array([level]))[0], j, made),
+                )
+            )
     return out

@@ -65,14 +65,23 @@ def _passed(P: Any, Q: Any, R: Any, force: Any) -> Any:
 
 
 def loop_of(
-    h: float, inertia: np.ndarray, damping: np.ndarray, sticking: np.ndarray, stiffness: np.ndarray, moves: np.ndarray
+    h: float,
+    inertia: np.ndarray,
+    damping: np.ndarray,
+    sticking: np.ndarray,
+    stiffness: np.ndarray,
+    moves: np.ndarray,
 ) -> Loop:
     """The loop of matrices [time n n] (`sticking`: slope of dry friction, `moves`: share of a force that it leaves, [time n]) at
     steps h: by Newmark's constant mean acceleration; dry friction implicitly, so that a joint that sticks stays where it is."""
     stick = np.eye(inertia.shape[1]) * sticking[:, None, :]
     A, half, quarter = inertia / h**2, damping / (2 * h), stiffness / 4
     inverse = np.linalg.inv(A + half + quarter + stick / h)
-    return Loop(inverse * moves[:, None, :], inverse @ (2 * A - 2 * quarter + stick / h), -inverse @ (A - half + quarter))
+    return Loop(
+        inverse * moves[:, None, :],
+        inverse @ (2 * A - 2 * quarter + stick / h),
+        -inverse @ (A - half + quarter),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +102,9 @@ class LoopRun(Run):
     def sampled(self, x: np.ndarray) -> np.ndarray:
         """A series [time ...] through the low-pass, at the rows."""
         flat = x.reshape(len(x), -1)
-        return zero_phase(self.experiment.t, flat, self.cutoff_hz)[self.kept].reshape(-1, *x.shape[1:])
+        return zero_phase(self.experiment.t, flat, self.cutoff_hz)[self.kept].reshape(
+            -1, *x.shape[1:]
+        )
 
 
 class RawRun(Run):
@@ -112,7 +123,16 @@ def refined(e: Experiment, times: int, linear: np.ndarray) -> Experiment:
     take = lambda x: None if x is None else x[owner]
     other = {k: np.interp(t, e.t, v) for k, v in e.auxiliary.items()}
     y = spline(e.t, e.y, t) if times > 1 else e.y
-    return replace(e, t=t, u=u, y=y, auxiliary=other, past=None, scatter=take(e.scatter), left_out=take(e.left_out))
+    return replace(
+        e,
+        t=t,
+        u=u,
+        y=y,
+        auxiliary=other,
+        past=None,
+        scatter=take(e.scatter),
+        left_out=take(e.left_out),
+    )
 
 
 def mean_input(u: np.ndarray, linear: np.ndarray) -> np.ndarray:

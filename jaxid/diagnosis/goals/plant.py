@@ -26,18 +26,24 @@ class LedPlant(AnyPlant):
     """The missing force of a model that goals drive. Along the measured motion dry friction turns about within `eps`; a joint
     that stands still is held by any force up to its dry friction, and nothing is missing there."""
 
-    def balance(self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0) -> tuple[np.ndarray, ...]:
+    def balance(
+        self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0
+    ) -> tuple[np.ndarray, ...]:
         """Force [time n] that the motion of a run, moved by so much, leaves to dry friction, and its levels (minus, plus)."""
         series = [run.padded(x) for x in (run.u, run.q + q, run.qd + qd, run.qdd + qdd)]
         with float64():
-            found = shared("balance", self.form, lambda: _balance(self.form))(theta, run.step, *series)
+            found = shared("balance", self.form, lambda: _balance(self.form))(
+                theta, run.step, *series
+            )
         return tuple(np.asarray(x)[: len(run.q)] for x in found)
 
     def friction(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the motion leaves to dry friction and what friction takes of it, [time n]."""
         return self.taken(run, *self.balance(run, theta))
 
-    def taken(self, run: Run, left: np.ndarray, minus: np.ndarray, plus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def taken(
+        self, run: Run, left: np.ndarray, minus: np.ndarray, plus: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """What is `left` to dry friction of these levels and what friction takes of it, [time n]."""
         way = np.tanh(run.qd / self.eps)
         room = 1 - np.abs(way)
@@ -79,14 +85,22 @@ class LedPlant(AnyPlant):
             groups.setdefault((e.owner, e.field) if own else k, []).append(k)
         return list(groups.values())
 
-    def slopes(self, run: Run, theta: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def slopes(
+        self, run: Run, theta: np.ndarray, left: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Minus the derivatives of what is `left` to dry friction by accelerations, speeds and positions, each [time n n]."""
         n = run.q.shape[1]
         top = np.maximum(np.percentile(np.abs(run.qd), 99, axis=0), 1e-6)
         made: list[np.ndarray] = []
-        for field, size in (("qdd", np.ones(n)), ("qd", np.minimum(FASTER * top, self.turn / 4)), ("q", np.full(n, MOVED))):
+        for field, size in (
+            ("qdd", np.ones(n)),
+            ("qd", np.minimum(FASTER * top, self.turn / 4)),
+            ("q", np.full(n, MOVED)),
+        ):
             moved = (self.balance(run, theta, **{field: step})[0] for step in np.diag(size))
-            made.append(np.stack([(left - ahead) / h for ahead, h in zip(moved, size, strict=True)], 2))
+            made.append(
+                np.stack([(left - ahead) / h for ahead, h in zip(moved, size, strict=True)], 2)
+            )
         return made[0], made[1], made[2]
 
     def loop(self, run: Run, theta: np.ndarray) -> tuple[Loop, np.ndarray]:
@@ -151,7 +165,9 @@ class Drive:
     def theta(self, theta: np.ndarray) -> np.ndarray:
         """Numbers of the whole model as those of the drive."""
         own = dict(zip(self.names, theta, strict=True))
-        return np.array([own.get(n, v) for n, v in zip(self.layout.names, self.layout.values, strict=True)])
+        return np.array(
+            [own.get(n, v) for n, v in zip(self.layout.names, self.layout.values, strict=True)]
+        )
 
     def torque(self, run: Run, other: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """[time n]; `other` [time nu] the inputs under the other hold."""

@@ -40,7 +40,9 @@ def probes_of(b: Binding, kind: type[Effect], place: int) -> list[dict[str, floa
     return [dict(x) for x in dict.fromkeys(tuple(p.items()) for p in found)]
 
 
-def scaled(kind: type[Effect], place: str, shape: dict[str, float], joint: int, made: list[np.ndarray]) -> Unit:
+def scaled(
+    kind: type[Effect], place: str, shape: dict[str, float], joint: int, made: list[np.ndarray]
+) -> Unit:
     """A unit whose number is the effect's first, or how much of it there is where that is not 0 where it does nothing."""
     field, value = next(iter(shape.items()))
     own = specs(kind)
@@ -49,7 +51,17 @@ def scaled(kind: type[Effect], place: str, shape: dict[str, float], joint: int, 
     columns = [x / value if strong else x for x in made]
     rest = {f: v for f, v in shape.items() if f != field or not strong}
     inf = np.full(1, np.inf)
-    return Unit(kind.name, place, (field if strong else "share",), np.array([low]), inf, inf, rest, (joint,), columns)
+    return Unit(
+        kind.name,
+        place,
+        (field if strong else "share",),
+        np.array([low]),
+        inf,
+        inf,
+        rest,
+        (joint,),
+        columns,
+    )
 
 
 def _lower(spec) -> float:

@@ -57,8 +57,13 @@ def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
         # Re-tuning for an effect that is missing can lead the numbers far away: now along the free run of what was stated.
         chooser, chosen = Asked(study, study.binding.theta, most).searched()
     first = [chosen] if chosen.units else []
-    limits = [Proposal((u,), (np.ones(1),), study.binding.theta.copy()) for u in limits_shown(study)[:1]]
-    return bare, [*limits, *(_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)])][:FIRST]
+    limits = [
+        Proposal((u,), (np.ones(1),), study.binding.theta.copy()) for u in limits_shown(study)[:1]
+    ]
+    return bare, [
+        *limits,
+        *(_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)]),
+    ][:FIRST]
 
 
 class Asked:
@@ -76,7 +81,11 @@ class Asked:
     def at_noise(self, m: Model) -> bool:
         answer = of_model(self.study, self.rows, m)
         joints = range(len(self.study.noise))
-        return all(not answer.gap(which, j) > LIMITS.seen for which in (self.fit, self.held) for j in joints)
+        return all(
+            not answer.gap(which, j) > LIMITS.seen
+            for which in (self.fit, self.held)
+            for j in joints
+        )
 
     def searched(self) -> tuple[Chooser, Model]:
         """What is chosen, by the noise that the best set leaves where nothing is by that of the re-tuned model: a large effect
@@ -108,14 +117,20 @@ def _proposal(study: LedStudy, chooser: Chooser, m: Model) -> Proposal:
     theta[study.plant.free] = np.clip(m.solution.theta[:p], study.lower, study.upper)
     own = tuple(chooser.units[u] for u in m.units)
     ends = np.cumsum([len(u.fields) for u in own])[:-1]
-    return Proposal(own, tuple(np.split(m.solution.theta[chooser.size :], ends)) if own else (), theta)
+    return Proposal(
+        own, tuple(np.split(m.solution.theta[chooser.size :], ends)) if own else (), theta
+    )
 
 
 def with_other_hold(dataset: Dataset) -> Dataset:
     """The dataset with goals that go the other way from sample to sample: held, or along a line."""
     other = {"zero": "linear", "linear": "zero"}
     return replace(
-        dataset, channels=tuple(replace(c, hold=other.get(c.hold, c.hold)) if c.role == "input" else c for c in dataset.channels)
+        dataset,
+        channels=tuple(
+            replace(c, hold=other.get(c.hold, c.hold)) if c.role == "input" else c
+            for c in dataset.channels
+        ),
     )
 
 
@@ -129,8 +144,13 @@ def goes_the_other_way(stated: LedStudy, other: LedStudy) -> bool:
     for study in (stated, other):
         rows = study.made(study.theta, [])
         white = white or study.weights(rows)
-        both = [gram(*study.some(rows, which), white, BLOCKS) for which in (study.of("fit"), study.of("validation"))]
-        at, numbers = study.solved(rows, white)  # without clocks, which would stand in for half of a sample
+        both = [
+            gram(*study.some(rows, which), white, BLOCKS)
+            for which in (study.of("fit"), study.of("validation"))
+        ]
+        at, numbers = study.solved(
+            rows, white
+        )  # without clocks, which would stand in for half of a sample
         held += [part.losses(at, numbers) for part in both]
         g = both[1]
     fitted, kept = (held[0], held[2]), (held[1], held[3])
@@ -147,7 +167,9 @@ def candidates_of(bench: Bench, s: Proposal) -> list[Candidate]:
     for u in s.units:
         c = pool.get((u.effect, u.location.partition(" and ")[0]))
         if c is not None:
-            hidden = [f for f in getattr(kinds[u.effect], "moments", ()) if f"{MOMENT}{f}" not in u.fields]
+            hidden = [
+                f for f in getattr(kinds[u.effect], "moments", ()) if f"{MOMENT}{f}" not in u.fields
+            ]
             fields = {i: bench.binding.layout.entries[i].field for i in c.index}
             out.append(replace(c, index=tuple(i for i in c.index if fields[i] not in hidden)))
     return out
@@ -165,7 +187,11 @@ def as_vector(binding: Binding, nominal: Sequence[str], s: Proposal) -> np.ndarr
     for u, numbers in zip(s.units, s.numbers, strict=True):
         place = u.location.partition(" and ")[0]
         own = dict(u.shape) | dict(zip(u.fields, map(float, numbers), strict=True))
-        own |= {f.removeprefix(MOMENT): v / own["mass"] for f, v in own.items() if f.startswith(MOMENT) and own["mass"]}
+        own |= {
+            f.removeprefix(MOMENT): v / own["mass"]
+            for f, v in own.items()
+            if f.startswith(MOMENT) and own["mass"]
+        }
         for i in layout.of_effect(u.effect, place):
             if (field := layout.entries[i].field) in own:
                 theta[i] = np.clip(own[field], binding.lower[i], binding.upper[i])

@@ -36,28 +36,41 @@ class Decider:
 
     bench: Bench
     names: Sequence[str]  # of the nominal model's numbers
-    between: Sequence[np.ndarray] | None = None  # what two simulators of the file differ by in the fit runs, [samples ny] each
+    between: Sequence[np.ndarray] | None = (
+        None  # what two simulators of the file differ by in the fit runs, [samples ny] each
+    )
     progress: Progress | None = None
     done: int = 0
     total: int = 1
     evaluations: int = field(default=0)
     slopes: Slopes | None = None  # of the nominal model's free runs, where its fit ended
-    lead: list[Hypothesis] = field(default_factory=list)  # what explained most so far, for the line of progress
+    lead: list[Hypothesis] = field(
+        default_factory=list
+    )  # what explained most so far, for the line of progress
     asked: frozenset[int] = frozenset()  # numbers of the model that are asked for as effects
 
-    def refit(self, effects: Sequence[Candidate], theta: np.ndarray, like: Path | None = None) -> Hypothesis:
+    def refit(
+        self, effects: Sequence[Candidate], theta: np.ndarray, like: Path | None = None
+    ) -> Hypothesis:
         """A model with these effects fitted to the free runs from numbers theta; its runs begin as those of `like`."""
         told = (" and ".join(map(str, effects)) or "nominal model", in_lead(self.lead))
         if self.progress:
             self.progress("simulated", self.done, self.total, "; ".join(filter(None, told)))
-        free = [*(i for i in self.bench.binding.free if i not in self.asked), *(i for c in effects for i in c.index)]
+        free = [
+            *(i for i in self.bench.binding.free if i not in self.asked),
+            *(i for c in effects for i in c.index),
+        ]
         p = self.bench.problem(OutputError(), "fit", free, theta)
         if like is None:
             path, self.slopes, spent = descend_on_secants(p, [p.z(theta)], None, *NEAR)
         else:  # its own numbers, or those of the model that it is like
             own, starts = like.problem.theta(like.z), like.problem.starts(like.z)
-            own[[i for c in effects for i in c.index]] = theta[[i for c in effects for i in c.index]]
-            path, _, spent = descend_on_secants(p, [p.z(theta, starts), p.z(own, starts)], self.slopes, *NEAR)
+            own[[i for c in effects for i in c.index]] = theta[
+                [i for c in effects for i in c.index]
+            ]
+            path, _, spent = descend_on_secants(
+                p, [p.z(theta, starts), p.z(own, starts)], self.slopes, *NEAR
+            )
         self.done, self.evaluations = self.done + 1, self.evaluations + spent
         return self._judged(effects, path)
 
@@ -98,15 +111,25 @@ class Decider:
             theta = as_vector(self.bench.binding, self.names, s)
             if own := candidates_of(self.bench, s):
                 tried.append(self.refit(own, theta, nominal.path))
-        good = [h for h in tried if np.isfinite(h.fit_loss) and significant(nominal, h) and h.fit_loss < limit]
+        good = [
+            h
+            for h in tried
+            if np.isfinite(h.fit_loss) and significant(nominal, h) and h.fit_loss < limit
+        ]
         if not good:
             return Search(nominal, nominal, tried)
         enough = [h for h in good if self.at_noise(h)]
-        chosen = min(enough, key=lambda h: h.size) if enough else min(good, key=lambda h: h.validation.loss)
+        chosen = (
+            min(enough, key=lambda h: h.size)
+            if enough
+            else min(good, key=lambda h: h.validation.loss)
+        )
         chosen = self.thinned(nominal, chosen, tried)
         mates = [c for h in tried if h is not chosen and len(h.effects) <= len(chosen.effects) and indistinct(chosen, h)
                  for c in h.effects if c not in chosen.effects]  # fmt: skip
-        return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1)
+        return Search(
+            nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1
+        )
 
     def with_what_the_file_lacks(self, search: Search) -> Search:
         """A brake that the file leaves at nothing (`damping`, `frictionloss` of a joint) and that re-tuning made something of is
@@ -116,7 +139,10 @@ class Decider:
         lacked = [
             c
             for c in _absent(b)
-            if all(abs(chosen.theta[i]) > REFUTED * abs(b.doubts.get(b.layout.names[i], 0.0)) for i in c.index)
+            if all(
+                abs(chosen.theta[i]) > REFUTED * abs(b.doubts.get(b.layout.names[i], 0.0))
+                for i in c.index
+            )
         ]
         if not lacked:
             return search
@@ -149,7 +175,10 @@ class Decider:
         by = -np.linalg.lstsq(A / size, at.r, rcond=1e-10)[0] / size
         if by[-1] != (part := np.clip(by[-1], 0.0, 1.0)):
             by[-1] = part
-            by[:-1] = -np.linalg.lstsq(A[:, :-1] / size[:-1], at.r + part * apart, rcond=1e-10)[0] / size[:-1]
+            by[:-1] = (
+                -np.linalg.lstsq(A[:, :-1] / size[:-1], at.r + part * apart, rcond=1e-10)[0]
+                / size[:-1]
+            )
         left = at.r + A @ by
         return float(left @ left) / nominal.path.count
 
@@ -170,12 +199,16 @@ class Decider:
     def _weighed(self, p: Problem) -> np.ndarray:
         """What two simulators differ by, over the noise, in the order of a problem's residuals."""
         where = [p.runs.record(record).samples for record in p.records]
-        return np.concatenate([(p.weights[k] * x).ravel() for k, x in zip(where, self.between or (), strict=True)])
+        return np.concatenate(
+            [(p.weights[k] * x).ravel() for k, x in zip(where, self.between or (), strict=True)]
+        )
 
     def at_noise(self, h: Hypothesis) -> bool:
         return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
 
-    def thinned(self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]) -> Hypothesis:
+    def thinned(
+        self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]
+    ) -> Hypothesis:
         """Without what is not missed, place by place."""
         for c in chosen.effects:
             left = [e for e in chosen.effects if e is not c]
@@ -202,12 +235,17 @@ class Decider:
         others = [k for k in range(len(H)) if k not in at]
         S = (
             H[np.ix_(at, at)]
-            - H[np.ix_(at, others)] @ np.linalg.pinv(H[np.ix_(others, others)], hermitian=True) @ H[np.ix_(others, at)]
+            - H[np.ix_(at, others)]
+            @ np.linalg.pinv(H[np.ix_(others, others)], hermitian=True)
+            @ H[np.ix_(others, at)]
         )
         d = h.path.z[at] - b.theta[p.free[at]]
         missed = float(d @ S @ d)
         share = missed / h.path.count / max(h.fit_loss - 1.0, 1e-12)
-        return missed / h.fit_inflation > SURELY * (3 * LIMITS.decisive + 2 * len(c.index)) and share > SURELY * LIMITS.gain
+        return (
+            missed / h.fit_inflation > SURELY * (3 * LIMITS.decisive + 2 * len(c.index))
+            and share > SURELY * LIMITS.gain
+        )
 
 
 def _absent(b: Binding) -> list[Candidate]:

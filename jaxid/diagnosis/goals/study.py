@@ -42,7 +42,11 @@ class LedStudy(Study):
     plant: LedPlant  # pyright: ignore
 
     def __init__(
-        self, binding: Binding, kinds: Iterable[type[Effect]], cutoff_hz: float | None = None, begin: np.ndarray | None = None
+        self,
+        binding: Binding,
+        kinds: Iterable[type[Effect]],
+        cutoff_hz: float | None = None,
+        begin: np.ndarray | None = None,
     ):
         """`begin`: numbers that the re-tuning begins with, those of the binding by default."""
         self.begin = binding.theta if begin is None else begin
@@ -59,14 +63,20 @@ class LedStudy(Study):
         out.settle(out.theta)
         return out
 
-    def taken_up(self, series: Sequence[np.ndarray], clocks: bool = True) -> tuple[dict[str, float], np.ndarray]:
+    def taken_up(
+        self, series: Sequence[np.ndarray], clocks: bool = True
+    ) -> tuple[dict[str, float], np.ndarray]:
         """What positions [samples n] in each of the fit runs change in the numbers that are fitted to them, by name, and the root
         mean square [n] of what these leave of them; with `clocks` beside what rows know no better (delays within a sample, the
         width of a reversal), which no simulation has."""
         rows = self.made(self.theta, [])
-        numbers, left = self._fitted_to(series, rows, np.arange(rows.size if clocks else self.plant.size))
+        numbers, left = self._fitted_to(
+            series, rows, np.arange(rows.size if clocks else self.plant.size)
+        )
         names = [self.binding.layout.names[i] for i in self.plant.free]
-        return dict(zip(names, map(float, numbers[: len(names)]), strict=True)), np.sqrt(np.mean(left**2, 0))
+        return dict(zip(names, map(float, numbers[: len(names)]), strict=True)), np.sqrt(
+            np.mean(left**2, 0)
+        )
 
     def inertia_taken_up(self, series: Sequence[np.ndarray], theta: np.ndarray) -> dict[str, float]:
         """What positions [samples n] in each of the fit runs change in the armatures that are fitted to them, beside clocks, of
@@ -74,10 +84,14 @@ class LedStudy(Study):
         rows, n = self.made(theta, []), self.binding.chain.nq
         names = [self.binding.layout.names[i] for i in self.plant.free]
         own = [k for k, name in enumerate(names) if name.startswith("armature@")]
-        numbers, _ = self._fitted_to(series, rows, np.array([*own, *range(rows.size - n, rows.size)], int))
+        numbers, _ = self._fitted_to(
+            series, rows, np.array([*own, *range(rows.size - n, rows.size)], int)
+        )
         return {names[k]: float(x) for k, x in zip(own, numbers, strict=False)}
 
-    def _fitted_to(self, series: Sequence[np.ndarray], rows: Rows, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _fitted_to(
+        self, series: Sequence[np.ndarray], rows: Rows, at: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """How much more of the columns' numbers makes these positions of the fit runs, and what that leaves [rows n]: columns are
         those of what readings are off by."""
         own, target = [], []
@@ -103,7 +117,9 @@ class LedStudy(Study):
 
     def solved(self, rows: Rows, white: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Columns of the re-tuned model, with clocks that agree, and their numbers."""
-        s = self._solution(rows, white, np.arange(self.size - self.binding.chain.nq), self.of("fit"))
+        s = self._solution(
+            rows, white, np.arange(self.size - self.binding.chain.nq), self.of("fit")
+        )
         return s.at, s.theta
 
     # ---- what was measured
@@ -111,10 +127,14 @@ class LedStudy(Study):
     def _read(self, cutoff_hz: float | None) -> list[Run]:
         b = self.binding
         iu, _ = columns(b.dataset, b.chain)
-        every = np.array([b.dataset.inputs[i].hold == "linear" for i in range(len(b.dataset.inputs))], bool)
+        every = np.array(
+            [b.dataset.inputs[i].hold == "linear" for i in range(len(b.dataset.inputs))], bool
+        )
         self.linear = every[iu]
         times = _times(b)
-        self.sampling = float(np.median(np.concatenate([np.diff(e.t) for e in b.dataset.experiments])))
+        self.sampling = float(
+            np.median(np.concatenate([np.diff(e.t) for e in b.dataset.experiments]))
+        )
         # A part of a recording is smoothed with what went before it, and the loop has settled when it begins.
         known = [_settled(e) for e in b.dataset.experiments]
         fine = replace(b.dataset, experiments=tuple(refined(e.whole, times, every) for e in known))
@@ -184,7 +204,9 @@ class LedStudy(Study):
         g = gram(*self.some(rows, self.of("fit")), white, 1).total
         known, pull = self.known(size, rows.theta), damping * np.diag(g)[:p]
         told = np.diag(known.information)[:p]
-        mean = (told * known.mean[:p] + pull * rows.theta[self.plant.free]) / np.maximum(told + pull, 1e-300)
+        mean = (told * known.mean[:p] + pull * rows.theta[self.plant.free]) / np.maximum(
+            told + pull, 1e-300
+        )
         known.information[np.arange(p), np.arange(p)] += pull
         known.mean[:p] = np.where(told + pull > 0, mean, known.mean[:p])
         start, low, high = self.bounds(rows)
@@ -204,7 +226,11 @@ class LedStudy(Study):
                 apart = run.free_run(force)
                 self._taken[r.experiment.name] = now, run, apart, _moved(run, apart)
         every = [self._taken[r.experiment.name] for r in self.runs]
-        self.runs, self.apart, self.free = [e[1] for e in every], [e[2] for e in every], [e[3] for e in every]
+        self.runs, self.apart, self.free = (
+            [e[1] for e in every],
+            [e[2] for e in every],
+            [e[3] for e in every],
+        )
 
     def made(self, theta: np.ndarray, found: list[Unit]) -> Rows:
         if not found:  # else they were made for this free run
@@ -216,7 +242,9 @@ class LedStudy(Study):
         rows = []
         for k in range(len(self.runs)):
             made, target = self._own_rows(k, theta)
-            rows.append(np.concatenate([made, *(u.columns[k] for u in found), target[:, :, None]], 2))
+            rows.append(
+                np.concatenate([made, *(u.columns[k] for u in found), target[:, :, None]], 2)
+            )
         return Rows(theta, found, rows)
 
     def _own_rows(self, k: int, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -224,19 +252,32 @@ class LedStudy(Study):
         run: Any = self.runs[k]
         free, now, name = self.free[k], theta.tobytes(), run.experiment.name
         if name not in self._made or self._made[name][0] != now:
-            own = np.concatenate([self.plant.columns(free, theta), self._turning_columns(free), self._late(free, theta)], 2)
+            own = np.concatenate(
+                [
+                    self.plant.columns(free, theta),
+                    self._turning_columns(free),
+                    self._late(free, theta),
+                ],
+                2,
+            )
             made = run.rows(own)
-            target = run.sampled(self.apart[k]) + made[:, :, : self.plant.size] @ theta[self.plant.free]
+            target = (
+                run.sampled(self.apart[k]) + made[:, :, : self.plant.size] @ theta[self.plant.free]
+            )
             self._made[name] = now, made, target
         return self._made[name][1:]
 
     def _unasked(self, run: Run) -> np.ndarray:
-        return np.zeros((0, run.q.shape[1], 3 * run.q.shape[1]))  # made anew along every free run: see `made`
+        return np.zeros(
+            (0, run.q.shape[1], 3 * run.q.shape[1])
+        )  # made anew along every free run: see `made`
 
     def free_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """The clocks of a goal and of its reading agree to within half a sample: what so much delay does says nothing."""
         low, high = super().free_bounds()
-        return np.concatenate([low[: -self.binding.chain.nq], -high[-self.binding.chain.nq :]]), high
+        return np.concatenate(
+            [low[: -self.binding.chain.nq], -high[-self.binding.chain.nq :]]
+        ), high
 
     def settle(self, theta: np.ndarray, found: Sequence[Any] = ()) -> None:
         """A joint that sticks stands still in the loop: its rows are known like all others."""
@@ -246,29 +287,45 @@ class LedStudy(Study):
     def _late(self, run: Run, theta: np.ndarray) -> np.ndarray:
         """What a delay of each goal by one sample changes, [time n n]."""
         n, h = run.q.shape[1], run.step
-        early, late = (self.plant.missing(replace(run, u=np.roll(run.u, k, 0)), theta) for k in (-1, 1))
+        early, late = (
+            self.plant.missing(replace(run, u=np.roll(run.u, k, 0)), theta) for k in (-1, 1)
+        )
         made = ((early - late) / (2 * h) * self.sampling)[:, :, None] * np.eye(n)
         made[:2] = made[-2:] = 0.0
         return made
 
     def _turning_columns(self, run: Run) -> np.ndarray:
         turn = self.plant.turn
-        apart = [np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn) for wide in (1 / SHARPER, SHARPER)]
+        apart = [
+            np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn)
+            for wide in (1 / SHARPER, SHARPER)
+        ]
         return np.concatenate([x[:, :, None] * np.eye(x.shape[1]) for x in apart], 2)
 
     def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Weights]:
         """Rows with every unit, and the weights that the re-tuned model leaves: a free run with every law at once is no model."""
         self.linearise(theta)
         rows = self.made(theta, self.asked(self.kinds, theta))
-        left = [rows.residual(k, np.arange(self.plant.size), theta[self.plant.free]) for k in self.of("fit")]
+        left = [
+            rows.residual(k, np.arange(self.plant.size), theta[self.plant.free])
+            for k in self.of("fit")
+        ]
         which = [self.runs[k] for k in self.of("fit")]
-        return rows, weighted(left, [r.moves for r in which], [np.zeros((len(r.t), self.binding.chain.nq)) for r in which])
+        return rows, weighted(
+            left,
+            [r.moves for r in which],
+            [np.zeros((len(r.t), self.binding.chain.nq)) for r in which],
+        )
 
     def asked(self, kinds: Sequence[type[Effect]], theta: np.ndarray) -> list[Unit]:
         """The units of these effects; programs of several are compiled side by side."""
         raw = [RawRun(**{f.name: getattr(r, f.name) for f in fields(Run)}) for r in self.free]
         return [
-            unit for found in _EFFECTS.map(lambda kind: self._as_rows(self._of_kind(kind, raw, theta)), kinds) for unit in found
+            unit
+            for found in _EFFECTS.map(
+                lambda kind: self._as_rows(self._of_kind(kind, raw, theta)), kinds
+            )
+            for unit in found
         ]
 
     def _of_kind(self, kind: type[Effect], raw: Sequence[Run], theta: np.ndarray) -> list[Unit]:
@@ -286,7 +343,8 @@ class LedStudy(Study):
             return []
         ends = np.cumsum([len(u.fields) for u in found])[:-1]
         parts = [
-            np.split(r.rows(np.concatenate([u.columns[k] for u in found], 2)), ends, axis=2) for k, r in enumerate(self.runs)
+            np.split(r.rows(np.concatenate([u.columns[k] for u in found], 2)), ends, axis=2)
+            for k, r in enumerate(self.runs)
         ]
         return [replace(u, columns=[p[i] for p in parts]) for i, u in enumerate(found)]
 
@@ -297,18 +355,36 @@ class LedStudy(Study):
         base = drive.theta(theta)
         before = [drive.torque(r, o, base) for r, o in zip(self.free, self.other, strict=True)]
         places = b.chain.offers(kind)[:n]
-        levels = np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in before], 0) if is_level(kind) else None
-        probes = [probes_of(b, kind, j) if levels is None else at_levels(kind, levels[:, j]) for j in range(len(places))]
+        levels = (
+            np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in before], 0)
+            if is_level(kind)
+            else None
+        )
+        probes = [
+            probes_of(b, kind, j) if levels is None else at_levels(kind, levels[:, j])
+            for j in range(len(places))
+        ]
         out = []
         for k in range(max(map(len, probes), default=0)):  # a drive is its own joint's: all at once
             at = base.copy()
             for place, own in zip(places, probes, strict=True):
                 for i in drive.layout.of_effect(kind.name, place) if k < len(own) else ():
                     at[i] = own[k].get(drive.layout.entries[i].field, at[i])
-            change = [drive.torque(r, o, at) - x for r, o, x in zip(self.free, self.other, before, strict=True)]
+            change = [
+                drive.torque(r, o, at) - x
+                for r, o, x in zip(self.free, self.other, before, strict=True)
+            ]
             for j, (place, own) in enumerate(zip(places, probes, strict=True)):
                 if k < len(own) and any(np.any(c[:, j]) for c in change):
-                    out.append(scaled(kind, place, own[k], j, [-(c * np.eye(n)[j])[:, :, None] for c in change]))
+                    out.append(
+                        scaled(
+                            kind,
+                            place,
+                            own[k],
+                            j,
+                            [-(c * np.eye(n)[j])[:, :, None] for c in change],
+                        )
+                    )
         return out
 
     def _off(self, theta: np.ndarray) -> list[Unit]:
@@ -319,7 +395,9 @@ class LedStudy(Study):
             step = OFF * np.eye(n)[j]
             made = []
             for r in self.free:
-                low, high = (self.plant.rigid(replace(r, q=r.q + s * step), theta) for s in (-0.5, 0.5))
+                low, high = (
+                    self.plant.rigid(replace(r, q=r.q + s * step), theta) for s in (-0.5, 0.5)
+                )
                 made.append(-((high - low) / OFF)[:, :, None])
             inf = np.full(1, np.inf)
             out.append(Unit("sensor_bias", place, ("bias",), -inf, inf, inf, {}, (j,), made))
@@ -330,7 +408,9 @@ class LedStudy(Study):
     def _noise(self) -> np.ndarray:
         """That of the readings, as far as it passes the filter."""
         b, run = self.binding, self._longest()
-        sigma = np.array([b.sigma[r.q] if r.q is not None else 0.0 for r in joint_readings(b.chain)])
+        sigma = np.array(
+            [b.sigma[r.q] if r.q is not None else 0.0 for r in joint_readings(b.chain)]
+        )
         rate = min((len(e.t) - 1) / e.duration for e in b.dataset.experiments)
         return np.maximum(sigma * np.sqrt(min(1.0, 2 * run.cutoff_hz / rate)), 1e-12)
 
@@ -339,13 +419,20 @@ def _settled(e: Experiment) -> Experiment:
     """A run with no more of its past than it is long itself: in that the loop forgets how it began."""
     if e.past is None or len(e.past.t) <= len(e.t):
         return e
-    return replace(e, past=e.past.piece(len(e.past.t) - len(e.t), len(e.past.t), name=e.past.name, split=e.past.split))
+    return replace(
+        e,
+        past=e.past.piece(
+            len(e.past.t) - len(e.t), len(e.past.t), name=e.past.name, split=e.past.split
+        ),
+    )
 
 
 def _moved(run: Run, x: np.ndarray) -> Run:
     """A run whose motion is moved by x [time n]."""
     speed = np.gradient(x, run.step, axis=0)
-    return replace(run, q=run.q + x, qd=run.qd + speed, qdd=run.qdd + np.gradient(speed, run.step, axis=0))
+    return replace(
+        run, q=run.q + x, qd=run.qd + speed, qdd=run.qdd + np.gradient(speed, run.step, axis=0)
+    )
 
 
 def _led(r: Run, begins: int, linear: np.ndarray) -> LoopRun:
@@ -367,5 +454,7 @@ def loop_step(b: Binding) -> float:
     law = b.chain.mechanism.drive_law  # type: ignore[attr-defined]
     own = [tree.joints.index(j) for j in tree.leading]
     carried = np.maximum((tree.swung() + tree.armature)[own], 1e-9)
-    kp = np.abs(np.array(law.kp) * np.array(law.gain) * (np.array(law.kd) if law.kind == "cascade" else 1.0))
+    kp = np.abs(
+        np.array(law.kp) * np.array(law.gain) * (np.array(law.kd) if law.kind == "cascade" else 1.0)
+    )
     return float(FINE / np.sqrt(max(np.max(kp / carried), 1e-12)))

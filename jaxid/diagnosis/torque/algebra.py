@@ -48,7 +48,9 @@ class Weights:
         return float(np.sum(self.share(unsure) ** 2 * moves / self.memory))
 
 
-def weighted(residuals: Sequence[np.ndarray], moves: Sequence[np.ndarray], unsure: Sequence[np.ndarray]) -> Weights:
+def weighted(
+    residuals: Sequence[np.ndarray], moves: Sequence[np.ndarray], unsure: Sequence[np.ndarray]
+) -> Weights:
     """Of residuals [samples n] of several runs, which joints move in them [n], and to within what they are known [samples n]."""
     n = residuals[0].shape[1]
     size, memory = np.ones(n), np.ones(n)
@@ -142,7 +144,14 @@ class Solution:
         return _spread(self.information, ~self.bound)
 
 
-def solve(g: np.ndarray, at: np.ndarray, known: Known, start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Solution:
+def solve(
+    g: np.ndarray,
+    at: np.ndarray,
+    known: Known,
+    start: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> Solution:
     """Numbers of the columns `at` of a sum of products g [p + 1 p + 1] with what is known beforehand [p], within bounds [p]."""
     at = np.asarray(at, int)
     H0, b0 = g[np.ix_(at, at)], g[at, -1]
@@ -182,7 +191,9 @@ def better(before: np.ndarray, after: np.ndarray, g: Gram) -> tuple[float, float
         found = _errors(gain[inside])
         return found if less > 0 else min(found, 0.0)
 
-    return errors(g.owner >= 0), min((errors(g.owner == k) for k in np.unique(g.owner)), default=0.0)
+    return errors(g.owner >= 0), min(
+        (errors(g.owner == k) for k in np.unique(g.owner)), default=0.0
+    )
 
 
 def _errors(gain: np.ndarray) -> float:

@@ -30,7 +30,10 @@ DRAWS = 12
 
 
 #: What the noise of a torque is, without repeats and with them.
-NOISE, REPEATED = "noise of torque and motion", "noise of torque and motion, and what repeats differ by"
+NOISE, REPEATED = (
+    "noise of torque and motion",
+    "noise of torque and motion, and what repeats differ by",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +71,18 @@ class Answer:
 
 
 def of_model(study: Study, rows: Rows, model: Model) -> Answer:
-    return Answer(study, rows, model.solution.at, model.solution.theta, tuple(rows.units[u] for u in model.units))
+    return Answer(
+        study,
+        rows,
+        model.solution.at,
+        model.solution.theta,
+        tuple(rows.units[u] for u in model.units),
+    )
 
 
-def estimates(study: Study, chooser: Chooser, model: Model) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
+def estimates(
+    study: Study, chooser: Chooser, model: Model
+) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
     """Numbers of the nominal model, and effects with theirs."""
     s, b = model.solution, study.binding
     covariance, determined = s.spread
@@ -99,17 +110,32 @@ def estimates(study: Study, chooser: Chooser, model: Model) -> tuple[dict[str, E
     return own, tuple(effects)
 
 
-def _effect(study: Study, unit: Unit, values: np.ndarray, covariance: np.ndarray, bound: np.ndarray) -> EffectEstimate:
+def _effect(
+    study: Study, unit: Unit, values: np.ndarray, covariance: np.ndarray, bound: np.ndarray
+) -> EffectEstimate:
     if unit.fields == BODY:
-        return EffectEstimate(unit.effect, unit.location, _body(unit, values, covariance, usual_gain_std(study.binding.chain)))
+        return EffectEstimate(
+            unit.effect,
+            unit.location,
+            _body(unit, values, covariance, usual_gain_std(study.binding.chain)),
+        )
     std = np.sqrt(np.maximum(np.nan_to_num(np.diag(covariance)), 0.0))
     found = {
-        f: Estimate(float(v), None if held else float(s), _unit(study, unit, f), float(low), float("inf"), bool(held), not held)
+        f: Estimate(
+            float(v),
+            None if held else float(s),
+            _unit(study, unit, f),
+            float(low),
+            float("inf"),
+            bool(held),
+            not held,
+        )
         for f, v, s, low, held in zip(unit.fields, values, std, unit.least, bound, strict=True)
         if f not in unit.hidden
     }
     shape = {
-        f: Estimate(float(v), None, _unit(study, unit, f), *_bounds(study, unit, f), False, True) for f, v in unit.shape.items()
+        f: Estimate(float(v), None, _unit(study, unit, f), *_bounds(study, unit, f), False, True)
+        for f, v in unit.shape.items()
     }
     return EffectEstimate(unit.effect, unit.location, found | shape)
 
@@ -130,7 +156,9 @@ def _unit(study: Study, unit: Unit, field: str) -> str:
     return study.binding.chain.signature.unit(template, unit.joints[0])
 
 
-def _body(unit: Unit, values: np.ndarray, covariance: np.ndarray, gain_std: float = 0.0) -> dict[str, Estimate]:
+def _body(
+    unit: Unit, values: np.ndarray, covariance: np.ndarray, gain_std: float = 0.0
+) -> dict[str, Estimate]:
     """Mass, centre of mass and inertia about the link's origin of a body, from its ten numbers. An error of the drive gains,
     relative `gain_std`, is one of mass and inertia alike, and none of the centre."""
     m, inf = float(values[0]), float("inf")
@@ -138,7 +166,15 @@ def _body(unit: Unit, values: np.ndarray, covariance: np.ndarray, gain_std: floa
     told = lambda v, var, spread: np.sqrt(max(var, 0.0)) < LIMITS.determined * spread
 
     def quantity(value: float, variance: float, unit_: str, sure: bool) -> Estimate:
-        return Estimate(value, float(np.sqrt(max(variance, 0.0))) if sure else None, unit_, -inf, inf, False, sure)
+        return Estimate(
+            value,
+            float(np.sqrt(max(variance, 0.0))) if sure else None,
+            unit_,
+            -inf,
+            inf,
+            False,
+            sure,
+        )
 
     sure = told(m, covariance[0, 0], unit.spread[0])
     out = {"mass": quantity(m, with_gains[0, 0], "kg", bool(sure))}
@@ -146,10 +182,15 @@ def _body(unit: Unit, values: np.ndarray, covariance: np.ndarray, gain_std: floa
         slope = np.zeros(10)
         slope[k], slope[0] = 1 / m, -values[k] / m**2
         seen = sure and told(values[k], covariance[k, k], unit.spread[k])
-        out[axis] = quantity(float(values[k] / m), float(slope @ covariance @ slope), "m", bool(seen))
+        out[axis] = quantity(
+            float(values[k] / m), float(slope @ covariance @ slope), "m", bool(seen)
+        )
     for k in range(4, 10):
         out[unit.fields[k]] = quantity(
-            float(values[k]), float(with_gains[k, k]), "kg m^2", bool(told(values[k], covariance[k, k], unit.spread[k]))
+            float(values[k]),
+            float(with_gains[k, k]),
+            "kg m^2",
+            bool(told(values[k], covariance[k, k], unit.spread[k])),
         )
     return out
 
@@ -170,7 +211,14 @@ def ranking(study: Study, chooser: Chooser, rows: Rows, which: Sequence[int]) ->
         words = f"closes {percent(share)} of the gap" if share else "closes nothing of the gap"
         evidence = float(chooser.nominal.loss - m.loss)
         out.append(
-            Ranked(u.effect, u.location, gap, m.cost + chooser.price(m.units), evidence, f"{u}{beside}: {words} on held-out data")
+            Ranked(
+                u.effect,
+                u.location,
+                gap,
+                m.cost + chooser.price(m.units),
+                evidence,
+                f"{u}{beside}: {words} on held-out data",
+            )
         )
     return tuple(sorted(out, key=lambda r: r.validation_gap))
 
@@ -191,9 +239,18 @@ def how_far(
         moving = [k for k in which if study.runs[k].moves[j]]
         if moving:
             stated, again, final = (m.rms(moving, j) for m in models)
-            channels[name] = ChannelGap(unit, stated, again, final, study.typical(moving, j), source)
+            channels[name] = ChannelGap(
+                unit, stated, again, final, study.typical(moving, j), source
+            )
     runs = tuple(
-        Share(study.runs[k].experiment.name, "", len(m0), before.gap([k]), retuned.gap([k]), after.gap([k]))
+        Share(
+            study.runs[k].experiment.name,
+            "",
+            len(m0),
+            before.gap([k]),
+            retuned.gap([k]),
+            after.gap([k]),
+        )
         for k in which
         for m0 in [before.residual(k)]
     )
@@ -208,9 +265,7 @@ def how_far(
         reason = f"on {split} data the gap does not shrink"
     else:
         shrinkage, reason = min(exact, 1.0), "rows of torque within one run are not independent"
-    text = (
-        f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
-    )
+    text = f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
     text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
     if ceiling is not None:
         text += f"; any law of a joint's own position, speed and load would close {percent(ceiling)} of it"
@@ -226,12 +281,28 @@ def _by_regime(study: Study, models: Sequence[Answer], which: Sequence[int]) -> 
     for j, joint in enumerate(study.binding.chain.signature.joints):
         masks = [location.regimes(m, j) for m in found]
         for name in dict.fromkeys(n for mask in masks for n in mask):
-            inside = [mask.get(name, np.zeros(len(m.force), bool)) for mask, m in zip(masks, found, strict=True)]
+            inside = [
+                mask.get(name, np.zeros(len(m.force), bool))
+                for mask, m in zip(masks, found, strict=True)
+            ]
             count = sum(int(x.sum()) for x in inside)
             if count < 20 or not any(study.runs[k].moves[j] for k in which):
                 continue
-            own = [[(m.residual(k) / study.noise_of(k))[x, j] for k, x in zip(which, inside, strict=True)] for m in models]
-            out.append(Share(name, joint, count, *(float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for r in own)))
+            own = [
+                [
+                    (m.residual(k) / study.noise_of(k))[x, j]
+                    for k, x in zip(which, inside, strict=True)
+                ]
+                for m in models
+            ]
+            out.append(
+                Share(
+                    name,
+                    joint,
+                    count,
+                    *(float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for r in own),
+                )
+            )
     return tuple(out)
 
 
@@ -243,9 +314,20 @@ def missing(answer: Answer, k: int, seed: int, draws: int = DRAWS) -> Missing:
     run = answer.study.runs[k]
     force, keep = answer.residual(k), np.zeros(len(run.experiment.t), bool)
     keep[run.kept] = True
-    null = answer.study.noise_of(k) * np.random.default_rng([seed, k]).standard_normal((draws, *force.shape))
+    null = answer.study.noise_of(k) * np.random.default_rng([seed, k]).standard_normal(
+        (draws, *force.shape)
+    )
     still = run.moves.astype(float)
-    return Missing(run.experiment, keep, run.q[keep], run.qd[keep], run.qdd[keep], answer.measured(k), force * still, null)
+    return Missing(
+        run.experiment,
+        keep,
+        run.q[keep],
+        run.qd[keep],
+        run.qdd[keep],
+        answer.measured(k),
+        force * still,
+        null,
+    )
 
 
 def places(
@@ -260,7 +342,9 @@ def places(
         for j in u.joints if verdict == "named" else ():
             named.setdefault(joints[j], u.location if len(u.joints) == 1 else joints[j])
     only = tuple(named)
-    given = {j: f for j in only if (f := location.supplied(before, after, joints.index(j))) is not None}
+    given = {
+        j: f for j in only if (f := location.supplied(before, after, joints.index(j))) is not None
+    }
     rows = location.table(before, joints, given)
     found = location.findings(bench, before, rows, named, only, given) if verdict != "none" else []
     return tuple(found), tuple(location.pictures(bench, before, after)), tuple(rows)
@@ -269,14 +353,28 @@ def places(
 def traces(study: Study, nominal: Answer, final: Answer, label: str) -> tuple[Trace, ...]:
     """Measured torque, low-passed, and what the models need for the measured motion."""
     out = []
-    for k in sorted(range(len(study.runs)), key=lambda k: ("report", "validation", "fit").index(study.runs[k].split)):
+    for k in sorted(
+        range(len(study.runs)),
+        key=lambda k: ("report", "validation", "fit").index(study.runs[k].split),
+    ):
         run, measured = study.runs[k], nominal.measured(k)
         needed = {"re-tuned": measured - nominal.residual(k)}
         if label:
             needed[label] = measured - final.residual(k)
         for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
             series = {key: y[:, j] for key, y in needed.items()}
-            out.append(Trace(run.experiment.name, run.split, name, unit, run.t, measured[:, j], series, study.typical([k], j)))
+            out.append(
+                Trace(
+                    run.experiment.name,
+                    run.split,
+                    name,
+                    unit,
+                    run.t,
+                    measured[:, j],
+                    series,
+                    study.typical([k], j),
+                )
+            )
     return tuple(out)
 
 
@@ -287,7 +385,11 @@ def scores(answer: Answer) -> dict[str, dict[str, Score]]:
         if which := study.of(split):
             pairs = [(answer.measured(k), answer.residual(k)) for k in which]
             out[split] = {
-                name: score(np.concatenate([y[:, j] for y, _ in pairs]), np.concatenate([r[:, j] for _, r in pairs]), unit)
+                name: score(
+                    np.concatenate([y[:, j] for y, _ in pairs]),
+                    np.concatenate([r[:, j] for _, r in pairs]),
+                    unit,
+                )
                 for j, (name, unit) in enumerate(study.binding.chain.torque_channels)
             }
     return out

@@ -20,7 +20,13 @@ FIRM = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 
 
 def ceiling(
-    study: Study, rows: Rows, weights: Weights, base: Answer, fit: Sequence[int], choose: Sequence[int], judge: Sequence[int]
+    study: Study,
+    rows: Rows,
+    weights: Weights,
+    base: Answer,
+    fit: Sequence[int],
+    choose: Sequence[int],
+    judge: Sequence[int],
 ) -> float:
     """Share of the gap of `base` on the runs `judge` that free laws close, fitted to `fit`, as firm as suits `choose`."""
     edges = _edges(study)
@@ -41,12 +47,21 @@ def ceiling(
             wide[:, j, p + j * each : p + (j + 1) * each] = x[:, j]
         blocks[k] = wide
     size = p + n * each
-    g = gram([study.runs[k] for k in fit], [blocks[k] for k in fit], [study.unsure[k] for k in fit], weights, 1).total
+    g = gram(
+        [study.runs[k] for k in fit],
+        [blocks[k] for k in fit],
+        [study.unsure[k] for k in fit],
+        weights,
+        1,
+    ).total
     at, bounds = np.arange(size), np.full(size, np.inf)
     start = np.concatenate([base.numbers, np.zeros(n * each)])
 
     def gap(numbers: np.ndarray, which: Sequence[int]) -> float:
-        rest = {k: (blocks[k][:, :, -1] - blocks[k][:, :, :-1] @ numbers) / study.noise_of(k) for k in which}
+        rest = {
+            k: (blocks[k][:, :, -1] - blocks[k][:, :, :-1] @ numbers) / study.noise_of(k)
+            for k in which
+        }
         left = [x[:, study.runs[k].moves] for k, x in rest.items()]
         return float(np.sqrt(np.mean(np.concatenate([x.ravel() for x in left]) ** 2)))
 
@@ -68,11 +83,15 @@ def _edges(study: Study) -> list[tuple[np.ndarray, np.ndarray]]:
         low, high = np.percentile(q[:, j], [1, 99])
         top = np.percentile(np.abs(qd[:, j]), 99)
         half = np.array([0.03, 0.2, 1.0])[: SPEEDS // 2]
-        out.append((np.linspace(low, high, POSITIONS), top * np.concatenate([-half[::-1], [0.0], half])))
+        out.append(
+            (np.linspace(low, high, POSITIONS), top * np.concatenate([-half[::-1], [0.0], half]))
+        )
     return out
 
 
-def _bumps(run: Run, load: np.ndarray, edges: Sequence[tuple[np.ndarray, np.ndarray]], turn: np.ndarray) -> np.ndarray:
+def _bumps(
+    run: Run, load: np.ndarray, edges: Sequence[tuple[np.ndarray, np.ndarray]], turn: np.ndarray
+) -> np.ndarray:
     """[time n k]: hats over position times hats over speed, and the load against the motion."""
     out = []
     for j, (q, qd) in enumerate(edges):

@@ -89,7 +89,9 @@ class Chooser:
             s = solve(self.fit.total, self.at(key), self.known, self.start, self.lower, self.upper)
             # A number of an effect that its bound holds at nothing is one that is not there.
             dead = bool(key) and any(np.all(s.theta[self._own(key, u)] == 0) for u in key)
-            self._models[key] = None if dead else Model(tuple(sorted(key)), s, self.held.losses(s.at, s.theta))
+            self._models[key] = (
+                None if dead else Model(tuple(sorted(key)), s, self.held.losses(s.at, s.theta))
+            )
             if self._models[key] is not None:
                 self.tried.append(self._models[key])  # type: ignore[arg-type]
         return self._models[key]
@@ -100,30 +102,48 @@ class Chooser:
 
     def price(self, units: Iterable[int]) -> float:
         """What the numbers of a set have to be worth on the fit runs."""
-        count = sum(len(self.columns[u]) - len(self.units[u].hidden) + bool(self.units[u].shape) for u in units)
+        count = sum(
+            len(self.columns[u]) - len(self.units[u].hidden) + bool(self.units[u].shape)
+            for u in units
+        )
         return count * np.log(max(self.fit.rows, 2))
 
     def accepted(self, small: Model, large: Model) -> bool:
         """Whether the larger set stands."""
         total, worst = better(small.held, large.held, self.held)
         more = self.price(large.units) - self.price(small.units)
-        return total > LIMITS.sure and worst > -LIMITS.missed and small.cost - large.cost > max(more, 0.0)
+        return (
+            total > LIMITS.sure
+            and worst > -LIMITS.missed
+            and small.cost - large.cost > max(more, 0.0)
+        )
 
     def missed(self, small: Model, large: Model) -> bool:
         """Whether what the larger set has more of would be missed."""
         more = self.price(large.units) - self.price(small.units)
-        return better(small.held, large.held, self.held)[0] > LIMITS.missed and small.cost - large.cost > max(more, 0.0)
+        return better(small.held, large.held, self.held)[
+            0
+        ] > LIMITS.missed and small.cost - large.cost > max(more, 0.0)
 
     def alike(self, a: Model, b: Model) -> bool:
         """Whether held-out and fit runs leave open which of two sets of one size it is."""
-        return abs(better(a.held, b.held, self.held)[0]) < LIMITS.missed and b.cost - a.cost < self.price(b.units) + 6
+        return (
+            abs(better(a.held, b.held, self.held)[0]) < LIMITS.missed
+            and b.cost - a.cost < self.price(b.units) + 6
+        )
 
     # ---- search
 
     def run(self) -> Model:
         chosen, seen = self.nominal, set[tuple[int, ...]]()
-        while chosen.units not in seen and len(self._kinds(chosen.units)) < self.most and not self.enough(chosen):
-            seen.add(chosen.units)  # what is added and what is taken back could follow each other for ever
+        while (
+            chosen.units not in seen
+            and len(self._kinds(chosen.units)) < self.most
+            and not self.enough(chosen)
+        ):
+            seen.add(
+                chosen.units
+            )  # what is added and what is taken back could follow each other for ever
             found = [m for m in self._wider(chosen) if self.accepted(chosen, m)]
             if not found:
                 break
@@ -143,7 +163,9 @@ class Chooser:
         size = np.sqrt(np.maximum(np.diag(H), 0.0))
         size = np.where(size > 0, size, 1.0)
         H, b = H / size / size[:, None], b / size
-        inside = np.linalg.solve(H[np.ix_(at, at)] + 1e-9 * np.eye(len(at)), np.column_stack([H[at], b[at]]))
+        inside = np.linalg.solve(
+            H[np.ix_(at, at)] + 1e-9 * np.eye(len(at)), np.column_stack([H[at], b[at]])
+        )
         return H - H[:, at] @ inside[:, :-1], b - H[:, at] @ inside[:, -1], size
 
     def gains(self, units: Iterable[int]) -> np.ndarray:
@@ -166,7 +188,9 @@ class Chooser:
     def _wider(self, chosen: Model) -> list[Model]:
         """The set with one effect more at one place, or at all of its places."""
         found = self._best_shapes(chosen.units)
-        carried = {self.units[u].effect for u in chosen.units if np.all(np.isfinite(self.units[u].spread))}
+        carried = {
+            self.units[u].effect for u in chosen.units if np.all(np.isfinite(self.units[u].spread))
+        }
         found = {p: f for p, f in found.items() if p[0] not in carried}  # one body at one link
         singles = [k for _, k in sorted(found.values(), reverse=True)][:HEARD]
         sets = [(*chosen.units, k) for k in singles]
@@ -182,7 +206,9 @@ class Chooser:
         while set(units) - set(base):
             if (found := self.model(units)) is not None:
                 return found
-            s = solve(self.fit.total, self.at(units), self.known, self.start, self.lower, self.upper)
+            s = solve(
+                self.fit.total, self.at(units), self.known, self.start, self.lower, self.upper
+            )
             key = frozenset(units)
             units = [u for u in units if u in base or np.any(s.theta[self._own(key, u)] != 0)]
             if key == frozenset(units):
@@ -192,7 +218,11 @@ class Chooser:
     def _thinned(self, chosen: Model) -> Model:
         """Without what is not missed, the least missed first."""
         while chosen.units:
-            less = [m for u in chosen.units if (m := self.model([v for v in chosen.units if v != u])) is not None]
+            less = [
+                m
+                for u in chosen.units
+                if (m := self.model([v for v in chosen.units if v != u])) is not None
+            ]
             needless = [m for m in less if not self.missed(m, chosen)]
             if not needless:
                 return chosen
@@ -208,7 +238,11 @@ class Chooser:
         losses = self.by_joint(best.solution)
         limit, chosen = losses.sum(0) + np.sqrt(len(losses)) * losses.std(0, ddof=1), best
         while len(chosen.units) > 1:
-            less = [m for u in chosen.units if (m := self.model([v for v in chosen.units if v != u])) is not None]
+            less = [
+                m
+                for u in chosen.units
+                if (m := self.model([v for v in chosen.units if v != u])) is not None
+            ]
             within = [m for m in less if np.all(self.by_joint(m.solution).sum(0) <= limit)]
             if not within:
                 break
@@ -231,7 +265,11 @@ class Chooser:
         here = lambda u: self.units[u].joints == (joint,)
         others = tuple(u for u in chosen.units if not here(u))
         kinds, room = self._kinds(others), self.most
-        best = {p: k for p, (_, k) in self._best_shapes(others).items() if self.units[k].joints == (joint,)}
+        best = {
+            p: k
+            for p, (_, k) in self._best_shapes(others).items()
+            if self.units[k].joints == (joint,)
+        }
         pool = sorted({*best.values(), *(u for u in chosen.units if here(u))})
         H, b, size = self.beside(others)
         out: list[tuple[float, tuple[int, ...]]] = []

@@ -44,13 +44,17 @@ def force(effect: JointEffect, run: Run, load: Load, turn: np.ndarray) -> np.nda
 
 
 @jax.jit
-def _force(effect: JointEffect, h: Any, turn: Any, q: Any, qd: Any, drive: Any, transmitted: Any) -> Any:
+def _force(
+    effect: JointEffect, h: Any, turn: Any, q: Any, qd: Any, drive: Any, transmitted: Any
+) -> Any:
     u = jnp.zeros(q.shape[1])
     command = Command(jnp.zeros(()), h, u, u, lambda d: u)
 
     def at(z: Any, now: tuple[Any, ...]) -> tuple[Any, Any]:
         q, qd, load, on = now
-        smooth, minus, plus, z = effect(Signals(command.t, q, qd, load, h, command, qd, transmitted=on), z)
+        smooth, minus, plus, z = effect(
+            Signals(command.t, q, qd, load, h, command, qd, transmitted=on), z
+        )
         way = jnp.tanh(qd / turn)
         return z, smooth + jnp.where(way > 0, plus, minus) * way + 0 * q
 
@@ -62,7 +66,10 @@ def _force(effect: JointEffect, h: Any, turn: Any, q: Any, qd: Any, drive: Any, 
 
 def with_numbers(effect: JointEffect, numbers: Mapping[str, Any], n: int) -> JointEffect:
     """The effect with these numbers, neutral in all others, each [n]."""
-    own = {name: np.broadcast_to(np.asarray(numbers.get(name, spec.value), float), (n,)) for name, spec in specs(effect).items()}
+    own = {
+        name: np.broadcast_to(np.asarray(numbers.get(name, spec.value), float), (n,))
+        for name, spec in specs(effect).items()
+    }
     return with_fields(effect, {k: np.array(v) for k, v in own.items()})
 
 
@@ -76,20 +83,38 @@ def strengths(kind: type[JointEffect], n: int, room: int) -> tuple[str, ...]:
 
     def of(name: str, value: float) -> np.ndarray:
         with float64():
-            return np.asarray(_force(with_numbers(effect, {name: value}, n), 0.15, np.full(n, 0.01), q, qd, np.abs(q), np.abs(q)))
+            return np.asarray(
+                _force(
+                    with_numbers(effect, {name: value}, n),
+                    0.15,
+                    np.full(n, 0.01),
+                    q,
+                    qd,
+                    np.abs(q),
+                    np.abs(q),
+                )
+            )
 
     linear = []
     for name, spec in specs(effect).items():
-        if spec.value == 0 and np.any(one := of(name, 0.1)) and np.allclose(of(name, 0.2), 2 * one, rtol=1e-9, atol=1e-12):
+        if (
+            spec.value == 0
+            and np.any(one := of(name, 0.1))
+            and np.allclose(of(name, 0.2), 2 * one, rtol=1e-9, atol=1e-12)
+        ):
             linear.append(name)
     return tuple(linear)
 
 
-def shapes(kind: type[JointEffect], reference: Reference, linear: Sequence[str]) -> list[dict[str, float]]:
+def shapes(
+    kind: type[JointEffect], reference: Reference, linear: Sequence[str]
+) -> list[dict[str, float]]:
     """The grid of the numbers that shape an effect at a joint with these typical magnitudes, from its probes; `linear`: its
     strengths."""
     own = specs(kind)
-    resolved = [{k: resolve(v, reference) for k, v in p.items() if k not in linear} for p in kind.probes]
+    resolved = [
+        {k: resolve(v, reference) for k, v in p.items() if k not in linear} for p in kind.probes
+    ]
     found = [dict(s) for s in dict.fromkeys(tuple(sorted(p.items())) for p in resolved)] or [{}]
     varied = {k for s in found for k in s}
     for name in varied:
@@ -110,18 +135,48 @@ def at_every_joint(
     for k in range(max(map(len, grids))):
         point = [g[min(k, len(g) - 1)] for g in grids]
         names = {name for p in point for name in p}
-        shape = {name: np.array([p.get(name, specs(effect)[name].value) for p in point]) for name in names}
-        one = {name: with_numbers(effect, {**shape, name: 1.0}, n) for name in strengths(kind, n, runs[0].room)}
-        out.append({name: [force(e, r, f, turn) for r, f in zip(runs, load, strict=True)] for name, e in one.items()})
+        shape = {
+            name: np.array([p.get(name, specs(effect)[name].value) for p in point])
+            for name in names
+        }
+        one = {
+            name: with_numbers(effect, {**shape, name: 1.0}, n)
+            for name in strengths(kind, n, runs[0].room)
+        }
+        out.append(
+            {
+                name: [force(e, r, f, turn) for r, f in zip(runs, load, strict=True)]
+                for name, e in one.items()
+            }
+        )
     return out
 
 
-def coupled(kind: type[JointEffect], shape: Mapping[str, float], place: int, run: Run, load: Load, turn: np.ndarray):
+def coupled(
+    kind: type[JointEffect],
+    shape: Mapping[str, float],
+    place: int,
+    run: Run,
+    load: Load,
+    turn: np.ndarray,
+):
     """[time n strengths] of an effect at one place that acts on several joints."""
     n, effect = len(turn), neutral(kind)
     names = strengths(kind, n, run.room)
     here = np.eye(n)[place]
-    return np.stack([force(with_numbers(effect, {**shape, name: here}, n), run, load, turn) for name in names], -1)
+    return np.stack(
+        [force(with_numbers(effect, {**shape, name: here}, n), run, load, turn) for name in names],
+        -1,
+    )
 
 
-__all__ = ["Load", "at_every_joint", "coupled", "force", "shapes", "strengths", "unloaded", "with_numbers"]
+__all__ = [
+    "Load",
+    "at_every_joint",
+    "coupled",
+    "force",
+    "shapes",
+    "strengths",
+    "unloaded",
+    "with_numbers",
+]

@@ -10,7 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.diagnosis.torque.forces import at_every_joint, coupled, Load, shapes, strengths, with_numbers
+from jaxid.diagnosis.torque.forces import (
+    at_every_joint,
+    coupled,
+    Load,
+    shapes,
+    strengths,
+    with_numbers,
+)
 from jaxid.diagnosis.torque.plant import ArmPlant, Beside, Plant
 from jaxid.diagnosis.torque.rows import Run
 from jaxid.dynamics.base_parameters import standard_torque
@@ -77,7 +84,11 @@ def units(
     for kind in kinds:
         places = plant.binding.chain.offers(kind)
         if issubclass(kind, JointEffect):
-            out += _shared(plant, kind, places, runs, load) if kind.couples else _laws(plant, kind, places, runs, load)
+            out += (
+                _shared(plant, kind, places, runs, load)
+                if kind.couples
+                else _laws(plant, kind, places, runs, load)
+            )
         elif issubclass(kind, BodyEffect):
             out += _bodies(plant, kind, places, runs, theta, payloads)
         else:
@@ -103,7 +114,9 @@ def _placed(x: np.ndarray, joint: int, n: int) -> np.ndarray:
     return out
 
 
-def _laws(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[Load]) -> list[Unit]:
+def _laws(
+    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[Load]
+) -> list[Unit]:
     """A law of each joint's own motion, at every point of its grid."""
     b, n = plant.binding, plant.binding.chain.nq
     joints = [b.chain.signature.joints.index(p) for p in places]
@@ -120,19 +133,29 @@ def _laws(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], l
                 own = [_placed(x[:, j], j, n) for x in rows]
                 unit = _unit(kind, place, list(made), grids[j][k], [j], own, b)
                 free = np.array([f in room for f in made])
-                out.append(replace(unit, least=np.where(free, -np.inf, unit.least), hidden=tuple(room)))
+                out.append(
+                    replace(unit, least=np.where(free, -np.inf, unit.least), hidden=tuple(room))
+                )
     return out
 
 
 def _rotor(
-    kind: Any, grids: Sequence[Sequence[dict[str, float]]], k: int, runs: Sequence[Run], load: Sequence[Load], turn: np.ndarray
+    kind: Any,
+    grids: Sequence[Sequence[dict[str, float]]],
+    k: int,
+    runs: Sequence[Run],
+    load: Sequence[Load],
+    turn: np.ndarray,
 ) -> dict[str, list[np.ndarray]]:
     """Room [time n] of each run for what of an inertia is the rotor's, which a motion alone does not tell from the link's; none
     where a law looks at the drive alone."""
     one = [[g[min(k, len(g) - 1)]] for g in grids]
 
     def at(inertia: float) -> list[np.ndarray]:
-        moved = [f._replace(transmitted=f.transmitted - inertia * r.qdd) for r, f in zip(runs, load, strict=True)]
+        moved = [
+            f._replace(transmitted=f.transmitted - inertia * r.qdd)
+            for r, f in zip(runs, load, strict=True)
+        ]
         ((made,),) = (found.values() for found in at_every_joint(kind, one, runs, moved, turn))
         return made
 
@@ -140,7 +163,9 @@ def _rotor(
     return {"rotor": slopes} if any(np.any(x) for x in slopes) else {}
 
 
-def _shared(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[Load]) -> list[Unit]:
+def _shared(
+    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[Load]
+) -> list[Unit]:
     """A gear that a joint shares with the next: its friction, and the inertia of what turns with both."""
     b = plant.binding
     linear, out = strengths(kind, b.chain.nq, runs[0].room), []
@@ -158,12 +183,17 @@ def _shared(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run],
     return out
 
 
-def _driven(plant: Plant, kind: type[Effect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray) -> list[Unit]:
+def _driven(
+    plant: Plant, kind: type[Effect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray
+) -> list[Unit]:
     """What a drive makes of its command, seen from the torque that the model needs: the measured one would explain itself."""
     b, n = plant.binding, plant.binding.chain.nq
     names = [name for name, _ in b.chain.signature.inputs]
     rigid = [plant.rigid(r, theta) for r in runs]
-    series = [-f if kind.name == "torque_scale" else np.gradient(f, r.step, axis=0) for r, f in zip(runs, rigid, strict=True)]
+    series = [
+        -f if kind.name == "torque_scale" else np.gradient(f, r.step, axis=0)
+        for r, f in zip(runs, rigid, strict=True)
+    ]
     rows = [r.rows(x) for r, x in zip(runs, series, strict=True)]
     field = next(iter(specs(kind)))
     return [
@@ -173,7 +203,12 @@ def _driven(plant: Plant, kind: type[Effect], places: Sequence[str], runs: Seque
 
 
 def _bodies(
-    plant: Plant, kind: type[BodyEffect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray, payloads: bool
+    plant: Plant,
+    kind: type[BodyEffect],
+    places: Sequence[str],
+    runs: Sequence[Run],
+    theta: np.ndarray,
+    payloads: bool,
 ) -> list[Unit]:
     b, n = plant.binding, plant.binding.chain.nq
     joints = b.chain.signature.joints
@@ -182,13 +217,17 @@ def _bodies(
         return [_unit(kind, p, ["inertia"], {}, [joints.index(p)], [_placed(x[:, j, None], j, n) for x in rows], b)
                 for p in places for j in [joints.index(p)]]  # fmt: skip
     if isinstance(plant, ArmPlant) and kind.name == "payload":
-        return _payloads(plant, {p: joints.index(p) for p in places}, runs, theta) if payloads else []
+        return (
+            _payloads(plant, {p: joints.index(p) for p in places}, runs, theta) if payloads else []
+        )
     if isinstance(plant, ArmPlant) and kind.name == "gravity_offset":
         return [_tilt(plant, joints[0], runs, theta)]
     return _derivatives(plant, kind, places, runs, theta)
 
 
-def _payloads(plant: ArmPlant, links: dict[str, int], runs: Sequence[Run], theta: np.ndarray) -> list[Unit]:
+def _payloads(
+    plant: ArmPlant, links: dict[str, int], runs: Sequence[Run], theta: np.ndarray
+) -> list[Unit]:
     """Any body at each of these links, by its ten numbers."""
     mass, reach = _size(plant, theta)
     spread = mass * np.array([1.0, *[reach] * 3, *[reach**2] * 6])
@@ -199,7 +238,9 @@ def _payloads(plant: ArmPlant, links: dict[str, int], runs: Sequence[Run], theta
         first = 11 * link
         order = [first + 9, *range(first + 6, first + 9), *range(first, first + 6)]
         columns = [rows[:, :, order] for rows in every]
-        return Unit("payload", place, BODY, -free, free, spread, {}, tuple(range(link + 1)), columns)
+        return Unit(
+            "payload", place, BODY, -free, free, spread, {}, tuple(range(link + 1)), columns
+        )
 
     return [at(place, link) for place, link in links.items()]
 
@@ -217,7 +258,10 @@ def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -
     phi = plant.phi(theta)
 
     def slope(r: Run, field: str, numbers: np.ndarray) -> np.ndarray:
-        tilted = (with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + s * TILT}) for s in (-0.5, 0.5))
+        tilted = (
+            with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + s * TILT})
+            for s in (-0.5, 0.5)
+        )
         low, high = (standard_torque(arm, numbers, r.q, 0 * r.qd, 0 * r.qd) for arm in tilted)
         return (high - low) / TILT
 
@@ -257,12 +301,18 @@ def _slope(kind: type[BodyEffect], field: str) -> Any:
 
 
 def _derivatives(
-    plant: Plant, kind: type[BodyEffect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray
+    plant: Plant,
+    kind: type[BodyEffect],
+    places: Sequence[str],
+    runs: Sequence[Run],
+    theta: np.ndarray,
 ) -> list[Unit]:
     """What changes the mechanism, to first order in each of its numbers."""
     b, out = plant.binding, []
     joints = b.chain.signature.joints
-    fields = [f for f in specs(kind) if f not in getattr(kind, "moments", ())]  # where there is no mass they do nothing
+    fields = [
+        f for f in specs(kind) if f not in getattr(kind, "moments", ())
+    ]  # where there is no mass they do nothing
     with float64():
         mechanism = b.layout.form.model(theta).mechanism
         structure = jax.tree.structure(mechanism)

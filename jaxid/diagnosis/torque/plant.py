@@ -74,7 +74,10 @@ class ArmPlant(Plant):
         self.arm: Any = binding.chain.mechanism
         entries = [binding.layout.entries[i] for i in self.free]
         self.inertial = [k for k, e in enumerate(entries) if e.owner < 0]
-        self.standard = [entries[k].place * len(STANDARD) + STANDARD.index(entries[k].field) for k in self.inertial]
+        self.standard = [
+            entries[k].place * len(STANDARD) + STANDARD.index(entries[k].field)
+            for k in self.inertial
+        ]
         self.laws = [k for k, e in enumerate(entries) if e.owner >= 0]
 
     def exact(self) -> bool:
@@ -84,7 +87,9 @@ class ArmPlant(Plant):
         """All standard parameters [11 n], a known payload in the last link's."""
         arm: Any = self.binding.layout.model(theta).mechanism
         with float64():
-            return np.concatenate([np.asarray(arm.inertia()), np.asarray(arm.Ia)[:, None]], 1).ravel()
+            return np.concatenate(
+                [np.asarray(arm.inertia()), np.asarray(arm.Ia)[:, None]], 1
+            ).ravel()
 
     def columns(self, run: Run) -> np.ndarray:
         """Standard columns [time n 11 n]."""
@@ -114,7 +119,11 @@ class ArmPlant(Plant):
         """Friction of numbers that are not fitted."""
         at = theta.copy()
         at[[self.free[k] for k in self.laws if self._strength(self.free[k])]] = 0.0
-        used = [e for _, e in self._effects(at) if any(np.any(getattr(e, f)) for f, s in specs(e).items() if s.value == 0)]
+        used = [
+            e
+            for _, e in self._effects(at)
+            if any(np.any(getattr(e, f)) for f, s in specs(e).items() if s.value == 0)
+        ]
         return sum((force(e, run, unloaded(run), self.turn) for e in used), np.zeros_like(run.q))
 
     def _strength(self, i: int) -> bool:
@@ -125,7 +134,12 @@ class ArmPlant(Plant):
         own = {f: theta[[i for i, e in enumerate(self.binding.layout.entries) if e.owner == entry.owner and e.field == f]]
                for f in specs(effect)}  # fmt: skip
         shape = {f: v for f, v in own.items() if specs(effect)[f].value != 0}
-        return force(with_numbers(effect, {**shape, entry.field: 1.0}, run.q.shape[1]), run, unloaded(run), self.turn)
+        return force(
+            with_numbers(effect, {**shape, entry.field: 1.0}, run.q.shape[1]),
+            run,
+            unloaded(run),
+            self.turn,
+        )
 
 
 class AnyPlant(Plant):
@@ -148,7 +162,9 @@ class AnyPlant(Plant):
     def _missing(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         n, series = len(run.q), [run.padded(x) for x in (run.u, run.q, run.qd, run.qdd)]
         with float64():
-            program = shared("slopes", (self.form, *self.free), lambda: _slopes(self.form, tuple(self.free)))
+            program = shared(
+                "slopes", (self.form, *self.free), lambda: _slopes(self.form, tuple(self.free))
+            )
             missing, slope = program(theta, self.eps, run.step, *series)
         return np.asarray(missing)[:n], np.asarray(slope)[:n]
 
@@ -157,7 +173,9 @@ def inverse_of(body: Any, run: Run) -> np.ndarray:
     """Torque [time n] that a mechanism takes along a run."""
     with float64():
         program = shared("inverse", jax.tree.structure(body), lambda: jax.jit(_inverse))
-        return np.asarray(program(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
+        return np.asarray(program(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[
+            : len(run.q)
+        ]
 
 
 def _inverse(body: Any, q: Any, qd: Any, qdd: Any) -> Any:
@@ -168,7 +186,9 @@ def _slopes(form: Form, free: tuple[int, ...]) -> Any:
     """(missing torque [time n], its slope by the free numbers [time n free])."""
     from jaxid.dynamics.effect import Command
 
-    def missing(numbers: Any, theta: Any, eps: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
+    def missing(
+        numbers: Any, theta: Any, eps: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any
+    ) -> Any:
         chain = form.model(theta.at[jnp.array(free, int)].set(numbers) if free else theta)
 
         def step(z: Any, now: Any) -> Any:
@@ -187,7 +207,9 @@ def _slopes(form: Form, free: tuple[int, ...]) -> Any:
         theta = jnp.asarray(theta)
         own = theta[jnp.array(free, int)] if free else jnp.zeros(0)
         out = missing(own, theta, eps, h, *series)
-        slope = jax.jacfwd(missing)(own, theta, eps, h, *series) if free else jnp.zeros((*out.shape, 0))
+        slope = (
+            jax.jacfwd(missing)(own, theta, eps, h, *series) if free else jnp.zeros((*out.shape, 0))
+        )
         return out, slope
 
     return jax.jit(both)

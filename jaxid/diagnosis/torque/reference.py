@@ -47,7 +47,9 @@ class Reference:
             raise UsageError(WANTED)
         if content.get("kind") == "identification":
             return _identified(content)
-        if content.get("kind") in ("fit", "diagnosis") and isinstance(content.get("parameters"), Mapping):
+        if content.get("kind") in ("fit", "diagnosis") and isinstance(
+            content.get("parameters"), Mapping
+        ):
             return _fitted(content)
         raise UsageError(f"{WANTED}; this one is of kind {content.get('kind')!r}")
 
@@ -56,13 +58,17 @@ class Reference:
         names = [binding.layout.names[i] for i in binding.free]
         shared = [n for n in names if n in self.names]
         if not shared:
-            raise UsageError(f"the reference ({self.said}) knows none of this model's numbers ({', '.join(names[:6])} …)")
+            raise UsageError(
+                f"the reference ({self.said}) knows none of this model's numbers ({', '.join(names[:6])} …)"
+            )
         at = [self.names.index(n) for n in shared]
         place = [names.index(n) for n in shared]
         size = np.sqrt(np.diag(self.covariance)[at])
         scaled = self.covariance[np.ix_(at, at)] / size / size[:, None]
         values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-        inverse = (vectors / np.maximum(values, CLOSE * values[-1])) @ vectors.T / size / size[:, None]
+        inverse = (
+            (vectors / np.maximum(values, CLOSE * values[-1])) @ vectors.T / size / size[:, None]
+        )
         information, mean = np.zeros((len(names), len(names))), np.zeros(len(names))
         information[np.ix_(place, place)], mean[place] = inverse, self.values[at]
         if self.regrouped:
@@ -78,7 +84,9 @@ class Reference:
             if name in have and name not in own and name not in spec.constants:
                 own[name] = ParameterPrior(prior={"mean": float(value), "std": float(np.sqrt(var))})
         if not any(name in have for name in self.names):
-            raise UsageError(f"the reference ({self.said}) knows none of this model's numbers ({', '.join(have[:6])} …)")
+            raise UsageError(
+                f"the reference ({self.said}) knows none of this model's numbers ({', '.join(have[:6])} …)"
+            )
         return replace(dataset, model=replace(spec, parameters=own))
 
 
@@ -108,7 +116,11 @@ def _identified(content: Mapping[str, Any]) -> Reference:
     names = list(content["names"])
     own = {e["name"]: (e["value"], e["identifiable"]) for e in content["base_parameters"]}
     for j, entry in enumerate(content["friction"]):
-        own |= {f"{k}{j + 1}": (v["value"], v["std"] is not None) for k, v in entry.items() if isinstance(v, Mapping)}
+        own |= {
+            f"{k}{j + 1}": (v["value"], v["std"] is not None)
+            for k, v in entry.items()
+            if isinstance(v, Mapping)
+        }
     at = [i for i, n in enumerate(names) if n in own and own[n][1]]
     covariance = np.array(content["covariance"], float)[np.ix_(at, at)]
     return Reference(
@@ -122,7 +134,9 @@ def _identified(content: Mapping[str, Any]) -> Reference:
 
 def _fitted(content: Mapping[str, Any]) -> Reference:
     """Numbers of a fit or a diagnosis, each with its standard deviation."""
-    told = {k: v for k, v in content["parameters"].items() if isinstance(v, Mapping) and v.get("std")}
+    told = {
+        k: v for k, v in content["parameters"].items() if isinstance(v, Mapping) and v.get("std")
+    }
     if not told:
         raise UsageError(f"the reference holds no number with a standard deviation; {WANTED}")
     values = np.array([v["value"] for v in told.values()], float)
@@ -131,4 +145,9 @@ def _fitted(content: Mapping[str, Any]) -> Reference:
     covariance = np.array(given.get("matrix", []) if isinstance(given, Mapping) else given, float)
     if covariance.shape != (len(std), len(std)):
         covariance = np.diag(std**2)
-    return Reference(tuple(told), values, covariance, f"{content['kind']} of {content.get('dataset', 'another recording')}")
+    return Reference(
+        tuple(told),
+        values,
+        covariance,
+        f"{content['kind']} of {content.get('dataset', 'another recording')}",
+    )

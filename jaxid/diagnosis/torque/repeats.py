@@ -29,11 +29,15 @@ def spread_between(study: Study, rows: Rows, weights: Weights, solution: Solutio
     """A root of the covariance of the nominal model's numbers from repeat to repeat [plant.size k]: the likeliest one for what
     repeats that are not kept for the report differ by. No column where nothing is repeated, or repeats differ by their noise."""
     size = np.abs(solution.theta[: study.plant.size])
-    parts = [one for group in _groups(study) for one in _apart(study, rows, weights, solution, group)]
+    parts = [
+        one for group in _groups(study) for one in _apart(study, rows, weights, solution, group)
+    ]
     if not parts:
         return np.zeros((len(size), 0))
     count = sum(part.count for part in parts)
-    found = np.array([np.sum([part.squares(np.diag(share * size)) for part in parts], 0) for share in SHARES])
+    found = np.array(
+        [np.sum([part.squares(np.diag(share * size)) for part in parts], 0) for share in SHARES]
+    )
     variance = found[:, 0] / count  # of a row's noise, the likeliest one beside each share
     best = int(np.argmin(count * np.log(np.maximum(variance, 1e-300)) + found[:, 1]))
     if best == 0:
@@ -52,7 +56,9 @@ def shrunk(products: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """Sums of products [p + 1 p + 1] of one run's rows, weighed by the covariance that numbers with this spread [k r] make of
     them (Woodbury): columns of these numbers come first."""
     own = spread.T @ products[: len(spread)]
-    return products - own.T @ np.linalg.solve(np.eye(len(own)) + own[:, : len(spread)] @ spread, own)
+    return products - own.T @ np.linalg.solve(
+        np.eye(len(own)) + own[:, : len(spread)] @ spread, own
+    )
 
 
 def without(left: np.ndarray, columns: np.ndarray, spread: np.ndarray) -> np.ndarray:
@@ -79,22 +85,38 @@ class _Apart:
 
     def scaled(self, size: np.ndarray) -> _Apart:
         """With numbers in units of `size` [k]."""
-        return _Apart(self.products * size * size[:, None], self.target * size, self.power, self.count)
+        return _Apart(
+            self.products * size * size[:, None], self.target * size, self.power, self.count
+        )
 
     def squares(self, spread: np.ndarray) -> tuple[float, float]:
         """Sum of squares weighed by the covariance that numbers with this spread make, and the logarithm of its determinant."""
-        inside, b = np.eye(spread.shape[1]) + spread.T @ self.products @ spread, spread.T @ self.target
-        return self.power - float(b @ np.linalg.solve(inside, b)), float(np.linalg.slogdet(inside)[1])
+        inside, b = (
+            np.eye(spread.shape[1]) + spread.T @ self.products @ spread,
+            spread.T @ self.target,
+        )
+        return self.power - float(b @ np.linalg.solve(inside, b)), float(
+            np.linalg.slogdet(inside)[1]
+        )
 
     def expected(self, covariance: np.ndarray, noise: float) -> tuple[np.ndarray, float]:
         """Second moment of the numbers, and sum of squares of the noise, given the rows."""
-        gain = np.linalg.solve(np.eye(len(covariance)) + covariance @ self.products / noise, covariance)
+        gain = np.linalg.solve(
+            np.eye(len(covariance)) + covariance @ self.products / noise, covariance
+        )
         mean = gain @ self.target / noise
-        rest = self.power - 2 * mean @ self.target + mean @ self.products @ mean + np.sum(self.products * gain)
+        rest = (
+            self.power
+            - 2 * mean @ self.target
+            + mean @ self.products @ mean
+            + np.sum(self.products * gain)
+        )
         return np.outer(mean, mean) + gain, float(rest)
 
 
-def _apart(study: Study, rows: Rows, weights: Weights, s: Solution, group: Sequence[int]) -> list[_Apart]:
+def _apart(
+    study: Study, rows: Rows, weights: Weights, s: Solution, group: Sequence[int]
+) -> list[_Apart]:
     length, p = min(len(rows.rows[k]) for k in group), study.plant.size
     left = np.array([rows.residual(k, s.at, s.theta)[:length] for k in group])
     columns = np.mean([rows.rows[k][:length, :, :p] for k in group], 0)
@@ -102,7 +124,9 @@ def _apart(study: Study, rows: Rows, weights: Weights, s: Solution, group: Seque
     out = []
     for k, d in zip(group, off, strict=True):
         unsure, moves = study.unsure[k][:length], study.runs[k].moves
-        both = weights(np.concatenate([columns, d[:, :, None]], 2), moves, unsure).reshape(-1, p + 1)
+        both = weights(np.concatenate([columns, d[:, :, None]], 2), moves, unsure).reshape(
+            -1, p + 1
+        )
         g = both.T @ both
         out.append(_Apart(g[:p, :p], g[:p, p], float(g[p, p]), weights.count(moves, unsure)))
     return out

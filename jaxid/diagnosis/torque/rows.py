@@ -70,7 +70,9 @@ class Run:
     def rows(self, x: np.ndarray) -> np.ndarray:
         """A series [time ...] through the low-pass, at the rows."""
         flat = x.reshape(len(x), -1)
-        return zero_phase(self.experiment.t, flat, self.cutoff_hz)[self.kept].reshape(-1, *x.shape[1:])
+        return zero_phase(self.experiment.t, flat, self.cutoff_hz)[self.kept].reshape(
+            -1, *x.shape[1:]
+        )
 
 
 def read_runs(binding: Binding, cutoff_hz: float | None) -> list[Run]:
@@ -80,7 +82,9 @@ def read_runs(binding: Binding, cutoff_hz: float | None) -> list[Run]:
     _, iy = columns(b.dataset, b.chain)
     ordered = [e for split in ("fit", "validation", "report") for e in b.experiments(split)]
     even = [evenly(e) for e in ordered]
-    cutoff = cutoff_hz or moving_band(b.chain, [e for e in even if e.split == "fit"] or even, iy, b.readings)
+    cutoff = cutoff_hz or moving_band(
+        b.chain, [e for e in even if e.split == "fit"] or even, iy, b.readings
+    )
     room = bucket(max(len(e.t) for e in even))
     return [_read(b, e, iy, cutoff, room) for e in even]
 
@@ -95,7 +99,9 @@ def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, 
         )
     motion_hz = min(MOTION * cutoff_hz, rate / 2.5)
     y = e.motion()[:, iy]
-    q, qd, qdd, _ = joint_motion(chain, e.t, y, [motion_hz] * chain.nq, stated_positions(e, chain.signature))
+    q, qd, qdd, _ = joint_motion(
+        chain, e.t, y, [motion_hz] * chain.nq, stated_positions(e, chain.signature)
+    )
     ends = filter_ends(e.t, cutoff_hz)
     every = max(1, int(rate / (ROWS_PER_CUTOFF * cutoff_hz)))
     kept = slice(ends, len(e.t) - ends, every)
@@ -103,10 +109,14 @@ def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, 
 
 
 def _moving(binding: Binding, q: np.ndarray) -> np.ndarray:
-    noise = np.array([binding.readings[r.q] if r.q is not None else 0.0 for r in joint_readings(binding.chain)])
+    noise = np.array(
+        [binding.readings[r.q] if r.q is not None else 0.0 for r in joint_readings(binding.chain)]
+    )
     return np.ptp(q, axis=0) > LIMITS.standing * np.maximum(noise, 1e-9)
 
 
 def turning_speeds(runs: Sequence[Run]) -> np.ndarray:
     """Speed over which each joint's dry friction turns [n]: see `TURN`."""
-    return np.maximum(TURN * np.percentile(np.abs(np.concatenate([r.qd for r in runs])), 99, axis=0), 1e-9)
+    return np.maximum(
+        TURN * np.percentile(np.abs(np.concatenate([r.qd for r in runs])), 99, axis=0), 1e-9
+    )

@@ -10,11 +10,27 @@ import numpy as np
 
 from jaxid.diagnosis.how_far import closed
 from jaxid.diagnosis.next_experiment import advice
-from jaxid.diagnosis.reasons import HeldOut, NothingPredicts, NotMostHeldOut, Remark, TorqueAtTheNoise, Undetermined
+from jaxid.diagnosis.reasons import (
+    HeldOut,
+    NothingPredicts,
+    NotMostHeldOut,
+    Remark,
+    TorqueAtTheNoise,
+    Undetermined,
+)
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Weights
-from jaxid.diagnosis.torque.answer import Answer, estimates, how_far, of_model, places, ranking, scores, traces
+from jaxid.diagnosis.torque.answer import (
+    Answer,
+    estimates,
+    how_far,
+    of_model,
+    places,
+    ranking,
+    scores,
+    traces,
+)
 from jaxid.diagnosis.torque.ceiling import ceiling
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import Unit, units
@@ -95,21 +111,35 @@ def _searched(study: Study, most: int) -> Found:
             choose,
             judge,
         )
-        numbers = np.split(chosen.solution.theta[study.size :], np.cumsum([len(u.fields) for u in found.final.units])[:-1])
-        study.settle(rows.theta, list(zip(found.final.units, numbers, strict=True)) if chosen.units else ())
-        if not chosen.units or (study.plant.exact() and not any(rows.units[u].effect in BY_TORQUE for u in chosen.units)):
+        numbers = np.split(
+            chosen.solution.theta[study.size :],
+            np.cumsum([len(u.fields) for u in found.final.units])[:-1],
+        )
+        study.settle(
+            rows.theta, list(zip(found.final.units, numbers, strict=True)) if chosen.units else ()
+        )
+        if not chosen.units or (
+            study.plant.exact() and not any(rows.units[u].effect in BY_TORQUE for u in chosen.units)
+        ):
             break
         theta = theta.copy()  # once more, along the motion's torque with what was found
-        theta[study.plant.free] = np.clip(chosen.solution.theta[: study.plant.size], study.lower, study.upper)
+        theta[study.plant.free] = np.clip(
+            chosen.solution.theta[: study.plant.size], study.lower, study.upper
+        )
     assert found is not None
     return found
 
 
-def _at_floor(study: Study, rows: Rows, chooser: Chooser, fit: Sequence[int], choose: Sequence[int]) -> bool:
+def _at_floor(
+    study: Study, rows: Rows, chooser: Chooser, fit: Sequence[int], choose: Sequence[int]
+) -> bool:
     """Whether the re-tuned model reaches the noise, at every joint, on data that were and that were not fitted."""
     answer = of_model(study, rows, chooser.nominal)
     gaps = [answer.gap(which, j) for which in (fit, choose) for j in range(len(study.noise))]
-    return all(not gap > LIMITS.seen for gap in gaps) and answer.gap(fit) ** 2 <= level(round(chooser.fit.rows)) + 0.1
+    return (
+        all(not gap > LIMITS.seen for gap in gaps)
+        and answer.gap(fit) ** 2 <= level(round(chooser.fit.rows)) + 0.1
+    )
 
 
 def _differs(found: Found) -> bool:
@@ -127,7 +157,9 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
     more = [k for k in study.kinds if k.name == "payload"]
     every = [*found.rows.units, *units(study.plant, more, study.runs, found.rows.theta, True)]
     mask = np.array([r.split != "fit" for r in study.runs], float)
-    acting = [replace(u, columns=[c * m for c, m in zip(u.columns, mask, strict=True)]) for u in every]
+    acting = [
+        replace(u, columns=[c * m for c, m in zip(u.columns, mask, strict=True)]) for u in every
+    ]
     rows = [
         np.concatenate([x[:, :, base.at], *(u.columns[k] for u in acting), x[:, :, -1:]], 2)
         for k, x in enumerate(found.rows.rows)
@@ -141,7 +173,18 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
     if base.units and final.gap(found.judge) > LIMITS.left * max(1.0, base.gap(found.fit)):
         return None
     nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
-    return Found(chooser, own, found.weights, chosen, nominal, final, found.fit, found.choose, found.judge, found)
+    return Found(
+        chooser,
+        own,
+        found.weights,
+        chosen,
+        nominal,
+        final,
+        found.fit,
+        found.choose,
+        found.judge,
+        found,
+    )
 
 
 def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
@@ -149,14 +192,22 @@ def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
     base, p = found.final, study.plant.size
     both = [*base.units, *rows.units]
     below, above = study.free_bounds()
-    start = np.concatenate([study.theta[study.plant.free], base.numbers[p:], np.zeros(sum(len(u.fields) for u in rows.units))])
+    start = np.concatenate(
+        [
+            study.theta[study.plant.free],
+            base.numbers[p:],
+            np.zeros(sum(len(u.fields) for u in rows.units)),
+        ]
+    )
     low = np.concatenate([study.lower, below, *(u.least for u in both)])
     high = np.concatenate([study.upper, above, *(u.most for u in both)])
     known = study.known(len(start), rows.theta, both)
     g = lambda which: gram(*study.some(rows, which), found.weights, BLOCKS)
     left = study.by_joint(rows, found.weights, found.judge)
     both = [*found.fit, *found.choose]
-    return Chooser(rows.units, len(base.numbers), g(both), g(found.judge), known, start, low, high, most, left)
+    return Chooser(
+        rows.units, len(base.numbers), g(both), g(found.judge), known, start, low, high, most, left
+    )
 
 
 # ---- the answer
@@ -183,7 +234,9 @@ def _judged(study: Study, found: Found) -> Verdict:
     share = min(closed(b**2, a**2) for b, a in zip(before, after, strict=True))
     # Where the question is what differs, what the model leaves of the runs that it was fitted to is what repeats would differ by.
     least = max(1.0, nominal.gap(found.fit)) if found.different else 1.0
-    held = HeldOut(names, share, max(after), found.different, fitted=least if least > LIMITS.seen else 0.0)
+    held = HeldOut(
+        names, share, max(after), found.different, fitted=least if least > LIMITS.seen else 0.0
+    )
     if better and max(after) <= LIMITS.left * least:
         return Verdict("named", (*beside, held))
     if better and share >= LIMITS.partly:
@@ -193,12 +246,18 @@ def _judged(study: Study, found: Found) -> Verdict:
 
 def _astray(study: Study, answer: Answer) -> tuple[str, ...]:
     """A sentence where a model predicts held-out torque worse than none would."""
-    noise = {c: s for (c, _), s in zip(study.binding.chain.torque_channels, study.noise, strict=True)}
+    noise = {
+        c: s for (c, _), s in zip(study.binding.chain.torque_channels, study.noise, strict=True)
+    }
     return lost(scores(answer), noise)
 
 
 def _said(unit: Unit) -> str:
-    return f"payload at link {unit.joints[-1] + 1} ({unit.location})" if unit.effect == "payload" else str(unit)
+    return (
+        f"payload at link {unit.joints[-1] + 1} ({unit.location})"
+        if unit.effect == "payload"
+        else str(unit)
+    )
 
 
 def _answered(study: Study, found: Found, most: int, seed: int, began: float) -> Diagnosis:
@@ -228,14 +287,23 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
     far = how_far(study, before, found.nominal, final, which, split, verdict, note, bound)
     looked = [*found.choose, *found.judge] if found.different else study.of("fit")
     findings, pictures, regimes = places(study, found.nominal, final, verdict, looked, seed)
-    if _astray(study, final):  # what it leaves says where its numbers are wrong, not where the machine is
+    if _astray(
+        study, final
+    ):  # what it leaves says where its numbers are wrong, not where the machine is
         findings = ()
-    mates = [found.chooser.units[k] for k in found.chooser.confusable(found.chosen)] if claimed else []
+    mates = (
+        [found.chooser.units[k] for k in found.chooser.confusable(found.chosen)] if claimed else []
+    )
     named = effects if claimed else ()
     nominal_fit = _fit(study, found.nominal, plain, (), seed, began)
     final_fit = _fit(study, final, own if claimed else plain, named, seed, began)
     label = "with " + " and ".join(str(e) for e in named) if named else ""
-    ranked = ranking(study, found.chooser, found.rows, found.judge if found.different else found.choose or found.fit)
+    ranked = ranking(
+        study,
+        found.chooser,
+        found.rows,
+        found.judge if found.different else found.choose or found.fit,
+    )
     return Diagnosis(
         b.chain.mechanism.name, b.dataset.name, b.dataset.sha256, seed, "inverse_dynamics", findings,
         Which(verdict, named, tuple(EffectEstimate(u.effect, u.location) for u in mates), ranked, judged.text),
@@ -251,13 +319,21 @@ def _before(study: Study, nominal: Answer) -> tuple[Answer, str]:
     b, numbers = study.binding, nominal.numbers.copy()
     stated = [k for k, i in enumerate(study.plant.free) if i in b.stated]
     if not stated:
-        return nominal, "The dataset states no parameter values, so the gap before is that of the re-tuned model."
+        return (
+            nominal,
+            "The dataset states no parameter values, so the gap before is that of the re-tuned model.",
+        )
     numbers[stated] = b.theta[[study.plant.free[k] for k in stated]]
     return replace(nominal, numbers=numbers), ""
 
 
 def _fit(
-    study: Study, answer: Answer, own: dict[str, Estimate], effects: tuple[EffectEstimate, ...], seed: int, began: float
+    study: Study,
+    answer: Answer,
+    own: dict[str, Estimate],
+    effects: tuple[EffectEstimate, ...],
+    seed: int,
+    began: float,
 ) -> Fit:
     b, fit = study.binding, study.of("fit")
     theta = answer.rows.theta.copy()
@@ -286,7 +362,9 @@ def _of_the_gains(study: Study, named: Sequence[EffectEstimate]) -> list[str]:
         return [
             f"the payload's interval counts the drive gains, which make torque of current, as known to within {100 * share:g} %"
         ]
-    return ["the payload's interval takes the recorded torques as exact: a relative error of them is one of the mass"]
+    return [
+        "the payload's interval takes the recorded torques as exact: a relative error of them is one of the mass"
+    ]
 
 
 def _notes(study: Study, found: Found) -> list[str]:
@@ -301,5 +379,7 @@ def _notes(study: Study, found: Found) -> list[str]:
         still = [r.experiment.name for r in study.runs if not r.moves[j]]
         if still:
             where = "every run" if len(still) == len(study.runs) else listed(still[:4])
-            notes.append(f"{joint} stands still in {where}: its torque there says nothing and is left out")
+            notes.append(
+                f"{joint} stands still in {where}: its torque there says nothing and is left out"
+            )
     return notes

@@ -57,7 +57,12 @@ class Study:
     """Rows of a binding's recordings and everything that does not depend on which effects are chosen."""
 
     def __init__(
-        self, binding: Binding, kinds: Iterable[type[Effect]], cutoff_hz: float | None, known: Known | None, payloads: bool
+        self,
+        binding: Binding,
+        kinds: Iterable[type[Effect]],
+        cutoff_hz: float | None,
+        known: Known | None,
+        payloads: bool,
     ):
         self.binding, self.kinds = binding, list(kinds)
         self.runs: list[Run] = self._read(cutoff_hz)
@@ -67,7 +72,9 @@ class Study:
         self._plain: tuple[Rows, Weights, Solution] | None = None
         self.noise = np.ones(binding.chain.nq)
         self.unsure = [np.zeros((len(r.t), binding.chain.nq)) for r in self.runs]
-        self.between: list[np.ndarray] = []  # what repeats differ by at the rows of each run, where effects are asked for
+        self.between: list[
+            np.ndarray
+        ] = []  # what repeats differ by at the rows of each run, where effects are asked for
         self.beside = [Beside(0 * r.q, np.zeros(binding.chain.nq)) for r in self.runs]
         self.theta = self._nominal()
         self.measured = self._noise()
@@ -91,7 +98,10 @@ class Study:
         """Columns of which nothing is asked [samples n 3n]: how else dry friction may turn about with a joint's motion, and that
         a torque may be held from one sample to the next or not, in steps of it. What would pass for them says nothing."""
         n, turn = run.q.shape[1], self.plant.turn
-        apart = [np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn) for wide in (1 / SHARPER, SHARPER)]
+        apart = [
+            np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn)
+            for wide in (1 / SHARPER, SHARPER)
+        ]
         late = np.gradient(self.plant.drive(run, self.binding.theta), axis=0)
         rows = [run.rows(x) for x in (*apart, late)]
         return np.concatenate([x[:, :, None] * np.eye(n) for x in rows], 2)
@@ -132,7 +142,9 @@ class Study:
                 k = self.plant.free.index(i)
                 information[k, k], mean[k] = std**-2, m
         n = self.binding.chain.nq
-        spread = np.concatenate([np.full(2 * n, np.inf), np.full(n, HELD), *(u.spread for u in found)])
+        spread = np.concatenate(
+            [np.full(2 * n, np.inf), np.full(n, HELD), *(u.spread for u in found)]
+        )
         diagonal = np.arange(p, size)
         information[diagonal, diagonal] = np.where(np.isfinite(spread), spread, np.inf) ** -2.0
         return Known(information, mean)
@@ -143,7 +155,17 @@ class Study:
         for k, run in enumerate(self.runs):
             target, own = self.plant.linearised(run, theta)
             both = run.rows(np.concatenate([own, target[:, :, None]], 2))
-            rows.append(np.concatenate([both[:, :, :-1], self.unasked[k], *(u.columns[k] for u in found), both[:, :, -1:]], 2))
+            rows.append(
+                np.concatenate(
+                    [
+                        both[:, :, :-1],
+                        self.unasked[k],
+                        *(u.columns[k] for u in found),
+                        both[:, :, -1:],
+                    ],
+                    2,
+                )
+            )
         return Rows(theta, found, rows)
 
     def _nominal(self) -> np.ndarray:
@@ -158,7 +180,9 @@ class Study:
                 weights = self._weights(rows, np.zeros(0, int), np.zeros(0))
                 weights = self._weights(rows, *self._solved(rows, weights))
             own = np.arange(self.plant.size)
-            loss = gram(*self.some(rows, self.of("fit")), weights, 1).losses(own, theta[self.plant.free])[0]
+            loss = gram(*self.some(rows, self.of("fit")), weights, 1).losses(
+                own, theta[self.plant.free]
+            )[0]
             if not loss < best * (1 - SETTLED) and step:
                 if loss <= best or np.allclose(theta, end, rtol=1e-9):
                     break
@@ -173,16 +197,26 @@ class Study:
         out[self.plant.free] = np.clip(numbers[: self.plant.size], self.lower, self.upper)
         return out
 
-    def some(self, rows: Rows, which: Sequence[int]) -> tuple[list[Run], list[np.ndarray], list[np.ndarray]]:
+    def some(
+        self, rows: Rows, which: Sequence[int]
+    ) -> tuple[list[Run], list[np.ndarray], list[np.ndarray]]:
         """Some runs, their rows, and to within what these are known."""
-        return [self.runs[k] for k in which], [rows.rows[k] for k in which], [self.unsure[k] for k in which]
+        return (
+            [self.runs[k] for k in which],
+            [rows.rows[k] for k in which],
+            [self.unsure[k] for k in which],
+        )
 
-    def _solved(self, rows: Rows, weights: Weights, which: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def _solved(
+        self, rows: Rows, weights: Weights, which: Sequence[int] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         at = np.arange(rows.rows[0].shape[2] - 1)
         s = self._solution(rows, weights, at, self.of("fit") if which is None else which)
         return s.at, s.theta
 
-    def _solution(self, rows: Rows, weights: Weights, at: np.ndarray, which: Sequence[int]) -> Solution:
+    def _solution(
+        self, rows: Rows, weights: Weights, at: np.ndarray, which: Sequence[int]
+    ) -> Solution:
         size = rows.rows[0].shape[2] - 1
         g = gram(*self.some(rows, which), weights, 1).total
         start, low, high = self.bounds(rows)
@@ -194,7 +228,11 @@ class Study:
         high = [x for u in rows.units for x in u.most]
         below, above = self.free_bounds()
         start = np.concatenate([rows.theta[self.plant.free], np.zeros(len(below) + len(low))])
-        return start, np.concatenate([self.lower, below, low]), np.concatenate([self.upper, above, high])
+        return (
+            start,
+            np.concatenate([self.lower, below, low]),
+            np.concatenate([self.upper, above, high]),
+        )
 
     def _weights(self, rows: Rows, at: np.ndarray, numbers: np.ndarray) -> Weights:
         which = self.of("fit")
@@ -209,12 +247,16 @@ class Study:
         if self._plain is None or not self.plant.exact():
             self._plain = self._without_torque(theta)
         rows, weights, s = self._plain
-        self.between = [np.linalg.norm(x[:, :, : len(weights.spread)] @ weights.spread, axis=2) for x in rows.rows]
+        self.between = [
+            np.linalg.norm(x[:, :, : len(weights.spread)] @ weights.spread, axis=2)
+            for x in rows.rows
+        ]
         if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
             at = theta if chosen else self._moved(theta, s.at, s.theta)
             more = self.asked(loaded, at)
             every = [
-                np.concatenate([x[:, :, :-1], *(u.columns[k] for u in more), x[:, :, -1:]], 2) for k, x in enumerate(rows.rows)
+                np.concatenate([x[:, :, :-1], *(u.columns[k] for u in more), x[:, :, -1:]], 2)
+                for k, x in enumerate(rows.rows)
             ]
             rows = Rows(theta, [*rows.units, *more], every)
         return rows, weights
@@ -241,7 +283,13 @@ class Study:
         return np.concatenate([np.arange(rows.size), *(s[len(s) // 2] for s in shapes.values())])
 
     def chooser(
-        self, rows: Rows, weights: Weights, fit: Sequence[int], held: Sequence[int], most: int, enough: Enough = lambda m: False
+        self,
+        rows: Rows,
+        weights: Weights,
+        fit: Sequence[int],
+        held: Sequence[int],
+        most: int,
+        enough: Enough = lambda m: False,
     ) -> Chooser:
         """The search on some runs, judged on others."""
         start, low, high = self.bounds(rows)
@@ -249,22 +297,38 @@ class Study:
         if self.given is not None:
             p = self.plant.size
             told.information[:p, :p] += self.given.information
-            told.mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, told.mean[:p])
+            told.mean[:p] = np.where(
+                np.diag(self.given.information) > 0, self.given.mean, told.mean[:p]
+            )
         g = lambda which: gram(*self.some(rows, which), weights, BLOCKS)
         left = self.by_joint(rows, weights, held)
-        return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most, left, enough)
+        return Chooser(
+            rows.units, rows.size, g(fit), g(held), told, start, low, high, most, left, enough
+        )
 
-    def by_joint(self, rows: Rows, weights: Weights, which: Sequence[int]) -> Callable[[Solution], np.ndarray]:
+    def by_joint(
+        self, rows: Rows, weights: Weights, which: Sequence[int]
+    ) -> Callable[[Solution], np.ndarray]:
         """What a solution leaves of each block and joint of some runs, [blocks n]."""
-        share = {k: weights(np.ones((*self.unsure[k].shape, 1)), self.runs[k].moves, self.unsure[k])[:, :, 0] for k in which}
+        share = {
+            k: weights(np.ones((*self.unsure[k].shape, 1)), self.runs[k].moves, self.unsure[k])[
+                :, :, 0
+            ]
+            for k in which
+        }
         length, p = max(1, sum(len(x) for x in share.values()) // BLOCKS), self.plant.size
 
         def left(s: Solution) -> np.ndarray:
             out = []
             for k, x in share.items():
-                columns, r = rows.rows[k][:, :, :p] * x[:, :, None], rows.residual(k, s.at, s.theta) * x
+                columns, r = (
+                    rows.rows[k][:, :, :p] * x[:, :, None],
+                    rows.residual(k, s.at, s.theta) * x,
+                )
                 for part in np.array_split(np.arange(len(r)), max(1, round(len(r) / length))):
-                    rest = without(r[part].ravel(), columns[part].reshape(r[part].size, p), weights.spread)
+                    rest = without(
+                        r[part].ravel(), columns[part].reshape(r[part].size, p), weights.spread
+                    )
                     out.append((rest.reshape(len(part), -1) ** 2).sum(0))
             return np.array(out)
 
@@ -276,22 +340,34 @@ class Study:
         """Sets to within what rows are known, their noise, and the friction, that of the numbers theta and of units with theirs:
         a joint that stands still, or turns about, holds anything up to what is dry of it."""
         n = self.binding.chain.nq
-        effects = [e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)]
+        effects = [
+            e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)
+        ]
         kinds = {k.name: k for k in self.kinds}
         rotor = self.beside[0].rotor.copy()
         for u, numbers in found:
             if (kind := kinds.get(u.effect)) is not None and issubclass(kind, JointEffect):
-                own = {f: v * np.eye(n)[u.joints[0]] for f, v in zip(u.fields, numbers, strict=True) if f in specs(kind)}
+                own = {
+                    f: v * np.eye(n)[u.joints[0]]
+                    for f, v in zip(u.fields, numbers, strict=True)
+                    if f in specs(kind)
+                }
                 effects.append(with_numbers(neutral(kind), {**u.shape, **own}, n))
                 if "rotor" in u.hidden and numbers[0] > 0:
                     rotor[u.joints[0]] += numbers[u.fields.index("rotor")] / numbers[0]
         load = [self.plant.load(r, theta, b) for r, b in zip(self.runs, self.beside, strict=True)]
         self.unsure = [
-            r.rows(self._dry(effects, r, f) * r.still(self.plant.turn)).clip(0) for r, f in zip(self.runs, load, strict=True)
+            r.rows(self._dry(effects, r, f) * r.still(self.plant.turn)).clip(0)
+            for r, f in zip(self.runs, load, strict=True)
         ]
         if any(k.transmits for k in self.kinds if issubclass(k, JointEffect)):
-            every = [[force(e, r, f, self.plant.turn) for e in effects] for r, f in zip(self.runs, load, strict=True)]
-            self.beside = [Beside(sum(own, 0 * r.q), rotor) for own, r in zip(every, self.runs, strict=True)]
+            every = [
+                [force(e, r, f, self.plant.turn) for e in effects]
+                for r, f in zip(self.runs, load, strict=True)
+            ]
+            self.beside = [
+                Beside(sum(own, 0 * r.q), rotor) for own, r in zip(every, self.runs, strict=True)
+            ]
         fit = [self.unsure[k] for k in self.of("fit") or range(len(self.runs))]
         self.noise = np.hypot(self.measured, np.sqrt(np.mean(np.concatenate(fit) ** 2, axis=0)))
 
@@ -299,12 +375,17 @@ class Study:
         """Dry friction [time n] at the speed nothing along a run."""
         creep = 1e-3 * self.plant.turn
         ways = [replace(run, qd=np.broadcast_to(way * creep, run.qd.shape)) for way in (1.0, -1.0)]
-        both = (force(e, ways[0], load, 1e-3 * creep) - force(e, ways[1], load, 1e-3 * creep) for e in effects)
+        both = (
+            force(e, ways[0], load, 1e-3 * creep) - force(e, ways[1], load, 1e-3 * creep)
+            for e in effects
+        )
         return np.abs(sum(both, np.zeros_like(run.q))) / 2
 
     def noise_of(self, run: int) -> np.ndarray:
         """Standard deviation of each row of a run that a perfect model would leave, N m [samples n]."""
-        return np.hypot(np.hypot(self.measured, self.unsure[run]), self.between[run] if self.between else 0.0)
+        return np.hypot(
+            np.hypot(self.measured, self.unsure[run]), self.between[run] if self.between else 0.0
+        )
 
     def typical(self, which: Sequence[int], joint: int) -> float:
         """The noise of a joint's rows in some runs as one number, N m: mean of 1 / variance, so that where a joint turns about,
@@ -313,7 +394,9 @@ class Study:
         return float(1 / np.sqrt(np.mean(1 / known**2)))
 
     def _longest(self) -> Run:
-        return max((self.runs[k] for k in self.of("fit") or range(len(self.runs))), key=lambda r: len(r.q))
+        return max(
+            (self.runs[k] for k in self.of("fit") or range(len(self.runs))), key=lambda r: len(r.q)
+        )
 
     def _noise(self) -> np.ndarray:
         """Standard deviation of the rows of each joint [n] that the noise of readings and torques makes of a perfect model."""
@@ -321,12 +404,27 @@ class Study:
         run = self._longest()
         e = run.experiment
         part = slice(0, min(len(e.t), SAMPLES))
-        cut = replace(e, t=e.t[part], u=e.u[part], y=e.y[part], auxiliary={}, past=None, scatter=None, left_out=None)
+        cut = replace(
+            e,
+            t=e.t[part],
+            u=e.u[part],
+            y=e.y[part],
+            auxiliary={},
+            past=None,
+            scatter=None,
+            left_out=None,
+        )
         _, iy = columns(b.dataset, b.chain)
         noisy = cut.y[:, iy] + b.readings * rng.standard_normal((len(cut.t), len(iy)))
         hz = [min(2 * run.cutoff_hz, 0.4 / run.step)] * b.chain.nq
-        motion = [joint_motion(b.chain, cut.t, y, hz, stated_positions(e, b.chain.signature))[:3] for y in (cut.y[:, iy], noisy)]
-        here = [replace(run, experiment=cut, q=q, qd=qd, qdd=qdd, u=run.u[part]) for q, qd, qdd in motion]
+        motion = [
+            joint_motion(b.chain, cut.t, y, hz, stated_positions(e, b.chain.signature))[:3]
+            for y in (cut.y[:, iy], noisy)
+        ]
+        here = [
+            replace(run, experiment=cut, q=q, qd=qd, qdd=qdd, u=run.u[part])
+            for q, qd, qdd in motion
+        ]
         needed = [self.plant.rigid(r, self.theta) for r in here]
         drive = self.plant.drive(here[0], self.theta)
         white = 1.4826 * np.median(np.abs(np.diff(drive, 3, axis=0)), axis=0) / np.sqrt(20.0)

@@ -66,7 +66,9 @@ class Bus:
         self.lost: dict[str, int] = {}
         self.alerts: set[int] = set()
         if not self.port.setBaudRate(baud):
-            raise BusError(f"ROBOTIS' SDK has no baud rate {baud}; use 57600, 115200, 1000000, 2000000, 3000000 or 4000000")
+            raise BusError(
+                f"ROBOTIS' SDK has no baud rate {baud}; use 57600, 115200, 1000000, 2000000, 3000000 or 4000000"
+            )
 
     # ---- single registers
 
@@ -74,7 +76,9 @@ class Bus:
         """Raises `BusError` after `TRIES` failures."""
         what = ""
         for _ in range(TRIES):
-            content, result, error = self.packets.readTxRx(self.port, identity, register.address, register.size)
+            content, result, error = self.packets.readTxRx(
+                self.port, identity, register.address, register.size
+            )
             if result == 0 and len(content) == register.size and not error & 0x7F:
                 return x.decode(content, register, register.address)
             what = self._what(result, error)
@@ -86,15 +90,23 @@ class Bus:
         content = list(value.to_bytes(register.size, "little", signed=register.signed))
         what = ""
         for _ in range(TRIES):
-            result, error = self.packets.writeTxRx(self.port, identity, register.address, register.size, content)
+            result, error = self.packets.writeTxRx(
+                self.port, identity, register.address, register.size, content
+            )
             if result == 0 and not error & 0x7F:
                 return
             what = self._what(result, error)
             self.settle()
-        raise BusError(f"servo {identity}: register {register.address} cannot be set to {value} ({what})")
+        raise BusError(
+            f"servo {identity}: register {register.address} cannot be set to {value} ({what})"
+        )
 
     def _what(self, result: int, error: int) -> str:
-        text = self.packets.getTxRxResult(result) if result != 0 else self.packets.getRxPacketError(error & 0x7F)
+        text = (
+            self.packets.getTxRxResult(result)
+            if result != 0
+            else self.packets.getRxPacketError(error & 0x7F)
+        )
         return text.split("] ", 1)[-1].rstrip("!") or "an answer of the wrong length"
 
     def ping(self, identity: int) -> int | None:
@@ -115,10 +127,16 @@ class Bus:
         """The block of every servo, all fresh from one question; None where any is missing or broken."""
         address, size = x.BLOCK.address, x.BLOCK.size
         if self.form == "bulk":
-            asked = [b for i in self.ids for b in (i, address & 0xFF, address >> 8, size & 0xFF, size >> 8)]
+            asked = [
+                b
+                for i in self.ids
+                for b in (i, address & 0xFF, address >> 8, size & 0xFF, size >> 8)
+            ]
             result = self.packets.bulkReadTx(self.port, asked, len(asked), False)
         else:
-            result = self.packets.syncReadTx(self.port, address, size, self.ids, len(self.ids), self.form == "fast")
+            result = self.packets.syncReadTx(
+                self.port, address, size, self.ids, len(self.ids), self.form == "fast"
+            )
         if result != 0:
             return self._missed("not sent")
         blocks = self._fast(size) if self.form == "fast" else self._one_by_one(size)
@@ -138,7 +156,9 @@ class Bus:
 
     def _fast(self, size: int) -> list[bytes] | None:
         each = size + 4  # error, id, data, checksum
-        content, result, _ = self.packets.fastSyncReadRx(self.port, self.sdk.BROADCAST_ID, each * len(self.ids))
+        content, result, _ = self.packets.fastSyncReadRx(
+            self.port, self.sdk.BROADCAST_ID, each * len(self.ids)
+        )
         if result != 0:
             return self._missed("silent" if result == self.sdk.COMM_RX_TIMEOUT else "corrupt")
         found = {}
@@ -174,14 +194,18 @@ class Bus:
         content = []
         for identity, value in zip(self.ids, values, strict=True):
             content += [identity, *value.to_bytes(register.size, "little", signed=register.signed)]
-        result = self.packets.syncWriteTxOnly(self.port, register.address, register.size, content, len(content))
+        result = self.packets.syncWriteTxOnly(
+            self.port, register.address, register.size, content, len(content)
+        )
         self.port.is_using = False
         if result != 0:
             raise BusError(f"a command could not be sent ({self._what(result, 0)})")
 
     def expect(self, answer_s: float) -> None:
         """Sets the SDK's time-out after how long an answer takes (its own, 34 ms, is that of a slow adapter)."""
-        latency_ms = min(16.0, max(4.0, 2e3 * answer_s))  # the SDK waits twice as long, and 2 ms more
+        latency_ms = min(
+            16.0, max(4.0, 2e3 * answer_s)
+        )  # the SDK waits twice as long, and 2 ms more
         self._handler.LATENCY_TIMER = latency_ms  # pyright: ignore[reportAttributeAccessIssue]
 
 

@@ -29,7 +29,9 @@ def main(fd: int) -> None:
         session = Session(link, leash, order)
         link.send("opened", **session.describe())
         session.run()
-    except BaseException as error:  # the SDK and pyserial raise what they like; each is a reason to stop, and is told
+    except (
+        BaseException
+    ) as error:  # the SDK and pyserial raise what they like; each is a reason to stop, and is told
         gone = type(error).__name__ in ("SerialException", "OSError", "error")
         farewell(link, error, "the port is gone: " if gone else "")
     finally:
@@ -56,10 +58,14 @@ class Session:
     def _inspect(self, identity: int, baud: int) -> dict[str, Any]:
         model = self.bus.ping(identity)
         if model is None:
-            raise BusError(f"servo {identity} does not answer on {self.where} at {baud} baud{self._elsewhere(identity, baud)}")
+            raise BusError(
+                f"servo {identity} does not answer on {self.where} at {baud} baud{self._elsewhere(identity, baud)}"
+            )
         if model not in x.MODELS:
             known = ", ".join(name for name, _ in x.MODELS.values())
-            raise BusError(f"servo {identity} is of model {model}, whose registers are not known here (known: {known})")
+            raise BusError(
+                f"servo {identity} is of model {model}, whose registers are not known here (known: {known})"
+            )
         names = {
             "firmware": x.FIRMWARE, "return_delay": x.RETURN_DELAY, "operating_mode": x.OPERATING_MODE,
             "drive_mode": x.DRIVE_MODE, "temperature_limit": x.TEMPERATURE_LIMIT, "current_limit": x.CURRENT_LIMIT,
@@ -67,11 +73,17 @@ class Session:
             "torque_enable": x.TORQUE_ENABLE, "status_return": x.STATUS_RETURN, "hardware_error": x.HARDWARE_ERROR,
             "position_p": x.POSITION_P, "position": x.PRESENT_POSITION, "bus_watchdog": x.BUS_WATCHDOG,
         }  # fmt: skip
-        return {"id": identity, "model": model} | {name: self.bus.get(identity, r) for name, r in names.items()}
+        return {"id": identity, "model": model} | {
+            name: self.bus.get(identity, r) for name, r in names.items()
+        }
 
     def _elsewhere(self, identity: int, baud: int) -> str:
         for other in (57600, 1_000_000, 115200, 2_000_000, 3_000_000, 4_000_000):
-            if other != baud and self.bus.port.setBaudRate(other) and self.bus.ping(identity) is not None:
+            if (
+                other != baud
+                and self.bus.port.setBaudRate(other)
+                and self.bus.ping(identity) is not None
+            ):
                 return f"; it does at {other} baud: use --baud {other}"
         return "; check its id, its power and the cable"
 
@@ -83,11 +95,15 @@ class Session:
             if self.bus.read() is not None:
                 taken.append(time.monotonic() - began)
         if len(taken) < PROBES // 2:
-            raise BusError(f"{PROBES - len(taken)} of {PROBES} trial questions on {self.where} were not answered; check the line")
+            raise BusError(
+                f"{PROBES - len(taken)} of {PROBES} trial questions on {self.where} were not answered; check the line"
+            )
         answer = sorted(taken)[int(0.9 * (len(taken) - 1))]
         self.bus.expect(answer)
         self.bus.lost.clear()
-        return sorted(taken)[len(taken) // 5]  # of the line itself: what is slower had to wait for this computer
+        return sorted(taken)[
+            len(taken) // 5
+        ]  # of the line itself: what is slower had to wait for this computer
 
     def describe(self) -> dict[str, Any]:
         return {"servos": self.found, "answer_s": self.answer_s}
@@ -135,20 +151,33 @@ class Session:
         if self.bus.alerts:
             identity = min(self.bus.alerts)
             bits = self.bus.get(identity, x.HARDWARE_ERROR)
-            raise BusError(f"servo {identity} reports a hardware error: {x.error_text(bits)}; it has switched its torque off")
+            raise BusError(
+                f"servo {identity} reports a hardware error: {x.error_text(bits)}; it has switched its torque off"
+            )
         if blocks is None:
             self._report()
             return False
-        times = [c.fresh(x.decode(b, x.TICK, 120), sent, received) for c, b in zip(self.clocks, blocks, strict=True)]
+        times = [
+            c.fresh(x.decode(b, x.TICK, 120), sent, received)
+            for c, b in zip(self.clocks, blocks, strict=True)
+        ]
         if any(t is None for t in times):
             self.bus.lost["stale"] = sum(c.stale for c in self.clocks)
             self.bus.lost["repeated"] = sum(c.repeated for c in self.clocks)
             self.bus.settle()
             self._report()
             return False
-        registers = (x.PRESENT_POSITION, x.PRESENT_VELOCITY, x.PRESENT_CURRENT, x.PRESENT_VOLTAGE, x.PRESENT_TEMPERATURE)
+        registers = (
+            x.PRESENT_POSITION,
+            x.PRESENT_VELOCITY,
+            x.PRESENT_CURRENT,
+            x.PRESENT_VOLTAGE,
+            x.PRESENT_TEMPERATURE,
+        )
         rows = [[x.decode(b, r, 120) for r in registers] for b in blocks]
-        self.link.send("sample", device=times[0], sent=sent, received=received, rows=rows, goal=self.goal)
+        self.link.send(
+            "sample", device=times[0], sent=sent, received=received, rows=rows, goal=self.goal
+        )
         return True
 
     def _report(self) -> None:
@@ -165,12 +194,16 @@ class Session:
             identity = f["id"]
             bits = self.bus.get(identity, x.HARDWARE_ERROR)
             if bits:
-                raise BusError(f"servo {identity} has a hardware error ({x.error_text(bits)}): switch its power off and on")
+                raise BusError(
+                    f"servo {identity} has a hardware error ({x.error_text(bits)}): switch its power off and on"
+                )
             self._while_leashed(self.bus.put, identity, x.TORQUE_ENABLE, 0)
             self.restore[identity] = self.bus.get(identity, x.OPERATING_MODE)
             if self.restore[identity] != number:
                 self._while_leashed(self.bus.put, identity, x.OPERATING_MODE, number)
-            self._while_leashed(self.bus.put, identity, x.BUS_WATCHDOG, 0)  # clears one that has triggered
+            self._while_leashed(
+                self.bus.put, identity, x.BUS_WATCHDOG, 0
+            )  # clears one that has triggered
             self._while_leashed(self.bus.put, identity, x.BUS_WATCHDOG, watchdog)
         here = [self.bus.get(i, x.PRESENT_POSITION) for i in self.bus.ids]
         self.goal = here if self.mode == "position" else [0] * len(here)
@@ -201,8 +234,14 @@ class Session:
                 last = time.monotonic()
             elif (silence := time.monotonic() - last) > self.data_age:
                 # Made of one long cycle it is this process that did not run; many questions without an answer are the servo's.
-                why = f"; {busy(time.monotonic() - deadline)}" if time.monotonic() - deadline > 0.5 * silence else ""
-                raise BusError(f"no valid answer for {silence:.2f} s while it moved ({self._losses()}){why}")
+                why = (
+                    f"; {busy(time.monotonic() - deadline)}"
+                    if time.monotonic() - deadline > 0.5 * silence
+                    else ""
+                )
+                raise BusError(
+                    f"no valid answer for {silence:.2f} s while it moved ({self._losses()}){why}"
+                )
             overrun = time.monotonic() - deadline - self.period
             if overrun > 0:
                 late, longest = late + overrun, max(longest, overrun)
@@ -224,7 +263,9 @@ class Session:
             for identity in self.bus.ids:
                 failed += tried(lambda i=identity: self.bus.put(i, x.BUS_WATCHDOG, 0))
                 if identity in self.restore:
-                    failed += tried(lambda i=identity: self.bus.put(i, x.OPERATING_MODE, self.restore[i]))
+                    failed += tried(
+                        lambda i=identity: self.bus.put(i, x.OPERATING_MODE, self.restore[i])
+                    )
         tried(self.bus.port.closePort)
         if not failed:
             return "torque is off" if self.mode is not None else ""

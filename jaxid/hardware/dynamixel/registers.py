@@ -50,9 +50,28 @@ VELOCITY = 0.229 * 2 * math.pi / 60  # rad/s
 VOLTAGE = 0.1  # V
 CENTER = 2048
 #: Kind of command -> (operating mode, goal register).
-MODES = {"current": (0, GOAL_CURRENT), "velocity": (1, GOAL_VELOCITY), "position": (3, GOAL_POSITION)}
-BAUDS = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000, 7: 4_500_000}
-ERRORS = {0: "input voltage", 2: "overheating", 3: "motor encoder", 4: "electrical shock", 5: "overload"}
+MODES = {
+    "current": (0, GOAL_CURRENT),
+    "velocity": (1, GOAL_VELOCITY),
+    "position": (3, GOAL_POSITION),
+}
+BAUDS = {
+    0: 9600,
+    1: 57600,
+    2: 115200,
+    3: 1_000_000,
+    4: 2_000_000,
+    5: 3_000_000,
+    6: 4_000_000,
+    7: 4_500_000,
+}
+ERRORS = {
+    0: "input voltage",
+    2: "overheating",
+    3: "motor encoder",
+    4: "electrical shock",
+    5: "overload",
+}
 
 #: Model number -> (name, current of one count in A).
 MODELS = {
@@ -74,7 +93,9 @@ MODELS = {
 def decode(content: bytes | bytearray | list[int], register: Register, base: int = 0) -> int:
     """The value of a register in a block that begins at address `base`."""
     start = register.address - base
-    return int.from_bytes(bytes(content[start : start + register.size]), "little", signed=register.signed)
+    return int.from_bytes(
+        bytes(content[start : start + register.size]), "little", signed=register.signed
+    )
 
 
 def error_text(bits: int) -> str:

@@ -50,7 +50,11 @@ class Dynamixel:
         form: str = "sync",
     ):
         self.ids = [ids] if isinstance(ids, int) else list(ids)
-        if not self.ids or len(set(self.ids)) < len(self.ids) or not all(0 <= i <= 252 for i in self.ids):
+        if (
+            not self.ids
+            or len(set(self.ids)) < len(self.ids)
+            or not all(0 <= i <= 252 for i in self.ids)
+        ):
             raise UsageError(f"ids {self.ids} are not different numbers from 0 to 252")
         if mode is not None and mode not in x.MODES:
             raise UsageError(f"mode is {mode!r}; it is one of {', '.join(x.MODES)}")
@@ -60,7 +64,14 @@ class Dynamixel:
             raise UsageError(f"a rate of {rate:g} Hz is none a servo can follow; choose 1 to 1000")
         if not (zero == "here" or isinstance(zero, int)):
             raise UsageError(f"zero is {zero!r}; write a number of counts, or here")
-        self.port, self.baud, self.rate, self.form, self.mode, self._zero = port, baud, float(rate), form, mode, zero
+        self.port, self.baud, self.rate, self.form, self.mode, self._zero = (
+            port,
+            baud,
+            float(rate),
+            form,
+            mode,
+            zero,
+        )
         self.joints, self.kinds = len(self.ids), () if mode is None else (mode,)
         self.command_step = 1 / self.rate
         self.name, self.where = "dynamixel", port
@@ -75,14 +86,22 @@ class Dynamixel:
 
     def open(self) -> None:
         self._driver = Driver("jaxid.hardware.dynamixel.driver", f"servos on {self.port}")
-        order = {"port": self.port, "baud": self.baud, "ids": self.ids, "rate": self.rate, "form": self.form}
+        order = {
+            "port": self.port,
+            "baud": self.baud,
+            "ids": self.ids,
+            "rate": self.rate,
+            "form": self.form,
+        }
         try:
             opened = self._driver.ask("open", "opened", OPEN_S, **order)
         except HardwareError as error:
             self.close()
             raise UsageError(str(error)) from None
         self.servos, self.answer_s = opened["servos"], opened["answer_s"]
-        self.zero: list[int] = [s["position"] if self._zero == "here" else int(self._zero) for s in self.servos]
+        self.zero: list[int] = [
+            s["position"] if self._zero == "here" else int(self._zero) for s in self.servos
+        ]
         self._heard = time.monotonic()
         self.advice = self._advise()
         best = 1 / (self.answer_s + (0.0 if self.mode is None else 1e-4) + 3e-4)
@@ -102,11 +121,17 @@ class Dynamixel:
                     f"servo {s['id']} waits {2 * s['return_delay']} us before it answers: set its return delay (register 9) to 0"
                 )
         if self.baud < 1_000_000:
-            advice.append(f"{self.baud} baud is slow: set register 8 of the servo to 3 (1 Mbit/s) and use --baud 1000000")
-        timer = Path("/sys/bus/usb-serial/devices") / Path(self.port).resolve().name / "latency_timer"
+            advice.append(
+                f"{self.baud} baud is slow: set register 8 of the servo to 3 (1 Mbit/s) and use --baud 1000000"
+            )
+        timer = (
+            Path("/sys/bus/usb-serial/devices") / Path(self.port).resolve().name / "latency_timer"
+        )
         try:
             if (latency := int(timer.read_text())) > 1:
-                advice.append(f"the USB adapter holds answers back for {latency} ms: `echo 1 | sudo tee {timer}`")
+                advice.append(
+                    f"the USB adapter holds answers back for {latency} ms: `echo 1 | sudo tee {timer}`"
+                )
         except (OSError, ValueError):
             pass
         return advice
@@ -118,33 +143,69 @@ class Dynamixel:
             amps = x.MODELS[servo["model"]][1]
             columns += [
                 Column(f"q{n}", "rad", "output", x.POSITION, raw_unit="count", scale=x.POSITION),
-                Column(f"qd{n}", "rad/s", "auxiliary", x.VELOCITY, raw_unit="0.229 rev/min", scale=x.VELOCITY),
-                Column(f"current{n}", "A", "input" if self.mode is None else "auxiliary", amps, raw_unit="count", scale=amps),
-                Column(f"voltage{n}", "V", "auxiliary", x.VOLTAGE, raw_unit="0.1 V", scale=x.VOLTAGE),
+                Column(
+                    f"qd{n}",
+                    "rad/s",
+                    "auxiliary",
+                    x.VELOCITY,
+                    raw_unit="0.229 rev/min",
+                    scale=x.VELOCITY,
+                ),
+                Column(
+                    f"current{n}",
+                    "A",
+                    "input" if self.mode is None else "auxiliary",
+                    amps,
+                    raw_unit="count",
+                    scale=amps,
+                ),
+                Column(
+                    f"voltage{n}", "V", "auxiliary", x.VOLTAGE, raw_unit="0.1 V", scale=x.VOLTAGE
+                ),
                 Column(f"temperature{n}", "K", "auxiliary", 1.0, raw_unit="degC", scale=1.0),
             ]
             if self.mode is not None:
                 stem, unit = KINDS[self.mode]
-                columns.append(Column(f"{stem}{n}_cmd", unit, "input", self._scale(j), raw_unit="count", scale=self._scale(j)))
+                columns.append(
+                    Column(
+                        f"{stem}{n}_cmd",
+                        unit,
+                        "input",
+                        self._scale(j),
+                        raw_unit="count",
+                        scale=self._scale(j),
+                    )
+                )
         columns += [Column("t_sent", "s", "clock"), Column("t_received", "s", "clock")]
         info = {
             "port": self.port,
             "baud": self.baud,
             "question": self.form,
             "servos": [
-                {**s, "name": x.MODELS[s["model"]][0], "zero_counts": z} for s, z in zip(self.servos, self.zero, strict=True)
+                {**s, "name": x.MODELS[s["model"]][0], "zero_counts": z}
+                for s, z in zip(self.servos, self.zero, strict=True)
             ],
             "answer_s": self.answer_s,
             "advice": self.advice,
             "tick_s": x.TICK_S,
         }
-        main = Stream(self.name, tuple(columns), "realtime tick of the first servo (register 120)", 1 / self.rate, info)
+        main = Stream(
+            self.name,
+            tuple(columns),
+            "realtime tick of the first servo (register 120)",
+            1 / self.rate,
+            info,
+        )
         told = tuple(c for c in columns if c.name.endswith("_cmd"))
         return [main, Stream("commands", told, COMMANDS)] if told else [main]
 
     def _scale(self, j: int) -> float:
         """SI value of one count of servo j's goal."""
-        return {"current": x.MODELS[self.servos[j]["model"]][1], "velocity": x.VELOCITY, "position": x.POSITION}[self.mode or ""]
+        return {
+            "current": x.MODELS[self.servos[j]["model"]][1],
+            "velocity": x.VELOCITY,
+            "position": x.POSITION,
+        }[self.mode or ""]
 
     def limits(self) -> Limits:
         def each(name: str, scale) -> tuple[float, ...]:
@@ -152,14 +213,21 @@ class Dynamixel:
 
         low = high = None
         if self.mode == "position":
-            low = tuple((s["min_position"] - z) * x.POSITION for s, z in zip(self.servos, self.zero, strict=True))
-            high = tuple((s["max_position"] - z) * x.POSITION for s, z in zip(self.servos, self.zero, strict=True))
+            low = tuple(
+                (s["min_position"] - z) * x.POSITION
+                for s, z in zip(self.servos, self.zero, strict=True)
+            )
+            high = tuple(
+                (s["max_position"] - z) * x.POSITION
+                for s, z in zip(self.servos, self.zero, strict=True)
+            )
         return Limits(
             lower=low,
             upper=high,
             speed=each("velocity_limit", lambda j: x.VELOCITY),
             current=each("current_limit", lambda j: x.MODELS[self.servos[j]["model"]][1]),
-            temperature=each("temperature_limit", lambda j: 1.0) and tuple(s["temperature_limit"] + 273.15 for s in self.servos),
+            temperature=each("temperature_limit", lambda j: 1.0)
+            and tuple(s["temperature_limit"] + 273.15 for s in self.servos),
         )
 
     def begin(self) -> None:
@@ -198,11 +266,17 @@ class Dynamixel:
         values: list[float] = []
         for j, (position, velocity, current, voltage, temperature) in enumerate(message["rows"]):
             amps = x.MODELS[self.servos[j]["model"]][1]
-            values += [(position - self.zero[j]) * x.POSITION, velocity * x.VELOCITY, current * amps]
+            values += [
+                (position - self.zero[j]) * x.POSITION,
+                velocity * x.VELOCITY,
+                current * amps,
+            ]
             values += [voltage * x.VOLTAGE, temperature + 273.15]
             if self.mode is not None:
                 goal = message["goal"]
-                values.append(self._still(values[-5], j) if goal is None else self._from_counts(goal[j], j))
+                values.append(
+                    self._still(values[-5], j) if goal is None else self._from_counts(goal[j], j)
+                )
         return [*values, message["sent"], message["received"]]
 
     def _still(self, q: float, j: int) -> float:
@@ -230,19 +304,29 @@ class Dynamixel:
         if self.mode == "position":
             assert limits.lower is not None and limits.upper is not None
             lead = approach(here, path[0], limits, step)
-            start, lower, upper, largest = here, limits.lower, limits.upper, [1.05 * s * step for s in speed]
+            start, lower, upper, largest = (
+                here,
+                limits.lower,
+                limits.upper,
+                [1.05 * s * step for s in speed],
+            )
         else:
             top = limits.current if self.mode == "current" else speed
             assert top is not None
             lead, start = np.zeros((0, self.joints)), np.zeros(self.joints)
             lower, upper = [-v for v in top], top
-            rate = limits.acceleration if self.mode == "velocity" and limits.acceleration is not None else None
+            rate = (
+                limits.acceleration
+                if self.mode == "velocity" and limits.acceleration is not None
+                else None
+            )
             largest = list(top) if rate is None else [a * step for a in rate]
         if limits.step is not None:
             largest = [min(a, b) for a, b in zip(largest, limits.step, strict=True)]
         hold = round(0.3 / step)
         first, end = (
-            np.repeat(path[k : k + 1] if self.mode == "position" else 0 * path[:1], hold, axis=0) for k in (0, len(path) - 1)
+            np.repeat(path[k : k + 1] if self.mode == "position" else 0 * path[:1], hold, axis=0)
+            for k in (0, len(path) - 1)
         )
         begin = len(lead) + hold
         table = self._counts(np.concatenate([lead, first, path, end]))

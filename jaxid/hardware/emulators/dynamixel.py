@@ -37,11 +37,17 @@ class Bus:
         baud: int = 1_000_000,
         seed: int = 0,
     ):
-        if not identities or len(set(identities)) < len(identities) or not all(0 <= i <= 252 for i in identities):
+        if (
+            not identities
+            or len(set(identities)) < len(identities)
+            or not all(0 <= i <= 252 for i in identities)
+        ):
             raise UsageError(f"ids {identities} are not different numbers from 0 to 252")
         codes = {v: k for k, v in x.BAUDS.items()}
         if baud not in codes:
-            raise UsageError(f"a servo has no baud rate {baud}; it has {', '.join(map(str, codes))}")
+            raise UsageError(
+                f"a servo has no baud rate {baud}; it has {', '.join(map(str, codes))}"
+            )
         self.log = Log(log)
         body, settings = read_plant(plant, len(identities), PLANT)
         self.bench = Bench(identities, body, settings, self.log, time.monotonic)
@@ -78,7 +84,9 @@ class Bus:
             "crc": chance("crc"),
             "drop_byte": chance("drop_byte"),
             "late": late,
-            "noise": lambda words: setattr(self, "noise", bytes.fromhex(words[0]) if words else b""),
+            "noise": lambda words: setattr(
+                self, "noise", bytes.fromhex(words[0]) if words else b""
+            ),
             "latency": lambda words: setattr(self, "latency", float(words[0])),
             "overload": lambda words: self.bench.overload(first(words)),
             "wrap_in": lambda words: self.bench.wrap_in(float(words[0])),
@@ -98,7 +106,9 @@ class Bus:
     def run(self) -> None:
         """Serves; time goes on for the plant also while nobody asks."""
         while True:
-            lines = ([self.master] if self.slave is not None else []) + ([self.orders] if self.orders.open else [])
+            lines = ([self.master] if self.slave is not None else []) + (
+                [self.orders] if self.orders.open else []
+            )
             if not lines:
                 return
             due = self._queue[0][0] if self._queue else time.monotonic() + 0.01
@@ -121,11 +131,16 @@ class Bus:
         for identity, instruction, body, size in self.packets.feed(block):
             # The packet is whole on the wire when its last bit is; what the host wrote together goes one after the other.
             self._free = max(self._free, now) + 10 * size / self.baud
-            self._at(self._free, lambda i=identity, c=instruction, b=body, t=self._free: self._handle(i, c, b, t))
+            self._at(
+                self._free,
+                lambda i=identity, c=instruction, b=body, t=self._free: self._handle(i, c, b, t),
+            )
 
     def _same_baud(self) -> bool:
         speed = termios.tcgetattr(self.master)[4]
-        known = {getattr(termios, f"B{b}"): b for b in x.BAUDS.values() if hasattr(termios, f"B{b}")}
+        known = {
+            getattr(termios, f"B{b}"): b for b in x.BAUDS.values() if hasattr(termios, f"B{b}")
+        }
         return known.get(speed, self.baud) == self.baud
 
     def _handle(self, identity: int, instruction: int, body: bytes, when: float) -> None:
@@ -143,7 +158,9 @@ class Bus:
             return
         if lucky("crc"):
             k = self.random.randrange(8, len(answer))
-            answer = answer[:k] + bytes([answer[k] ^ (1 << self.random.randrange(8))]) + answer[k + 1 :]
+            answer = (
+                answer[:k] + bytes([answer[k] ^ (1 << self.random.randrange(8))]) + answer[k + 1 :]
+            )
             self.log("corrupted")
         if lucky("drop_byte"):
             k = self.random.randrange(len(answer))

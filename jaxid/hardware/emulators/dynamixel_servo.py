@@ -89,7 +89,12 @@ class Servo:
         elif mode == 1 or self.get(x.BUS_WATCHDOG) < 0:
             wish = 0.8 * (self.get(x.GOAL_VELOCITY) * x.VELOCITY - qd)
         else:
-            wish = self.get(x.POSITION_P) / 100 * ((self.get(x.GOAL_POSITION) - x.CENTER) * x.POSITION - q) - 0.25 * qd
+            wish = (
+                self.get(x.POSITION_P)
+                / 100
+                * ((self.get(x.GOAL_POSITION) - x.CENTER) * x.POSITION - q)
+                - 0.25 * qd
+            )
         self.drive = min(max(wish, -limit), limit)
 
     def show(self, now: float) -> None:
@@ -118,9 +123,13 @@ class Servo:
         value = lambda r: int.from_bytes(content[: r.size], "little", signed=r.signed)
         if address == x.TORQUE_ENABLE.address and content[0] and self.get(x.HARDWARE_ERROR):
             return p2.RESULT_FAIL
-        if address == x.GOAL_CURRENT.address and abs(value(x.GOAL_CURRENT)) > self.get(x.CURRENT_LIMIT):
+        if address == x.GOAL_CURRENT.address and abs(value(x.GOAL_CURRENT)) > self.get(
+            x.CURRENT_LIMIT
+        ):
             return p2.LIMIT
-        if address == x.GOAL_VELOCITY.address and abs(value(x.GOAL_VELOCITY)) > self.get(x.VELOCITY_LIMIT):
+        if address == x.GOAL_VELOCITY.address and abs(value(x.GOAL_VELOCITY)) > self.get(
+            x.VELOCITY_LIMIT
+        ):
             return p2.LIMIT
         if address == x.GOAL_POSITION.address and self.get(x.OPERATING_MODE) == 3:
             if not self.get(x.MIN_POSITION) <= value(x.GOAL_POSITION) <= self.get(x.MAX_POSITION):
@@ -136,7 +145,14 @@ class Servo:
 class Bench:
     """All servos of a bus and what they move. `answer` takes a packet and gives the bytes of the answers."""
 
-    def __init__(self, identities: list[int], plant: Plant, settings: Mapping[str, Any], log: Log, clock: Callable[[], float]):
+    def __init__(
+        self,
+        identities: list[int],
+        plant: Plant,
+        settings: Mapping[str, Any],
+        log: Log,
+        clock: Callable[[], float],
+    ):
         self.plant, self.log, self.clock = plant, log, clock
         self.torque_constant = float(settings.get("torque_constant", TORQUE_CONSTANT))
         self._random = random.Random(settings.get("seed", 0))
@@ -156,7 +172,10 @@ class Bench:
             for s in self.servos.values():
                 s.control(self.now)
                 before.append(s.drive)
-            if all(s.get(x.OPERATING_MODE) == 0 or not s.get(x.TORQUE_ENABLE) for s in self.servos.values()):
+            if all(
+                s.get(x.OPERATING_MODE) == 0 or not s.get(x.TORQUE_ENABLE)
+                for s in self.servos.values()
+            ):
                 step = min(0.02, now - self.now)  # nothing to control: the goal current holds
             self.plant.advance(step, [c * self.torque_constant for c in before])
             self.now += step
@@ -182,12 +201,19 @@ class Bench:
         named = list(self.servos.values()) if identity == p2.BROADCAST else named
         alone = identity != p2.BROADCAST
         if instruction == p2.PING:
-            return [self._status(s, 0, struct.pack("<HB", s.get(x.MODEL_NUMBER), s.get(x.FIRMWARE))) for s in named]
+            return [
+                self._status(s, 0, struct.pack("<HB", s.get(x.MODEL_NUMBER), s.get(x.FIRMWARE)))
+                for s in named
+            ]
         if instruction == p2.READ:
             return [self._status(s, *self._read(s, *struct.unpack("<HH", body[:4]))) for s in named]
         if instruction == p2.WRITE:
             codes = [self._write(s, struct.unpack_from("<H", body)[0], body[2:]) for s in named]
-            return [self._status(s, code) for s, code in zip(named, codes, strict=True)] if alone else []
+            return (
+                [self._status(s, code) for s, code in zip(named, codes, strict=True)]
+                if alone
+                else []
+            )
         if instruction == p2.REG_WRITE:
             for s in named:
                 s.pending = (struct.unpack_from("<H", body)[0], body[2:])
@@ -249,8 +275,18 @@ class Bench:
     def _read(self, servo: Servo, address: int, size: int) -> tuple[int, bytes]:
         code, content = servo.read(address, size)
         if address == x.BLOCK.address and code == 0:
-            names = {"tick": x.TICK, "current": x.PRESENT_CURRENT, "velocity": x.PRESENT_VELOCITY, "position": x.PRESENT_POSITION}
-            self.log("read", id=servo.identity, time=self.now, **{k: servo.get(r) for k, r in names.items()})
+            names = {
+                "tick": x.TICK,
+                "current": x.PRESENT_CURRENT,
+                "velocity": x.PRESENT_VELOCITY,
+                "position": x.PRESENT_POSITION,
+            }
+            self.log(
+                "read",
+                id=servo.identity,
+                time=self.now,
+                **{k: servo.get(r) for k, r in names.items()},
+            )
         return code, content
 
     def _write(self, servo: Servo, address: int, content: bytes) -> int:

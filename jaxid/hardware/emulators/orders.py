@@ -18,7 +18,9 @@ class Log:
     """One JSON line for each thing that happened, with the time `at` (monotonic s); to a file, or nowhere."""
 
     def __init__(self, path: str | os.PathLike[str] | None):
-        self._file: TextIO | None = None if path is None else open(path, "a", buffering=1, encoding="utf-8")
+        self._file: TextIO | None = (
+            None if path is None else open(path, "a", buffering=1, encoding="utf-8")
+        )
 
     def __call__(self, what: str, **more: Any) -> None:
         if self._file is not None:
@@ -66,7 +68,9 @@ class Orders:
             if words[0] == "quit":
                 return False
             if words[0] not in self.table:
-                print(f"? no order {words[0]!r}{nearest(words[0], [*self.table, 'quit'])}", flush=True)
+                print(
+                    f"? no order {words[0]!r}{nearest(words[0], [*self.table, 'quit'])}", flush=True
+                )
                 continue
             self.log("order", text=" ".join(words))
             try:

@@ -34,8 +34,14 @@ class Plant(Protocol):
 class Ideal:
     """inertia qdd + viscous qd + gravity_torque sin q = torque, in plain Python: starts at once, for trying a connection."""
 
-    def __init__(self, inertia: Sequence[float], viscous: Sequence[float], gravity_torque: Sequence[float]):
-        self.inertia, self.viscous, self.gravity_torque = list(inertia), list(viscous), list(gravity_torque)
+    def __init__(
+        self, inertia: Sequence[float], viscous: Sequence[float], gravity_torque: Sequence[float]
+    ):
+        self.inertia, self.viscous, self.gravity_torque = (
+            list(inertia),
+            list(viscous),
+            list(gravity_torque),
+        )
         self.q, self.qd = [0.0] * len(self.inertia), [0.0] * len(self.inertia)
 
     def advance(self, duration: float, torque: Sequence[float]) -> None:
@@ -54,7 +60,12 @@ class Modelled:
     """Joints stepped by `jaxid.dynamics.chain`: one model of one joint for each of them, or one model for all (such as `ur10`),
     whose joints then know of each other."""
 
-    def __init__(self, model: str, parameters: Sequence[Mapping[str, float]], effects: Sequence[Mapping[str, Any]]):
+    def __init__(
+        self,
+        model: str,
+        parameters: Sequence[Mapping[str, float]],
+        effects: Sequence[Mapping[str, Any]],
+    ):
         """`parameters` of each joint (of a model for all: `F_v` of joint 3 is its `F_v3`); an effect is `{"effect", "parameters",
         "joint"}`, joint 1 … or None for all.
 
@@ -79,9 +90,13 @@ class Modelled:
             )
         for e in effects:
             if e["effect"] in NEEDS_HISTORY:
-                raise UsageError(f"{e['effect']} cannot be emulated: it needs the history of the command")
+                raise UsageError(
+                    f"{e['effect']} cannot be emulated: it needs the history of the command"
+                )
         kinds = dict.fromkeys(catalogue.effect_class(e["effect"]) for e in effects)
-        chain = chain.with_effects(*(k() for k in kinds if k.name not in {e.name for e in chain.effects}))
+        chain = chain.with_effects(
+            *(k() for k in kinds if k.name not in {e.name for e in chain.effects})
+        )
         layout = Layout(chain)
         theta = np.tile(layout.values, (1 if coupled else count, 1))
         for j, values in enumerate(parameters):
@@ -97,7 +112,9 @@ class Modelled:
                 own = [i for i in layout.of_effect(e["effect"]) if layout.entries[i].field == field]
                 if not own:
                     fields = [layout.entries[i].field for i in layout.of_effect(e["effect"])]
-                    raise UsageError(f"effect {e['effect']} has no parameter {field!r}{nearest(field, fields)}")
+                    raise UsageError(
+                        f"effect {e['effect']} has no parameter {field!r}{nearest(field, fields)}"
+                    )
                 for j in places:
                     here = [i for i in own if layout.entries[i].place == j] if coupled else own
                     theta[0 if coupled else j, here] = value
@@ -111,10 +128,16 @@ class Modelled:
             chain = layout.model(theta)
             body = chain.body()
             command = lambda k: Command(k * h, h, u, u, lambda d: u)
-            carry = jax.lax.fori_loop(0, count, lambda k, c: chain.advance(body, c, command(k))[0], carry)
+            carry = jax.lax.fori_loop(
+                0, count, lambda k, c: chain.advance(body, c, command(k))[0], carry
+            )
             return carry, *body.port(carry.x)
 
-        self._context, self._shape, self._step = float64, (len(theta), nq), COUPLED_STEP if coupled else STEP
+        self._context, self._shape, self._step = (
+            float64,
+            (len(theta), nq),
+            COUPLED_STEP if coupled else STEP,
+        )
         with float64():
             self._theta = jnp.asarray(theta)
             self._carry = jax.jit(jax.vmap(start))(self._theta)
@@ -176,8 +199,13 @@ def read_plant(
 def _value(path: Path, name: str, value: Any) -> Any:
     value = value.get("value") if isinstance(value, Mapping) else value
     numbers = value if isinstance(value, list) else [value]
-    if not numbers or any(isinstance(v, bool) or not isinstance(v, int | float) or not math.isfinite(v) for v in numbers):
-        raise UsageError(f"plant {path}: {name} is {value!r}; write a finite number, or one a joint")
+    if not numbers or any(
+        isinstance(v, bool) or not isinstance(v, int | float) or not math.isfinite(v)
+        for v in numbers
+    ):
+        raise UsageError(
+            f"plant {path}: {name} is {value!r}; write a finite number, or one a joint"
+        )
     return value
 
 

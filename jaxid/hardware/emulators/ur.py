@@ -19,7 +19,17 @@ from jaxid.errors import UsageError
 from jaxid.hardware.emulators.orders import Log, Orders
 from jaxid.hardware.emulators.plant import read_plant
 from jaxid.hardware.emulators.ur_arm import Arm, JOINTS, PLANT, SIZES, STEP, VARIABLES
-from jaxid.hardware.ur.rtde import CONTROLLER, DATA, OUTPUTS, PAUSE, PORT, START, TEXT, TYPES, VERSION
+from jaxid.hardware.ur.rtde import (
+    CONTROLLER,
+    DATA,
+    OUTPUTS,
+    PAUSE,
+    PORT,
+    START,
+    TEXT,
+    TYPES,
+    VERSION,
+)
 
 
 INPUTS = ord("I")
@@ -64,7 +74,9 @@ class Emulator:
 
     def __init__(self, host: str = "127.0.0.1", plant: str | None = None, log: str | None = None):
         if not host.startswith("127."):
-            raise UsageError(f"an emulator listens on loopback only (127.0.0.1, 127.0.0.2 …), not on {host}")
+            raise UsageError(
+                f"an emulator listens on loopback only (127.0.0.1, 127.0.0.2 …), not on {host}"
+            )
         self.log = Log(log)
         body, settings = read_plant(plant, JOINTS, PLANT)
         self.arm = Arm(body, settings, self.log)
@@ -80,7 +92,9 @@ class Emulator:
             try:
                 server.bind((host, port))
             except OSError as error:
-                raise UsageError(f"{host}:{port} is taken ({error.strerror}); use another address: --host 127.0.0.2") from error
+                raise UsageError(
+                    f"{host}:{port} is taken ({error.strerror}); use another address: --host 127.0.0.2"
+                ) from error
             server.listen(8)
             server.setblocking(False)
             self.selector.register(server, selectors.EVENT_READ, kind)
@@ -108,10 +122,14 @@ class Emulator:
 
         return {
             "drop": to_clients(self._drop),
-            "malformed": to_clients(lambda c: self._send(c, b"\x00\x02\xff" + b"\xde\xad\xbe\xef" * 8)),
+            "malformed": to_clients(
+                lambda c: self._send(c, b"\x00\x02\xff" + b"\xde\xad\xbe\xef" * 8)
+            ),
             "truncated": to_clients(self._truncate),
             "short": to_clients(lambda c: self._send(c, _package(DATA, self._data(c)[:40]))),
-            "wrong_id": to_clients(lambda c: self._send(c, _package(DATA, b"\x63" + self._data(c)[1:]))),
+            "wrong_id": to_clients(
+                lambda c: self._send(c, _package(DATA, b"\x63" + self._data(c)[1:]))
+            ),
             "text": to_clients(lambda c: self._send(c, _package(TEXT, b"\x05hello\x03emu\x01"))),
             "stall": lambda words: setattr(self, "quiet_until", time.monotonic() + float(words[0])),
             "mute": lambda words: setattr(self, "mute", words[:1] != ["0"]),
@@ -218,9 +236,13 @@ class Emulator:
     def _take(self, steps: int) -> None:
         """The packages that belong to the first of so many `steps` that are to be made now."""
         for client in [c for c in self.clients if c.packages]:
-            client.share = client.share + len(client.packages) / steps if steps > 1 else len(client.packages)
+            client.share = (
+                client.share + len(client.packages) / steps if steps > 1 else len(client.packages)
+            )
             count = min(int(client.share), len(client.packages))
-            client.share = client.share - count if steps > 1 else 1.0  # the first one at once: it shows that the client lives
+            client.share = (
+                client.share - count if steps > 1 else 1.0
+            )  # the first one at once: it shows that the client lives
             for _ in range(count):
                 kind, payload = client.packages.popleft()
                 try:
@@ -237,7 +259,9 @@ class Emulator:
             self.log("dashboard", text=word)
             if word == "stop":
                 self.arm.halt("dashboard stop")
-            self._send(client, (_ANSWERS.get(word, "Stopped" if word == "stop" else "OK") + "\n").encode())
+            self._send(
+                client, (_ANSWERS.get(word, "Stopped" if word == "stop" else "OK") + "\n").encode()
+            )
 
     def _rtde(self, client: Client, kind: int, payload: bytes) -> None:
         if kind == VERSION:
@@ -246,7 +270,9 @@ class Emulator:
             self._send(client, _package(CONTROLLER, struct.pack(">4I", *CONTROLLER_VERSION)))
         elif kind == OUTPUTS:
             rate = struct.unpack_from(">d", payload)[0]
-            asked = [n for n in payload[8:].decode().split(",") if n]  # ur_rtde ends its list with a comma
+            asked = [
+                n for n in payload[8:].decode().split(",") if n
+            ]  # ur_rtde ends its list with a comma
             client.every = max(1, round(1 / STEP / min(max(rate, 1.0), 1 / STEP)))
             client.names = [n for n in asked if n in VARIABLES]
             client.layout = struct.Struct(">B" + "".join(TYPES[VARIABLES[n]] for n in client.names))
@@ -256,7 +282,11 @@ class Emulator:
         elif kind == INPUTS:
             names = [n for n in payload.decode().split(",") if n]
             known = all(n in VARIABLES for n in names)
-            layout = struct.Struct(">" + "".join(TYPES[VARIABLES[n]] for n in names)) if known else struct.Struct(">")
+            layout = (
+                struct.Struct(">" + "".join(TYPES[VARIABLES[n]] for n in names))
+                if known
+                else struct.Struct(">")
+            )
             client.recipes.append((names if known else [], layout))
             types = ",".join(VARIABLES.get(n, "NOT_FOUND") for n in names)
             self._send(client, _package(INPUTS, bytes([len(client.recipes)]) + types.encode()))
@@ -287,8 +317,12 @@ def _package(kind: int, payload: bytes) -> bytes:
     return struct.pack(">HB", 3 + len(payload), kind) + payload
 
 
-def serve(host: str, plant: str | os.PathLike[str] | None, log: str | os.PathLike[str] | None) -> None:
+def serve(
+    host: str, plant: str | os.PathLike[str] | None, log: str | os.PathLike[str] | None
+) -> None:
     """Serves until told to quit; prints the address once it answers."""
-    emulator = Emulator(host, None if plant is None else str(plant), None if log is None else str(log))
+    emulator = Emulator(
+        host, None if plant is None else str(plant), None if log is None else str(log)
+    )
     print(host, flush=True)
     emulator.run()

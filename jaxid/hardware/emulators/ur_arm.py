@@ -33,7 +33,17 @@ DRIVE_GAIN = (10.0, 10.7, 8.5, 9.0, 9.5, 10.1)
 CURRENT_LIMIT = (30.0, 30.0, 20.0, 8.0, 8.0, 8.0)  # A
 
 #: Numbers of the control script that ur_rtde 1.6 uploads (they belong to that version).
-MOVE_J, SPEED_J, SERVO_J, SPEED_STOP, SERVO_STOP, SET_WATCHDOG, STOP_J, KICK, STOP_SCRIPT = 1, 9, 11, 15, 16, 35, 34, 99, 255
+MOVE_J, SPEED_J, SERVO_J, SPEED_STOP, SERVO_STOP, SET_WATCHDOG, STOP_J, KICK, STOP_SCRIPT = (
+    1,
+    9,
+    11,
+    15,
+    16,
+    35,
+    34,
+    99,
+    255,
+)
 NAMES = {
     0: "none", MOVE_J: "moveJ", SPEED_J: "speedJ", SERVO_J: "servoJ", SPEED_STOP: "speedStop", SERVO_STOP: "servoStop",
     STOP_J: "stopJ", SET_WATCHDOG: "setWatchdog", KICK: "kickWatchdog", STOP_SCRIPT: "stopScript",
@@ -66,7 +76,9 @@ VARIABLES: dict[str, str] = (
     | dict.fromkeys(_UINT8.split(), "UINT8")
     | dict.fromkeys(("robot_mode", "safety_mode", "safety_status", "tool_output_voltage"), "INT32")
     | dict.fromkeys(("actual_digital_input_bits", "actual_digital_output_bits"), "UINT64")
-    | dict.fromkeys(("payload_cog", "actual_tool_accelerometer", "elbow_position", "elbow_velocity"), "VECTOR3D")
+    | dict.fromkeys(
+        ("payload_cog", "actual_tool_accelerometer", "elbow_position", "elbow_velocity"), "VECTOR3D"
+    )
     | {"joint_mode": "VECTOR6INT32"}
     | {f"{io}_int_register_{i}": "INT32" for i in range(48) for io in ("input", "output")}
     | {f"{io}_double_register_{i}": "DOUBLE" for i in range(48) for io in ("input", "output")}
@@ -161,7 +173,11 @@ class Arm:
 
     def tick(self) -> None:
         """One step: what is told, what the drive does, what the joints do."""
-        if self.running and self._watchdog is not None and time.monotonic() - self._fed > self._watchdog:
+        if (
+            self.running
+            and self._watchdog is not None
+            and time.monotonic() - self._fed > self._watchdog
+        ):
             self.halt("watchdog")
         ahead = []
         for j in range(JOINTS):
@@ -176,11 +192,17 @@ class Arm:
                 speed += min(max(wish - speed, -ACCELERATION * STEP), ACCELERATION * STEP)
             self.target_qd[j] = min(max(speed, -math.pi), math.pi)
             ahead.append(self.target[j] + STEP * self.slider * self.target_qd[j])
-        if self.mode == "moveJ" and self.goal and max(abs(a - b) for a, b in zip(ahead, self.goal, strict=True)) < 1e-3:
+        if (
+            self.mode == "moveJ"
+            and self.goal
+            and max(abs(a - b) for a, b in zip(ahead, self.goal, strict=True)) < 1e-3
+        ):
             self.registers["output_int_register_0"] = 2
         self.target = ahead
         for j in range(JOINTS):
-            torque = self._kp[j] * (ahead[j] - self.plant.q[j]) + self._kd[j] * (self.target_qd[j] - self.plant.qd[j])
+            torque = self._kp[j] * (ahead[j] - self.plant.q[j]) + self._kd[j] * (
+                self.target_qd[j] - self.plant.qd[j]
+            )
             self.current[j] = min(max(torque / self.gain[j], -CURRENT_LIMIT[j]), CURRENT_LIMIT[j])
         self._show = self._state()
         self.plant.advance(STEP, [c * g for c, g in zip(self.current, self.gain, strict=True)])
@@ -188,7 +210,9 @@ class Arm:
 
     def _state(self) -> dict[str, Any]:
         """What the sensors read at the beginning of a step; the current is the one that acts until the next."""
-        noisy = lambda name, values: [v + self._noise[name] * self._random.gauss(0, 1) for v in values]
+        noisy = lambda name, values: [
+            v + self._noise[name] * self._random.gauss(0, 1) for v in values
+        ]
         program = self.running
         return {
             "timestamp": self.time,

@@ -66,7 +66,9 @@ def _idle(leash: Leash, control: Any) -> dict[str, Any]:
     return leash.inbox.pop(0)
 
 
-def _play(link: Link, leash: Leash, control: Any, order: dict[str, Any], table: Table) -> dict[str, Any]:
+def _play(
+    link: Link, leash: Leash, control: Any, order: dict[str, Any], table: Table
+) -> dict[str, Any]:
     """Plays `table`, a row every `step` s; a late row delays the rest, so that no catching up can ever make a jump."""
     step = order["step"]
     clamp = Clamp(order["lower"], order["upper"], order["largest_step"], order["start"])
@@ -84,7 +86,9 @@ def _play(link: Link, leash: Leash, control: Any, order: dict[str, Any], table: 
         if not control.servoJ(list(sent), 0.0, 0.0, step, order["lookahead"], order["gain"]):
             taken = f"the robot did not take command {k + 1} of {table.rows} within {time.monotonic() - asked:.2f} s"
             if max(pause, overrun) > 0.5 * leash.longest_s:
-                raise Stop(f"{busy(max(pause, overrun))}, and the controller's watchdog stops the arm meanwhile: {taken}")
+                raise Stop(
+                    f"{busy(max(pause, overrun))}, and the controller's watchdog stops the arm meanwhile: {taken}"
+                )
             raise RuntimeError(f"{taken}; is a program or a stop in the way?")
         now = time.monotonic()
         if k in marks:

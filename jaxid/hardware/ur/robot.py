@@ -77,7 +77,9 @@ class UR:
             raise UsageError("servoJ takes a lookahead of 0.03 to 0.2 s and a gain of 100 to 2000")
         self.host, self.rate, self.name = host, float(rate), name
         if not 1 <= command_rate <= 500:
-            raise UsageError(f"{command_rate:g} commands a second are none that a UR takes; choose 1 to 500")
+            raise UsageError(
+                f"{command_rate:g} commands a second are none that a UR takes; choose 1 to 500"
+            )
         self.command_rate, self.lookahead, self.gain = command_rate, lookahead, gain
         self.command_step = 1 / command_rate
         self.where, self.local = host, host.startswith("127.") or host == "localhost"
@@ -98,14 +100,26 @@ class UR:
         return self._reader
 
     def streams(self) -> list[Stream]:
-        columns = [Column(_numbered(stem, j + 1), unit, role) for stem, (_, unit, role) in VECTORS.items() for j in range(JOINTS)]
+        columns = [
+            Column(_numbered(stem, j + 1), unit, role)
+            for stem, (_, unit, role) in VECTORS.items()
+            for j in range(JOINTS)
+        ]
         columns += [Column(name, "1") for name in SCALARS]
         if "actual_main_voltage" in self.reader.names:
             columns.append(Column("voltage", "V"))
         if "actual_tool_accelerometer" in self.reader.names:
             columns += [Column(f"tool_acceleration_{axis}", "m/s^2") for axis in "xyz"]
-        info = {"host": self.host, "controller_version": list(self.reader.version), "variables": list(self.reader.names)}
-        return [Stream(self.name, tuple(columns), "controller time, RTDE `timestamp`", 1 / self.rate, info)]
+        info = {
+            "host": self.host,
+            "controller_version": list(self.reader.version),
+            "variables": list(self.reader.names),
+        }
+        return [
+            Stream(
+                self.name, tuple(columns), "controller time, RTDE `timestamp`", 1 / self.rate, info
+            )
+        ]
 
     def limits(self) -> Limits:
         return LIMITS
@@ -114,7 +128,10 @@ class UR:
         self.reader.start()
 
     def filenos(self) -> list[int]:
-        return [self.reader.fileno(), *([self._driver.fileno()] if self._driver is not None else [])]
+        return [
+            self.reader.fileno(),
+            *([self._driver.fileno()] if self._driver is not None else []),
+        ]
 
     def news(self) -> News:
         first = 1 + JOINTS * list(VECTORS).index("temperature")
@@ -122,7 +139,12 @@ class UR:
         for host, row in self.reader.read():
             kelvin = [v + 273.15 for v in row[first : first + JOINTS]]
             samples.append(Sample(host, row[0], [*row[1:first], *kelvin, *row[first + JOINTS :]]))
-        news = News(samples, messages=[{"kind": "note", "text": f"the controller says: {t}"} for t in self.reader.notes])
+        news = News(
+            samples,
+            messages=[
+                {"kind": "note", "text": f"the controller says: {t}"} for t in self.reader.notes
+            ],
+        )
         self.reader.notes.clear()
         if self._driver is not None:
             messages = self._driver.messages()
@@ -137,14 +159,18 @@ class UR:
             if self._playing and now - self._heard > self._patience:
                 silence, kept = now - self._heard, waited(self._driver.process.pid) - self._waited
                 why = kept_from_running(silence, kept)
-                raise HardwareError(f"{self.host}: the motion driver was silent for {silence:.2f} s{why}")
+                raise HardwareError(
+                    f"{self.host}: the motion driver was silent for {silence:.2f} s{why}"
+                )
         return news
 
     def measured(self, values: Sequence[float]) -> Measured:
         return Measured(values[:6], values[6:12], values[12:18], values[48:54])
 
     def alarm(self, values: Sequence[float], moving: bool) -> str | None:
-        scaling, fraction, _, mode, safety = (values[JOINTS * len(VECTORS) + k] for k in range(len(SCALARS)))
+        scaling, fraction, _, mode, safety = (
+            values[JOINTS * len(VECTORS) + k] for k in range(len(SCALARS))
+        )
         if safety >= 3 and int(safety) in SAFETY:
             return f"the robot is in {SAFETY[int(safety)]}"
         if not moving:
@@ -166,7 +192,9 @@ class UR:
         step = self.command_step
         program = values[JOINTS * len(VECTORS) + SCALARS.index("runtime_state")]
         if program == 2:
-            raise UsageError(f"{self.host}: a program is running on the robot; stop it, or wait for its end, and try again")
+            raise UsageError(
+                f"{self.host}: a program is running on the robot; stop it, or wait for its end, and try again"
+            )
         here = np.asarray(values[:6])
         path = trajectory.sampled(step)
         lead = approach(here, path[0], limits, step)
@@ -179,7 +207,9 @@ class UR:
         begin = len(lead) + len(rest)
         marks = [(begin, "play_start"), (begin + len(path) - 1, "play_end")]
         table = np.concatenate([lead, rest, path, end])
-        return Plan("position", table, step, limits.lower, limits.upper, largest, here.tolist(), marks)
+        return Plan(
+            "position", table, step, limits.lower, limits.upper, largest, here.tolist(), marks
+        )
 
     def load(self, plan: Plan) -> None:
         self._driver = Driver("jaxid.hardware.ur.driver", f"UR at {self.host}")
@@ -193,7 +223,11 @@ class UR:
 
     def play(self, plan: Plan) -> None:
         assert self._driver is not None
-        self._playing, self._heard, self._waited = True, time.monotonic(), waited(self._driver.process.pid)
+        self._playing, self._heard, self._waited = (
+            True,
+            time.monotonic(),
+            waited(self._driver.process.pid),
+        )
         self._driver.send("play", lookahead=self.lookahead, gain=self.gain, **plan.order())
 
     def beat(self) -> None:

@@ -82,7 +82,9 @@ class RTDEReader:
         lacking = [n for n, t in zip(variables + optional, types, strict=True) if t not in TYPES]
         if lost := [n for n in lacking if n in variables]:
             number = ".".join(map(str, self.version))
-            raise UsageError(f"{self.where}: the controller (version {number}) has no variable {', '.join(lost)}")
+            raise UsageError(
+                f"{self.where}: the controller (version {number}) has no variable {', '.join(lost)}"
+            )
         names = [n for n in variables + optional if n not in lacking]
         if lacking:
             recipe, types = self._recipe(names, rate)
@@ -102,7 +104,9 @@ class RTDEReader:
         answer = self._answer(OUTPUTS)
         types = answer[1:].decode("ascii", "replace").split(",") if answer else []
         if len(types) != len(names):
-            raise HardwareError(f"{self.where}: the controller answered {len(types)} types to {len(names)} variables")
+            raise HardwareError(
+                f"{self.where}: the controller answered {len(types)} types to {len(names)} variables"
+            )
         return answer[0], types
 
     def fileno(self) -> int:
@@ -130,7 +134,9 @@ class RTDEReader:
         except BlockingIOError:
             closed = False
         except OSError as error:
-            raise HardwareError(f"{self.where}: the connection broke ({error.strerror or error})") from None
+            raise HardwareError(
+                f"{self.where}: the connection broke ({error.strerror or error})"
+            ) from None
         now = time.monotonic()
         while (package := self._package()) is not None:
             kind, payload = package
@@ -139,12 +145,20 @@ class RTDEReader:
             elif kind == DATA:
                 agreed = 1 + self._layout.size
                 if len(payload) != agreed:
-                    raise HardwareError(f"{self.where}: a data package of {len(payload)} bytes where {agreed} were agreed")
+                    raise HardwareError(
+                        f"{self.where}: a data package of {len(payload)} bytes where {agreed} were agreed"
+                    )
                 if payload[0] != self.recipe:
-                    raise HardwareError(f"{self.where}: a data package of recipe {payload[0]} where {self.recipe} was agreed")
+                    raise HardwareError(
+                        f"{self.where}: a data package of recipe {payload[0]} where {self.recipe} was agreed"
+                    )
                 rows.append((now, tuple(map(float, self._layout.unpack_from(payload, 1)))))
         if closed:
-            rest = f"; {len(self._buffer)} bytes of an unfinished package were left" if self._buffer else ""
+            rest = (
+                f"; {len(self._buffer)} bytes of an unfinished package were left"
+                if self._buffer
+                else ""
+            )
             raise HardwareError(f"{self.where}: the controller closed the connection{rest}")
 
     def close(self) -> None:
@@ -154,14 +168,18 @@ class RTDEReader:
         try:
             self.socket.sendall(struct.pack(">HB", 3 + len(payload), kind) + payload)
         except OSError as error:
-            raise HardwareError(f"{self.where}: the connection broke ({error.strerror or error})") from None
+            raise HardwareError(
+                f"{self.where}: the connection broke ({error.strerror or error})"
+            ) from None
 
     def _package(self) -> tuple[int, bytes] | None:
         if len(self._buffer) < 3:
             return None
         size, kind = struct.unpack_from(">HB", self._buffer)
         if size < 3:
-            raise HardwareError(f"{self.where}: a malformed package that claims a length of {size} bytes")
+            raise HardwareError(
+                f"{self.where}: a malformed package that claims a length of {size} bytes"
+            )
         if len(self._buffer) < size:
             return None
         payload = bytes(self._buffer[3:size])
@@ -185,9 +203,13 @@ class RTDEReader:
                     "is it a robot, and is its controller up?"
                 ) from None
             except OSError as error:
-                raise HardwareError(f"{self.where}: the connection broke ({error.strerror or error})") from None
+                raise HardwareError(
+                    f"{self.where}: the connection broke ({error.strerror or error})"
+                ) from None
             if not block:
-                raise HardwareError(f"{self.where}: the controller closed the connection while it was set up")
+                raise HardwareError(
+                    f"{self.where}: the controller closed the connection while it was set up"
+                )
             self._buffer += block
 
 

@@ -10,7 +10,15 @@ import numpy as np
 
 from jaxid.robots.bodies import BODY
 from jaxid.robots.export.outcome import Named, Number, Outcome
-from jaxid.robots.export.sheet import Body, body_before, Change, from_numbers, numbers_of, Sheet, turned_gravity
+from jaxid.robots.export.sheet import (
+    Body,
+    body_before,
+    Change,
+    from_numbers,
+    numbers_of,
+    Sheet,
+    turned_gravity,
+)
 from jaxid.robots.tree import roll_pitch_yaw, rotation
 
 
@@ -34,7 +42,9 @@ SET = {
 
 def carried(sheet: Sheet, found: Outcome) -> Sheet:
     """The sheet after everything that the result names. Each effect and each number has at least one `Change`."""
-    done = {f"{SET[e.effect][2]}@{sheet.joint(e.location)}" for e in found.effects if e.effect in SET}
+    done = {
+        f"{SET[e.effect][2]}@{sheet.joint(e.location)}" for e in found.effects if e.effect in SET
+    }
     _numbers(sheet, found, done)
     for effect in found.effects:
         before = len(sheet.changes)
@@ -69,21 +79,40 @@ def _numbers(sheet: Sheet, found: Outcome, done: set[str]) -> None:
             _plain_number(sheet, name, number)
     for link, numbers in links.items():
         assert sheet.tree is not None
-        own = [n for name, n in found.parameters.items() if name.partition("@")[2] == link and name.partition("@")[0] in BODY]
+        own = [
+            n
+            for name, n in found.parameters.items()
+            if name.partition("@")[2] == link and name.partition("@")[0] in BODY
+        ]
         if not all(n.kept for n in own):
             sheet.bodies[link] = body_before(sheet.tree, link), from_numbers(numbers)
         for name, number in found.parameters.items():
             field, _, place = name.partition("@")
             if place == link and field in BODY:
                 was = numbers_of(sheet.tree, link)[field]
-                sheet.record([Change(field, link, "inertial", link, number.value, was, number.unit, number.doubt)])
+                sheet.record(
+                    [
+                        Change(
+                            field,
+                            link,
+                            "inertial",
+                            link,
+                            number.value,
+                            was,
+                            number.unit,
+                            number.doubt,
+                        )
+                    ]
+                )
     _base(sheet, found)
 
 
 def _joint_number(sheet: Sheet, effect: str, joint: str, quantity: str, number: Number) -> None:
     before = getattr(sheet.after[joint], quantity)
     sheet.set(joint, **{quantity: number.value})
-    sheet.record([Change(effect, joint, quantity, joint, number.value, before, number.unit, number.doubt)])
+    sheet.record(
+        [Change(effect, joint, quantity, joint, number.value, before, number.unit, number.doubt)]
+    )
 
 
 def _plain_number(sheet: Sheet, name: str, number: Number) -> None:
@@ -105,14 +134,25 @@ def _torque(sheet: Sheet, effect: str, location: str, joint: str, number: Number
 
 
 def _base(sheet: Sheet, found: Outcome) -> None:
-    own = {k: found.parameters[f"base_{k}"] for k in ("roll", "pitch") if f"base_{k}" in found.parameters}
+    own = {
+        k: found.parameters[f"base_{k}"]
+        for k in ("roll", "pitch")
+        if f"base_{k}" in found.parameters
+    }
     if not own or sheet.gravity is None:
         return
     base = found.robot.get("base") or {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}
     roll, pitch, yaw = (own[k].value if k in own else base[k] for k in ("roll", "pitch", "yaw"))
-    g = turned_gravity(sheet.gravity[1], roll, pitch, yaw, (base["roll"], base["pitch"], base["yaw"]))
+    g = turned_gravity(
+        sheet.gravity[1], roll, pitch, yaw, (base["roll"], base["pitch"], base["yaw"])
+    )
     sheet.gravity = sheet.gravity[0], g
-    sheet.record([Change(f"base_{k}", "base", "gravity", "", None, None, "m/s^2", n.doubt) for k, n in own.items()])
+    sheet.record(
+        [
+            Change(f"base_{k}", "base", "gravity", "", None, None, "m/s^2", n.doubt)
+            for k, n in own.items()
+        ]
+    )
 
 
 def _left_out(sheet: Sheet, found: Outcome) -> None:
@@ -140,7 +180,9 @@ def _law(sheet: Sheet, effect: Named) -> None:
     values = {k: n.value for k, n in effect.numbers.items()}
     units = ", ".join(dict.fromkeys(n.unit for n in effect.numbers.values() if n.unit))
     place = sheet.joint(effect.location)
-    sheet.record([Change(effect.effect, effect.location, effect.effect, place, values, None, units)])
+    sheet.record(
+        [Change(effect.effect, effect.location, effect.effect, place, values, None, units)]
+    )
 
 
 def _set(sheet: Sheet, effect: Named) -> None:
@@ -150,7 +192,9 @@ def _set(sheet: Sheet, effect: Named) -> None:
         sheet.record([_change(effect, quantity, joint, number)])
 
 
-def _change(effect: Named, quantity: str, joint: str, number: str, note: str = "", unit: str | None = None) -> Change:
+def _change(
+    effect: Named, quantity: str, joint: str, number: str, note: str = "", unit: str | None = None
+) -> Change:
     doubt = effect.numbers[number].doubt
     return Change(
         effect.effect, effect.location, quantity, joint, effect.value(number), None,
@@ -175,10 +219,22 @@ def _spring_torque(sheet: Sheet, effect: Named) -> None:
     if joint := sheet.joint(effect.location):
         n = sheet.after[joint]
         total = n.stiffness + effect.value("stiffness")
-        sheet.set(joint, stiffness=total, springref=n.stiffness * n.springref / total if total else 0.0)
+        sheet.set(
+            joint, stiffness=total, springref=n.stiffness * n.springref / total if total else 0.0
+        )
         sheet.record([_change(effect, "stiffness", joint, "stiffness")])
         if n.stiffness and n.springref:
-            sheet.record([_change(effect, "springref", joint, "stiffness", unit="m" if sheet.slides(joint) else "rad")])
+            sheet.record(
+                [
+                    _change(
+                        effect,
+                        "springref",
+                        joint,
+                        "stiffness",
+                        unit="m" if sheet.slides(joint) else "rad",
+                    )
+                ]
+            )
 
 
 def _back_emf(sheet: Sheet, effect: Named) -> None:
@@ -202,7 +258,12 @@ def _torque_scale(sheet: Sheet, effect: Named) -> None:
     own = {k: g * getattr(n, k) for k in ("kp", "kd", "ki", "offset", "lowest", "highest")}
     sheet.set(joint, **own)
     force, x = sheet.force_unit(joint), "m" if sheet.slides(joint) else "rad"
-    units = {"kp": f"{force}/{x}", "kd": f"{force} s/{x}", "ki": f"{force}/({x} s)", "offset": force}
+    units = {
+        "kp": f"{force}/{x}",
+        "kd": f"{force} s/{x}",
+        "ki": f"{force}/({x} s)",
+        "offset": force,
+    }
     sheet.record([_change(effect, k, joint, "gain", unit=u) for k, u in units.items() if own[k]])
     if np.isfinite([own["lowest"], own["highest"]]).any():
         sheet.record([_change(effect, "force", joint, "gain", unit=force)])
@@ -228,12 +289,25 @@ def _payload(sheet: Sheet, effect: Named) -> None:
     link, ends = tree.links[k], [i for i, up in enumerate(tree.parent) if up == k]
     before, after = sheet.bodies.get(link, (body_before(tree, link),) * 2)
     at = tree.anchor[k] + tree.place[ends[0]][:3, 3] if ends else after.com
-    beyond = np.array([effect.value(name) if name in effect.numbers else 0.0 for name in ("dx", "dy", "dz")])
+    beyond = np.array(
+        [effect.value(name) if name in effect.numbers else 0.0 for name in ("dx", "dy", "dz")]
+    )
     at = at + beyond
     sheet.bodies[link] = before, with_point(after, effect.value("mass"), at)
     where = "where the next joint is" if ends else "at the link's centre of mass"
     where = f"at {np.round(at, 6).tolist()} m in its frame" if beyond.any() else where
-    sheet.record([_change(effect, "inertial", link, "mass", f"a point mass of {effect.value('mass'):.4g} kg {where}", "kg")])
+    sheet.record(
+        [
+            _change(
+                effect,
+                "inertial",
+                link,
+                "mass",
+                f"a point mass of {effect.value('mass'):.4g} kg {where}",
+                "kg",
+            )
+        ]
+    )
 
 
 def with_point(body: Body, mass: float, at: np.ndarray) -> Body:
@@ -255,7 +329,16 @@ def _gravity_offset(sheet: Sheet, effect: Named) -> None:
     turned = v * np.cos(a) - np.cross(axis, v) * np.sin(a) + axis * (axis @ v) * (1 - np.cos(a))
     sheet.gravity = sheet.gravity[0], turned
     sheet.record(
-        [_change(effect, "gravity", "", "tilt", f"the base leans by {a:.4g} rad about the axis of {tree.joints[0]}", "m/s^2")]
+        [
+            _change(
+                effect,
+                "gravity",
+                "",
+                "tilt",
+                f"the base leans by {a:.4g} rad about the axis of {tree.joints[0]}",
+                "m/s^2",
+            )
+        ]
     )
 
 

@@ -21,14 +21,33 @@ def written(
 ) -> Written:  # fmt: skip
     """Rows by the table of fields, the text that `writer` makes of the numbers that have one, and the code of the laws that have
     none (`library` None: this framework runs no such code)."""
-    out = Written(rows_of(sheet, fields, coded("effects.py", elsewhere, how) if library else coded("", elsewhere, NONE)))
-    out.rows = [replace(r, note=joined(r.note, f"written for {version}, not run")) if r.field else r for r in out.rows]
+    out = Written(
+        rows_of(
+            sheet,
+            fields,
+            coded("effects.py", elsewhere, how) if library else coded("", elsewhere, NONE),
+        )
+    )
+    out.rows = [
+        replace(r, note=joined(r.note, f"written for {version}, not run")) if r.field else r
+        for r in out.rows
+    ]
     numbers = by_joint(sheet, [q for q in QUANTITIES if q in fields])
-    bodies = {link: after for link, (_, after) in sheet.bodies.items()} if "inertial" in fields else {}
-    if numbers or bodies or ("gravity" in fields and any(c.quantity == "gravity" for c in sheet.changes)):
+    bodies = (
+        {link: after for link, (_, after) in sheet.bodies.items()} if "inertial" in fields else {}
+    )
+    if (
+        numbers
+        or bodies
+        or ("gravity" in fields and any(c.quantity == "gravity" for c in sheet.changes))
+    ):
         out.files[file] = writer(sheet, numbers, bodies)
-    if library and (laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code")):
-        out.files["effects.py"] = code(laws, f"Laws that no field says; written for {version}, not run.", tail, library)
+    if library and (
+        laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code")
+    ):
+        out.files["effects.py"] = code(
+            laws, f"Laws that no field says; written for {version}, not run.", tail, library
+        )
     out.notes.append(f"written for {version}, not run")
     return out
 

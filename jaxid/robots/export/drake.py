@@ -52,17 +52,25 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[s
     for joint, own in numbers.items():
         now = sheet.after[joint]
         if "damping" in own:
-            lines.append(f"    plant.GetJointByName({joint!r}).set_default_damping({now.damping!r})")
+            lines.append(
+                f"    plant.GetJointByName({joint!r}).set_default_damping({now.damping!r})"
+            )
         if "armature" in own:
             lines += [f"    a = actuator_of(plant, {joint!r})", f"    a.set_default_rotor_inertia({now.armature!r})",
                       "    a.set_default_gear_ratio(1.0)"]  # fmt: skip
         if sheet.driven and {"kp", "kd"} & own.keys():
-            lines.append(f"    actuator_of(plant, {joint!r}).set_controller_gains(PdControllerGains(p={now.kp!r}, d={now.kd!r}))")
+            lines.append(
+                f"    actuator_of(plant, {joint!r}).set_controller_gains(PdControllerGains(p={now.kp!r}, d={now.kd!r}))"
+            )
         effort = limit([now.lowest, now.highest])
         if effort is not None and {"force", "highest"} & own.keys():
-            lines.append(f"    # plant.AddJointActuator(..., plant.GetJointByName({joint!r}), effort_limit={effort!r})")
+            lines.append(
+                f"    # plant.AddJointActuator(..., plant.GetJointByName({joint!r}), effort_limit={effort!r})"
+            )
     if sheet.gravity is not None and any(c.quantity == "gravity" for c in sheet.changes):
-        lines.append(f"    plant.mutable_gravity_field().set_gravity_vector({[float(v) for v in sheet.gravity[1]]!r})")
+        lines.append(
+            f"    plant.mutable_gravity_field().set_gravity_vector({[float(v) for v in sheet.gravity[1]]!r})"
+        )
     lines += ["    return plant", "", "", "#: link -> its spatial inertia, for AddRigidBody.",
               "INERTIA = {"]  # fmt: skip
     for link, body in bodies.items():

@@ -52,8 +52,14 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[
     for joint, own in numbers.items():
         now = sheet.after[joint]
         lines.append(f"    d = robot.get_joint({joint!r}).dofs_idx_local")
-        lines += [f"    robot.set_dofs_{calls[k]}([{float(getattr(now, k))!r}], d)" for k in calls if k in own]
+        lines += [
+            f"    robot.set_dofs_{calls[k]}([{float(getattr(now, k))!r}], d)"
+            for k in calls
+            if k in own
+        ]
         if {"force", "lowest", "highest"} & own.keys():
-            low, high = (float(v) for v in np.nan_to_num([now.lowest, now.highest], posinf=1e9, neginf=-1e9))
+            low, high = (
+                float(v) for v in np.nan_to_num([now.lowest, now.highest], posinf=1e9, neginf=-1e9)
+            )
             lines.append(f"    robot.set_dofs_force_range([{low!r}], [{high!r}], d)")
     return "\n".join([*lines, "    return robot", ""])

@@ -30,7 +30,14 @@ def identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
     own = found.robot.get("joints") or []
     if own and all(j in tree.joints for j in own):
         tree = tree.locked(
-            {**found.robot["held"], **{j: tree.neutral(j) for j in tree.leading if j not in {*own, *found.robot["held"]}}}
+            {
+                **found.robot["held"],
+                **{
+                    j: tree.neutral(j)
+                    for j in tree.leading
+                    if j not in {*own, *found.robot["held"]}
+                },
+            }
         )
     friction = found.content.get("friction") or []
     if not isinstance(friction, list):
@@ -38,7 +45,10 @@ def identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
     tree = _chain(tree, [str(r.get("joint")) for r in friction if isinstance(r, Mapping)], path)
     sheet = of_tree(tree, tree.joints, found.robot)
     _bodies(sheet, found, tree)
-    return carried(sheet, replace(found, parameters=_friction(friction, tree), effects=_effects(friction, tree)))
+    return carried(
+        sheet,
+        replace(found, parameters=_friction(friction, tree), effects=_effects(friction, tree)),
+    )
 
 
 def _chain(tree: Tree, names: list[str], path: Path | None) -> Tree:
@@ -83,17 +93,28 @@ def _effects(rows: list[Any], tree: Tree) -> tuple[Named, ...]:
             out.append(Named("constant_torque", joint, {"torque": _entry("offset", row["offset"])}))
         if "F_s" in row:
             out.append(
-                Named("stribeck_friction", joint, {"extra": _entry("F_s", row["F_s"]), "speed": Number(FADES, None, "rad/s")})
+                Named(
+                    "stribeck_friction",
+                    joint,
+                    {"extra": _entry("F_s", row["F_s"]), "speed": Number(FADES, None, "rad/s")},
+                )
             )
         if "exponent" in row and "F_v" in row:
-            numbers = {"coefficient": _entry("F_v", row["F_v"]), "exponent": _entry("exponent", row["exponent"])}
+            numbers = {
+                "coefficient": _entry("F_v", row["F_v"]),
+                "exponent": _entry("exponent", row["exponent"]),
+            }
             out.append(Named("power_law_friction", joint, numbers))
     return tuple(out)
 
 
 def _entry(name: str, entry: Any) -> Number:
     std = entry.get("std") if isinstance(entry, Mapping) else None
-    return Number(number(name, entry), float(std) if isinstance(std, int | float) else None, str(entry.get("unit") or "")[:40])
+    return Number(
+        number(name, entry),
+        float(std) if isinstance(std, int | float) else None,
+        str(entry.get("unit") or "")[:40],
+    )
 
 
 def _bodies(sheet: Sheet, found: Outcome, tree: Tree) -> None:
@@ -105,10 +126,17 @@ def _bodies(sheet: Sheet, found: Outcome, tree: Tree) -> None:
     rows = {str(r.get("name")): r for r in listed if isinstance(r, Mapping)}
     lacking = [n for n in base.names if n not in rows]
     if lacking or len(rows) != len(base.names):
-        raise UsageError(f"the base parameters of the result are not those of {tree.file}: {', '.join(lacking or rows)}")
+        raise UsageError(
+            f"the base parameters of the result are not those of {tree.file}: {', '.join(lacking or rows)}"
+        )
     beta = np.array([number(n, rows[n]) for n in base.names])
-    split = lambda name: (name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1)
-    start = np.array([float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)])
+    split = lambda name: (
+        name.rstrip("0123456789"),
+        int(name[len(name.rstrip("0123456789")) :]) - 1,
+    )
+    start = np.array(
+        [float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)]
+    )
     stated = found.content.get("standard_parameters")
     if isinstance(stated, Mapping) and all(n in stated for n in base.standard):
         phi, off = np.array([number(n, stated[n]) for n in base.standard]), 0.0
@@ -135,14 +163,31 @@ def _bodies(sheet: Sheet, found: Outcome, tree: Tree) -> None:
     for name in base.names:
         kind, j = split(name)
         i = j + next((d for d in range(tree.n - j) if tree.links[j + d]), 0)
-        quantity, place = ("armature", tree.joints[j]) if kind == "Ia" else ("inertial", tree.links[i])
+        quantity, place = (
+            ("armature", tree.joints[j]) if kind == "Ia" else ("inertial", tree.links[i])
+        )
         seen = rows[name].get("identifiable", True)
         more = "" if seen else "; the data do not determine it"
         unit = str(rows[name].get("unit") or "")[:40]
-        sheet.record([Change(name, tree.joints[j], quantity, place, number(name, rows[name]), None, unit, note + more)])
+        sheet.record(
+            [
+                Change(
+                    name,
+                    tree.joints[j],
+                    quantity,
+                    place,
+                    number(name, rows[name]),
+                    None,
+                    unit,
+                    note + more,
+                )
+            ]
+        )
 
 
-def nearest_bodies(phi: np.ndarray, K: np.ndarray, beta: np.ndarray, names: tuple[str, ...]) -> tuple[np.ndarray, float]:
+def nearest_bodies(
+    phi: np.ndarray, K: np.ndarray, beta: np.ndarray, names: tuple[str, ...]
+) -> tuple[np.ndarray, float]:
     """(standard parameters near `phi` with K phi = beta whose bodies can exist, how far K phi is off: share of the largest).
 
     Alternating projections with Dykstra's correction between the affine set and the cone of positive semidefinite pseudo-inertias

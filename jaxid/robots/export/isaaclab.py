@@ -36,7 +36,9 @@ ELSEWHERE = {
 
 def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
     """`isaaclab_actuators.py`: a function of the physics step, for delays are counted in those."""
-    return written(sheet, FIELDS, ELSEWHERE, "isaaclab_actuators.py", _text, VERSION, "torch", _TAIL)
+    return written(
+        sheet, FIELDS, ELSEWHERE, "isaaclab_actuators.py", _text, VERSION, "torch", _TAIL
+    )
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
@@ -44,7 +46,11 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[
              "from isaaclab.actuators import DelayedPDActuatorCfg, IdealPDActuatorCfg", "", "",
              "def actuators(physics_dt):", '    """`ArticulationCfg(actuators=actuators(0.005), …)`; physics_dt in s."""',
              "    return {"]  # fmt: skip
-    extra = {c.place: c.value.get("extra", 0.0) for c in sheet.changes if c.quantity == "stribeck_friction"}
+    extra = {
+        c.place: c.value.get("extra", 0.0)
+        for c in sheet.changes
+        if c.quantity == "stribeck_friction"
+    }
     for joint in dict.fromkeys([*numbers, *(j for j in extra if j)]):
         own, now = numbers.get(joint, {}), sheet.after[joint]
         kind = "DelayedPDActuatorCfg" if now.delay else "IdealPDActuatorCfg"
@@ -52,16 +58,27 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[
         given |= {"armature": now.armature} if "armature" in own else {}
         given |= {"viscous_friction": now.damping} if "damping" in own else {}
         if "frictionloss" in own or joint in extra:
-            given |= {"friction": now.frictionloss + extra.get(joint, 0.0), "dynamic_friction": now.frictionloss}
+            given |= {
+                "friction": now.frictionloss + extra.get(joint, 0.0),
+                "dynamic_friction": now.frictionloss,
+            }
         effort = limit([now.lowest, now.highest])
         if effort is not None and ("force" in own or "highest" in own or sheet.driven):
             given |= {"actuator_effort_limit": effort, "joint_effort_limit": effort}
-        lines += [f"        {joint!r}: {kind}(", f"            joint_names_expr=[{re.escape(joint)!r}],"]
+        lines += [
+            f"        {joint!r}: {kind}(",
+            f"            joint_names_expr=[{re.escape(joint)!r}],",
+        ]
         lines += [f"            {k}={float(v)!r}," for k, v in given.items()]
         if not sheet.driven:
-            lines.append("            stiffness=..., damping=...,  # your gains: the recording was driven by torques")
+            lines.append(
+                "            stiffness=..., damping=...,  # your gains: the recording was driven by torques"
+            )
         if now.delay:
-            lines += [f"            {end}_delay=round({now.delay!r} / physics_dt)," for end in ("min", "max")]
+            lines += [
+                f"            {end}_delay=round({now.delay!r} / physics_dt),"
+                for end in ("min", "max")
+            ]
         lines.append("        ),")
     return "\n".join([*lines, "    }", ""])
 

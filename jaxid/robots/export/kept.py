@@ -29,7 +29,10 @@ def kept(found: Outcome) -> Outcome:
     moved = {}
     for k, name in enumerate(names):
         moved[name] = replace(every[name], value=float(change.value[k]), std=float(change.std[k]))
-    numbers = {k: _as_stated(n, stated[k]) if k in left else _rounded(moved.get(k, n)) for k, n in found.parameters.items()}
+    numbers = {
+        k: _as_stated(n, stated[k]) if k in left else _rounded(moved.get(k, n))
+        for k, n in found.parameters.items()
+    }
     effects = []
     for e in found.effects:
         own = {k: _rounded(moved.get(_name(e, k), n)) for k, n in e.numbers.items()}
@@ -63,7 +66,11 @@ def _unexplained(found: Outcome) -> bool:
 def _known(found: Outcome, every: Mapping[str, Number]) -> tuple[list[str], Known]:
     """(names, what is known of them): all that the covariance holds, else those with a standard deviation, as independent."""
     size = np.diag(found.covariance) if found.covariance.size else np.zeros(0)
-    held = [k for k, name in enumerate(found.names) if name in every and np.isfinite(size[k]) and size[k] > 0]
+    held = [
+        k
+        for k, name in enumerate(found.names)
+        if name in every and np.isfinite(size[k]) and size[k] > 0
+    ]
     names, matrix = [found.names[k] for k in held], found.covariance[np.ix_(held, held)]
     alone = [name for name, n in every.items() if n.std and name not in names]
     names += alone

@@ -20,9 +20,13 @@ class Law(NamedTuple):
 LAWS: Mapping[str, Law] = {
     "stribeck_friction": Law("dry", "{extra} * xp.exp(-(qd / {speed}) ** 2)"),
     "load_dependent_friction": Law("dry", "{mu} * abs(load)"),
-    "position_dependent_friction": Law("dry", "{sine} * xp.sin({order} * q) + {cosine} * xp.cos({order} * q)"),
+    "position_dependent_friction": Law(
+        "dry", "{sine} * xp.sin({order} * q) + {cosine} * xp.cos({order} * q)"
+    ),
     "asymmetric_friction": Law("force", "{viscous} * abs(qd) + {dry} * abs(xp.sign(qd))"),
-    "power_law_friction": Law("force", "{coefficient} * (qd ** 2 + 1e-6) ** (({exponent} - 1) / 2) * qd"),
+    "power_law_friction": Law(
+        "force", "{coefficient} * (qd ** 2 + 1e-6) ** (({exponent} - 1) / 2) * qd"
+    ),
     "torque_ripple": Law("force", "{sine} * xp.sin({order} * q) + {cosine} * xp.cos({order} * q)"),
     "viscous_friction": Law("force", "{coefficient} * qd"),
     "coulomb_friction": Law("dry", "{level} + 0 * q"),
@@ -111,7 +115,10 @@ STATES: Mapping[str, str] = {
 }
 
 PORTS = {
-    "force": ("FORCE", "joint -> torque against positive motion: subtract it from the joint's torque"),
+    "force": (
+        "FORCE",
+        "joint -> torque against positive motion: subtract it from the joint's torque",
+    ),
     "dry": (
         "DRY",
         "joint -> level of dry friction beside the file's own: |f| <= level while the joint sticks, level sign(qd) else",
@@ -125,7 +132,11 @@ PORTS = {
 def described(effect: str) -> str:
     """The law in words of the code."""
     law = LAWS[effect]
-    return law.text.replace("{", "").replace("}", "").replace("xp.", "") if law.text else STATES[law.state].split('"""')[1]
+    return (
+        law.text.replace("{", "").replace("}", "").replace("xp.", "")
+        if law.text
+        else STATES[law.state].split('"""')[1]
+    )
 
 
 def code(changes: Iterable[Change], head: str, tail: str = "", library: str = "numpy") -> str:
@@ -150,7 +161,9 @@ def code(changes: Iterable[Change], head: str, tail: str = "", library: str = "n
 def _term(law: Law, numbers: Mapping[str, str]) -> str:
     if law.state:
         return f"{law.state}({', '.join(f'{k}={v}' for k, v in numbers.items())})"
-    arguments = {"force": "q, qd, load, dt", "dry": "q, qd, load, dt", "reading": "y, dt"}.get(law.port, "u, dt")
+    arguments = {"force": "q, qd, load, dt", "dry": "q, qd, load, dt", "reading": "y, dt"}.get(
+        law.port, "u, dt"
+    )
     return f"lambda {arguments}: {law.text.format(**_Lacking(numbers))}"
 
 

@@ -38,9 +38,7 @@ from jaxid.wording import listed
 
 
 NAME, VERSION, FILES = "mjcf", "MuJoCo 4.0", (".xml", ".mjcf")
-UNLIMITED = (
-    "[controller] states no limit (saturation), so that the runs were simulated without the file's: it is left as it is at {}"
-)
+UNLIMITED = "[controller] states no limit (saturation), so that the runs were simulated without the file's: it is left as it is at {}"
 CALLBACK = "effects.py"
 
 
@@ -60,7 +58,11 @@ def write(sheet: Sheet, found: Outcome, path: Path | None, trial: Trial | None =
         return snippet(sheet, found)
     patch = lambda holding: _Patch(deepcopy(sheet), MjcfFile(path), holding).written()
     out = patch(frozenset())
-    stick = [j for j, n in sheet.changed.items() if n.frictionloss > 0 and n.frictionloss != sheet.before[j].frictionloss]
+    stick = [
+        j
+        for j, n in sheet.changed.items()
+        if n.frictionloss > 0 and n.frictionloss != sheet.before[j].frictionloss
+    ]
     if not stick or path.name not in out.files:
         return out
     if trial is None:
@@ -105,8 +107,12 @@ class _Patch:
         else:
             out = Written(self.rows, self._texts(), self.notes)
             out.files["apply.py"] = spec_code(self.ops, self.file.path.name, VERSION)
-        if laws := lawful(c for r, c in zip(self.rows, self.sheet.changes, strict=False) if r.how == CODE):
-            out.files[CALLBACK] = code(laws, f"Laws that no field of an MJCF says; written for {VERSION}.", callback(laws))
+        if laws := lawful(
+            c for r, c in zip(self.rows, self.sheet.changes, strict=False) if r.how == CODE
+        ):
+            out.files[CALLBACK] = code(
+                laws, f"Laws that no field of an MJCF says; written for {VERSION}.", callback(laws)
+            )
         return out
 
     def _row(self, change: Change, fields: Mapping[tuple[str, str], Field | None]) -> Row:
@@ -116,7 +122,9 @@ class _Patch:
         if (change.quantity, change.place) in fields:
             return Row(change.effect, change.location, "", value_of(self.sheet, change), change.unit, CODE,
                        joined(self._why(change), was(change), change.note))  # fmt: skip
-        known = change.place in self.sheet.after and hasattr(self.sheet.after[change.place], change.quantity)
+        known = change.place in self.sheet.after and hasattr(
+            self.sheet.after[change.place], change.quantity
+        )
         if (known or change.quantity == "inertial") and change.value == change.before:
             note = change.note or AS_STATED
             return Row(change.effect, change.location, "", change.value, change.unit, EXACT, note)
@@ -129,15 +137,25 @@ class _Patch:
         if self.file.joint(joint) is None:
             return f"joint {joint!r} has no name of its own in the file: give it one"
         law = f'<position joint="{joint}" kp="{digits(self.sheet.after[joint].kp)}" kv="{digits(self.sheet.after[joint].kd)}"/>'
-        if change.quantity in ("kp", "kd", "force", "lowest", "highest", "delay", "lag", "ki", "offset"):
-            return (
-                f"the file has no position actuator at {joint}, and [controller] drives: set it in your controller, or add {law}"
-            )
+        if change.quantity in (
+            "kp",
+            "kd",
+            "force",
+            "lowest",
+            "highest",
+            "delay",
+            "lag",
+            "ki",
+            "offset",
+        ):
+            return f"the file has no position actuator at {joint}, and [controller] drives: set it in your controller, or add {law}"
         return f"the file has no one actuator at {joint} that jaxid knows"
 
     # ---- joints
 
-    def _joint(self, joint: str, was_: JointNumbers, now: JointNumbers) -> dict[tuple[str, str], Field | None]:
+    def _joint(
+        self, joint: str, was_: JointNumbers, now: JointNumbers
+    ) -> dict[tuple[str, str], Field | None]:
         """Attributes of the joint and its actuator; quantity -> the field that carries it, None where nothing does."""
         found = self.file.joint(joint)
         changed = {k for k in vars(now) if getattr(now, k) != getattr(was_, k)}
@@ -146,13 +164,29 @@ class _Patch:
             return {(k, joint): None for k in changed}
         own = {
             k: v
-            for k, v in self._joint_attributes(joint, changed, was_, now, fields, found[1].attributes).items()
+            for k, v in self._joint_attributes(
+                joint, changed, was_, now, fields, found[1].attributes
+            ).items()
             if v is not None
         }
         if own:
-            found[0].set(found[1], {k: v if isinstance(v, str) else numbers(np.atleast_1d(v)) for k, v in own.items()})
+            found[0].set(
+                found[1],
+                {k: v if isinstance(v, str) else numbers(np.atleast_1d(v)) for k, v in own.items()},
+            )
             self.ops.append(Op("joint", joint, own))
-        drive = changed & {"kp", "kd", "ki", "offset", "lowest", "highest", "delay", "lag", "torque", "drive"}
+        drive = changed & {
+            "kp",
+            "kd",
+            "ki",
+            "offset",
+            "lowest",
+            "highest",
+            "delay",
+            "lag",
+            "torque",
+            "drive",
+        }
         if drive:
             fields |= self._actuator(joint, drive, now)
         return fields
@@ -161,7 +195,9 @@ class _Patch:
         at = f"joint[{joint}]@"
         own: dict[str, Any] = {}
         file = self._file_numbers(joint)
-        more = lambda k: file[k] + getattr(now, k) - getattr(was_, k)  # mimic joints have a share of their own
+        more = lambda k: (
+            file[k] + getattr(now, k) - getattr(was_, k)
+        )  # mimic joints have a share of their own
         if changed & {"damping", "quadratic", "cubic"}:
             poly = [more(k) for k in ("damping", "quadratic", "cubic")]
             while len(poly) > 1 and poly[-1] == 0:
@@ -181,7 +217,10 @@ class _Patch:
         turn = 1.0 if self.sheet.slides(joint) else self.file.degrees
         if changed & {"stiffness", "springref"} or (shift and now.stiffness):
             own |= {"stiffness": now.stiffness, "springref": turn * (now.springref + shift)}
-            fields |= {(k, joint): Field(f"{at}{k}", note="springref in the file's angles") for k in ("stiffness", "springref")}
+            fields |= {
+                (k, joint): Field(f"{at}{k}", note="springref in the file's angles")
+                for k in ("stiffness", "springref")
+            }
         if shift:
             own |= self._shifted(joint, shift, turn)
             note = "ref and range shifted; add it to the joint's value in keyframes too"
@@ -196,7 +235,9 @@ class _Patch:
         a, m = self.file.actuator_id(joint), self.file.model
         gear2 = float(m.actuator_gear[a, 0]) ** 2 if a >= 0 else 0.0
         # Armature and damping that stand at the actuator stay there.
-        extra = lambda name: float(np.ravel(getattr(m, name)[a])[0]) * gear2 if a >= 0 and hasattr(m, name) else 0.0
+        extra = lambda name: (
+            float(np.ravel(getattr(m, name)[a])[0]) * gear2 if a >= 0 and hasattr(m, name) else 0.0
+        )
         return {"damping": d[0] - extra("actuator_damping"), "quadratic": d[1], "cubic": d[2],
                 "frictionloss": tree.frictionloss[k],
                 "armature": tree.armature[k] - extra("actuator_armature")}  # fmt: skip
@@ -228,30 +269,60 @@ class _Patch:
             own = {"kp": (a.kp, now.kp), "kd": (a.kd, now.kd), "lowest": (a.force[0], now.lowest),
                    "highest": (a.force[1], now.highest),
                    "delay": (a.delay, now.delay), "lag": (a.lag, now.lag), "offset": (a.offset, now.offset)}  # fmt: skip
-            other = {k for k, (file, new) in own.items() if abs(file - new) > 1e-9 * abs(new) or np.isinf(file) != np.isinf(new)}
+            other = {
+                k
+                for k, (file, new) in own.items()
+                if abs(file - new) > 1e-9 * abs(new) or np.isinf(file) != np.isinf(new)
+            }
             named = {c.quantity for c in sheet.changes if c.place == joint}
             if other:
                 fields |= self._actuator(joint, other, now)
             x = "m" if sheet.slides(joint) else "rad"
-            units = {"kp": f"{sheet.force_unit(joint)}/{x}", "kd": f"{sheet.force_unit(joint)} s/{x}", "delay": "s", "lag": "s"}
+            units = {
+                "kp": f"{sheet.force_unit(joint)}/{x}",
+                "kd": f"{sheet.force_unit(joint)} s/{x}",
+                "delay": "s",
+                "lag": "s",
+            }
             for k in ("kp", "kd", "delay", "lag"):
                 if k in other and k not in named:
                     note = "the law of [controller], under which the recording was made"
-                    sheet.changes.append(Change(k, joint, k, joint, own[k][1], own[k][0], units[k], note))
+                    sheet.changes.append(
+                        Change(k, joint, k, joint, own[k][1], own[k][0], units[k], note)
+                    )
             if {"lowest", "highest"} & other and not {"force", "lowest", "highest"} & named:
                 note = "the limit of [controller], under which the recording was made"
-                sheet.changes.append(Change("saturation", joint, "force", joint, None, None, sheet.force_unit(joint), note))
+                sheet.changes.append(
+                    Change(
+                        "saturation",
+                        joint,
+                        "force",
+                        joint,
+                        None,
+                        None,
+                        sheet.force_unit(joint),
+                        note,
+                    )
+                )
         if left:
             self.notes.append(UNLIMITED.format(listed(left)))
 
-    def _actuator(self, joint: str, changed: set[str], now: JointNumbers) -> dict[tuple[str, str], Field | None]:
+    def _actuator(
+        self, joint: str, changed: set[str], now: JointNumbers
+    ) -> dict[tuple[str, str], Field | None]:
         found, a = self.file.actuator(joint), self.file.actuator_id(joint)
         tree = self.sheet.tree
         assert tree is not None
         kind = tree.actuators[joint].kind if joint in tree.actuators else ""
         names = changed | ({"force"} if changed & {"lowest", "highest"} else set())
         wanted = "position" if self.sheet.driven else "motor"
-        if found is None or a < 0 or kind != wanted or "ki" in changed or (self.sheet.driven and self.sheet.kind != "pd"):
+        if (
+            found is None
+            or a < 0
+            or kind != wanted
+            or "ki" in changed
+            or (self.sheet.driven and self.sheet.kind != "pd")
+        ):
             return {(k, joint): None for k in names}
         text, element = found
         now = self._limited(joint, now)
@@ -259,19 +330,31 @@ class _Patch:
         attributes, tag = words.attributes(changed, now, element.name)
         if tag != element.name:
             text.rename(element, tag)
-        text.set(element, {k: v if v is None or isinstance(v, str) else numbers(np.atleast_1d(v)) for k, v in attributes.items()})
+        text.set(
+            element,
+            {
+                k: v if v is None or isinstance(v, str) else numbers(np.atleast_1d(v))
+                for k, v in attributes.items()
+            },
+        )
         self._widen(joint, now)
         self.ops.append(Op("actuator", joint, words.general(changed, now)))
         at, law = f"{tag}[{joint}]@", self.sheet.sampled > 0 and self.sheet.driven
         how = APPROXIMATE if law else EXACT
-        note = f"the law ran every {self.sheet.sampled:g} s, MuJoCo's runs at each of its steps" if law else ""
+        note = (
+            f"the law ran every {self.sheet.sampled:g} s, MuJoCo's runs at each of its steps"
+            if law
+            else ""
+        )
         general = tag == "general"
         name = {"kp": "gainprm, biasprm" if general else "kp", "kd": "biasprm" if general else "kv", "offset": "biasprm",
                 "torque": "biasprm", "drive": "gear", "delay": "delay, nsample, interp",
                 "lag": "dyntype, dynprm" if general else "timeconst"}  # fmt: skip
         gear = float(self.file.model.actuator_gear[a, 0])
         geared = names & {"kp", "kd", "offset", "torque", "force", "lowest", "highest"}
-        at_joint = f"at the joint: the file's number stands before gear {gear:g}" if gear != 1 else ""
+        at_joint = (
+            f"at the joint: the file's number stands before gear {gear:g}" if gear != 1 else ""
+        )
         notes = {k: joined(note, at_joint if k in geared else "") for k in names}
         out: dict[tuple[str, str], Field | None] = {
             (k, joint): Field(at + name.get(k, "forcerange"), how, notes[k]) for k in names
@@ -284,7 +367,9 @@ class _Patch:
             out["delay", joint] = Field(at + name["delay"], EXACT, joined(HISTORY, note))
         forced = [k for k in ("force", "lowest", "highest") if (k, joint) in out]
         if forced and not np.isfinite([now.lowest, now.highest]).all():
-            one_sided = joined(f"no limit in one direction: {ENDLESS:g} stands for it", notes["force"])
+            one_sided = joined(
+                f"no limit in one direction: {ENDLESS:g} stands for it", notes["force"]
+            )
             out |= {(k, joint): Field(f"{at}forcerange", APPROXIMATE, one_sided) for k in forced}
         return out
 
@@ -308,8 +393,17 @@ class _Patch:
         limit = tree.effort[tree.joints.index(joint)]
         new = max(abs(now.lowest), abs(now.highest))
         if found is not None and np.isfinite([limit, new]).all() and new > limit:
-            found[0].set(found[1], {"actuatorfrcrange": numbers([now.lowest + now.torque, now.highest + now.torque])})
-            self.ops.append(Op("joint", joint, {"actfrcrange": [now.lowest + now.torque, now.highest + now.torque]}))
+            found[0].set(
+                found[1],
+                {"actuatorfrcrange": numbers([now.lowest + now.torque, now.highest + now.torque])},
+            )
+            self.ops.append(
+                Op(
+                    "joint",
+                    joint,
+                    {"actfrcrange": [now.lowest + now.torque, now.highest + now.torque]},
+                )
+            )
 
     # ---- bodies, gravity
 
@@ -329,10 +423,23 @@ class _Patch:
             turn = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
             attributes |= {**dict.fromkeys(turn), "fullinertia": numbers(full)}
         if inertial is None:
-            text.insert(element, f'<inertial pos="{numbers(new.com)}" mass="{digits(new.mass)}" fullinertia="{numbers(full)}"/>')
+            text.insert(
+                element,
+                f'<inertial pos="{numbers(new.com)}" mass="{digits(new.mass)}" fullinertia="{numbers(full)}"/>',
+            )
         else:
             text.set(inertial, attributes)
-        self.ops.append(Op("body", link, {"mass": new.mass, "ipos": list(new.com), **({} if same else {"fullinertia": full})}))
+        self.ops.append(
+            Op(
+                "body",
+                link,
+                {
+                    "mass": new.mass,
+                    "ipos": list(new.com),
+                    **({} if same else {"fullinertia": full}),
+                },
+            )
+        )
         note = "mass, pos and inertia together; they are of bodies that can exist"
         if off > 1e-6:
             note += f"; the nearest such body is {100 * off:.2g} % of its largest number off"
@@ -347,7 +454,9 @@ class _Patch:
         m, mj = self.file.model, library()
         b = mj.mj_name2id(m, mj.mjtObj.mjOBJ_BODY, link)
         R = pose(np.zeros(3), m.body_iquat[b])[:3, :3]
-        return Body(float(m.body_mass[b]), m.body_ipos[b].copy(), R @ np.diag(m.body_inertia[b]) @ R.T)
+        return Body(
+            float(m.body_mass[b]), m.body_ipos[b].copy(), R @ np.diag(m.body_inertia[b]) @ R.T
+        )
 
     def _gravity(self) -> Field:
         assert self.sheet.gravity is not None
@@ -358,7 +467,10 @@ class _Patch:
         else:
             text.set(option, {"gravity": numbers(g)})
         self.ops.append(Op("option", "gravity", {"gravity": g}))
-        return Field("option@gravity", note="gravity turned in place of the base: right while the base does not move")
+        return Field(
+            "option@gravity",
+            note="gravity turned in place of the base: right while the base does not move",
+        )
 
     # ---- the end
 
@@ -373,9 +485,26 @@ class _Patch:
     def _check(self, new: Any) -> None:
         """MuJoCo takes the file, and nothing but what was meant is another number than before."""
         old = self.file.model
-        meant = {"joint": ("dof_", "jnt_", "qpos"), "body": ("body_",), "actuator": ("actuator_", "opt")}
-        allowed = tuple(p for op in self.ops for p in meant.get(op.kind, ())) + ("tendon_length0", "stat", "cam_", "light_")
-        for name in ("dof_damping", "dof_frictionloss", "dof_armature", "body_mass", "body_pos", "jnt_axis", "actuator_gainprm"):
+        meant = {
+            "joint": ("dof_", "jnt_", "qpos"),
+            "body": ("body_",),
+            "actuator": ("actuator_", "opt"),
+        }
+        allowed = tuple(p for op in self.ops for p in meant.get(op.kind, ())) + (
+            "tendon_length0",
+            "stat",
+            "cam_",
+            "light_",
+        )
+        for name in (
+            "dof_damping",
+            "dof_frictionloss",
+            "dof_armature",
+            "body_mass",
+            "body_pos",
+            "jnt_axis",
+            "actuator_gainprm",
+        ):
             a, b = getattr(old, name), getattr(new, name)
             if a.shape != b.shape or (not name.startswith(allowed) and not np.array_equal(a, b)):
                 raise UsageError(

@@ -95,7 +95,11 @@ def _actuator_line(k: str, v: Any) -> list[str]:
 def _plain(v: Any) -> str:
     if isinstance(v, int | str):
         return repr(v)
-    return repr([float(x) for x in v]) if isinstance(v, list | tuple) or hasattr(v, "__len__") else repr(float(v))
+    return (
+        repr([float(x) for x in v])
+        if isinstance(v, list | tuple) or hasattr(v, "__len__")
+        else repr(float(v))
+    )
 
 
 def callback(changes: list[Change]) -> str:
@@ -111,11 +115,22 @@ def callback(changes: list[Change]) -> str:
         "            qd, load = data.qvel[d], data.qfrc_actuator[d]",
     ]  # fmt: skip
     if "force" in ports:
-        lines += ["        for joint, law in FORCE:", *each, "            data.qfrc_applied[d] -= law(q, qd, load, dt)"]
+        lines += [
+            "        for joint, law in FORCE:",
+            *each,
+            "            data.qfrc_applied[d] -= law(q, qd, load, dt)",
+        ]
     if "dry" in ports:
-        lines += ["        for joint, law in DRY:", *each, "            model.dof_frictionloss[d] += law(q, qd, load, dt)"]
+        lines += [
+            "        for joint, law in DRY:",
+            *each,
+            "            model.dof_frictionloss[d] += law(q, qd, load, dt)",
+        ]
     if {"command", "torque"} & ports:
-        lines += ["", "    # COMMAND and TORQUE act on what you write to data.ctrl: ctrl = law(ctrl, dt)."]
+        lines += [
+            "",
+            "    # COMMAND and TORQUE act on what you write to data.ctrl: ctrl = law(ctrl, dt).",
+        ]
     if "reading" in ports:
         lines += ["", "    # READING acts on what you read: y = law(q, dt)."]
     return "\n".join([*lines, ""])
@@ -135,11 +150,19 @@ def snippet(sheet: Sheet, found: Outcome) -> Written:
             if k in own:
                 attributes[k] = number(getattr(now, k))
         if attributes:
-            lines.append(f"<joint name={quoteattr(joint)} {' '.join(f'{k}={quoteattr(v)}' for k, v in attributes.items())}/>")
+            lines.append(
+                f"<joint name={quoteattr(joint)} {' '.join(f'{k}={quoteattr(v)}' for k, v in attributes.items())}/>"
+            )
     out = Written(rows_of(sheet, PLAIN, coded("effects.py")))
     if len(lines) > 1:
         out.files["joints.xml"] = "\n".join([*lines, ""])
     if laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code"):
-        out.files["effects.py"] = code(laws, "Laws that no field of an MJCF says; written for MuJoCo 4.0.", callback(laws))
-    out.notes += [] if sheet.tree else ["no robot's file is known, so nothing was patched: give it with --robot FILE"]
+        out.files["effects.py"] = code(
+            laws, "Laws that no field of an MJCF says; written for MuJoCo 4.0.", callback(laws)
+        )
+    out.notes += (
+        []
+        if sheet.tree
+        else ["no robot's file is known, so nothing was patched: give it with --robot FILE"]
+    )
     return out

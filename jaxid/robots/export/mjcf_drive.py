@@ -27,7 +27,9 @@ class DriveWords:
     actuator: int
     driven: bool
 
-    def attributes(self, changed: set[str], now: JointNumbers, tag: str) -> tuple[dict[str, Any], str]:
+    def attributes(
+        self, changed: set[str], now: JointNumbers, tag: str
+    ) -> tuple[dict[str, Any], str]:
         """(attributes, tag) of the element for the quantities that changed: its own words where it has them, else those of
         <general>."""
         own = self.general(changed, now)
@@ -59,7 +61,9 @@ class DriveWords:
         own: dict[str, Any] = {}
         if changed & {"kp", "kd", "offset", "torque"}:
             own |= self._gains(gear, now)
-        if changed & {"lowest", "highest"} or (now.torque and np.isfinite([now.lowest, now.highest]).any()):
+        if changed & {"lowest", "highest"} or (
+            now.torque and np.isfinite([now.lowest, now.highest]).any()
+        ):
             limits = (np.array([now.lowest, now.highest]) + now.torque) / gear
             finite = np.nan_to_num(limits, posinf=ENDLESS, neginf=-ENDLESS)
             own |= {"forcerange": sorted(map(float, finite))}

@@ -55,7 +55,11 @@ class MjcfFile:
     def _find(self, tag: str, name: str) -> tuple[XmlText, Element] | None:
         for text in self.texts.values():
             for one in text.elements:
-                if one.name == tag and one.attributes.get("name") == name and not set(one.above()) & {*ELSEWHERE}:
+                if (
+                    one.name == tag
+                    and one.attributes.get("name") == name
+                    and not set(one.above()) & {*ELSEWHERE}
+                ):
                     return text, one
         return None
 
@@ -80,7 +84,11 @@ class MjcfFile:
     def option(self) -> tuple[XmlText, Element | None]:
         for text in self.texts.values():
             for one in text.elements:
-                if one.name == "option" and one.parent is not None and one.parent.name.startswith("mujoco"):
+                if (
+                    one.name == "option"
+                    and one.parent is not None
+                    and one.parent.name.startswith("mujoco")
+                ):
                     return text, one
         return next(iter(self.texts.values())), None
 
@@ -89,7 +97,11 @@ class MjcfFile:
         m, mj = self.model, library()
         j = mj.mj_name2id(m, mj.mjtObj.mjOBJ_JOINT, joint)
         on = (int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT))
-        found = [a for a in range(m.nu) if int(m.actuator_trntype[a]) in on and int(m.actuator_trnid[a, 0]) == j]
+        found = [
+            a
+            for a in range(m.nu)
+            if int(m.actuator_trntype[a]) in on and int(m.actuator_trnid[a, 0]) == j
+        ]
         return found[0] if len(found) == 1 else -1
 
     @property
@@ -109,4 +121,6 @@ def compiled(path: Path, text: str | None = None) -> Any:
     try:
         return spec.compile()
     except (ValueError, library().FatalError) as error:
-        raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
+        raise UsageError(
+            f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}"
+        ) from None

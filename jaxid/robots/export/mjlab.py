@@ -26,14 +26,29 @@ FIELDS = {
 }  # fmt: skip
 XML = "no setting of an actuator: patch the MJCF (jaxid export --to mjcf) and load that"
 ELSEWHERE: dict[str, str] = dict.fromkeys(
-    ("quadratic", "cubic", "stiffness", "springref", "bias", "torque", "offset", "drive", "lag", "inertial", "gravity", "lowest"),
+    (
+        "quadratic",
+        "cubic",
+        "stiffness",
+        "springref",
+        "bias",
+        "torque",
+        "offset",
+        "drive",
+        "lag",
+        "inertial",
+        "gravity",
+        "lowest",
+    ),
     XML,
 )
 
 
 def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
     """`mjlab_actuators.py`: a function of the physics step, for delays are counted in those."""
-    return written(sheet, FIELDS, ELSEWHERE, "mjlab_actuators.py", _text, VERSION, "torch", how=NONE)
+    return written(
+        sheet, FIELDS, ELSEWHERE, "mjlab_actuators.py", _text, VERSION, "torch", how=NONE
+    )
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
@@ -47,12 +62,24 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[
         given = {"stiffness": now.kp, "damping": now.kd} if sheet.driven else {}
         given |= {names[k]: float(own[k]) for k in names if k in own}
         effort = limit([now.lowest, now.highest])
-        given |= {"effort_limit": effort} if effort is not None and ("force" in own or "highest" in own or sheet.driven) else {}
-        lines += ["        BuiltinPositionActuatorCfg(", f"            target_names_expr=({re.escape(joint)!r},),"]
+        given |= (
+            {"effort_limit": effort}
+            if effort is not None and ("force" in own or "highest" in own or sheet.driven)
+            else {}
+        )
+        lines += [
+            "        BuiltinPositionActuatorCfg(",
+            f"            target_names_expr=({re.escape(joint)!r},),",
+        ]
         lines += [f"            {k}={v!r}," for k, v in given.items()]
         if not sheet.driven:
-            lines.append("            stiffness=..., damping=...,  # your gains: the recording was driven by torques")
+            lines.append(
+                "            stiffness=..., damping=...,  # your gains: the recording was driven by torques"
+            )
         if "delay" in own:
-            lines += [f"            delay_{end}_lag=round({now.delay!r} / physics_dt)," for end in ("min", "max")]
+            lines += [
+                f"            delay_{end}_lag=round({now.delay!r} / physics_dt),"
+                for end in ("min", "max")
+            ]
         lines.append("        ),")
     return "\n".join([*lines, "    )", ""])

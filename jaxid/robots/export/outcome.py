@@ -54,7 +54,9 @@ class Named:
     def value(self, name: str) -> float:
         """One of its numbers; raises `UsageError` where the result lacks it."""
         if name not in self.numbers:
-            raise UsageError(f"the result's effect {self.effect} at {self.location} has no number {name!r}")
+            raise UsageError(
+                f"the result's effect {self.effect} at {self.location} has no number {name!r}"
+            )
         return self.numbers[name].value
 
 
@@ -75,11 +77,16 @@ class Outcome:
         """The same with its locations under other joints' names."""
         other = lambda place: joints.get(place, place)
         numbers = {
-            f"{k.partition('@')[0]}@{other(k.partition('@')[2])}" if "@" in k else k: n for k, n in self.parameters.items()
+            f"{k.partition('@')[0]}@{other(k.partition('@')[2])}" if "@" in k else k: n
+            for k, n in self.parameters.items()
         }
         inputs = {"tau", "force", "u"} if len(joints) == 1 else set()
         at = lambda e: next(iter(joints.values())) if e.location in inputs else other(e.location)
-        return replace(self, parameters=numbers, effects=tuple(replace(e, location=at(e)) for e in self.effects))
+        return replace(
+            self,
+            parameters=numbers,
+            effects=tuple(replace(e, location=at(e)) for e in self.effects),
+        )
 
     @property
     def drive(self) -> Mapping[str, Any] | None:
@@ -91,18 +98,28 @@ def outcome(content: Any) -> Outcome:
     """The numbers of a fit, a diagnosis or an identification. Raises `UsageError` for anything else and for a failed fit."""
     kind = content.get("kind") if isinstance(content, Mapping) else None
     if kind not in KINDS:
-        raise UsageError(f"this is no result of {', '.join(KINDS)}: give the JSON that jaxid fit, diagnose or identify wrote")
+        raise UsageError(
+            f"this is no result of {', '.join(KINDS)}: give the JSON that jaxid fit, diagnose or identify wrote"
+        )
     which = content.get("which") if kind == "diagnosis" else content
     effects = which.get("effects", []) if isinstance(which, Mapping) else []
     parameters = content.get("parameters", {})
     robot = content.get("robot") or {}
-    if not isinstance(effects, list) or not isinstance(parameters, Mapping) or not isinstance(robot, Mapping):
+    if (
+        not isinstance(effects, list)
+        or not isinstance(parameters, Mapping)
+        or not isinstance(robot, Mapping)
+    ):
         raise UsageError("effects, parameters or robot of the result are not what jaxid writes")
     if len(effects) > MOST or len(parameters) > MOST:
         raise UsageError(f"the result has more than {MOST} numbers or effects")
     if kind != "identification" and not parameters and not effects:
-        raise UsageError("the result holds no numbers: the fit failed, and there is nothing to carry over")
-    names, matrix = _covariance(content.get("covariance"), content.get("names") if kind == "identification" else None)
+        raise UsageError(
+            "the result holds no numbers: the fit failed, and there is nothing to carry over"
+        )
+    names, matrix = _covariance(
+        content.get("covariance"), content.get("names") if kind == "identification" else None
+    )
     return Outcome(
         kind,
         _name(content.get("model"), "model"),
@@ -116,7 +133,12 @@ def outcome(content: Any) -> Outcome:
 
 
 def _name(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not value or len(value) > LONGEST or any(ord(c) < 32 for c in value):
+    if (
+        not isinstance(value, str)
+        or not value
+        or len(value) > LONGEST
+        or any(ord(c) < 32 for c in value)
+    ):
         raise UsageError(f"{where} of the result: {str(value)[:60]!r} is no name")
     return value
 
@@ -134,7 +156,12 @@ def _number(name: str, entry: Any) -> Number:
     if not isinstance(entry, Mapping):
         return Number(value)
     std = entry.get("std")
-    known = isinstance(std, int | float) and not isinstance(std, bool) and math.isfinite(std) and std >= 0
+    known = (
+        isinstance(std, int | float)
+        and not isinstance(std, bool)
+        and math.isfinite(std)
+        and std >= 0
+    )
     return Number(
         value=value,
         std=float(std) if known else None,  # type: ignore[arg-type]
@@ -157,7 +184,11 @@ def _effect(entry: Any) -> Named:
     name = _name(entry.get("effect"), "effects")
     if not all(isinstance(k, str) and k.isidentifier() for k in inside):
         raise UsageError(f"the numbers of effect {name} in the result have names that are none")
-    return Named(name, _name(entry.get("location"), name), {_name(k, name): _number(f"{name}.{k}", v) for k, v in inside.items()})
+    return Named(
+        name,
+        _name(entry.get("location"), name),
+        {_name(k, name): _number(f"{name}.{k}", v) for k, v in inside.items()},
+    )
 
 
 def _covariance(entry: Any, names: Any) -> tuple[tuple[str, ...], np.ndarray]:
@@ -167,7 +198,9 @@ def _covariance(entry: Any, names: Any) -> tuple[tuple[str, ...], np.ndarray]:
     if not isinstance(rows, list) or not isinstance(names, list):
         return (), np.zeros((0, 0))
     try:
-        matrix = np.array([[np.nan if v is None else float(v) for v in row] for row in rows]).reshape(len(rows), -1)
+        matrix = np.array(
+            [[np.nan if v is None else float(v) for v in row] for row in rows]
+        ).reshape(len(rows), -1)
     except (TypeError, ValueError):
         raise UsageError("the covariance of the result is no matrix") from None
     n = min(len(names), len(matrix), matrix.shape[1] if matrix.size else 0)
@@ -182,7 +215,9 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
     own: dict[str, Any] | None = None
     if isinstance(drive, Mapping):
         joints = drive.get("joints")
-        if not isinstance(joints, Mapping) or not all(isinstance(n, Mapping) for n in joints.values()):
+        if not isinstance(joints, Mapping) or not all(
+            isinstance(n, Mapping) for n in joints.values()
+        ):
             raise UsageError("robot.drive.joints of the result is no table by joint")
         own = {**drive, "joints": {_name(j, "drive"): _law(n) for j, n in joints.items()}}
     held = robot.get("held") or {}
@@ -202,4 +237,7 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
 
 def _law(numbers: Mapping[str, Any]) -> dict[str, float]:
     endless = {"lowest": -math.inf, "highest": math.inf}
-    return {_name(k, "drive"): endless[k] if v is None and k in endless else number(k, v) for k, v in numbers.items()}
+    return {
+        _name(k, "drive"): endless[k] if v is None and k in endless else number(k, v)
+        for k, v in numbers.items()
+    }

@@ -19,7 +19,18 @@ from jaxid.robots.export.outcome import Number, Outcome
 #: Standard deviations to either side of a 95 % interval of a normal distribution.
 NORMAL_95 = 1.959963984540054
 #: Numbers that are not negative.
-POSITIVE = ("damping", "frictionloss", "armature", "mass", "kp", "kd", "delay", "timeconst", "stiffness", "quadratic_damping")
+POSITIVE = (
+    "damping",
+    "frictionloss",
+    "armature",
+    "mass",
+    "kp",
+    "kd",
+    "delay",
+    "timeconst",
+    "stiffness",
+    "quadratic_damping",
+)
 
 
 @dataclass(frozen=True)
@@ -50,7 +61,11 @@ def ranges_of(found: Outcome, to: str) -> Ranges:
             low = max(0.0, low)
         rows[name] = {"mean": n.value, "std": n.std, "interval_95": [low, high], "unit": n.unit}
     names, correlation = _correlation(found, list(rows))
-    table = {"numbers": rows, "not_determined": left, "correlation": {"names": names, "matrix": correlation}}
+    table = {
+        "numbers": rows,
+        "not_determined": left,
+        "correlation": {"names": names, "matrix": correlation},
+    }
     notes = () if names else ("the result holds no covariance: numbers are taken as independent",)
     own = OWN.get(to)
     return Ranges(table, {} if own is None else {f"ranges_{to}.py": own(rows)}, notes)
@@ -75,7 +90,9 @@ def _number(entry: Any) -> Number | None:
     if not isinstance(entry, Mapping) or not known(entry.get("value")):
         return None
     std = entry.get("std")
-    return Number(float(entry["value"]), float(std) if known(std) else None, str(entry.get("unit") or "")[:40])  # type: ignore[arg-type]
+    return Number(
+        float(entry["value"]), float(std) if known(std) else None, str(entry.get("unit") or "")[:40]
+    )  # type: ignore[arg-type]
 
 
 def _shared(found: Outcome, wanted: Iterable[str]) -> tuple[list[str], np.ndarray]:
@@ -120,25 +137,37 @@ def _side(n: Number) -> float:
     return 1.0 if n.value - n.lower <= n.upper - n.value else -1.0
 
 
-def _correlation(found: Outcome, wanted: Iterable[str]) -> tuple[list[str], list[list[float | None]]]:
+def _correlation(
+    found: Outcome, wanted: Iterable[str]
+) -> tuple[list[str], list[list[float | None]]]:
     """(names, matrix) of those numbers that the covariance holds."""
     names, C = _shared(found, wanted)
     if C.size and np.isfinite(C).all():
         C = positive(C)
     size = np.sqrt(np.diag(C))
     R = C / np.outer(size, size)
-    return names, [[None if not np.isfinite(v) else float(np.clip(v, -1, 1)) for v in row] for row in R]
+    return names, [
+        [None if not np.isfinite(v) else float(np.clip(v, -1, 1)) for v in row] for row in R
+    ]
 
 
 def _by_field(rows: Mapping[str, Any], field: str) -> dict[str, list[float]]:
-    return {k.partition("@")[2]: r["interval_95"] for k, r in rows.items() if k.partition("@")[0] == field}
+    return {
+        k.partition("@")[2]: r["interval_95"]
+        for k, r in rows.items()
+        if k.partition("@")[0] == field
+    }
 
 
 def _mjlab(rows: Mapping[str, Any]) -> str:
     lines = ['"""Events of domain randomisation by what was measured; written for mjlab 1.6, not run."""', "",
              "from mjlab.envs.mdp import dr", "from mjlab.managers.event_manager import EventTermCfg",
              "from mjlab.managers.scene_entity_config import SceneEntityCfg", "", "EVENTS = {"]  # fmt: skip
-    for quantity, function in (("damping", "joint_damping"), ("frictionloss", "joint_friction"), ("armature", "joint_armature")):
+    for quantity, function in (
+        ("damping", "joint_damping"),
+        ("frictionloss", "joint_friction"),
+        ("armature", "joint_armature"),
+    ):
         for joint, interval in _by_field(rows, quantity).items():
             lines += [
                 f"    {f'{quantity}_{joint}'!r}: EventTermCfg(", f'        func=dr.{function}, mode="startup",',

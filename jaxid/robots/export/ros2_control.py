@@ -31,7 +31,8 @@ def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
     out = written(sheet, FIELDS, ELSEWHERE, "controllers.yaml", _text, VERSION, None)
     out.notes.append(
         MODEL.replace(
-            "a controller has no field for it", "what has no row with a field here is of the robot, not of its controller"
+            "a controller has no field for it",
+            "what has no row with a field here is of the robot, not of its controller",
         )
     )
     return out
@@ -43,7 +44,11 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[
     for joint, own in numbers.items():
         now = sheet.after[joint]
         lines.append(f"      {json.dumps(joint)}:")
-        given = {"p": now.kp, "i": now.ki, "d": now.kd} if sheet.driven and {"kp", "kd", "ki"} & own.keys() else {}
+        given = (
+            {"p": now.kp, "i": now.ki, "d": now.kd}
+            if sheet.driven and {"kp", "kd", "ki"} & own.keys()
+            else {}
+        )
         given |= {"ff_velocity_scale": now.damping} if "damping" in own else {}
         effort = limit([now.lowest, now.highest])
         if effort is not None and {"force", "highest"} & own.keys():

@@ -73,14 +73,20 @@ def export(
     found = outcome(content)
     path = _file(found, robot, beside)
     target = TARGETS[to]
-    tree = None if path is None else based(read_tree(path), (found.robot.get("base") or {}).get("kind") == "free")
+    tree = (
+        None
+        if path is None
+        else based(read_tree(path), (found.robot.get("base") or {}).get("kind") == "free")
+    )
     in_steps, said = _in_steps(found, tree, path) if to == "mjcf" else (found, ())
     told = kept(in_steps)
     sheet = _sheet(told, tree, path)
     sheet.notes += said
     patches = path is not None and path.suffix.lower() in target.FILES
     if target.FILES and path is not None and not patches and to in ("mjcf", "urdf"):
-        sheet.notes.append(f"{path.name} is no {to.upper()}, so nothing was patched: give one with --robot FILE")
+        sheet.notes.append(
+            f"{path.name} is no {to.upper()}, so nothing was patched: give one with --robot FILE"
+        )
     if to == "mjcf" and patches and path is not None:
         written = mjcf.write(sheet, told, path, trial)
         written.notes += _compared(written.files, path, trial)
@@ -90,7 +96,13 @@ def export(
     more = ranges_of(found, to) if ranges else None
     rows = tuple(written.rows)
     files = {**written.files, **(more.files if more else {})}
-    source = {"schema": 1, "kind": "export", "to": to, "robot": _of_file(found, path), "result": _numbers(found)}
+    source = {
+        "schema": 1,
+        "kind": "export",
+        "to": to,
+        "robot": _of_file(found, path),
+        "result": _numbers(found),
+    }
     notes = (*_caveats(found), *sheet.notes, *written.notes, *(more.notes if more else ()))
     return Exported(to, rows, files, notes, source, more.table if more else None)
 
@@ -116,16 +128,24 @@ def _compared(files: Mapping[str, str], path: Path, trial: Trial | None) -> list
         return []
     course = listed(f"{j} {number(before[j])} → {number(now[j])}" for j in moved)
     worse = [j for j in moved if now[j] > before[j]]
-    warning = f"; {listed(worse)} further off than before: do not take that over unseen" if worse else ""
+    warning = (
+        f"; {listed(worse)} further off than before: do not take that over unseen" if worse else ""
+    )
     return [f"in MuJoCo on the recording, rms error before and after (rad or m): {course}{warning}"]
 
 
 def read_tree(path: Path) -> Tree:
     """The tree of a robot's file by its ending."""
     try:
-        return read_urdf_tree(path, read_small(path).decode("utf-8-sig")) if path.suffix.lower() == ".urdf" else read_mjcf(path)
+        return (
+            read_urdf_tree(path, read_small(path).decode("utf-8-sig"))
+            if path.suffix.lower() == ".urdf"
+            else read_mjcf(path)
+        )
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: a character that is not UTF-8; save the file as UTF-8") from error
+        raise UsageError(
+            f"{path}: a character that is not UTF-8; save the file as UTF-8"
+        ) from error
     except TooLarge as error:
         raise UsageError(f"{path}: {error}") from error
 
@@ -145,7 +165,9 @@ def _file(found: Outcome, robot: str | Path | None, beside: Path | None) -> Path
     places = [Path(named), *([beside / Path(named).name] if beside is not None else [])]
     path = next((p for p in places if p.is_file()), None)
     if path is None:
-        raise UsageError(f"the robot's file {named} is not there any more: say where it is with --robot FILE")
+        raise UsageError(
+            f"the robot's file {named} is not there any more: say where it is with --robot FILE"
+        )
     if found.robot.get("sha256") and digest(str(path)) != found.robot["sha256"]:
         raise UsageError(
             f"{path} has changed since the result: give it with --robot {path} if it is to be patched as it stands now"
@@ -188,7 +210,9 @@ def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
     )
 
 
-def _in_steps(found: Outcome, tree: Tree | None, path: Path | None) -> tuple[Outcome, tuple[str, ...]]:
+def _in_steps(
+    found: Outcome, tree: Tree | None, path: Path | None
+) -> tuple[Outcome, tuple[str, ...]]:
     """The result in the terms of the file's simulator, and what is to be said of that."""
     if tree is None or found.kind == "identification":
         return found, ()
@@ -200,13 +224,26 @@ def _joints(found: Outcome) -> list[str]:
     if found.robot.get("joints"):
         return list(found.robot["joints"])
     if found.kind == "identification":
-        return [str(r.get("joint")) for r in found.content.get("friction") or [] if isinstance(r, Mapping)]
+        return [
+            str(r.get("joint"))
+            for r in found.content.get("friction") or []
+            if isinstance(r, Mapping)
+        ]
     places = [n.partition("@")[2] for n in found.parameters if "@" in n]
     ends = ("_cmd", "_tau", "_qd")
-    places += [next((e.location.removesuffix(x) for x in ends if e.location.endswith(x)), e.location) for e in found.effects]
+    places += [
+        next((e.location.removesuffix(x) for x in ends if e.location.endswith(x)), e.location)
+        for e in found.effects
+    ]
     shown = [j for j in dict.fromkeys(places) if j not in ("tau", "force", "u")]
-    count = max([1, *(int(n[len(n.rstrip("0123456789")) :] or 1) for n in found.parameters if "@" not in n)])
-    return shown if len(shown) >= count else [*shown, *(f"q{k + 1}" if count > 1 else "q" for k in range(len(shown), count))]
+    count = max(
+        [1, *(int(n[len(n.rstrip("0123456789")) :] or 1) for n in found.parameters if "@" not in n)]
+    )
+    return (
+        shown
+        if len(shown) >= count
+        else [*shown, *(f"q{k + 1}" if count > 1 else "q" for k in range(len(shown), count))]
+    )
 
 
 def _identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
@@ -220,22 +257,40 @@ def _caveats(found: Outcome) -> list[str]:
     out, which = [], found.content.get("which")
     if isinstance(which, Mapping):
         if which.get("verdict") in ("unknown", "partly"):
-            out.append("a gap is left that no known effect explains: the fitted numbers may have taken up a part of it")
+            out.append(
+                "a gap is left that no known effect explains: the fitted numbers may have taken up a part of it"
+            )
         others = [
-            f"{e.get('effect')} at {e.get('location')}" for e in which.get("confusable_with") or [] if isinstance(e, Mapping)
+            f"{e.get('effect')} at {e.get('location')}"
+            for e in which.get("confusable_with") or []
+            if isinstance(e, Mapping)
         ]
         out += [f"the data cannot tell what was named from {', '.join(others)}"] if others else []
     if found.content.get("state") in ("stalled", "budget"):
-        out.append(f"the fit ended by its {found.content['state']}, not converged: the numbers are not the best ones")
+        out.append(
+            f"the fit ended by its {found.content['state']}, not converged: the numbers are not the best ones"
+        )
     return out
 
 
 def _of_file(found: Outcome, path: Path | None) -> dict[str, Any]:
-    return {**found.robot, "file": "" if path is None else str(path), "sha256": "" if path is None else digest(str(path))}
+    return {
+        **found.robot,
+        "file": "" if path is None else str(path),
+        "sha256": "" if path is None else digest(str(path)),
+    }
 
 
 def _numbers(found: Outcome) -> dict[str, Any]:
     """What `jaxid replay` needs to run jaxid's own model beside: the numbers alone."""
     value = lambda table: {k: {"value": n.value, "std": n.std} for k, n in table.items()}
-    effects = [{"effect": e.effect, "location": e.location, "parameters": value(e.numbers)} for e in found.effects]
-    return {"kind": found.kind, "model": found.model, "parameters": value(found.parameters), "effects": effects}
+    effects = [
+        {"effect": e.effect, "location": e.location, "parameters": value(e.numbers)}
+        for e in found.effects
+    ]
+    return {
+        "kind": found.kind,
+        "model": found.model,
+        "parameters": value(found.parameters),
+        "effects": effects,
+    }

@@ -32,7 +32,11 @@ def save(exported: Exported, folder: str | Path) -> Path:
         files[RANGES] = _json(exported.ranges)
     written = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     rows = _json(exported.to_list())
-    source = {**exported.source, "notes": list(exported.notes), "files": {**written, ROWS: hashlib.sha256(rows).hexdigest()}}
+    source = {
+        **exported.source,
+        "notes": list(exported.notes),
+        "files": {**written, ROWS: hashlib.sha256(rows).hexdigest()},
+    }
     files |= {ROWS: rows, SOURCE: _json(source)}
     before = source_of(folder)
     for name in files:
@@ -51,7 +55,11 @@ def source_of(folder: Path) -> Mapping[str, Any]:
         content = json.loads(read_small(folder / SOURCE)) if (folder / SOURCE).is_file() else {}
     except (OSError, ValueError, TooLarge, RecursionError):
         return {}
-    ours = isinstance(content, Mapping) and content.get("schema") == SCHEMA and content.get("kind") == "export"
+    ours = (
+        isinstance(content, Mapping)
+        and content.get("schema") == SCHEMA
+        and content.get("kind") == "export"
+    )
     return content if ours and isinstance(content.get("files"), Mapping) else {}
 
 
@@ -65,7 +73,9 @@ def _refuse_overwriting(folder: Path, name: str, before: Mapping[str, Any]) -> N
     if not path.exists() or (name == SOURCE and before):
         return
     if hashlib.sha256(read_small(path)).hexdigest() != before.get("files", {}).get(name):
-        raise UsageError(f"{path} was not written by jaxid export, or was edited since: it is left as it is; name another --out")
+        raise UsageError(
+            f"{path} was not written by jaxid export, or was edited since: it is left as it is; name another --out"
+        )
 
 
 def _json(content: Any) -> bytes:

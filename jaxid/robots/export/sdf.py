@@ -41,26 +41,45 @@ def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[str, Body]) -> str:
-    lines = [f"<!-- Copy these elements to the joints and links of your model; written for {VERSION}, not run. -->"]
-    names = {"damping": "damping", "frictionloss": "friction", "stiffness": "spring_stiffness", "springref": "spring_reference"}
+    lines = [
+        f"<!-- Copy these elements to the joints and links of your model; written for {VERSION}, not run. -->"
+    ]
+    names = {
+        "damping": "damping",
+        "frictionloss": "friction",
+        "stiffness": "spring_stiffness",
+        "springref": "spring_reference",
+    }
     for joint, own in numbers.items():
-        dynamics = "".join(f"<{tag}>{number(own[k])}</{tag}>" for k, tag in names.items() if k in own)
+        dynamics = "".join(
+            f"<{tag}>{number(own[k])}</{tag}>" for k, tag in names.items() if k in own
+        )
         now = sheet.after[joint]
         effort = limit([now.lowest, now.highest]) if {"force", "highest"} & own.keys() else None
         lines += [f"<joint name={quoteattr(joint)}>", "  <axis>"]
         lines += [f"    <dynamics>{dynamics}</dynamics>"] if dynamics else []
-        lines += [f"    <limit><effort>{number(effort)}</effort></limit>"] if effort is not None else []
+        lines += (
+            [f"    <limit><effort>{number(effort)}</effort></limit>"] if effort is not None else []
+        )
         lines += ["  </axis>", "</joint>"]
         if {"kp", "kd"} & own.keys():
             gains = f"<p_gain>{number(now.kp)}</p_gain><d_gain>{number(now.kd)}</d_gain>"
             plugin = 'filename="gz-sim-joint-position-controller-system" '
             plugin += 'name="gz::sim::systems::JointPositionController"'
-            lines += [f"<plugin {plugin}>", f"  <joint_name>{quoteattr(joint)[1:-1]}</joint_name>{gains}", "</plugin>"]
+            lines += [
+                f"<plugin {plugin}>",
+                f"  <joint_name>{quoteattr(joint)[1:-1]}</joint_name>{gains}",
+                "</plugin>",
+            ]
     for link, body in bodies.items():
         tensor = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), central(body), strict=True)
         inertia = "".join(f"<{k}>{number(v)}</{k}>" for k, v in tensor)
         place = f"<pose>{listed(body.com)} 0 0 0</pose><mass>{number(body.mass)}</mass>"
-        lines += [f"<link name={quoteattr(link)}>", f"  <inertial>{place}<inertia>{inertia}</inertia></inertial>", "</link>"]
+        lines += [
+            f"<link name={quoteattr(link)}>",
+            f"  <inertial>{place}<inertia>{inertia}</inertia></inertial>",
+            "</link>",
+        ]
     if sheet.gravity is not None and any(c.quantity == "gravity" for c in sheet.changes):
         lines.append(f"<gravity>{listed(sheet.gravity[1])}</gravity>")
     return "\n".join([*lines, ""])

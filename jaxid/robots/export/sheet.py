@@ -102,7 +102,11 @@ class Sheet:
         self.after[joint] = replace(self.after[joint], **numbers)
 
     def slides(self, joint: str) -> bool:
-        return self.tree is not None and joint in self.tree.joints and self.tree.slides[self.tree.joints.index(joint)]
+        return (
+            self.tree is not None
+            and joint in self.tree.joints
+            and self.tree.slides[self.tree.joints.index(joint)]
+        )
 
     def force_unit(self, joint: str) -> str:
         return "N" if self.slides(joint) else "N m"
@@ -162,7 +166,10 @@ def body_before(tree: Tree, link: str) -> Body:
 def numbers_of(tree: Tree, link: str) -> dict[str, float]:
     """The ten numbers of a link by the names that a fit has for them."""
     k = tree.links.index(link)
-    return {name: float(v) for name, v in zip(BODY, body_of(tree.inertia[k], tree.anchor[k])[0], strict=True)}
+    return {
+        name: float(v)
+        for name, v in zip(BODY, body_of(tree.inertia[k], tree.anchor[k])[0], strict=True)
+    }
 
 
 def from_numbers(n: Mapping[str, float]) -> Body:
@@ -174,7 +181,9 @@ def from_numbers(n: Mapping[str, float]) -> Body:
         ]
     )
     S = n["mass"] * G @ G.T
-    return Body(n["mass"], np.array([n["com_x"], n["com_y"], n["com_z"]]), np.trace(S) * np.eye(3) - S)
+    return Body(
+        n["mass"], np.array([n["com_x"], n["com_y"], n["com_z"]]), np.trace(S) * np.eye(3) - S
+    )
 
 
 def from_ten(ten: np.ndarray) -> tuple[Body, float]:
@@ -184,6 +193,8 @@ def from_ten(ten: np.ndarray) -> tuple[Body, float]:
     return body, float(np.abs(body.ten - ten).max() / max(float(np.abs(ten).max()), 1e-300))
 
 
-def turned_gravity(g: np.ndarray, roll: float, pitch: float, yaw: float, back: tuple[float, float, float]) -> np.ndarray:
+def turned_gravity(
+    g: np.ndarray, roll: float, pitch: float, yaw: float, back: tuple[float, float, float]
+) -> np.ndarray:
     """Gravity of a file whose base stands at angles `back`, so that it acts as on a base at (roll, pitch, yaw)."""
     return rotation(*back) @ rotation(roll, pitch, yaw).T @ g

@@ -32,7 +32,11 @@ def stepped(found: Outcome, sheet: Sheet) -> tuple[Outcome, tuple[str, ...]]:
             numbers[name] = replace(n, value=_in_file(held, n, added))
         elif kind == LATE[0] and not found.robot.get("taken_off"):
             numbers[name] = _later(steps, n, stated.get(name))
-    effects = tuple(_late(steps, e) for e in found.effects) if not found.robot.get("taken_off") else found.effects
+    effects = (
+        tuple(_late(steps, e) for e in found.effects)
+        if not found.robot.get("taken_off")
+        else found.effects
+    )
     changed = effects != found.effects or numbers != found.parameters
     note = f"armatures and delays are those of {steps.said}, which add h / 2 of all damping to an inertia and act h / 2 early"
     return replace(found, parameters=numbers, effects=effects), (note,) if changed else ()
@@ -78,4 +82,6 @@ def _later(steps: Steps, n: Number, stated: float | None = None) -> Number:
 def _late(steps: Steps, effect: Named) -> Named:
     if effect.effect != LATE[1] or "delay" not in effect.numbers:
         return effect
-    return replace(effect, numbers={**effect.numbers, "delay": _later(steps, effect.numbers["delay"])})
+    return replace(
+        effect, numbers={**effect.numbers, "delay": _later(steps, effect.numbers["delay"])}
+    )

@@ -25,7 +25,9 @@ def nearer(off: Mapping[str, float] | None, than: Mapping[str, float] | None) ->
     size of each one's noise unknown."""
     if off is None or than is None:
         return False
-    gained = sum(np.log(max(than[joint], 1e-300) / max(left, 1e-300)) for joint, left in off.items())
+    gained = sum(
+        np.log(max(than[joint], 1e-300) / max(left, 1e-300)) for joint, left in off.items()
+    )
     return bool(gained > NEARER)
 
 
@@ -87,12 +89,23 @@ def value_of(sheet: Sheet, change: Change) -> Any:
 
 
 def scaled(value: Any, factor: float) -> Any:
-    return [factor * v for v in value] if isinstance(value, list) else factor * value if isinstance(value, float) else value
+    return (
+        [factor * v for v in value]
+        if isinstance(value, list)
+        else factor * value
+        if isinstance(value, float)
+        else value
+    )
 
 
-def rows_of(sheet: Sheet, fields: Mapping[str, Field], lacking: Callable[[Change], Row]) -> list[Row]:
+def rows_of(
+    sheet: Sheet, fields: Mapping[str, Field], lacking: Callable[[Change], Row]
+) -> list[Row]:
     """A row for each change; `lacking` makes that of a quantity without a field."""
-    return [row(sheet, c, fields[c.quantity]) if c.quantity in fields else lacking(c) for c in sheet.changes]
+    return [
+        row(sheet, c, fields[c.quantity]) if c.quantity in fields else lacking(c)
+        for c in sheet.changes
+    ]
 
 
 def row(sheet: Sheet, change: Change, own: Field) -> Row:
@@ -103,8 +116,19 @@ def row(sheet: Sheet, change: Change, own: Field) -> Row:
         low, high = (getattr(sheet.after[change.place], k) for k in ("lowest", "highest"))
         value = limit([low, high])
         if low != -high:
-            how, note = APPROXIMATE, joined(f"one limit for both directions: the larger of {low:g} and {high:g}", note)
-    return Row(change.effect, change.location, name, value, unit, how, joined(note, was(change, own.factor), change.note))
+            how, note = (
+                APPROXIMATE,
+                joined(f"one limit for both directions: the larger of {low:g} and {high:g}", note),
+            )
+    return Row(
+        change.effect,
+        change.location,
+        name,
+        value,
+        unit,
+        how,
+        joined(note, was(change, own.factor), change.note),
+    )
 
 
 def limit(force: Iterable[float]) -> float | None:
@@ -115,7 +139,11 @@ def limit(force: Iterable[float]) -> float | None:
 
 def was(change: Change, factor: float = 1.0) -> str:
     """What stood there before."""
-    if not isinstance(change.before, float) or not np.isfinite(change.before) or change.before == change.value:
+    if (
+        not isinstance(change.before, float)
+        or not np.isfinite(change.before)
+        or change.before == change.value
+    ):
         return ""
     return f"before: {factor * change.before:.6g}"
 
@@ -124,7 +152,9 @@ def joined(*notes: str) -> str:
     return "; ".join(n for n in notes if n)
 
 
-def coded(file: str, more: Mapping[str, str] | None = None, how: str = CODE) -> Callable[[Change], Row]:
+def coded(
+    file: str, more: Mapping[str, str] | None = None, how: str = CODE
+) -> Callable[[Change], Row]:
     """Makes the rows of what has no field: `code` where `file` holds its law, else `none` with the reason. `more`: quantities
     that are said elsewhere than in a field, with a sentence; `how` that counts."""
 
@@ -133,10 +163,30 @@ def coded(file: str, more: Mapping[str, str] | None = None, how: str = CODE) -> 
             note = joined(more[change.quantity], change.note)
             return Row(change.effect, change.location, "", change.value, change.unit, how, note)
         if change.quantity in LAWS and change.place:
-            who = f"no field has it: {file} does it each step" if file else "no field has it: a plugin of your own would do it"
+            who = (
+                f"no field has it: {file} does it each step"
+                if file
+                else "no field has it: a plugin of your own would do it"
+            )
             note = joined(who, described(change.quantity), change.note)
-            return Row(change.effect, change.location, "", change.value, change.unit, CODE if file else NONE, note)
-        return Row(change.effect, change.location, "", change.value, change.unit, NONE, joined(reason(change), change.note))
+            return Row(
+                change.effect,
+                change.location,
+                "",
+                change.value,
+                change.unit,
+                CODE if file else NONE,
+                note,
+            )
+        return Row(
+            change.effect,
+            change.location,
+            "",
+            change.value,
+            change.unit,
+            NONE,
+            joined(reason(change), change.note),
+        )
 
     return lacking
 

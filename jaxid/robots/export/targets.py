@@ -7,4 +7,6 @@ from typing import Any
 from jaxid.robots.export import drake, genesis, isaaclab, mjcf, mjlab, ros2_control, sdf, urdf
 
 
-TARGETS: dict[str, Any] = {t.NAME: t for t in (mjcf, mjlab, isaaclab, urdf, sdf, drake, ros2_control, genesis)}
+TARGETS: dict[str, Any] = {
+    t.NAME: t for t in (mjcf, mjlab, isaaclab, urdf, sdf, drake, ros2_control, genesis)
+}

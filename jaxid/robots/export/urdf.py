@@ -11,7 +11,16 @@ from jaxid.errors import UsageError
 from jaxid.robots.export.laws import code, lawful
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, from_ten, JointNumbers, Sheet
-from jaxid.robots.export.target import APPROXIMATE, coded, EXACT, Field, joined, NONE, rows_of, Written
+from jaxid.robots.export.target import (
+    APPROXIMATE,
+    coded,
+    EXACT,
+    Field,
+    joined,
+    NONE,
+    rows_of,
+    Written,
+)
 from jaxid.robots.export.xml_text import Element, number as digits, numbers, XmlText
 from jaxid.robots.tree import motion, roll_pitch_yaw
 from jaxid.storage.small_files import read_small
@@ -43,7 +52,11 @@ def write(sheet: Sheet, found: Outcome, path: Path | None) -> Written:
     fields = dict(FIELDS)
     out = Written()
     if path is None:
-        out.notes += [] if sheet.tree else ["no robot's file is known, so nothing was patched: give it with --robot FILE"]
+        out.notes += (
+            []
+            if sheet.tree
+            else ["no robot's file is known, so nothing was patched: give it with --robot FILE"]
+        )
     else:
         text = read_small(path).decode("utf-8-sig")
         patch = XmlText(text)
@@ -55,13 +68,17 @@ def write(sheet: Sheet, found: Outcome, path: Path | None) -> Written:
     if path is not None and not any(r.how in (EXACT, APPROXIMATE) for r in out.rows):
         out.files.clear()
     if laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code"):
-        out.files["effects.py"] = code(laws, "Laws that no field of a URDF says: call them in your simulator at each step.")
+        out.files["effects.py"] = code(
+            laws, "Laws that no field of a URDF says: call them in your simulator at each step."
+        )
     return out
 
 
 def _patch(patch: XmlText, sheet: Sheet, path: Path, text: str, fields: dict[str, Field]) -> None:
     root = patch.elements[0]
-    named = lambda tag, name: next((c for c in root.children if c.name == tag and c.attributes.get("name") == name), None)
+    named = lambda tag, name: next(
+        (c for c in root.children if c.name == tag and c.attributes.get("name") == name), None
+    )
     for joint, now in sheet.changed.items():
         if element := named("joint", joint):
             _joint(patch, element, sheet, joint, sheet.before[joint], now)
@@ -74,7 +91,11 @@ def _patch(patch: XmlText, sheet: Sheet, path: Path, text: str, fields: dict[str
         _inertial(patch, element, new)
         if off > 1e-6:
             note = f"the nearest body that can exist, {100 * off:.2g} % of its largest number off"
-            fields["inertial"] = Field(FIELDS["inertial"].name, APPROXIMATE, joined(fields["inertial"].note, f"{link}: {note}"))
+            fields["inertial"] = Field(
+                FIELDS["inertial"].name,
+                APPROXIMATE,
+                joined(fields["inertial"].note, f"{link}: {note}"),
+            )
 
 
 def _child(patch: XmlText, element: Element, tag: str, attributes: dict[str, str]) -> None:
@@ -87,7 +108,9 @@ def _child(patch: XmlText, element: Element, tag: str, attributes: dict[str, str
         patch.insert(element, f"<{tag} {inside}/>")
 
 
-def _joint(patch: XmlText, element: Element, sheet: Sheet, joint: str, was: JointNumbers, now: JointNumbers) -> None:
+def _joint(
+    patch: XmlText, element: Element, sheet: Sheet, joint: str, was: JointNumbers, now: JointNumbers
+) -> None:
     tree = sheet.tree
     assert tree is not None
     k = tree.joints.index(joint)
@@ -99,14 +122,24 @@ def _joint(patch: XmlText, element: Element, sheet: Sheet, joint: str, was: Join
     if own:
         _child(patch, element, "dynamics", own)
     limit: dict[str, str] = {}
-    if (now.lowest, now.highest) != (was.lowest, was.highest) and np.isfinite([now.lowest, now.highest]).any():
+    if (now.lowest, now.highest) != (was.lowest, was.highest) and np.isfinite(
+        [now.lowest, now.highest]
+    ).any():
         limit["effort"] = digits(max(abs(v) for v in (now.lowest, now.highest) if np.isfinite(v)))
     if now.bias != was.bias:
         shift = now.bias - was.bias
         T = _origin(element) @ motion(tree.axis[k], tree.slides[k], -shift)
-        _child(patch, element, "origin", {"xyz": numbers(T[:3, 3]), "rpy": numbers(roll_pitch_yaw(T[:3, :3]))})
+        _child(
+            patch,
+            element,
+            "origin",
+            {"xyz": numbers(T[:3, 3]), "rpy": numbers(roll_pitch_yaw(T[:3, :3]))},
+        )
         if np.isfinite([tree.lower[k], tree.upper[k]]).all():
-            limit |= {"lower": digits(tree.lower[k] + shift), "upper": digits(tree.upper[k] + shift)}
+            limit |= {
+                "lower": digits(tree.lower[k] + shift),
+                "upper": digits(tree.upper[k] + shift),
+            }
     if limit:
         full = {"effort": "0", "velocity": "0"} if element.child("limit") is None else {}
         _child(patch, element, "limit", full | limit)
@@ -125,12 +158,18 @@ def _origin(element: Element) -> np.ndarray:
 def _inertial(patch: XmlText, element: Element, body: Body) -> None:
     I = body.inertia
     tensor: dict[str, str] = dict(
-        zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), map(digits, I[np.triu_indices(3)]), strict=True)
+        zip(
+            ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+            map(digits, I[np.triu_indices(3)]),
+            strict=True,
+        )
     )
     inertial = element.child("inertial")
     if inertial is None:
         inside = " ".join(f'{k}="{v}"' for k, v in tensor.items())
-        place = f'<origin xyz="{numbers(body.com)}" rpy="0 0 0"/><mass value="{digits(body.mass)}"/>'
+        place = (
+            f'<origin xyz="{numbers(body.com)}" rpy="0 0 0"/><mass value="{digits(body.mass)}"/>'
+        )
         return patch.insert(element, f"<inertial>{place}<inertia {inside}/></inertial>")
     _child(patch, inertial, "origin", {"xyz": numbers(body.com), "rpy": "0 0 0"})
     _child(patch, inertial, "mass", {"value": digits(body.mass)})

@@ -98,14 +98,20 @@ class XmlText:
         if element.close < 0:
             at = element.end - 2
             self._edits.append(
-                (at, element.end, f">\n{inside}{text}\n{line}</{self._tags.get(id(element), element.name)}>".encode())
+                (
+                    at,
+                    element.end,
+                    f">\n{inside}{text}\n{line}</{self._tags.get(id(element), element.name)}>".encode(),
+                )
             )
         else:
             # Before the indent of the end tag, where that stands on a line of its own.
             begin = self.text.rfind(b"\n", 0, element.close) + 1
             alone = not self.text[begin : element.close].strip()
             at = begin if alone else element.close
-            self._edits.append((at, at, (f"{inside}{text}\n" if alone else f"\n{inside}{text}\n{line}").encode()))
+            self._edits.append(
+                (at, at, (f"{inside}{text}\n" if alone else f"\n{inside}{text}\n{line}").encode())
+            )
 
     def before_end(self, text: str) -> None:
         """A line of XML at the end of the outermost element."""
@@ -137,7 +143,11 @@ class XmlText:
             key = found[1].decode()
             if key in wanted:
                 value = wanted.pop(key)
-                edits.append((*found.span(2), quoteattr(value).encode()) if value is not None else (*found.span(0), b""))
+                edits.append(
+                    (*found.span(2), quoteattr(value).encode())
+                    if value is not None
+                    else (*found.span(0), b"")
+                )
         new = "".join(f" {k}={quoteattr(v)}" for k, v in wanted.items() if v is not None)
         if new:
             at = one.end - (2 if self.text[one.end - 2 : one.end] == b"/>" else 1)

@@ -74,9 +74,13 @@ def reproduce(paper: str, budget: str = "small", progress: Progress | None = Non
     unknown paper or budget, and `Interrupted` with the parts that were finished.
     """
     if paper not in PAPERS:
-        raise UsageError(f"there is no paper {paper!r}{nearest(paper, PAPERS)}; there is {', '.join(PAPERS)}")
+        raise UsageError(
+            f"there is no paper {paper!r}{nearest(paper, PAPERS)}; there is {', '.join(PAPERS)}"
+        )
     if budget not in BUDGETS:
-        raise UsageError(f"there is no budget {budget!r}{nearest(budget, BUDGETS)}; there is {' and '.join(BUDGETS)}")
+        raise UsageError(
+            f"there is no budget {budget!r}{nearest(budget, BUDGETS)}; there is {' and '.join(BUDGETS)}"
+        )
     known = PAPERS[paper]
     module: Any = importlib.import_module(f"jaxid.study.papers.{known.module}")
     began, parts, interim = time.perf_counter(), [], Interim()

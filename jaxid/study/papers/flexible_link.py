@@ -10,7 +10,14 @@ from jaxtyping import Float
 
 from jaxid import fitters
 from jaxid.api import fit, simulate
-from jaxid.data.dataset import Channel, Dataset, Experiment, FrequencyResponse, ModelSpec, ParameterPrior
+from jaxid.data.dataset import (
+    Channel,
+    Dataset,
+    Experiment,
+    FrequencyResponse,
+    ModelSpec,
+    ParameterPrior,
+)
 from jaxid.fitting.fitter import AbstractFitter
 from jaxid.fitting.problem_builder import Bench, start_values
 from jaxid.problem.binding import bind
@@ -29,12 +36,37 @@ BOUNDS = {
 UNITS = {"E": "Pa", "I_m": "kg m²", "v": "N m s/rad", "tau_c": "N m", "alpha": "1/s", "beta": "s"}
 #: Best solutions (Table 2).
 ANSWERS = {
-    "DE": {"E": 5.7002e10, "I_m": 0.0053, "v": 6.3016e-4, "tau_c": 0.1071, "alpha": 1.8240, "beta": 7.6275e-5},
-    "GA": {"E": 6.0665e10, "I_m": 0.0073, "v": 1.0000e-5, "tau_c": 0.0589, "alpha": 0.2020, "beta": 1.1754e-4},
-    "PSO": {"E": 5.6597e10, "I_m": 0.0048, "v": 1.0802e-5, "tau_c": 0.0902, "alpha": 0.8055, "beta": 3.7784e-5},
+    "DE": {
+        "E": 5.7002e10,
+        "I_m": 0.0053,
+        "v": 6.3016e-4,
+        "tau_c": 0.1071,
+        "alpha": 1.8240,
+        "beta": 7.6275e-5,
+    },
+    "GA": {
+        "E": 6.0665e10,
+        "I_m": 0.0073,
+        "v": 1.0000e-5,
+        "tau_c": 0.0589,
+        "alpha": 0.2020,
+        "beta": 1.1754e-4,
+    },
+    "PSO": {
+        "E": 5.6597e10,
+        "I_m": 0.0048,
+        "v": 1.0802e-5,
+        "tau_c": 0.0902,
+        "alpha": 0.8055,
+        "beta": 3.7784e-5,
+    },
 }
 #: NRMSE of angle and frequency response by torque (Table 3).
-VALIDATION = {"triangular": (2.8556, 1.7092), "rectangular": (5.0235, 1.5390), "half sine": (6.0896, 1.5093)}
+VALIDATION = {
+    "triangular": (2.8556, 1.7092),
+    "rectangular": (5.0235, 1.5390),
+    "half sine": (6.0896, 1.5093),
+}
 RESIDUAL = FrequencyResponseError(magnitude=True, linear=True, timed=("phi",))
 NOISE = {"phi": 1.5e-3, "tip_acceleration": 0.3}
 #: Torques of 0.3 s that turn the link by 80 degrees, N m.
@@ -55,27 +87,41 @@ def data(modes: int = 4, linear: bool = True) -> Dataset:
     f = np.arange(0.2, 50.01, 0.2)
     response = twin.direct(f) * (1 + 0.02 * rng.standard_normal(f.size))
     run = recorded("pulse", t, u, y)
-    short = run.piece(0, 100, name="held", split="validation"), run.piece(0, 100, name="report", split="report")
+    short = (
+        run.piece(0, 100, name="held", split="validation"),
+        run.piece(0, 100, name="report", split="report"),
+    )
     priors = {k: ParameterPrior(None, *b, log=False if linear else None) for k, b in BOUNDS.items()}
     model = ModelSpec("flexible_link", constants={"n_modes": modes}, parameters=priors)
-    measured = FrequencyResponse("response", "fit", 2 * np.pi * f, response, "tau", "tip_acceleration")
+    measured = FrequencyResponse(
+        "response", "fit", 2 * np.pi * f, response, "tau", "tip_acceleration"
+    )
     return Dataset("paper_002", CHANNELS, (run, *short), (measured,), model)
 
 
 CHANNELS = (
     Channel("tau", "input", "N m"),
-    *(Channel(n, "output", u, noise_std=NOISE[n]) for n, u in (("phi", "rad"), ("tip_acceleration", "m/s^2"))),
+    *(
+        Channel(n, "output", u, noise_std=NOISE[n])
+        for n, u in (("phi", "rad"), ("tip_acceleration", "m/s^2"))
+    ),
 )
 
 
-def recorded(name: str, t: np.ndarray, u: np.ndarray, y: np.ndarray, split: str = "fit") -> Experiment:
+def recorded(
+    name: str, t: np.ndarray, u: np.ndarray, y: np.ndarray, split: str = "fit"
+) -> Experiment:
     return Experiment(name, split, t, u[:, None], y, at_rest=True, initial={"phi": 0.0, "qd": 0.0})
 
 
 def pushed(shape: str, t: np.ndarray) -> Float[np.ndarray, " time"]:
     """A torque of 0.3 s (N m)."""
     x = t / 0.3
-    of = {"triangular": 1 - np.abs(2 * x - 1), "rectangular": np.ones_like(x), "half sine": np.sin(np.pi * x)}[shape]
+    of = {
+        "triangular": 1 - np.abs(2 * x - 1),
+        "rectangular": np.ones_like(x),
+        "half sine": np.sin(np.pi * x),
+    }[shape]
     return np.where(x < 1, PEAKS[shape] * of, 0.0)
 
 
@@ -83,7 +129,9 @@ def problem(modes: int = 4, linear: bool = True) -> Problem:
     """The paper's loss (6) of the data; its numbers are where a fit would begin."""
     binding = bind(None, data(modes, linear))
     bench = Bench(binding)
-    return bench.problem(RESIDUAL, "fit", binding.free, start_values(bench, binding.free, 0)[0], loss="sum_of_norms")
+    return bench.problem(
+        RESIDUAL, "fit", binding.free, start_values(bench, binding.free, 0)[0], loss="sum_of_norms"
+    )
 
 
 def methods(size: int = 100, generations: int = 100) -> dict[str, AbstractFitter]:
@@ -133,7 +181,16 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
     truth = p.loss(p.z(truth_of(p)))
     table = Table(
         "The objective (6) after all generations",
-        ("method", "J mean", "sd", "least", "most", "J at generation 12, median", "evaluations", "s a run"),
+        (
+            "method",
+            "J mean",
+            "sd",
+            "least",
+            "most",
+            "J at generation 12, median",
+            "evaluations",
+            "s a run",
+        ),
         tuple(rows),
         f"{len(runs[0].found)} seeds. Population 100, settings of the paper; 'w 0.73' is the constricted swarm, not "
         "in the paper. "
@@ -149,8 +206,15 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
         ),
     )
     pictures = (
-        course("course", "Figure 4a: objective over the generations, median and range of the seeds", runs, "J, best so far"),
-        dispersion("dispersion", "Figure 4b: where the runs ended; a bar is the mean", runs, "J at the end"),
+        course(
+            "course",
+            "Figure 4a: objective over the generations, median and range of the seeds",
+            runs,
+            "J, best so far",
+        ),
+        dispersion(
+            "dispersion", "Figure 4b: where the runs ended; a bar is the mean", runs, "J at the end"
+        ),
     )
     de, ga, pso, tame = runs
     text = (
@@ -180,7 +244,9 @@ def arrival(history: Sequence[tuple[int, float]], share: float = 1.05) -> int:
 
 def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[Claim, ...]:
     three = {"DE": de, "GA": ga, "PSO": pso}
-    means, spreads = ({k: f(r.losses) for k, r in three.items()} for f in (np.mean, lambda x: np.std(x, ddof=1)))
+    means, spreads = (
+        {k: f(r.losses) for k, r in three.items()} for f in (np.mean, lambda x: np.std(x, ddof=1))
+    )
     said = lambda values: ", ".join(f"{k} {number(float(v), 2)}" for k, v in values.items())
     lowest, widest, worst = (
         min(means, key=means.__getitem__),
@@ -189,7 +255,10 @@ def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[C
     )
     least = min(spreads, key=spreads.__getitem__)
     arrived = arrival(de.best.history)
-    like = {k: max(r.numbers[k] for r in three.values()) / min(r.numbers[k] for r in three.values()) for k in BOUNDS}
+    like = {
+        k: max(r.numbers[k] for r in three.values()) / min(r.numbers[k] for r in three.values())
+        for k in BOUNDS
+    }
     apart = min(like[k] for k in ("v", "alpha", "beta"))
     return (
         judged("DE has the lowest mean objective of the three", "", f"means: {said(means)}", lowest == "DE"),
@@ -224,7 +293,9 @@ def response(p: Problem, runs: Mapping[str, Searched]) -> Part:
     for label, run in runs.items():
         lane, phi = modelled(p, run.best.z)
         angle[label], gain[label] = (t, np.rad2deg(phi)), (f, lane)
-        rows.append((label, share(lines_ - lane, lines_), share(measured - phi, measured), peak(f, lane)))
+        rows.append(
+            (label, share(lines_ - lane, lines_), share(measured - phi, measured), peak(f, lane))
+        )
     error = {row[0]: row[1] + row[2] for row in rows}
     table = Table(
         "The two terms of the objective",
@@ -234,7 +305,12 @@ def response(p: Problem, runs: Mapping[str, Searched]) -> Part:
     )
     pictures = (
         lines("angle", "Figure 5a: hub angle", [("time (s)", "hub angle (degrees)", angle)]),
-        lines("gain", "Figure 5b: frequency response", [("frequency (Hz)", "|tip acceleration / torque|", gain)], yscale="log"),
+        lines(
+            "gain",
+            "Figure 5b: frequency response",
+            [("frequency (Hz)", "|tip acceleration / torque|", gain)],
+            yscale="log",
+        ),
     )
     closest = min(error, key=error.__getitem__)
     claim = judged(
@@ -276,7 +352,10 @@ def validation(numbers: dict[str, float]) -> Part:
     found = simulate(None, tests, {"parameters": {k: {"value": v} for k, v in numbers.items()}})
     rows, pictures, ratios = [], [], []
     for e, run in zip(runs, found.runs, strict=True):
-        angle, (phi, tip) = np.rad2deg(e.y[:, 0]), (np.asarray(run["phi"]), np.asarray(run["tip_acceleration"]))
+        angle, (phi, tip) = (
+            np.rad2deg(e.y[:, 0]),
+            (np.asarray(run["phi"]), np.asarray(run["tip_acceleration"])),
+        )
         error = e.y[:, 0] - phi
         bins, U, Y = estimate(t, e.u[:, 0], e.y[:, 1], (0.0, 15.0), 0.1)
         model = np.abs(np.fft.rfft(tip)[bins] / U)
@@ -335,13 +414,21 @@ def bent(h: float) -> Part:
     ways = {"linear response": True, "simulated response": False}
     found = {
         k: fit(
-            None, pulsed, residual=FrequencyResponseError(linear=w, timed=("phi",), band_hz=(0.0, 20.0)), loss="sum_of_norms"
+            None,
+            pulsed,
+            residual=FrequencyResponseError(linear=w, timed=("phi",), band_hz=(0.0, 20.0)),
+            loss="sum_of_norms",
         ).parameters
         for k, w in ways.items()
     }
     off = lambda way, k: found[way][k].value / twin.DE[k] - 1
     rows = tuple(
-        (f"{k} ({UNITS[k]})", twin.DE[k], *(x for w in ways for x in (found[w][k].value, 100 * off(w, k)))) for k in BOUNDS
+        (
+            f"{k} ({UNITS[k]})",
+            twin.DE[k],
+            *(x for w in ways for x in (found[w][k].value, 100 * off(w, k))),
+        )
+        for k in BOUNDS
     )
     table = Table(
         "Numbers found from one pulse, the response estimated from it",

@@ -31,7 +31,10 @@ NOISE = np.array([3.7817, 4.1789, 3.0339, 1.7334, 1.0670, 0.9896])
 #: Truth of the payload (Table VII) about the flange frame, and of the second one (its shape scaled).
 MASS, SECOND = 3.5256, 3.223
 #: RMSE of friction models (Table VIII): linear and nonlinear, without payload.
-TABLE_8 = ((1.7499, 3.0599, 1.4170, 0.3913, 0.2965, 0.3726), (1.3102, 2.5186, 1.1437, 0.3914, 0.2793, 0.3325))
+TABLE_8 = (
+    (1.7499, 3.0599, 1.4170, 0.3913, 0.2965, 0.3726),
+    (1.3102, 2.5186, 1.1437, 0.3914, 0.2793, 0.3325),
+)
 #: Masses identified (Table VII): proposed, Algorithm 1, Algorithm 2.
 PUBLISHED = {"proposed": 3.5242, "Algorithm 1": 3.3807, "Algorithm 2": 3.5581}
 RATE, ENCODER = 125.0, 5e-5
@@ -39,7 +42,9 @@ HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 
 
 def load(mass: float = MASS) -> Float[np.ndarray, " 10"]:
-    return about_origin(mass, [0, 0, 0.0296], np.array([0.0064, 0, 0, 0.0064, 0, 0.0045]) * mass / MASS)
+    return about_origin(
+        mass, [0, 0, 0.0296], np.array([0.0064, 0, 0, 0.0064, 0, 0.0045]) * mass / MASS
+    )
 
 
 class Twin(NamedTuple):
@@ -64,14 +69,25 @@ def path(seed: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
     shrink = np.maximum((peak / w[:, None]).sum(0) / 1.4, peak.sum(0) / 2.0)
     a, b, wide = a / shrink, b / shrink, w[:, None]
     s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
-    return t, HOME + s @ (a / wide) - c @ (b / wide), c @ a + s @ b, -s @ (a * wide) + c @ (b * wide)
+    return (
+        t,
+        HOME + s @ (a / wide) - c @ (b / wide),
+        c @ a + s @ b,
+        -s @ (a * wide) + c @ (b * wide),
+    )
 
 
-def arm_torque(motion: tuple[np.ndarray, ...], extra: np.ndarray | None = None) -> Float[np.ndarray, "time 6"]:
+def arm_torque(
+    motion: tuple[np.ndarray, ...], extra: np.ndarray | None = None
+) -> Float[np.ndarray, "time 6"]:
     """By Newton and Euler, with the paper's friction."""
     arm = UR10()
     with float64():
-        bodies, drives, table = np.array(arm.inertia()), np.array(arm.Ia), [np.array(x) for x in (arm.alpha, arm.a, arm.d)]
+        bodies, drives, table = (
+            np.array(arm.inertia()),
+            np.array(arm.Ia),
+            [np.array(x) for x in (arm.alpha, arm.a, arm.d)],
+        )
     if extra is not None:
         bodies[-1] += extra
     rigid = torques(table[0], table[1], table[2], bodies, drives, motion)
@@ -119,7 +135,9 @@ def solve(W: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 # ---- estimators of the mass
 
 
-def as_printed(W: np.ndarray, loaded: np.ndarray, unloaded: np.ndarray, base: Any) -> tuple[float, float, float | None]:
+def as_printed(
+    W: np.ndarray, loaded: np.ndarray, unloaded: np.ndarray, base: Any
+) -> tuple[float, float, float | None]:
     """Equations (7) to (16) with the paper's settings: mass after the whole motion, mass where the stop rule fires (else the
     same), and that time in seconds."""
     watched = watched_of(base, 6)
@@ -128,7 +146,9 @@ def as_printed(W: np.ndarray, loaded: np.ndarray, unloaded: np.ndarray, base: An
     mass = by_rows(theta - unloaded, base)
     if met is None:
         return mass, mass, None
-    seen = np.arange(len(loaded)) < met  # rows of zeros move nothing, and keep the shape of the compiled program
+    seen = (
+        np.arange(len(loaded)) < met
+    )  # rows of zeros move nothing, and keep the shape of the compiled program
     early, _, _ = replay(np.where(seen[:, None, None], W, 0.0), loaded, unloaded, **settings)
     return mass, by_rows(early - unloaded, base), met / RATE
 
@@ -182,8 +202,16 @@ def friction(twin: Twin) -> Part:
         error[law] = np.sqrt(np.mean((other.empty - new @ theta) ** 2, 0))
         rows.append((f"{law}, here: model against torque without noise", *map(float, error[law])))
         seen = other.empty + noise(rng, len(new), 0.0)
-        rows.append((f"{law}, here: against measured torque", *map(float, np.sqrt(np.mean((seen - new @ theta) ** 2, 0)))))
-    rows += [("linear, paper (Table VIII)", *TABLE_8[0]), ("nonlinear, paper (Table VIII)", *TABLE_8[1])]
+        rows.append(
+            (
+                f"{law}, here: against measured torque",
+                *map(float, np.sqrt(np.mean((seen - new @ theta) ** 2, 0))),
+            )
+        )
+    rows += [
+        ("linear, paper (Table VIII)", *TABLE_8[0]),
+        ("nonlinear, paper (Table VIII)", *TABLE_8[1]),
+    ]
     rows += [("prediction, paper (Table II)", *map(float, NOISE))]
     table = Table(
         "RMSE of the torque by joint (N m), unloaded arm", ("", *(f"joint {j + 1}" for j in range(6))), tuple(rows),
@@ -192,12 +220,19 @@ def friction(twin: Twin) -> Part:
     )  # fmt: skip
     better = [j + 1 for j in range(6) if error["power"][j] < error["linear"][j]]
     grid = np.linspace(-2, 2, 400)
-    curve = {"power (Table VI)": (grid, VISCOUS[1] * np.abs(grid) ** EXPONENT[1] * np.sign(grid) + OFFSET[1])}
+    curve = {
+        "power (Table VI)": (
+            grid,
+            VISCOUS[1] * np.abs(grid) ** EXPONENT[1] * np.sign(grid) + OFFSET[1],
+        )
+    }
     qd = np.repeat(grid[:, None], 6, 1)
     F = friction_columns(LAWS["linear"], qd, EXPONENT)[:, :, 1]
     level = np.linalg.lstsq(F, curve["power (Table VI)"][1], rcond=None)[0]
     curve["linear"] = (grid, F @ level)
-    picture = lines("friction", "Figure 7: friction of joint 2", [("speed (rad/s)", "friction (N m)", curve)])
+    picture = lines(
+        "friction", "Figure 7: friction of joint 2", [("speed (rad/s)", "friction (N m)", curve)]
+    )
     condition = np.linalg.cond((twin.W / NOISE[:, None]).reshape(-1, 58))
     claims = (
         judged(
@@ -225,7 +260,9 @@ def payload(twin: Twin, seeds: Sequence[int]) -> Part:
     for kind, memory in (("white", 0.0), ("coloured", 0.97)):
         for seed in seeds:
             rng = np.random.default_rng(seed)
-            empty, loaded = (tau + noise(rng, len(tau), memory) for tau in (twin.empty, twin.loaded))
+            empty, loaded = (
+                tau + noise(rng, len(tau), memory) for tau in (twin.empty, twin.loaded)
+            )
             before, cov = solve(twin.W, empty)
             after = solve(twin.W, loaded)[0]
             whole, early, met = as_printed(twin.W, loaded, before, twin.base)
@@ -235,7 +272,9 @@ def payload(twin: Twin, seeds: Sequence[int]) -> Part:
                 "proposed, where its rule stops": early,
                 "Algorithm 1": same_trajectory(twin, loaded - empty),
                 "Algorithm 2": static_poses(rng),
-                "all 22 rows, weighted": payload_of(after[:40] - before[:40], 2 * cov[:40, :40], twin.base).mass[0],
+                "all 22 rows, weighted": payload_of(
+                    after[:40] - before[:40], 2 * cov[:40, :40], twin.base
+                ).mass[0],
             }
             for method, mass in values.items():
                 found.setdefault((kind, method), []).append(100 * (mass / MASS - 1))
@@ -295,14 +334,21 @@ def choices(twin: Twin, seeds: Sequence[int]) -> Part:
         rng = np.random.default_rng(seed)
         empty, loaded = (tau + noise(rng, len(tau), 0.0) for tau in (twin.empty, twin.loaded))
         read = q + ENCODER * rng.standard_normal(q.shape)
-        ways = {"commanded": (q, qd, qdd), "measured, differenced": differenced(read), "measured, Fourier": harmonics(t, read)}
+        ways = {
+            "commanded": (q, qd, qdd),
+            "measured, differenced": differenced(read),
+            "measured, Fourier": harmonics(t, read),
+        }
         for way, own in ways.items():
             inertia = twin.W if way == "commanded" else columns(own)
             for law in ("linear", "power"):
                 W = with_law(inertia, own[1], law)
                 mass = as_printed(W, loaded, solve(W, empty)[0], twin.base)[0]
                 error.setdefault((way, law), []).append(100 * (mass / MASS - 1))
-    rows = tuple((way, law, mean_sd(np.array(e)), float(np.median(np.abs(e)))) for (way, law), e in error.items())
+    rows = tuple(
+        (way, law, mean_sd(np.array(e)), float(np.median(np.abs(e))))
+        for (way, law), e in error.items()
+    )
     table = Table(
         "Error of the payload's mass by the recursion as printed, %",
         ("motion", "friction law", "mean ± sd", "median of its size"), rows,
@@ -336,13 +382,19 @@ def differenced(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return q, qd, np.gradient(qd, 1 / RATE, axis=0)
 
 
-def harmonics(t: np.ndarray, q: np.ndarray, count: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def harmonics(
+    t: np.ndarray, q: np.ndarray, count: int = 5
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A periodic motion by the harmonics of 0.1 Hz that it is made of, and their derivatives, which keep every one of them."""
     w = 2 * np.pi * 0.1 * np.arange(1, count + 1)
     s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
     x = np.linalg.lstsq(np.column_stack([np.ones_like(t), s, c]), q, rcond=None)[0]
     a, b, wide = x[1 : count + 1], x[count + 1 :], w[:, None]
-    return x[0] + s @ a + c @ b, c @ (a * wide) - s @ (b * wide), -s @ (a * wide**2) - c @ (b * wide**2)
+    return (
+        x[0] + s @ a + c @ b,
+        c @ (a * wide) - s @ (b * wide),
+        -s @ (a * wide**2) - c @ (b * wide**2),
+    )
 
 
 def motion(twin: Twin) -> Part:

@@ -40,7 +40,11 @@ class Table(NamedTuple):
     note: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        return {"title": self.title, "note": self.note, "rows": [dict(zip(self.columns, r, strict=True)) for r in self.rows]}
+        return {
+            "title": self.title,
+            "note": self.note,
+            "rows": [dict(zip(self.columns, r, strict=True)) for r in self.rows],
+        }
 
 
 class Picture(NamedTuple):
@@ -62,7 +66,11 @@ class Part(NamedTuple):
     claims: tuple[Claim, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        return {"title": self.title, "text": list(self.text), "tables": [t.to_dict() for t in self.tables]}
+        return {
+            "title": self.title,
+            "text": list(self.text),
+            "tables": [t.to_dict() for t in self.tables],
+        }
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,9 @@ class Reproduction:
     @property
     def counts(self) -> dict[str, int]:
         """How many claims there are of each verdict."""
-        return {v: sum(c.verdict == v for c in self.claims) for v in (HOLDS, FAILS, PARTLY, UNKNOWN)}
+        return {
+            v: sum(c.verdict == v for c in self.claims) for v in (HOLDS, FAILS, PARTLY, UNKNOWN)
+        }
 
     @property
     def headline(self) -> str:

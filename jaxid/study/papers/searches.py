@@ -46,23 +46,33 @@ class Searched(NamedTuple):
 
 
 def race(
-    problem: Problem, methods: Mapping[str, AbstractFitter], seeds: Sequence[int], budget: int | None = None
+    problem: Problem,
+    methods: Mapping[str, AbstractFitter],
+    seeds: Sequence[int],
+    budget: int | None = None,
 ) -> list[Searched]:
     """Every method with every seed. Populations begin in the whole bounds, no start among their members; what needs a start gets
     a random one there, the same for all with one seed."""
     out = []
     for label, method in methods.items():
         began = time.perf_counter()
-        starts = [[] if isinstance(method, AbstractPopulation) else [random_start(problem, s)] for s in seeds]
+        starts = [
+            [] if isinstance(method, AbstractPopulation) else [random_start(problem, s)]
+            for s in seeds
+        ]
         jobs = [(problem, own, jax.random.key(s)) for own, s in zip(starts, seeds, strict=True)]
         found = tuple(method.minimise_each(jobs, budget))
         spent = (time.perf_counter() - began) / len(seeds)
-        out.append(Searched(label, found, spent, numbers_of(problem, min(found, key=lambda f: f.loss).z)))
+        out.append(
+            Searched(label, found, spent, numbers_of(problem, min(found, key=lambda f: f.loss).z))
+        )
     return out
 
 
 def random_start(problem: Problem, seed: int) -> Float[np.ndarray, " size"]:
-    return problem.lower + (problem.upper - problem.lower) * np.random.default_rng(seed).uniform(size=problem.size)
+    return problem.lower + (problem.upper - problem.lower) * np.random.default_rng(seed).uniform(
+        size=problem.size
+    )
 
 
 def numbers_of(problem: Problem, z: np.ndarray) -> dict[str, float]:
@@ -82,7 +92,9 @@ def mean_sd(values: np.ndarray, digits: int = 2) -> str:
     return f"{mean:.{places}f} ± {sd:.{places}f}"
 
 
-def course(name: str, caption: str, runs: Sequence[Searched], ylabel: str, factor: float = 1.0) -> Picture:
+def course(
+    name: str, caption: str, runs: Sequence[Searched], ylabel: str, factor: float = 1.0
+) -> Picture:
     """Median of the best loss so far over evaluations, with the band of all seeds."""
 
     def draw(figure: Figure) -> None:
@@ -92,7 +104,9 @@ def course(name: str, caption: str, runs: Sequence[Searched], ylabel: str, facto
             curves = factor * np.array([np.interp(grid, *np.array(f.history).T) for f in run.found])
             seen = curves.max(0) < DIVERGED  # before a simulation held there is nothing to draw
             grid, curves = grid[seen], curves[:, seen]
-            axes.fill_between(grid, curves.min(0), curves.max(0), color=color, alpha=0.13, linewidth=0)
+            axes.fill_between(
+                grid, curves.min(0), curves.max(0), color=color, alpha=0.13, linewidth=0
+            )
             axes.plot(grid, np.median(curves, 0), color=color, label=run.label)
         axes.set(xscale="log", yscale="log", xlabel="evaluations of the loss", ylabel=ylabel)
         plot.plain_log(axes.xaxis)
@@ -102,15 +116,21 @@ def course(name: str, caption: str, runs: Sequence[Searched], ylabel: str, facto
     return Picture(name, caption, (9.2, 3.8), draw)
 
 
-def dispersion(name: str, caption: str, runs: Sequence[Searched], xlabel: str, factor: float = 1.0) -> Picture:
+def dispersion(
+    name: str, caption: str, runs: Sequence[Searched], xlabel: str, factor: float = 1.0
+) -> Picture:
     """A dot a run, a line a method."""
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
         for row, (run, color) in enumerate(zip(runs, COLORS, strict=False)):
             shift = np.linspace(-0.2, 0.2, len(run.found)) if len(run.found) > 1 else np.zeros(1)
-            axes.scatter(factor * run.losses, row + shift, s=16, color=color, alpha=0.75, linewidths=0)
-            axes.plot([factor * np.mean(run.losses)] * 2, [row - 0.3, row + 0.3], color=color, linewidth=2)
+            axes.scatter(
+                factor * run.losses, row + shift, s=16, color=color, alpha=0.75, linewidths=0
+            )
+            axes.plot(
+                [factor * np.mean(run.losses)] * 2, [row - 0.3, row + 0.3], color=color, linewidth=2
+            )
         axes.set(xscale="log", xlabel=xlabel, ylim=(len(runs) - 0.5, -0.5))
         axes.set_yticks(range(len(runs)), [run.label for run in runs])
         plot.plain_log(axes.xaxis)
@@ -119,7 +139,10 @@ def dispersion(name: str, caption: str, runs: Sequence[Searched], xlabel: str, f
 
 
 def lines(
-    name: str, caption: str, panels: Sequence[tuple[str, str, Mapping[str, tuple[np.ndarray, np.ndarray]]]], **axis: str
+    name: str,
+    caption: str,
+    panels: Sequence[tuple[str, str, Mapping[str, tuple[np.ndarray, np.ndarray]]]],
+    **axis: str,
 ) -> Picture:
     """Panels (x label, y label, curves by label) side by side; a label has one colour, the first of all is drawn as measured."""
     labels = list(dict.fromkeys(label for _, _, curves in panels for label in curves))

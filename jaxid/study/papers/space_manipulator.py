@@ -165,7 +165,11 @@ def linear_system(count: int, seeds: int) -> Part:
         errors.setdefault("LS", []).append(off(numbers_of(p, ls[-1].z)))
         cost.setdefault("LS", []).append((ls[-1].evaluations, 0.0))
         for label, method in populations(count).items():
-            steps = carried(method, parts, ls, seed) if label == "RDE" else alone(method, parts[-1], ls[-1], seed)
+            steps = (
+                carried(method, parts, ls, seed)
+                if label == "RDE"
+                else alone(method, parts[-1], ls[-1], seed)
+            )
             errors.setdefault(label, []).append(off(steps.numbers))
             cost.setdefault(label, []).append((steps.evaluations, steps.seconds))
             loops.setdefault(label, []).append(count if steps.loops is None else steps.loops)
@@ -207,8 +211,12 @@ def evaluations(seeds: int, cap: int) -> Part:
     goal = p.loss(best.z) + GOAL**2 * float(np.mean((tau / p.runs.noise) ** 2))
     methods: dict[str, AbstractFitter] = dict(populations(10**4))
     methods |= {
-        "RDE, target": fitters.RecursiveDE(variant="target", F=(0.5, 0.5), generations=10**4, **SIZE),
-        "RDE, literal": fitters.RecursiveDE(variant="shift", F=(0.5, 0.5), generations=10**4, **SIZE),
+        "RDE, target": fitters.RecursiveDE(
+            variant="target", F=(0.5, 0.5), generations=10**4, **SIZE
+        ),
+        "RDE, literal": fitters.RecursiveDE(
+            variant="shift", F=(0.5, 0.5), generations=10**4, **SIZE
+        ),
         "LM": fitters.LevenbergMarquardt(restarts=2),
     }
     runs = race(p, methods, range(seeds), cap)
@@ -235,14 +243,22 @@ def evaluations(seeds: int, cap: int) -> Part:
             HOLDS if np.isfinite(typical["RDE, literal"]) else FAILS, "as this library reads the words",
         ),
     )  # fmt: skip
-    picture = course("race", "Torque error over evaluations, median and range", runs, "loss, best so far")
+    picture = course(
+        "race", "Torque error over evaluations, median and range", runs, "loss, best so far"
+    )
     return Part("What a search costs", text, (table,), (picture,), claims)
 
 
 def _reached(r: Searched, goal: float, seeds: int, cap: int) -> tuple[Any, ...]:
     counts = r.reached(goal)
     middle = f"{np.median(counts):.0f}" if counts else f"more than {cap}"
-    return r.label, f"{len(counts)} of {seeds}", middle, f"{min(counts)} to {max(counts)}" if counts else "–", r.seconds
+    return (
+        r.label,
+        f"{len(counts)} of {seeds}",
+        middle,
+        f"{min(counts)} to {max(counts)}" if counts else "–",
+        r.seconds,
+    )
 
 
 def change(count: int, offline: int) -> Part:
@@ -250,7 +266,9 @@ def change(count: int, offline: int) -> Part:
     blocks = twin.cut(twin.path(4, count * BLOCK / 20.0), BLOCK)[:count]
     part = {k: v * (0.8 if k == "m2" else 0.6) for k, v in twin.BODY.items()}
     truths = [twin.BODY if k < count // 2 else part for k in range(count)]
-    p = problem_of(blocks, [twin.torque(m, body=b) for m, b in zip(blocks, truths, strict=True)], NOISE)
+    p = problem_of(
+        blocks, [twin.torque(m, body=b) for m, b in zip(blocks, truths, strict=True)], NOISE
+    )
     ways: dict[str, tuple[AbstractPopulation, dict[str, Any]]] = {
         "RDE, window of 3 blocks": (populations(offline)["RDE"], {"window": 3}),
         "RDE, forgetting 0.5 a block": (populations(offline)["RDE"], {"forgetting": 0.5}),
@@ -263,7 +281,13 @@ def change(count: int, offline: int) -> Part:
     begins = FIRST // BLOCK
     ends = {k: 100 * off(steps[-1].numbers, part) for k, steps in runs.items()}
     rows = tuple(
-        (k, 100 * off(steps[count // 2 - begins].numbers, twin.BODY), ends[k], steps[-1].evaluations) for k, steps in runs.items()
+        (
+            k,
+            100 * off(steps[count // 2 - begins].numbers, twin.BODY),
+            ends[k],
+            steps[-1].evaluations,
+        )
+        for k, steps in runs.items()
     )
     table = Table(
         "Largest error of the body's numbers, % of their range",
@@ -273,7 +297,11 @@ def change(count: int, offline: int) -> Part:
     at = np.arange(begins, count + 1)
     curves = {"truth": (np.arange(1, count + 1), np.array([b["I2"] for b in truths]))}
     curves |= {k: (at[: len(s)], np.array([x.numbers["I2"] for x in s])) for k, s in runs.items()}
-    picture = lines("change", "The inertia of the last body over the blocks", [("block of data", "I2 (kg m²)", curves)])
+    picture = lines(
+        "change",
+        "The inertia of the last body over the blocks",
+        [("block of data", "I2 (kg m²)", curves)],
+    )
     exact = {k: v for k, v in ends.items() if v < 2.0}
     claims = (
         judged(

@@ -39,7 +39,9 @@ GOAL = 1e-3
 # ---- data and problems
 
 
-def problem_of(motions: Sequence[twin.Motion], torques: Sequence[np.ndarray], noise: float, seed: int = 0) -> Problem:
+def problem_of(
+    motions: Sequence[twin.Motion], torques: Sequence[np.ndarray], noise: float, seed: int = 0
+) -> Problem:
     """The torque error of the fixed-base model, a piece a motion. Torques without friction are those of a model without."""
     rng = np.random.default_rng(seed)
     size = np.sqrt(np.mean(np.concatenate(list(torques)) ** 2, 0))
@@ -47,9 +49,15 @@ def problem_of(motions: Sequence[twin.Motion], torques: Sequence[np.ndarray], no
     return built(dataset(motions, noisy))
 
 
-def dataset(motions: Sequence[twin.Motion], torques: Sequence[np.ndarray], friction: bool = True) -> Dataset:
+def dataset(
+    motions: Sequence[twin.Motion], torques: Sequence[np.ndarray], friction: bool = True
+) -> Dataset:
     joints = ("1", "2")
-    own = {k + j: ParameterPrior(None, *b) for k, b in BOUNDS.items() for j in (("",) if k in twin.BODY else joints)}
+    own = {
+        k + j: ParameterPrior(None, *b)
+        for k, b in BOUNDS.items()
+        for j in (("",) if k in twin.BODY else joints)
+    }
     known: dict[str, Any] = {k: twin.LINK[k] for k in ("l1", "I1")}
     if not friction:
         known |= {k + j: 1.0 if k == "v_s" else 0.0 for k in twin.FRICTION for j in joints}
@@ -79,7 +87,9 @@ def streamed(friction: bool, seed: int = 0, path: int = 1) -> tuple[Problem, lis
 
 def off(numbers: Mapping[str, float], truth: Mapping[str, float] = twin.BODY) -> float:
     """Largest error of the body's numbers, a share of their range."""
-    return max(abs(numbers[k] - truth[k]) / (BOUNDS[k][1] - BOUNDS[k][0]) for k in truth if k in twin.BODY)
+    return max(
+        abs(numbers[k] - truth[k]) / (BOUNDS[k][1] - BOUNDS[k][0]) for k in truth if k in twin.BODY
+    )
 
 
 SIZE: Any = {"popsize": 60, "stall": 0}
@@ -124,15 +134,23 @@ class Step(NamedTuple):
 
 
 def followed(
-    method: AbstractPopulation, p: Problem, loops: int, window: int | None = None, forgetting: float = 1.0
+    method: AbstractPopulation,
+    p: Problem,
+    loops: int,
+    window: int | None = None,
+    forgetting: float = 1.0,
 ) -> list[Step]:
     start = [(p.lower + p.upper) / 2]
-    steps = follow(method, stretches(p, FIRST // BLOCK, window, forgetting), start, jax.random.key(0), loops)
+    steps = follow(
+        method, stretches(p, FIRST // BLOCK, window, forgetting), start, jax.random.key(0), loops
+    )
     return [step_of(p, m) for m in steps]
 
 
 def step_of(p: Problem, m: Minimum, loops: int | None = None) -> Step:
-    return Step(m.loss, numbers_of(p, m.z), m.evaluations, m.seconds[-1] if m.seconds else 0.0, loops)
+    return Step(
+        m.loss, numbers_of(p, m.z), m.evaluations, m.seconds[-1] if m.seconds else 0.0, loops
+    )
 
 
 def least_squares(p: Problem) -> Minimum:
@@ -148,7 +166,9 @@ def alone(method: AbstractPopulation, p: Problem, ls: Minimum, seed: int) -> Ste
     return step_of(p, m, arrived(m, p.loss(ls.z)))
 
 
-def carried(method: AbstractPopulation, parts: Sequence[Problem], ls: Sequence[Minimum], seed: int) -> Step:
+def carried(
+    method: AbstractPopulation, parts: Sequence[Problem], ls: Sequence[Minimum], seed: int
+) -> Step:
     """The last of the recursions."""
     start = [(parts[0].lower + parts[0].upper) / 2]
     *_, last = follow(method, parts, start, jax.random.key(seed), 20)
@@ -162,7 +182,12 @@ def descended(p: Problem, window: int) -> list[Step]:
         part: Any = own
         began = time.perf_counter()
         starts = [random_start(part, s) for s in range(8)] if z is None else [z]
-        path = min(descend([(own, s) for s in starts], 60 if z is None else LOOPS, 1e-12), key=lambda d: d.cost)
+        path = min(
+            descend([(own, s) for s in starts], 60 if z is None else LOOPS, 1e-12),
+            key=lambda d: d.cost,
+        )
         z = path.z
-        out.append(Step(own.loss(z), numbers_of(p, z), LOOPS * (1 + p.size), time.perf_counter() - began))
+        out.append(
+            Step(own.loss(z), numbers_of(p, z), LOOPS * (1 + p.size), time.perf_counter() - began)
+        )
     return out

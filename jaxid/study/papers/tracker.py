@@ -19,14 +19,29 @@ from jaxid.fitting.result import Fit
 from jaxid.problem.binding import bind
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import OutputError
-from jaxid.study.papers.result import Claim, FAILS, HOLDS, judged, Part, PARTLY, Picture, Table, UNKNOWN
+from jaxid.study.papers.result import (
+    Claim,
+    FAILS,
+    HOLDS,
+    judged,
+    Part,
+    PARTLY,
+    Picture,
+    Table,
+    UNKNOWN,
+)
 from jaxid.study.papers.searches import course, dispersion, lines, race, Searched
 from jaxid.study.papers.twins import tracker as twin
 from jaxid.wording import listed, number
 
 
 #: The paper states no bounds.
-BOUNDS = {"J_theta": (0.01, 0.5), "J_alpha": (0.001, 0.5), "b_theta": (0.1, 5.0), "b_alpha": (0.1, 5.0)}
+BOUNDS = {
+    "J_theta": (0.01, 0.5),
+    "J_alpha": (0.001, 0.5),
+    "b_theta": (0.1, 5.0),
+    "b_alpha": (0.1, 5.0),
+}
 UNITS = {"J_theta": "kg m²", "J_alpha": "kg m²", "b_theta": "N m s/rad", "b_alpha": "N m s/rad"}
 #: Tables 4 and 5.
 ANSWERS = {"GA": (0.117, 0.1, 1.9, 1.495), "PSO": (0.11, 0.1, 1.925, 1.471)}
@@ -38,14 +53,18 @@ AXES = ("theta", "alpha")
 # ---- data and problem
 
 
-def stepped(t: np.ndarray, axis: int, first: float = 3.6, second: float = 2.4) -> Float[np.ndarray, "time 2"]:
+def stepped(
+    t: np.ndarray, axis: int, first: float = 3.6, second: float = 2.4
+) -> Float[np.ndarray, "time 2"]:
     """Two levels at one motor, 3 s each."""
     u = np.zeros((len(t), 2))
     u[:, axis] = np.where((t >= 1) & (t < 4), first, np.where((t >= 4) & (t < 7), second, 0.0))
     return u
 
 
-def recorded(name: str, u: np.ndarray, t: np.ndarray, seed: int, split: str = "fit", **twins: Any) -> Experiment:
+def recorded(
+    name: str, u: np.ndarray, t: np.ndarray, seed: int, split: str = "fit", **twins: Any
+) -> Experiment:
     y = twin.run(u, t, **twins) + NOISE * np.random.default_rng(seed).standard_normal((len(t), 2))
     return Experiment(name, split, t, u, y, at_rest=True, initial=dict.fromkeys(AXES, 0.0))
 
@@ -61,20 +80,31 @@ def data(*, linear: bool = False, whole: bool = False, **twins: Any) -> Dataset:
         runs += [recorded("E", stepped(t, 0, 2.9, 2.1), t, 4, "report", **twins)]
         runs += [recorded("F", stepped(t, 1, 3.3, 2.3), t, 5, "report", **twins)]
     else:
-        runs += [runs[0].piece(0, 60, name="held", split="validation"), runs[1].piece(0, 60, name="report", split="report")]
+        runs += [
+            runs[0].piece(0, 60, name="held", split="validation"),
+            runs[1].piece(0, 60, name="report", split="report"),
+        ]
     channels = (
         Channel("u_theta", "input", "V"), Channel("u_alpha", "input", "V"),
         Channel("theta", "output", "rad", noise_std=NOISE), Channel("alpha", "output", "rad", noise_std=NOISE),
     )  # fmt: skip
     priors = {k: ParameterPrior(None, *b, log=False if linear else None) for k, b in BOUNDS.items()}
-    return Dataset("paper_003", channels, tuple(runs), model=ModelSpec("tracker", parameters=priors))
+    return Dataset(
+        "paper_003", channels, tuple(runs), model=ModelSpec("tracker", parameters=priors)
+    )
 
 
 def problem(known: Dataset) -> Problem:
     """The paper's cost (7) of both angles, in radians."""
     binding = bind(None, known)
     bench = Bench(binding)
-    return bench.problem(OutputError(), "fit", binding.free, start_values(bench, binding.free, 0)[0], loss="sum_of_abs")
+    return bench.problem(
+        OutputError(),
+        "fit",
+        binding.free,
+        start_values(bench, binding.free, 0)[0],
+        loss="sum_of_abs",
+    )
 
 
 class Size(NamedTuple):
@@ -155,7 +185,9 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
         (("truth (the paper's GA)", *twin.GA.values()), *((f"{r.label}, here", *(r.numbers[k] for k in BOUNDS)) for r in runs),
          *((f"{k}, paper", *v) for k, *v in named)),
     )  # fmt: skip
-    between = float(np.rad2deg(p.loss(p.z(numbered(p, dict(zip(BOUNDS, ANSWERS["PSO"], strict=True)))))))
+    between = float(
+        np.rad2deg(p.loss(p.z(numbered(p, dict(zip(BOUNDS, ANSWERS["PSO"], strict=True))))))
+    )
     ga, pso = runs
     text = (
         f"With the two published answers put in, F differs by {number(between - truth)} degrees here; the published "
@@ -177,8 +209,20 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
         ),
     )  # fmt: skip
     pictures = (
-        course("course", "Figure 9: convergence, median and range of the runs", runs, "F, best so far (degrees)", 180 / np.pi),
-        dispersion("dispersion", "Where the runs ended; a bar is the mean", runs, "F at the end (degrees)", 180 / np.pi),
+        course(
+            "course",
+            "Figure 9: convergence, median and range of the runs",
+            runs,
+            "F, best so far (degrees)",
+            180 / np.pi,
+        ),
+        dispersion(
+            "dispersion",
+            "Where the runs ended; a bar is the mean",
+            runs,
+            "F at the end (degrees)",
+            180 / np.pi,
+        ),
     )
     return Part("GA against PSO", text, (cost, found), pictures, claims)
 
@@ -199,13 +243,22 @@ def overlay(p: Problem, known: Dataset, runs: Sequence[Searched], best: Fit) -> 
         own = {label: (e.t, np.rad2deg(y[k][:, k])) for label, y in seen.items()}
         measured = np.rad2deg(e.y[:, k])
         error = {label: (e.t, measured - y) for label, (_, y) in own.items()}
-        rows += [(axis, label, float(np.sqrt(np.mean(r**2))), float(np.abs(r).max())) for label, (_, r) in error.items()]
+        rows += [
+            (axis, label, float(np.sqrt(np.mean(r**2))), float(np.abs(r).max()))
+            for label, (_, r) in error.items()
+        ]
         panels = [
             ("time (s)", f"{axis} (degrees)", {"measured": (e.t, measured)} | own),
             ("time (s)", "measured − model (degrees)", error),
         ]
         figures = ("10 and 12", "11 and 13")[k]
-        pictures.append(lines(f"overlay_{axis}", f"Figures {figures}: {axis} while its motor is driven, and its error", panels))
+        pictures.append(
+            lines(
+                f"overlay_{axis}",
+                f"Figures {figures}: {axis} while its motor is driven, and its error",
+                panels,
+            )
+        )
     table = Table(
         "Error of each driven axis",
         ("axis", "method", "rms (degrees)", "most (degrees)"),
@@ -225,7 +278,13 @@ def worth(best: Fit) -> Part:
     t = np.arange(1001) * 0.01
     misled = fit(None, data(rotor=twin.GA["J_alpha"] - twin.GEOMETRIC))
     rows = tuple(
-        (f"{k} ({UNITS[k]})", truth, best.parameters[k].value, best.parameters[k].std, misled.parameters[k].value)
+        (
+            f"{k} ({UNITS[k]})",
+            truth,
+            best.parameters[k].value,
+            best.parameters[k].std,
+            misled.parameters[k].value,
+        )
         for k, truth in twin.GA.items()
     )
     share = {k: (best.parameters[k].std or np.nan) / truth for k, truth in twin.GA.items()}
@@ -267,7 +326,11 @@ def contradiction(candidates: tuple[str, ...] | None) -> Part:
         for k in BOUNDS
         if k in found.final.parameters
     ]
-    table = Table("The numbers", ("", "truth", "re-tuned with formula (6)", "with the effects named"), tuple(rows))
+    table = Table(
+        "The numbers",
+        ("", "truth", "re-tuned with formula (6)", "with the effects named"),
+        tuple(rows),
+    )
     curve = curve_of(found)
     picture = () if curve is None else (drawn(curve),)
     text = (
@@ -275,13 +338,17 @@ def contradiction(candidates: tuple[str, ...] | None) -> Part:
         f"Verdict: {found.which.verdict}{'; named: ' + listed(named) if named else ''}; {number(gap.gap_after)} times "
         "the noise is left.",
     )
-    actuator = bool(found.which.effects) and all(e.location.startswith("u_") for e in found.which.effects)
+    actuator = bool(found.which.effects) and all(
+        e.location.startswith("u_") for e in found.which.effects
+    )
     claim = Claim(
         "(beyond the paper) the contradiction between Table 1 and (6) is found from the motion alone", "",
         f"{found.which.verdict}: {listed(named) or 'nothing'}",
         (HOLDS if found.which.verdict == "named" else PARTLY) if actuator else FAILS,
     )  # fmt: skip
-    return Part("Table 1 against formula (6), seen in the motion", text, (table,), picture, (claim,))
+    return Part(
+        "Table 1 against formula (6), seen in the motion", text, (table,), picture, (claim,)
+    )
 
 
 def curve_of(found: Any) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -298,7 +365,11 @@ def curve_of(found: Any) -> Callable[[np.ndarray], np.ndarray] | None:
 
 def drawn(curve: Callable[[np.ndarray], np.ndarray]) -> Picture:
     grid = np.linspace(0, 3.8, 300)
-    curves = {"Table 1": twin.table(grid), "formula (6)": twin.formula(grid), "found from the motion": curve(grid)}
+    curves = {
+        "Table 1": twin.table(grid),
+        "formula (6)": twin.formula(grid),
+        "found from the motion": curve(grid),
+    }
     return lines(
         "curve", "A motor: measured, by formula, and as found",
         [("voltage (V)", "torque (N m)", {k: (grid, y) for k, y in curves.items()})],

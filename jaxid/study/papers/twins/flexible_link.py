@@ -10,7 +10,14 @@ import scipy.linalg
 
 
 #: Published best answer of differential evolution (paper 002, Table 2).
-DE: dict[str, Any] = {"E": 5.7002e10, "I_m": 0.0053, "alpha": 1.824, "beta": 7.6275e-5, "v": 6.3016e-4, "tau_c": 0.1071}
+DE: dict[str, Any] = {
+    "E": 5.7002e10,
+    "I_m": 0.0053,
+    "alpha": 1.824,
+    "beta": 7.6275e-5,
+    "v": 6.3016e-4,
+    "tau_c": 0.1071,
+}
 OWN: dict[str, Any] = {k: v for k, v in DE.items() if k not in ("v", "tau_c")}
 L, THICK, WIDE, RHO, PAYLOAD = 0.197, 0.001, 0.0266, 6404.3, 0.09466
 AREA, SECOND = WIDE * THICK, WIDE * THICK**3 / 12
@@ -40,8 +47,12 @@ def elements(n: int = 4, J_p: float = 0.0):
             x = (e + point) * le
             slope = np.array([6 * point**2 - 6 * point, le * (1 - 4 * point + 3 * point**2),
                               6 * point - 6 * point**2, le * (3 * point**2 - 2 * point)]) / le  # fmt: skip
-            G[part, part] += w * (PAYLOAD * L + RHO * AREA * (L**2 - x**2) / 2) * np.outer(slope, slope)
-    rigid = np.zeros(size)  # a rotation by one radian: u = x, slope 1, which the cubics hold exactly
+            G[part, part] += (
+                w * (PAYLOAD * L + RHO * AREA * (L**2 - x**2) / 2) * np.outer(slope, slope)
+            )
+    rigid = np.zeros(
+        size
+    )  # a rotation by one radian: u = x, slope 1, which the cubics hold exactly
     rigid[0::2], rigid[1::2] = np.arange(n + 1) * le, 1.0
     M[-2, -2] += PAYLOAD
     M[-1, -1] += J_p
@@ -59,7 +70,9 @@ def full(E=DE["E"], I_m=DE["I_m"], alpha=DE["alpha"], beta=DE["beta"], *, n=4):
     return M, C, K
 
 
-def zero_order_hold(u: np.ndarray, h: float, parts: int, v: float, tau_c: float, *body: float) -> np.ndarray:
+def zero_order_hold(
+    u: np.ndarray, h: float, parts: int, v: float, tau_c: float, *body: float
+) -> np.ndarray:
     """(phi, tip acceleration) by the matrix exponential of all states, with Coulomb friction projected at every fine step."""
     M, C, K = full(*body)
     C[0, 0] += v
@@ -90,4 +103,6 @@ def direct(f: np.ndarray, v: float = DE["v"]) -> np.ndarray:
     C[0, 0] += v
     c = np.zeros(9)
     c[0], c[7] = L, 1.0
-    return np.array([-(w**2) * c @ np.linalg.solve(K - w**2 * M + 1j * w * C, np.eye(9)[0]) for w in 2 * pi * f])
+    return np.array(
+        [-(w**2) * c @ np.linalg.solve(K - w**2 * M + 1j * w * C, np.eye(9)[0]) for w in 2 * pi * f]
+    )

@@ -9,7 +9,12 @@ GRAVITY = 9.81
 
 
 def torques(
-    alpha: np.ndarray, a: np.ndarray, d: np.ndarray, bodies: np.ndarray, drives: np.ndarray, motion: tuple[np.ndarray, ...]
+    alpha: np.ndarray,
+    a: np.ndarray,
+    d: np.ndarray,
+    bodies: np.ndarray,
+    drives: np.ndarray,
+    motion: tuple[np.ndarray, ...],
 ) -> np.ndarray:
     """Torques [time joints] of a motion (q, qd, qdd), each [time joints], on a base that stands upright.
 

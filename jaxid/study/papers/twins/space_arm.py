@@ -28,7 +28,9 @@ def path(seed: int, seconds: float = 20.0, rate: float = 20.0) -> Motion:
 
 
 def mass_matrix(
-    q: Float[np.ndarray, "time 2"], base: tuple[float, float] | None, body: Mapping[str, float] = BODY
+    q: Float[np.ndarray, "time 2"],
+    base: tuple[float, float] | None,
+    body: Mapping[str, float] = BODY,
 ) -> Float[np.ndarray, "time 2 2"]:
     """From the Jacobians of the bodies; `base` (kg, kg m^2) floats freely, None stands still."""
     a, b = q[:, 0], q[:, 0] + q[:, 1]
@@ -37,12 +39,24 @@ def mass_matrix(
     first = np.broadcast_to([0.6, 0.2], (n, 2))
     link = np.stack([np.cos(a), np.sin(a)], 1)
     last = (
-        np.stack([body["hx"] * np.cos(b) - body["hy"] * np.sin(b), body["hx"] * np.sin(b) + body["hy"] * np.cos(b)], 1)
+        np.stack(
+            [
+                body["hx"] * np.cos(b) - body["hy"] * np.sin(b),
+                body["hx"] * np.sin(b) + body["hy"] * np.cos(b),
+            ],
+            1,
+        )
         / body["m2"]
     )
     columns = np.zeros((n, 2, 5))  # of a point's velocity by base x, y, turn, q1, q2
 
-    def kinetic(m: float, inertia: float, turns: tuple[int, ...], arm: np.ndarray, levers: dict[int, np.ndarray]) -> np.ndarray:
+    def kinetic(
+        m: float,
+        inertia: float,
+        turns: tuple[int, ...],
+        arm: np.ndarray,
+        levers: dict[int, np.ndarray],
+    ) -> np.ndarray:
         J = columns.copy()
         J[:, 0, 0] = J[:, 1, 1] = 1.0
         for k, r in {2: arm, **levers}.items():
@@ -61,7 +75,9 @@ def mass_matrix(
     M[:, 0, 0] += base[0]
     M[:, 1, 1] += base[0]
     M[:, 2, 2] += base[1]
-    return M[:, 3:, 3:] - np.swapaxes(M[:, :3, 3:], 1, 2) @ np.linalg.solve(M[:, :3, :3], M[:, :3, 3:])
+    return M[:, 3:, 3:] - np.swapaxes(M[:, :3, 3:], 1, 2) @ np.linalg.solve(
+        M[:, :3, :3], M[:, :3, 3:]
+    )
 
 
 def torque(
@@ -73,7 +89,10 @@ def torque(
     """Lagrange's equations of qd' M qd / 2, derivatives of M by central differences, and friction."""
     _, q, qd, qdd = motion
     M, h = mass_matrix(q, base, body), 1e-6
-    slopes = [(mass_matrix(q + h * e, base, body) - mass_matrix(q - h * e, base, body)) / (2 * h) for e in np.eye(2)]
+    slopes = [
+        (mass_matrix(q + h * e, base, body) - mass_matrix(q - h * e, base, body)) / (2 * h)
+        for e in np.eye(2)
+    ]
     rate = slopes[0] * qd[:, :1, None] + slopes[1] * qd[:, 1:, None]
     pull = np.stack([np.einsum("ni,nij,nj->n", qd, s, qd) for s in slopes], 1) / 2
     rigid = np.einsum("nij,nj->ni", M, qdd) + np.einsum("nij,nj->ni", rate, qd) - pull

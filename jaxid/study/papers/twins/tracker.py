@@ -29,7 +29,10 @@ def table(volts: np.ndarray) -> np.ndarray:
 
 
 def run(
-    u: Float[np.ndarray, "time 2"], t: Float[np.ndarray, " time"], motors=formula, rotor: float = 0.0
+    u: Float[np.ndarray, "time 2"],
+    t: Float[np.ndarray, " time"],
+    motors=formula,
+    rotor: float = 0.0,
 ) -> Float[np.ndarray, "time 2"]:
     """theta, alpha under voltages that hold between samples, from rest at 0; `rotor` is the part of J_alpha that only tilts."""
     k, J, own = M * L + 2 * MC * U, GA["J_alpha"], GA["J_alpha"] - rotor
@@ -40,12 +43,19 @@ def run(
         bend = k * R * s - 2 * own * s * cosine
         yaw = GA["J_theta"] + (M + MC) * R**2 - k * R * cosine + own * cosine**2
         load = (M * L / 2 + MC * U) * G * cosine
-        return [w, v, (T[0] - bend * v * w - GA["b_theta"] * w) / yaw, (T[1] + bend * w * w / 2 - GA["b_alpha"] * v - load) / J]
+        return [
+            w,
+            v,
+            (T[0] - bend * v * w - GA["b_theta"] * w) / yaw,
+            (T[1] + bend * w * w / 2 - GA["b_alpha"] * v - load) / J,
+        ]
 
     torque, x, out = motors(u), np.zeros(4), [np.zeros(2)]
     edges = [0, *(np.flatnonzero(np.any(np.diff(u, axis=0) != 0, 1)) + 1), len(t) - 1]
     for a, b in zip(edges[:-1], edges[1:], strict=True):
-        part = solve_ivp(field, (t[a], t[b]), x, "LSODA", t[a : b + 1], args=(torque[a],), rtol=1e-9, atol=1e-11)
+        part = solve_ivp(
+            field, (t[a], t[b]), x, "LSODA", t[a : b + 1], args=(torque[a],), rtol=1e-9, atol=1e-11
+        )
         out += list(part.y[:2, 1:].T)
         x = part.y[:, -1]
     return np.array(out)
