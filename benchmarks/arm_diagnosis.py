@@ -17,8 +17,15 @@ import numpy as np
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 #: The laws that are offered: those of a joint's speed and load alone.
-LAWS = ["coulomb_friction", "viscous_friction", "power_law_friction", "asymmetric_friction", "load_dependent_friction",
-        "stribeck_friction", "quadratic_drag"]  # fmt: skip
+LAWS = [
+    "coulomb_friction",
+    "viscous_friction",
+    "power_law_friction",
+    "asymmetric_friction",
+    "load_dependent_friction",
+    "stribeck_friction",
+    "quadratic_drag",
+]
 MODELS = {"ur10e": "ur10e", "panda_exciting": "panda"}
 #: Recording -> the terms its model is robbed of, and the filter's frequency (Hz).
 RECORDINGS = {

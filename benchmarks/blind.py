@@ -245,11 +245,16 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             else:
                 row = {"right": count("right"), "in set": count("in_set"), "wrong": count("wrong")}
             out.append(
-                {"model": model, "cases": label, "seed": ", ".join(sorted({str(r["seed"]) for r in part})), **row,
-                 "shrinkage, median": round(float(np.median(shares)), 3) if shares else "",
-                 "CPU s a case, median": round(float(np.median([r["cpu_s"] for r in part])), 1),
-                 "not right": "; ".join(missed) if kind != "outsider" else ""}
-            )  # fmt: skip
+                {
+                    "model": model,
+                    "cases": label,
+                    "seed": ", ".join(sorted({str(r["seed"]) for r in part})),
+                    **row,
+                    "shrinkage, median": round(float(np.median(shares)), 3) if shares else "",
+                    "CPU s a case, median": round(float(np.median([r["cpu_s"] for r in part])), 1),
+                    "not right": "; ".join(missed) if kind != "outsider" else "",
+                }
+            )
     return out
 
 

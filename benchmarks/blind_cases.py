@@ -64,27 +64,52 @@ def medium(plant: Plant, j: int, rng: np.random.Generator) -> dict[str, dict[str
     U = 1.0 if plant.model == "servo" else T  # size of a command
     any_of: Any = lambda a, b: (rng.uniform(a, b),)
     out: dict[str, Any] = {
-        "dead_zone": {"dead_zone": 0.08 * U}, "saturation": {"limit": 0.35 * U}, "supply_droop": {"droop": 0.15 / U},
-        "torque_scale": {"scale": 0.1}, "actuator_lag": {"lag": 0.015}, "input_delay": {"delay": 0.008},
-        "input_hold": {"linear": (1.0,)}, "back_emf": {"back_emf": 0.1 * T / V},
-        "torque_ripple": {"ripple": 0.08 * T, "ripple_order": any_of(5.0, 12.0)}, "coulomb_friction": {"coulomb": 0.08 * T},
+        "dead_zone": {"dead_zone": 0.08 * U},
+        "saturation": {"limit": 0.35 * U},
+        "supply_droop": {"droop": 0.15 / U},
+        "torque_scale": {"scale": 0.1},
+        "actuator_lag": {"lag": 0.015},
+        "input_delay": {"delay": 0.008},
+        "input_hold": {"linear": (1.0,)},
+        "back_emf": {"back_emf": 0.1 * T / V},
+        "torque_ripple": {"ripple": 0.08 * T, "ripple_order": any_of(5.0, 12.0)},
+        "coulomb_friction": {"coulomb": 0.08 * T},
         "asymmetric_friction": {"dry_asymmetry": 0.05 * T, "viscous_asymmetry": 0.03 * T / V},
         "stribeck_friction": {"stribeck": 0.12 * T, "stribeck_speed": any_of(0.04 * V, 0.1 * V)},
-        "load_dependent_friction": {"load": 0.12}, "quadratic_drag": {"drag": 0.15 * T / V**2},
+        "load_dependent_friction": {"load": 0.12},
+        "quadratic_drag": {"drag": 0.15 * T / V**2},
         "power_law_friction": {"power": 0.1 * T / np.sqrt(V), "exponent": any_of(0.4, 0.6)},
         "lugre_friction": {"lugre": 0.12 * T, "presliding": any_of(0.03, 0.08)},
         "position_dependent_friction": {"uneven": 0.05 * T, "uneven_order": any_of(2.0, 5.0)},
         "temperature_dependent_friction": {"warm": 0.3 * T / V**3, "warm_time": any_of(1.5, 3.0)},
-        "coupled_friction": {"shared_viscous": 0.1 * T / V, "shared_dry": 0.03 * T, "shared_speed": (0.05 * V,)},
+        "coupled_friction": {
+            "shared_viscous": 0.1 * T / V,
+            "shared_dry": 0.03 * T,
+            "shared_speed": (0.05 * V,),
+        },
         "backlash": {"play": 0.03, "motor_share": (0.4,), "compliance": (0.02 / T,)},
-        "joint_elasticity": {"compliance": 0.03 / T, "motor_share": any_of(0.3, 0.5), "spring_damping": (0.1,)},
-        "hysteresis": {"loop": 0.1 * T, "loop_width": any_of(0.05, 0.15)}, "payload": {"payload": 0.3 * J / 0.1},
-        "constant_torque": {"offset": 0.06 * T}, "gravity_offset": {"tilt": 0.05}, "spring_torque": {"spring": 0.2 * T},
+        "joint_elasticity": {
+            "compliance": 0.03 / T,
+            "motor_share": any_of(0.3, 0.5),
+            "spring_damping": (0.1,),
+        },
+        "hysteresis": {"loop": 0.1 * T, "loop_width": any_of(0.05, 0.15)},
+        "payload": {"payload": 0.3 * J / 0.1},
+        "constant_torque": {"offset": 0.06 * T},
+        "gravity_offset": {"tilt": 0.05},
+        "spring_torque": {"spring": 0.2 * T},
         "reflected_inertia": {"reflected": 0.2 * J},
-        "flexible_mode": {"swing": 0.25 * J, "swing_frequency": any_of(3.0, 8.0), "swing_damping": (0.05,)},
-        "sensor_bias": {"bias": 0.03}, "sensor_scale": {"gain_error": 0.05}, "sensor_lag": {"sensor_lag": 0.012},
-        "sensor_delay": {"sensor_delay": 0.009}, "timestamp_jitter": {"jitter": 0.003},
-    }  # fmt: skip
+        "flexible_mode": {
+            "swing": 0.25 * J,
+            "swing_frequency": any_of(3.0, 8.0),
+            "swing_damping": (0.05,),
+        },
+        "sensor_bias": {"bias": 0.03},
+        "sensor_scale": {"gain_error": 0.05},
+        "sensor_lag": {"sensor_lag": 0.012},
+        "sensor_delay": {"sensor_delay": 0.009},
+        "timestamp_jitter": {"jitter": 0.003},
+    }
     out["viscous_friction"] = {
         "viscous": plant.nominal["viscous"][min(j, len(plant.nominal["viscous"]) - 1)]
     }
@@ -268,8 +293,16 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
     return cases
 
 
-EITHER = ("asymmetric_friction", "torque_ripple", "constant_torque", "gravity_offset", "sensor_bias", "sensor_scale",
-          "position_dependent_friction", "torque_scale")  # fmt: skip
+EITHER = (
+    "asymmetric_friction",
+    "torque_ripple",
+    "constant_torque",
+    "gravity_offset",
+    "sensor_bias",
+    "sensor_scale",
+    "position_dependent_friction",
+    "torque_scale",
+)
 BUILTIN = ("viscous_friction", "coulomb_friction")
 AT_INPUT = (
     "dead_zone",

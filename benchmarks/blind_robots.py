@@ -51,8 +51,13 @@ ALIKE = {
     "gravity_offset": {"gravity_offset", "constant_torque", "sensor_bias"},
 }
 #: Numbers of the file that a fit re-tunes: the answer is `none` with one of these stated.
-RETUNED = {"frictionloss": ("frictionloss",), "armature": ("armature",), "payload": ("com_x", "com_y", "com_z", "armature"),
-           "torque_scale": ("armature", "damping", "frictionloss"), "input_delay": ("armature", "damping")}  # fmt: skip
+RETUNED = {
+    "frictionloss": ("frictionloss",),
+    "armature": ("armature",),
+    "payload": ("com_x", "com_y", "com_z", "armature"),
+    "torque_scale": ("armature", "damping", "frictionloss"),
+    "input_delay": ("armature", "damping"),
+}
 #: What acts by a motion of its own is no candidate on this road: `unknown` and `partly` without its name are right.
 OUTSIDE = ("backlash",)
 
@@ -90,12 +95,19 @@ def score(c: dict[str, Any], found: Any) -> dict[str, Any]:
     wrong = bool(every) and not hit
     far = found.how_far
     return {
-        "kind": kind, "joint": joint, "verdict": verdict, "named": [f"{e} at {j}" for e, j in every],
-        "mates": [f"{e} at {j}" for e, j in mates], "told": sorted(f"{p} of {j}" for p, j in told),
-        "right": right, "by": "numbers" if retuned else "name" if hit else "", "wrong": wrong,
-        "gaps": [far.gap_before, far.gap_retuned, far.gap_after], "shrinkage": far.shrinkage,
+        "kind": kind,
+        "joint": joint,
+        "verdict": verdict,
+        "named": [f"{e} at {j}" for e, j in every],
+        "mates": [f"{e} at {j}" for e, j in mates],
+        "told": sorted(f"{p} of {j}" for p, j in told),
+        "right": right,
+        "by": "numbers" if retuned else "name" if hit else "",
+        "wrong": wrong,
+        "gaps": [far.gap_before, far.gap_retuned, far.gap_after],
+        "shrinkage": far.shrinkage,
         "interval": far.shrinkage_interval_95,
-    }  # fmt: skip
+    }
 
 
 def further(long: dict[str, Any], found: Any, seconds: float) -> list[float] | None:
@@ -155,9 +167,22 @@ def asked(
             found, spent = answered(c)
             row = score(c, found)
         except Exception as error:  # a case that cannot be diagnosed is one that is not right
-            row, spent = {"kind": c["kind"], "joint": c["joint"], "verdict": f"failed: {error}"[:200], "named": [], "mates": [],
-                          "told": [], "right": False, "wrong": False, "gaps": [], "shrinkage": None,
-                          "interval": None}, 0.0  # fmt: skip
+            row, spent = (
+                {
+                    "kind": c["kind"],
+                    "joint": c["joint"],
+                    "verdict": f"failed: {error}"[:200],
+                    "named": [],
+                    "mates": [],
+                    "told": [],
+                    "right": False,
+                    "wrong": False,
+                    "gaps": [],
+                    "shrinkage": None,
+                    "interval": None,
+                },
+                0.0,
+            )
             found = None
         if found is not None and row["interval"]:
             row["later"] = further(
@@ -173,8 +198,16 @@ def asked(
         RESULTS.parent.mkdir(exist_ok=True)
         with RESULTS.open("a") as f:
             f.write(json.dumps(row) + "\n")
-        print(number, row["kind"], row["joint"], row["verdict"], row["named"], "right" if row["right"] else "", row["seconds"],
-              flush=True)  # fmt: skip
+        print(
+            number,
+            row["kind"],
+            row["joint"],
+            row["verdict"],
+            row["named"],
+            "right" if row["right"] else "",
+            row["seconds"],
+            flush=True,
+        )
 
 
 def kept() -> list[dict[str, Any]]:
@@ -193,11 +226,15 @@ def how_far(rows: Sequence[dict[str, Any]]) -> str:
     """Whether the intervals hold in further runs."""
     named = [r for r in rows if r["verdict"] == "named"]
     again = [r for r in named if r.get("later")]
-    return "" if len(again) < 2 else (
-        f" How far: {sum(r['interval'] is not None for r in named)} of {len(named)} named cases have an interval. In {FURTHER} "
-        "further runs of each MuJoCo runs the file with what was named written into it (where numbers of the file were re-tuned "
-        f"jaxid the model), counted where the file leaves more than the noise; inside the interval: {held(again)}."
-    )  # fmt: skip
+    return (
+        ""
+        if len(again) < 2
+        else (
+            f" How far: {sum(r['interval'] is not None for r in named)} of {len(named)} named cases have an interval. In {FURTHER} "
+            "further runs of each MuJoCo runs the file with what was named written into it (where numbers of the file were re-tuned "
+            f"jaxid the model), counted where the file leaves more than the noise; inside the interval: {held(again)}."
+        )
+    )
 
 
 def main() -> dict[str, Any]:
@@ -223,12 +260,16 @@ def main() -> dict[str, Any]:
                 for r in own
             }
         )
-        out.append({
-            "withheld": kind, "cases": len(own), "right": share([r["right"] for r in own]),
-            "wrong name": sum(r["wrong"] for r in own),
-            "verdicts": "" if kind.startswith("all") else "; ".join(said),
-            "seconds, median (longest)": f"{np.median([r['seconds'] for r in own]):.0f} ({max(r['seconds'] for r in own):.0f})",
-        })  # fmt: skip
+        out.append(
+            {
+                "withheld": kind,
+                "cases": len(own),
+                "right": share([r["right"] for r in own]),
+                "wrong name": sum(r["wrong"] for r in own),
+                "verdicts": "" if kind.startswith("all") else "; ".join(said),
+                "seconds, median (longest)": f"{np.median([r['seconds'] for r in own]):.0f} ({max(r['seconds'] for r in own):.0f})",
+            }
+        )
     seed = exact[-1]["seed"]
     before = list(dict.fromkeys(r["seed"] for r in exact if r["seed"] != seed))
     own = lambda seed: [r for r in exact if r["seed"] == seed]

@@ -60,30 +60,92 @@ def main() -> dict[str, Any]:
     fair = [r for r in with_oracle if r["oracle"] > 0.5]
     asked: list[tuple[str, str, list[Row], Callable[[Row], bool]]] = [
         ("class right, medium strength", "at least 90 %", single, right),
-        *[(f"class right, medium strength: {m}", "", [r for r in single if r["model"] == m], right) for m in models],
-        ("class among the first two of the ranking, medium", "", [r for r in single if r["truth"] and "second" in r],
-         lambda r: r["second"]),
+        *[
+            (
+                f"class right, medium strength: {m}",
+                "",
+                [r for r in single if r["model"] == m],
+                right,
+            )
+            for m in models
+        ],
+        (
+            "class among the first two of the ranking, medium",
+            "",
+            [r for r in single if r["truth"] and "second" in r],
+            lambda r: r["second"],
+        ),
         ("class right, a fifth of the strength", "at least 80 %", weak, right),
         ("class right, fitted to steps at one joint at a time", "at least 70 %", poor, right),
         ("truth in the reported set, medium", "at least 97 %", single, lambda r: r["in_set"]),
-        ("sets of at most 3, medium", "at least 90 %", [r for r in single if r["named"]], lambda r: size(r) <= 3),
+        (
+            "sets of at most 3, medium",
+            "at least 90 %",
+            [r for r in single if r["named"]],
+            lambda r: size(r) <= 3,
+        ),
         ("a wrong name outside the set, medium", "at most 2 %", single, lambda r: r["wrong"]),
         ("place right, of single names", "at least 97 %", alone, placed),
-        ("a name where nothing is missing", "at most 2 %", of.get("control", []), lambda r: bool(r["named"])),
+        (
+            "a name where nothing is missing",
+            "at most 2 %",
+            of.get("control", []),
+            lambda r: bool(r["named"]),
+        ),
         ("class right, by MuJoCo", "", of.get("mujoco", []), right),
         ("truth in the reported set, by MuJoCo", "", of.get("mujoco", []), lambda r: r["in_set"]),
         ("a wrong name outside the set, by MuJoCo", "", of.get("mujoco", []), lambda r: r["wrong"]),
-        ("a name where nothing is missing, by MuJoCo", "", of.get("mujoco_control", []), lambda r: bool(r["named"])),
-        ("class right, runs that begin in motion, splits not stated", "", of.get("moving", []), right),
-        ("truth in the reported set, the same runs", "", of.get("moving", []), lambda r: r["in_set"]),
-        ("a wrong name outside the set, the same runs", "", of.get("moving", []), lambda r: r["wrong"]),
-        ("a name where nothing is missing, such runs", "", of.get("moving_control", []), lambda r: bool(r["named"])),
-        ("an effect of no library `named`", "at most 3 %", of.get("outsider", []), lambda r: r["verdict"] == "named"),
+        (
+            "a name where nothing is missing, by MuJoCo",
+            "",
+            of.get("mujoco_control", []),
+            lambda r: bool(r["named"]),
+        ),
+        (
+            "class right, runs that begin in motion, splits not stated",
+            "",
+            of.get("moving", []),
+            right,
+        ),
+        (
+            "truth in the reported set, the same runs",
+            "",
+            of.get("moving", []),
+            lambda r: r["in_set"],
+        ),
+        (
+            "a wrong name outside the set, the same runs",
+            "",
+            of.get("moving", []),
+            lambda r: r["wrong"],
+        ),
+        (
+            "a name where nothing is missing, such runs",
+            "",
+            of.get("moving_control", []),
+            lambda r: bool(r["named"]),
+        ),
+        (
+            "an effect of no library `named`",
+            "at most 3 %",
+            of.get("outsider", []),
+            lambda r: r["verdict"] == "named",
+        ),
         ("both of two effects named", "at least 70 %", pairs, lambda r: r["right"]),
         ("both of two effects in the set", "at least 90 %", pairs, lambda r: r["in_set"]),
-        ("ten small effects `named`", "never", of.get("clutter", []), lambda r: r["verdict"] == "named"),
-        ("gap closed by at least 97 % of what the told fit closes", "", fair, lambda r: r["shrinkage"] >= 0.97 * r["oracle"]),
-    ]  # fmt: skip
+        (
+            "ten small effects `named`",
+            "never",
+            of.get("clutter", []),
+            lambda r: r["verdict"] == "named",
+        ),
+        (
+            "gap closed by at least 97 % of what the told fit closes",
+            "",
+            fair,
+            lambda r: r["shrinkage"] >= 0.97 * r["oracle"],
+        ),
+    ]
     table = [
         {"what": what, "asked": limit, "found (95 % interval)": share([hit(r) for r in part])}
         for what, limit, part, hit in asked
@@ -103,9 +165,12 @@ def main() -> dict[str, Any]:
             )
     ratio = np.array([r["shrinkage"] / r["oracle"] for r in fair])
     table.append(
-        {"what": "gap closed, median, over that of the fit that was told", "asked": "at least 97 %",
-         "found (95 % interval)": f"{100 * np.median(ratio):.2f} % of {len(ratio)} cases"}
-    )  # fmt: skip
+        {
+            "what": "gap closed, median, over that of the fit that was told",
+            "asked": "at least 97 %",
+            "found (95 % interval)": f"{100 * np.median(ratio):.2f} % of {len(ratio)} cases",
+        }
+    )
     missed = [r for r in pairs if not r["in_set"]]
     picture(single, HERE / "results" / "blind_confusion.png")
     text = (

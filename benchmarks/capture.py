@@ -73,10 +73,17 @@ def one(seed: int) -> dict[str, Any]:
         )
     when = fit.effects[0].parameters["time"]
     return {
-        "state": fit.state, "loss": fit.loss, "truth": run.at * 0.01, "time": when.value, "time_std": when.std,
-        "mass": after["mass"], "found": before["mass"] + fit.effects[0].parameters["size"].value, "std": std["mass"], "off": off,
+        "state": fit.state,
+        "loss": fit.loss,
+        "truth": run.at * 0.01,
+        "time": when.value,
+        "time_std": when.std,
+        "mass": after["mass"],
+        "found": before["mass"] + fit.effects[0].parameters["size"].value,
+        "std": std["mass"],
+        "off": off,
         "wall": time.perf_counter() - began,
-    }  # fmt: skip
+    }
 
 
 def unasked(seed: int) -> tuple[bool, bool]:
@@ -103,12 +110,20 @@ def main(count: int = 20) -> dict[str, Any]:
         own.append(abs(off) <= 1.96 * r["time_std"])
         mass.append(abs(r["off"]["mass"]) <= 1.96)
         every += [abs(v) <= 1.96 for v in r["off"].values() if v is not None]
-        rows.append({
-            "seed": seed, "caught at, s": r["truth"], "found, s": f"{r['time']:.2f} ± {1.96 * r['time_std']:.2f}",
-            "mass then, kg": round(r["mass"], 3), "found, kg": f"{r['found']:.3f} ± {1.96 * r['std']:.3f}",
-            "largest error of ten numbers, std": round(max(abs(v) for v in r["off"].values() if v is not None), 2),
-            "loss": round(r["loss"], 2), "state": r["state"],
-        })  # fmt: skip
+        rows.append(
+            {
+                "seed": seed,
+                "caught at, s": r["truth"],
+                "found, s": f"{r['time']:.2f} ± {1.96 * r['time_std']:.2f}",
+                "mass then, kg": round(r["mass"], 3),
+                "found, kg": f"{r['found']:.3f} ± {1.96 * r['std']:.3f}",
+                "largest error of ten numbers, std": round(
+                    max(abs(v) for v in r["off"].values() if v is not None), 2
+                ),
+                "loss": round(r["loss"], 2),
+                "state": r["state"],
+            }
+        )
         print(rows[-1], round(r["wall"], 1), flush=True)
     about = (__doc__ or "").split("\n", 2)[2].strip()
     noticed, false = (sum(t[k] for t in told) for k in (0, 1))

@@ -30,9 +30,22 @@ from jaxid.errors import DatasetError  # noqa: E402
 
 MODELS = ("pendulum", "planar_arm", "tracker")
 KINDS = (
-    "sign", "zero", "scale", "row_shift", "swapped_channels", "wrapped", "glitch", "repeated_rows", "clock", "time_unit",
-    "not_at_rest", "does_not_move", "unsigned", "filtered", "saturated",
-)  # fmt: skip
+    "sign",
+    "zero",
+    "scale",
+    "row_shift",
+    "swapped_channels",
+    "wrapped",
+    "glitch",
+    "repeated_rows",
+    "clock",
+    "time_unit",
+    "not_at_rest",
+    "does_not_move",
+    "unsigned",
+    "filtered",
+    "saturated",
+)
 SECONDS, SPLITS = 10.0, ("fit", "fit", "validation")
 
 
@@ -55,8 +68,11 @@ class Recording:
             inputs={n: list(self.u[:, :, i]) for i, n in enumerate(names(self.plant.inputs))},
             outputs={n: list(self.y[:, :, i]) for i, n in enumerate(names(self.plant.outputs))},
             units=dict((*self.plant.inputs, *self.plant.outputs)),
-            split=list(SPLITS[: len(self.u)]), at_rest=self.at_rest, model=self.plant.model, **settings,
-        )  # fmt: skip
+            split=list(SPLITS[: len(self.u)]),
+            at_rest=self.at_rest,
+            model=self.plant.model,
+            **settings,
+        )
 
 
 def recording(

@@ -51,9 +51,16 @@ def by_diffrax(
 
         def sample(x, k):
             found = diffrax.diffeqsolve(
-                term, solver or diffrax.Tsit5(), t[k], t[k + 1], (t[k + 1] - t[k]) / 10, x, u[k],
-                stepsize_controller=controller, max_steps=10_000,
-            )  # fmt: skip
+                term,
+                solver or diffrax.Tsit5(),
+                t[k],
+                t[k + 1],
+                (t[k + 1] - t[k]) / 10,
+                x,
+                u[k],
+                stepsize_controller=controller,
+                max_steps=10_000,
+            )
             assert found.ys is not None
             x = jax.tree.map(lambda a: a[-1], found.ys)
             return x, x[0]

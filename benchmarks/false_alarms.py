@@ -55,8 +55,17 @@ MACHINES: dict[str, tuple[str, Plant]] = {
     "planar_arm": ("planar_arm", PLANTS["planar_arm"]),
 }
 CLOCKS = (
-    "even", "alternating", "jitter", "drift", "lost_rows", "gaps", "rounded", "blurred_stamps", "two_rates", "bursts",
-)  # fmt: skip
+    "even",
+    "alternating",
+    "jitter",
+    "drift",
+    "lost_rows",
+    "gaps",
+    "rounded",
+    "blurred_stamps",
+    "two_rates",
+    "bursts",
+)
 COMMANDS = ("multisine", "steps", "sweep", "triangle", "pulses", "slow", "flicks")
 SENSORS = ("fine", "noisy", "coarse", "very_coarse", "no_noise", "few_digits")
 FRICTION = "viscous", "coulomb"

@@ -72,9 +72,17 @@ def peer(problem: FunctionProblem, popsize: int, generations: int, seed: int) ->
     loss(population.T)
     began = time.process_time()
     found = differential_evolution(
-        loss, [(-2, 2)] * dim, init=population, maxiter=generations, tol=0, atol=0, polish=False, vectorized=True,
-        updating="deferred", rng=seed,
-    )  # fmt: skip
+        loss,
+        [(-2, 2)] * dim,
+        init=population,
+        maxiter=generations,
+        tol=0,
+        atol=0,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        rng=seed,
+    )
     return (time.process_time() - began) / found.nit
 
 

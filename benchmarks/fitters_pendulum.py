@@ -72,9 +72,14 @@ def recording() -> jaxid.Dataset:
     )
     split = ["fit"]
     return jaxid.Dataset.from_arrays(
-        [t], {"tau": [u]}, {"q": [q + NOISE * rng.standard_normal(len(t))]}, at_rest=True, noise_std={"q": NOISE}, model=spec,
+        [t],
+        {"tau": [u]},
+        {"q": [q + NOISE * rng.standard_normal(len(t))]},
+        at_rest=True,
+        noise_std={"q": NOISE},
+        model=spec,
         split=split,
-    )  # fmt: skip
+    )
 
 
 def by_pypesto(problem: Any, both: Any, points: np.ndarray) -> list[tuple[np.ndarray, int]]:
@@ -222,13 +227,18 @@ def main(starts: int = 50) -> dict:
     batch = time.perf_counter() - began
     row(
         f"lm, {starts} single starts as one batch ({batch:.1f} s wall)",
-        [2 * p.cost / max(1, p.count) <= target for p in paths], 
-        [p.linearisations * (1 + problem.size) for p in paths], [batch / starts],
-    )  # fmt: skip
+        [2 * p.cost / max(1, p.count) <= target for p in paths],
+        [p.linearisations * (1 + problem.size) for p in paths],
+        [batch / starts],
+    )
     began = time.perf_counter()
     sixteen, _ = search([[(problem, z) for z in points[:16]]], 60, 1e-10)
-    row("lm, 16 starts as one search", [2 * sixteen[0].cost / sixteen[0].count <= target], [sixteen[0].linearisations],
-        [time.perf_counter() - began])  # fmt: skip
+    row(
+        "lm, 16 starts as one search",
+        [2 * sixteen[0].cost / sixteen[0].count <= target],
+        [sixteen[0].linearisations],
+        [time.perf_counter() - began],
+    )
     seeds = max(3, starts // 5)
     fitters = {
         "lm with 4 restarts": LevenbergMarquardt(),
@@ -263,8 +273,12 @@ def main(starts: int = 50) -> dict:
     row("SciPy least_squares (trf), one start", reached, evaluations, clock)
     began = time.process_time()
     if found := by_pypesto(problem, both, points):
-        row(f"pyPESTO, {starts} starts of SciPy's trf", [problem.loss(z) <= target for z, _ in found],
-            [n * (1 + problem.size) for _, n in found], [(time.process_time() - began) / starts])  # fmt: skip
+        row(
+            f"pyPESTO, {starts} starts of SciPy's trf",
+            [problem.loss(z) <= target for z, _ in found],
+            [n * (1 + problem.size) for _, n in found],
+            [(time.process_time() - began) / starts],
+        )
     reached, evaluations, clock = [], [], []
     for seed in range(max(2, seeds // 3)):
         began = time.process_time()

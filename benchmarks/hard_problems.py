@@ -50,9 +50,16 @@ def joint(numbers: dict[str, float], reach: float) -> Dataset:
     }
     y = recorded(plant, (u - u.mean())[None, :, None], values, rng)[0]
     return Dataset.from_arrays(
-        t, {"tau": u - u.mean()}, {"q": y[:, 0]}, units={"tau": "N m", "q": "rad"}, split="fit",
-        initial={"q": 0.0, "qd": 0.0}, noise_std={"q": plant.noise}, resolution={"q": plant.resolution}, model="joint",
-    )  # fmt: skip
+        t,
+        {"tau": u - u.mean()},
+        {"q": y[:, 0]},
+        units={"tau": "N m", "q": "rad"},
+        split="fit",
+        initial={"q": 0.0, "qd": 0.0},
+        noise_std={"q": plant.noise},
+        resolution={"q": plant.resolution},
+        model="joint",
+    )
 
 
 def problems() -> dict[str, tuple[Dataset, dict[str, Any]]]:
@@ -91,11 +98,16 @@ def study(seeds: int) -> list[dict]:
         for s in c.table:
             low, high = s.success_interval_95
             rows.append(
-                {"problem": label, "fitter": names[s.fitter], "reached": f"{s.successes} of {s.runs} ({low:.0%} to {high:.0%})",
-                 "evaluations to the target, median": whole(s.evaluations_to_target.median),
-                 "evaluations of a success, failures counted": whole(s.expected_evaluations),
-                 "loss, median / best": round(s.loss.median / c.best_loss, 4), "s a run": round(s.seconds, 2)}
-            )  # fmt: skip
+                {
+                    "problem": label,
+                    "fitter": names[s.fitter],
+                    "reached": f"{s.successes} of {s.runs} ({low:.0%} to {high:.0%})",
+                    "evaluations to the target, median": whole(s.evaluations_to_target.median),
+                    "evaluations of a success, failures counted": whole(s.expected_evaluations),
+                    "loss, median / best": round(s.loss.median / c.best_loss, 4),
+                    "s a run": round(s.seconds, 2),
+                }
+            )
     return rows
 
 

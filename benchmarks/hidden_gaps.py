@@ -64,9 +64,12 @@ def tracker(commands: list[np.ndarray], **numbers: tuple[float, float]) -> Datas
         [np.arange(1000) / 100] * len(commands),
         inputs={n: [u[:, i] for u in commands] for i, (n, _) in enumerate(plant.inputs)},
         outputs={n: list(y[:, :, i]) for i, (n, _) in enumerate(plant.outputs)},
-        units=dict((*plant.inputs, *plant.outputs)), split=SPLITS, at_rest=True,
-        noise_std={n: plant.noise for n, _ in plant.outputs}, model="tracker",
-    )  # fmt: skip
+        units=dict((*plant.inputs, *plant.outputs)),
+        split=SPLITS,
+        at_rest=True,
+        noise_std={n: plant.noise for n, _ in plant.outputs},
+        model="tracker",
+    )
 
 
 PAPER = [steps(0, 0.192, 0.072), steps(1, 0.192, 0.072), steps(0, 0.15, 0.05), steps(1, 0.15, 0.05)]
@@ -110,9 +113,10 @@ def space(base: tuple[float, float], payload: float = 1.0, noise: float = 0.01) 
         [t for t, *_ in runs],
         {f"tau{j + 1}": [tau[:, j] for *_, tau in runs] for j in (0, 1)},
         {f"q{j + 1}": [q[:, j] for _, q, _ in runs] for j in (0, 1)},
-        split=SPLITS, noise_std={"q1": 1e-6, "q2": 1e-6},
+        split=SPLITS,
+        noise_std={"q1": 1e-6, "q2": 1e-6},
         model=ModelSpec("space_manipulator", constants=constants, parameters=priors),
-    )  # fmt: skip
+    )
 
 
 def floating(known: dict[str, float], share: float):
@@ -236,10 +240,11 @@ def row(
         "the withheld one among them": "; ".join(
             f"{u} of {', '.join(f'{x:.3g} {unit}' for x, unit in u.parameters.values())}: {u.moved[0].name} "
             f"{u.moved[0].without:.3g} -> {u.moved[0].beside:.3g}"
-            for u in hidden if u.effect == effect
+            for u in hidden
+            if u.effect == effect
         ),
         "in words": "" if found.which.effects else found.which.text,
-    }  # fmt: skip
+    }
 
 
 def main() -> dict[str, Any]:

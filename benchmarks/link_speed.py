@@ -119,10 +119,17 @@ def by_diffrax(x: np.ndarray) -> float:
             diffrax.PIDController(rtol=1e-6, atol=1e-9), jump_ts=jnp.array([0.3])
         )
         found = diffrax.diffeqsolve(
-            diffrax.ODETerm(field), diffrax.Kvaerno5(), 0.0, T[-1], 1e-4, start, saveat=diffrax.SaveAt(ts=jnp.asarray(T)),
-            stepsize_controller=controller, max_steps=100_000,
+            diffrax.ODETerm(field),
+            diffrax.Kvaerno5(),
+            0.0,
+            T[-1],
+            1e-4,
+            start,
+            saveat=diffrax.SaveAt(ts=jnp.asarray(T)),
+            stepsize_controller=controller,
+            max_steps=100_000,
             throw=False,
-        )  # fmt: skip
+        )
         assert found.ys is not None
         return found.ys[0]
 
@@ -255,9 +262,12 @@ def main() -> dict:
     for modes in (4, 8):
         summed, solved, difference = responses(x, modes)
         rows.append(
-            {"what": f"response by {modes} modes; batched 9 x 9 solves in the last column (they differ by {difference:.1g})",
-             "us a candidate": round(1e6 * summed, 2), "times this library's": round(solved / summed)}
-        )  # fmt: skip
+            {
+                "what": f"response by {modes} modes; batched 9 x 9 solves in the last column (they differ by {difference:.1g})",
+                "us a candidate": round(1e6 * summed, 2),
+                "times this library's": round(solved / summed),
+            }
+        )
     errors = hub_angle_errors(moves[:12])
     text = (
         f"{(__doc__ or '').split(chr(10), 2)[2].strip()}\n\nHub angle of four modes at steps of 1 ms against the whole system in "

@@ -45,10 +45,14 @@ def recorded(
         [t] * len(u),
         inputs={n: list(u[:, :, i]) for i, n in enumerate(inputs)},
         outputs={n: list(y[:, :, i]) for i, (n, _) in enumerate(plant.outputs)},
-        units=inputs | dict(plant.outputs), split=SPLITS, at_rest=True,
-        noise_std={n: plant.noise if i < plant.n else 0.05 for i, (n, _) in enumerate(plant.outputs)},
+        units=inputs | dict(plant.outputs),
+        split=SPLITS,
+        at_rest=True,
+        noise_std={
+            n: plant.noise if i < plant.n else 0.05 for i, (n, _) in enumerate(plant.outputs)
+        },
         resolution={n: plant.resolution for n, _ in plant.outputs[: plant.n] if plant.resolution},
-    )  # fmt: skip
+    )
 
 
 def tracker() -> Dataset:

@@ -44,12 +44,17 @@ def link_study(seeds: int) -> tuple[list[dict], list[Searched]]:
     rows = [
         {
             "method": r.label + (" (paper)" if r.label in flexible_link.ANSWERS else ""),
-            "J mean": r.losses.mean(), "J sd": r.losses.std(ddof=1), "J best": r.losses.min(), "J worst": r.losses.max(),
-            "within 5 % of the best": f"{int((r.losses < 1.05 * least).sum())} of {seeds}", "evaluations": r.evaluations,
-            "seconds per run": r.seconds, "found": ", ".join(f"{k} {v:.4g}" for k, v in r.numbers.items()),
+            "J mean": r.losses.mean(),
+            "J sd": r.losses.std(ddof=1),
+            "J best": r.losses.min(),
+            "J worst": r.losses.max(),
+            "within 5 % of the best": f"{int((r.losses < 1.05 * least).sum())} of {seeds}",
+            "evaluations": r.evaluations,
+            "seconds per run": r.seconds,
+            "found": ", ".join(f"{k} {v:.4g}" for k, v in r.numbers.items()),
         }
         for r in runs
-    ]  # fmt: skip
+    ]
     return rows, runs
 
 

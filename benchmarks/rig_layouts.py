@@ -125,10 +125,13 @@ class Recording:
             [self.t] * len(self.y),
             {name: [u[:, k] for u in self.u] for k, (name, _) in enumerate(own.inputs)},
             {name: [y[:, k] for y in self.y] for k, (name, _) in enumerate(own.outputs)},
-            units=dict((*own.inputs, *own.outputs)), resolution=dict(self.layout.steps),
-            split=["fit", "fit", "validation", "report"][: len(self.y)], at_rest=not self.layout.spins,
-            check_model=False, **settings,
-        )  # fmt: skip
+            units=dict((*own.inputs, *own.outputs)),
+            resolution=dict(self.layout.steps),
+            split=["fit", "fit", "validation", "report"][: len(self.y)],
+            at_rest=not self.layout.spins,
+            check_model=False,
+            **settings,
+        )
         return replace(
             data, model=ModelSpec(constants=dict(self.layout.constants), free=not own.inputs)
         )
@@ -251,10 +254,11 @@ def fitted(name: str, seeds: Sequence[int]) -> dict[str, Any]:
             file=sys.stderr,
         )
     return {
-        "question": "fit, nothing missing", "asked": f"{len(states)} fits",
+        "question": "fit, nothing missing",
+        "asked": f"{len(states)} fits",
         "right": f"{states.count('converged')} converged, {sum(d < 1.96 for d in off)} of {len(off)} intervals hold the truth",
         "wrong": sum(d > 4 for d in off),
-    }  # fmt: skip
+    }
 
 
 def diagnosed(name: str, withheld: str, seed: int) -> dict[str, Any]:
@@ -268,9 +272,12 @@ def diagnosed(name: str, withheld: str, seed: int) -> dict[str, Any]:
     right = which.verdict == "none" if not withheld else claims and withheld in (*told, *others)
     said = ", ".join((which.verdict, *told)) + (f" (or {', '.join(others)})" if others else "")
     return {
-        "question": f"diagnose, {withheld or 'nothing'} withheld", "asked": "1 diagnosis", "right": said if right else "",
-        "wrong": said if not right and which.verdict != "unknown" else 0, "not said": "" if right else said,
-    }  # fmt: skip
+        "question": f"diagnose, {withheld or 'nothing'} withheld",
+        "asked": "1 diagnosis",
+        "right": said if right else "",
+        "wrong": said if not right and which.verdict != "unknown" else 0,
+        "not said": "" if right else said,
+    }
 
 
 def conventions(name: str, withheld: str, seed: int) -> dict[str, Any]:
@@ -298,9 +305,12 @@ def conventions(name: str, withheld: str, seed: int) -> dict[str, Any]:
         missed += [what] if kind and not hit else []
         missed += [f"{what}: claims {f.kind} of {f.channel}" for f in rest]
     return {
-        "question": f"check, {withheld or 'nothing'} withheld", "asked": f"{tally['asked']} conventions broken, 1 sound",
-        "right": f"{tally['found']} found", "wrong": tally["claimed wrongly"], "not said": ", ".join(missed),
-    }  # fmt: skip
+        "question": f"check, {withheld or 'nothing'} withheld",
+        "asked": f"{tally['asked']} conventions broken, 1 sound",
+        "right": f"{tally['found']} found",
+        "wrong": tally["claimed wrongly"],
+        "not said": ", ".join(missed),
+    }
 
 
 QUESTIONS = "fit", "none", "withheld", "check"

@@ -14,9 +14,19 @@ import jaxid
 RATE, STEP = 500, 1e-3
 NOISE = 1e-4  # of an encoder, rad
 KINDS = (
-    "none", "frictionloss", "armature", "input_delay", "torque_scale", "stribeck_friction", "payload", "sensor_bias",
-    "constant_torque", "saturation", "gravity_offset", "backlash",
-)  # fmt: skip
+    "none",
+    "frictionloss",
+    "armature",
+    "input_delay",
+    "torque_scale",
+    "stribeck_friction",
+    "payload",
+    "sensor_bias",
+    "constant_torque",
+    "saturation",
+    "gravity_offset",
+    "backlash",
+)
 
 
 @dataclass
@@ -42,8 +52,17 @@ class Arm:
         between = lambda low, high: rng.uniform(low, high, n)
         outer = np.arange(n)[::-1] + 1.0
         kp = between(20, 40) * outer
-        return cls(axes, between(0.15, 0.3), between(0.2, 0.6), between(0.01, 0.04) * outer, between(0.3, 0.8) * outer,
-                   between(0.03, 0.1) * outer, kp, 0.02 * kp, 0.8 * kp)  # fmt: skip
+        return cls(
+            axes,
+            between(0.15, 0.3),
+            between(0.2, 0.6),
+            between(0.01, 0.04) * outer,
+            between(0.3, 0.8) * outer,
+            between(0.03, 0.1) * outer,
+            kp,
+            0.02 * kp,
+            0.8 * kp,
+        )
 
     @property
     def n(self) -> int:
@@ -73,20 +92,27 @@ class Arm:
             ]
             place = f"{self.length[k - 1]} 0 0" if k else "0 0 0.2"
             numbers = " ".join(f"{v:.9g}" for v in full)
-            own = (f'<joint name="j{k + 1}" axis="{self.axes[k]}" armature="{self.armature[k]}" damping="{self.damping[k]}" '
-                   f'frictionloss="{self.frictionloss[k]}"/>')  # fmt: skip
+            own = (
+                f'<joint name="j{k + 1}" axis="{self.axes[k]}" armature="{self.armature[k]}" damping="{self.damping[k]}" '
+                f'frictionloss="{self.frictionloss[k]}"/>'
+            )
             body = f'<inertial pos="{" ".join(f"{v:.9g}" for v in com)}" mass="{total}" fullinertia="{numbers}"/>'
             if play == k:
-                open_ += (f'<body name="r{k + 1}" pos="{place}">{own}'
-                          '<inertial pos="0 0 0" mass="1e-3" diaginertia="1e-6 1e-6 1e-6"/>'
-                          f'<body name="l{k + 1}"><joint name="play" axis="{self.axes[k]}" limited="true" '
-                          f'range="-{self.more["play"]} {self.more["play"]}" damping="0.01" armature="1e-4"/>{body}')  # fmt: skip
+                open_ += (
+                    f'<body name="r{k + 1}" pos="{place}">{own}'
+                    '<inertial pos="0 0 0" mass="1e-3" diaginertia="1e-6 1e-6 1e-6"/>'
+                    f'<body name="l{k + 1}"><joint name="play" axis="{self.axes[k]}" limited="true" '
+                    f'range="-{self.more["play"]} {self.more["play"]}" damping="0.01" armature="1e-4"/>{body}'
+                )
                 close = "</body></body>" + close
             else:
                 open_ += f'<body name="l{k + 1}" pos="{place}">{own}{body}'
                 close = "</body>" + close
-        acts = "".join(f'<position name="a{k + 1}" joint="j{k + 1}" kp="{self.kp[k]}" kv="{self.kv[k]}" '
-                       f'forcerange="-{self.limit[k]} {self.limit[k]}"/>' for k in range(self.n))  # fmt: skip
+        acts = "".join(
+            f'<position name="a{k + 1}" joint="j{k + 1}" kp="{self.kp[k]}" kv="{self.kv[k]}" '
+            f'forcerange="-{self.limit[k]} {self.limit[k]}"/>'
+            for k in range(self.n)
+        )
         g = 9.81 * np.array(
             [
                 np.sin(tilt[1]),
@@ -96,8 +122,10 @@ class Arm:
         )
         option = f'<option timestep="{STEP}" integrator="implicitfast" gravity="{" ".join(f"{v:.9g}" for v in g)}"/>'
         firm = f'<default><joint solreffriction="{2 * STEP} 1" solimpfriction=".99 .9999 .001"/></default>'
-        return (f'<mujoco model="arm"><compiler angle="radian"/>{option}{firm}<worldbody>{open_}{close}</worldbody>'
-                f"<actuator>{acts}</actuator></mujoco>")  # fmt: skip
+        return (
+            f'<mujoco model="arm"><compiler angle="radian"/>{option}{firm}<worldbody>{open_}{close}</worldbody>'
+            f"<actuator>{acts}</actuator></mujoco>"
+        )
 
 
 def withheld(arm: Arm, kind: str, rng: np.random.Generator) -> tuple[Arm, int, dict[str, Any]]:
@@ -139,8 +167,12 @@ def goals(n: int, seconds: float, rng: np.random.Generator, rate: float = RATE) 
     out = np.zeros((len(t), n))
     for k in range(n):
         f = rng.uniform(0.1, 2.0, 5)
-        out[:, k] = sum(a * (np.sin(2 * np.pi * x * t + p) - np.sin(p))
-                        for x, a, p in zip(f, 0.25 / np.sqrt(1 + (2 * f) ** 2), rng.uniform(0, 6.3, 5), strict=True))  # fmt: skip
+        out[:, k] = sum(
+            a * (np.sin(2 * np.pi * x * t + p) - np.sin(p))
+            for x, a, p in zip(
+                f, 0.25 / np.sqrt(1 + (2 * f) ** 2), rng.uniform(0, 6.3, 5), strict=True
+            )
+        )
     return out * np.minimum(1.0, t[:, None])
 
 
@@ -212,8 +244,14 @@ def case(
         numbers *= 1 + off * wrong.uniform(-1, 1, arm.n)
     u = goals(arm.n, seconds + more, rng)
     beside = limited(real, j, beside, u[: round(seconds * RATE)], rng)
-    return {"kind": kind, "joint": f"j{j + 1}", "beside": beside, "arm": arm, "u": u,
-            "q": recorded(real, kind, j, beside, u, rng)}  # fmt: skip
+    return {
+        "kind": kind,
+        "joint": f"j{j + 1}",
+        "beside": beside,
+        "arm": arm,
+        "u": u,
+        "q": recorded(real, kind, j, beside, u, rng),
+    }
 
 
 def dataset(c: dict[str, Any]) -> jaxid.Dataset:
@@ -221,9 +259,12 @@ def dataset(c: dict[str, Any]) -> jaxid.Dataset:
     t = np.arange(len(c["u"])) / c.get("rate", RATE)
     joints = [f"j{k + 1}" for k in range(n)]
     return jaxid.Dataset.from_arrays(
-        t, {f"{j}_cmd": c["u"][:, k] for k, j in enumerate(joints)}, {j: c["q"][:, k] for k, j in enumerate(joints)},
-        units={x: "rad" for j in joints for x in (j, f"{j}_cmd")}, check_model=False,
-    )  # fmt: skip
+        t,
+        {f"{j}_cmd": c["u"][:, k] for k, j in enumerate(joints)},
+        {j: c["q"][:, k] for k, j in enumerate(joints)},
+        units={x: "rad" for j in joints for x in (j, f"{j}_cmd")},
+        check_model=False,
+    )
 
 
 def as_named(arm: Arm, found: Any) -> tuple[Arm, str, int, dict[str, Any]] | None:

@@ -65,11 +65,16 @@ def identified(name: str) -> list[dict[str, Any]]:
     """Torque of the joints, relative error on each recording that was not fitted."""
     found = jaxid.identify(None, recording(name))
     return [
-        {"recording": f"{name} {r['experiment']}", "joint": r["joint"], "file as it stands": r["as_it_stands"],
-         "re-tuned": r["retuned"], "unit": r["unit"]}
+        {
+            "recording": f"{name} {r['experiment']}",
+            "joint": r["joint"],
+            "file as it stands": r["as_it_stands"],
+            "re-tuned": r["retuned"],
+            "unit": r["unit"],
+        }
         for r in found.per_joint
         if r["split"] != "fit"
-    ]  # fmt: skip
+    ]
 
 
 def main() -> dict[str, Any]:

@@ -111,10 +111,18 @@ def _changes(robot: Any, tree: Any) -> dict[str, Any]:
 
     return {
         "armature": lambda spec, joint, value: setattr(spec.joint(joint), "armature", value),
-        "damping": lambda spec, joint, value: setattr(spec.joint(joint), "damping", np.array([[value], [0.0], [0.0]])),
-        "frictionloss": lambda spec, joint, value: setattr(spec.joint(joint), "frictionloss", value),
-        "com_x": com(0), "com_y": com(1), "com_z": com(2), "kp": gain, "kd": rate_gain,
-    }  # fmt: skip
+        "damping": lambda spec, joint, value: setattr(
+            spec.joint(joint), "damping", np.array([[value], [0.0], [0.0]])
+        ),
+        "frictionloss": lambda spec, joint, value: setattr(
+            spec.joint(joint), "frictionloss", value
+        ),
+        "com_x": com(0),
+        "com_y": com(1),
+        "com_z": com(2),
+        "kp": gain,
+        "kd": rate_gain,
+    }
 
 
 def _held(t: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:

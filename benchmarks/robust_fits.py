@@ -112,9 +112,13 @@ def one_case(number: int, rng: np.random.Generator):
     free = [e.name for e in sim.layout.entries if not e.spec.fixed and e.name not in truth]
     constants = {name: float(sim.layout.values[sim.layout.index(name)]) for name in free}
     data = jaxid.Dataset.from_arrays(
-        t, {signature.inputs[0][0]: u}, channels, units=dict((*signature.inputs, *signature.outputs)),
-        noise_std={n: NOISE[unit] for n, unit in signature.outputs}, at_rest=True,
-    )  # fmt: skip
+        t,
+        {signature.inputs[0][0]: u},
+        channels,
+        units=dict((*signature.inputs, *signature.outputs)),
+        noise_std={n: NOISE[unit] for n, unit in signature.outputs},
+        at_rest=True,
+    )
     data = replace(data, model=ModelSpec(constants=constants, parameters=parameters))
     return chain, data, truth, blind
 

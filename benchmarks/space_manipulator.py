@@ -41,9 +41,15 @@ from tests.test_models import SPACE, space  # noqa: E402
 
 FRICTION = {"F_c": (1.5, 1.0), "F_s": (2.4, 1.7), "v_s": (0.06, 0.05), "F_v": (2.0, 1.2)}
 BOUNDS = {
-    "m2": (5, 100), "hx": (0, 60), "hy": (-20, 20), "I2": (1, 60),
-    "F_c": (0.1, 5), "F_s": (0.1, 6), "v_s": (0.005, 0.3), "F_v": (0, 6),
-}  # fmt: skip
+    "m2": (5, 100),
+    "hx": (0, 60),
+    "hy": (-20, 20),
+    "I2": (1, 60),
+    "F_c": (0.1, 5),
+    "F_s": (0.1, 6),
+    "v_s": (0.005, 0.3),
+    "F_v": (0, 6),
+}
 BODY = ("m2", "hx", "hy", "I2")
 RATE, SECONDS, GOAL, CAP = 100, 20.0, 1e-3, 10_000
 BLOCK, BLOCKS, CHANGE = (
@@ -90,10 +96,13 @@ def problem_of(
     }
     known = {k: SPACE[k] for k in ("l1", "I1")}
     data = Dataset.from_arrays(
-        [m[0] for m in motions], {f"tau{j + 1}": [tau[:, j] for tau in torques] for j in (0, 1)},
-        {f"q{j + 1}": [m[1][:, j] for m in motions] for j in (0, 1)}, split="fit",
-        noise_std={"q1": 1e-6, "q2": 1e-6}, model=ModelSpec("space_manipulator", constants=known, parameters=priors),
-    )  # fmt: skip
+        [m[0] for m in motions],
+        {f"tau{j + 1}": [tau[:, j] for tau in torques] for j in (0, 1)},
+        {f"q{j + 1}": [m[1][:, j] for m in motions] for j in (0, 1)},
+        split="fit",
+        noise_std={"q1": 1e-6, "q2": 1e-6},
+        model=ModelSpec("space_manipulator", constants=known, parameters=priors),
+    )
     binding = bind(None, data, splits=False)
     return data, Bench(binding).problem(InverseDynamics(), "fit", binding.free, binding.theta)
 
@@ -130,10 +139,15 @@ def race(seeds: int) -> list[dict]:
         reached = [next((n for n, loss in f.history if loss <= goal), None) for f in found]
         counts = [n for n in reached if n is not None]
         rows.append(
-            {"part": "one batch, no noise", "method": label, "reached": f"{len(counts)} of {seeds}",
-             "evaluations, median (range)":
-                 f"{np.median(counts):.0f} ({min(counts)} to {max(counts)})" if counts else f"more than {CAP}"}
-        )  # fmt: skip
+            {
+                "part": "one batch, no noise",
+                "method": label,
+                "reached": f"{len(counts)} of {seeds}",
+                "evaluations, median (range)": f"{np.median(counts):.0f} ({min(counts)} to {max(counts)})"
+                if counts
+                else f"more than {CAP}",
+            }
+        )
     return rows
 
 

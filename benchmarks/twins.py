@@ -110,20 +110,85 @@ def _one(x: float) -> tuple[float, ...]:
 PLANTS: dict[str, Plant] = {
     p.model: p
     for p in (
-        Plant("joint", (("tau", "N m"),), (("q", "rad"),), _joint, _one(0.35), _one(4.0), _one(0.06),
-              {"J": _one(0.06), "viscous": _one(0.03), "coulomb": _one(0.04), "offset": _one(0.01)}),
-        Plant("pendulum", (("tau", "N m"),), (("q", "rad"),), _pendulum, _one(0.5), _one(4.0), _one(0.06),
-              {"J": _one(0.06), "mgl": _one(0.9), "viscous": _one(0.03), "coulomb": _one(0.04), "offset": _one(0.01)}),
-        Plant("servo", (("q_cmd", "rad"),), (("q", "rad"),), _servo, _one(0.6), _one(4.0), _one(0.007),
-              {"mass": _one(0.5), "armature": _one(0.002), "q_offset": _one(0.02), "viscous": _one(0.005),
-               "coulomb": _one(0.03), "k_t": _one(0.12), "k_e": _one(0.04), "gain": _one(1e-3)}),
-        Plant("tracker", (("tau_theta", "N m"), ("tau_alpha", "N m")), (("theta", "rad"), ("alpha", "rad")), _tracker,
-              (0.8, 0.6), (0.4, 0.4), (0.2, 0.1), {"J": (0.117, 0.1), "viscous": (1.9, 1.495)}, 100, 8e-4, 2 * pi / 2**12),
-        Plant("planar_arm", (("tau1", "N m"), ("tau2", "N m")), (("q1", "rad"), ("q2", "rad")), _planar, (14.0, 5.0),
-              (2.0, 3.0), (1.5, 0.17), {"m": (4.0, 2.5), "c": (0.25, 0.2), "I": (0.12, 0.05), "viscous": (0.6, 0.3),
-              "coulomb": (0.8, 0.4)}, 200, 1e-4, step=5e-5),
+        Plant(
+            "joint",
+            (("tau", "N m"),),
+            (("q", "rad"),),
+            _joint,
+            _one(0.35),
+            _one(4.0),
+            _one(0.06),
+            {"J": _one(0.06), "viscous": _one(0.03), "coulomb": _one(0.04), "offset": _one(0.01)},
+        ),
+        Plant(
+            "pendulum",
+            (("tau", "N m"),),
+            (("q", "rad"),),
+            _pendulum,
+            _one(0.5),
+            _one(4.0),
+            _one(0.06),
+            {
+                "J": _one(0.06),
+                "mgl": _one(0.9),
+                "viscous": _one(0.03),
+                "coulomb": _one(0.04),
+                "offset": _one(0.01),
+            },
+        ),
+        Plant(
+            "servo",
+            (("q_cmd", "rad"),),
+            (("q", "rad"),),
+            _servo,
+            _one(0.6),
+            _one(4.0),
+            _one(0.007),
+            {
+                "mass": _one(0.5),
+                "armature": _one(0.002),
+                "q_offset": _one(0.02),
+                "viscous": _one(0.005),
+                "coulomb": _one(0.03),
+                "k_t": _one(0.12),
+                "k_e": _one(0.04),
+                "gain": _one(1e-3),
+            },
+        ),
+        Plant(
+            "tracker",
+            (("tau_theta", "N m"), ("tau_alpha", "N m")),
+            (("theta", "rad"), ("alpha", "rad")),
+            _tracker,
+            (0.8, 0.6),
+            (0.4, 0.4),
+            (0.2, 0.1),
+            {"J": (0.117, 0.1), "viscous": (1.9, 1.495)},
+            100,
+            8e-4,
+            2 * pi / 2**12,
+        ),
+        Plant(
+            "planar_arm",
+            (("tau1", "N m"), ("tau2", "N m")),
+            (("q1", "rad"), ("q2", "rad")),
+            _planar,
+            (14.0, 5.0),
+            (2.0, 3.0),
+            (1.5, 0.17),
+            {
+                "m": (4.0, 2.5),
+                "c": (0.25, 0.2),
+                "I": (0.12, 0.05),
+                "viscous": (0.6, 0.3),
+                "coulomb": (0.8, 0.4),
+            },
+            200,
+            1e-4,
+            step=5e-5,
+        ),
     )
-}  # fmt: skip
+}
 
 #: What every lane may have besides its plant, and its neutral value.
 NEUTRAL: dict[str, float] = {
@@ -332,9 +397,18 @@ LINK = {
     "beta": 7.6275e-5,
 }
 PLANTS["flexible_link"] = Plant(
-    "flexible_link", (("tau", "N m"),), (("phi", "rad"), ("tip_acceleration", "m/s^2")), _joint, (0.15,), (8.0,), (0.01,),
-    {k: (x,) for k, x in LINK.items()}, 500, 5e-4, 2 * pi / 2**14,
-)  # fmt: skip
+    "flexible_link",
+    (("tau", "N m"),),
+    (("phi", "rad"), ("tip_acceleration", "m/s^2")),
+    _joint,
+    (0.15,),
+    (8.0,),
+    (0.01,),
+    {k: (x,) for k, x in LINK.items()},
+    500,
+    5e-4,
+    2 * pi / 2**14,
+)
 LONG, AREA, SECOND, RHO, TIP = 0.197, 0.0266 * 0.001, 0.0266 * 0.001**3 / 12, 6404.3, 0.09466
 
 

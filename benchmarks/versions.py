@@ -56,9 +56,14 @@ def run(command: list[Any], cache: Path, timeout_s: float = 1800) -> tuple[int, 
     """Exit code, and what was said on both streams."""
     environment = {**os.environ, "JAXID_CACHE_DIR": str(cache), "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
-        list(map(str, command)), cwd=ROOT, env=environment, text=True, timeout=timeout_s,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    )  # fmt: skip
+        list(map(str, command)),
+        cwd=ROOT,
+        env=environment,
+        text=True,
+        timeout=timeout_s,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
     return done.returncode, done.stdout
 
 

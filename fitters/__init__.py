@@ -25,10 +25,25 @@ from .shade import Shade
 
 
 FITTERS = (
-    LevenbergMarquardt, Hybrid, BFGS, DifferentialEvolution, RandToBestDE, RecursiveDE, ParticleSwarm, GeneticAlgorithm,
-    CMAES, Shade, LeastSquares, WeightedLeastSquares, RecursiveLeastSquares, InstrumentalVariables,
-    OptimistixLM, OptimistixDogleg, OptimistixBFGS, OptimistixNelderMead,
-)  # fmt: skip
+    LevenbergMarquardt,
+    Hybrid,
+    BFGS,
+    DifferentialEvolution,
+    RandToBestDE,
+    RecursiveDE,
+    ParticleSwarm,
+    GeneticAlgorithm,
+    CMAES,
+    Shade,
+    LeastSquares,
+    WeightedLeastSquares,
+    RecursiveLeastSquares,
+    InstrumentalVariables,
+    OptimistixLM,
+    OptimistixDogleg,
+    OptimistixBFGS,
+    OptimistixNelderMead,
+)
 
 __all__ = [
     "BFGS",

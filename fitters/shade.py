@@ -42,9 +42,16 @@ class Shade(AbstractPopulation):
     def init(self, key, population, losses):
         half = jnp.full(self.memory, 0.5)
         blank = State(
-            population, losses, population, half, half, jnp.zeros((), jnp.int32),
-            jnp.zeros(self.popsize), jnp.zeros(self.popsize), key,
-        )  # fmt: skip
+            population,
+            losses,
+            population,
+            half,
+            half,
+            jnp.zeros((), jnp.int32),
+            jnp.zeros(self.popsize),
+            jnp.zeros(self.popsize),
+            key,
+        )
         return self._drawn(blank)
 
     def _drawn(self, state: State) -> State:

@@ -22,7 +22,7 @@ if _TYPE_CHECKING:
         fit as fit,
         replay as replay,
         simulate as simulate,
-    )  # fmt: skip
+    )
     from jaxid.data.dataset import Channel as Channel, Dataset as Dataset, Experiment as Experiment
     from jaxid.data.io import load_dataset as load_dataset, save_dataset as save_dataset
     from jaxid.diagnosis.result import Diagnosis as Diagnosis

@@ -77,10 +77,23 @@ def fit(
     if len(limbs := limbs_of(model, dataset)) > 1:
         chosen = tuple(effects)
         work = lambda robot, data: fit(
-            robot, data, fitter=fitter, residual=residual, loss=loss, effects=effects_at(chosen, robot), without=without,
-            seed=seed, budget=budget, progress=progress, solver=solver, as_recorded=as_recorded, cutoff_hz=cutoff_hz,
-            window=window, forgetting=forgetting, block_s=block_s,
-        )  # fmt: skip
+            robot,
+            data,
+            fitter=fitter,
+            residual=residual,
+            loss=loss,
+            effects=effects_at(chosen, robot),
+            without=without,
+            seed=seed,
+            budget=budget,
+            progress=progress,
+            solver=solver,
+            as_recorded=as_recorded,
+            cutoff_hz=cutoff_hz,
+            window=window,
+            forgetting=forgetting,
+            block_s=block_s,
+        )
         return each(limbs, work, dataset)
     refuse_too_large(foreseen("fit", model, dataset))
     effects, without = tuple(effects), tuple(without)
@@ -175,9 +188,16 @@ def diagnose(
     if len(limbs := limbs_of(model, dataset)) > 1:
         asked = None if effects is None else tuple(effects)
         work = lambda robot, data, tell: diagnose(
-            robot, data, max_effects=max_effects, effects=asked, without=without, residual=residual, seed=seed,
-            progress=tell, as_recorded=as_recorded,
-        )  # fmt: skip
+            robot,
+            data,
+            max_effects=max_effects,
+            effects=asked,
+            without=without,
+            residual=residual,
+            seed=seed,
+            progress=tell,
+            as_recorded=as_recorded,
+        )
         return diagnose_each(limbs, work, dataset, progress)
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
@@ -285,9 +305,21 @@ def compare(
 
     budget = BUDGET if budget is None and seconds is None else budget
     return run_comparison(
-        model, dataset, labelled(fitters, budget, seconds), seeds, budget, seconds, effects, without, resolve_residual(residual),
-        loss or "sum_of_squares", starts, tolerance, seed, progress,
-    )  # fmt: skip
+        model,
+        dataset,
+        labelled(fitters, budget, seconds),
+        seeds,
+        budget,
+        seconds,
+        effects,
+        without,
+        resolve_residual(residual),
+        loss or "sum_of_squares",
+        starts,
+        tolerance,
+        seed,
+        progress,
+    )
 
 
 def resolve_fitter(

@@ -60,9 +60,13 @@ class EffectInfo(NamedTuple):
 
 #: Constant that every model has besides its own.
 SMOOTHING = ParameterInfo(
-    "smoothing_velocity", "rad/s or m/s", 0.0, "0", "inf",
+    "smoothing_velocity",
+    "rad/s or m/s",
+    0.0,
+    "0",
+    "inf",
     "0: Coulomb friction with true sticking; v > 0: tanh(qd / v), which is another model",
-)  # fmt: skip
+)
 
 
 def _models() -> dict[str, type]:

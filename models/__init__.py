@@ -18,8 +18,20 @@ from .tracker import Tracker
 
 
 MODELS = (
-    Joint, Pendulum, Servo, Tracker, FlexibleLink, FlexibleArm, PlanarArm, SerialArm, UR10, UR10e, Panda, Robot, SpaceManipulator,
-)  # fmt: skip
+    Joint,
+    Pendulum,
+    Servo,
+    Tracker,
+    FlexibleLink,
+    FlexibleArm,
+    PlanarArm,
+    SerialArm,
+    UR10,
+    UR10e,
+    Panda,
+    Robot,
+    SpaceManipulator,
+)
 
 __all__ = [
     "MODELS",

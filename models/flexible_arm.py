@@ -44,9 +44,21 @@ class Link(NamedTuple):
         root = jnp.zeros(V.shape[0]).at[:2].set(jnp.stack([6 / le**2, -2 / le]))
         mass = beam.density * beam.length
         return cls(
-            beam.length, mass, mass * beam.length / 2, bare.inertia, steady_load(beam, elements) @ V, bare.coupling @ V,
-            V.T @ bare.M @ V, V.T @ bare.K @ V, V[-2], V[-1], root @ V, beam.payload, beam.payload_inertia, V,
-        )  # fmt: skip
+            beam.length,
+            mass,
+            mass * beam.length / 2,
+            bare.inertia,
+            steady_load(beam, elements) @ V,
+            bare.coupling @ V,
+            V.T @ bare.M @ V,
+            V.T @ bare.K @ V,
+            V[-2],
+            V[-1],
+            root @ V,
+            beam.payload,
+            beam.payload_inertia,
+            V,
+        )
 
 
 class Frame(NamedTuple):

@@ -311,9 +311,13 @@ class Robot(Staged):
         signature = signature.renamed(names)
         law = None if self.drive_law is None else self.drive_law.nameless
         changed = {
-            "joints": tuple(names.values()), "links": tuple(f"link {k + 1}" for k in range(len(self.links))), "tree": None,
-            "signatures": (signature,), "drive_law": law, "fitted": (),
-        }  # fmt: skip
+            "joints": tuple(names.values()),
+            "links": tuple(f"link {k + 1}" for k in range(len(self.links))),
+            "tree": None,
+            "signatures": (signature,),
+            "drive_law": law,
+            "fitted": (),
+        }
         out = object.__new__(type(self))  # static fields cannot be replaced otherwise
         for f in dataclasses.fields(self):
             object.__setattr__(out, f.name, changed.get(f.name, getattr(self, f.name)))

@@ -100,9 +100,14 @@ def recording(
         | {"s1_tau": "N", "s1": "m"},
     )
     spec = ModelSpec(
-        "robot", geometry=Geometry(file="craft.xml", robot=text(**file)), base={"kind": "free"},
-        parameters={k: ParameterPrior(*v) if isinstance(v, tuple) else ParameterPrior(v) for k, v in (numbers or {}).items()},
-    )  # fmt: skip
+        "robot",
+        geometry=Geometry(file="craft.xml", robot=text(**file)),
+        base={"kind": "free"},
+        parameters={
+            k: ParameterPrior(*v) if isinstance(v, tuple) else ParameterPrior(v)
+            for k, v in (numbers or {}).items()
+        },
+    )
     return replace(data, model=spec)
 
 
@@ -142,9 +147,15 @@ def holding(target: Target, mass: float = 1.1, **file: Any) -> str:
 
 
 def capture(
-    t: np.ndarray, torque: np.ndarray, start: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], at: int, target: Target,
-    inside: int = 4, mass: float = 1.1, **file: Any,
-) -> np.ndarray:  # fmt: skip
+    t: np.ndarray,
+    torque: np.ndarray,
+    start: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    at: int,
+    target: Target,
+    inside: int = 4,
+    mass: float = 1.1,
+    **file: Any,
+) -> np.ndarray:
     """As `motion`, the target caught at sample `at`: momentum of both together goes on, the speeds of the joints jump."""
     step = float(t[1] - t[0]) / inside
     before = mujoco.MjModel.from_xml_string(text(step=step, mass=mass, **file))
@@ -198,9 +209,12 @@ def catch(seed: int, seconds: float = 20.0, caught: bool = True) -> Catch:
     rng, t = np.random.default_rng([seed, 37]), np.arange(round(100 * seconds) + 1) * 0.01
     for k in range(20):
         target = Target(
-            rng.uniform(0.4, 1.2), (rng.uniform(0.3, 0.45), *rng.uniform(-0.05, 0.05, 2)), tuple(rng.uniform(0.01, 0.03, 3)),
-            tuple(rng.normal(size=3) * 0.05), tuple(rng.normal(size=3) * 0.15),
-        )  # fmt: skip
+            rng.uniform(0.4, 1.2),
+            (rng.uniform(0.3, 0.45), *rng.uniform(-0.05, 0.05, 2)),
+            tuple(rng.uniform(0.01, 0.03, 3)),
+            tuple(rng.normal(size=3) * 0.05),
+            tuple(rng.normal(size=3) * 0.15),
+        )
         at = int(rng.integers(500, 801))
         start = (
             np.array([0.2, -0.3, 0.5]),

@@ -38,7 +38,7 @@ def joint(inertia: float = 0.1) -> Plant:
 
 def planar_arm(
     m1=4.0, m2=2.5, c1=0.25, c2=0.2, I1=0.12, I2=0.05, l1=0.5, gravity=9.81, tilt=0.0
-) -> Plant:  # fmt: skip
+) -> Plant:
     """Two links by virtual power: M = sum m J'J + I w'w, bias = sum m J'(Jdot v + g); `tilt` turns the base under gravity."""
     gx, gy = gravity * sin(tilt), gravity * cos(tilt)
 

@@ -20,9 +20,16 @@ from jaxid.problem.residual import OutputError
 
 
 ARM = Arm(
-    ["0 1 0", "0 1 0"], np.array([0.25, 0.2]), np.array([0.5, 0.4]), np.array([0.04, 0.02]), np.array([0.8, 0.5]),
-    np.array([0.1, 0.05]), np.array([60.0, 30.0]), np.array([1.2, 0.6]), np.array([48.0, 24.0]),
-)  # fmt: skip
+    ["0 1 0", "0 1 0"],
+    np.array([0.25, 0.2]),
+    np.array([0.5, 0.4]),
+    np.array([0.04, 0.02]),
+    np.array([0.8, 0.5]),
+    np.array([0.1, 0.05]),
+    np.array([60.0, 30.0]),
+    np.array([1.2, 0.6]),
+    np.array([48.0, 24.0]),
+)
 
 
 def case(seconds: float, beside: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:

@@ -168,10 +168,16 @@ def test_every_mistake_at_once_with_the_nearest_name(home):
         check_study(study)
     text = str(refused.value)
     for words in (
-        "'sedes' (did you mean 'seeds'?)", "'jont' (did you mean 'joint'?)", "'ded_zone' (did you mean 'dead_zone'?)",
-        "'lmm' (did you mean 'lm'?)", "'smal' is no folder", "'diagnos' (did you mean 'diagnose'?)", "datasets' is an empty list",
-        "iv solves inverse_dynamics", "model tracker needs inputs",
-    ):  # fmt: skip
+        "'sedes' (did you mean 'seeds'?)",
+        "'jont' (did you mean 'joint'?)",
+        "'ded_zone' (did you mean 'dead_zone'?)",
+        "'lmm' (did you mean 'lm'?)",
+        "'smal' is no folder",
+        "'diagnos' (did you mean 'diagnose'?)",
+        "datasets' is an empty list",
+        "iv solves inverse_dynamics",
+        "model tracker needs inputs",
+    ):
         assert words in text, (words, text)
     assert "runs[1].models" in text and "row 6" in text
     assert not (home / "out").exists()

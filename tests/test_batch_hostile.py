@@ -204,10 +204,21 @@ def rich_study(folder: Path) -> tuple[Path, ...]:
     """A study that uses most keys, and its files."""
     write_dataset(folder / "small", samples=40)
     study = write_study(
-        folder, "models = ['joint']", "effects = [[], ['dead_zone@tau']]", "fitters = ['lm', 'de']", "seeds = 2",
-        "budget = 100", "timeout_s = 60.5", "residual = 'output_error'", "loss = 'sum_of_squares'",
-        "[[runs]]", "command = 'diagnose'", "datasets = ['small']", "effects = [['backlash', 'dead_zone']]", "max_effects = 2",
-    )  # fmt: skip
+        folder,
+        "models = ['joint']",
+        "effects = [[], ['dead_zone@tau']]",
+        "fitters = ['lm', 'de']",
+        "seeds = 2",
+        "budget = 100",
+        "timeout_s = 60.5",
+        "residual = 'output_error'",
+        "loss = 'sum_of_squares'",
+        "[[runs]]",
+        "command = 'diagnose'",
+        "datasets = ['small']",
+        "effects = [['backlash', 'dead_zone']]",
+        "max_effects = 2",
+    )
     check_study(study)
     return study, folder / "small" / "dataset.toml", folder / "small" / "run.csv"
 

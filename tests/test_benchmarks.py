@@ -42,8 +42,15 @@ def test_the_twins_of_the_blind_cases_are_those_of_the_tests():
     plant = twins.PLANTS["pendulum"]
     t = np.arange(100) / plant.rate
     u = ref.multisine(t, [0.6], 3, periods=0.6, lines=4)
-    effects = [({}, {}), ({"stribeck": 0.05, "stribeck_speed": 0.3},) * 2, ({"load": 0.1},) * 2, ({"dead_zone": 0.05},) * 2,
-               ({"delay": 0.0083},) * 2, ({"linear": 1.0}, {"other_hold": 1.0}), ({"lag": 0.01}, {"lag_s": 0.01})]  # fmt: skip
+    effects = [
+        ({}, {}),
+        ({"stribeck": 0.05, "stribeck_speed": 0.3},) * 2,
+        ({"load": 0.1},) * 2,
+        ({"dead_zone": 0.05},) * 2,
+        ({"delay": 0.0083},) * 2,
+        ({"linear": 1.0}, {"other_hold": 1.0}),
+        ({"lag": 0.01}, {"lag_s": 0.01}),
+    ]
     nominal = {"viscous": 0.03, "coulomb": 0.04, "offset": 0.01}
     numbers = {"J": 0.06, "mgl": 0.9, **nominal}
     p = {k: np.full((len(effects), 1), float(x)) for k, x in {**twins.NEUTRAL, **numbers}.items()}

@@ -137,9 +137,13 @@ def test_no_scale_of_an_angle_hides_what_a_drive_of_volts_lacks(turned, late, fo
     r = recording("pendulum", 5)
     u = np.array([np.interp(r.t - late * r.t[1], r.t, x) for x in r.u[:, :, 0] / 0.15])
     data = jaxid.Dataset.from_arrays(
-        [r.t] * 3, {"u": list(u)}, {"q": list(r.y[:, :, 0] + turned)}, units={"u": "V"}, split=["fit", "fit", "validation"],
+        [r.t] * 3,
+        {"u": list(u)},
+        {"q": list(r.y[:, :, 0] + turned)},
+        units={"u": "V"},
+        split=["fit", "fit", "validation"],
         check_model=False,
-    )  # fmt: skip
+    )
     claimed = [f for f in checking.run_check(Lever(), data).findings if f.decisive]
     assert [(f.kind, f.channel, f.value) for f in claimed if f.kind != "row_shift"] == found
 
@@ -240,9 +244,15 @@ def test_lines_compose_with_what_the_file_says():
     data = replace(r, y=raw).dataset(scale={"q": 0.5}, offset={"q": 20.0}).channels
     plain = replace(r, y=r.y).dataset()
     degrees = jaxid.Dataset.from_arrays(
-        [r.t] * 3, {"tau": list(r.u[:, :, 0])}, {"q": list(raw[:, :, 0])}, units={"q": "deg"}, scale={"q": 0.5},
-        offset={"q": 20.0}, split=["fit", "fit", "validation"], model="pendulum",
-    )  # fmt: skip
+        [r.t] * 3,
+        {"tau": list(r.u[:, :, 0])},
+        {"q": list(raw[:, :, 0])},
+        units={"q": "deg"},
+        scale={"q": 0.5},
+        offset={"q": 20.0},
+        split=["fit", "fit", "validation"],
+        model="pendulum",
+    )
     assert len(data) == len(plain.channels)
     (finding,) = checked(degrees).findings
     assert (finding.kind, finding.line) == ("zero", "offset = -70")
@@ -498,9 +508,13 @@ def test_a_current_is_no_torque_whatever_its_channel_is_called():
 )
 def test_a_law_is_read_otherwise_where_no_delay_comes_near(as_read, other, late, decisive):
     data = jaxid.Dataset.from_arrays(
-        np.arange(100) / 100, {"q_cmd": np.sin(np.arange(100.0))}, {"q": np.cos(np.arange(100.0))}, units={"q_cmd": "rad"},
-        controller=Controller("pd", {"kp": 20.0, "kd": 1.5}), check_model=False,
-    )  # fmt: skip
+        np.arange(100) / 100,
+        {"q_cmd": np.sin(np.arange(100.0))},
+        {"q": np.cos(np.arange(100.0))},
+        units={"q_cmd": "rad"},
+        controller=Controller("pd", {"kp": 20.0, "kd": 1.5}),
+        check_model=False,
+    )
 
     def driven(**law: Any) -> Any:
         return SimpleNamespace(

@@ -124,8 +124,9 @@ def test_pressures_that_move_as_one_are_late_together():
     p_a, p_b = ([3e5 + way * x[:-1] / 1e-3 for x in force] for way in (1, -1))
     _, findings = found(Piston, {"p_a": p_a, "p_b": p_b}, {"position": [x[1:] for x in q]})
     assert [(f.kind, f.channel, f.value, f.decisive) for f in findings] == [
-        ("row_shift", "p_a", 1.0, True), ("row_shift", "p_b", 1.0, True),
-    ]  # fmt: skip
+        ("row_shift", "p_a", 1.0, True),
+        ("row_shift", "p_b", 1.0, True),
+    ]
 
 
 def spun(fault: str, angle: bool = False) -> jaxid.Dataset:
@@ -186,9 +187,15 @@ def test_a_tachometer_alone_tells_what_is_wrong_with_the_torque(fault, value, li
 
 @pytest.mark.parametrize(
     ("fault", "kind", "channel", "line"),
-    [("", "", "", ""), ("qd", "sign", "qd", "scale = -1"), ("q", "sign", "q", "scale = -1"),
-     ("rpm", "scale", "qd", 'unit = "rpm"'), ("deg", "scale", "q", 'unit = "deg"'), ("gear", "scale", "qd", "scale = 0.0240946")],
-)  # fmt: skip
+    [
+        ("", "", "", ""),
+        ("qd", "sign", "qd", "scale = -1"),
+        ("q", "sign", "q", "scale = -1"),
+        ("rpm", "scale", "qd", 'unit = "rpm"'),
+        ("deg", "scale", "q", 'unit = "deg"'),
+        ("gear", "scale", "qd", "scale = 0.0240946"),
+    ],
+)
 def test_a_speed_that_is_not_the_rate_of_its_position(fault, kind, channel, line):
     """Which of the two is wrong the torque tells, or the unit; a torque of opposite sign is neither."""
     found = jaxid.check(None, spun(fault, angle=True)).findings
@@ -210,8 +217,12 @@ def test_speeds_of_two_joints_in_the_order_of_the_other(wrong):
     series |= {pair[0]: series[pair[1]], pair[1]: series[pair[0]]}
     units = dict((*r.plant.inputs, *r.plant.outputs)) | dict.fromkeys(speeds, "rad/s")
     data = jaxid.Dataset.from_arrays(
-        [r.t] * len(r.u), {n: list(r.u[:, :, i]) for i, (n, _) in enumerate(r.plant.inputs)},
-        {n: list(y) for n, y in series.items()}, units=units, split=SPLITS, model=r.plant.model,
-    )  # fmt: skip
+        [r.t] * len(r.u),
+        {n: list(r.u[:, :, i]) for i, (n, _) in enumerate(r.plant.inputs)},
+        {n: list(y) for n, y in series.items()},
+        units=units,
+        split=SPLITS,
+        model=r.plant.model,
+    )
     told = [(f.kind, f.channel, f.same_as, f.applied) for f in jaxid.check(None, data).findings]
     assert told == [("swapped_channels", pair[0], (), True)]

@@ -55,9 +55,16 @@ def of_four_digits(q: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "copy", [lambda q: q, lambda q: q[:300], rounded_in_degrees, lambda q: np.float32(q).astype(float), of_four_digits],
+    "copy",
+    [
+        lambda q: q,
+        lambda q: q[:300],
+        rounded_in_degrees,
+        lambda q: np.float32(q).astype(float),
+        of_four_digits,
+    ],
     ids=["whole", "cut", "rounded", "float32", "digits"],
-)  # fmt: skip
+)
 @pytest.mark.parametrize(
     "sensor", [lambda q: q, lambda q: np.round(q / STEP) * STEP], ids=["white", "counts"]
 )

@@ -47,9 +47,14 @@ def recorded(
     t = np.arange(0, 1.5, 0.01)
     u = 2.5 * np.sin(6 * t) * (t > 0.1) if u is None else u
     return jaxid.Dataset.from_arrays(
-        t, {"tau": u}, {"q": np.sin(t) if y is None else y}, initial={"q": 0.0, "qd": 0.0}, noise_std={"q": NOISE},
-        model="pendulum", **settings,
-    )  # fmt: skip
+        t,
+        {"tau": u},
+        {"q": np.sin(t) if y is None else y},
+        initial={"q": 0.0, "qd": 0.0},
+        noise_std={"q": NOISE},
+        model="pendulum",
+        **settings,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -180,9 +185,17 @@ def test_diffrax_solves_every_model_as_its_own_stepping_does(kind):
         y0 = ode.y0(jnp.full(chain.nq, 0.2), jnp.full(chain.nq, 0.1), args)
         solver = diffrax.Kvaerno5() if chain.mechanism.hidden_states else diffrax.Tsit5()
         found = diffrax.diffeqsolve(
-            diffrax.ODETerm(ode), solver, 0.0, 0.1, 1e-4, y0, args, max_steps=10**5, adjoint=diffrax.ForwardMode(),
+            diffrax.ODETerm(ode),
+            solver,
+            0.0,
+            0.1,
+            1e-4,
+            y0,
+            args,
+            max_steps=10**5,
+            adjoint=diffrax.ForwardMode(),
             stepsize_controller=diffrax.PIDController(1e-9, 1e-11),
-        )  # fmt: skip
+        )
         last = jax.tree.map(lambda a: a[-1], found.ys)
         h = jnp.asarray(
             2e-5 if kind is FlexibleArm else 2e-4

@@ -495,9 +495,11 @@ def test_frequency_response_in_every_form(folder, pendulum):
     forms = {
         "a": ({"omega": omega, "re": np.real(value), "im": np.imag(value)}, ""),
         "b": ({"frequency": omega / 2 / np.pi, "gain": abs(value), "phase": np.angle(value)}, ""),
-        "c": ({"w": omega, "gain": abs(value), "ph": np.angle(value, deg=True)},
-              'phase_unit = "deg"\ncolumns = {omega = "w", phase = "ph"}\n'),
-    }  # fmt: skip
+        "c": (
+            {"w": omega, "gain": abs(value), "ph": np.angle(value, deg=True)},
+            'phase_unit = "deg"\ncolumns = {omega = "w", phase = "ph"}\n',
+        ),
+    }
     folder.replace('unit = "rad"', 'unit = "mrad"')
     for name, (table, more) in forms.items():
         pq.write_table(pa.table(table), folder.path / f"{name}.parquet")
@@ -535,7 +537,27 @@ def test_a_missing_folder_is_a_problem(tmp_path):
 
 # robustness
 
-PIECES = [b"", b"[", b"]", b'"', b"\n", b",", b";", b"=", b"\x00", b"\xff", b"nan", b"1e999", b"[[experiments]]\n", b"-", b"[a.b]\n", b"9" * 30, b"true", b"{", b"'"]  # fmt: skip
+PIECES = [
+    b"",
+    b"[",
+    b"]",
+    b'"',
+    b"\n",
+    b",",
+    b";",
+    b"=",
+    b"\x00",
+    b"\xff",
+    b"nan",
+    b"1e999",
+    b"[[experiments]]\n",
+    b"-",
+    b"[a.b]\n",
+    b"9" * 30,
+    b"true",
+    b"{",
+    b"'",
+]
 
 
 @given(data=st.data())
@@ -561,11 +583,39 @@ def test_random_damage_is_refused_or_harmless(tmp_path_factory, pendulum, data):
         assert error.problems and all(p.message and p.remedy for p in error.problems)
 
 
-@given(raw=st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-                        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(
-                            st.sampled_from(["name", "channels", "experiments", "model", "controller", "q", "role", "unit",
-                                             "file", "rows", "where", "initial", "constants", "parameters", "value", "kind"]),
-                            inner, max_size=6), max_leaves=25))  # fmt: skip
+@given(
+    raw=st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(
+                st.sampled_from(
+                    [
+                        "name",
+                        "channels",
+                        "experiments",
+                        "model",
+                        "controller",
+                        "q",
+                        "role",
+                        "unit",
+                        "file",
+                        "rows",
+                        "where",
+                        "initial",
+                        "constants",
+                        "parameters",
+                        "value",
+                        "kind",
+                    ]
+                ),
+                inner,
+                max_size=6,
+            )
+        ),
+        max_leaves=25,
+    )
+)
 @settings(max_examples=150, deadline=None)
 def test_any_document_is_refused_with_problems(raw):
     from jaxid.data.schema import Places, read_document

@@ -76,7 +76,15 @@ def test_a_unit_of_time(tmp_path, unit, per_second):
     np.testing.assert_allclose(load(folder).experiments[0].t, T, atol=1e-12)
 
 
-@pytest.mark.parametrize(("per_second", "words"), [(1e3, 'is t in ms? say time_unit = "ms"'), (1e6, 'is t in us? say time_unit = "us"'), (1e9, 'is t in ns?'), (1e-6, "shorter than any")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("per_second", "words"),
+    [
+        (1e3, 'is t in ms? say time_unit = "ms"'),
+        (1e6, 'is t in us? say time_unit = "us"'),
+        (1e9, "is t in ns?"),
+        (1e-6, "shorter than any"),
+    ],
+)
 def test_time_that_cannot_be_seconds_is_refused(tmp_path, per_second, words):
     message = refused(
         write(tmp_path / "d", {"t": T * per_second, "tau": TAU, "q": Q}, {"tau": "", "q": ""})
@@ -412,7 +420,12 @@ def test_rows_are_chosen_before_anything_is_judged(tmp_path):
 
 
 def test_repeats_are_stated(tmp_path):
-    folder = write(tmp_path / "d", {"t": T, "tau": TAU, "q": Q}, {"tau": "", "q": ""}, run='file = "run.csv"\n[[experiments]]\nfile = "b.csv"\nrepeat_of = "run"')  # fmt: skip
+    folder = write(
+        tmp_path / "d",
+        {"t": T, "tau": TAU, "q": Q},
+        {"tau": "", "q": ""},
+        run='file = "run.csv"\n[[experiments]]\nfile = "b.csv"\nrepeat_of = "run"',
+    )
     pd.DataFrame({"t": T, "tau": TAU + 0.01, "q": Q + 0.01}).to_csv(folder / "b.csv", index=False)
     data = load(folder)
     assert [len(g) for g in repeats(data.experiments)] == [2]
@@ -423,7 +436,14 @@ def test_repeats_are_stated(tmp_path):
     assert "no run 'rum' to repeat (did you mean 'run'?)" in refused(folder)
 
 
-@pytest.mark.parametrize(("file", "shown"), [(r'"C:\Users\me\run.csv"', "C:/Users/me/run.csv"), (r'"sub\run.csv"', "sub/run.csv"), (r"'sub\run.csv'", "sub/run.csv")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("file", "shown"),
+    [
+        (r'"C:\Users\me\run.csv"', "C:/Users/me/run.csv"),
+        (r'"sub\run.csv"', "sub/run.csv"),
+        (r"'sub\run.csv'", "sub/run.csv"),
+    ],
+)
 def test_paths_of_windows(tmp_path, file, shown):
     folder = write(tmp_path / "d", {}, {"tau": "", "q": ""}, run=f"file = {file}", file="")
     (folder / "sub").mkdir()

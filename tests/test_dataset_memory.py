@@ -146,9 +146,16 @@ def test_arrays_in_three_lines():
 def test_several_runs_of_arrays():
     t, tau, q = signals()
     dataset = Dataset.from_arrays(
-        [t, t], {"tau": [tau, 2 * tau]}, {"q": [np.rad2deg(q), np.rad2deg(2 * q)]}, units={"q": "deg"},
-        split=["fit", "validation"], initial=[{"q": 0.2}, None], model="arm", check_model=False, constants={"gravity": np.float64(9.8)},
-    )  # fmt: skip
+        [t, t],
+        {"tau": [tau, 2 * tau]},
+        {"q": [np.rad2deg(q), np.rad2deg(2 * q)]},
+        units={"q": "deg"},
+        split=["fit", "validation"],
+        initial=[{"q": 0.2}, None],
+        model="arm",
+        check_model=False,
+        constants={"gravity": np.float64(9.8)},
+    )
     first, second = dataset.experiments
     assert (first.name, second.name, second.split) == ("run_1", "run_2", "validation")
     assert (

@@ -70,9 +70,15 @@ def recording(model: str, seed: int, **truth) -> jaxid.Dataset:
         np.random.default_rng(seed),
     )
     return jaxid.Dataset.from_arrays(
-        [t] * 4, {"tau": [u[:, 0] for u in us]}, {"q": list(y[:, :, 0])}, units={"tau": "N m", "q": "rad"}, split=splits,
-        at_rest=True, noise_std={"q": NOISE}, model=model,
-    )  # fmt: skip
+        [t] * 4,
+        {"tau": [u[:, 0] for u in us]},
+        {"q": list(y[:, :, 0])},
+        units={"tau": "N m", "q": "rad"},
+        split=splits,
+        at_rest=True,
+        noise_std={"q": NOISE},
+        model=model,
+    )
 
 
 @pytest.mark.parametrize(
@@ -135,9 +141,15 @@ def test_growth_of_a_difference_at_the_start(angle, least, most):
     """A pendulum that falls from the top multiplies it, one that swings below does not."""
     t = np.arange(800) / 200
     data = jaxid.Dataset.from_arrays(
-        [t, t], {"tau": [0 * t] * 2}, {"q": [angle + 0.1 * np.sin(t)] * 2}, units={"tau": "N m", "q": "rad"},
-        split=["fit", "validation"], initial={"q": angle, "qd": 0.0}, noise_std={"q": NOISE}, model="pendulum",
-    )  # fmt: skip
+        [t, t],
+        {"tau": [0 * t] * 2},
+        {"q": [angle + 0.1 * np.sin(t)] * 2},
+        units={"tau": "N m", "q": "rad"},
+        split=["fit", "validation"],
+        initial={"q": angle, "qd": 0.0},
+        noise_std={"q": NOISE},
+        model="pendulum",
+    )
     binding = bind("pendulum", data)
     theta = binding.theta.copy()
     theta[binding.layout.index("coulomb")] = 0.0
@@ -163,10 +175,15 @@ def test_an_arm_thrown_over_the_top():
     }
     y = twins.recorded(plant, u, every, rng)
     data = jaxid.Dataset.from_arrays(
-        [t] * 4, {f"tau{j + 1}": list(u[:, :, j]) for j in (0, 1)}, {f"q{j + 1}": list(y[:, :, j]) for j in (0, 1)},
-        split=["fit", "fit", "validation", "report"], at_rest=True, noise_std={f"q{j}": plant.noise for j in (1, 2)},
-        resolution={f"q{j}": plant.resolution for j in (1, 2)}, model="planar_arm",
-    )  # fmt: skip
+        [t] * 4,
+        {f"tau{j + 1}": list(u[:, :, j]) for j in (0, 1)},
+        {f"q{j + 1}": list(y[:, :, j]) for j in (0, 1)},
+        split=["fit", "fit", "validation", "report"],
+        at_rest=True,
+        noise_std={f"q{j}": plant.noise for j in (1, 2)},
+        resolution={f"q{j}": plant.resolution for j in (1, 2)},
+        model="planar_arm",
+    )
     assert np.ptp(y[:, :, 0], axis=1).max() > 2 * np.pi
     d = jaxid.diagnose(
         None,
@@ -193,13 +210,17 @@ class Answer:
 @pytest.mark.parametrize(
     ("given", "first", "left", "grown", "second", "expected"),
     [
-        (None, "unknown", 80.0, 900.0, "named", "named"), (None, "unknown", 80.0, 900.0, "unknown", "unknown"),
-        (None, "partly", 80.0, 900.0, "none", "partly"), (None, "named", 1.1, 900.0, "", "named"),
-        (None, "unknown", 80.0, 9.0, "", "unknown"), ("output_error", "unknown", 80.0, 900.0, "", "unknown"),
-        (None, "named", 80.0, 900.0, "partly", "partly"), (None, "named", 80.0, 900.0, "none", "named"),
+        (None, "unknown", 80.0, 900.0, "named", "named"),
+        (None, "unknown", 80.0, 900.0, "unknown", "unknown"),
+        (None, "partly", 80.0, 900.0, "none", "partly"),
+        (None, "named", 1.1, 900.0, "", "named"),
+        (None, "unknown", 80.0, 9.0, "", "unknown"),
+        ("output_error", "unknown", 80.0, 900.0, "", "unknown"),
+        (None, "named", 80.0, 900.0, "partly", "partly"),
+        (None, "named", 80.0, 900.0, "none", "named"),
         (None, "named", 80.0, 9.0, "", "named"),
     ],
-)  # fmt: skip
+)
 @pytest.mark.slow
 def test_windows_are_asked_where_chaotic_free_runs_find_nothing(
     monkeypatch, given, first, left, grown, second, expected
@@ -373,9 +394,12 @@ def commanded_arm(drag: tuple[float, float]) -> jaxid.Dataset:
         )
         qs.append(q + 1e-6 * rng.standard_normal(q.shape))
     return jaxid.Dataset.from_arrays(
-        [t] * 3, {f"tau{j + 1}": [x[:, j] for x in taus] for j in (0, 1)}, {f"q{j + 1}": [x[:, j] for x in qs] for j in (0, 1)},
-        split=["fit", "validation", "report"], model="planar_arm",
-    )  # fmt: skip
+        [t] * 3,
+        {f"tau{j + 1}": [x[:, j] for x in taus] for j in (0, 1)},
+        {f"q{j + 1}": [x[:, j] for x in qs] for j in (0, 1)},
+        split=["fit", "validation", "report"],
+        model="planar_arm",
+    )
 
 
 @pytest.mark.parametrize(("drag", "places"), [((0.0, 0.15), {"q2"}), ((0.2, 0.15), {"q1", "q2"})])
@@ -489,9 +513,14 @@ def test_a_cause_outside_the_library_is_not_named():
         e.y[:, 0] + 0.02 * np.sin(2 * np.pi * 1.3 * t + k) for k, e in enumerate(data.experiments)
     ]
     data = jaxid.Dataset.from_arrays(
-        [t] * 4, {"tau": [e.u[:, 0] for e in data.experiments]}, {"q": pushed}, units={"tau": "N m", "q": "rad"},
-        split=["fit", "fit", "validation", "report"], noise_std={"q": NOISE}, model="pendulum",
-    )  # fmt: skip
+        [t] * 4,
+        {"tau": [e.u[:, 0] for e in data.experiments]},
+        {"q": pushed},
+        units={"tau": "N m", "q": "rad"},
+        split=["fit", "fit", "validation", "report"],
+        noise_std={"q": NOISE},
+        model="pendulum",
+    )
     d = jaxid.diagnose(None, data)
     assert d.which.verdict in ("unknown", "partly")
 
@@ -500,9 +529,13 @@ def test_wrong_arguments_are_named():
     t = np.arange(400) / 200
     series = [np.sin(t + k) for k in range(4)]
     data = jaxid.Dataset.from_arrays(
-        [t] * 4, {"tau": series}, {"q": series}, units={"tau": "N m", "q": "rad"},
-        split=["fit", "fit", "validation", "report"], model="joint",
-    )  # fmt: skip
+        [t] * 4,
+        {"tau": series},
+        {"q": series},
+        units={"tau": "N m", "q": "rad"},
+        split=["fit", "fit", "validation", "report"],
+        model="joint",
+    )
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"effects": ["dead_zon"]}, "dead_zone"),
         ({"max_effects": 0}, "max_effects"),
@@ -526,10 +559,15 @@ def test_the_order_of_runs_and_the_unit_change_nothing():
     data = recording("pendulum", 1, load=0.1)
     runs = data.experiments
     turned = jaxid.Dataset.from_arrays(
-        [e.t for e in runs[::-1]], {"tau": [e.u[:, 0] for e in runs[::-1]]},
-        {"q": [np.degrees(e.y[:, 0]) for e in runs[::-1]]}, units={"tau": "N m", "q": "deg"},
-        split=[e.split for e in runs[::-1]], at_rest=True, noise_std={"q": np.degrees(NOISE)}, model="pendulum",
-    )  # fmt: skip
+        [e.t for e in runs[::-1]],
+        {"tau": [e.u[:, 0] for e in runs[::-1]]},
+        {"q": [np.degrees(e.y[:, 0]) for e in runs[::-1]]},
+        units={"tau": "N m", "q": "deg"},
+        split=[e.split for e in runs[::-1]],
+        at_rest=True,
+        noise_std={"q": np.degrees(NOISE)},
+        model="pendulum",
+    )
     a, b = jaxid.diagnose(None, data, effects=CHOICE), jaxid.diagnose(None, turned, effects=CHOICE)
     assert [str(e) for e in a.which.effects] == [str(e) for e in b.which.effects]
     assert a.how_far.gap_after == pytest.approx(b.how_far.gap_after, rel=1e-3)
@@ -934,9 +972,15 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     }
     y = twins.recorded(plant, np.array(u)[:, :, None], numbers, np.random.default_rng(3))
     data = jaxid.Dataset.from_arrays(
-        [t] * 2, {"tau": u}, {"q": list(y[:, :, 0])}, units={"tau": "N m", "q": "rad"}, split=["fit", "validation"],
-        at_rest=True, noise_std={"q": NOISE}, model="pendulum",
-    )  # fmt: skip
+        [t] * 2,
+        {"tau": u},
+        {"q": list(y[:, :, 0])},
+        units={"tau": "N m", "q": "rad"},
+        split=["fit", "validation"],
+        at_rest=True,
+        noise_std={"q": NOISE},
+        model="pendulum",
+    )
     assert np.abs(u[0]).max() < 0.3 < np.abs(u[1]).max()
     bench = Bench(bind("pendulum", data, effects=["saturation"]), 1.25e-3)
     (limit,) = bench.binding.layout.of_effect("saturation")
@@ -967,9 +1011,15 @@ def test_a_limit_far_below_the_commands_is_found():
     }
     y = twins.recorded(plant, np.array(u)[:, :, None], numbers, np.random.default_rng(3))
     data = jaxid.Dataset.from_arrays(
-        [t] * 3, {"q_cmd": u}, {"q": list(y[:, :, 0])}, units={"q_cmd": "rad", "q": "rad"},
-        split=["fit", "validation", "report"], at_rest=True, noise_std={"q": NOISE}, model="servo",
-    )  # fmt: skip
+        [t] * 3,
+        {"q_cmd": u},
+        {"q": list(y[:, :, 0])},
+        units={"q_cmd": "rad", "q": "rad"},
+        split=["fit", "validation", "report"],
+        at_rest=True,
+        noise_std={"q": NOISE},
+        model="servo",
+    )
     d = jaxid.diagnose(
         "servo", data, effects=["saturation", "torque_scale", "sensor_bias"], max_effects=1
     )

@@ -192,9 +192,22 @@ def test_the_site_builds_without_warnings(tmp_path):
     for folder in ("jaxid", "models"):
         (source / folder).symlink_to(ROOT / folder)
     done = subprocess.run(
-        [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", source / "docs", tmp_path / "site"],
-        capture_output=True, text=True, env={**os.environ, "JAXID_DOCS_NOTEBOOKS": "off"},
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "sphinx",
+            "-q",
+            "-W",
+            "--keep-going",
+            "-b",
+            "html",
+            source / "docs",
+            tmp_path / "site",
+        ],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "JAXID_DOCS_NOTEBOOKS": "off"},
+    )
     assert done.returncode == 0, done.stderr
     for page in (
         "index",

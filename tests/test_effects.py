@@ -408,11 +408,15 @@ def test_an_effect_is_found_again(effect):
         "offset": 0.0,
     }
     data = jaxid.Dataset.from_arrays(
-        T_FIT, {"tau": u[:, 0]}, {"q": y[:, 0]}, units={"tau": "N m", "q": "rad"}, noise_std={"q": NOISE},
+        T_FIT,
+        {"tau": u[:, 0]},
+        {"q": y[:, 0]},
+        units={"tau": "N m", "q": "rad"},
+        noise_std={"q": NOISE},
         at_rest=effect not in KNOWN,
         initial={"q": 0.0, "qd": 0.0} if effect in KNOWN else None,
         model=ModelSpec("pendulum", constants=known if effect in KNOWN else {}),
-    )  # fmt: skip
+    )
     # The whole library stays in the chain at its neutral values, so that effects of a family share a program.
     binding = bind(None, data, effects=[effect], candidates=FIRST, splits=False)
     bench = Bench(binding, 1.25e-3)  # the step of a fit that has checked its step

@@ -257,9 +257,14 @@ def test_inputs_show_what_they_claim():
     found = []
     for _ in range(12):
         noisy = jaxid.Dataset.from_arrays(
-            e.t, {"tau": e.u[:, 0]}, {"q": e.y[:, 0] + 1e-3 * rng.normal(size=len(e.t))}, model="pendulum",
-            initial={"q": 0.0, "qd": 0.0}, noise_std={"q": 1e-3}, split="fit",
-        )  # fmt: skip
+            e.t,
+            {"tau": e.u[:, 0]},
+            {"q": e.y[:, 0] + 1e-3 * rng.normal(size=len(e.t))},
+            model="pendulum",
+            initial={"q": 0.0, "qd": 0.0},
+            noise_std={"q": 1e-3},
+            split="fit",
+        )
         fit = jaxid.fit(None, noisy)
         found.append([fit.parameters[n].value for n in made.content["expected_std"]])
     scatter = np.std(found, axis=0, ddof=1)

@@ -68,8 +68,9 @@ def made(diagnosis):
 @pytest.mark.slow
 def test_two_hypotheses_are_left(diagnosis):
     assert {str(e) for e in (*diagnosis.which.effects, *diagnosis.which.confusable_with)} == {
-        "actuator_lag at tau", "input_delay at tau",
-    }  # fmt: skip
+        "actuator_lag at tau",
+        "input_delay at tau",
+    }
     assert set(diagnosis.rivals.names) == {"actuator_lag at tau", "input_delay at tau"}
     assert "--next" in diagnosis.next_experiment
 

@@ -69,17 +69,46 @@ def entry(value, std=1e-3, unit=""):
 
 def fit(parameters=None, effects=(), path: str | Path = "", **robot):
     """A fit.json of the arm as jaxid writes it."""
-    drive = {"origin": "file", "kind": "pd", "period": 0.0, "joints": {
-        "lift": {"kp": 20.0, "kd": 0.8, "gain": 1.0, "lowest": -6.0, "highest": 6.0, "offset": 0.0, "delay": 0.0, "lag": 0.0},
-        "bend": {"kp": 12.0, "kd": 0.4, "gain": 1.0, "lowest": None, "highest": None, "offset": 0.0, "delay": 0.0, "lag": 0.0},
-    }}  # fmt: skip
+    drive = {
+        "origin": "file",
+        "kind": "pd",
+        "period": 0.0,
+        "joints": {
+            "lift": {
+                "kp": 20.0,
+                "kd": 0.8,
+                "gain": 1.0,
+                "lowest": -6.0,
+                "highest": 6.0,
+                "offset": 0.0,
+                "delay": 0.0,
+                "lag": 0.0,
+            },
+            "bend": {
+                "kp": 12.0,
+                "kd": 0.4,
+                "gain": 1.0,
+                "lowest": None,
+                "highest": None,
+                "offset": 0.0,
+                "delay": 0.0,
+                "lag": 0.0,
+            },
+        },
+    }
     own = {"file": str(path), "joints": list(JOINTS), "held": {}, "drive": drive} | robot
     named = [
         {"effect": e, "location": where, "parameters": {k: entry(v) for k, v in n.items()}}
         for e, where, n in effects
     ]
-    return {"schema": 1, "kind": "fit", "model": "robot", "robot": own, "effects": named,
-            "parameters": {k: entry(v) for k, v in (parameters or {}).items()}}  # fmt: skip
+    return {
+        "schema": 1,
+        "kind": "fit",
+        "model": "robot",
+        "robot": own,
+        "effects": named,
+        "parameters": {k: entry(v) for k, v in (parameters or {}).items()},
+    }
 
 
 @pytest.fixture
@@ -466,13 +495,26 @@ FORCES = (
 )
 
 EVERY = [
-    *(e for e in CODED), ("dead_zone", "lift_cmd", {"width": 0.1}), ("supply_droop", "lift_tau", {"droop": 0.1}),
-    ("sensor_bias", "lift", {"bias": 0.1}), ("sensor_lag", "lift", {"lag": 0.1}), ("sensor_delay", "lift", {"delay": 0.01}),
-    ("backlash", "bend", {"play": 0.01}), ("timestamp_jitter", "lift", {"spread": 1e-3}), ("my_own", "lift", {"size": 1.0}),
-]  # fmt: skip
-NUMBERS = {"damping@lift": 0.5, "frictionloss@bend": 0.1, "armature@lift": 0.03, "kp@lift": 14.0, "kd@lift": 1.0,
-           "mass@fore": 0.4,
-           "highest@lift": 3.0, "gravity_of_mars": 3.7}  # fmt: skip
+    *(e for e in CODED),
+    ("dead_zone", "lift_cmd", {"width": 0.1}),
+    ("supply_droop", "lift_tau", {"droop": 0.1}),
+    ("sensor_bias", "lift", {"bias": 0.1}),
+    ("sensor_lag", "lift", {"lag": 0.1}),
+    ("sensor_delay", "lift", {"delay": 0.01}),
+    ("backlash", "bend", {"play": 0.01}),
+    ("timestamp_jitter", "lift", {"spread": 1e-3}),
+    ("my_own", "lift", {"size": 1.0}),
+]
+NUMBERS = {
+    "damping@lift": 0.5,
+    "frictionloss@bend": 0.1,
+    "armature@lift": 0.03,
+    "kp@lift": 14.0,
+    "kd@lift": 1.0,
+    "mass@fore": 0.4,
+    "highest@lift": 3.0,
+    "gravity_of_mars": 3.7,
+}
 
 
 @pytest.mark.parametrize("to", list(TARGETS))
@@ -578,8 +620,13 @@ def test_base_parameters_go_to_the_nearest_bodies_that_can_exist(tmp_path):
     friction = [
         {"joint": j, "F_c": entry(0.1), "F_v": entry(0.3), "offset": entry(0.02)} for j in JOINTS
     ]
-    own = {"kind": "identification", "model": "serial_arm", "base_parameters": rows, "friction": friction,
-           "robot": {"file": str(path), "joints": list(JOINTS)}}  # fmt: skip
+    own = {
+        "kind": "identification",
+        "model": "serial_arm",
+        "base_parameters": rows,
+        "friction": friction,
+        "robot": {"file": str(path), "joints": list(JOINTS)},
+    }
     found = export(own, "mjcf")
     model = mujoco.MjModel.from_xml_string(found.files["arm.xml"])
     for b in (1, 2):
@@ -933,8 +980,10 @@ def test_joints_named_q_take_the_torques_of_their_numbers(tmp_path):
     from jaxid.robots.mjcf import read_mjcf
 
     path = tmp_path / "rod.xml"
-    path.write_text('<mujoco><worldbody><body><joint name="q" axis="0 1 0"/><inertial pos="0 0 -.2" mass=".4" '
-                    'diaginertia=".01 .01 .001"/></body></worldbody></mujoco>')  # fmt: skip
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="q" axis="0 1 0"/><inertial pos="0 0 -.2" mass=".4" '
+        'diaginertia=".01 .01 .001"/></body></worldbody></mujoco>'
+    )
     t = np.arange(0, 1, 0.01)
     units = {"tau": "N m", "q": "rad"}
     data = jaxid.Dataset.from_arrays(

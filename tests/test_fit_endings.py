@@ -217,9 +217,15 @@ def test_a_valley_in_which_steps_gain_nothing_beside_the_noise_is_at_its_end():
     """1000 residuals of about 3 times the noise; every step gains a ten-thousandth of what one of them varies by."""
     wide = np.full(1, 1e9)
     problem: Any = SimpleNamespace(
-        size=1, free=np.zeros(1, int), log=np.zeros(1, bool), lower=-wide, upper=wide, scale=np.ones(1), weighted=True,
+        size=1,
+        free=np.zeros(1, int),
+        log=np.zeros(1, bool),
+        lower=-wide,
+        upper=wide,
+        scale=np.ones(1),
+        weighted=True,
         loss_name="sum_of_squares",
-    )  # fmt: skip
+    )
     asked = []
 
     def expansion(jobs, share):

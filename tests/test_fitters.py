@@ -230,9 +230,13 @@ def data_of(model: str) -> jaxid.Dataset:
             constants={"c1": 0.25, "c2": 0.2, "I1": 0.12, "coulomb1": 2.0, "coulomb2": 0.5},
         )
         return jaxid.Dataset.from_arrays(
-            T, {"tau1": u[:, 0], "tau2": u[:, 1]}, {f"q{j + 1}": ref.measured(q[:, j], 1e-3, j) for j in range(2)},
-            at_rest=True, noise_std={"q1": 1e-3, "q2": 1e-3}, model=spec,
-        )  # fmt: skip
+            T,
+            {"tau1": u[:, 0], "tau2": u[:, 1]},
+            {f"q{j + 1}": ref.measured(q[:, j], 1e-3, j) for j in range(2)},
+            at_rest=True,
+            noise_std={"q1": 1e-3, "q2": 1e-3},
+            model=spec,
+        )
     q, _ = ref.simulate(plant, ref.Truth(viscous=0.1, coulomb=0.12, offset=-0.03), T, u)
     spec = ModelSpec(model, parameters={k: ParameterPrior(None, *v) for k, v in known.items()})
     return jaxid.Dataset.from_arrays(

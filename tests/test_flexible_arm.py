@@ -252,10 +252,14 @@ def test_its_numbers_are_recovered_with_their_intervals():
     rng = np.random.default_rng(5)
     y = y + rng.normal(size=y.shape) * list(noise.values())
     data = jaxid.Dataset.from_arrays(
-        t, {"tau1": held[:, 0], "tau2": held[:, 1]}, dict(zip(noise, y.T, strict=True)), at_rest=True,
-        noise_std=noise, units={"strain1": "1", "strain2": "1"},
+        t,
+        {"tau1": held[:, 0], "tau2": held[:, 1]},
+        dict(zip(noise, y.T, strict=True)),
+        at_rest=True,
+        noise_std=noise,
+        units={"strain1": "1", "strain2": "1"},
         model=ModelSpec("flexible_arm", constants={"coulomb1": 0.0, "coulomb2": 0.0}),
-    )  # fmt: skip
+    )
     fit = jaxid.fit(None, data, fitter="lm(restarts=0)")
     assert fit.loss < 1.2
     for name, value in {**truth, "viscous1": viscous[0], "viscous2": viscous[1]}.items():

@@ -36,7 +36,7 @@ from jaxid.study.papers.twins.flexible_link import (
     RHO,
     SECOND,
     zero_order_hold,
-)  # fmt: skip
+)
 from simulated import flow, relative, Simulator
 
 
@@ -107,9 +107,13 @@ def analytic(count: int) -> list[float]:
             [1, 0, 1, 0],
             [-EI * k**2, DE["I_m"] * w2 * k, EI * k**2, DE["I_m"] * w2 * k],
             [-c, -s, ch, sh],
-            [EI * k**3 * s + PAYLOAD * w2 * c, -EI * k**3 * c + PAYLOAD * w2 * s,
-             EI * k**3 * sh + PAYLOAD * w2 * ch, EI * k**3 * ch + PAYLOAD * w2 * sh],
-        ]  # fmt: skip
+            [
+                EI * k**3 * s + PAYLOAD * w2 * c,
+                -EI * k**3 * c + PAYLOAD * w2 * s,
+                EI * k**3 * sh + PAYLOAD * w2 * ch,
+                EI * k**3 * ch + PAYLOAD * w2 * sh,
+            ],
+        ]
         return float(
             np.linalg.det(
                 np.array(rows) / np.array([[1], [EI * k**2 * ch], [ch], [EI * k**3 * ch]])
@@ -270,12 +274,18 @@ def test_the_step_against_an_implicit_solver_on_the_vector_field():
         ode = model.ode()
         field = lambda time, x, args: ode(time, x, (None, held))
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(field), diffrax.Kvaerno5(), 0.0, 0.3, 1e-5, model.body().start(jnp.zeros(1), jnp.zeros(1)),
-            saveat=diffrax.SaveAt(ts=jnp.asarray(t)), max_steps=100_000,
+            diffrax.ODETerm(field),
+            diffrax.Kvaerno5(),
+            0.0,
+            0.3,
+            1e-5,
+            model.body().start(jnp.zeros(1), jnp.zeros(1)),
+            saveat=diffrax.SaveAt(ts=jnp.asarray(t)),
+            max_steps=100_000,
             stepsize_controller=diffrax.ClipStepSizeController(
                 diffrax.PIDController(rtol=1e-8, atol=1e-10), jump_ts=jnp.array([0.1])
             ),
-        )  # fmt: skip
+        )
         assert solution.ys is not None
         truth = np.asarray(solution.ys[0])[:, 0]
     assert relative(y, truth) < 2e-5
@@ -366,9 +376,13 @@ def pulse_data(seed: int = 0) -> jaxid.Dataset:
     rng = np.random.default_rng(seed)
     noise = {"phi": 1.3e-3, "tip_acceleration": 0.3}
     return jaxid.Dataset.from_arrays(
-        t, {"tau": u}, {n: y[:, k] + s * rng.standard_normal(2000) for k, (n, s) in enumerate(noise.items())},
-        units={"tau": "N m", "phi": "rad", "tip_acceleration": "m/s^2"}, noise_std=noise, at_rest=True,
-    )  # fmt: skip
+        t,
+        {"tau": u},
+        {n: y[:, k] + s * rng.standard_normal(2000) for k, (n, s) in enumerate(noise.items())},
+        units={"tau": "N m", "phi": "rad", "tip_acceleration": "m/s^2"},
+        noise_std=noise,
+        at_rest=True,
+    )
 
 
 @pytest.mark.slow

@@ -46,11 +46,19 @@ def test_the_base_and_its_arm_are_patched(tmp_path: Path, kind: str):
     read = Robot.from_mjcf if kind == "mjcf" else Robot.from_urdf
     robot = read(file, free=True)
     content = {
-        "schema": 1, "kind": "fit", "model": "robot",
-        "effects": [{"effect": "step_change", "location": f"mass@{last}", "parameters": {"size": 0.4, "time": 3.0}}],
+        "schema": 1,
+        "kind": "fit",
+        "model": "robot",
+        "effects": [
+            {
+                "effect": "step_change",
+                "location": f"mass@{last}",
+                "parameters": {"size": 0.4, "time": 3.0},
+            }
+        ],
         "parameters": {k: {"value": v, "std": 0.01, "unit": "kg"} for k, v in numbers.items()},
         "robot": origin(robot, Geometry(file=file.name, robot=file.read_text(), path=str(file))),
-    }  # fmt: skip
+    }
     out = export(content, kind)
     assert {r.effect: r.how for r in out.rows[:-1]} == dict.fromkeys(
         [k.partition("@")[0] for k in numbers], "exact"
@@ -69,10 +77,16 @@ def test_a_law_goes_by_the_driven_joints():
     data = recording([torques(T, 1)], [np.tile(T[:, None], 7)], T, 1e-4)
     goals = replace(
         data,
-        channels=tuple(replace(c, name=c.name.replace("_tau", "_cmd"), unit=c.unit.replace("N m", "rad").replace("N", "m"))
-                       for c in data.channels),
+        channels=tuple(
+            replace(
+                c,
+                name=c.name.replace("_tau", "_cmd"),
+                unit=c.unit.replace("N m", "rad").replace("N", "m"),
+            )
+            for c in data.channels
+        ),
         controller=Controller("pd", {"kp": 5.0, "kd": 1.0}),
-    )  # fmt: skip
+    )
     told = origin_on(None, goals)
     assert list(told["drive"]["joints"]) == [
         j for j in resolve_model(None, goals).signature.joints if j not in ANGLES

@@ -619,9 +619,13 @@ def test_a_sensor_and_a_file_join_the_main_clock(tmp_path):
     true = np.arange(0, 12, 0.004) + 0.5
     np.savetxt(
         tmp_path / "log.csv",
-        np.column_stack([(true - 30) * 1000, 3 * motion(true) + 0.01 * rng.standard_normal(len(true))]),
-        delimiter=",", header="ms,x", comments="",
-    )  # fmt: skip
+        np.column_stack(
+            [(true - 30) * 1000, 3 * motion(true) + 0.01 * rng.standard_normal(len(true))]
+        ),
+        delimiter=",",
+        header="ms,x",
+        comments="",
+    )
     spec = SensorSpec.model_validate(
         {
             "name": "other",

@@ -464,9 +464,18 @@ def test_the_command(quiet, tmp_path):
     assert "Base parameters" in page and "<script" not in page
     loaded = CliRunner().invoke(
         cli,
-        ["identify", str(tmp_path / "data"), "--out", str(tmp_path / "b"), "--friction", "power",
-         "--reference", str(out / "identification.json"), "--quiet"],
-    )  # fmt: skip
+        [
+            "identify",
+            str(tmp_path / "data"),
+            "--out",
+            str(tmp_path / "b"),
+            "--friction",
+            "power",
+            "--reference",
+            str(out / "identification.json"),
+            "--quiet",
+        ],
+    )
     assert loaded.exit_code == 0, loaded.output
     assert (
         abs(
@@ -505,9 +514,12 @@ def test_an_arm_from_a_urdf(tmp_path):
     )
     tau += 0.01 * rng.normal(size=tau.shape)
     recorded = jaxid.Dataset.from_arrays(
-        t, {f"tau{j + 1}": tau[:, j] for j in range(3)}, {f"q{j + 1}": q[:, j] for j in range(3)},
-        units={"tau2": "N", "q2": "m"}, check_model=False,
-    )  # fmt: skip
+        t,
+        {f"tau{j + 1}": tau[:, j] for j in range(3)},
+        {f"q{j + 1}": q[:, j] for j in range(3)},
+        units={"tau2": "N", "q2": "m"},
+        check_model=False,
+    )
     r = identify(str(path), recorded, friction="linear")
     assert r.torque_units == ("N m", "N", "N m")
     assert all(e.relative_error < 0.01 for e in r.experiments)

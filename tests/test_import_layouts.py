@@ -102,15 +102,43 @@ def test_lists_of_recordings_and_matrices(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.csv", text(header="t [ms],q [rad],tau [N m]"), "--channel t=t:ms --channel q=q:rad:output --channel 'tau=tau:N m:input'"),
-        ("b.csv", text(np.column_stack([1e6 * T, Q, TAU]), header="t_us,q,tau"), "--channel t=t_us:us --channel q=q:1:output --channel tau=tau:1:input"),
-        ("c.csv", text(np.column_stack([1.7e12 + 1e3 * T, Q, TAU]), header="stamp,/js/arm/pos,x"), "--channel t=stamp:ms --channel q=/js/arm/pos:1:output --channel x=x:1:auxiliary"),
-        ("d.csv", rows("2026-03-01T12:00:0{t:.2f},RUN,{q},{tau}", "time,state,q,tau"), "--channel t=time --channel q=q:1:output --channel tau=tau:1:input"),
-        ("e.csv", rows("{t},\"[{q}, {tau}]\"", "t,pos"), "--channel t=t:s --channel 'q*=pos[*]:1:output'"),
-        ("f.csv", text(header=""), "--channel t=1:s --channel channel_2=2:1:output --channel channel_3=3:1:auxiliary"),
-        ("g.json", f'{{"log": {{"fs": 100, "q": {Q.tolist()}}}}}', "--channel q=log.q:1:output --out"),
+        (
+            "a.csv",
+            text(header="t [ms],q [rad],tau [N m]"),
+            "--channel t=t:ms --channel q=q:rad:output --channel 'tau=tau:N m:input'",
+        ),
+        (
+            "b.csv",
+            text(np.column_stack([1e6 * T, Q, TAU]), header="t_us,q,tau"),
+            "--channel t=t_us:us --channel q=q:1:output --channel tau=tau:1:input",
+        ),
+        (
+            "c.csv",
+            text(np.column_stack([1.7e12 + 1e3 * T, Q, TAU]), header="stamp,/js/arm/pos,x"),
+            "--channel t=stamp:ms --channel q=/js/arm/pos:1:output --channel x=x:1:auxiliary",
+        ),
+        (
+            "d.csv",
+            rows("2026-03-01T12:00:0{t:.2f},RUN,{q},{tau}", "time,state,q,tau"),
+            "--channel t=time --channel q=q:1:output --channel tau=tau:1:input",
+        ),
+        (
+            "e.csv",
+            rows('{t},"[{q}, {tau}]"', "t,pos"),
+            "--channel t=t:s --channel 'q*=pos[*]:1:output'",
+        ),
+        (
+            "f.csv",
+            text(header=""),
+            "--channel t=1:s --channel channel_2=2:1:output --channel channel_3=3:1:auxiliary",
+        ),
+        (
+            "g.json",
+            f'{{"log": {{"fs": 100, "q": {Q.tolist()}}}}}',
+            "--channel q=log.q:1:output --out",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_proposed_has_the_units_of_the_file(tmp_path, name, content, said):
     (tmp_path / name).write_text(content)
     with pytest.raises(UsageError) as caught:
@@ -132,10 +160,22 @@ def test_refusals_of_what_is_packed(tmp_path):
 @pytest.mark.parametrize(
     ("times", "settings", "words"),
     [
-        (np.where(np.arange(60) == 7, np.datetime64("NaT"), np.datetime64("2026-03-01") + (1e3 * T).astype("timedelta64[ms]")), {}, "index 7 has no time"),
-        ((1_767_225_600_000 + 1e3 * T).astype(int), {"time_unit": "s"}, 'later than any clock.*time_unit = "ms"'),
+        (
+            np.where(
+                np.arange(60) == 7,
+                np.datetime64("NaT"),
+                np.datetime64("2026-03-01") + (1e3 * T).astype("timedelta64[ms]"),
+            ),
+            {},
+            "index 7 has no time",
+        ),
+        (
+            (1_767_225_600_000 + 1e3 * T).astype(int),
+            {"time_unit": "s"},
+            'later than any clock.*time_unit = "ms"',
+        ),
     ],
-)  # fmt: skip
+)
 def test_times_of_a_frame_that_cannot_be(times, settings, words):
     frame = pd.DataFrame({"t": times, "q": Q, "tau": TAU})
     with pytest.raises(DatasetError, match=words):

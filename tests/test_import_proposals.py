@@ -100,12 +100,21 @@ def test_more_columns_than_are_shown_are_counted(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "unit", "quantity", "goal"),
     [
-        ("Sollposition", "", "position", True), ("Istposition", "", "position", False), ("Motorstrom", "A", "current", False),
-        ("lrActPos", "", "position", False), ("GVL.fTorque", "", "torque", False), ("dq_des", "", "velocity", True),
-        ("current_position", "", "position", False), ("cmd", "rad", "position", True), ("Schleppfehler", "mm", "", False),
-        ("distance", "", "", False), ("list", "", "", False), ("soll_drehzahl", "", "velocity", True), ("setpoint", "", "", True),
+        ("Sollposition", "", "position", True),
+        ("Istposition", "", "position", False),
+        ("Motorstrom", "A", "current", False),
+        ("lrActPos", "", "position", False),
+        ("GVL.fTorque", "", "torque", False),
+        ("dq_des", "", "velocity", True),
+        ("current_position", "", "position", False),
+        ("cmd", "rad", "position", True),
+        ("Schleppfehler", "mm", "", False),
+        ("distance", "", "", False),
+        ("list", "", "", False),
+        ("soll_drehzahl", "", "velocity", True),
+        ("setpoint", "", "", True),
     ],
-)  # fmt: skip
+)
 def test_what_a_name_says(name, unit, quantity, goal):
     found = meaning_of(name, unit)
     assert (found.quantity, found.goal) == (quantity, goal)

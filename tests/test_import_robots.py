@@ -458,9 +458,15 @@ def recording(joints=("elbow", "lift", "pan", "finger")) -> Dataset:
     tau = {f"tau{k + 1}": TAU[:, k % 3] + k for k in range(len(joints))}
     commands = {f"q{k + 1}_cmd": Q[:, k % 3] - k for k in range(len(joints))}
     return Dataset.from_arrays(
-        T, tau, q, auxiliary=commands, model=ModelSpec(joints={f"q{k + 1}": n for k, n in enumerate(joints)}), check_model=False,
-        initial={"q1": 0.1, "q3": 0.3}, controller=Controller("pd", {"kp": [1.0, 2.0, 3.0, 4.0][: len(joints)], "kd": 0.5}),
-    )  # fmt: skip
+        T,
+        tau,
+        q,
+        auxiliary=commands,
+        model=ModelSpec(joints={f"q{k + 1}": n for k, n in enumerate(joints)}),
+        check_model=False,
+        initial={"q1": 0.1, "q3": 0.3},
+        controller=Controller("pd", {"kp": [1.0, 2.0, 3.0, 4.0][: len(joints)], "kd": 0.5}),
+    )
 
 
 def test_joints_come_in_the_order_of_the_chain():
@@ -618,7 +624,11 @@ def test_several_roots(tmp_path):
 
 def test_a_hand_within_0_and_1_is_no_angle(tmp_path):
     state = np.linspace(0.1, 2.0, 60)[:, None] * np.array([1.0, 0.4])
-    for name, unit, kept in (("LeftHandThumb", ["rad"], "auxiliary"), ("LeftHandThumb", ["rad", "LeftHandThumb=rad"], "output"), ("elbow", ["rad"], "output")):  # fmt: skip
+    for name, unit, kept in (
+        ("LeftHandThumb", ["rad"], "auxiliary"),
+        ("LeftHandThumb", ["rad", "LeftHandThumb=rad"], "output"),
+        ("elbow", ["rad"], "output"),
+    ):
         folder = lerobot(tmp_path / f"{name}{len(unit)}", "v2.1", ["shoulder", name], state, state)
         data = quiet(import_lerobot, folder, tmp_path / f"out_{name}{len(unit)}", unit=unit)
         assert [

@@ -213,8 +213,13 @@ def test_episodes_of_lerobot(tmp_path):
 
 
 def test_any_csv_by_a_map_and_the_command(tmp_path, capsys):
-    np.savetxt(tmp_path / "a.csv", np.column_stack([1e3 * T, np.degrees(Q[:, 0]), 1e3 * Q[:, 1]]), delimiter=",",
-               header="millis,angle,milliamps", comments="")  # fmt: skip
+    np.savetxt(
+        tmp_path / "a.csv",
+        np.column_stack([1e3 * T, np.degrees(Q[:, 0]), 1e3 * Q[:, 1]]),
+        delimiter=",",
+        header="millis,angle,milliamps",
+        comments="",
+    )
     channels = ["t=millis:ms", "q=angle:deg:output", "current=milliamps:mA"]
     arguments = ["import", "csv", str(tmp_path / "a.csv"), "--out", str(tmp_path / "out"), "--json"]
     assert main([*arguments, *(w for c in channels for w in ("--channel", c))]) == 0

@@ -167,9 +167,14 @@ def axis(seed=0):
     x = np.interp(t, fine, np.cumsum(speed) * 1e-3)
     u = 0.6 * np.sin(2 * np.pi * 0.1 * t)
     return jaxid.Dataset.from_arrays(
-        t, {"u": u}, {"position": x + 2e-5 * rng.standard_normal(len(t))}, units={"u": "V"}, noise_std={"position": 2e-5},
-        hold={"u": "linear"}, at_rest=True,
-    )  # fmt: skip
+        t,
+        {"u": u},
+        {"position": x + 2e-5 * rng.standard_normal(len(t))},
+        units={"u": "V"},
+        noise_std={"position": 2e-5},
+        hold={"u": "linear"},
+        at_rest=True,
+    )
 
 
 @pytest.mark.parametrize("residual", ["output_error", "inverse_dynamics"])

@@ -132,8 +132,16 @@ def test_models_move_alike(mechanism, effects):
     with float64():
         t = jnp.arange(n) * 5e-3
         u = jnp.asarray(3 * np.sin(np.arange(n)[:, None] / 40 + np.arange(nu)))
-        samples = Samples(t=t, h=jnp.full(n, 5e-3), u=u, total=jnp.cumsum(u, 0), x=jnp.zeros((n, 3 * nq)),
-                          other=jnp.zeros((n, 0)), y=jnp.zeros((n, nq)), w=jnp.ones((n, nq)))  # fmt: skip
+        samples = Samples(
+            t=t,
+            h=jnp.full(n, 5e-3),
+            u=u,
+            total=jnp.cumsum(u, 0),
+            x=jnp.zeros((n, 3 * nq)),
+            other=jnp.zeros((n, 0)),
+            y=jnp.zeros((n, nq)),
+            w=jnp.ones((n, nq)),
+        )
         where = np.tile(np.array([0, 0, n - 1, 0], np.int32), (3, 1))
         run = lambda theta, start, where, samples, steps: simulate_lane(
             layout.model(theta), samples, where, start, steps, 512, EVEN, False
@@ -163,8 +171,16 @@ def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
     )
     with float64():
         u = jnp.asarray(3 * np.sin(np.arange(n)[:, None] / 5 + np.arange(nu)))
-        samples = Samples(t=jnp.arange(n) * 5e-3, h=jnp.full(n, 5e-3), u=u, total=jnp.cumsum(u, 0), x=jnp.zeros((n, 3 * nq)),
-                          other=jnp.zeros((n, 0)), y=jnp.zeros((n, ny)), w=jnp.ones((n, ny)))  # fmt: skip
+        samples = Samples(
+            t=jnp.arange(n) * 5e-3,
+            h=jnp.full(n, 5e-3),
+            u=u,
+            total=jnp.cumsum(u, 0),
+            x=jnp.zeros((n, 3 * nq)),
+            other=jnp.zeros((n, 0)),
+            y=jnp.zeros((n, ny)),
+            w=jnp.ones((n, ny)),
+        )
         where = np.tile(np.array([0, 0, n - 1, 0], np.int32), (2, 1))
 
         def run(theta, start, where, samples):

@@ -175,9 +175,15 @@ def lost(seed: int) -> jaxid.Dataset:
         runs.append(np.array(out) + 1e-3 * rng.standard_normal(len(t)))
         inputs.append(u)
     return jaxid.Dataset.from_arrays(
-        [t] * 3, inputs={"tau": inputs}, outputs={"q": runs}, units={"tau": "N m", "q": "rad"},
-        noise_std={"q": 1e-3}, split=["fit", "validation", "report"], at_rest=True, model="joint",
-    )  # fmt: skip
+        [t] * 3,
+        inputs={"tau": inputs},
+        outputs={"q": runs},
+        units={"tau": "N m", "q": "rad"},
+        noise_std={"q": 1e-3},
+        split=["fit", "validation", "report"],
+        at_rest=True,
+        model="joint",
+    )
 
 
 def test_a_lost_load_is_named_with_its_moment():

@@ -155,9 +155,26 @@ def ended(
     score = {"fit": {"q": Score(nrmse, nrmse, nrmse, "rad")}}
     found = {"inertia": Estimate(0.2, 0.01, "kg m^2", 0.0, 1.0)} if parameters else {}
     return Fit(
-        "pendulum", (), "lm", residual, "sum_of_squares", 0, state == "converged", state == "failed", "", loss, found,
-        score if parameters else {}, {}, spent, 1.0, 0.5, "d", "", theta=np.array([theta]),
-    )  # fmt: skip
+        "pendulum",
+        (),
+        "lm",
+        residual,
+        "sum_of_squares",
+        0,
+        state == "converged",
+        state == "failed",
+        "",
+        loss,
+        found,
+        score if parameters else {},
+        {},
+        spent,
+        1.0,
+        0.5,
+        "d",
+        "",
+        theta=np.array([theta]),
+    )
 
 
 @pytest.fixture(scope="module")

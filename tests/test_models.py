@@ -89,8 +89,15 @@ def space(floating: bool, share: float = 1.0) -> Any:
     across = turn(th + q1 + q2) * sp.Matrix([-p["hy"], p["hx"]]) * w2
     v, vl, vb = rate(second), rate(link), rate(centre)
     own = p["I1"] - p["m1"] * p["c1"] ** 2
-    T = (p["base_mass"] * vb.dot(vb) + p["base_inertia"] * qd[2] ** 2 + p["m1"] * vl.dot(vl) + own * w1**2
-         + p["m2"] * v.dot(v) + 2 * v.dot(across) + p["I2"] * w2**2) / 2  # fmt: skip
+    T = (
+        p["base_mass"] * vb.dot(vb)
+        + p["base_inertia"] * qd[2] ** 2
+        + p["m1"] * vl.dot(vl)
+        + own * w1**2
+        + p["m2"] * v.dot(v)
+        + 2 * v.dot(across)
+        + p["I2"] * w2**2
+    ) / 2
     if not floating:
         T = T.subs({th: 0, qd[0]: 0, qd[1]: 0, qd[2]: 0})
         return lagrange(T, 0, q[3:], qd[3:])
@@ -99,9 +106,19 @@ def space(floating: bool, share: float = 1.0) -> Any:
 
 
 SPACE: dict[str, Any] = {
-    "m2": 40.0, "hx": 20.0, "hy": 4.0, "I2": 18.0, "l1": 1.2, "I1": 10.2, "m1": 20.0, "c1": 0.6,
-    "base_mass": 500.0, "base_inertia": 120.0, "base_x": 0.6, "base_y": 0.2,
-}  # fmt: skip
+    "m2": 40.0,
+    "hx": 20.0,
+    "hy": 4.0,
+    "I2": 18.0,
+    "l1": 1.2,
+    "I1": 10.2,
+    "m1": 20.0,
+    "c1": 0.6,
+    "base_mass": 500.0,
+    "base_inertia": 120.0,
+    "base_x": 0.6,
+    "base_y": 0.2,
+}
 
 
 def torque(model: Rigid, q, qd, qdd) -> np.ndarray:
@@ -232,9 +249,19 @@ def test_the_base_turns_as_the_full_system_does_and_is_an_effect():
 def test_the_servo_against_scipy():
     """Saturated duty, back-EMF, current limit, a release; viscous friction, no dry friction (that is the step's own test)."""
     p = {
-        "torque_constant": 0.11, "back_emf": 0.05, "armature": 0.0018, "q_offset": 0.03, "gain_scale": 6e-4, "kp": 400.0,
-        "supply_voltage": 7.4, "mass": 0.49, "length": 0.1, "gravity": 9.81, "current_limit": 6.0, "viscous": 0.004,
-    }  # fmt: skip
+        "torque_constant": 0.11,
+        "back_emf": 0.05,
+        "armature": 0.0018,
+        "q_offset": 0.03,
+        "gain_scale": 6e-4,
+        "kp": 400.0,
+        "supply_voltage": 7.4,
+        "mass": 0.49,
+        "length": 0.1,
+        "gravity": 9.81,
+        "current_limit": 6.0,
+        "viscous": 0.004,
+    }
     t = np.arange(801) * 5e-3
     goal = 1.2 * np.sin(2 * pi * 0.6 * t) + 0.6 * (t > 1.5)
     enable = np.where((t > 2.5) & (t < 3.0), 0.0, 1.0)

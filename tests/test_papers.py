@@ -94,10 +94,16 @@ def test_refusals(tmp_path, capsys):
 def sample() -> Reproduction:
     draw = lambda figure: figure.add_subplot().plot([0, 1], [1, 2])
     part = Part(
-        "A <b>part</b>", ("One sentence.",), (Table("T", ("a", "b"), (("x", 1.23456), ("y", None)), "a note"),),
+        "A <b>part</b>",
+        ("One sentence.",),
+        (Table("T", ("a", "b"), (("x", 1.23456), ("y", None)), "a note"),),
         (Picture("p", "drawn", (4, 2), draw),),
-        (judged("it is so", "4", "5", True), judged("and so", "", "no", False), Claim("who knows", "", "", UNKNOWN, "lost")),
-    )  # fmt: skip
+        (
+            judged("it is so", "4", "5", True),
+            judged("and so", "", "no", False),
+            Claim("who knows", "", "", UNKNOWN, "lost"),
+        ),
+    )
     return Reproduction("002", "A title", "10.1/x", "About.", "small", (part,), 1.5)
 
 
@@ -299,9 +305,11 @@ def test_the_commanded_motion_takes_the_place_of_the_measured():
     t = np.arange(50) * 0.01
     q = {f"q{j + 1}": np.sin(t + j) for j in range(2)}
     own = jaxid.Dataset.from_arrays(
-        t, {f"tau{j + 1}": np.cos(t * (j + 1)) for j in range(2)}, {k: v + 1e-3 for k, v in q.items()},
+        t,
+        {f"tau{j + 1}": np.cos(t * (j + 1)) for j in range(2)},
+        {k: v + 1e-3 for k, v in q.items()},
         auxiliary={f"{k}_cmd": v for k, v in q.items()},
-    )  # fmt: skip
+    )
     found = commanded(own)
     np.testing.assert_array_equal(found.experiments[0].y, np.stack(list(q.values()), 1))
     assert "commanded" in found.notes[-1]

@@ -419,9 +419,13 @@ def test_no_command_listens_beyond_loopback(home, tmp_path):
         ["reproduce", *WORDS["reproduce"]],
     ]
     process = subprocess.Popen(
-        [sys.executable, "-c", IN_ONE_PROCESS, json.dumps(words)], cwd=home, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True, env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[1])},
-    )  # fmt: skip
+        [sys.executable, "-c", IN_ONE_PROCESS, json.dumps(words)],
+        cwd=home,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[1])},
+    )
     seen, said = set(), []
 
     def read() -> None:

@@ -51,8 +51,12 @@ def recorded(form: str, seed: int, mean_of: int = 1, role: str = "auxiliary") ->
         q, v = (np.repeat(x[::4], 4)[:COUNT] for x in (q, v))
     outputs, auxiliary = ({"q": q}, {"qd": v}) if role == "auxiliary" else ({"q": q, "qd": v}, {})
     return Dataset.from_arrays(
-        t, {"tau": np.sin(t)}, outputs, auxiliary=auxiliary, units={"tau": "N m", "q": "rad", "qd": "rad/s"}
-    )  # fmt: skip
+        t,
+        {"tau": np.sin(t)},
+        outputs,
+        auxiliary=auxiliary,
+        units={"tau": "N m", "q": "rad", "qd": "rad/s"},
+    )
 
 
 @pytest.mark.parametrize("role", ["auxiliary", "output"])
@@ -99,8 +103,12 @@ def two_encoders(between: str, seed: int, form: str = "plain") -> Dataset:
     count = 0.01 if between == "both coarse" else 1e-6
     noisy = [np.round((x + 1e-4 * rng.standard_normal(COUNT)) / count) * count for x in (load, q)]
     return Dataset.from_arrays(
-        t, {"tau": tau}, {"q": noisy[0]}, auxiliary={"q_motor": noisy[1]}, units={"tau": "N m", "q": "rad", "q_motor": "rad"}
-    )  # fmt: skip
+        t,
+        {"tau": tau},
+        {"q": noisy[0]},
+        auxiliary={"q_motor": noisy[1]},
+        units={"tau": "N m", "q": "rad", "q_motor": "rad"},
+    )
 
 
 @pytest.mark.parametrize("form", ["plain", "uneven", "jitter"])

@@ -87,9 +87,13 @@ def test_the_recipes_for_a_model_and_an_effect_fit():
         q.append(x[0])
         x = (step @ np.append(x, force))[:2]
     data = jaxid.Dataset.from_arrays(
-        t, {"force": u}, {"position": np.array(q) + 1e-5 * rng.standard_normal(600)},
-        units={"force": "N", "position": "m"}, at_rest=True, noise_std={"position": 1e-5},
-    )  # fmt: skip
+        t,
+        {"force": u},
+        {"position": np.array(q) + 1e-5 * rng.standard_normal(600)},
+        units={"force": "N", "position": "m"},
+        at_rest=True,
+        noise_std={"position": 1e-5},
+    )
     fit = jaxid.fit(made["SpringCart"](), data, without=["coulomb_friction"])
     for name, truth in {"mass": 2.0, "stiffness": 40.0, "viscous": 1.5}.items():
         found = fit.parameters[name]

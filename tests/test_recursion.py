@@ -42,9 +42,13 @@ def joint() -> Dataset:
     qdd = -sum(a * w * w * np.sin(w * t + p) for a, w, p in waves)
     tau = np.where(t < CHANGE, 0.08, 0.05) * qdd + 0.3 * qd + 2e-3 * rng.standard_normal(t.size)
     return Dataset.from_arrays(
-        t, {"tau": tau}, {"q": q + 1e-5 * rng.standard_normal(t.size)}, noise_std={"q": 1e-5}, split="fit",
+        t,
+        {"tau": tau},
+        {"q": q + 1e-5 * rng.standard_normal(t.size)},
+        noise_std={"q": 1e-5},
+        split="fit",
         model=ModelSpec("joint", without=("coulomb_friction", "constant_torque")),
-    )  # fmt: skip
+    )
 
 
 def along(data: Dataset, **settings) -> jaxid.Fit:

@@ -81,9 +81,14 @@ def registers(**settings) -> jaxid.Dataset:
     load = without_sign(500 * drive, "sign_bit", 10)
     register = without_sign(650 * speed, "sign_bit", 15)
     return jaxid.Dataset.from_arrays(
-        t, inputs={"tau": load}, outputs={"q": position}, auxiliary={"qd": register},
-        units={"tau": "N m", "q": "rad", "qd": "rad/s"}, scale={"tau": 0.002, "qd": 1 / 650}, **settings,
-    )  # fmt: skip
+        t,
+        inputs={"tau": load},
+        outputs={"q": position},
+        auxiliary={"qd": register},
+        units={"tau": "N m", "q": "rad", "qd": "rad/s"},
+        scale={"tau": 0.002, "qd": 1 / 650},
+        **settings,
+    )
 
 
 def test_check_takes_registers_with_their_sign_and_says_the_line():

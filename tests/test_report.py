@@ -276,9 +276,14 @@ def sample_dataset():
     t = np.arange(200) / 100
     bad = "<script>alert(1)</script>"
     return jaxid.Dataset.from_arrays(
-        [t, t], {"tau": [np.sin(t), np.cos(t)]}, {"q": [rng.standard_normal(200), rng.standard_normal(200)]},
-        name="arm", description=bad, noise_std={"q": 1e-3}, check_model=False,
-    )  # fmt: skip
+        [t, t],
+        {"tau": [np.sin(t), np.cos(t)]},
+        {"q": [rng.standard_normal(200), rng.standard_normal(200)]},
+        name="arm",
+        description=bad,
+        noise_std={"q": 1e-3},
+        check_model=False,
+    )
 
 
 def test_datasets_and_fits_show_themselves_short_and_escaped():

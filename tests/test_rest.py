@@ -112,8 +112,12 @@ def test_where_a_joint_stands_within_a_step_of_its_encoder_is_told_by_the_steps_
     clean = coast_down(0, noise=1e-12).experiments[0]
     tau, q = (np.concatenate([np.zeros(stands), x[:, 0]]) for x in (clean.u, clean.y))
     data = jaxid.Dataset.from_arrays(
-        0.01 * np.arange(len(q)), {"tau": tau}, {"q": step * np.round(q / step + 0.45)}, resolution={"q": step}, at_rest=True,
-    )  # fmt: skip
+        0.01 * np.arange(len(q)),
+        {"tau": tau},
+        {"q": step * np.round(q / step + 0.45)},
+        resolution={"q": step},
+        at_rest=True,
+    )
     with float64():
         b = bind("joint", data, without=("constant_torque",))
         theta = np.array([TRUE[name] for name in b.layout.names])

@@ -244,9 +244,13 @@ def test_signals_are_alike(data, tmp_path, name, deaf):
             signal.signal(ended, signal.SIG_DFL)
 
     process = subprocess.Popen(
-        [sys.executable, "-c", code, str(data), str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env=environment, preexec_fn=heard,
-    )  # fmt: skip
+        [sys.executable, "-c", code, str(data), str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        preexec_fn=heard,
+    )
     assert process.stdout is not None and process.stdout.readline() == "working\n"
     process.send_signal(getattr(signal, name))
     _, told = process.communicate()  # who sleeps on ends with another code
@@ -287,10 +291,12 @@ def test_compiled_work_ends_in_time(data, tmp_path):
     here = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
     process = subprocess.Popen(
         [sys.executable, "-c", COMPILED, "diagnose", str(data), "--out", str(tmp_path)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(here)},
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )  # fmt: skip
+    )
     assert process.stdout is not None and process.stdout.readline() == "working\n"
     time.sleep(1.0)  # by now it computes
     began = time.monotonic()

@@ -50,10 +50,15 @@ def wave(k):
 
 def recording(controller=None, auxiliary=None, units=None, **more: Any) -> Dataset:
     return Dataset.from_arrays(
-        T, {f"{j}_cmd": wave(k) for k, j in enumerate(JOINTS)}, {j: wave(k + 0.4) for k, j in enumerate(JOINTS)},
-        auxiliary=auxiliary, units={n: "rad" for j in JOINTS for n in (j, f"{j}_cmd")} | (units or {}),
-        controller=controller, check_model=False, **more,
-    )  # fmt: skip
+        T,
+        {f"{j}_cmd": wave(k) for k, j in enumerate(JOINTS)},
+        {j: wave(k + 0.4) for k, j in enumerate(JOINTS)},
+        auxiliary=auxiliary,
+        units={n: "rad" for j in JOINTS for n in (j, f"{j}_cmd")} | (units or {}),
+        controller=controller,
+        check_model=False,
+        **more,
+    )
 
 
 def pd(kind="pd", **more):
@@ -211,8 +216,10 @@ def ride(t):
 def test_a_base_that_turns_loads_the_joints_as_in_mujoco():
     """Against inverse dynamics of MuJoCo, where three more hinges turn the base."""
     inner = ARM.split("<worldbody>")[1].split("</worldbody>")[0]
-    hinges = [f'<joint name="{n}" axis="{a}" damping="0" armature="0"/>' for n, a in
-              (("yaw", "0 0 1"), ("pitch", "0 1 0"), ("roll", "1 0 0"))]  # fmt: skip
+    hinges = [
+        f'<joint name="{n}" axis="{a}" damping="0" armature="0"/>'
+        for n, a in (("yaw", "0 0 1"), ("pitch", "0 1 0"), ("roll", "1 0 0"))
+    ]
     tiny = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-8 1e-8 1e-8"/>'
     model = mujoco.MjModel.from_xml_string(
         ARM.replace(inner, f'<body name="trunk">{"".join(hinges)}{tiny}{inner}</body>')
@@ -280,10 +287,18 @@ def test_speeds_of_joints_are_outputs():
     e = data.experiments[0]
     speeds = {f"{j}_qd": np.gradient(e.y[:, k], T) for k, j in enumerate(JOINTS)}
     both = Dataset.from_arrays(
-        T, {f"{j}_cmd": wave(k) for k, j in enumerate(JOINTS)}, {"lift": wave(0.4), **speeds},
-        units={"lift": "rad", "lift_cmd": "rad", "turn_cmd": "rad", **dict.fromkeys(speeds, "rad/s")}, controller=pd(),
+        T,
+        {f"{j}_cmd": wave(k) for k, j in enumerate(JOINTS)},
+        {"lift": wave(0.4), **speeds},
+        units={
+            "lift": "rad",
+            "lift_cmd": "rad",
+            "turn_cmd": "rad",
+            **dict.fromkeys(speeds, "rad/s"),
+        },
+        controller=pd(),
         check_model=False,
-    )  # fmt: skip
+    )
     signature = chain_of(both).signature
     assert [n for n, _ in signature.outputs] == [
         "lift",
@@ -437,9 +452,13 @@ def test_fingers_that_nobody_recorded_are_held_whatever_ties_them():
 
 def test_units_of_channels_are_checked():
     metres = Dataset.from_arrays(
-        T, {f"{j}_cmd": wave(k) for k, j in enumerate(JOINTS)}, {j: wave(k) for k, j in enumerate(JOINTS)},
-        units={"lift": "m", "turn": "rad", "lift_cmd": "rad", "turn_cmd": "rad"}, controller=pd(), check_model=False,
-    )  # fmt: skip
+        T,
+        {f"{j}_cmd": wave(k) for k, j in enumerate(JOINTS)},
+        {j: wave(k) for k, j in enumerate(JOINTS)},
+        units={"lift": "m", "turn": "rad", "lift_cmd": "rad", "turn_cmd": "rad"},
+        controller=pd(),
+        check_model=False,
+    )
     with pytest.raises(UsageError, match="'lift' is in m; robot.xml has it in rad"):
         chain_of(metres)
 
@@ -454,9 +473,13 @@ def test_names_are_matched_as_drivers_write_them_and_a_gripper_is_left_out():
     def mapped(**joints):
         names = [f"q{k + 1}" for k in range(len(joints))]
         return Dataset.from_arrays(
-            T, {f"{n}_cmd": wave(k) for k, n in enumerate(names)}, {n: wave(k + 0.3) for k, n in enumerate(names)},
-            controller=pd(), check_model=False, model=ModelSpec(joints=dict(zip(names, joints.values(), strict=True))),
-        )  # fmt: skip
+            T,
+            {f"{n}_cmd": wave(k) for k, n in enumerate(names)},
+            {n: wave(k + 0.3) for k, n in enumerate(names)},
+            controller=pd(),
+            check_model=False,
+            model=ModelSpec(joints=dict(zip(names, joints.values(), strict=True))),
+        )
 
     robot = Robot.from_mjcf("robot.xml", text=ARM)
     _, data = prepared(robot, mapped(a="gripper", b="arm/Turn_joint", c="lift.pos"))
@@ -538,8 +561,14 @@ def test_a_joint_that_is_too_light_for_its_law_follows_its_goal(armature):
     text = f"""<mujoco><worldbody><body name="l"><joint name="turn" axis="0 0 1" damping="0.4" armature="{armature}"/>
 <inertial pos="0 0 0.05" mass="0.1" diaginertia="2e-7 2e-7 2e-7"/></body></worldbody></mujoco>"""
     goal = np.where(T < 1.0, 0.0, 0.2)
-    data = Dataset.from_arrays(T, {"turn_cmd": goal}, {"turn": goal}, units={"turn": "rad", "turn_cmd": "rad"},
-                               controller=pd(kd=0.0), check_model=False)  # fmt: skip
+    data = Dataset.from_arrays(
+        T,
+        {"turn_cmd": goal},
+        {"turn": goal},
+        units={"turn": "rad", "turn_cmd": "rad"},
+        controller=pd(kd=0.0),
+        check_model=False,
+    )
     b = bind(*prepared(Robot.from_mjcf("robot.xml", text=text), data))
     p = Bench(b, 0.01).problem(OutputError(), "fit", [], b.theta)
     (q,) = p.predictions(p.z(b.theta))

@@ -90,9 +90,11 @@ def test_base_moves_as_prescribed_by_its_pose():
     q, qd, qdd = states(R, STATES)
     angles = 0.3, -0.7, 1.1
     w = _quaternion(*angles)
-    text = tilted().replace("<worldbody>", f'<worldbody><body quat="{" ".join(map(repr, w))}">').replace(
-        "</worldbody>", "</body></worldbody>"
-    )  # fmt: skip
+    text = (
+        tilted()
+        .replace("<worldbody>", f'<worldbody><body quat="{" ".join(map(repr, w))}">')
+        .replace("</worldbody>", "</body></worldbody>")
+    )
     turned = with_fields(
         R,
         {f"base_{k}": np.float64(a) for k, a in zip(("roll", "pitch", "yaw"), angles, strict=True)},

@@ -64,10 +64,15 @@ def log(text: str, folder: Path, seconds: float = 10.0, noise: float = 2e-4) -> 
             mujoco.mj_step(m, d, step)
         runs.append((goal * np.minimum(1, t)[:, None], np.array(q)))
     data = jaxid.Dataset.from_arrays(
-        [t] * 3, {f"{j}_cmd": [u[:, k] for u, _ in runs] for k, j in enumerate(joints)},
-        {j: [q[:, k] for _, q in runs] for k, j in enumerate(joints)}, units={n: "rad" for j in joints for n in (j, f"{j}_cmd")},
-        split=["fit", "validation", "report"], at_rest=True, noise_std=dict.fromkeys(joints, noise), check_model=False,
-    )  # fmt: skip
+        [t] * 3,
+        {f"{j}_cmd": [u[:, k] for u, _ in runs] for k, j in enumerate(joints)},
+        {j: [q[:, k] for _, q in runs] for k, j in enumerate(joints)},
+        units={n: "rad" for j in joints for n in (j, f"{j}_cmd")},
+        split=["fit", "validation", "report"],
+        at_rest=True,
+        noise_std=dict.fromkeys(joints, noise),
+        check_model=False,
+    )
     jaxid.save_dataset(data, folder / "log")
     return folder / "log"
 
@@ -162,9 +167,12 @@ def test_no_file_is_judged_by_a_run_that_is_not_its_own(apart, left, strange):
     outputs = [("lift", "rad"), ("bend", "rad")]
     chain = SimpleNamespace(signature=SimpleNamespace(outputs=outputs), mechanism=None)
     binding = SimpleNamespace(
-        sigma=np.full(2, 2e-4), noise={n: SimpleNamespace(unit=u) for n, u in outputs}, chain=chain, dataset=None,
+        sigma=np.full(2, 2e-4),
+        noise={n: SimpleNamespace(unit=u) for n, u in outputs},
+        chain=chain,
+        dataset=None,
         experiments=lambda split: [SimpleNamespace(t=np.zeros(1000))],
-    )  # fmt: skip
+    )
     told = not_this_file(cast(Any, binding), Between([], np.array(left)), np.array(apart))
     assert bool(told) == strange
 
@@ -248,7 +256,8 @@ def test_a_doubt_counts_beside_what_noise_leaves():
 def test_an_outcome_of_a_model_that_is_no_robot_is_kept_as_well():
     found = result({"damping@lift": (1.0, 1.001, 0.05)})
     plain = dataclasses.replace(
-        found, parameters={"inertia": found.parameters["damping@lift"]},
+        found,
+        parameters={"inertia": found.parameters["damping@lift"]},
         content={"stated": [{"joint": "q", "link": "", "parameter": "inertia", "stated": 1.0}]},
-    )  # fmt: skip
+    )
     assert left(plain) == {"inertia"}

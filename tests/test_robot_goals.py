@@ -67,10 +67,15 @@ def robot(*limbs: str) -> Robot:
 def recording(model: Robot, goal: np.ndarray, q: np.ndarray, dt: float) -> jaxid.Dataset:
     t, joints = dt * np.arange(len(goal)), model.signatures[0].joints
     return jaxid.Dataset.from_arrays(
-        t, {f"{j}_cmd": goal[:, k] for k, j in enumerate(joints)}, {j: q[:, k] for k, j in enumerate(joints)},
-        units={n: "rad" for j in joints for n in (j, f"{j}_cmd")}, check_model=False,
-        controller=Controller("pd", {"kp": 20.0, "kd": 0.5, "sample_time": 0, "velocity": "measured"}),
-    )  # fmt: skip
+        t,
+        {f"{j}_cmd": goal[:, k] for k, j in enumerate(joints)},
+        {j: q[:, k] for k, j in enumerate(joints)},
+        units={n: "rad" for j in joints for n in (j, f"{j}_cmd")},
+        check_model=False,
+        controller=Controller(
+            "pd", {"kp": 20.0, "kd": 0.5, "sample_time": 0, "velocity": "measured"}
+        ),
+    )
 
 
 def stopped(seconds: float = 12.0, dt: float = 0.01) -> np.ndarray:
@@ -178,9 +183,13 @@ def test_a_descent_ends_where_runs_diverge(everywhere, monkeypatch):
     start, whole = more.z(b.theta), secant.residuals
     lost = lambda z: everywhere or z[k] != start[k]
     monkeypatch.setattr(
-        secant, "residuals",
-        lambda p, points: [np.full_like(r, np.nan) if lost(z) else r for z, r in zip(points, whole(p, points), strict=True)],
-    )  # fmt: skip
+        secant,
+        "residuals",
+        lambda p, points: [
+            np.full_like(r, np.nan) if lost(z) else r
+            for z, r in zip(points, whole(p, points), strict=True)
+        ],
+    )
     path, _, _ = descend_on_secants(more, [start], known, 8, 1e-4)
     assert path.z[k] == start[k]
     assert (path.stopped == "the start diverges") == everywhere
@@ -241,8 +250,16 @@ def test_a_free_run_is_linearised_once_at_the_same_numbers(monkeypatch):
 
 def test_what_is_told_of_a_law_says_what_dry_friction_passes_for():
     names = ("kp@a", "delay@a", "frictionloss@a", "kp@b")
-    told = {n: Estimate(v, s, u, 0, 9) for n, v, s, u in zip(names, (13.8, 0.01, 0.4, 2.0), (4.8, 0.002, 0.1, None),
-                                                           ("N m/rad", "s", "N m", "N m/rad"), strict=True)}  # fmt: skip
+    told = {
+        n: Estimate(v, s, u, 0, 9)
+        for n, v, s, u in zip(
+            names,
+            (13.8, 0.01, 0.4, 2.0),
+            (4.8, 0.002, 0.1, None),
+            ("N m/rad", "s", "N m", "N m/rad"),
+            strict=True,
+        )
+    }
     std = np.diag([4.8, 0.002, 0.1])
     M = std @ np.array([[1, 0.2, 0.99], [0.2, 1, -0.3], [0.99, -0.3, 1]]) @ std
     fit: Any = SimpleNamespace(

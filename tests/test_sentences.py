@@ -452,9 +452,13 @@ def test_the_state_of_a_fit_is_said(state, loss, relative):
     fit = sample_fit(samples=50)
     score = replace(fit.scores["fit"]["q"], nrmse=relative, relative_error=relative)
     fit = replace(
-        fit, converged=state == "converged", failed=state == "failed", stalled=state == "stalled", loss=loss,
+        fit,
+        converged=state == "converged",
+        failed=state == "failed",
+        stalled=state == "stalled",
+        loss=loss,
         scores={"fit": {"q": score}},
-    )  # fmt: skip
+    )
     content = json.loads(json.dumps(finite(fit.to_dict()), allow_nan=False))
     assert content["state"] == state and content["converged"] == (state == "converged")
     words = text.fit_text(fit)

@@ -256,8 +256,9 @@ def test_tilted_base_and_payload():
 
     arm = eqx.tree_at(
         lambda m: (m.base_roll, m.base_pitch, m.payload, m.payload_x, m.payload_y, m.payload_z),
-        UR10(), tuple(np.float64(x) for x in (0.7, -1.1, 3.5, 0.02, -0.05, 0.08)),
-    )  # fmt: skip
+        UR10(),
+        tuple(np.float64(x) for x in (0.7, -1.1, 3.5, 0.02, -0.05, 0.08)),
+    )
     table = table_of(UR10())
     model = twin(table)
     model.appendBodyToJoint(

@@ -75,9 +75,12 @@ def test_as_little_is_left_as_by_least_squares(how, late):
     )[0]
     runs = [*fit, *held]
     data = jaxid.Dataset.from_arrays(
-        [r[0] for r in runs], {"tau": [r[1] for r in runs]}, {"q": [r[2] for r in runs]}, units={"tau": "N m", "q": "rad"},
+        [r[0] for r in runs],
+        {"tau": [r[1] for r in runs]},
+        {"q": [r[2] for r in runs]},
+        units={"tau": "N m", "q": "rad"},
         split=["fit", "fit", "validation", "report"],
-    )  # fmt: skip
+    )
     by = {"residual": "inverse_dynamics", "cutoff_hz": CUTOFF, "as_recorded": True}
     model = jaxid.models.Pendulum()
     if how == "fit":
@@ -137,9 +140,12 @@ def test_rows_at_standstill_are_known_to_within_dry_friction():
             (t[pick], u[pick] + 1e-3 * rng.standard_normal(t[pick].size), np.array(kept)[pick])
         )
     data = jaxid.Dataset.from_arrays(
-        [r[0] for r in runs], {"tau": [r[1] for r in runs]}, {"q": [r[2] + 1e-5 * rng.standard_normal(r[2].size) for r in runs]},
-        units={"tau": "N m", "q": "rad"}, split=["fit", "validation", "report"],
-    )  # fmt: skip
+        [r[0] for r in runs],
+        {"tau": [r[1] for r in runs]},
+        {"q": [r[2] + 1e-5 * rng.standard_normal(r[2].size) for r in runs]},
+        units={"tau": "N m", "q": "rad"},
+        split=["fit", "validation", "report"],
+    )
     d = jaxid.diagnose("joint", data, residual="inverse_dynamics", as_recorded=True)
     own = d.nominal.parameters
     for name, true in {"inertia": inertia, "viscous": viscous, "coulomb": level}.items():

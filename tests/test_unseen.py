@@ -46,9 +46,15 @@ def recording(
     )
     q = swung(u, mgl, spring, more) + NOISE * np.random.default_rng(7).standard_normal(u.shape)
     return jaxid.Dataset.from_arrays(
-        [T] * 4, {"tau": list(u)}, {"q": list(q)}, units={"tau": "N m", "q": "rad"}, split=SPLITS, at_rest=True,
-        noise_std={"q": NOISE}, model="pendulum",
-    )  # fmt: skip
+        [T] * 4,
+        {"tau": list(u)},
+        {"q": list(q)},
+        units={"tau": "N m", "q": "rad"},
+        split=SPLITS,
+        at_rest=True,
+        noise_std={"q": NOISE},
+        model="pendulum",
+    )
 
 
 def diagnosed(data: jaxid.Dataset, *effects: str) -> jaxid.Diagnosis:

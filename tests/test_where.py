@@ -118,8 +118,13 @@ def test_what_repeats_differ_by_is_a_motion_and_no_noise_of_a_reading():
             q += 0.01 * qd
         runs.append(np.array(y) + 1e-4 * rng.standard_normal(len(t)))
     data = jaxid.Dataset.from_arrays(
-        [t, t], {"tau": [u, u]}, {"q": runs}, split=["fit", "validation"], at_rest=True, model="joint",
-    )  # fmt: skip
+        [t, t],
+        {"tau": [u, u]},
+        {"q": runs},
+        split=["fit", "validation"],
+        at_rest=True,
+        model="joint",
+    )
     binding = bind(None, data, without=["coulomb_friction", "constant_torque"])
     assert (
         binding.noise["q"].source == "repeatability"
@@ -143,8 +148,14 @@ def test_a_joint_that_its_friction_may_hold_lacks_nothing():
     rng, t = np.random.default_rng(0), np.arange(600) / 100
     u = 0.05 * np.sin(t)
     data = jaxid.Dataset.from_arrays(
-        t, {"tau": u}, {"q": 1e-4 * rng.standard_normal(len(t))}, split="fit", at_rest=True, noise_std={"q": 1e-4}, model="joint",
-    )  # fmt: skip
+        t,
+        {"tau": u},
+        {"q": 1e-4 * rng.standard_normal(len(t))},
+        split="fit",
+        at_rest=True,
+        noise_std={"q": 1e-4},
+        model="joint",
+    )
     binding = bind(None, data, splits=False)
     bench = Bench(binding, differences=1)
     for friction, most in ((0.06, 0.0), (0.03, 0.02)):
@@ -187,9 +198,14 @@ def test_a_right_model_shows_what_noise_shows():
     numbers = {k: np.array(x)[None] for k, x in plant.nominal.items()}
     y = twins.recorded(plant, u, numbers, np.random.default_rng(0))[0]
     data = jaxid.Dataset.from_arrays(
-        [t], {"tau_theta": [u[0, :, 0]], "tau_alpha": [u[0, :, 1]]}, {"theta": [y[:, 0]], "alpha": [y[:, 1]]}, split=["fit"],
-        at_rest=True, noise_std={"theta": plant.noise, "alpha": plant.noise}, model="tracker",
-    )  # fmt: skip
+        [t],
+        {"tau_theta": [u[0, :, 0]], "tau_alpha": [u[0, :, 1]]},
+        {"theta": [y[:, 0]], "alpha": [y[:, 1]]},
+        split=["fit"],
+        at_rest=True,
+        noise_std={"theta": plant.noise, "alpha": plant.noise},
+        model="tracker",
+    )
     binding = bind(None, data)
     theta = binding.theta.copy()
     for name, key in (("J", "J"), ("b", "viscous")):

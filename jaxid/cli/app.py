@@ -132,9 +132,11 @@ AS_RECORDED = click.option(
     help="Fit along the data, the last N blocks at a time.",
 )
 @click.option(
-    "--forgetting", type=click.FloatRange(0, 1, min_open=True), metavar="LAMBDA",
+    "--forgetting",
+    type=click.FloatRange(0, 1, min_open=True),
+    metavar="LAMBDA",
     help="Fit along the data block by block, what is known counting LAMBDA times as much each time; 1 forgets nothing.",
-)  # fmt: skip
+)
 @click.option(
     "--block",
     "block_s",
@@ -146,9 +148,25 @@ AS_RECORDED = click.option(
 @AS_RECORDED
 @output_options
 def fit(
-    dataset, out, model, fitter, effects, without, residual, cutoff, loss, seed, budget, window, forgetting, block_s, solver,
-    as_recorded, as_json, quiet,
-) -> int:  # fmt: skip
+    dataset,
+    out,
+    model,
+    fitter,
+    effects,
+    without,
+    residual,
+    cutoff,
+    loss,
+    seed,
+    budget,
+    window,
+    forgetting,
+    block_s,
+    solver,
+    as_recorded,
+    as_json,
+    quiet,
+) -> int:
     """Fit a model to a dataset.
 
     With --window or --forgetting along the data, at the same cost for every block. Writes fit.json and report.html into DIR.

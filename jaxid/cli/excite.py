@@ -78,9 +78,12 @@ def _numbers(_ctx, param, value: str | None) -> list[float] | None:
     help="Default: condition for arms, else d_optimal.",
 )
 @click.option(
-    "--friction", type=click.Choice(("model", "linear", "power", "stribeck")), default="model", show_default=True,
+    "--friction",
+    type=click.Choice(("model", "linear", "power", "stribeck")),
+    default="model",
+    show_default=True,
     help="Arms: the friction law whose parts are to be told apart.",
-)  # fmt: skip
+)
 @click.option(
     "--starts",
     type=click.IntRange(1, 1000),
@@ -131,9 +134,26 @@ def _numbers(_ctx, param, value: str | None) -> list[float] | None:
 @SEED
 @output_options
 def excite(
-    model, out, harmonics, base_frequency, duration, rate, limits, criterion, friction, starts, iterations, floor, radius,
-    amplitude, gain, parameters, seed, as_json, quiet,
-) -> int:  # fmt: skip
+    model,
+    out,
+    harmonics,
+    base_frequency,
+    duration,
+    rate,
+    limits,
+    criterion,
+    friction,
+    starts,
+    iterations,
+    floor,
+    radius,
+    amplitude,
+    gain,
+    parameters,
+    seed,
+    as_json,
+    quiet,
+) -> int:
     """Design an experiment: the motion or the input that shows most of a model.
 
     Arms get a periodic motion within their limits, at rest at both ends; all other models an input. Writes a dataset folder for
@@ -152,10 +172,24 @@ def excite(
     own = None if limits is None else Limits.read(limits)
     with terminal.Progress(quiet) as progress:
         made = excite(
-            model, harmonics=harmonics, base_frequency_hz=base_frequency, duration_s=duration, rate_hz=rate, limits=own,
-            criterion=criterion, friction=friction, starts=starts, iterations=iterations, seed=seed, floor=floor, radius=radius,
-            amplitude=amplitude, gain=gain, parameters=known, progress=progress.callback,
-        )  # fmt: skip
+            model,
+            harmonics=harmonics,
+            base_frequency_hz=base_frequency,
+            duration_s=duration,
+            rate_hz=rate,
+            limits=own,
+            criterion=criterion,
+            friction=friction,
+            starts=starts,
+            iterations=iterations,
+            seed=seed,
+            floor=floor,
+            radius=radius,
+            amplitude=amplitude,
+            gain=gain,
+            parameters=known,
+            progress=progress.callback,
+        )
     unsaved = None
     try:
         made.save(out)

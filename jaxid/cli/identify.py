@@ -21,15 +21,24 @@ if TYPE_CHECKING:
 @OUT
 @MODEL
 @click.option(
-    "--method", type=click.Choice(("ls", "wls", "iv", "rls", "tls", "constrained", "paper001", "algorithm1", "algorithm2")),
-    default="wls", show_default=True, metavar="M",
+    "--method",
+    type=click.Choice(
+        ("ls", "wls", "iv", "rls", "tls", "constrained", "paper001", "algorithm1", "algorithm2")
+    ),
+    default="wls",
+    show_default=True,
+    metavar="M",
     help="ls, wls, iv, rls (recursive), tls, constrained (bodies that can exist, friction that brakes); with --reference "
     "paper001, algorithm1, algorithm2: the payload as in paper 001.",
-)  # fmt: skip
+)
 @click.option(
-    "--friction", type=click.Choice(("auto", "linear", "power", "stribeck")), default="auto", show_default=True, metavar="LAW",
+    "--friction",
+    type=click.Choice(("auto", "linear", "power", "stribeck")),
+    default="auto",
+    show_default=True,
+    metavar="LAW",
     help="linear, power, stribeck, or auto: the simplest that no richer law beats on every held-out run.",
-)  # fmt: skip
+)
 @click.option(
     "--cutoff",
     type=click.FloatRange(0.01),
@@ -45,18 +54,26 @@ if TYPE_CHECKING:
     help="Low-pass of positions; default: twice --cutoff.",
 )
 @click.option(
-    "--reference", type=click.Path(path_type=Path), metavar="UNLOADED/identification.json",
+    "--reference",
+    type=click.Path(path_type=Path),
+    metavar="UNLOADED/identification.json",
     help="Identification of the unloaded arm: gives the payload.",
-)  # fmt: skip
+)
 @click.option(
-    "--gain-std", type=click.FloatRange(0, 1), metavar="S",
+    "--gain-std",
+    type=click.FloatRange(0, 1),
+    metavar="S",
     help="Relative standard deviation of the drive gains, for the payload's interval; default: 0.05 where torques are made of "
     "currents, else 0.",
-)  # fmt: skip
+)
 @click.option(
-    "--motion", type=click.Choice(("measured", "commanded", "fourier")), default="measured", show_default=True, metavar="W",
+    "--motion",
+    type=click.Choice(("measured", "commanded", "fourier")),
+    default="measured",
+    show_default=True,
+    metavar="W",
     help="measured, commanded (the channels q1_cmd … in the place of q1 …), or fourier: the measured one by its harmonics.",
-)  # fmt: skip
+)
 @click.option(
     "--root", metavar="LINK", help="First link of the chain in the URDF that --model names."
 )
@@ -94,7 +111,15 @@ def identify(
 
     with Output(out, as_json, quiet) as output:
         result = jaxid.identify(
-            model, data, method=method, friction=friction, cutoff_hz=cutoff, motion_hz=motion_cutoff, reference=reference,
-            gain_std=gain_std, as_recorded=as_recorded, motion=motion,
-        )  # fmt: skip
+            model,
+            data,
+            method=method,
+            friction=friction,
+            cutoff_hz=cutoff,
+            motion_hz=motion_cutoff,
+            reference=reference,
+            gain_std=gain_std,
+            as_recorded=as_recorded,
+            motion=motion,
+        )
         return output.deliver(result, identification_text)

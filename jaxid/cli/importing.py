@@ -44,10 +44,20 @@ def header_row(_ctx, _param, value: str | None) -> int | None:
 @click.argument("files", type=click.Path(path_type=Path), metavar="FILE…", nargs=-1, required=True)
 @OUT
 @click.option("--overwrite", is_flag=True, help="Replace a folder that has other content.")
-@click.option("--channel", "channels", multiple=True, metavar="NAME=COLUMN:UNIT[:ROLE]", 
-              help="Tables: a channel, or t; repeat it. COLUMN: name, number, or pattern, 'q*=positions[*]:rad'.")  # fmt: skip
-@click.option("--join", type=click.Path(path_type=Path), multiple=True, metavar="FILE", 
-              help="Tables: another file whose columns are taken too; repeat it.")  # fmt: skip
+@click.option(
+    "--channel",
+    "channels",
+    multiple=True,
+    metavar="NAME=COLUMN:UNIT[:ROLE]",
+    help="Tables: a channel, or t; repeat it. COLUMN: name, number, or pattern, 'q*=positions[*]:rad'.",
+)
+@click.option(
+    "--join",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    metavar="FILE",
+    help="Tables: another file whose columns are taken too; repeat it.",
+)
 @click.option(
     "--rows",
     callback=interval,

@@ -26,6 +26,11 @@ def _finding(file: str, link: str, fault: str) -> DataFinding:
     )
     # It is so whatever is asked for: nothing can be simulated as the file has it.
     return DataFinding(
-        "impossible_body", link, None, text, decisive=True, applied=True,
+        "impossible_body",
+        link,
+        None,
+        text,
+        decisive=True,
+        applied=True,
         headline=f"link {link!r} of {file} has an inertia that no body has; everything below has the nearest body that can exist",
-    )  # fmt: skip
+    )

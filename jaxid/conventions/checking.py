@@ -94,9 +94,16 @@ def run_check(
                 )
             give_back()
     return Checked(
-        dataset.name, dataset.sha256, tuple(found), data, name, _usable(found, dataset), tuple(notes),
-        time.perf_counter() - began, digest,
-    )  # fmt: skip
+        dataset.name,
+        dataset.sha256,
+        tuple(found),
+        data,
+        name,
+        _usable(found, dataset),
+        tuple(notes),
+        time.perf_counter() - began,
+        digest,
+    )
 
 
 def check_folder(
@@ -174,12 +181,20 @@ def _filtered(dataset: Dataset, channel):
 
 #: Every look at a channel, and at whole runs, in the order in which they are taken.
 LOOKS: tuple[Callable, ...] = (
-    register, samples.wrapped, samples.glitch, samples.repeated_rows, samples.saturated, _filtered,
-)  # fmt: skip
+    register,
+    samples.wrapped,
+    samples.glitch,
+    samples.repeated_rows,
+    samples.saturated,
+    _filtered,
+)
 RUN_LOOKS: tuple[Callable, ...] = (
-    runs.not_at_rest, runs.does_not_move, lambda data, noise: runs.constant_inputs(data),
-    lambda data, noise: late_speeds(data), lambda data, noise: plays(data),
-)  # fmt: skip
+    runs.not_at_rest,
+    runs.does_not_move,
+    lambda data, noise: runs.constant_inputs(data),
+    lambda data, noise: late_speeds(data),
+    lambda data, noise: plays(data),
+)
 
 
 def _bound(model: object, data: Dataset, without: tuple[str, ...]) -> tuple[Binding | None, str]:
@@ -195,11 +210,22 @@ def _beginnings(data: Dataset) -> Dataset:
         return data
     part = slice(0, LONGEST)
     cut = lambda x: None if x is None else x[part]
-    return replace(data, experiments=tuple(
-        replace(e, t=e.t[part], u=e.u[part], y=e.y[part], auxiliary={k: v[part] for k, v in e.auxiliary.items()}, past=None,
-                scatter=cut(e.scatter), left_out=cut(e.left_out))
-        for e in data.experiments
-    ))  # fmt: skip
+    return replace(
+        data,
+        experiments=tuple(
+            replace(
+                e,
+                t=e.t[part],
+                u=e.u[part],
+                y=e.y[part],
+                auxiliary={k: v[part] for k, v in e.auxiliary.items()},
+                past=None,
+                scatter=cut(e.scatter),
+                left_out=cut(e.left_out),
+            )
+            for e in data.experiments
+        ),
+    )
 
 
 def _law_read(

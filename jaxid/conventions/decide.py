@@ -167,8 +167,13 @@ def _claimed(
     mending = mending_of(best.reading, value, {})
     noise = max(fit.noise(left, binding, few), 1e-6)
     alike = tuple(
-        dict.fromkeys((t.reading.kind, c) for t in (near if others else same) for c in t.reading.channels
-                      if (t.reading.kind, c) != (best.reading.kind, best.reading.channels[0])))  # fmt: skip
+        dict.fromkeys(
+            (t.reading.kind, c)
+            for t in (near if others else same)
+            for c in t.reading.channels
+            if (t.reading.kind, c) != (best.reading.kind, best.reading.channels[0])
+        )
+    )
     finding = DataFinding(
         best.reading.kind,
         best.reading.channels[0],

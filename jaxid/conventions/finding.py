@@ -12,10 +12,26 @@ from jaxid.wording import one_line
 
 
 KINDS = (
-    "time_unit", "does_not_move", "not_at_rest", "wrapped", "glitch", "repeated_rows", "saturated", "filtered",
-    "sign", "zero", "scale", "swapped_channels", "row_shift", "clock", "unsigned", "law", "copy", "play",
+    "time_unit",
+    "does_not_move",
+    "not_at_rest",
+    "wrapped",
+    "glitch",
+    "repeated_rows",
+    "saturated",
+    "filtered",
+    "sign",
+    "zero",
+    "scale",
+    "swapped_channels",
+    "row_shift",
+    "clock",
+    "unsigned",
+    "law",
+    "copy",
+    "play",
     "impossible_body",
-)  # fmt: skip
+)
 #: What no run can be used with as it is.
 UNUSABLE = ("time_unit", "does_not_move")
 

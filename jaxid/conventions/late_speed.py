@@ -176,8 +176,13 @@ def _shown(dataset: Dataset, speed: Channel, late: Lateness) -> Shown | None:
     text = f"{whose}, and {first} stands {by} ({rows}) later than {second}, whatever the model: {remedy}"
     line = 'role = "auxiliary"' if channel.role == "output" and late.seconds > 0 else ""
     finding = DataFinding(
-        "filtered", first, abs(late.seconds), text, line,
-        (abs(late.seconds) - 1.96 * late.std, abs(late.seconds) + 1.96 * late.std), decisive=True,
+        "filtered",
+        first,
+        abs(late.seconds),
+        text,
+        line,
+        (abs(late.seconds) - 1.96 * late.std, abs(late.seconds) + 1.96 * late.std),
+        decisive=True,
         headline=f"{first} is {by} late against {second}",
-    )  # fmt: skip
+    )
     return Shown(finding, Mending())

@@ -59,7 +59,14 @@ def law_reading(
         f"is left so, {times(before)} as [controller] is read{beside}."
     )
     return DataFinding(
-        "law", "controller", None, text, f'{KEY} = "{OTHER}"', gap_before=before, gap_if_mended=after, decisive=decisive,
+        "law",
+        "controller",
+        None,
+        text,
+        f'{KEY} = "{OTHER}"',
+        gap_before=before,
+        gap_if_mended=after,
+        decisive=decisive,
         same_as=() if decisive else tuple((DELAY, place) for place in places),
         headline="the law's kd acts on the joint's own rate; everything below takes it so",
-    )  # fmt: skip
+    )

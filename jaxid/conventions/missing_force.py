@@ -103,9 +103,11 @@ class Motion:
             first += len(s.at)
         take = lambda name, kept: getattr(self, name)[kept]
         return replace(
-            self, **{k: take(k, samples) for k in ("q", "qd", "qdd")}, **{k: take(k, rows) for k in PER_ROW},
+            self,
+            **{k: take(k, samples) for k in ("q", "qd", "qdd")},
+            **{k: take(k, rows) for k in PER_ROW},
             sources=tuple(sources),
-        )  # fmt: skip
+        )
 
 
 def measured(binding: Binding, each: int = 1) -> Motion | None:
@@ -129,9 +131,17 @@ def measured(binding: Binding, each: int = 1) -> Motion | None:
     step = float(np.median([p.step for p in parts]))
     sources = tuple(s for p in parts for s in p.sources)
     return replace(
-        parts[0], q=join("q"), qd=qd, qdd=join("qdd"), since=join("since"), weight=weight, held=held, block=join("block"),
-        step=step, sources=sources,
-    )  # fmt: skip
+        parts[0],
+        q=join("q"),
+        qd=qd,
+        qdd=join("qdd"),
+        since=join("since"),
+        weight=weight,
+        held=held,
+        block=join("block"),
+        step=step,
+        sources=sources,
+    )
 
 
 def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motion | None:
@@ -163,10 +173,20 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
     )
     count, at = len(rows), (rows[:, None] + aside).ravel()
     return Motion(
-        q[at], qd[at], qdd[at], t[rows] - t[0], np.ones((count, chain.nq)), np.full(count, e.split != "fit"),
-        number * BLOCKS + np.arange(count) * BLOCKS // count, step, (Source(t, smooth, t[at]),),
-        np.eye(nu), np.zeros(nu), np.zeros(nu), each,
-    )  # fmt: skip
+        q[at],
+        qd[at],
+        qdd[at],
+        t[rows] - t[0],
+        np.ones((count, chain.nq)),
+        np.full(count, e.split != "fit"),
+        number * BLOCKS + np.arange(count) * BLOCKS // count,
+        step,
+        (Source(t, smooth, t[at]),),
+        np.eye(nu),
+        np.zeros(nu),
+        np.zeros(nu),
+        each,
+    )
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,13 @@ def _shown(a: Channel, b: Channel, ends: Ends) -> Shown:
         "under load in it. It does not go with speed, acceleration or drive, as a delay or a soft shaft would."
     )
     finding = DataFinding(
-        "play", b.name, ends.size, text, "", (ends.size - 1.96 * ends.std, ends.size + 1.96 * ends.std), decisive=True,
+        "play",
+        b.name,
+        ends.size,
+        text,
+        "",
+        (ends.size - 1.96 * ends.std, ends.size + 1.96 * ends.std),
+        decisive=True,
         headline=f"there is play of {size} between {a.name} and {b.name}",
-    )  # fmt: skip
+    )
     return Shown(finding, Mending())

@@ -96,11 +96,15 @@ def _crosswise(
         (a, b), (c, d) = (positions, speeds) if told else (speeds, positions)
         doubt = "" if told is not None else f" It could be {c} and {d} as well."
         finding = DataFinding(
-            "swapped_channels", a, 1.0,
+            "swapped_channels",
+            a,
+            1.0,
             f"Each of {a} and {b} goes with the other one of {c} and {d}: {a} and {b} are exchanged.{doubt}",
-            exchange_lines(dataset, a, b), decisive=True, same_as=() if told is not None else (("swapped_channels", c),),
+            exchange_lines(dataset, a, b),
+            decisive=True,
+            same_as=() if told is not None else (("swapped_channels", c),),
             headline=f"{a} and {b} are exchanged; everything below takes each for the other",
-        )  # fmt: skip
+        )
         found.append(Shown(finding, Mending(exchanged=((a, b),))))
         m = turned if told else m
     return found, m
@@ -172,7 +176,13 @@ def _shown(
     text = f"The rate of the position is {ratio:.4g} times the speed that was recorded, for {channel} {has}.{doubt}"
     taken = "negated" if kind == "sign" else f"times {1 / value:.6g}"
     finding = DataFinding(
-        kind, channel, value, text, lines(dataset, channel, forms), decisive=True, same_as=() if sure else ((kind, mate),),
+        kind,
+        channel,
+        value,
+        text,
+        lines(dataset, channel, forms),
+        decisive=True,
+        same_as=() if sure else ((kind, mate),),
         headline=f"{channel} {has}; everything below takes it {taken}",
-    )  # fmt: skip
+    )
     return Shown(finding, Mending({channel: forms}))

@@ -22,14 +22,23 @@ Change = Callable[[Motion], Motion]
 
 #: Factors by which an angle or its rate, and anything else, is off where its unit, or a constant, was forgotten.
 ANGLES = {
-    "degrees read as radians": 180 / pi, "radians read as degrees": pi / 180, "turns read as radians": 1 / (2 * pi),
-    "radians read as turns": 2 * pi, "rad/s read as rpm": pi / 30, "rpm read as rad/s": 30 / pi,
-    **{f"counts of {n} per turn read as radians": n / (2 * pi) for n in (1000, 1024, 2000, 2048, 4000, 4096, 8192, 16384, 65536)},
-}  # fmt: skip
+    "degrees read as radians": 180 / pi,
+    "radians read as degrees": pi / 180,
+    "turns read as radians": 1 / (2 * pi),
+    "radians read as turns": 2 * pi,
+    "rad/s read as rpm": pi / 30,
+    "rpm read as rad/s": 30 / pi,
+    **{
+        f"counts of {n} per turn read as radians": n / (2 * pi)
+        for n in (1000, 1024, 2000, 2048, 4000, 4096, 8192, 16384, 65536)
+    },
+}
 OTHERS = {
-    "thousandths read as the unit": 1000.0, "the unit read as thousandths": 1e-3,
-    "kilogram-force read as newtons": 1 / 9.80665, "newtons read as kilogram-force": 9.80665,
-}  # fmt: skip
+    "thousandths read as the unit": 1000.0,
+    "the unit read as thousandths": 1e-3,
+    "kilogram-force read as newtons": 1 / 9.80665,
+    "newtons read as kilogram-force": 9.80665,
+}
 #: Where a channel's factor is looked for; which one it is, is found from there.
 TURNING = "rad", "rad/s"
 TURNS = 180 / pi, pi / 180, 2 * pi, 1 / (2 * pi), 4096 / (2 * pi), 0.03, 15.0, 30.0, 100.0, 200.0

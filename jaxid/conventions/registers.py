@@ -34,9 +34,14 @@ def register(dataset: Dataset, channel: Channel) -> Shown | None:
         f"nowhere else: it is a register that was read without its sign, {what}."
     )
     finding = DataFinding(
-        "unsigned", name, float(bits), text, lines(dataset, name, forms), decisive=True,
+        "unsigned",
+        name,
+        float(bits),
+        text,
+        lines(dataset, name, forms),
+        decisive=True,
         headline=f"{name} is a register whose sign was not read; everything below takes it with its sign",
-    )  # fmt: skip
+    )
     return Shown(finding, Mending({name: forms}))
 
 

@@ -80,11 +80,16 @@ def not_at_rest(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
     text = f"at_rest = true, but {name} moves at {speed:.3g} {unit}/s when {e.name} begins: remove at_rest, or state the speed."
     yield Shown(
         DataFinding(
-            "not_at_rest", name, float(speed), text, "at_rest = false", decisive=True,
+            "not_at_rest",
+            name,
+            float(speed),
+            text,
+            "at_rest = false",
+            decisive=True,
             headline=f"{e.name} does not begin at rest; everything below estimates how runs begin",
         ),
         Mending(moving=True),
-    )  # fmt: skip
+    )
 
 
 def _first_speed(t: np.ndarray, y: np.ndarray, noise: float) -> tuple[float, float, float]:

@@ -128,9 +128,14 @@ def _wrapped(dataset: Dataset, channel: Channel, period: float, count: int) -> S
     what = "one turn" if forms["unwrap"] is True else f"{period:.6g} {channel.unit}"
     text = f"{channel.name} jumps by {what} between neighbouring samples, {count} time{'s' * (count > 1)}: it is wrapped."
     finding = DataFinding(
-        "wrapped", channel.name, period, text, lines(dataset, channel.name, {"unwrap": period}), decisive=True,
+        "wrapped",
+        channel.name,
+        period,
+        text,
+        lines(dataset, channel.name, {"unwrap": period}),
+        decisive=True,
         headline=f"{channel.name} is wrapped; everything below takes it unwrapped",
-    )  # fmt: skip
+    )
     return Shown(finding, Mending({channel.name: forms}))
 
 
@@ -152,9 +157,14 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
         f"first at {first:.4g} s of {name}): left out, they count in no loss."
     )
     finding = DataFinding(
-        "glitch", channel.name, float(count), text, lines(dataset, channel.name, {"drop_glitches": True}), decisive=True,
+        "glitch",
+        channel.name,
+        float(count),
+        text,
+        lines(dataset, channel.name, {"drop_glitches": True}),
+        decisive=True,
         headline=f"{count} sample{'s' * (count > 1)} of {channel.name} are glitches; everything below leaves them out",
-    )  # fmt: skip
+    )
     return Shown(finding, Mending({channel.name: {"drop_glitches": True}}))
 
 
@@ -196,9 +206,14 @@ def repeated_rows(dataset: Dataset, channel: Channel) -> Shown | None:
         return None
     text = f"{channel.name} has a new value at every {n}. row only: it is sampled {n} times more slowly than it is logged."
     finding = DataFinding(
-        "repeated_rows", channel.name, float(n), text, lines(dataset, channel.name, {"sampled_every": n}), decisive=True,
+        "repeated_rows",
+        channel.name,
+        float(n),
+        text,
+        lines(dataset, channel.name, {"sampled_every": n}),
+        decisive=True,
         headline=f"{channel.name} is sampled at every {n}. row; everything below leaves out the rows that repeat",
-    )  # fmt: skip
+    )
     return Shown(finding, Mending({channel.name: {"sampled_every": n}}))
 
 

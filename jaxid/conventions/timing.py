@@ -192,9 +192,15 @@ def _early(
         "or a log."
     )
     finding = DataFinding(
-        "row_shift", name, rows, text, lines(binding.dataset, name, forms), (rows - 1.96 * std, rows + 1.96 * std), decisive=sure,
+        "row_shift",
+        name,
+        rows,
+        text,
+        lines(binding.dataset, name, forms),
+        (rows - 1.96 * std, rows + 1.96 * std),
+        decisive=sure,
         headline=f"{name} is reported {1e3 * rows * step:.3g} ms late; everything below takes it that much earlier",
-    )  # fmt: skip
+    )
     return Shown(finding, Mending({name: forms}) if sure else Mending(), True)
 
 
@@ -302,10 +308,16 @@ def _clock(binding: Binding, m: Motion, names: Names, drift: float, std: float) 
     several = len(channels) > 1
     told = [lines(binding.dataset, c, forms) + (f"  # of {c}" if several else "") for c in channels]
     finding = DataFinding(
-        "clock", channels[0], ppm, text, "\n".join(told), (ppm - 1.96 * spread, ppm + 1.96 * spread), decisive=True,
+        "clock",
+        channels[0],
+        ppm,
+        text,
+        "\n".join(told),
+        (ppm - 1.96 * spread, ppm + 1.96 * spread),
+        decisive=True,
         same_as=tuple(("clock", c) for c in other),
         headline=f"the clock of {listed(tuple(channels))} drifts by {ppm:.4g} ppm; everything below takes that away",
-    )  # fmt: skip
+    )
     return Shown(finding, Mending({c: dict(forms) for c in channels}), True)
 
 
@@ -325,16 +337,28 @@ def _shifted(binding: Binding, names: Names, k: int, rows: int, late: float, std
         headline = f"{name} stands {step} late; everything below takes it that much earlier"
         same = tuple(("row_shift", j) for j in names.joints) if len(names.inputs) == 1 else ()
         finding = DataFinding(
-            "row_shift", name, float(rows), text, lines(binding.dataset, name, forms), interval, decisive=True,
-            same_as=same, headline=headline,
-        )  # fmt: skip
+            "row_shift",
+            name,
+            float(rows),
+            text,
+            lines(binding.dataset, name, forms),
+            interval,
+            decisive=True,
+            same_as=same,
+            headline=headline,
+        )
         return Shown(finding, Mending({name: forms}), True)
     text = (
         f"The motion follows {name} {by} later: whole rows, as of a log that writes the output late, or a delay of the drive "
         "or the sensor (input_delay, sensor_delay). The recording cannot tell; nothing is shifted."
     )
     finding = DataFinding(
-        "row_shift", name, float(rows), text, lines(binding.dataset, name, forms), interval,
+        "row_shift",
+        name,
+        float(rows),
+        text,
+        lines(binding.dataset, name, forms),
+        interval,
         same_as=(("input_delay", name), *(("sensor_delay", j) for j in names.joints)),
-    )  # fmt: skip
+    )
     return Shown(finding, Mending())

@@ -70,13 +70,19 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
         dataset,
         channels=tuple(channels),
         experiments=tuple(_experiment(e, dataset, channels, new_name) for e in dataset.experiments),
-        responses=tuple(replace(r, input=new_name(r.input), output=new_name(r.output)) for r in dataset.responses),
+        responses=tuple(
+            replace(r, input=new_name(r.input), output=new_name(r.output))
+            for r in dataset.responses
+        ),
         model=replace(dataset.model, joints=order),
-        controller=None if dataset.controller is None else replace(
-            dataset.controller, settings=_settings(dataset.controller.settings, numbers, new_name, len(names))
+        controller=None
+        if dataset.controller is None
+        else replace(
+            dataset.controller,
+            settings=_settings(dataset.controller.settings, numbers, new_name, len(names)),
         ),
         notes=(*dataset.notes, note),
-    )  # fmt: skip
+    )
 
 
 def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int]:
@@ -176,10 +182,15 @@ def _experiment(
             if k not in known or new_name(k) in of("output")
         }
     return replace(
-        e, u=stack(of("input")), y=stack(of("output")), auxiliary={n: columns[n] for n in of("auxiliary")}, initial=initial,
+        e,
+        u=stack(of("input")),
+        y=stack(of("output")),
+        auxiliary={n: columns[n] for n in of("auxiliary")},
+        initial=initial,
         past=None if e.past is None else _experiment(e.past, dataset, channels, new_name),
-        scatter=by_output(e.scatter), left_out=by_output(e.left_out),
-    )  # fmt: skip
+        scatter=by_output(e.scatter),
+        left_out=by_output(e.left_out),
+    )
 
 
 def _settings(

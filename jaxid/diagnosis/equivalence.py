@@ -69,10 +69,14 @@ class Equivalences:
             {"effect": p.effect, "location": p.location, "left": p.left} for p in places
         ]
         return {
-            "schema": 1, "kind": "equivalences", "model": self.model, "excitation": self.excitation,
-            "absorbed": plain(self.absorbed), "invisible": plain(self.invisible),
+            "schema": 1,
+            "kind": "equivalences",
+            "model": self.model,
+            "excitation": self.excitation,
+            "absorbed": plain(self.absorbed),
+            "invisible": plain(self.invisible),
             "equivalent": [plain(c) for c in self.classes],
-        }  # fmt: skip
+        }
 
     def __str__(self) -> str:
         lines = [
@@ -285,9 +289,16 @@ def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, 
             warnings.simplefilter("ignore")  # a switch that stays on is meant
             named = {n: units[n] for n in (*inputs, *outputs)}
             return Dataset.from_arrays(
-                t, inputs, outputs, units=named, noise_std=noise, at_rest=True, split="fit", check_model=False,
+                t,
+                inputs,
+                outputs,
+                units=named,
+                noise_std=noise,
+                at_rest=True,
+                split="fit",
+                check_model=False,
                 model=None if is_file(model) else model,
-            )  # fmt: skip
+            )
 
     content = own_numbers(chain) | {"effects": []}
     best, limit = None, TRAVEL

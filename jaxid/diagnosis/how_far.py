@@ -105,9 +105,20 @@ def measure(
     text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
     by_runs = by_run(bench, split, [whole_runs(bench, residual, split, r) for r in runs])
     return HowFar(
-        gaps[0], gaps[1], gaps[2], 1.0, shrinkage, interval, reason, per_channel, f"{text}. {note}".strip(),
-        by_runs, by_regime(bench, split, runs), made_of, split,
-    )  # fmt: skip
+        gaps[0],
+        gaps[1],
+        gaps[2],
+        1.0,
+        shrinkage,
+        interval,
+        reason,
+        per_channel,
+        f"{text}. {note}".strip(),
+        by_runs,
+        by_regime(bench, split, runs),
+        made_of,
+        split,
+    )
 
 
 def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str]:

@@ -149,11 +149,21 @@ def _how_far(parts: Sequence[Diagnosis], verdict: str) -> HowFar:
     split = fars[0].split
     text = f"gap on {split} data: {times(before)} times the noise before, {times(retuned)} after re-tuning the old parameters alone"
     return HowFar(
-        before, retuned, after, 1.0, shrinkage, None, NO_INTERVAL if named else fars[0].interval_reason,
+        before,
+        retuned,
+        after,
+        1.0,
+        shrinkage,
+        None,
+        NO_INTERVAL if named else fars[0].interval_reason,
         {k: v for f in fars for k, v in f.per_channel.items()},
-        text + (f", {times(after)} with the effects added" if named else ""), _runs(fars, weights),
-        tuple(s for f in fars for s in f.per_regime), "", split, tuple(r for f in fars for r in f.per_joint),
-    )  # fmt: skip
+        text + (f", {times(after)} with the effects added" if named else ""),
+        _runs(fars, weights),
+        tuple(s for f in fars for s in f.per_regime),
+        "",
+        split,
+        tuple(r for f in fars for r in f.per_joint),
+    )
 
 
 def _runs(fars: Sequence[HowFar], weights: Sequence[float]) -> tuple[Share, ...]:

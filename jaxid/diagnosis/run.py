@@ -402,12 +402,25 @@ def _diagnosed(
         read_twice(binding.dataset),
     )
     found = Diagnosis(
-        binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
-        how_far, advised, time.perf_counter() - began,
-        nominal_fit, final_fit, traces(bench, residual, nominal, final, named), pictures, rows,
+        binding.chain.mechanism.name,
+        binding.dataset.name,
+        binding.dataset.sha256,
+        seed,
+        residual.name,
+        findings,
+        which,
+        how_far,
+        advised,
+        time.perf_counter() - began,
+        nominal_fit,
+        final_fit,
+        traces(bench, residual, nominal, final, named),
+        pictures,
+        rows,
         (*binding.dataset.notes, *notes_of(binding, final_fit, compile_time)),
-        looked.unseen, rivals,
-    )  # fmt: skip
+        looked.unseen,
+        rivals,
+    )
     if stopped:
         raise Interrupted(found) from stopped
     return found, growth(bench, nominal.theta) if residual.free_run else 0.0
@@ -515,7 +528,20 @@ def _so_far(
     ranking = tuple(ranked(search))
     text = f"Stopped before the effects of the library were compared: {len(ranking) or 'none'} had been."
     return Diagnosis(
-        binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, question.seed, residual.name, findings,
-        Which("unknown", (), (), ranking, text), how_far, "Let the diagnosis run to its end.", time.perf_counter() - began,
-        nominal, nominal, traces(bench, residual, search.nominal, search.nominal, ()), pictures, rows, binding.dataset.notes,
-    )  # fmt: skip
+        binding.chain.mechanism.name,
+        binding.dataset.name,
+        binding.dataset.sha256,
+        question.seed,
+        residual.name,
+        findings,
+        Which("unknown", (), (), ranking, text),
+        how_far,
+        "Let the diagnosis run to its end.",
+        time.perf_counter() - began,
+        nominal,
+        nominal,
+        traces(bench, residual, search.nominal, search.nominal, ()),
+        pictures,
+        rows,
+        binding.dataset.notes,
+    )

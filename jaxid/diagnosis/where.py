@@ -322,8 +322,18 @@ def pictures(
         for j, joint in enumerate(s.joints):
             out.append(
                 MissingForce(
-                    joint, s.unit("{F}"), s.unit("{X}"), s.unit("{X}/s"), m.experiment.name, m.experiment.t[m.keep],
-                    m.q[:, j], m.qd[:, j], m.load[:, j], m.force[:, j], a.force[:, j], floor_at(m, j),
+                    joint,
+                    s.unit("{F}"),
+                    s.unit("{X}"),
+                    s.unit("{X}/s"),
+                    m.experiment.name,
+                    m.experiment.t[m.keep],
+                    m.q[:, j],
+                    m.qd[:, j],
+                    m.load[:, j],
+                    m.force[:, j],
+                    a.force[:, j],
+                    floor_at(m, j),
                 )
-            )  # fmt: skip
+            )
     return out

@@ -255,9 +255,13 @@ def regressor(
         t = cross(u, w)
         both = lambda i, j: u[i] * wd[j] + u[j] * wd[i] + t[i] * w[j] + t[j] * w[i]
         turn = (
-            u[0] * wd[0] + t[0] * w[0], both(0, 1), both(0, 2),
-            u[1] * wd[1] + t[1] * w[1], both(1, 2), u[2] * wd[2] + t[2] * w[2],
-        )  # fmt: skip
+            u[0] * wd[0] + t[0] * w[0],
+            both(0, 1),
+            both(0, 2),
+            u[1] * wd[1] + t[1] * w[1],
+            both(1, 2),
+            u[2] * wd[2] + t[2] * w[2],
+        )
         first = add(cross(v, wd), add(cross(cross(v, w), w), cross(a, u)))
         return ((w, wd, a), u, v), (*turn, *first, inner(v, a))
 
@@ -282,8 +286,11 @@ def poses(E: Placements) -> Placements:
 
     def outwards(carry, x):
         here = Placements(
-            out_of(carry, x.x), out_of(carry, x.y), out_of(carry, x.z), add(carry.p, out_of(carry, x.p))
-        )  # fmt: skip
+            out_of(carry, x.x),
+            out_of(carry, x.y),
+            out_of(carry, x.z),
+            add(carry.p, out_of(carry, x.p)),
+        )
         return here, here
 
     one, zero = 0 * E.p[0][0] + 1, 0 * E.p[0][0]
@@ -312,7 +319,11 @@ def about_origin(mass: Any, com: Any, central: Any) -> np.ndarray:
     xx, xy, xz, yy, yz, zz = np.asarray(central, np.float64)
     x, y, z = c
     six = [
-        xx + m * (y * y + z * z), xy - m * x * y, xz - m * x * z,
-        yy + m * (x * x + z * z), yz - m * y * z, zz + m * (x * x + y * y),
-    ]  # fmt: skip
+        xx + m * (y * y + z * z),
+        xy - m * x * y,
+        xz - m * x * z,
+        yy + m * (x * x + z * z),
+        yz - m * y * z,
+        zz + m * (x * x + y * y),
+    ]
     return np.array([*six, *(m * c), m])

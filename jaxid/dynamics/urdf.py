@@ -91,10 +91,20 @@ def read_urdf(
     a, alpha, d, theta, b, gamma = np.array(geometry).T
     limits = np.array([j.limits for j in moving]).T
     return ArmTable(
-        a, alpha, d, theta, b, gamma,
-        tuple(j.kind == "prismatic" for j in moving), np.array(inertia), np.zeros(len(moving)), before,
-        tuple(j.name for j in moving), *limits, *np.array([j.dynamics for j in moving]).T,
-    )  # fmt: skip
+        a,
+        alpha,
+        d,
+        theta,
+        b,
+        gamma,
+        tuple(j.kind == "prismatic" for j in moving),
+        np.array(inertia),
+        np.zeros(len(moving)),
+        before,
+        tuple(j.name for j in moving),
+        *limits,
+        *np.array([j.dynamics for j in moving]).T,
+    )
 
 
 def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
@@ -283,10 +293,16 @@ def _joint(element: Any, path: Path) -> _Joint:
         for k in ("damping", "friction")
     ]
     return _Joint(
-        name, kind, ends[0], ends[1], _origin(element.find("origin"), path, f"joint {name!r}"),
-        axis / max(float(np.linalg.norm(axis)), 1e-300), (lower, upper, rates[0], rates[1]),
-        (dissipation[0], dissipation[1]), _mimic(element.find("mimic"), path, name),
-    )  # fmt: skip
+        name,
+        kind,
+        ends[0],
+        ends[1],
+        _origin(element.find("origin"), path, f"joint {name!r}"),
+        axis / max(float(np.linalg.norm(axis)), 1e-300),
+        (lower, upper, rates[0], rates[1]),
+        (dissipation[0], dissipation[1]),
+        _mimic(element.find("mimic"), path, name),
+    )
 
 
 def _mimic(tag: Any, path: Path, name: str) -> tuple[str, float, float] | None:

@@ -296,28 +296,48 @@ def _motion(
         "condition_number": float(np.linalg.cond(rows)),
         "condition_number_weighted": float(np.linalg.cond(weighted)),
         "condition_number_scaled": float(np.linalg.cond(rows / np.where(size > 0, size, 1.0))),
-        "condition_number_of_starts": [float(np.exp(v)) for v, _ in found] if criterion == "condition" else None,
-        **({} if criterion != "paper001" else {"paper001": objective_18(weighted, groups, fourier)}),
+        "condition_number_of_starts": [float(np.exp(v)) for v, _ in found]
+        if criterion == "condition"
+        else None,
+        **(
+            {} if criterion != "paper001" else {"paper001": objective_18(weighted, groups, fourier)}
+        ),
         "columns": len(names),
         "torque_noise": {"std": noise.tolist(), "source": stated},
         "expected_std": {name: float(s) for name, s in zip(names, std, strict=True)},
-        "clearance": None if geometry is None else {"links_m": clear["links"], "height_m": clear["height"], "radius_m": radius},
+        "clearance": None
+        if geometry is None
+        else {"links_m": clear["links"], "height_m": clear["height"], "radius_m": radius},
         "speed_coverage": coverage(joints, bounds, qd),
-        "fourier": {"a": fourier.a, "b": fourier.b, "middle": fourier.middle, "omega": fourier.omega},
+        "fourier": {
+            "a": fourier.a,
+            "b": fourier.b,
+            "middle": fourier.middle,
+            "omega": fourier.omega,
+        },
         "notes": [
             "q_j = middle_j + sum_l a_lj / (omega l) sin(omega l t) - b_lj / (omega l) cos(omega l t)",
             "torques in run_1 are the model's own, nothing here was measured",
-            *([] if geometry is None else ["clearance is that of straight lines between joints, not of housings and cables"]),
+            *(
+                []
+                if geometry is None
+                else [
+                    "clearance is that of straight lines between joints, not of housings and cables"
+                ]
+            ),
         ],
-    }  # fmt: skip
+    }
     units = _rate_units(chain)
     rates = {f"qd{k + 1}": qd[:, k] for k in range(n)} | {
         f"qdd{k + 1}": qdd[:, k] for k in range(n)
     }
     dataset = Dataset(
-        f"{arm.name}_excitation", channels, (experiment,), model=ModelSpec(arm.name),
+        f"{arm.name}_excitation",
+        channels,
+        (experiment,),
+        model=ModelSpec(arm.name),
         description=f"Designed motion for {arm.name} ({units}); torques are the model's own: a plan, not a recording",
-    )  # fmt: skip
+    )
     return Excitation(dataset, commands, rates, tuple(limits), about, fourier)
 
 
@@ -477,17 +497,29 @@ def described(
         "condition_number": condition,
         "condition_number_scaled": condition,
         "directions_not_shown": dark,
-        "assumed_noise": {name: float(s) for (name, _), s in zip(signature.outputs, noise, strict=True)},
+        "assumed_noise": {
+            name: float(s) for (name, _), s in zip(signature.outputs, noise, strict=True)
+        },
         "expected_std": {name: float(s) for name, s in zip(bench.names, std, strict=True)},
         "assumed_values": {name: float(v) for name, v in zip(bench.names, values, strict=True)},
         "speed_coverage": coverage(signature.joints, bounds, qd),
         "notes": [
             "outputs in run_1 are simulated at the assumed values, nothing here was measured; a drive played in open loop moves "
             "as the machine does, not as the simulation: begin with a small --amplitude",
-            *([f"assumed to be 0: {', '.join(zero)}. State a guess with --parameters FIT.json"] if zero else []),
-            *([f"{dark} combinations of the parameters show in no output: fix some under [model.constants]"] if dark else []),
+            *(
+                [f"assumed to be 0: {', '.join(zero)}. State a guess with --parameters FIT.json"]
+                if zero
+                else []
+            ),
+            *(
+                [
+                    f"{dark} combinations of the parameters show in no output: fix some under [model.constants]"
+                ]
+                if dark
+                else []
+            ),
         ],
-    }  # fmt: skip
+    }
     spec = ModelSpec(chain.mechanism.name)
     text = (
         f"Designed input for {chain.mechanism.name}; outputs are simulated: a plan, not a recording"

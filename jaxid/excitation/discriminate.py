@@ -208,9 +208,15 @@ def recorded(
     longest = max(range(len(u)), key=lambda k: len(u[k]))
     first = np.nanmedian(q[0][:5], 0)
     return Recorded(
-        np.nanmin(moved, 0), np.nanmax(moved, 0), np.nanmax(speed, 0), first, top, center,
-        experiments[longest].t, u[longest],
-    )  # fmt: skip
+        np.nanmin(moved, 0),
+        np.nanmax(moved, 0),
+        np.nanmax(speed, 0),
+        first,
+        top,
+        center,
+        experiments[longest].t,
+        u[longest],
+    )
 
 
 def _rates(t: np.ndarray, q: np.ndarray) -> np.ndarray:

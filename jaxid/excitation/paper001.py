@@ -20,9 +20,13 @@ def sums_18(a: Any, b: Any, omega: float) -> dict[str, Any]:
     w = omega * np.arange(1, len(a) + 1)[:, None]
     size = xp.sqrt(a * a + b * b + (0.0 if xp is np else 1e-24))
     return {
-        "-b/(w l)": -xp.sum(b / w, 0), "a": xp.sum(a, 0), "w l b": xp.sum(w * b, 0),
-        "position": xp.sum(size / w, 0), "speed": xp.sum(size, 0), "acceleration": xp.sum(w * size, 0),
-    }  # fmt: skip
+        "-b/(w l)": -xp.sum(b / w, 0),
+        "a": xp.sum(a, 0),
+        "w l b": xp.sum(w * b, 0),
+        "position": xp.sum(size / w, 0),
+        "speed": xp.sum(size, 0),
+        "acceleration": xp.sum(w * size, 0),
+    }
 
 
 def terms_18(G: Any, groups: tuple[tuple[int, ...], ...]) -> list[Any]:

@@ -109,11 +109,30 @@ def assemble(
     ]
     if result.failed:
         return Fit(
-            binding.chain.mechanism.name, (), fitter, residual.name, problem.loss_name, seed, False, True,
-            result.stopped_because, result.loss, {}, {}, {}, result.evaluations, wall_time, compile_time,
-            binding.dataset.name, binding.dataset.sha256, tuple(notes), history=tuple(result.history), theta=theta,
-            solver=solver_name(binding), model_sha256=sha256_of(binding.chain.mechanism),
-        )  # fmt: skip
+            binding.chain.mechanism.name,
+            (),
+            fitter,
+            residual.name,
+            problem.loss_name,
+            seed,
+            False,
+            True,
+            result.stopped_because,
+            result.loss,
+            {},
+            {},
+            {},
+            result.evaluations,
+            wall_time,
+            compile_time,
+            binding.dataset.name,
+            binding.dataset.sha256,
+            tuple(notes),
+            history=tuple(result.history),
+            theta=theta,
+            solver=solver_name(binding),
+            model_sha256=sha256_of(binding.chain.mechanism),
+        )
     cov = known or getattr(result, "covariance", None) or covariance(problem, result.z)
     found = estimates(binding, problem, result.z, cov)
     own, added = named_estimates(binding, found)
@@ -192,14 +211,41 @@ def assemble(
     if astray and end.state == "converged":  # a minimum of these data, and no model of the machine
         end = end._replace(state="stalled", because=astray[0])
     return Fit(
-        binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, end.state == "converged",
-        end.state == "failed", end.because, loss, own, table, windowed, result.evaluations, wall_time, compile_time,
-        binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
-        end.state == "stalled", residual.simulation, free, stated, joints,
-        fitted_chain(binding, theta, added), solver_name(binding), robot=origin_of(binding, added),
-        covariance=told, reweighted_loss=reweighted,
+        binding.chain.mechanism.name,
+        added,
+        fitter,
+        residual.name,
+        problem.loss_name,
+        seed,
+        end.state == "converged",
+        end.state == "failed",
+        end.because,
+        loss,
+        own,
+        table,
+        windowed,
+        result.evaluations,
+        wall_time,
+        compile_time,
+        binding.dataset.name,
+        binding.dataset.sha256,
+        tuple(notes),
+        groups,
+        tuple(result.history),
+        tuple(traces),
+        theta,
+        end.state == "stalled",
+        residual.simulation,
+        free,
+        stated,
+        joints,
+        fitted_chain(binding, theta, added),
+        solver_name(binding),
+        robot=origin_of(binding, added),
+        covariance=told,
+        reweighted_loss=reweighted,
         model_sha256=sha256_of(binding.chain.mechanism),
-    )  # fmt: skip
+    )
 
 
 def origin_of(binding: Binding, added: Sequence[EffectEstimate]) -> dict:

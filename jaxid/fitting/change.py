@@ -140,8 +140,11 @@ class Series:
         k = self.rows
         late = self.t[k] >= s
         r = np.where(late[:, None], sides.L1[k], sides.L0[k])
-        J = np.where(late[:, None, None], np.concatenate([sides.J1[k], sides.J1s[k]], 2),
-                     np.concatenate([sides.J0[k], 0 * sides.J1s[k]], 2))  # fmt: skip
+        J = np.where(
+            late[:, None, None],
+            np.concatenate([sides.J1[k], sides.J1s[k]], 2),
+            np.concatenate([sides.J0[k], 0 * sides.J1s[k]], 2),
+        )
         groups = 2 * self.run[k] + late
         for g in np.unique(groups):  # each side of each run has a momentum of its own
             own = groups == g
@@ -305,9 +308,16 @@ def fit_change(
     problem = bench.problem(cut, "fit", free, change.at(theta, s), loss=loss)
     notes = [] if result.failed else said(binding, change, series, sides, theta, s, std)
     fit = assemble(
-        bench, problem, replace(result, evaluations=spent), cut, label_of(fitter), seed, bench.compile_time(),
-        time.perf_counter() - began, notes,
-    )  # fmt: skip
+        bench,
+        problem,
+        replace(result, evaluations=spent),
+        cut,
+        label_of(fitter),
+        seed,
+        bench.compile_time(),
+        time.perf_counter() - began,
+        notes,
+    )
     left = 0.0 if result.failed else mean_square(problem, result.z)
     if left <= AT_NOISE:
         return fit
@@ -360,8 +370,14 @@ def mean_square(problem: Problem, z: np.ndarray) -> float:
 
 
 def said(
-    binding: Binding, change: Change, series: Series, sides: Sides, theta: np.ndarray, s: float, std: float
-) -> list[str]:  # fmt: skip
+    binding: Binding,
+    change: Change,
+    series: Series,
+    sides: Sides,
+    theta: np.ndarray,
+    s: float,
+    std: float,
+) -> list[str]:
     """The sentences about a change."""
     now, entries = change.after(theta), binding.layout.entries
     values = [

@@ -172,8 +172,16 @@ class Comparison:
 
         names = dict.fromkeys(name for run in self.runs for name in run.parameters)
         columns = (
-            "fitter", "seed", "status", "loss", "evaluations", "seconds", "wall_time_s", "compile_time_s", "stopped_because",
-        )  # fmt: skip
+            "fitter",
+            "seed",
+            "status",
+            "loss",
+            "evaluations",
+            "seconds",
+            "wall_time_s",
+            "compile_time_s",
+            "stopped_because",
+        )
         rows = [{**{c: getattr(run, c) for c in columns}, **run.parameters} for run in self.runs]
         return frame(rows, (*columns, *names))
 

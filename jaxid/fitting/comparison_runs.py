@@ -83,10 +83,23 @@ def run_comparison(
             binding, problem, [guess, *(problem.z(t) for t in thetas[1:])], [m for _, m in runs]
         )
         return Comparison(
-            binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, effects, residual.name, loss, budget,
-            seconds, starts, tolerance, lowest, best, tuple(r for r, _ in runs), time.perf_counter() - began,
-            (*binding.dataset.notes, f"residual: {problem.runs.statement}"), sha256_of(binding.chain.mechanism),
-        )  # fmt: skip
+            binding.chain.mechanism.name,
+            binding.dataset.name,
+            binding.dataset.sha256,
+            effects,
+            residual.name,
+            loss,
+            budget,
+            seconds,
+            starts,
+            tolerance,
+            lowest,
+            best,
+            tuple(r for r, _ in runs),
+            time.perf_counter() - began,
+            (*binding.dataset.notes, f"residual: {problem.runs.statement}"),
+            sha256_of(binding.chain.mechanism),
+        )
 
     known = Interim()
     try:

@@ -77,9 +77,14 @@ def looked_again(
             break
         starts = [_elsewhere(jobs[k][0], out[k], rngs[k], number) for k in waiting]
         paths = descend(
-            [(jobs[k][0], z) for k, z in zip(waiting, starts, strict=True)], STEPS, 1e-10, 1.0, [logs[k] for k in waiting],
-            enough=_known([out[k] for k in waiting]), material=True,
-        )  # fmt: skip
+            [(jobs[k][0], z) for k, z in zip(waiting, starts, strict=True)],
+            STEPS,
+            1e-10,
+            1.0,
+            [logs[k] for k in waiting],
+            enough=_known([out[k] for k in waiting]),
+            material=True,
+        )
         again = []
         for k, path in zip(waiting, paths, strict=True):
             problem, old = jobs[k][0], out[k]

@@ -43,9 +43,13 @@ class Replay:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "schema": SCHEMA, "kind": "replay", "dataset": self.dataset, "robot": self.robot, "per_joint": list(self.rows),
+            "schema": SCHEMA,
+            "kind": "replay",
+            "dataset": self.dataset,
+            "robot": self.robot,
+            "per_joint": list(self.rows),
             "notes": list(self.notes),
-        }  # fmt: skip
+        }
 
     def tables(self) -> dict[str, bytes]:
         """The runs as Parquet: name -> content."""
@@ -366,11 +370,17 @@ def _compared(
             theirs = None if other is None else other[i][:, k]
             run |= {joint: mine} | ({} if theirs is None else {f"{joint}_{name}": theirs})
             was = {} if before is None else {"before": rms((before[i][:, k] - e.y[:, c])[read])}
-            rows.append({
-                "experiment": e.name, "joint": joint, **was, "mujoco": rms((mine - e.y[:, c])[read]),
-                name: None if theirs is None else rms((theirs - e.y[:, c])[read]),
-                "difference": None if theirs is None else rms(mine - theirs), "unit": data.outputs[c].unit,
-            })  # fmt: skip
+            rows.append(
+                {
+                    "experiment": e.name,
+                    "joint": joint,
+                    **was,
+                    "mujoco": rms((mine - e.y[:, c])[read]),
+                    name: None if theirs is None else rms((theirs - e.y[:, c])[read]),
+                    "difference": None if theirs is None else rms(mine - theirs),
+                    "unit": data.outputs[c].unit,
+                }
+            )
         runs.append(run)
     return rows, runs
 

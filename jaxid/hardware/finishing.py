@@ -177,9 +177,18 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
     _write(out, number, table, extra, columns, entry, about, report)
     shutil.rmtree(folder)
     return Recording(
-        out, entry["file"], len(table["t"]), float(table["t"][-1] - table["t"][0]), timed.rate, timed.lost, timed.duplicated,
-        tuple(timed.gaps), complete, end_reason, tuple(notes),
-    )  # fmt: skip
+        out,
+        entry["file"],
+        len(table["t"]),
+        float(table["t"][-1] - table["t"][0]),
+        timed.rate,
+        timed.lost,
+        timed.duplicated,
+        tuple(timed.gaps),
+        complete,
+        end_reason,
+        tuple(notes),
+    )
 
 
 @dataclass(frozen=True)
@@ -346,9 +355,13 @@ def _matched(
     if spec.match.to not in table:
         raise ValueError(f"`match` names the channel {spec.match.to!r}, which was not recorded")
     clock = from_signals(
-        table["t"], table[spec.match.to], t, values[:, names.index(channel)],
-        search_s=spec.match.search_s, derivative=spec.match.derivative,
-    )  # fmt: skip
+        table["t"],
+        table[spec.match.to],
+        t,
+        values[:, names.index(channel)],
+        search_s=spec.match.search_s,
+        derivative=spec.match.derivative,
+    )
     return {"t": clock(t)} | {n: values[:, k] for k, n in enumerate(names)}, clock
 
 

@@ -237,8 +237,14 @@ def estimate(
     stretch = np.sqrt(np.maximum(1.0, wide / np.maximum(np.diag(cov), 1e-300)))
     cov = cov * stretch * stretch[:, None] / scale / scale[:, None]
     return Estimate(
-        theta, cov, identifiable & seen, float(plain[0] / plain[-1]), float(values[0] / values[-1]), white, memory
-    )  # fmt: skip
+        theta,
+        cov,
+        identifiable & seen,
+        float(plain[0] / plain[-1]),
+        float(values[0] / values[-1]),
+        white,
+        memory,
+    )
 
 
 def _correlation_time(r: np.ndarray, memory: int) -> float:

@@ -111,15 +111,20 @@ class Payload:
             "mass": quantity(*self.mass, "kg"),
             "com": [quantity(v, s, "m") for v, s in self.com()],
             "inertia": [
-                {"name": INERTIA[k], **quantity(float(self.phi[k]), float(std[k]), "kg m^2")} for k in range(6)
+                {"name": INERTIA[k], **quantity(float(self.phi[k]), float(std[k]), "kg m^2")}
+                for k in range(6)
             ],
-            "nearest_body": {"mass": self.body[9], "com": centre(self.body[6:9], float(self.body[9])), "inertia": self.body[:6]},
+            "nearest_body": {
+                "mass": self.body[9],
+                "com": centre(self.body[6:9], float(self.body[9])),
+                "inertia": self.body[:6],
+            },
             "frame": "last link; inertia about its origin",
             "gain_std": self.gain_std,
             "gains": self.exact_gains or self.counted_gains,
             "rows": self.rows,
             "converged_after_s": self.converged_after_s,
-        }  # fmt: skip
+        }
         if self.published is not None:
             m = self.published[9]
             out["paper_001"] = {

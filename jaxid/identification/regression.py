@@ -158,9 +158,21 @@ def read_run(
         )
     smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
     run = Run(
-        e.name, e.split, e.t[kept], q, qd, qdd, np.zeros((0, 0, 0)), smooth, tau[kept], kept, cutoff_hz, e.t, lambda _: tau,
+        e.name,
+        e.split,
+        e.t[kept],
+        q,
+        qd,
+        qdd,
+        np.zeros((0, 0, 0)),
+        smooth,
+        tau[kept],
+        kept,
+        cutoff_hz,
+        e.t,
+        lambda _: tau,
         moves=moving(dataset, e.motion()[:, iy], iy),
-    )  # fmt: skip
+    )
     return _with_inertia(run, chain, base, q, qd, qdd)
 
 

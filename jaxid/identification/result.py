@@ -29,13 +29,17 @@ class RunScore:
 
     def to_dict(self) -> dict[str, Any]:
         unfiltered = {
-            "relative_error": self.unfiltered_relative_error, "rmse_per_joint": list(self.unfiltered_rmse_per_joint)
-        }  # fmt: skip
+            "relative_error": self.unfiltered_relative_error,
+            "rmse_per_joint": list(self.unfiltered_rmse_per_joint),
+        }
         return {
-            "file": self.file, "split": self.split, "relative_error": self.relative_error,
-            "relative_error_per_joint": list(self.relative_error_per_joint), "rmse_per_joint": list(self.rmse_per_joint),
+            "file": self.file,
+            "split": self.split,
+            "relative_error": self.relative_error,
+            "relative_error_per_joint": list(self.relative_error_per_joint),
+            "rmse_per_joint": list(self.rmse_per_joint),
             "unfiltered": unfiltered,
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)
@@ -114,9 +118,13 @@ class Identification(Exportable):
         out: list[dict[str, Any]] = [{"joint": name} for name in self.labels]
         for i in range(self.base_count, len(self.names)):
             j = (i - self.base_count) % n
-            out[j][self.names[i].rstrip("0123456789") if not self.names[i].startswith("F_3") else "F_3"] = {
-                "value": self.theta[i], "std": std[i], "unit": self.units[i],
-            }  # fmt: skip
+            out[j][
+                self.names[i].rstrip("0123456789") if not self.names[i].startswith("F_3") else "F_3"
+            ] = {
+                "value": self.theta[i],
+                "std": std[i],
+                "unit": self.units[i],
+            }
         if self.exponents is not None:
             for j in range(n):
                 out[j]["exponent"] = {
@@ -129,10 +137,16 @@ class Identification(Exportable):
     def to_dict(self) -> dict[str, Any]:
         std = self.std()
         base = [
-            {"name": self.names[i], "value": self.theta[i], "std": std[i], "unit": self.units[i],
-             "identifiable": bool(self.identifiable[i]), "combination": self.expressions[i]}
+            {
+                "name": self.names[i],
+                "value": self.theta[i],
+                "std": std[i],
+                "unit": self.units[i],
+                "identifiable": bool(self.identifiable[i]),
+                "combination": self.expressions[i],
+            }
             for i in range(self.base_count)
-        ]  # fmt: skip
+        ]
         out: dict[str, Any] = {
             "schema": SCHEMA,
             "kind": "identification",

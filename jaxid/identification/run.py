@@ -168,27 +168,49 @@ def identify(
     if fourier:
         way = f"positions: harmonics of each run up to {motion_hz:g} Hz, differentiated one by one"
     result = Identification(
-        model=arm.name, method=method, law=law.name, names=tuple(names), expressions=base.expressions(symbols),
-        units=tuple(_units(chain, base, law)), theta=theta, covariance=found.covariance,
+        model=arm.name,
+        method=method,
+        law=law.name,
+        names=tuple(names),
+        expressions=base.expressions(symbols),
+        units=tuple(_units(chain, base, law)),
+        theta=theta,
+        covariance=found.covariance,
         identifiable=found.identifiable[: len(names)],
-        base_count=len(base.kept), exponents=exponent if law.nonlinear else None, condition_number=found.condition,
+        base_count=len(base.kept),
+        exponents=exponent if law.nonlinear else None,
+        condition_number=found.condition,
         condition_number_scaled=found.condition_scaled,
         filter=way + "; torque and columns alike: "
         f"the same at {cutoff_hz:g} Hz; sign(qd) as tanh(qd / 0.01)",
-        weights=np.mean(weights, 0), experiments=tuple(scores[chosen]),
+        weights=np.mean(weights, 0),
+        experiments=tuple(scores[chosen]),
         laws=tuple(LawTrial(t.law, t.fit, t.held_out, t.law == law.name) for t in trials),
-        standard=None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
-        dataset=dataset.name, dataset_sha256=dataset.sha256,
+        standard=None
+        if phi is None
+        else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
+        dataset=dataset.name,
+        dataset_sha256=dataset.sha256,
         notes=(
-            *data.notes, *_notes(found, names, method, law),
-            *(["a part of a period has no Fourier series: no run was cut for validation"] if fourier and not held_out else ()),
+            *data.notes,
+            *_notes(found, names, method, law),
+            *(
+                ["a part of a period has no Fourier series: no run was cut for validation"]
+                if fourier and not held_out
+                else ()
+            ),
             *regression.held_joints(runs),
             *([NEAR_THE_FILE.format(trusted[law.name][1])] if law.name in trusted else ()),
         ),
-        wall_time_s=time.perf_counter() - began, labels=names_of_joints(arm, data, len(arm.prismatic)),
-        traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
-        data=checked.findings, robot=robot,
-    )  # fmt: skip
+        wall_time_s=time.perf_counter() - began,
+        labels=names_of_joints(arm, data, len(arm.prismatic)),
+        traces=tuple(
+            (r.name, r.split, r.t, r.tau, own[chosen])
+            for r, own in zip(runs, predicted, strict=True)
+        ),
+        data=checked.findings,
+        robot=robot,
+    )
     result = replace(result, **answered(arm, data.model, base, law, runs, result))
     if before is None:
         return result
@@ -372,9 +394,13 @@ def converged_after(
     noise = np.asarray(weights[0]) ** -2.0 * spacing(first)
     rule = Rule(samples=round(Rule().samples / PAPER_HZ / step))
     _, _, met = replay_stretches(
-        ((W, first.tau[at]) for at, W, _ in every_row(first, law, exponent)), prior, noise_var=noise, prior_var=10.0,
-        watched=watched_of(base, loaded.joints), rule=rule,
-    )  # fmt: skip
+        ((W, first.tau[at]) for at, W, _ in every_row(first, law, exponent)),
+        prior,
+        noise_var=noise,
+        prior_var=10.0,
+        watched=watched_of(base, loaded.joints),
+        rule=rule,
+    )
     return None if met is None else met * step
 
 

@@ -79,9 +79,16 @@ def _answer(
             else f"{led} agrees with the data: it is {far}"
         )
     return {
-        "joint": f"q{joint}", "link": f"link {joint}", "parameter": name, "stated": stated, "unit": unit, "text": text,
-        "fitted": found if alone else None, "std": std if alone and std > 0 else None, "deviation": deviation,
-    }  # fmt: skip
+        "joint": f"q{joint}",
+        "link": f"link {joint}",
+        "parameter": name,
+        "stated": stated,
+        "unit": unit,
+        "text": text,
+        "fitted": found if alone else None,
+        "std": std if alone and std > 0 else None,
+        "deviation": deviation,
+    }
 
 
 def beside_the_file(
@@ -113,11 +120,17 @@ def beside_the_file(
         joint = int(name[len(kind) :])
         rows.append(
             {
-                "joint": f"q{joint}", "link": f"link {joint}", "parameter": name, "stated": float(theta[i]),
-                "fitted": float(result.theta[i]), "std": float(std[i]), "deviation": deviation, "unit": result.units[i],
+                "joint": f"q{joint}",
+                "link": f"link {joint}",
+                "parameter": name,
+                "stated": float(theta[i]),
+                "fitted": float(result.theta[i]),
+                "std": float(std[i]),
+                "deviation": deviation,
+                "unit": result.units[i],
                 "text": f"{name}: {result.theta[i]:.4g} {result.units[i]}, the file says {theta[i]:.4g}",
             }
-        )  # fmt: skip
+        )
     joints = []
     for run in runs:
         predicted = next(torques(run, [(law, theta, np.ones(n))]))[0]
@@ -125,10 +138,17 @@ def beside_the_file(
         before = np.linalg.norm(run.tau - predicted, axis=0) / size
         after = next(e for e in result.experiments if e.file == run.name).relative_error_per_joint
         joints += [
-            {"joint": f"q{j + 1}", "split": run.split, "experiment": run.name, "as_it_stands": float(before[j]),
-             "retuned": float(after[j]), "unit": "1", "text": "torque error over the torque, with the file as it stands"}
+            {
+                "joint": f"q{j + 1}",
+                "split": run.split,
+                "experiment": run.name,
+                "as_it_stands": float(before[j]),
+                "retuned": float(after[j]),
+                "unit": "1",
+                "text": "torque error over the torque, with the file as it stands",
+            }
             for j in range(n)
-        ]  # fmt: skip
+        ]
     worst = [max(r["as_it_stands"] for r in joints if r["joint"] == f"q{j + 1}") for j in range(n)]
     said = [
         *_first_moments(

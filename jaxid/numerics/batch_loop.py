@@ -182,9 +182,13 @@ EXPENSIVE = frozenset(
     "div rem sqrt rsqrt cbrt pow exp exp2 expm1 log log1p tanh sin cos tan atan2 logistic erf erfc".split()
 )
 REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
-    "reduce_sum": lax.add, "reduce_prod": lax.mul, "reduce_max": lax.max, "reduce_min": lax.min,
-    "reduce_and": lax.bitwise_and, "reduce_or": lax.bitwise_or,
-}  # fmt: skip
+    "reduce_sum": lax.add,
+    "reduce_prod": lax.mul,
+    "reduce_max": lax.max,
+    "reduce_min": lax.min,
+    "reduce_and": lax.bitwise_and,
+    "reduce_or": lax.bitwise_or,
+}
 
 
 def _worth_it(jaxpr: Jaxpr) -> bool:

@@ -384,9 +384,25 @@ def bind(
         said = (*robots.notes_of(model, dataset), *said)
     theta[free] = np.clip(theta[free], lower[free], upper[free])
     return Binding(
-        dataset, chain, layout, noise, sigma, readings, motions, references, inputs, theta, lower, upper, scale, free, stated,
-        own, priors=known, said=said,
-    ).with_stamps(stamps)  # fmt: skip
+        dataset,
+        chain,
+        layout,
+        noise,
+        sigma,
+        readings,
+        motions,
+        references,
+        inputs,
+        theta,
+        lower,
+        upper,
+        scale,
+        free,
+        stated,
+        own,
+        priors=known,
+        said=said,
+    ).with_stamps(stamps)
 
 
 def _held_friction(

@@ -185,9 +185,15 @@ class ClosedLoopOutputError(Residual):
         }
         channels, levels = columns[self.signals]
         return Runs(
-            tuple(experiments), layout, channels, levels, engine, tuple(range(len(records))), (),
+            tuple(experiments),
+            layout,
+            channels,
+            levels,
+            engine,
+            tuple(range(len(records))),
+            (),
             f"simulation under the {law.text}, compared by {self.signals}",
-        )  # fmt: skip
+        )
 
 
 def input_noise(experiments: Sequence[Experiment], inputs: Sequence[int]) -> np.ndarray:

@@ -259,9 +259,15 @@ class FrequencyResponseError(Residual):
         nu = len(inputs)
         zeros = np.zeros((size, nu))
         samples = Samples(
-            np.arange(size) * 1.0, np.ones(size), zeros, zeros, zeros,
-            pad(np.concatenate(y))[:, None], pad(np.concatenate(w))[:, None], pad(np.concatenate(x)),
-        )  # fmt: skip
+            np.arange(size) * 1.0,
+            np.ones(size),
+            zeros,
+            zeros,
+            zeros,
+            pad(np.concatenate(y))[:, None],
+            pad(np.concatenate(w))[:, None],
+            pad(np.concatenate(x)),
+        )
         engine = Engine(
             layout,
             samples,
@@ -273,10 +279,15 @@ class FrequencyResponseError(Residual):
         channel = _ratio(chain, *pairs.pop()) if len(pairs) == 1 else ("response", "SI")
         part = "gain of the" if self.magnitude else "complex"
         return Runs(
-            tuple(experiments), layout, (channel,), np.array([float(np.median(1 / np.concatenate(w)[np.concatenate(w) > 0]))]),
-            engine, tuple(range(len(records))), (),
+            tuple(experiments),
+            layout,
+            (channel,),
+            np.array([float(np.median(1 / np.concatenate(w)[np.concatenate(w) > 0]))]),
+            engine,
+            tuple(range(len(records))),
+            (),
             f"{part} linear frequency response ({'; '.join(dict.fromkeys(statements))})",
-        )  # fmt: skip
+        )
 
     def _records(self, dataset, experiments, layout, noise, step, shape) -> Runs:
         chain = layout.chain
@@ -356,12 +367,17 @@ class FrequencyResponseError(Residual):
             "linear" if self.linear else "simulated",
         )
         return Runs(
-            tuple(experiments), layout, (ratio, *(chain.signature.outputs[k] for k in timed)), np.array(own), engine,
-            tuple(range(len(records))), (),
+            tuple(experiments),
+            layout,
+            (ratio, *(chain.signature.outputs[k] for k in timed)),
+            np.array(own),
+            engine,
+            tuple(range(len(records))),
+            (),
             f"{part} response of the records against the {kind} one, {lines} lines where the input has at least "
             f"{self.least_input:.0%} of its largest amplitude, no window{'; ' * bool(timed)}{', '.join(self.timed)}"
             f"{' in time' * bool(timed)}",
-        )  # fmt: skip
+        )
 
     def _mixed(self, dataset, experiments, layout, noise, step, shape, timed) -> Runs:
         """Measured lines (in the first record's rows) beside records that are compared in time."""
@@ -417,11 +433,16 @@ class FrequencyResponseError(Residual):
             *(noise[k] for k in timed),
         ]
         return Runs(
-            tuple(experiments), layout, (ratio, *(chain.signature.outputs[k] for k in timed)), np.array(own), engine,
-            tuple(range(len(records))), (),
+            tuple(experiments),
+            layout,
+            (ratio, *(chain.signature.outputs[k] for k in timed)),
+            np.array(own),
+            engine,
+            tuple(range(len(records))),
+            (),
             f"{'gain of the' if self.magnitude else 'complex'} linear frequency response "
             f"({'; '.join(dict.fromkeys(statements))}), {', '.join(self.timed)} in time",
-        )  # fmt: skip
+        )
 
 
 def as_experiment(measured: Measured, dataset: Dataset) -> Experiment:

@@ -179,8 +179,16 @@ class Momentum(InverseDynamics):
             else said
         )
         return Runs(
-            tuple(experiments), layout, CHANNELS, level, engine, tuple(range(len(records))), (), text, dataset,
-        )  # fmt: skip
+            tuple(experiments),
+            layout,
+            CHANNELS,
+            level,
+            engine,
+            tuple(range(len(records))),
+            (),
+            text,
+            dataset,
+        )
 
 
 def refuse_others(chain: Chain) -> None:

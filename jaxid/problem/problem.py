@@ -251,12 +251,21 @@ class Problem(AbstractProblem):
             samples = engine.samples._replace(w=self.weights) if own else engine.samples
             stated = engine.overrides[records]
             self._data = Data(
-                samples, np.where(np.isnan(stated), self.base, stated), np.isnan(stated[:, self.free]), self.log,
-                self.start0, self.start_rows, self.start_columns, self._bounds[0],
+                samples,
+                np.where(np.isnan(stated), self.base, stated),
+                np.isnan(stated[:, self.free]),
+                self.log,
+                self.start0,
+                self.start_rows,
+                self.start_columns,
+                self._bounds[0],
                 np.array([self.runs.record(r).samples[0] for r in records], np.int32),
-                np.array([self.runs.record(r).count for r in records], np.int32), self._bounds[1], count, norm,
+                np.array([self.runs.record(r).count for r in records], np.int32),
+                self._bounds[1],
+                count,
+                norm,
                 self.known,
-            )  # fmt: skip
+            )
         return self._data
 
     @property

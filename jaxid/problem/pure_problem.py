@@ -120,9 +120,19 @@ def pure(problem: Runnable, z0: np.ndarray, priors: np.ndarray | None = None) ->
     priors = np.full((problem.free.size, 2), np.nan) if priors is None else priors
     data = jax.tree.map(np.asarray, problem.data)
     return Problem(
-        problem.lower, problem.upper, z0, data, np.concatenate(rows), np.concatenate(weights),
-        np.concatenate(targets), priors, tuple(problem.names), problem.loss_name, runs.statement, predict,
-    )  # fmt: skip
+        problem.lower,
+        problem.upper,
+        z0,
+        data,
+        np.concatenate(rows),
+        np.concatenate(weights),
+        np.concatenate(targets),
+        priors,
+        tuple(problem.names),
+        problem.loss_name,
+        runs.statement,
+        predict,
+    )
 
 
 def residual_of(z: Vector, problem: Problem) -> Float[Array, " n"]:

@@ -202,10 +202,15 @@ class OutputError(Residual):
         n = len(records)
         ends = np.cumsum([n, *(len(nested) for nested in heads)])
         return Runs(
-            tuple(experiments), layout, layout.chain.signature.outputs, noise, engine,
-            tuple(range(n)), tuple(tuple(range(a, b)) for a, b in zip(ends[:-1], ends[1:], strict=True)),
+            tuple(experiments),
+            layout,
+            layout.chain.signature.outputs,
+            noise,
+            engine,
+            tuple(range(n)),
+            tuple(tuple(range(a, b)) for a, b in zip(ends[:-1], ends[1:], strict=True)),
             "free run over the whole experiment",
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -251,9 +256,15 @@ class MultipleShooting(Residual):
         )
         every = tuple(range(len(records)))
         return Runs(
-            tuple(experiments), layout, layout.chain.signature.outputs, noise, engine, every, (),
+            tuple(experiments),
+            layout,
+            layout.chain.signature.outputs,
+            noise,
+            engine,
+            every,
+            (),
             f"windows of {length:.3g} s, each with its own start",
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -294,9 +305,17 @@ class InverseDynamics(Residual):
         )
         every = tuple(range(len(records)))
         return Runs(
-            tuple(experiments), layout, chain.torque_channels, setting.noise, engine, every, (), setting.statement,
-            dataset, setting,
-        )  # fmt: skip
+            tuple(experiments),
+            layout,
+            chain.torque_channels,
+            setting.noise,
+            engine,
+            every,
+            (),
+            setting.statement,
+            dataset,
+            setting,
+        )
 
 
 def lane_of(layout: Layout) -> Lane:

@@ -81,8 +81,17 @@ def count(value: float) -> str:
 
 def comparison_text(c: Comparison) -> str:
     """Headline and table of a comparison."""
-    header = ("fitter", "reached", f"in {number(c.common_time, 2)} s", "evaluations to target", "seconds to target",
-              "per success", "median loss", "evaluations", "seconds")  # fmt: skip
+    header = (
+        "fitter",
+        "reached",
+        f"in {number(c.common_time, 2)} s",
+        "evaluations to target",
+        "seconds to target",
+        "per success",
+        "median loss",
+        "evaluations",
+        "seconds",
+    )
     parts = [
         wrapped(f"{c.dataset}, model {c.model}: {comparison_headline(c)}"),
         wrapped(comparison_setting(c)),

@@ -171,8 +171,16 @@ def profile(result: Profile, ax: Axes | None = None) -> Axes:
     rise = np.clip(result.rise, 0, plot.LARGEST)
     ax.plot(result.values, rise, "o-", color=plot.BLUE, ms=4, lw=1.4)
     ax.axhline(result.threshold, color=plot.VERMILLION, ls="--", lw=1.1)
-    ax.annotate("95 %", (1.0, result.threshold), xycoords=("axes fraction", "data"), xytext=(3, 0), textcoords="offset points",
-                color=plot.VERMILLION, va="center", fontsize=8.5)  # fmt: skip
+    ax.annotate(
+        "95 %",
+        (1.0, result.threshold),
+        xycoords=("axes fraction", "data"),
+        xytext=(3, 0),
+        textcoords="offset points",
+        color=plot.VERMILLION,
+        va="center",
+        fontsize=8.5,
+    )
     ends = [e for e in result.interval if e is not None]
     for end in ends:
         ax.axvline(end, color=plot.GREY, ls=":", lw=1.1)

@@ -28,10 +28,11 @@ def section(result: Identification) -> Section:
             "beside": beside_head(result),
             "payload": None if result.payload is None else payload_rows(result),
             "pictures": [
-                (f"Torque in {name} ({split} data)", picture(result, k)) for k, (name, split, *_) in enumerate(result.traces)
+                (f"Torque in {name} ({split} data)", picture(result, k))
+                for k, (name, split, *_) in enumerate(result.traces)
             ],
         },
-    )  # fmt: skip
+    )
 
 
 def headline(result: Identification) -> str:
@@ -104,12 +105,15 @@ def base_rows(result: Identification) -> list[tuple[str, ...]]:
     std, stated = result.std(), _stated(result)
     return [
         (
-            result.names[i], pair(float(result.theta[i]), float(std[i])),
-            *(_beside(stated.get(result.names[i])) if stated else ()), result.units[i], result.expressions[i],
+            result.names[i],
+            pair(float(result.theta[i]), float(std[i])),
+            *(_beside(stated.get(result.names[i])) if stated else ()),
+            result.units[i],
+            result.expressions[i],
             "" if result.identifiable[i] else "not determined by these data",
         )
         for i in range(result.base_count)
-    ]  # fmt: skip
+    ]
 
 
 def payload_rows(result: Identification) -> list[tuple[str, str, str]]:

@@ -462,15 +462,24 @@ def identification_text(result: Identification) -> str:
             ("recording", "data", "all joints", *joints, "unfiltered"),
             [
                 (
-                    e.file, e.split, error(e.relative_error), *(error(r, 1) for r in e.relative_error_per_joint),
+                    e.file,
+                    e.split,
+                    error(e.relative_error),
+                    *(error(r, 1) for r in e.relative_error_per_joint),
                     error(e.unfiltered_relative_error),
                 )
                 for e in result.experiments
             ],
         ),
-        table(("friction", *joints), [(f"{name} ({unit})", *values) for name, unit, values in friction_rows(result)]),
-        table(("base parameter", "value", *beside_head(result), "unit", "stands for", ""), base_rows(result)),
-    ]  # fmt: skip
+        table(
+            ("friction", *joints),
+            [(f"{name} ({unit})", *values) for name, unit, values in friction_rows(result)],
+        ),
+        table(
+            ("base parameter", "value", *beside_head(result), "unit", "stands for", ""),
+            base_rows(result),
+        ),
+    ]
     if result.payload is not None:
         parts.append(table(("payload", "value", "95 % interval"), payload_rows(result)))
     parts.append(

@@ -80,9 +80,24 @@ def table_of(tree: Tree) -> ArmTable:
         inertia.append(turned(tree.inertia[k], before))
     a, alpha, d, theta, b, gamma = np.array(geometry).T
     return ArmTable(
-        a, alpha, d, theta, b, gamma, tree.slides, np.array(inertia), tree.armature.copy(), before, tree.joints,
-        tree.lower, tree.upper, tree.velocity, tree.effort, tree.damping[:, 0].copy(), tree.frictionloss.copy(),
-    )  # fmt: skip
+        a,
+        alpha,
+        d,
+        theta,
+        b,
+        gamma,
+        tree.slides,
+        np.array(inertia),
+        tree.armature.copy(),
+        before,
+        tree.joints,
+        tree.lower,
+        tree.upper,
+        tree.velocity,
+        tree.effort,
+        tree.damping[:, 0].copy(),
+        tree.frictionloss.copy(),
+    )
 
 
 def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:

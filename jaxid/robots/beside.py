@@ -46,11 +46,17 @@ def left_out(dataset: Dataset, names: Sequence[str]) -> Dataset:
 
     def one(e: Experiment) -> Experiment:
         return replace(
-            e, u=e.u[:, iu], y=e.y[:, iy], scatter=cut(e.scatter), left_out=cut(e.left_out),
+            e,
+            u=e.u[:, iu],
+            y=e.y[:, iy],
+            scatter=cut(e.scatter),
+            left_out=cut(e.left_out),
             auxiliary={k: v for k, v in e.auxiliary.items() if k not in gone},
-            initial=None if e.initial is None else {k: v for k, v in e.initial.items() if k not in gone},
+            initial=None
+            if e.initial is None
+            else {k: v for k, v in e.initial.items() if k not in gone},
             past=None if e.past is None else one(e.past),
-        )  # fmt: skip
+        )
 
     kept = tuple(c for c in dataset.channels if c.name not in gone)
     return replace(dataset, channels=kept, experiments=tuple(map(one, dataset.experiments)))

@@ -14,8 +14,17 @@ from jaxtyping import Array, Float
 
 #: The ten numbers of a body here; `gyration_xy` is the entry of G in row x and column y.
 BODY = (
-    "mass", "com_x", "com_y", "com_z", "gyration_xx", "gyration_yx", "gyration_yy", "gyration_zx", "gyration_zy", "gyration_zz",
-)  # fmt: skip
+    "mass",
+    "com_x",
+    "com_y",
+    "com_z",
+    "gyration_xx",
+    "gyration_yx",
+    "gyration_yy",
+    "gyration_zx",
+    "gyration_zy",
+    "gyration_zz",
+)
 #: Share of the largest second moment by which one may be negative for want of digits.
 DIGITS = 1e-6
 

@@ -50,6 +50,10 @@ def signature_of(
         *(RIDE if rides else ()),
     )
     return Signature(
-        (*(goals if driven else torques), *beside), outputs, joints, prismatic=slides if any(slides) else (),
-        beside=len(beside), rates=len(rates),
-    )  # fmt: skip
+        (*(goals if driven else torques), *beside),
+        outputs,
+        joints,
+        prismatic=slides if any(slides) else (),
+        beside=len(beside),
+        rates=len(rates),
+    )

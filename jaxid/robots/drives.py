@@ -259,10 +259,25 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     spread = _spread(settings.get("spread", {}), can)
     n = len(joints)
     return Law(
-        "[controller]", kind, number("kp"), number("kv" if kind == "cascade" else "kd"), number("ki"), gain,
-        tuple(-s for s in saturation), saturation, number("offset"), delay, (0.0,) * n, (), velocity, rate, float(every), rates,
-        fit, tuple(spread.items()),
-    )  # fmt: skip
+        "[controller]",
+        kind,
+        number("kp"),
+        number("kv" if kind == "cascade" else "kd"),
+        number("ki"),
+        gain,
+        tuple(-s for s in saturation),
+        saturation,
+        number("offset"),
+        delay,
+        (0.0,) * n,
+        (),
+        velocity,
+        rate,
+        float(every),
+        rates,
+        fit,
+        tuple(spread.items()),
+    )
 
 
 def _spread(stated: Any, can: Sequence[str]) -> dict[str, float]:
@@ -346,7 +361,16 @@ def file_law(tree: Tree) -> Law:
     own = [tree.actuators[j] for j in joints]
     control = tuple(a.control for a in own)
     return Law(
-        tree.file or "the file", "pd", tuple(a.kp for a in own), tuple(a.kd for a in own), (0.0,) * len(own),
-        (1.0,) * len(own), tuple(a.force[0] for a in own), tuple(a.force[1] for a in own), tuple(a.offset for a in own),
-        tuple(a.delay for a in own), tuple(a.lag for a in own), control if np.isfinite(control).any() else (),
-    )  # fmt: skip
+        tree.file or "the file",
+        "pd",
+        tuple(a.kp for a in own),
+        tuple(a.kd for a in own),
+        (0.0,) * len(own),
+        (1.0,) * len(own),
+        tuple(a.force[0] for a in own),
+        tuple(a.force[1] for a in own),
+        tuple(a.offset for a in own),
+        tuple(a.delay for a in own),
+        tuple(a.lag for a in own),
+        control if np.isfinite(control).any() else (),
+    )

@@ -127,9 +127,15 @@ def body(
     matrix = lambda k: tuple(tuple(every[k + 3 * i + j] for j in range(3)) for i in range(3))
     parts = lambda v: tuple(spread(plan, v.T.copy()))
     return Body(
-        matrix(0), matrix(9), matrix(18), tuple(every[27:30]),  # type: ignore[arg-type]
-        parts(hinge), parts(sliding) if any(slides) else None, tuple(every[30:40]), plan.route,  # type: ignore[arg-type]
-    )  # fmt: skip
+        matrix(0),
+        matrix(9),
+        matrix(18),
+        tuple(every[27:30]),  # type: ignore[arg-type]
+        parts(hinge),
+        parts(sliding) if any(slides) else None,
+        tuple(every[30:40]),
+        plan.route,  # type: ignore[arg-type]
+    )
 
 
 def frames(plan: Plan, body: Body, q: Float[Array, " n"]) -> Placements:

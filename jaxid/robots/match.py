@@ -174,8 +174,13 @@ def _renamed(e: Experiment, new: Any) -> Experiment:
 def driving(dataset: Dataset, tree: Tree) -> Dataset:
     """The dataset with its goals as inputs where they alone can drive: no torque is an input, and the goals are auxiliary."""
     inputs = {c.name for c in dataset.inputs}
-    goals = [c for c in dataset.channels if c.role == "auxiliary" and c.name.removesuffix("_cmd") in tree.joints
-             and c.name.endswith("_cmd")]  # fmt: skip
+    goals = [
+        c
+        for c in dataset.channels
+        if c.role == "auxiliary"
+        and c.name.removesuffix("_cmd") in tree.joints
+        and c.name.endswith("_cmd")
+    ]
     spec = dataset.model
     free = spec is not None and spec.free and dataset.controller is None
     if (

@@ -141,18 +141,41 @@ class _Reader:
         self.options()
         actuators = self.actuators(number)
         tree = Tree(
-            str(self.path), tuple(joints), tuple(links), tuple(parent), tuple(slides), np.array(axis), np.array(place),
-            m.qpos0[m.jnt_qposadr[j]].copy(), np.array(inertia), np.array(anchor),
+            str(self.path),
+            tuple(joints),
+            tuple(links),
+            tuple(parent),
+            tuple(slides),
+            np.array(axis),
+            np.array(place),
+            m.qpos0[m.jnt_qposadr[j]].copy(),
+            np.array(inertia),
+            np.array(anchor),
             m.dof_armature[dof] + self.added(number, "actuator_armature"),
-            damping + np.column_stack([self.added(number, "actuator_damping"), np.zeros((len(j), damping.shape[1] - 1))]),
-            m.dof_frictionloss[dof].copy(), np.ravel(m.jnt_stiffness[j]).copy(), m.qpos_spring[m.jnt_qposadr[j]].copy(),
-            np.where(limited, m.jnt_range[j, 0], -np.inf), np.where(limited, m.jnt_range[j, 1], np.inf),
-            np.full(len(j), np.inf), np.array([max(abs(low), abs(high)) for low, high in force]),
-            couplings, actuators, self.poses(number, joints), tuple(map(float, m.opt.gravity)), "world", (),  # type: ignore[arg-type]
-            tuple(dict.fromkeys(self.notes)), trunk=tuple(trunk.tolist()), root=tuple(root.ravel().tolist()), carrier=base,
+            damping
+            + np.column_stack(
+                [self.added(number, "actuator_damping"), np.zeros((len(j), damping.shape[1] - 1))]
+            ),
+            m.dof_frictionloss[dof].copy(),
+            np.ravel(m.jnt_stiffness[j]).copy(),
+            m.qpos_spring[m.jnt_qposadr[j]].copy(),
+            np.where(limited, m.jnt_range[j, 0], -np.inf),
+            np.where(limited, m.jnt_range[j, 1], np.inf),
+            np.full(len(j), np.inf),
+            np.array([max(abs(low), abs(high)) for low, high in force]),
+            couplings,
+            actuators,
+            self.poses(number, joints),
+            tuple(map(float, m.opt.gravity)),
+            "world",
+            (),  # type: ignore[arg-type]
+            tuple(dict.fromkeys(self.notes)),
+            trunk=tuple(trunk.tolist()),
+            root=tuple(root.ravel().tolist()),
+            carrier=base,
             steps=steps_of(self.mj, m),
             ties=tuple(t for t in self.ties.found if t.joints),
-        )  # fmt: skip
+        )
         return tree.locked(fixed)
 
     def ten(self, b: int) -> np.ndarray:
@@ -319,10 +342,17 @@ class _Reader:
             else endless
         )
         return Actuator(
-            self.name("ACTUATOR", a), kind if known else "other", -b1 * g * g, -b2 * g * g, float(gain[0]), b0 * g,
-            (min(force[0] * g, force[1] * g), max(force[0] * g, force[1] * g)), tuple(control),
-            float(m.actuator_dynprm[a, 0]) if lagging else 0.0, float(m.actuator_delay[a]),
-        )  # fmt: skip
+            self.name("ACTUATOR", a),
+            kind if known else "other",
+            -b1 * g * g,
+            -b2 * g * g,
+            float(gain[0]),
+            b0 * g,
+            (min(force[0] * g, force[1] * g), max(force[0] * g, force[1] * g)),
+            tuple(control),
+            float(m.actuator_dynprm[a, 0]) if lagging else 0.0,
+            float(m.actuator_delay[a]),
+        )
 
     def poses(self, number: list[int], joints: list[str]) -> dict[str, dict[str, float]]:
         m = self.m

@@ -49,8 +49,10 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
             f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}"
         ) from None
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
-        raise UsageError(f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is not read; state '
-                         f"<inertial> in each body and remove it. {_written_by_mujoco(path)}")  # fmt: skip
+        raise UsageError(
+            f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is not read; state '
+            f"<inertial> in each body and remove it. {_written_by_mujoco(path)}"
+        )
     silent = (
         []
         if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE

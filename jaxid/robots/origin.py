@@ -31,14 +31,23 @@ def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
         "sha256": digest(path),
         "joints": list(tree.joints[6 * tree.floats :]),
         "held": {k: float(v) for k, v in tree.held.items()},
-        "base": {k: float(np.asarray(getattr(mechanism, f"base_{k}"))) for k in ("roll", "pitch", "yaw")}
+        "base": {
+            k: float(np.asarray(getattr(mechanism, f"base_{k}"))) for k in ("roll", "pitch", "yaw")
+        }
         | ({"kind": "free"} if tree.floats else {}),
-        "drive": None if law is None else {
+        "drive": None
+        if law is None
+        else {
             "origin": "[controller]" if law.origin == "[controller]" else "file",
-            "kind": law.kind, "velocity": law.velocity, "rate": law.rate, "period": law.period,
-            "joints": {j: {k: float(getattr(law, k)[i]) for k in LAW} for i, j in enumerate(tree.driven)},
+            "kind": law.kind,
+            "velocity": law.velocity,
+            "rate": law.rate,
+            "period": law.period,
+            "joints": {
+                j: {k: float(getattr(law, k)[i]) for k in LAW} for i, j in enumerate(tree.driven)
+            },
         },
-    }  # fmt: skip
+    }
 
 
 def origin_on(model: object, dataset: Dataset) -> dict[str, Any]:

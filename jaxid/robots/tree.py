@@ -140,8 +140,22 @@ class Tree:
     def taken(self, keep: Sequence[int]) -> dict[str, Any]:
         """Per-node fields of the nodes kept."""
         k = list(keep)
-        arrays = ("axis", "place", "reference", "inertia", "anchor", "armature", "damping", "frictionloss", "stiffness",
-                  "spring", "lower", "upper", "velocity", "effort")  # fmt: skip
+        arrays = (
+            "axis",
+            "place",
+            "reference",
+            "inertia",
+            "anchor",
+            "armature",
+            "damping",
+            "frictionloss",
+            "stiffness",
+            "spring",
+            "lower",
+            "upper",
+            "velocity",
+            "effort",
+        )
         out: dict[str, Any] = {name: getattr(self, name)[k] for name in arrays}
         return out | {
             name: tuple(getattr(self, name)[i] for i in k) for name in ("joints", "links", "slides")
@@ -208,8 +222,10 @@ class Tree:
     def path_to(self, link: str) -> tuple[str, ...]:
         """Joints between the base and a link."""
         if link not in self.links:
-            raise UsageError(f"{self.file}: no joint moves a link {link!r}{nearest(link, [n for n in self.links if n])}; "
-                             f"the ends are {', '.join(self.ends)}")  # fmt: skip
+            raise UsageError(
+                f"{self.file}: no joint moves a link {link!r}{nearest(link, [n for n in self.links if n])}; "
+                f"the ends are {', '.join(self.ends)}"
+            )
         k, out = self.links.index(link), []
         while k >= 0:
             out.append(self.joints[k])
@@ -373,10 +389,26 @@ def chain_of_rods(n: int, length: float, mass: float) -> Tree:
     place[1:, 2, 3] = -l
     zero, endless = np.zeros(n), np.full(n, np.inf)
     return Tree(
-        "", tuple(f"joint{k + 1}" for k in range(n)), tuple(f"link{k + 1}" for k in range(n)), tuple(range(-1, n - 1)),
-        (False,) * n, np.tile([0.0, 1.0, 0.0], (n, 1)), place, zero, np.tile(phi, (n, 1)), np.zeros((n, 3)), zero,
-        np.zeros((n, 3)), zero, zero, zero, -endless, endless, endless, endless,
-    )  # fmt: skip
+        "",
+        tuple(f"joint{k + 1}" for k in range(n)),
+        tuple(f"link{k + 1}" for k in range(n)),
+        tuple(range(-1, n - 1)),
+        (False,) * n,
+        np.tile([0.0, 1.0, 0.0], (n, 1)),
+        place,
+        zero,
+        np.tile(phi, (n, 1)),
+        np.zeros((n, 3)),
+        zero,
+        np.zeros((n, 3)),
+        zero,
+        zero,
+        zero,
+        -endless,
+        endless,
+        endless,
+        endless,
+    )
 
 
 def up_to(tree: Tree, tip: str | None) -> Tree:

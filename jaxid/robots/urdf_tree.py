@@ -55,15 +55,37 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
     damping[:, 0] = dissipation[:, 0]
     zero = np.zeros(len(joints))
     tree = Tree(
-        str(path), tuple(j.name for j in joints), tuple(j.child for j in joints), parent,
-        tuple(j.kind == "prismatic" for j in joints), np.array([j.axis for j in joints]), np.array([T for _, _, T in nodes]),
-        zero, np.array(bodies), np.zeros((len(joints), 3)), zero, damping, dissipation[:, 1].copy(), zero, zero,
-        limits[0], limits[1], limits[2], limits[3], couplings, base=base,
-        trunk=tuple(trunk.tolist()), carrier=base,
-        impossible=tuple((name, f) for name, phi in robot.inertia.items() if (f := fault(name, phi))),
-        notes=tuple(f"joint {j.name}: by the file nothing of mass hangs on it (link {j.child} has no <inertial>), held at 0"
-                    for j in massless),
-    )  # fmt: skip
+        str(path),
+        tuple(j.name for j in joints),
+        tuple(j.child for j in joints),
+        parent,
+        tuple(j.kind == "prismatic" for j in joints),
+        np.array([j.axis for j in joints]),
+        np.array([T for _, _, T in nodes]),
+        zero,
+        np.array(bodies),
+        np.zeros((len(joints), 3)),
+        zero,
+        damping,
+        dissipation[:, 1].copy(),
+        zero,
+        zero,
+        limits[0],
+        limits[1],
+        limits[2],
+        limits[3],
+        couplings,
+        base=base,
+        trunk=tuple(trunk.tolist()),
+        carrier=base,
+        impossible=tuple(
+            (name, f) for name, phi in robot.inertia.items() if (f := fault(name, phi))
+        ),
+        notes=tuple(
+            f"joint {j.name}: by the file nothing of mass hangs on it (link {j.child} has no <inertial>), held at 0"
+            for j in massless
+        ),
+    )
     return tree.locked({j.name: 0.0 for j in massless})
 
 

@@ -110,10 +110,19 @@ def solved_step(
     adjoint = solver.adjoint or (diffrax.DirectAdjoint() if reversible() else diffrax.ForwardMode())
     first = command.h if adaptive else command.h / solver.steps
     found = diffrax.diffeqsolve(
-        diffrax.ODETerm(field), solver.solver, jnp.zeros(()), command.h, first, y0,
-        (chain, body, command.t, command.u, command.other), saveat=diffrax.SaveAt(t1=True), stepsize_controller=control,
-        max_steps=solver.steps + 1, adjoint=adjoint, throw=False,
-    )  # fmt: skip
+        diffrax.ODETerm(field),
+        solver.solver,
+        jnp.zeros(()),
+        command.h,
+        first,
+        y0,
+        (chain, body, command.t, command.u, command.other),
+        saveat=diffrax.SaveAt(t1=True),
+        stepsize_controller=control,
+        max_steps=solver.steps + 1,
+        adjoint=adjoint,
+        throw=False,
+    )
     failed = found.result != diffrax.RESULTS.successful
     x, z = unravel(jnp.where(failed, jnp.nan, jnp.asarray(found.ys)[-1]))  # as where a run diverges
     q, _ = body.port(carry.x)

@@ -40,9 +40,14 @@ class MujocoRobot:
     actuators in the place of the file's own, so that MuJoCo integrates it like those. Raises `UsageError`."""
 
     def __init__(
-        self, path: Path, tree: Tree, held: Mapping[str, float], gravity: np.ndarray | None, joints: Sequence[str] = (),
+        self,
+        path: Path,
+        tree: Tree,
+        held: Mapping[str, float],
+        gravity: np.ndarray | None,
+        joints: Sequence[str] = (),
         law: Law | None = None,
-    ):  # fmt: skip
+    ):
         self.mj: Any = library()
         self.notes: list[str] = []
         spec = self._of_tree(tree, law) if path.suffix.lower() == ".urdf" else self._of_file(path)
@@ -105,13 +110,25 @@ class MujocoRobot:
             body.mass, body.ipos, body.explicitinertial = m, c, True
             body.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
             kind = mj.mjtJoint.mjJNT_SLIDE if tree.slides[k] else mj.mjtJoint.mjJNT_HINGE
-            body.add_joint(name=name, type=kind, axis=tree.axis[k], damping=[*tree.damping[k]], frictionloss=tree.frictionloss[k],
-                           armature=tree.armature[k], solref_friction=[2 * step, 1.0],
-                           solimp_friction=[0.99, 0.9999, 0.001, 0.5, 2.0])  # fmt: skip
+            body.add_joint(
+                name=name,
+                type=kind,
+                axis=tree.axis[k],
+                damping=[*tree.damping[k]],
+                frictionloss=tree.frictionloss[k],
+                armature=tree.armature[k],
+                solref_friction=[2 * step, 1.0],
+                solimp_friction=[0.99, 0.9999, 0.001, 0.5, 2.0],
+            )
             bodies.append(body)
         for c in tree.couplings:
-            spec.add_equality(type=mj.mjtEq.mjEQ_JOINT, name1=c.follower, name2=c.leader, objtype=mj.mjtObj.mjOBJ_JOINT,
-                              data=[c.offset, c.ratio, 0, 0, 0, 0, 0, 0, 0, 0, 0])  # fmt: skip
+            spec.add_equality(
+                type=mj.mjtEq.mjEQ_JOINT,
+                name1=c.follower,
+                name2=c.leader,
+                objtype=mj.mjtObj.mjOBJ_JOINT,
+                data=[c.offset, c.ratio, 0, 0, 0, 0, 0, 0, 0, 0, 0],
+            )
         spec.compiler.balanceinertia = True
         self.notes.append(f"the URDF runs in MuJoCo as jaxid reads it, with steps of {step:.2g} s")
         return spec

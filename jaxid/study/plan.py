@@ -347,10 +347,24 @@ def _tasks(entry: RunsEntry, key: tuple[str | int, ...], folders: _Folders) -> I
         system = called(model[0]) if model[1] else model[0] or data[3]
         for seed in entry.seed_list:
             yield Task(
-                entry.command, data[0], data[1], data[2], model[0], model[1], system,
-                None if effects is None else tuple(effects), tuple(entry.without), fitter,
-                entry.residual, entry.loss, int(seed), entry.budget, entry.max_effects, entry.timeout_s, now,
-            )  # fmt: skip
+                entry.command,
+                data[0],
+                data[1],
+                data[2],
+                model[0],
+                model[1],
+                system,
+                None if effects is None else tuple(effects),
+                tuple(entry.without),
+                fitter,
+                entry.residual,
+                entry.loss,
+                int(seed),
+                entry.budget,
+                entry.max_effects,
+                entry.timeout_s,
+                now,
+            )
 
 
 class _Folders:

@@ -135,11 +135,17 @@ def rankings(result: StudyResult) -> list[Ranking]:
         reached, n = sum(v <= TOLERANCE for v in values), len(values)
         out.append(
             Ranking(
-                fitter, n, sum(o.failed for o in outcomes[fitter]), reached, wilson(reached, n), float(np.mean(ranks[fitter])),
-                _median(values), _median([o.evaluations for o in outcomes[fitter] if o.evaluations is not None]),
+                fitter,
+                n,
+                sum(o.failed for o in outcomes[fitter]),
+                reached,
+                wilson(reached, n),
+                float(np.mean(ranks[fitter])),
+                _median(values),
+                _median([o.evaluations for o in outcomes[fitter] if o.evaluations is not None]),
                 _median([o.wall_time_s for o in outcomes[fitter] if o.wall_time_s is not None]),
             )
-        )  # fmt: skip
+        )
     return sorted(
         out, key=lambda r: (-r.reached / r.runs, np.nan_to_num(r.evaluations, nan=np.inf), r.fitter)
     )

@@ -83,8 +83,10 @@ def result_text(result: StudyResult) -> str:
     from jaxid.study.page import ranking_row
 
     s = result.status
-    parts = [f"{result.study.name}: {s.done} of {s.total} tasks have a result, {s.failed} failed"
-             f" ({result.new} run now, in {duration(result.seconds)})"]  # fmt: skip
+    parts = [
+        f"{result.study.name}: {s.done} of {s.total} tasks have a result, {s.failed} failed"
+        f" ({result.new} run now, in {duration(result.seconds)})"
+    ]
     if rows := tables.rankings(result):
         header = (
             "fitter",

@@ -59,15 +59,25 @@ class Workshop:
         t = tasks[0]
         wanted = t["residual"] or getattr(fitter, "residual_name", None)
         return fit_seeds(
-            self._bound(t).binding, fitter, resolve_residual(wanted), t["loss"] or "sum_of_squares",
-            [task["seed"] for task in tasks], t["budget"], benches=self._bound(t),
-        )  # fmt: skip
+            self._bound(t).binding,
+            fitter,
+            resolve_residual(wanted),
+            t["loss"] or "sum_of_squares",
+            [task["seed"] for task in tasks],
+            t["budget"],
+            benches=self._bound(t),
+        )
 
     def _diagnose(self, t: dict[str, Any]) -> Diagnosis:
         return jaxid.diagnose(
-            _model(t), self._dataset(t), max_effects=t["max_effects"] or 3, effects=t["effects"] or None,
-            without=t["without"], residual=t["residual"], seed=t["seed"],
-        )  # fmt: skip
+            _model(t),
+            self._dataset(t),
+            max_effects=t["max_effects"] or 3,
+            effects=t["effects"] or None,
+            without=t["without"],
+            residual=t["residual"],
+            seed=t["seed"],
+        )
 
     def _dataset(self, t: dict[str, Any]) -> Dataset:
         def load() -> Dataset:

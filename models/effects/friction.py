@@ -210,9 +210,14 @@ class LoadDependentFriction(JointEffect):
         0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque that passes the gear"
     )
     drive_share: Array = param(
-        1.0, 0.0, 1.0, scale=0.3, unit="1", meaning="share of the drive's torque in the load, the rest being what is transmitted",
+        1.0,
+        0.0,
+        1.0,
+        scale=0.3,
+        unit="1",
+        meaning="share of the drive's torque in the load, the rest being what is transmitted",
         only=("load", "combined"),
-    )  # fmt: skip
+    )
     load: str = setting(
         "combined",
         words=("drive", "transmitted", "combined"),
@@ -404,10 +409,13 @@ class TemperatureDependentFriction(JointEffect):
     )
     check: ClassVar[str] = "Repeat a run cold and warm; measure the temperature of motor and gear."
     change: Array = param(
-        0.0, -20 * TORQUE / (SPEED * SPEED * SPEED), 20 * TORQUE / (SPEED * SPEED * SPEED),
-        scale=0.1 * TORQUE / (SPEED * SPEED * SPEED), unit="{F} s^3/{X}^3",
+        0.0,
+        -20 * TORQUE / (SPEED * SPEED * SPEED),
+        20 * TORQUE / (SPEED * SPEED * SPEED),
+        scale=0.1 * TORQUE / (SPEED * SPEED * SPEED),
+        unit="{F} s^3/{X}^3",
         meaning="viscous coefficient gained (lost where negative) per squared speed",
-    )  # fmt: skip
+    )
     time: Array = param(
         10.0,
         1.0,

@@ -110,9 +110,14 @@ class Backlash(BodyEffect):
         0.3, 0.02, 0.95, scale=0.1, unit="1", meaning="share of the inertia on the motor's side"
     )
     contact_compliance: Array = param(
-        1e-3, 1e-5 * ANGLE / TORQUE, 0.05 * ANGLE / TORQUE, scale=1e-4 * ANGLE / TORQUE, unit="{X}/({F})",
-        meaning="deflection of the contact per torque", log=True,
-    )  # fmt: skip
+        1e-3,
+        1e-5 * ANGLE / TORQUE,
+        0.05 * ANGLE / TORQUE,
+        scale=1e-4 * ANGLE / TORQUE,
+        unit="{X}/({F})",
+        meaning="deflection of the contact per torque",
+        log=True,
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
         {"play": play * ANGLE, "motor_share": share, "contact_compliance": 0.003 * ANGLE / TORQUE}
         for play in (0.003, 0.02, 0.08)

@@ -14,13 +14,27 @@ from jaxid.data.units import conversion, UnitError
 
 #: What drives the motion, the first of these that was recorded; (quantity, whether it is a goal).
 _DRIVES = (
-    ("torque", False), ("force", False), ("torque", True), ("force", True), ("current", False), ("current", True),
-    ("voltage", False), ("voltage", True), ("position", True), ("velocity", True),
-)  # fmt: skip
+    ("torque", False),
+    ("force", False),
+    ("torque", True),
+    ("force", True),
+    ("current", False),
+    ("current", True),
+    ("voltage", False),
+    ("voltage", True),
+    ("position", True),
+    ("velocity", True),
+)
 _NAMES = {
-    "position": "q", "velocity": "qd", "acceleration": "qdd", "torque": "tau", "force": "force", "current": "current",
-    "voltage": "voltage", "temperature": "temperature",
-}  # fmt: skip
+    "position": "q",
+    "velocity": "qd",
+    "acceleration": "qdd",
+    "torque": "tau",
+    "force": "force",
+    "current": "current",
+    "voltage": "voltage",
+    "temperature": "temperature",
+}
 _LINEAR = {"position": "position", "velocity": "velocity", "acceleration": "acceleration"}
 
 

@@ -155,9 +155,15 @@ def _written(
             runs += runs_of(f"episode_{int(number)}", s.t[own], columns, s.path.name)
     said = "joints are " + ", ".join(f"{c} = {n}" for c, n in joints.items())
     return save_runs(
-        runs, out, "lerobot", roles, overwrite=overwrite, units={c: u for c, (_, u) in roles.items()}, joints=joints,
+        runs,
+        out,
+        "lerobot",
+        roles,
+        overwrite=overwrite,
+        units={c: u for c, (_, u) in roles.items()},
+        joints=joints,
         notes=[said, *notes],
-    )  # fmt: skip
+    )
 
 
 def _read(path: Path) -> Episodes:

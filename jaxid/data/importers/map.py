@@ -98,9 +98,15 @@ def import_table(
             runs += runs_of(part.path.stem, t, columns, part.path.name)
     roles = {w.name: (w.role or role_of(w.name), w.unit or "1") for w in found}
     folder = save_runs(
-        runs, out, sources[0].kind, roles, overwrite=overwrite, units={n: u for n, (_, u) in roles.items()}, notes=notes,
+        runs,
+        out,
+        sources[0].kind,
+        roles,
+        overwrite=overwrite,
+        units={n: u for n, (_, u) in roles.items()},
+        notes=notes,
         joints={f"q{k}": name for name, k in joints.items() if f"q{k}" in roles},
-    )  # fmt: skip
+    )
     said = [f"{w.name}={w.column}:{w.unit}:{w.role or role_of(w.name)}" for w in found]
     return Imported(folder, full_command(asked, clock, said))
 

@@ -28,14 +28,43 @@ _ERROR = set(
     "err error errors deviation following fehler schleppfehler abweichung regelabweichung".split()
 )
 _SI = {
-    "rad": "position", "m": "position", "rad/s": "velocity", "m/s": "velocity", "rad/s^2": "acceleration",
-    "m/s^2": "acceleration", "N m": "torque", "N": "force", "A": "current", "V": "voltage", "K": "temperature",
-}  # fmt: skip
+    "rad": "position",
+    "m": "position",
+    "rad/s": "velocity",
+    "m/s": "velocity",
+    "rad/s^2": "acceleration",
+    "m/s^2": "acceleration",
+    "N m": "torque",
+    "N": "force",
+    "A": "current",
+    "V": "voltage",
+    "K": "temperature",
+}
 _SUFFIXES = {
-    "rad": "rad", "mrad": "mrad", "deg": "deg", "mm": "mm", "cm": "cm", "um": "um", "Nm": "N m", "mNm": "mN m", "A": "A",
-    "mA": "mA", "V": "V", "mV": "mV", "rpm": "rpm", "N": "N", "rad_s": "rad/s", "radps": "rad/s", "rad_per_s": "rad/s",
-    "deg_s": "deg/s", "degps": "deg/s", "dps": "deg/s", "mm_s": "mm/s", "m_s": "m/s", "m": "m",
-}  # fmt: skip
+    "rad": "rad",
+    "mrad": "mrad",
+    "deg": "deg",
+    "mm": "mm",
+    "cm": "cm",
+    "um": "um",
+    "Nm": "N m",
+    "mNm": "mN m",
+    "A": "A",
+    "mA": "mA",
+    "V": "V",
+    "mV": "mV",
+    "rpm": "rpm",
+    "N": "N",
+    "rad_s": "rad/s",
+    "radps": "rad/s",
+    "rad_per_s": "rad/s",
+    "deg_s": "deg/s",
+    "degps": "deg/s",
+    "dps": "deg/s",
+    "mm_s": "mm/s",
+    "m_s": "m/s",
+    "m": "m",
+}
 
 
 @dataclass(frozen=True)

@@ -98,14 +98,28 @@ def import_csv(
 # ---- what the formats hold
 
 _ROBOT = {
-    "q": ("output", "rad"), "qd": ("auxiliary", "rad/s"), "current": ("input", "A"), "q_cmd": ("auxiliary", "rad"),
-    "qd_cmd": ("auxiliary", "rad/s"), "qdd_cmd": ("auxiliary", "rad/s^2"), "current_cmd": ("auxiliary", "A"),
-    "tau_cmd": ("auxiliary", "N m"), "temperature": ("auxiliary", "degC"), "speed_scaling": ("auxiliary", "1"),
-}  # fmt: skip
+    "q": ("output", "rad"),
+    "qd": ("auxiliary", "rad/s"),
+    "current": ("input", "A"),
+    "q_cmd": ("auxiliary", "rad"),
+    "qd_cmd": ("auxiliary", "rad/s"),
+    "qdd_cmd": ("auxiliary", "rad/s^2"),
+    "current_cmd": ("auxiliary", "A"),
+    "tau_cmd": ("auxiliary", "N m"),
+    "temperature": ("auxiliary", "degC"),
+    "speed_scaling": ("auxiliary", "1"),
+}
 _UR_NAMES = {
-    "actual_q": "q", "actual_qd": "qd", "actual_current": "current", "target_q": "q_cmd", "target_qd": "qd_cmd",
-    "target_qdd": "qdd_cmd", "target_current": "current_cmd", "target_moment": "tau_cmd", "joint_temperatures": "temperature",
-}  # fmt: skip
+    "actual_q": "q",
+    "actual_qd": "qd",
+    "actual_current": "current",
+    "target_q": "q_cmd",
+    "target_qd": "qd_cmd",
+    "target_qdd": "qdd_cmd",
+    "target_current": "current_cmd",
+    "target_moment": "tau_cmd",
+    "joint_temperatures": "temperature",
+}
 
 
 def _ur_rtde(path: Path) -> list[Run]:

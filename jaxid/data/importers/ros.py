@@ -20,10 +20,15 @@ from jaxid.errors import nearest, UsageError
 
 _QUANTITIES = {"position": "q", "velocity": "qd", "effort": "tau"}
 _ROLES = {
-    "q": ("output", "rad"), "qd": ("auxiliary", "rad/s"), "tau": ("input", "N m"), "q_cmd": ("input", "rad"),
-    "qd_cmd": ("auxiliary", "rad/s"), "tau_cmd": ("auxiliary", "N m"), "kp_cmd": ("auxiliary", "N m/rad"),
+    "q": ("output", "rad"),
+    "qd": ("auxiliary", "rad/s"),
+    "tau": ("input", "N m"),
+    "q_cmd": ("input", "rad"),
+    "qd_cmd": ("auxiliary", "rad/s"),
+    "tau_cmd": ("auxiliary", "N m"),
+    "kp_cmd": ("auxiliary", "N m/rad"),
     "kd_cmd": ("auxiliary", "N m s/rad"),
-}  # fmt: skip
+}
 _OPENING = 0.2  # m, more than the fingers of a gripper move
 _GOALS = ("leader", "command", "goal", "desired", "target", "reference")
 #: Order of the motors in Unitree's messages for quadrupeds, as its SDK has it.
@@ -202,9 +207,9 @@ def _joint_values(kind: str, m: Message) -> tuple[list[str], Mapping[str, Sequen
         values = {
             ours: [float(of(motor, theirs)) for motor in motors] for ours, theirs in names.items()
         }
-        return [*_QUADRUPED, *(f"motor_{k}" for k in range(12, len(motors)))] if len(motors) == 20 else [
-            f"motor_{k}" for k in range(len(motors))
-        ], values  # fmt: skip
+        return [*_QUADRUPED, *(f"motor_{k}" for k in range(12, len(motors)))] if len(
+            motors
+        ) == 20 else [f"motor_{k}" for k in range(len(motors))], values
     if kind == "JointTrajectoryControllerState":
         point = m.get("feedback") or m.get("actual")
         part = lambda key: (

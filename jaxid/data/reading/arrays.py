@@ -27,8 +27,17 @@ RUN_SETTINGS = (
     "repeat_of",
 )
 FORMS = (
-    "sign_bit", "signed_bits", "scale", "offset", "unwrap", "drop_glitches", "sampled_every", "shift", "delay_s", "clock_ppm",
-)  # fmt: skip
+    "sign_bit",
+    "signed_bits",
+    "scale",
+    "offset",
+    "unwrap",
+    "drop_glitches",
+    "sampled_every",
+    "shift",
+    "delay_s",
+    "clock_ppm",
+)
 CHANNEL_SETTINGS = ("noise_std", "resolution", "hold", *FORMS)
 VALID = ".valid"  # behind a channel's name: the column that says where it was read; no channel can have such a name
 DATASET_SETTINGS = (

@@ -125,8 +125,13 @@ class Decider:
             else min(good, key=lambda h: h.validation.loss)
         )
         chosen = self.thinned(nominal, chosen, tried)
-        mates = [c for h in tried if h is not chosen and len(h.effects) <= len(chosen.effects) and indistinct(chosen, h)
-                 for c in h.effects if c not in chosen.effects]  # fmt: skip
+        mates = [
+            c
+            for h in tried
+            if h is not chosen and len(h.effects) <= len(chosen.effects) and indistinct(chosen, h)
+            for c in h.effects
+            if c not in chosen.effects
+        ]
         return Search(
             nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1
         )

@@ -104,8 +104,12 @@ class Gram:
 
 
 def gram(
-    runs: Sequence[Run], rows: Sequence[np.ndarray], unsure: Sequence[np.ndarray], weights: Weights, blocks: int
-) -> Gram:  # fmt: skip
+    runs: Sequence[Run],
+    rows: Sequence[np.ndarray],
+    unsure: Sequence[np.ndarray],
+    weights: Weights,
+    blocks: int,
+) -> Gram:
     """Of rows [samples n p + 1] of some runs, known to within `unsure` [samples n], cut into about so many blocks of equal
     length."""
     made = [weights(x, r.moves, u) for x, r, u in zip(rows, runs, unsure, strict=True)]

@@ -99,8 +99,14 @@ def estimates(
         sure = bool(determined[k]) and np.isfinite(std[k])
         shown = float(std[k]) if sure else None
         own[e.name] = Estimate(
-            float(s.theta[k]), shown, e.unit, float(b.lower[i]), float(b.upper[i]), bool(s.bound[k]), sure
-        )  # fmt: skip
+            float(s.theta[k]),
+            shown,
+            e.unit,
+            float(b.lower[i]),
+            float(b.upper[i]),
+            bool(s.bound[k]),
+            sure,
+        )
     effects, first = [], chooser.size
     for u in model.units:
         unit = chooser.units[u]
@@ -227,9 +233,16 @@ def ranking(study: Study, chooser: Chooser, rows: Rows, which: Sequence[int]) ->
 
 
 def how_far(
-    study: Study, before: Answer, retuned: Answer, after: Answer, which: Sequence[int], split: str, verdict: str, note: str,
+    study: Study,
+    before: Answer,
+    retuned: Answer,
+    after: Answer,
+    which: Sequence[int],
+    split: str,
+    verdict: str,
+    note: str,
     ceiling: float | None,
-) -> HowFar:  # fmt: skip
+) -> HowFar:
     """Gaps on some runs: as stated, re-tuned, with the effects."""
     models = (before, retuned, after)
     gaps = [m.gap(which) for m in models]
@@ -271,9 +284,21 @@ def how_far(
         text += f"; any law of a joint's own position, speed and load would close {percent(ceiling)} of it"
     text += ". Torque and motion are low-passed alike, and rows count by how well they are known"
     return HowFar(
-        gaps[0], gaps[1], gaps[2], 1.0, shrinkage, None, reason, channels, f"{text}. {note}".strip(), runs,
-        _by_regime(study, models, which), "", split, ceiling=ceiling,
-    )  # fmt: skip
+        gaps[0],
+        gaps[1],
+        gaps[2],
+        1.0,
+        shrinkage,
+        None,
+        reason,
+        channels,
+        f"{text}. {note}".strip(),
+        runs,
+        _by_regime(study, models, which),
+        "",
+        split,
+        ceiling=ceiling,
+    )
 
 
 def _by_regime(study: Study, models: Sequence[Answer], which: Sequence[int]) -> tuple[Share, ...]:

@@ -57,10 +57,19 @@ class Chooser:
     """The search over sets of units."""
 
     def __init__(
-        self, units: Sequence[Unit], size: int, fit: Gram, held: Gram, known: Known, start: np.ndarray, lower: np.ndarray,
-        upper: np.ndarray, most: int, by_joint: Callable[[Solution], np.ndarray] | None = None,
+        self,
+        units: Sequence[Unit],
+        size: int,
+        fit: Gram,
+        held: Gram,
+        known: Known,
+        start: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        most: int,
+        by_joint: Callable[[Solution], np.ndarray] | None = None,
         enough: Enough = lambda model: False,
-    ):  # fmt: skip
+    ):
         """`size` numbers of the nominal model come first among the columns; `most` kinds of effects may be named. `by_joint`:
         what a solution leaves of each block and joint of the held-out runs. Nothing is added to a model that is `enough`."""
         self.by_joint, self.enough = by_joint, enough
@@ -290,8 +299,11 @@ class Chooser:
         for u in chosen.units:
             others = tuple(v for v in chosen.units if v != u)
             near, taken = set(self.units[u].joints), {self.units[v].effect for v in chosen.units}
-            best = [k for (e, _), (_, k) in self._best_shapes(others).items()
-                    if near & set(self.units[k].joints) and e not in taken]  # fmt: skip
+            best = [
+                k
+                for (e, _), (_, k) in self._best_shapes(others).items()
+                if near & set(self.units[k].joints) and e not in taken
+            ]
             for k in best:
                 m = self.model((*others, k))
                 if m is not None and self.alike(chosen, m) and k not in out:

@@ -127,9 +127,12 @@ def shapes(
 
 
 def at_every_joint(
-    kind: type[JointEffect], grids: Sequence[Sequence[Mapping[str, float]]], runs: Sequence[Run], load: Sequence[Load],
+    kind: type[JointEffect],
+    grids: Sequence[Sequence[Mapping[str, float]]],
+    runs: Sequence[Run],
+    load: Sequence[Load],
     turn: np.ndarray,
-) -> list[dict[str, list[np.ndarray]]]:  # fmt: skip
+) -> list[dict[str, list[np.ndarray]]]:
     """For each point of the joints' grids and each strength: its force along each run, [time n] for each."""
     n, effect, out = len(turn), neutral(kind), []
     for k in range(max(map(len, grids))):

@@ -74,9 +74,13 @@ def shows(kind: type[Effect], chain: Chain) -> bool:
 
 
 def units(
-    plant: Plant, kinds: Iterable[type[Effect]], runs: Sequence[Run], theta: np.ndarray, payloads: bool,
+    plant: Plant,
+    kinds: Iterable[type[Effect]],
+    runs: Sequence[Run],
+    theta: np.ndarray,
+    payloads: bool,
     beside: Sequence[Beside] | None = None,
-) -> list[Unit]:  # fmt: skip
+) -> list[Unit]:
     """All units of these effects, along what the model takes with the numbers theta and beside what is known of each run's gears;
     `payloads`: whether bodies at the links of an arm can be told from the arm's own, because its own are known."""
     load = [plant.load(r, theta, None if beside is None else beside[k]) for k, r in enumerate(runs)]
@@ -97,9 +101,14 @@ def units(
 
 
 def _unit(
-    kind: type[Effect], place: str, fields: Sequence[str], shape: dict[str, float], joints: Sequence[int],
-    columns: list[np.ndarray], binding: Binding,
-) -> Unit:  # fmt: skip
+    kind: type[Effect],
+    place: str,
+    fields: Sequence[str],
+    shape: dict[str, float],
+    joints: Sequence[int],
+    columns: list[np.ndarray],
+    binding: Binding,
+) -> Unit:
     reference = binding.reference(kind, joints[0])
     own = specs(kind)
     low = np.array([resolve(own[f].lower, reference) if f in own else 0.0 for f in fields])
@@ -198,8 +207,9 @@ def _driven(
     field = next(iter(specs(kind)))
     return [
         _unit(kind, p, [field], {}, [j], [_placed(x[:, j, None], j, n) for x in rows], b)
-        for p in places for j in [names.index(p)]
-    ]  # fmt: skip
+        for p in places
+        for j in [names.index(p)]
+    ]
 
 
 def _bodies(
@@ -214,8 +224,19 @@ def _bodies(
     joints = b.chain.signature.joints
     if kind.name == "reflected_inertia":
         rows = [r.rows(r.qdd) for r in runs]
-        return [_unit(kind, p, ["inertia"], {}, [joints.index(p)], [_placed(x[:, j, None], j, n) for x in rows], b)
-                for p in places for j in [joints.index(p)]]  # fmt: skip
+        return [
+            _unit(
+                kind,
+                p,
+                ["inertia"],
+                {},
+                [joints.index(p)],
+                [_placed(x[:, j, None], j, n) for x in rows],
+                b,
+            )
+            for p in places
+            for j in [joints.index(p)]
+        ]
     if isinstance(plant, ArmPlant) and kind.name == "payload":
         return (
             _payloads(plant, {p: joints.index(p) for p in places}, runs, theta) if payloads else []

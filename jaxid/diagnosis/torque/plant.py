@@ -131,8 +131,16 @@ class ArmPlant(Plant):
 
     def _law(self, run: Run, theta: np.ndarray, entry: Any) -> np.ndarray:
         effect: Any = self.binding.chain.effects[entry.owner]
-        own = {f: theta[[i for i, e in enumerate(self.binding.layout.entries) if e.owner == entry.owner and e.field == f]]
-               for f in specs(effect)}  # fmt: skip
+        own = {
+            f: theta[
+                [
+                    i
+                    for i, e in enumerate(self.binding.layout.entries)
+                    if e.owner == entry.owner and e.field == f
+                ]
+            ]
+            for f in specs(effect)
+        }
         shape = {f: v for f, v in own.items() if specs(effect)[f].value != 0}
         return force(
             with_numbers(effect, {**shape, entry.field: 1.0}, run.q.shape[1]),

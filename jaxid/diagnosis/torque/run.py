@@ -76,9 +76,14 @@ class Found:
 
 
 def diagnose_by_torque(
-    binding: Binding, kinds: Sequence[type[Effect]], max_effects: int, cutoff_hz: float | None, seed: int,
-    reference: Reference | None, progress: Progress | None,
-) -> Diagnosis:  # fmt: skip
+    binding: Binding,
+    kinds: Sequence[type[Effect]],
+    max_effects: int,
+    cutoff_hz: float | None,
+    seed: int,
+    reference: Reference | None,
+    progress: Progress | None,
+) -> Diagnosis:
     """See `jaxid.diagnose` with the residual `inverse_dynamics`."""
     began = time.perf_counter()
     given = None if reference is None else reference.known(binding)
@@ -305,13 +310,34 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
         found.judge if found.different else found.choose or found.fit,
     )
     return Diagnosis(
-        b.chain.mechanism.name, b.dataset.name, b.dataset.sha256, seed, "inverse_dynamics", findings,
-        Which(verdict, named, tuple(EffectEstimate(u.effect, u.location) for u in mates), ranked, judged.text),
-        far, advice(verdict, [e.effect for e in named], [u.effect for u in mates], repeated=found.weights.spread.size > 0),
+        b.chain.mechanism.name,
+        b.dataset.name,
+        b.dataset.sha256,
+        seed,
+        "inverse_dynamics",
+        findings,
+        Which(
+            verdict,
+            named,
+            tuple(EffectEstimate(u.effect, u.location) for u in mates),
+            ranked,
+            judged.text,
+        ),
+        far,
+        advice(
+            verdict,
+            [e.effect for e in named],
+            [u.effect for u in mates],
+            repeated=found.weights.spread.size > 0,
+        ),
         time.perf_counter() - began,
-        nominal_fit, final_fit, traces(study, found.nominal, final, label), pictures, regimes,
+        nominal_fit,
+        final_fit,
+        traces(study, found.nominal, final, label),
+        pictures,
+        regimes,
         (*b.dataset.notes, *_notes(study, found), *_of_the_gains(study, named)),
-    )  # fmt: skip
+    )
 
 
 def _before(study: Study, nominal: Answer) -> tuple[Answer, str]:
@@ -347,11 +373,31 @@ def _fit(
     if open_:
         notes.append(f"not determined by these data: {', '.join(open_)}")
     return Fit(
-        b.chain.mechanism.name, effects, "linear", "inverse_dynamics", "sum_of_squares", seed, True, False, "least squares",
-        answer.gap(fit) ** 2, own, scores(answer), {}, 1, time.perf_counter() - began, 0.0, b.dataset.name, b.dataset.sha256,
-        tuple(notes), theta=theta, simulation="inverse_dynamics", stated=stated_numbers(b, at),
-        chain=fitted_chain(b, theta, ()), model_sha256=sha256_of(b.chain.mechanism),
-    )  # fmt: skip
+        b.chain.mechanism.name,
+        effects,
+        "linear",
+        "inverse_dynamics",
+        "sum_of_squares",
+        seed,
+        True,
+        False,
+        "least squares",
+        answer.gap(fit) ** 2,
+        own,
+        scores(answer),
+        {},
+        1,
+        time.perf_counter() - began,
+        0.0,
+        b.dataset.name,
+        b.dataset.sha256,
+        tuple(notes),
+        theta=theta,
+        simulation="inverse_dynamics",
+        stated=stated_numbers(b, at),
+        chain=fitted_chain(b, theta, ()),
+        model_sha256=sha256_of(b.chain.mechanism),
+    )
 
 
 def _of_the_gains(study: Study, named: Sequence[EffectEstimate]) -> list[str]:

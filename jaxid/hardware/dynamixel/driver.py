@@ -67,12 +67,22 @@ class Session:
                 f"servo {identity} is of model {model}, whose registers are not known here (known: {known})"
             )
         names = {
-            "firmware": x.FIRMWARE, "return_delay": x.RETURN_DELAY, "operating_mode": x.OPERATING_MODE,
-            "drive_mode": x.DRIVE_MODE, "temperature_limit": x.TEMPERATURE_LIMIT, "current_limit": x.CURRENT_LIMIT,
-            "velocity_limit": x.VELOCITY_LIMIT, "max_position": x.MAX_POSITION, "min_position": x.MIN_POSITION,
-            "torque_enable": x.TORQUE_ENABLE, "status_return": x.STATUS_RETURN, "hardware_error": x.HARDWARE_ERROR,
-            "position_p": x.POSITION_P, "position": x.PRESENT_POSITION, "bus_watchdog": x.BUS_WATCHDOG,
-        }  # fmt: skip
+            "firmware": x.FIRMWARE,
+            "return_delay": x.RETURN_DELAY,
+            "operating_mode": x.OPERATING_MODE,
+            "drive_mode": x.DRIVE_MODE,
+            "temperature_limit": x.TEMPERATURE_LIMIT,
+            "current_limit": x.CURRENT_LIMIT,
+            "velocity_limit": x.VELOCITY_LIMIT,
+            "max_position": x.MAX_POSITION,
+            "min_position": x.MIN_POSITION,
+            "torque_enable": x.TORQUE_ENABLE,
+            "status_return": x.STATUS_RETURN,
+            "hardware_error": x.HARDWARE_ERROR,
+            "position_p": x.POSITION_P,
+            "position": x.PRESENT_POSITION,
+            "bus_watchdog": x.BUS_WATCHDOG,
+        }
         return {"id": identity, "model": model} | {
             name: self.bus.get(identity, r) for name, r in names.items()
         }

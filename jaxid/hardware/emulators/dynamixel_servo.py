@@ -46,10 +46,19 @@ class Servo:
         self.noise: Callable[[], float] = lambda: 0.0  # rad, of the encoder before it rounds
         self.triggered: Callable[[int], None] = lambda identity: None
         for register, value in (
-            (x.MODEL_NUMBER, MODEL), (x.FIRMWARE, 46), (x.ID, identity), (x.BAUD_RATE, 3), (x.RETURN_DELAY, 250),
-            (x.OPERATING_MODE, 3), (x.PROTOCOL, 2), (x.TEMPERATURE_LIMIT, 80), (x.CURRENT_LIMIT, 1193), (x.VELOCITY_LIMIT, 200),
-            (x.MAX_POSITION, 4095), (x.MIN_POSITION, 0),
-        ):  # fmt: skip
+            (x.MODEL_NUMBER, MODEL),
+            (x.FIRMWARE, 46),
+            (x.ID, identity),
+            (x.BAUD_RATE, 3),
+            (x.RETURN_DELAY, 250),
+            (x.OPERATING_MODE, 3),
+            (x.PROTOCOL, 2),
+            (x.TEMPERATURE_LIMIT, 80),
+            (x.CURRENT_LIMIT, 1193),
+            (x.VELOCITY_LIMIT, 200),
+            (x.MAX_POSITION, 4095),
+            (x.MIN_POSITION, 0),
+        ):
             self.set(register, value)
         self.restart()
 
@@ -57,9 +66,13 @@ class Servo:
         """What a reboot does: the memory above the EEPROM starts anew."""
         self.memory[EEPROM:] = bytes(256 - EEPROM)
         for register, value in (
-            (x.STATUS_RETURN, 2), (x.POSITION_P, 800), (x.GOAL_CURRENT, 1193), (x.GOAL_POSITION, x.CENTER),
-            (x.PRESENT_VOLTAGE, 120), (x.PRESENT_TEMPERATURE, 35),
-        ):  # fmt: skip
+            (x.STATUS_RETURN, 2),
+            (x.POSITION_P, 800),
+            (x.GOAL_CURRENT, 1193),
+            (x.GOAL_POSITION, x.CENTER),
+            (x.PRESENT_VOLTAGE, 120),
+            (x.PRESENT_TEMPERATURE, 35),
+        ):
             self.set(register, value)
         self.drive = 0.0
 

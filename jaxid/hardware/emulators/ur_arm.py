@@ -45,9 +45,17 @@ MOVE_J, SPEED_J, SERVO_J, SPEED_STOP, SERVO_STOP, SET_WATCHDOG, STOP_J, KICK, ST
     255,
 )
 NAMES = {
-    0: "none", MOVE_J: "moveJ", SPEED_J: "speedJ", SERVO_J: "servoJ", SPEED_STOP: "speedStop", SERVO_STOP: "servoStop",
-    STOP_J: "stopJ", SET_WATCHDOG: "setWatchdog", KICK: "kickWatchdog", STOP_SCRIPT: "stopScript",
-}  # fmt: skip
+    0: "none",
+    MOVE_J: "moveJ",
+    SPEED_J: "speedJ",
+    SERVO_J: "servoJ",
+    SPEED_STOP: "speedStop",
+    SERVO_STOP: "servoStop",
+    STOP_J: "stopJ",
+    SET_WATCHDOG: "setWatchdog",
+    KICK: "kickWatchdog",
+    STOP_SCRIPT: "stopScript",
+}
 
 _V6 = (
     "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current joint_control_output "

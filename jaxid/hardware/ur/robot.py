@@ -44,8 +44,16 @@ LIMITS = Limits(
     temperature=(273.15 + 80.0,),
     tracking=(0.2,),
 )
-SAFETY = {2: "reduced mode", 3: "a protective stop", 4: "recovery", 5: "a safeguard stop", 6: "an emergency stop of the system",
-          7: "an emergency stop", 8: "a violation", 9: "a fault"}  # fmt: skip
+SAFETY = {
+    2: "reduced mode",
+    3: "a protective stop",
+    4: "recovery",
+    5: "a safeguard stop",
+    6: "an emergency stop of the system",
+    7: "an emergency stop",
+    8: "a violation",
+    9: "a fault",
+}
 #: Longest time from the order to stop until the driver confirms that it has begun, and until the arm has stopped (s).
 ACKNOWLEDGE_S, STOPPED_S = 0.05, 2.0
 ARM_S = 10.0

@@ -24,10 +24,23 @@ from jaxid.robots.tree import roll_pitch_yaw, rotation
 
 #: Fitted number `FIELD@JOINT` -> quantity of the joint.
 JOINT = {
-    "damping": "damping", "quadratic_damping": "quadratic", "cubic_damping": "cubic", "frictionloss": "frictionloss",
-    "armature": "armature", "stiffness": "stiffness", "springref": "springref", "encoder_bias": "bias", "kp": "kp", "kd": "kd",
-    "ki": "ki", "offset": "offset", "lowest": "lowest", "highest": "highest", "delay": "delay", "timeconst": "lag",
-}  # fmt: skip
+    "damping": "damping",
+    "quadratic_damping": "quadratic",
+    "cubic_damping": "cubic",
+    "frictionloss": "frictionloss",
+    "armature": "armature",
+    "stiffness": "stiffness",
+    "springref": "springref",
+    "encoder_bias": "bias",
+    "kp": "kp",
+    "kd": "kd",
+    "ki": "ki",
+    "offset": "offset",
+    "lowest": "lowest",
+    "highest": "highest",
+    "delay": "delay",
+    "timeconst": "lag",
+}
 #: Numbers of models that are no robot's -> quantity of their joint.
 PLAIN = {"viscous": "damping", "coulomb": "frictionloss", "armature": "armature"}
 #: Effects that say what a quantity is (also where the model has it by itself): effect -> its number, quantity, number of a fit.
@@ -197,10 +210,15 @@ def _change(
 ) -> Change:
     doubt = effect.numbers[number].doubt
     return Change(
-        effect.effect, effect.location, quantity, joint, effect.value(number), None,
+        effect.effect,
+        effect.location,
+        quantity,
+        joint,
+        effect.value(number),
+        None,
         _unit(effect, number) if unit is None else unit,
         "; ".join(t for t in (note, doubt) if t),
-    )  # fmt: skip
+    )
 
 
 def _reflected_inertia(sheet: Sheet, effect: Named) -> None:

@@ -16,9 +16,16 @@ Writer = Callable[[Sheet, Mapping[str, dict[str, Any]], Mapping[str, Body]], str
 
 
 def written(
-    sheet: Sheet, fields: Mapping[str, Field], elsewhere: Mapping[str, str], file: str, writer: Writer, version: str,
-    library: str | None = "numpy", tail: str = "", how: str = CODE,
-) -> Written:  # fmt: skip
+    sheet: Sheet,
+    fields: Mapping[str, Field],
+    elsewhere: Mapping[str, str],
+    file: str,
+    writer: Writer,
+    version: str,
+    library: str | None = "numpy",
+    tail: str = "",
+    how: str = CODE,
+) -> Written:
     """Rows by the table of fields, the text that `writer` makes of the numbers that have one, and the code of the laws that have
     none (`library` None: this framework runs no such code)."""
     out = Written(

@@ -43,12 +43,22 @@ def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[str, Body]) -> str:
-    lines = [f'"""What was found, on a MultibodyPlant; written for {VERSION}, not run."""', "", "import numpy as np",
-             "from pydrake.multibody.tree import PdControllerGains, RotationalInertia, SpatialInertia", "", "",
-             "def actuator_of(plant, joint):", '    """The actuator of a joint."""',
-             "    every = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]",
-             "    return next(a for a in every if a.joint().name() == joint)", "", "",
-             "def apply(plant):", '    """Before plant.Finalize()."""']  # fmt: skip
+    lines = [
+        f'"""What was found, on a MultibodyPlant; written for {VERSION}, not run."""',
+        "",
+        "import numpy as np",
+        "from pydrake.multibody.tree import PdControllerGains, RotationalInertia, SpatialInertia",
+        "",
+        "",
+        "def actuator_of(plant, joint):",
+        '    """The actuator of a joint."""',
+        "    every = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]",
+        "    return next(a for a in every if a.joint().name() == joint)",
+        "",
+        "",
+        "def apply(plant):",
+        '    """Before plant.Finalize()."""',
+    ]
     for joint, own in numbers.items():
         now = sheet.after[joint]
         if "damping" in own:
@@ -56,8 +66,11 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[s
                 f"    plant.GetJointByName({joint!r}).set_default_damping({now.damping!r})"
             )
         if "armature" in own:
-            lines += [f"    a = actuator_of(plant, {joint!r})", f"    a.set_default_rotor_inertia({now.armature!r})",
-                      "    a.set_default_gear_ratio(1.0)"]  # fmt: skip
+            lines += [
+                f"    a = actuator_of(plant, {joint!r})",
+                f"    a.set_default_rotor_inertia({now.armature!r})",
+                "    a.set_default_gear_ratio(1.0)",
+            ]
         if sheet.driven and {"kp", "kd"} & own.keys():
             lines.append(
                 f"    actuator_of(plant, {joint!r}).set_controller_gains(PdControllerGains(p={now.kp!r}, d={now.kd!r}))"
@@ -71,8 +84,13 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[s
         lines.append(
             f"    plant.mutable_gravity_field().set_gravity_vector({[float(v) for v in sheet.gravity[1]]!r})"
         )
-    lines += ["    return plant", "", "", "#: link -> its spatial inertia, for AddRigidBody.",
-              "INERTIA = {"]  # fmt: skip
+    lines += [
+        "    return plant",
+        "",
+        "",
+        "#: link -> its spatial inertia, for AddRigidBody.",
+        "INERTIA = {",
+    ]
     for link, body in bodies.items():
         com = [float(v) for v in body.com]
         I = body.inertia

@@ -39,8 +39,13 @@ def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
-    lines = [f'"""What was found, on an entity of a built scene; written for {VERSION}, not run. SI units."""', "", "",
-             "def apply(robot):", '    """After scene.build()."""']  # fmt: skip
+    lines = [
+        f'"""What was found, on an entity of a built scene; written for {VERSION}, not run. SI units."""',
+        "",
+        "",
+        "def apply(robot):",
+        '    """After scene.build()."""',
+    ]
     calls = {
         "damping": "damping",
         "armature": "armature",

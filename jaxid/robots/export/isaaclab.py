@@ -42,10 +42,16 @@ def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
-    lines = [f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is not named here."""', "",
-             "from isaaclab.actuators import DelayedPDActuatorCfg, IdealPDActuatorCfg", "", "",
-             "def actuators(physics_dt):", '    """`ArticulationCfg(actuators=actuators(0.005), …)`; physics_dt in s."""',
-             "    return {"]  # fmt: skip
+    lines = [
+        f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is not named here."""',
+        "",
+        "from isaaclab.actuators import DelayedPDActuatorCfg, IdealPDActuatorCfg",
+        "",
+        "",
+        "def actuators(physics_dt):",
+        '    """`ArticulationCfg(actuators=actuators(0.005), …)`; physics_dt in s."""',
+        "    return {",
+    ]
     extra = {
         c.place: c.value.get("extra", 0.0)
         for c in sheet.changes

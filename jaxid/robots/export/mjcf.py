@@ -120,8 +120,15 @@ class _Patch:
         if own is not None:
             return row(self.sheet, change, own)
         if (change.quantity, change.place) in fields:
-            return Row(change.effect, change.location, "", value_of(self.sheet, change), change.unit, CODE,
-                       joined(self._why(change), was(change), change.note))  # fmt: skip
+            return Row(
+                change.effect,
+                change.location,
+                "",
+                value_of(self.sheet, change),
+                change.unit,
+                CODE,
+                joined(self._why(change), was(change), change.note),
+            )
         known = change.place in self.sheet.after and hasattr(
             self.sheet.after[change.place], change.quantity
         )
@@ -238,9 +245,13 @@ class _Patch:
         extra = lambda name: (
             float(np.ravel(getattr(m, name)[a])[0]) * gear2 if a >= 0 and hasattr(m, name) else 0.0
         )
-        return {"damping": d[0] - extra("actuator_damping"), "quadratic": d[1], "cubic": d[2],
-                "frictionloss": tree.frictionloss[k],
-                "armature": tree.armature[k] - extra("actuator_armature")}  # fmt: skip
+        return {
+            "damping": d[0] - extra("actuator_damping"),
+            "quadratic": d[1],
+            "cubic": d[2],
+            "frictionloss": tree.frictionloss[k],
+            "armature": tree.armature[k] - extra("actuator_armature"),
+        }
 
     def _shifted(self, joint: str, shift: float, turn: float) -> dict[str, Any]:
         tree = self.sheet.tree
@@ -266,9 +277,15 @@ class _Patch:
             now = self._limited(joint, stated)
             if (now.lowest, now.highest) != (stated.lowest, stated.highest):
                 left.append(f"{joint} ({a.force[0]:g} to {a.force[1]:g} {sheet.force_unit(joint)})")
-            own = {"kp": (a.kp, now.kp), "kd": (a.kd, now.kd), "lowest": (a.force[0], now.lowest),
-                   "highest": (a.force[1], now.highest),
-                   "delay": (a.delay, now.delay), "lag": (a.lag, now.lag), "offset": (a.offset, now.offset)}  # fmt: skip
+            own = {
+                "kp": (a.kp, now.kp),
+                "kd": (a.kd, now.kd),
+                "lowest": (a.force[0], now.lowest),
+                "highest": (a.force[1], now.highest),
+                "delay": (a.delay, now.delay),
+                "lag": (a.lag, now.lag),
+                "offset": (a.offset, now.offset),
+            }
             other = {
                 k
                 for k, (file, new) in own.items()
@@ -347,9 +364,15 @@ class _Patch:
             else ""
         )
         general = tag == "general"
-        name = {"kp": "gainprm, biasprm" if general else "kp", "kd": "biasprm" if general else "kv", "offset": "biasprm",
-                "torque": "biasprm", "drive": "gear", "delay": "delay, nsample, interp",
-                "lag": "dyntype, dynprm" if general else "timeconst"}  # fmt: skip
+        name = {
+            "kp": "gainprm, biasprm" if general else "kp",
+            "kd": "biasprm" if general else "kv",
+            "offset": "biasprm",
+            "torque": "biasprm",
+            "drive": "gear",
+            "delay": "delay, nsample, interp",
+            "lag": "dyntype, dynprm" if general else "timeconst",
+        }
         gear = float(self.file.model.actuator_gear[a, 0])
         geared = names & {"kp", "kd", "offset", "torque", "force", "lowest", "highest"}
         at_joint = (
@@ -444,8 +467,11 @@ class _Patch:
         if off > 1e-6:
             note += f"; the nearest such body is {100 * off:.2g} % of its largest number off"
         lumped = np.abs(own.ten - before.ten).max() > 1e-6 * np.abs(before.ten).max()
-        return Field("body[{link}]/inertial", EXACT if off <= 1e-6 else APPROXIMATE,
-                     joined(note, "what is fixed to it keeps its own numbers" if lumped else ""))  # fmt: skip
+        return Field(
+            "body[{link}]/inertial",
+            EXACT if off <= 1e-6 else APPROXIMATE,
+            joined(note, "what is fixed to it keeps its own numbers" if lumped else ""),
+        )
 
     def _own_body(self, link: str) -> Body:
         from jaxid.robots.mjcf import pose

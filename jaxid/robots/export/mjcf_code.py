@@ -35,13 +35,24 @@ def spec_code(ops: Iterable[Any], file: str, version: str) -> str:
     """A module whose `apply(spec)` makes the same changes on a `mujoco.MjSpec` of the unpatched file."""
     shown = file.replace("\\", "/").replace('"', "'")
     lines = [
-        f'"""What was found, for `mujoco.MjSpec` ({version}):', "", "    import mujoco",
-        f"    spec = mujoco.MjSpec.from_file({shown!r})", "    model = apply(spec).compile()", '"""', "",
-        "import mujoco", "", "", "def actuator_of(spec, joint):",
+        f'"""What was found, for `mujoco.MjSpec` ({version}):',
+        "",
+        "    import mujoco",
+        f"    spec = mujoco.MjSpec.from_file({shown!r})",
+        "    model = apply(spec).compile()",
+        '"""',
+        "",
+        "import mujoco",
+        "",
+        "",
+        "def actuator_of(spec, joint):",
         '    """The actuator that acts on a joint."""',
-        "    return next(a for a in spec.actuators if a.target == joint)", "", "", "def apply(spec):",
+        "    return next(a for a in spec.actuators if a.target == joint)",
+        "",
+        "",
+        "def apply(spec):",
         '    """Changes the spec of the file as it stood and returns it. Angles are in the file\'s own unit."""',
-    ]  # fmt: skip
+    ]
     for op in ops:
         lines += [f"    {line}" for line in _lines(op)]
     return "\n".join([*lines, "    return spec", ""])
@@ -105,15 +116,27 @@ def _plain(v: Any) -> str:
 def callback(changes: list[Change]) -> str:
     """What calls the laws, before each step."""
     ports = {LAWS[c.quantity].port for c in changes}
-    lines = ["", "", "class Effects:", '    """`effects = Effects(model)`; before every mj_step: `effects(model, data)`."""', "",
-             "    def __init__(self, model):"]  # fmt: skip
-    lines += ["        self.base = model.dof_frictionloss.copy()", "", "    def __call__(self, model, data):",
-              "        dt = model.opt.timestep", "        data.qfrc_applied[:] = 0.0",
-              "        model.dof_frictionloss[:] = self.base"]  # fmt: skip
+    lines = [
+        "",
+        "",
+        "class Effects:",
+        '    """`effects = Effects(model)`; before every mj_step: `effects(model, data)`."""',
+        "",
+        "    def __init__(self, model):",
+    ]
+    lines += [
+        "        self.base = model.dof_frictionloss.copy()",
+        "",
+        "    def __call__(self, model, data):",
+        "        dt = model.opt.timestep",
+        "        data.qfrc_applied[:] = 0.0",
+        "        model.dof_frictionloss[:] = self.base",
+    ]
     each = [
-        "            j = model.joint(joint)", "            d, q = j.dofadr[0], data.qpos[j.qposadr[0]]",
+        "            j = model.joint(joint)",
+        "            d, q = j.dofadr[0], data.qpos[j.qposadr[0]]",
         "            qd, load = data.qvel[d], data.qfrc_actuator[d]",
-    ]  # fmt: skip
+    ]
     if "force" in ports:
         lines += [
             "        for joint, law in FORCE:",

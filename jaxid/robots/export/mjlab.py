@@ -52,10 +52,16 @@ def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
-    lines = [f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is not named here."""', "",
-             "from mjlab.actuator import BuiltinPositionActuatorCfg", "", "",
-             "def actuators(physics_dt):", '    """`EntityArticulationInfoCfg(actuators=actuators(0.005))`; physics_dt in s."""',
-             "    return ("]  # fmt: skip
+    lines = [
+        f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is not named here."""',
+        "",
+        "from mjlab.actuator import BuiltinPositionActuatorCfg",
+        "",
+        "",
+        "def actuators(physics_dt):",
+        '    """`EntityArticulationInfoCfg(actuators=actuators(0.005))`; physics_dt in s."""',
+        "    return (",
+    ]
     names = {"damping": "viscous_damping", "frictionloss": "frictionloss", "armature": "armature"}
     for joint, own in numbers.items():
         now = sheet.after[joint]

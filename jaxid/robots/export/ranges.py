@@ -160,9 +160,15 @@ def _by_field(rows: Mapping[str, Any], field: str) -> dict[str, list[float]]:
 
 
 def _mjlab(rows: Mapping[str, Any]) -> str:
-    lines = ['"""Events of domain randomisation by what was measured; written for mjlab 1.6, not run."""', "",
-             "from mjlab.envs.mdp import dr", "from mjlab.managers.event_manager import EventTermCfg",
-             "from mjlab.managers.scene_entity_config import SceneEntityCfg", "", "EVENTS = {"]  # fmt: skip
+    lines = [
+        '"""Events of domain randomisation by what was measured; written for mjlab 1.6, not run."""',
+        "",
+        "from mjlab.envs.mdp import dr",
+        "from mjlab.managers.event_manager import EventTermCfg",
+        "from mjlab.managers.scene_entity_config import SceneEntityCfg",
+        "",
+        "EVENTS = {",
+    ]
     for quantity, function in (
         ("damping", "joint_damping"),
         ("frictionloss", "joint_friction"),
@@ -170,17 +176,24 @@ def _mjlab(rows: Mapping[str, Any]) -> str:
     ):
         for joint, interval in _by_field(rows, quantity).items():
             lines += [
-                f"    {f'{quantity}_{joint}'!r}: EventTermCfg(", f'        func=dr.{function}, mode="startup",',
+                f"    {f'{quantity}_{joint}'!r}: EventTermCfg(",
+                f'        func=dr.{function}, mode="startup",',
                 f'        params={{"asset_cfg": SceneEntityCfg("robot", joint_names=({joint!r},)),',
-                f'                "ranges": {tuple(interval)!r}, "operation": "abs"}},', "    ),",
-            ]  # fmt: skip
+                f'                "ranges": {tuple(interval)!r}, "operation": "abs"}},',
+                "    ),",
+            ]
     return "\n".join([*lines, "}", ""])
 
 
 def _isaaclab(rows: Mapping[str, Any]) -> str:
-    lines = ['"""Events of domain randomisation by what was measured; written for Isaac Lab 3.0, not run."""', "",
-             "from isaaclab.envs import mdp", "from isaaclab.managers import EventTermCfg, SceneEntityCfg", "",
-             "EVENTS = {"]  # fmt: skip
+    lines = [
+        '"""Events of domain randomisation by what was measured; written for Isaac Lab 3.0, not run."""',
+        "",
+        "from isaaclab.envs import mdp",
+        "from isaaclab.managers import EventTermCfg, SceneEntityCfg",
+        "",
+        "EVENTS = {",
+    ]
     for quantity, function, key in (
         ("armature", "randomize_joint_parameters", "armature_distribution_params"),
         ("frictionloss", "randomize_joint_parameters", "friction_distribution_params"),
@@ -189,10 +202,12 @@ def _isaaclab(rows: Mapping[str, Any]) -> str:
     ):
         for joint, interval in _by_field(rows, quantity).items():
             lines += [
-                f"    {f'{quantity}_{joint}'!r}: EventTermCfg(", f'        func=mdp.{function}, mode="startup",',
+                f"    {f'{quantity}_{joint}'!r}: EventTermCfg(",
+                f'        func=mdp.{function}, mode="startup",',
                 f'        params={{"asset_cfg": SceneEntityCfg("robot", joint_names=[{joint!r}]), {key!r}: {tuple(interval)!r},',
-                '                "operation": "abs", "distribution": "uniform"},', "    ),",
-            ]  # fmt: skip
+                '                "operation": "abs", "distribution": "uniform"},',
+                "    ),",
+            ]
     return "\n".join([*lines, "}", ""])
 
 

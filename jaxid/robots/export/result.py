@@ -19,8 +19,13 @@ class Exportable:
         raise NotImplementedError
 
     def export(
-        self, to: str, *, robot: str | Path | None = None, ranges: bool = False, out: str | Path | None = None
-    ) -> Exported:  # fmt: skip
+        self,
+        to: str,
+        *,
+        robot: str | Path | None = None,
+        ranges: bool = False,
+        out: str | Path | None = None,
+    ) -> Exported:
         """What was found, in the terms of mjcf, mjlab, isaaclab, urdf, sdf, drake, ros2_control or genesis: `.rows` say for each
         effect and number which field carries it, `.files` are the texts, written into the folder `out` where one is given.
 

@@ -39,8 +39,12 @@ def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
-    lines = [f"# Gains as they were found; written for {VERSION}, not run.", "joint_trajectory_controller:", "  ros__parameters:",
-             "    gains:"]  # fmt: skip
+    lines = [
+        f"# Gains as they were found; written for {VERSION}, not run.",
+        "joint_trajectory_controller:",
+        "  ros__parameters:",
+        "    gains:",
+    ]
     for joint, own in numbers.items():
         now = sheet.after[joint]
         lines.append(f"      {json.dumps(joint)}:")

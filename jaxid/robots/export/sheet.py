@@ -150,11 +150,16 @@ def _of_file(tree: Tree, joint: str) -> dict[str, float]:
     actuator = tree.actuators.get(joint)
     force = actuator.force if actuator is not None else (-np.inf, np.inf)
     return {
-        "damping": float((s**2) @ tree.damping[:, 0]), "quadratic": float(np.abs(s**3) @ tree.damping[:, 1]),
-        "cubic": float((s**4) @ tree.damping[:, 2]), "frictionloss": float(np.abs(s) @ tree.frictionloss),
-        "armature": float(tree.armature[k]), "stiffness": float(tree.stiffness[k]), "springref": float(tree.spring[k]),
-        "lowest": float(force[0]), "highest": float(force[1]),
-    }  # fmt: skip
+        "damping": float((s**2) @ tree.damping[:, 0]),
+        "quadratic": float(np.abs(s**3) @ tree.damping[:, 1]),
+        "cubic": float((s**4) @ tree.damping[:, 2]),
+        "frictionloss": float(np.abs(s) @ tree.frictionloss),
+        "armature": float(tree.armature[k]),
+        "stiffness": float(tree.stiffness[k]),
+        "springref": float(tree.spring[k]),
+        "lowest": float(force[0]),
+        "highest": float(force[1]),
+    }
 
 
 def body_before(tree: Tree, link: str) -> Body:

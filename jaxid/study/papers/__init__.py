@@ -87,8 +87,14 @@ def reproduce(paper: str, budget: str = "small", progress: Progress | None = Non
 
     def finished() -> Reproduction:
         return Reproduction(
-            paper, known.title, known.doi, known.about, budget, tuple(parts), time.perf_counter() - began
-        )  # fmt: skip
+            paper,
+            known.title,
+            known.doi,
+            known.about,
+            budget,
+            tuple(parts),
+            time.perf_counter() - began,
+        )
 
     try:
         for part in module.study(module.SIZES[budget]):

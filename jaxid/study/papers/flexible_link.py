@@ -31,8 +31,13 @@ from jaxid.wording import listed, number
 
 #: Design space (Table 1).
 BOUNDS = {
-    "E": (20e9, 100e9), "I_m": (1e-3, 0.2), "v": (1e-5, 0.3), "tau_c": (1e-3, 0.2), "alpha": (1e-3, 4.0), "beta": (1e-7, 2e-4),
-}  # fmt: skip
+    "E": (20e9, 100e9),
+    "I_m": (1e-3, 0.2),
+    "v": (1e-5, 0.3),
+    "tau_c": (1e-3, 0.2),
+    "alpha": (1e-3, 4.0),
+    "beta": (1e-7, 2e-4),
+}
 UNITS = {"E": "Pa", "I_m": "kg m²", "v": "N m s/rad", "tau_c": "N m", "alpha": "1/s", "beta": "s"}
 #: Best solutions (Table 2).
 ANSWERS = {
@@ -174,10 +179,18 @@ def study(size: Size) -> Iterator[Part]:
 def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
     """Figure 4 and Table 2."""
     rows = [
-        (r.label, float(r.losses.mean()), float(np.std(r.losses, ddof=1)), float(r.losses.min()), float(r.losses.max()),
-         float(np.median([after(f.history, 12) for f in r.found])), r.evaluations, r.seconds)
+        (
+            r.label,
+            float(r.losses.mean()),
+            float(np.std(r.losses, ddof=1)),
+            float(r.losses.min()),
+            float(r.losses.max()),
+            float(np.median([after(f.history, 12) for f in r.found])),
+            r.evaluations,
+            r.seconds,
+        )
         for r in runs
-    ]  # fmt: skip
+    ]
     truth = p.loss(p.z(truth_of(p)))
     table = Table(
         "The objective (6) after all generations",
@@ -261,27 +274,46 @@ def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[C
     }
     apart = min(like[k] for k in ("v", "alpha", "beta"))
     return (
-        judged("DE has the lowest mean objective of the three", "", f"means: {said(means)}", lowest == "DE"),
-        judged("DE has the lowest dispersion", "", f"standard deviations: {said(spreads)}", least == "DE"),
-        judged("PSO has the highest dispersion", "", f"{widest} has the highest; {said(spreads)}", widest == "PSO"),
         judged(
-            "GA has the highest mean", "",
+            "DE has the lowest mean objective of the three",
+            "",
+            f"means: {said(means)}",
+            lowest == "DE",
+        ),
+        judged(
+            "DE has the lowest dispersion",
+            "",
+            f"standard deviations: {said(spreads)}",
+            least == "DE",
+        ),
+        judged(
+            "PSO has the highest dispersion",
+            "",
+            f"{widest} has the highest; {said(spreads)}",
+            widest == "PSO",
+        ),
+        judged(
+            "GA has the highest mean",
+            "",
             f"{worst} has; with an inertia weight of 0.73 in the place of 1.4 PSO's mean is "
             f"{number(float(np.mean(tame.losses)), 2)}",
             worst == "GA",
         ),
         judged(
-            "DE obtains its minimum at the twelfth generation", "12",
+            "DE obtains its minimum at the twelfth generation",
+            "12",
             f"the best run comes within 5 % of its end at generation {arrived}; at generation 12 it stands at "
             f"{number(after(de.best.history, 12), 2)} of {number(de.best.loss, 2)}",
             arrived <= 13,
         ),
         judged(
-            "the three answers are alike but for joint friction and damping", "E within 7 %, I_m within a factor 1.5",
-            "largest over smallest of the three: " + ", ".join(f"{k} {number(float(x), 2)}" for k, x in like.items()),
+            "the three answers are alike but for joint friction and damping",
+            "E within 7 %, I_m within a factor 1.5",
+            "largest over smallest of the three: "
+            + ", ".join(f"{k} {number(float(x), 2)}" for k, x in like.items()),
             max(like["E"], like["I_m"]) < apart,
         ),
-    )  # fmt: skip
+    )
 
 
 def response(p: Problem, runs: Mapping[str, Searched]) -> Part:
@@ -314,15 +346,19 @@ def response(p: Problem, runs: Mapping[str, Searched]) -> Part:
     )
     closest = min(error, key=error.__getitem__)
     claim = judged(
-        "the answer of DE follows the experiment closely, near the peak above all", "",
+        "the answer of DE follows the experiment closely, near the peak above all",
+        "",
         f"DE leaves {100 * rows[0][1]:.1f} % of the response and {100 * rows[0][2]:.1f} % of the angle; the smallest "
         f"sum has {closest}",
         rows[0][1] < 0.05 and rows[0][2] < 0.05,
-    )  # fmt: skip
+    )
     high = Claim(
-        "above the peak measured and modelled responses differ much", "", "", UNKNOWN,
+        "above the peak measured and modelled responses differ much",
+        "",
+        "",
+        UNKNOWN,
         "a matter of the rig's accelerometer; the twin's noise is the same share of the gain at all lines",
-    )  # fmt: skip
+    )
     return Part("Response with the best answers", (), (table,), pictures, (claim, high))
 
 
@@ -363,25 +399,56 @@ def validation(numbers: dict[str, float]) -> Part:
         printed, slow = nrmse(error, e.y[:, 0]), nrmse(error[::10], e.y[::10, 0])
         ratios.append(printed / slow)
         spread = e.y[:, 0] - e.y[:, 0].mean()
-        rows.append((e.name, *VALIDATION[e.name], printed, slow, nrmse(gain - model, gain), share(error, spread),
-                     100 * (1 - share(error, spread))))  # fmt: skip
+        rows.append(
+            (
+                e.name,
+                *VALIDATION[e.name],
+                printed,
+                slow,
+                nrmse(gain - model, gain),
+                share(error, spread),
+                100 * (1 - share(error, spread)),
+            )
+        )
         pictures.append(
             lines(
-                f"validation_{e.name.replace(' ', '_')}", f"{e.name} torque: angle, tip acceleration, response", [
-                    ("time (s)", "hub angle (degrees)", {"measured": (t, angle), "DE's answer": (t, np.rad2deg(phi))}),
-                    ("time (s)", "tip acceleration (m/s²)", {"measured": (t, e.y[:, 1]), "model": (t, tip)}),
-                    ("frequency (Hz)", "|tip acceleration / torque|", {"measured": (f, gain), "model": (f, model)}),
+                f"validation_{e.name.replace(' ', '_')}",
+                f"{e.name} torque: angle, tip acceleration, response",
+                [
+                    (
+                        "time (s)",
+                        "hub angle (degrees)",
+                        {"measured": (t, angle), "DE's answer": (t, np.rad2deg(phi))},
+                    ),
+                    (
+                        "time (s)",
+                        "tip acceleration (m/s²)",
+                        {"measured": (t, e.y[:, 1]), "model": (t, tip)},
+                    ),
+                    (
+                        "frequency (Hz)",
+                        "|tip acceleration / torque|",
+                        {"measured": (f, gain), "model": (f, model)},
+                    ),
                 ],
             )
-        )  # fmt: skip
+        )
     table = Table(
         "Table 3: errors on torques that were not fitted",
-        ("torque", "angle, paper", "response, paper", "angle (7), 1 kHz", "angle (7), 100 Hz", "response (7)",
-         "‖error‖ / ‖angle − its mean‖", "fit, %"),
+        (
+            "torque",
+            "angle, paper",
+            "response, paper",
+            "angle (7), 1 kHz",
+            "angle (7), 100 Hz",
+            "response (7)",
+            "‖error‖ / ‖angle − its mean‖",
+            "fit, %",
+        ),
         tuple(rows),
         "(7) has no 1/N: the same error of the same run counts more where it is sampled more often. Lines of the response: those "
         "up to 15 Hz at which the torque has a tenth of its largest line.",
-    )  # fmt: skip
+    )
     worst = min(row[-1] for row in rows)
     claim = judged(
         "the identified model represents the dynamics on other torques",
@@ -390,10 +457,12 @@ def validation(numbers: dict[str, float]) -> Part:
         worst > 90,
     )
     printed = Claim(
-        "normalised errors of Table 3", "2.86 to 6.09 (angle), 1.51 to 1.71 (response)",
-        f"{listed([number(r[3]) for r in rows])} at 1 kHz, {number(float(np.mean(ratios)))} times those at 100 Hz", UNKNOWN,
+        "normalised errors of Table 3",
+        "2.86 to 6.09 (angle), 1.51 to 1.71 (response)",
+        f"{listed([number(r[3]) for r in rows])} at 1 kHz, {number(float(np.mean(ratios)))} times those at 100 Hz",
+        UNKNOWN,
         "(7) lacks 1/N and the paper does not state its sampling rate",
-    )  # fmt: skip
+    )
     return Part("Validation", (), (table,), tuple(pictures), (claim, printed))
 
 
@@ -432,28 +501,36 @@ def bent(h: float) -> Part:
     )
     table = Table(
         "Numbers found from one pulse, the response estimated from it",
-        ("", "truth", "linear response", "off, %", "simulated response", "off, %"), rows,
+        ("", "truth", "linear response", "off, %", "simulated response", "off, %"),
+        rows,
         "By (6), angle and response. Linear: as in the paper, the model's linear response against the measured one. "
         "Simulated: both records through the same estimator.",
-    )  # fmt: skip
+    )
     bins, U, Y = estimate(t, u, y[:, 1], (0.0, 10.0), 0.1)
     f = np.fft.rfftfreq(t.size, h)[bins]
     free = np.abs(twin.direct(f))
     picture = lines(
-        "bent", "The response of a pulse with dry friction, and that of the same link without",
-        [("frequency (Hz)", "|tip acceleration / torque|", {"estimated from the "
-            "pulse": (f, np.abs(Y / U)), "linear": (f, free)})],
+        "bent",
+        "The response of a pulse with dry friction, and that of the same link without",
+        [
+            (
+                "frequency (Hz)",
+                "|tip acceleration / torque|",
+                {"estimated from the pulse": (f, np.abs(Y / U)), "linear": (f, free)},
+            )
+        ],
         yscale="log",
-    )  # fmt: skip
+    )
     claim = Claim(
-        "the identified E of 57 GPa is the strip's", "5.70e10 Pa",
+        "the identified E of 57 GPa is the strip's",
+        "5.70e10 Pa",
         "fitted as in the paper, by (6) with the linear response, to such a pulse, E comes out "
         f"{100 * off('linear response', 'E'):+.0f} %; by the "
         "simulated response "
         f"{100 * off('simulated response', 'E'):+.1f} %",
         PARTLY if abs(off("linear response", "E")) > 0.1 else UNKNOWN,
         "the paper's pulse is not stated",
-    )  # fmt: skip
+    )
     text = (
         f"The response that is estimated from a pulse with dry friction peaks at {number(peak(f, np.abs(Y / U)))} Hz, the linear "
         f"one of the same link at {number(peak(f, free))} Hz.",

@@ -214,10 +214,12 @@ def friction(twin: Twin) -> Part:
     ]
     rows += [("prediction, paper (Table II)", *map(float, NOISE))]
     table = Table(
-        "RMSE of the torque by joint (N m), unloaded arm", ("", *(f"joint {j + 1}" for j in range(6))), tuple(rows),
+        "RMSE of the torque by joint (N m), unloaded arm",
+        ("", *(f"joint {j + 1}" for j in range(6))),
+        tuple(rows),
         "Identified on one motion, judged on another. The twin's noise is the paper's Table II, and the exponents "
         "those of Table VI.",
-    )  # fmt: skip
+    )
     better = [j + 1 for j in range(6) if error["power"][j] < error["linear"][j]]
     grid = np.linspace(-2, 2, 400)
     curve = {
@@ -236,20 +238,25 @@ def friction(twin: Twin) -> Part:
     condition = np.linalg.cond((twin.W / NOISE[:, None]).reshape(-1, 58))
     claims = (
         judged(
-            "the nonlinear law predicts the torque better than the linear one", "five of six joints, by 6 to 25 %",
-            f"joints {listed([str(j) for j in better]) or 'none'}", len(better) >= 5,
+            "the nonlinear law predicts the torque better than the linear one",
+            "five of six joints, by 6 to 25 %",
+            f"joints {listed([str(j) for j in better]) or 'none'}",
+            len(better) >= 5,
         ),
         judged(
-            "the identified dynamics predict the measured torque", "RMSE 0.99 to 4.18 N m",
+            "the identified dynamics predict the measured torque",
+            "RMSE 0.99 to 4.18 N m",
             f"RMSE without the noise {number(error['power'].min())} to {number(error['power'].max())} N m",
             bool(np.all(error["power"] < NOISE)),
         ),
         Claim(
-            "the optimised excitation has a condition number of 79.67", "79.67",
-            f"{number(float(condition))} of this random one, weighted by the noise", UNKNOWN,
+            "the optimised excitation has a condition number of 79.67",
+            "79.67",
+            f"{number(float(condition))} of this random one, weighted by the noise",
+            UNKNOWN,
             "its coefficients (Table IV) are not in the text, and how columns are scaled neither",
         ),
-    )  # fmt: skip
+    )
     return Part("Friction and prediction", (), (table,), (picture,), claims)
 
 
@@ -279,50 +286,65 @@ def payload(twin: Twin, seeds: Sequence[int]) -> Part:
             for method, mass in values.items():
                 found.setdefault((kind, method), []).append(100 * (mass / MASS - 1))
     rows = tuple(
-        (kind, method, mean_sd(np.array(e)), float(np.median(np.abs(e))), float(np.max(np.abs(e))),
-         100 * (PUBLISHED[method] / MASS - 1) if method in PUBLISHED else None)
+        (
+            kind,
+            method,
+            mean_sd(np.array(e)),
+            float(np.median(np.abs(e))),
+            float(np.max(np.abs(e))),
+            100 * (PUBLISHED[method] / MASS - 1) if method in PUBLISHED else None,
+        )
         for (kind, method), e in found.items()
-    )  # fmt: skip
+    )
     table = Table(
         "Error of the payload's mass, %",
-        ("noise", "method", "mean ± sd", "median of its size", "largest", "paper, one run"), rows,
+        ("noise", "method", "mean ± sd", "median of its size", "largest", "paper, one run"),
+        rows,
         f"{len(seeds)} runs of 10 s at 125 Hz, noise of Table II; coloured: 0.97 of a sample in the next. Proposed: "
         "equations (7) to "
         "(16), xi 100, P0 10. The second payload of the paper (3.223 kg, 0.43 %) is of the same kind.",
-    )  # fmt: skip
+    )
     own = np.array(found["white", "proposed"])
     sd = float(np.std(own, ddof=1))
     typical = {m: float(np.median(np.abs(found["white", m]))) for m in PUBLISHED}
     fired = [t for t in times["white"] if t is not None]
     claims = (
         judged(
-            "the payload's mass is identified to 0.04 %", "0.04 %",
+            "the payload's mass is identified to 0.04 %",
+            "0.04 %",
             f"error {mean_sd(own)} % with white noise, {mean_sd(np.array(found['coloured', 'proposed']))} % with "
             f"coloured; {sum(abs(e) <= 0.04 for e in own)} of {len(own)} runs with white noise are within 0.04 %",
             typical["proposed"] <= 0.04,
         ),
         judged(
-            "that is 103 times better than Algorithm 1 and 23 times better than Algorithm 2", "4.11 %, 0.92 %",
+            "that is 103 times better than Algorithm 1 and 23 times better than Algorithm 2",
+            "4.11 %, 0.92 %",
             ", ".join(f"{k} {v:.2g} %" for k, v in typical.items()) + " (median size of the error)",
             typical["proposed"] * 23 < min(typical["Algorithm 1"], typical["Algorithm 2"]),
         ),
         judged(
-            "the proposed method has the smallest error of the three", "",
+            "the proposed method has the smallest error of the three",
+            "",
             ", ".join(f"{k} {v:.2g} %" for k, v in typical.items()),
             min(typical, key=typical.__getitem__) == "proposed",
         ),
         judged(
-            "it converges after 6.59 s", "6.59 s",
+            "it converges after 6.59 s",
+            "6.59 s",
             f"the stop rule fired in {len(fired)} of {len(seeds)} runs with white noise"
-            + (f", after {number(float(np.median(fired)))} s" if fired else "") + f"; one standard deviation of the "
-                f"mass is {sd:.2g} %",
+            + (f", after {number(float(np.median(fired)))} s" if fired else "")
+            + f"; one standard deviation of the "
+            f"mass is {sd:.2g} %",
             len(fired) > len(seeds) / 2,
         ),
         Claim(
-            "guidance forces fall by 13, 26 and 44 % once the payload is compensated", "−12.99, −25.75, −44.24 %", "", UNKNOWN,
+            "guidance forces fall by 13, 26 and 44 % once the payload is compensated",
+            "−12.99, −25.75, −44.24 %",
+            "",
+            UNKNOWN,
             "forces of a hand on the arm: neither they nor a law of the hand are published",
         ),
-    )  # fmt: skip
+    )
     return Part("The payload, again and again", (), (table,), (), claims)
 
 
@@ -351,28 +373,32 @@ def choices(twin: Twin, seeds: Sequence[int]) -> Part:
     )
     table = Table(
         "Error of the payload's mass by the recursion as printed, %",
-        ("motion", "friction law", "mean ± sd", "median of its size"), rows,
+        ("motion", "friction law", "mean ± sd", "median of its size"),
+        rows,
         f"White noise; the encoder's is {ENCODER:g} rad, the drives follow their command exactly. Fourier: five "
         "harmonics of 0.1 Hz "
         "fitted to the measured positions, then differentiated.",
-    )  # fmt: skip
+    )
     best, linear = ("commanded", "power"), ("commanded", "linear")
     plain, fourier = ("measured, differenced", "power"), ("measured, Fourier", "power")
     size = {k: float(np.sqrt(np.mean(np.square(e)))) for k, e in error.items()}
     clear = lambda a, b: size[a] < size[b] * (1 - 1 / np.sqrt(2 * len(seeds)))
     claims = (
         judged(
-            "the nonlinear friction law improves the payload's mass", "",
-            f"rms error {size[best]:.2g} % with it, {size[linear]:.2g} % with the linear law", clear(best, linear),
+            "the nonlinear friction law improves the payload's mass",
+            "",
+            f"rms error {size[best]:.2g} % with it, {size[linear]:.2g} % with the linear law",
+            clear(best, linear),
         ),
         Claim(
-            "commanded motion improves it over measured motion", "",
+            "commanded motion improves it over measured motion",
+            "",
             f"rms error {size[best]:.2g} % commanded, {size[plain]:.2g} % measured and differenced, {size[fourier]:.2g} % "
             "measured and differentiated as a Fourier series",
             (FAILS, PARTLY, HOLDS)[int(clear(best, plain)) + int(clear(best, fourier))],
             "no difference is counted within the scatter of these runs",
         ),
-    )  # fmt: skip
+    )
     return Part("What the friction law and the commanded motion bring", (), (table,), (), claims)
 
 
@@ -405,15 +431,17 @@ def motion(twin: Twin) -> Part:
     rms = lambda x: float(np.sqrt(np.mean((x - qdd) ** 2)))
     curves = {"measured, differenced": plain, "commanded": qdd, "measured, Fourier": smooth}
     picture = lines(
-        "acceleration", "Figure 1: acceleration of joint 1",
+        "acceleration",
+        "Figure 1: acceleration of joint 1",
         [("time (s)", "rad/s²", {k: (t, x[:, 0]) for k, x in curves.items()})],
-    )  # fmt: skip
+    )
     claim = judged(
-        "the acceleration from measured positions is too noisy", "shown in Figure 1",
+        "the acceleration from measured positions is too noisy",
+        "shown in Figure 1",
         f"differenced twice it is off by {number(rms(plain))} rad/s² rms, as a Fourier series by {rms(smooth):.1g}; "
         "the motion's own is "
         f"{number(float(np.sqrt(np.mean(qdd**2))))}",
         rms(plain) > 0.3 * float(np.sqrt(np.mean(qdd**2))),
         "of plain differences; not of derivatives that keep the harmonics",
-    )  # fmt: skip
+    )
     return Part("Measured and commanded motion", (), (), (picture,), (claim,))

@@ -39,7 +39,7 @@ from jaxid.study.papers.space_recursion import (
     streamed,
     torque_of,
     UNITS,
-)  # fmt: skip
+)
 from jaxid.study.papers.twins import space_arm as twin
 from jaxid.wording import listed, number
 
@@ -79,37 +79,67 @@ def recursion(offline: int) -> Part:
     best = descend([(p, p.z(named(p, longer[-1].numbers)))], 50, 1e-12)[0]
     least = p.loss(best.z)
     rows = tuple(
-        (k, objective[k][0] / least, objective[k][-1] / least, 100 * off(steps[0].numbers), 100 * off(steps[-1].numbers),
-         steps[-1].evaluations, steps[-1].seconds, sum(s.seconds for s in steps))
+        (
+            k,
+            objective[k][0] / least,
+            objective[k][-1] / least,
+            100 * off(steps[0].numbers),
+            100 * off(steps[-1].numbers),
+            steps[-1].evaluations,
+            steps[-1].seconds,
+            sum(s.seconds for s in steps),
+        )
         for k, steps in runs.items()
-    )  # fmt: skip
+    )
     table = Table(
         "The objective on all data, as a multiple of its least, and the body's numbers",
-        ("method", "off-line", "last recursion", "off-line, % of range off", "last, % of range off", "evaluations a recursion",
-         "s, last recursion", "s in all"),
+        (
+            "method",
+            "off-line",
+            "last recursion",
+            "off-line, % of range off",
+            "last, % of range off",
+            "evaluations a recursion",
+            "s, last recursion",
+            "s in all",
+        ),
         rows,
         f"{FIRST} samples off-line, {RECURSIONS} recursions of {BLOCK} samples, {LOOPS} generations each, 1 % torque noise. "
         "Times without compiling.",
-    )  # fmt: skip
+    )
     end = runs["RDE"][-1].numbers
     found = Table(
         "Table 4: the numbers after the last recursion",
-        ("", "truth", "RDE"), tuple((k, v, end[k]) for k, v in twin.NUMBERS.items()),
-    )  # fmt: skip
+        ("", "truth", "RDE"),
+        tuple((k, v, end[k]) for k, v in twin.NUMBERS.items()),
+    )
     motion = twin.path(1, 20.0)
     t, real, fitted = motion[0], twin.torque(motion), torque_of(end, motion)
     first = torque_of(runs["RDE"][0].numbers, motion)
     pictures = (
         Picture(
-            "objective", "Figure 7: the objective on all data over the recursions", (9.2, 3.4),
+            "objective",
+            "Figure 7: the objective on all data over the recursions",
+            (9.2, 3.4),
             lambda f: _recursions(f, objective, least),
         ),
-        lines("torque", "Figures 8 and 9: torques of the two joints", [
-            ("time (s)", f"torque of joint {j + 1} (N m)",
-             {"real": (t, real[:, j]), "off-line": (t, first[:, j]), "after the last recursion": (t, fitted[:, j])})
-            for j in (0, 1)
-        ]),
-    )  # fmt: skip
+        lines(
+            "torque",
+            "Figures 8 and 9: torques of the two joints",
+            [
+                (
+                    "time (s)",
+                    f"torque of joint {j + 1} (N m)",
+                    {
+                        "real": (t, real[:, j]),
+                        "off-line": (t, first[:, j]),
+                        "after the last recursion": (t, fitted[:, j]),
+                    },
+                )
+                for j in (0, 1)
+            ],
+        ),
+    )
     more = whole(longer[-1])
     enough = whole(runs["RDE"][-1]) < 1.05 * more
     spent = sum(s.seconds for s in runs["RDE"])
@@ -117,31 +147,40 @@ def recursion(offline: int) -> Part:
     pct = lambda values: ", ".join(f"{k} {100 * v:+.0f} %" for k, v in values.items())
     claims = (
         judged(
-            "the objective decreases over the recursions", "Figure 7",
+            "the objective decreases over the recursions",
+            "Figure 7",
             f"RDE's, on all data, from {number(objective['RDE'][0] / least)} to "
             f"{number(objective['RDE'][-1] / least)} times the least",
             bool(objective["RDE"][-1] <= objective["RDE"][0]),
         ),
         judged(
-            "five calculation loops a recursion suffice", "5",
+            "five calculation loops a recursion suffice",
+            "5",
             f"with five the objective ends at {number(whole(runs['RDE'][-1]) / least)} times the least, with {5 * LOOPS} at "
-            f"{number(more / least)} times", enough,
+            f"{number(more / least)} times",
+            enough,
         ),
         judged(
-            "this is due to RDE's mutation", "",
+            "this is due to RDE's mutation",
+            "",
             f"with five loops on the carried population DE ends at {number(objective['DE'][-1] / least, 4)}, RDE at "
             f"{number(objective['RDE'][-1] / least, 4)} times the least",
             bool(objective["RDE"][-1] * 1.05 < objective["DE"][-1]),
         ),
         judged(
-            "about 40 s in all", "40 s, 1 s a generation", f"{number(spent)} s in all, without compiling", spent < 40,
+            "about 40 s in all",
+            "40 s, 1 s a generation",
+            f"{number(spent)} s in all, without compiling",
+            spent < 40,
         ),
         judged(
-            "the joints' friction is revised at the same time", "", f"off by {pct(dry)}, while the torque is off by "
+            "the joints' friction is revised at the same time",
+            "",
+            f"off by {pct(dry)}, while the torque is off by "
             f"{100 * np.linalg.norm(fitted - real) / np.linalg.norm(real):.1f} %",
             max(map(abs, dry.values())) < 0.2,
         ),
-    )  # fmt: skip
+    )
     return Part("RDE while data arrive", (), (table, found), pictures, claims)
 
 
@@ -174,31 +213,66 @@ def linear_system(count: int, seeds: int) -> Part:
             cost.setdefault(label, []).append((steps.evaluations, steps.seconds))
             loops.setdefault(label, []).append(count if steps.loops is None else steps.loops)
     rows = tuple(
-        (k, 100 * float(np.median(e)), int(np.median(loops[k])) if k in loops else 1,
-         int(np.median([n for n, _ in cost[k]])), float(np.median([s for _, s in cost[k]])))
+        (
+            k,
+            100 * float(np.median(e)),
+            int(np.median(loops[k])) if k in loops else 1,
+            int(np.median([n for n, _ in cost[k]])),
+            float(np.median([s for _, s in cost[k]])),
+        )
         for k, e in errors.items()
-    )  # fmt: skip
+    )
     table = Table(
         "Table 5: the last recursion on the rigid torque alone",
-        ("method", "largest error, % of range", "loops to 1 % of the least", "evaluations a recursion", "s a recursion"), rows,
+        (
+            "method",
+            "largest error, % of range",
+            "loops to 1 % of the least",
+            "evaluations a recursion",
+            "s a recursion",
+        ),
+        rows,
         f"Medians of {len(errors['LS'])} noise seeds, 1 % torque noise. RDE goes on from the recursion before; the "
         "others begin anew "
         f"on all data, at most {count} generations. The paper's own values are lost.",
-    )  # fmt: skip
+    )
     e = {k: float(np.median(v)) for k, v in errors.items()}
     n = {k: int(np.median(v)) for k, v in loops.items()}
     pct = lambda *names: ", ".join(f"{k} {100 * e[k]:.2g} %" for k in names)
     said = lambda k: f"{n[k]}" if n[k] < count else f"not in {count}"
     near = lambda a, b: abs(e[a] - e[b]) <= 0.1 * max(e[a], e[b])
     claims = (
-        judged("RDE is more precise than LS and GA (linear part)", "values lost", pct("RDE", "LS", "GA"),
-               e["RDE"] < 0.95 * min(e["LS"], e["GA"])),
-        judged("LS is more accurate than RDE (said three sentences "
-               "later)", "values lost", pct("LS", "RDE"), e["LS"] < 0.95 * e["RDE"]),
-        judged("RDE's error is approximately PSO's", "values lost", pct("RDE", "PSO"), near("RDE", "PSO")),
-        judged("GA needs more loops than RDE", "5 for RDE", f"GA {said('GA')}, RDE {said('RDE')}", n["GA"] > n["RDE"]),
-        judged("PSO needs about as many loops as RDE", "", f"PSO {said('PSO')}, RDE {said('RDE')}", n["PSO"] <= 2 * n["RDE"]),
-    )  # fmt: skip
+        judged(
+            "RDE is more precise than LS and GA (linear part)",
+            "values lost",
+            pct("RDE", "LS", "GA"),
+            e["RDE"] < 0.95 * min(e["LS"], e["GA"]),
+        ),
+        judged(
+            "LS is more accurate than RDE (said three sentences later)",
+            "values lost",
+            pct("LS", "RDE"),
+            e["LS"] < 0.95 * e["RDE"],
+        ),
+        judged(
+            "RDE's error is approximately PSO's",
+            "values lost",
+            pct("RDE", "PSO"),
+            near("RDE", "PSO"),
+        ),
+        judged(
+            "GA needs more loops than RDE",
+            "5 for RDE",
+            f"GA {said('GA')}, RDE {said('RDE')}",
+            n["GA"] > n["RDE"],
+        ),
+        judged(
+            "PSO needs about as many loops as RDE",
+            "",
+            f"PSO {said('PSO')}, RDE {said('RDE')}",
+            n["PSO"] <= 2 * n["RDE"],
+        ),
+    )
     return Part("The linear part: LS, GA and PSO beside RDE", (), (table,), (), claims)
 
 
@@ -224,25 +298,30 @@ def evaluations(seeds: int, cap: int) -> Part:
     typical = {r.label: float(np.median(n)) if (n := r.reached(goal)) else np.inf for r in runs}
     table = Table(
         "Evaluations until the torque error is a thousandth of the torque",
-        ("method", "reached", "evaluations, median", "range", "s a run"), rows,
+        ("method", "reached", "evaluations, median", "range", "s a run"),
+        rows,
         f"Twelve unknowns, no noise, {seeds} seeds, at most {cap} evaluations; a residual with its derivatives counts "
         f"{1 + p.size}.",
-    )  # fmt: skip
+    )
     order = sorted((k for k in typical if np.isfinite(typical[k])), key=typical.__getitem__)
     said = ", ".join(f"{k} {typical[k]:.0f}" for k in order)
     text = (f"Fewest evaluations first: {said or 'none arrived'}.",)
     claims = (
         judged(
-            "RDE converges faster than DE and ADE", "", said or "none arrived",
+            "RDE converges faster than DE and ADE",
+            "",
+            said or "none arrived",
             typical["RDE"] < min(typical["DE"], typical["ADE"]),
         ),
         Claim(
-            "the literal wording (the step takes the place of the best vector) guides the population to the optimum", "",
+            "the literal wording (the step takes the place of the best vector) guides the population to the optimum",
+            "",
             f"reached by {len(runs[[r.label for r in runs].index('RDE, literal')].reached(goal))} of {seeds} within "
             f"{cap} evaluations",
-            HOLDS if np.isfinite(typical["RDE, literal"]) else FAILS, "as this library reads the words",
+            HOLDS if np.isfinite(typical["RDE, literal"]) else FAILS,
+            "as this library reads the words",
         ),
-    )  # fmt: skip
+    )
     picture = course(
         "race", "Torque error over evaluations, median and range", runs, "loss, best so far"
     )
@@ -291,9 +370,15 @@ def change(count: int, offline: int) -> Part:
     )
     table = Table(
         "Largest error of the body's numbers, % of their range",
-        ("method", "before the change", f"{count - count // 2} blocks after it", "evaluations a block"), rows,
+        (
+            "method",
+            "before the change",
+            f"{count - count // 2} blocks after it",
+            "evaluations a block",
+        ),
+        rows,
         f"Blocks of {BLOCK} samples, {LOOPS} generations each; the load drops after block {count // 2}.",
-    )  # fmt: skip
+    )
     at = np.arange(begins, count + 1)
     curves = {"truth": (np.arange(1, count + 1), np.array([b["I2"] for b in truths]))}
     curves |= {k: (at[: len(s)], np.array([x.numbers["I2"] for x in s])) for k, s in runs.items()}
@@ -305,17 +390,21 @@ def change(count: int, offline: int) -> Part:
     exact = {k: v for k, v in ends.items() if v < 2.0}
     claims = (
         judged(
-            "RDE follows the system's dynamics exactly", "", f"with growing data, as in the paper, it is "
-                f"{number(ends['RDE, growing data (paper)'])} % "
+            "RDE follows the system's dynamics exactly",
+            "",
+            f"with growing data, as in the paper, it is "
+            f"{number(ends['RDE, growing data (paper)'])} % "
             f"of the range off; with a window {number(ends['RDE, window of 3 blocks'])} %",
             ends["RDE, growing data (paper)"] < 2.0,
         ),
         judged(
-            "DE and ADE cannot take in new data", "", f"with a window DE ends {number(ends['DE, window of 3 blocks'])} %, ADE "
+            "DE and ADE cannot take in new data",
+            "",
+            f"with a window DE ends {number(ends['DE, window of 3 blocks'])} %, ADE "
             f"{number(ends['ADE, window of 3 blocks'])} % off",
             min(ends["DE, window of 3 blocks"], ends["ADE, window of 3 blocks"]) > 2.0,
         ),
-    )  # fmt: skip
+    )
     text = (f"Within 2 % of the range at the end: {listed(list(exact)) or 'none'}.",)
     return Part("Following a change", text, (table,), (picture,), claims)
 
@@ -341,9 +430,15 @@ def base() -> Part:
         )
     table = Table(
         "A floating base, fitted as if it stood still",
-        ("base", "its share of the torque, %", *(f"{k} ({UNITS[k]})" for k in twin.BODY), "error of the first torque left, %"),
-        tuple(rows), f"Truth: {', '.join(f'{k} {v:g}' for k, v in twin.BODY.items())}; 0.3 % noise.",
-    )  # fmt: skip
+        (
+            "base",
+            "its share of the torque, %",
+            *(f"{k} ({UNITS[k]})" for k in twin.BODY),
+            "error of the first torque left, %",
+        ),
+        tuple(rows),
+        f"Truth: {', '.join(f'{k} {v:g}' for k, v in twin.BODY.items())}; 0.3 % noise.",
+    )
     mass = rows[0][2] / twin.BODY["m2"] - 1
     text = (
         f"With the heaviest base the model fits to {rows[0][-1]:.1f} % of the torque and the mass is "
@@ -352,11 +447,18 @@ def base() -> Part:
     )
     claims = (
         judged(
-            "joint torques have little influence on the base, so that a fixed base may be assumed", "",
+            "joint torques have little influence on the base, so that a fixed base may be assumed",
+            "",
             f"a base of 2500 kg changes the torques by {rows[0][1]:.0f} % and the identified mass by "
-            f"{100 * mass:+.0f} %", abs(mass) < 0.05,
+            f"{100 * mass:+.0f} %",
+            abs(mass) < 0.05,
         ),
-        Claim("identified values of Table 4 and Table 5", "values lost", "", UNKNOWN, "the tables' values are not in "
-            "the public copies"),
-    )  # fmt: skip
+        Claim(
+            "identified values of Table 4 and Table 5",
+            "values lost",
+            "",
+            UNKNOWN,
+            "the tables' values are not in the public copies",
+        ),
+    )
     return Part("The base that is assumed to stand still", text, (table,), (), claims)

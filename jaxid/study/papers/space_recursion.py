@@ -25,9 +25,15 @@ from jaxid.study.papers.twins import space_arm as twin
 
 #: The paper's intervals are lost.
 BOUNDS = {
-    "m2": (5, 100), "hx": (0, 60), "hy": (-20, 20), "I2": (1, 60),
-    "F_c": (0.1, 5), "F_s": (0.1, 6), "v_s": (0.005, 0.3), "F_v": (0, 6),
-}  # fmt: skip
+    "m2": (5, 100),
+    "hx": (0, 60),
+    "hy": (-20, 20),
+    "I2": (1, 60),
+    "F_c": (0.1, 5),
+    "F_s": (0.1, 6),
+    "v_s": (0.005, 0.3),
+    "F_v": (0, 6),
+}
 UNITS = {"m2": "kg", "hx": "kg m", "hy": "kg m", "I2": "kg m²"}
 #: Samples off-line and of a recursion, and recursions: 8 of 5 generations of 1 s are the paper's 40 s.
 FIRST, BLOCK, RECURSIONS, LOOPS = 100, 50, 8, 5
@@ -63,10 +69,13 @@ def dataset(
         known |= {k + j: 1.0 if k == "v_s" else 0.0 for k in twin.FRICTION for j in joints}
         own = {k: v for k, v in own.items() if k in twin.BODY}
     return Dataset.from_arrays(
-        [m[0] for m in motions], {f"tau{j + 1}": [tau[:, j] for tau in torques] for j in (0, 1)},
-        {f"q{j + 1}": [m[1][:, j] for m in motions] for j in (0, 1)}, split="fit", noise_std={"q1": 1e-6, "q2": 1e-6},
+        [m[0] for m in motions],
+        {f"tau{j + 1}": [tau[:, j] for tau in torques] for j in (0, 1)},
+        {f"q{j + 1}": [m[1][:, j] for m in motions] for j in (0, 1)},
+        split="fit",
+        noise_std={"q1": 1e-6, "q2": 1e-6},
         model=ModelSpec("space_manipulator", constants=known, parameters=own),
-    )  # fmt: skip
+    )
 
 
 def built(data: Dataset) -> Problem:

@@ -85,9 +85,11 @@ def data(*, linear: bool = False, whole: bool = False, **twins: Any) -> Dataset:
             runs[1].piece(0, 60, name="report", split="report"),
         ]
     channels = (
-        Channel("u_theta", "input", "V"), Channel("u_alpha", "input", "V"),
-        Channel("theta", "output", "rad", noise_std=NOISE), Channel("alpha", "output", "rad", noise_std=NOISE),
-    )  # fmt: skip
+        Channel("u_theta", "input", "V"),
+        Channel("u_alpha", "input", "V"),
+        Channel("theta", "output", "rad", noise_std=NOISE),
+        Channel("alpha", "output", "rad", noise_std=NOISE),
+    )
     priors = {k: ParameterPrior(None, *b, log=False if linear else None) for k, b in BOUNDS.items()}
     return Dataset(
         "paper_003", channels, tuple(runs), model=ModelSpec("tracker", parameters=priors)
@@ -153,15 +155,23 @@ def motors() -> Part:
     worst = max(abs(f - m) / max(abs(m), 1e-9) for _, m, f in rows if m)
     grid = np.linspace(-4, 4, 400)
     picture = lines(
-        "motors", "Torque of the motors: measured (Table 1) and formula (6)",
-        [("voltage (V)", "torque (N m)", {"Table 1": (grid, twin.table(grid)), "formula (6)": (grid, twin.formula(grid))})],
-    )  # fmt: skip
+        "motors",
+        "Torque of the motors: measured (Table 1) and formula (6)",
+        [
+            (
+                "voltage (V)",
+                "torque (N m)",
+                {"Table 1": (grid, twin.table(grid)), "formula (6)": (grid, twin.formula(grid))},
+            )
+        ],
+    )
     table = Table("Table 1", ("voltage (V)", "measured (N m)", "formula (6) (N m)"), rows)
     claim = judged(
-        "formula (6) is the model of the motors measured in Table 1", "", f"it is off by up to {100 * worst:.0f} % of "
-            "the measured",
+        "formula (6) is the model of the motors measured in Table 1",
+        "",
+        f"it is off by up to {100 * worst:.0f} % of the measured",
         worst < 0.1,
-    )  # fmt: skip
+    )
     return Part("The motors", (), (table,), (picture,), (claim,))
 
 
@@ -169,22 +179,34 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
     """Figure 9, Tables 4 and 5."""
     F = {r.label: np.rad2deg(r.losses) for r in runs}
     rows = tuple(
-        (r.label, float(F[r.label].mean()), float(np.median(F[r.label])), float(F[r.label].min()), float(F[r.label].max()),
-         r.evaluations, r.seconds)
+        (
+            r.label,
+            float(F[r.label].mean()),
+            float(np.median(F[r.label])),
+            float(F[r.label].min()),
+            float(F[r.label].max()),
+            r.evaluations,
+            r.seconds,
+        )
         for r in runs
-    )  # fmt: skip
+    )
     truth = float(np.rad2deg(p.loss(p.z(numbered(p, twin.GA)))))
     cost = Table(
         "Table 5: the cost F (7), degrees, both angles of both tests",
-        ("method", "mean", "median", "least", "most", "evaluations", "s a run"), rows,
+        ("method", "mean", "median", "least", "most", "evaluations", "s a run"),
+        rows,
         f"{len(runs[0].found)} runs, population 20. F at the truth is {number(truth)} degrees, all of it noise.",
-    )  # fmt: skip
+    )
     named = [(k, *v) for k, v in ANSWERS.items()]
     found = Table(
-        "Table 4: the best answers", ("", *(f"{k} ({UNITS[k]})" for k in BOUNDS)),
-        (("truth (the paper's GA)", *twin.GA.values()), *((f"{r.label}, here", *(r.numbers[k] for k in BOUNDS)) for r in runs),
-         *((f"{k}, paper", *v) for k, *v in named)),
-    )  # fmt: skip
+        "Table 4: the best answers",
+        ("", *(f"{k} ({UNITS[k]})" for k in BOUNDS)),
+        (
+            ("truth (the paper's GA)", *twin.GA.values()),
+            *((f"{r.label}, here", *(r.numbers[k] for k in BOUNDS)) for r in runs),
+            *((f"{k}, paper", *v) for k, *v in named),
+        ),
+    )
     between = float(
         np.rad2deg(p.loss(p.z(numbered(p, dict(zip(BOUNDS, ANSWERS["PSO"], strict=True))))))
     )
@@ -196,18 +218,21 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
     )
     claims = (
         judged(
-            "GA reaches a lower mean cost than PSO", "4194.63 against 8496.2",
+            "GA reaches a lower mean cost than PSO",
+            "4194.63 against 8496.2",
             f"means {number(F[ga.label].mean())} and {number(F[pso.label].mean())}, medians "
             f"{number(float(np.median(F[ga.label])))} and "
             f"{number(float(np.median(F[pso.label])))}, for {ga.evaluations} and {pso.evaluations} evaluations",
             F[ga.label].mean() < F[pso.label].mean(),
         ),
         Claim(
-            "the value of F", "4194.63 (GA), 8496.2 (PSO)", f"{number(F[ga.label].mean())}, "
-                f"{number(F[pso.label].mean())}", UNKNOWN,
+            "the value of F",
+            "4194.63 (GA), 8496.2 (PSO)",
+            f"{number(F[ga.label].mean())}, {number(F[pso.label].mean())}",
+            UNKNOWN,
             "its recordings, their length and rate are not published",
         ),
-    )  # fmt: skip
+    )
     pictures = (
         course(
             "course",
@@ -267,9 +292,11 @@ def overlay(p: Problem, known: Dataset, runs: Sequence[Searched], best: Fit) -> 
     )
     worst = max(row[2] for row in rows if row[1] == runs[0].label)
     claim = judged(
-        "the response with the GA's parameters agrees with the measured one", "shown in figures",
-        f"rms error at most {number(worst)} degrees at 0.1 degree of noise", worst < 0.2,
-    )  # fmt: skip
+        "the response with the GA's parameters agrees with the measured one",
+        "shown in figures",
+        f"rms error at most {number(worst)} degrees at 0.1 degree of noise",
+        worst < 0.2,
+    )
     return Part("Overlay and error of each axis", (), (table,), tuple(pictures), (claim,))
 
 
@@ -293,11 +320,13 @@ def worth(best: Fit) -> Part:
     there = simulate(None, replace(data(), experiments=(new,)), misled).runs[0]
     error = float(np.sqrt(np.mean(np.rad2deg(new.y[:, 0] - np.asarray(there["theta"])) ** 2)))
     table = Table(
-        "Least squares", ("", "truth", "found", "standard deviation", "found, rotor in its place"), rows,
+        "Least squares",
+        ("", "truth", "found", "standard deviation", "found, rotor in its place"),
+        rows,
         f"{best.evaluations} evaluations. Last column: a twin whose rotor (all but the geometric "
         f"{number(twin.GEOMETRIC)} kg m² of "
         f"J_alpha) only tilts, fitted with the paper's model: loss {number(misled.loss)}, 1 being the noise.",
-    )  # fmt: skip
+    )
     wrong = misled.parameters["J_theta"].value / twin.GA["J_theta"] - 1
     text = (
         f"Damping is known to {100 * max(share['b_theta'], share['b_alpha']):.2f} % by these tests, the inertias to "
@@ -307,11 +336,12 @@ def worth(best: Fit) -> Part:
         f"both axes it then leaves {number(error)} degrees of theta.",
     )
     claim = judged(
-        "inertias and damping are identified", "J 0.117, 0.1; b 1.9, 1.495",
+        "inertias and damping are identified",
+        "J 0.117, 0.1; b 1.9, 1.495",
         f"damping within {100 * max(share['b_theta'], share['b_alpha']):.2f} %; but J_theta {100 * wrong:+.0f} % at a loss of "
         f"{number(misled.loss)} where the rotor does not yaw with the barrel",
         abs(wrong) < 0.2,
-    )  # fmt: skip
+    )
     return Part("What the four numbers are worth", text, (table,), (), (claim,))
 
 
@@ -342,10 +372,11 @@ def contradiction(candidates: tuple[str, ...] | None) -> Part:
         e.location.startswith("u_") for e in found.which.effects
     )
     claim = Claim(
-        "(beyond the paper) the contradiction between Table 1 and (6) is found from the motion alone", "",
+        "(beyond the paper) the contradiction between Table 1 and (6) is found from the motion alone",
+        "",
         f"{found.which.verdict}: {listed(named) or 'nothing'}",
         (HOLDS if found.which.verdict == "named" else PARTLY) if actuator else FAILS,
-    )  # fmt: skip
+    )
     return Part(
         "Table 1 against formula (6), seen in the motion", text, (table,), picture, (claim,)
     )
@@ -371,6 +402,7 @@ def drawn(curve: Callable[[np.ndarray], np.ndarray]) -> Picture:
         "found from the motion": curve(grid),
     }
     return lines(
-        "curve", "A motor: measured, by formula, and as found",
+        "curve",
+        "A motor: measured, by formula, and as found",
         [("voltage (V)", "torque (N m)", {k: (grid, y) for k, y in curves.items()})],
-    )  # fmt: skip
+    )

@@ -30,14 +30,32 @@ def elements(n: int = 4, J_p: float = 0.0):
     """(M_psi, K_psi per unit of E, coupling, rigid inertia without hub, geometric stiffness)."""
     le, size = L / n, 2 * n + 2
     M, K, G = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
-    Me = RHO * AREA * le / 420 * np.array(
-        [[156, 22 * le, 54, -13 * le], [22 * le, 4 * le**2, 13 * le, -3 * le**2],
-         [54, 13 * le, 156, -22 * le], [-13 * le, -3 * le**2, -22 * le, 4 * le**2]]
-    )  # fmt: skip
-    Ke = SECOND / le**3 * np.array(
-        [[12, 6 * le, -12, 6 * le], [6 * le, 4 * le**2, -6 * le, 2 * le**2],
-         [-12, -6 * le, 12, -6 * le], [6 * le, 2 * le**2, -6 * le, 4 * le**2]]
-    )  # fmt: skip
+    Me = (
+        RHO
+        * AREA
+        * le
+        / 420
+        * np.array(
+            [
+                [156, 22 * le, 54, -13 * le],
+                [22 * le, 4 * le**2, 13 * le, -3 * le**2],
+                [54, 13 * le, 156, -22 * le],
+                [-13 * le, -3 * le**2, -22 * le, 4 * le**2],
+            ]
+        )
+    )
+    Ke = (
+        SECOND
+        / le**3
+        * np.array(
+            [
+                [12, 6 * le, -12, 6 * le],
+                [6 * le, 4 * le**2, -6 * le, 2 * le**2],
+                [-12, -6 * le, 12, -6 * le],
+                [6 * le, 2 * le**2, -6 * le, 4 * le**2],
+            ]
+        )
+    )
     xi, weight = np.polynomial.legendre.leggauss(8)
     for e in range(n):
         part = slice(2 * e, 2 * e + 4)
@@ -45,8 +63,17 @@ def elements(n: int = 4, J_p: float = 0.0):
         K[part, part] += Ke
         for point, w in zip((xi + 1) / 2, weight / 2 * le, strict=True):
             x = (e + point) * le
-            slope = np.array([6 * point**2 - 6 * point, le * (1 - 4 * point + 3 * point**2),
-                              6 * point - 6 * point**2, le * (3 * point**2 - 2 * point)]) / le  # fmt: skip
+            slope = (
+                np.array(
+                    [
+                        6 * point**2 - 6 * point,
+                        le * (1 - 4 * point + 3 * point**2),
+                        6 * point - 6 * point**2,
+                        le * (3 * point**2 - 2 * point),
+                    ]
+                )
+                / le
+            )
             G[part, part] += (
                 w * (PAYLOAD * L + RHO * AREA * (L**2 - x**2) / 2) * np.outer(slope, slope)
             )
