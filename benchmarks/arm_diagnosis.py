@@ -1,8 +1,10 @@
-"""Diagnosis of recorded arms by torque: a UR10e whose model has no friction, and a Panda whose model has it.
+"""Diagnosis of recorded arms by torque: a UR10e whose model has no friction, and a Panda whose
+model has it.
 
-Relative torque error |measured - predicted| / |measured| over all joints, both filtered without phase at 5 Hz, as published for
-the UR10e. Validation recordings choose between laws; no number is
-fitted to them. What the Panda lacks at joints 1 and 3 is not known; viscous and dry friction leave it as it is.
+Relative torque error |measured - predicted| / |measured| over all joints, both filtered without
+phase at 5 Hz, as published for the UR10e. Validation recordings choose between laws; no number is
+fitted to them. What the Panda lacks at joints 1 and 3 is not known; viscous and dry friction leave
+it as it is.
 """
 
 from __future__ import annotations
@@ -37,7 +39,9 @@ RECORDINGS = {
 def relative_errors(
     traces: Any, cutoff: float, joint: str | None = None
 ) -> dict[str, dict[str, float]]:
-    """Experiment -> model -> relative error over all joints (or one) and all parts of the experiment, in percent."""
+    """Experiment -> model -> relative error over all joints (or one) and all parts of the
+    experiment, in percent.
+    """
     from jaxid.data.signals import zero_phase
 
     smooth = lambda trace, y: zero_phase(trace.t, y[:, None], cutoff)

@@ -1,8 +1,9 @@
 """Identification of recorded arms: a UR10e by motor current, a Panda by its torque sensors.
 
-Relative torque error |measured - predicted| / |measured| over all joints, both filtered at 5 Hz without phase, as published with
-the recordings (the Panda with 20 Hz, its test part is the last third of one run). The friction law is the simplest
-that no richer one beats on every held-out recording; each law that was tried is listed.
+Relative torque error |measured - predicted| / |measured| over all joints, both filtered at 5 Hz
+without phase, as published with the recordings (the Panda with 20 Hz, its test part is the last
+third of one run). The friction law is the simplest that no richer one beats on every held-out
+recording; each law that was tried is listed.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import jaxid
 
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
-#: Recording, filter in Hz, and the figures of the recording's own notes: without friction, and with viscous and dry friction.
+#: Recording, filter in Hz, and the figures of the recording's own notes: without friction, and with
+#: viscous and dry friction.
 ARMS = (
     ("ur10e", 5.0, "44.7, 48.8, 39.2 %", "3.90, 4.64, 4.54 %"),
     ("panda_exciting", 20.0, "6.18, 7.41 %", "4.75, 6.09 %"),

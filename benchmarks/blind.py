@@ -1,7 +1,9 @@
-"""Blind cases: recordings with one withheld effect, several, one of no library, or none; diagnosed, then scored.
+"""Blind cases: recordings with one withheld effect, several, one of no library, or none; diagnosed,
+then scored.
 
-The diagnosis sees recordings and the nominal model; the key (effect, location, strength) lies in a file of its own and is
-compared afterwards. `benchmarks/blind_cases.py` makes the cases, `benchmarks/blind_summary.py` compares with what was asked.
+The diagnosis sees recordings and the nominal model; the key (effect, location, strength) lies in a
+file of its own and is compared afterwards. `benchmarks/blind_cases.py` makes the cases,
+`benchmarks/blind_summary.py` compares with what was asked.
 
     python benchmarks/blind.py [--models joint,pendulum] [--seed N] [--only effect,weak,control,outsider,pair] [--share 0.5]
 
@@ -48,7 +50,9 @@ RESULTS = Path(__file__).with_name("results") / "blind.jsonl"
 
 
 def answer(folder: Path) -> tuple[Diagnosis, float]:
-    """What the diagnosis says of a case, of which it gets no more than this folder; and the CPU seconds that it took."""
+    """What the diagnosis says of a case, of which it gets no more than this folder; and the CPU
+    seconds that it took.
+    """
     question = json.loads((folder / "question.json").read_text())
     data = load_dataset(folder)
     began = time.process_time()
@@ -60,7 +64,9 @@ def answer(folder: Path) -> tuple[Diagnosis, float]:
 
 @cache
 def classes(model: str, without: tuple[str, ...]) -> tuple[list[set[str]], set[str]]:
-    """Effects that are exactly equivalent on a model (names; by the joint where they act), and those it absorbs."""
+    """Effects that are exactly equivalent on a model (names; by the joint where they act), and
+    those it absorbs.
+    """
     found = equivalences(model, without)
     groups = [{str(p) for p in c} for c in found.classes]
     return groups, {str(p) for p in (*found.absorbed, *found.invisible)}
@@ -118,7 +124,9 @@ def oracle(case: dict[str, Any], row: dict[str, Any], data: Dataset) -> float | 
 
 
 def later(case: dict[str, Any], diagnosis: Diagnosis, u: np.ndarray, y: np.ndarray) -> list[float]:
-    """Shrinkage in each of further runs of the same twin, of which the interval is to hold nineteen in twenty."""
+    """Shrinkage in each of further runs of the same twin, of which the interval is to hold nineteen
+    in twenty.
+    """
     model = case["model"]
     data = dataset(PLANTS[model], u, y, ("fit", *["report"] * (len(u) - 1)))
     chain = resolve_model(model, data, case["without"])

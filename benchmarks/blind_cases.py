@@ -1,9 +1,10 @@
 """Blind cases: what is in each twin, its recordings, and the key, in files of their own.
 
-A set of cases is a folder: `case_NN/` holds a recording and question.json (model, and which of its effects it lacks), all that
-a diagnosis is told; key.json and later.npz (further runs of the same twins) are for the scorer alone. Recordings come from
-benchmarks/twins.py or from MuJoCo (benchmarks/twins_mujoco.py), which share no code with the product; excitation, nominal
-parameters, joint and strength vary from case to case.
+A set of cases is a folder: `case_NN/` holds a recording and question.json (model, and which of its
+effects it lacks), all that a diagnosis is told; key.json and later.npz (further runs of the same
+twins) are for the scorer alone. Recordings come from benchmarks/twins.py or from MuJoCo
+(benchmarks/twins_mujoco.py), which share no code with the product; excitation, nominal parameters,
+joint and strength vary from case to case.
 """
 
 from __future__ import annotations
@@ -50,16 +51,20 @@ STRENGTH = {
 #: Cases of a model in which nothing is missing.
 CONTROLS = {"control": 25, "mujoco_control": 10, "moving_control": 10}
 SPLITS = ("fit", "fit", "validation", "report")
-#: Of kinds whose runs begin in motion: what is not recorded of each, and runs, of whose ends the diagnosis keeps back a part.
+#: Of kinds whose runs begin in motion: what is not recorded of each, and runs, of whose ends the
+#: diagnosis keeps back a part.
 BEFORE_S, MOVING_SPLITS = 2.0, ("fit", "fit", "fit")
-#: Runs of every twin of kind `many` that are recorded for the scorer alone (the others' report run is too short for an interval):
-#: so many that their own scatter hardly matters beside that of eight report runs.
+#: Runs of every twin of kind `many` that are recorded for the scorer alone (the others' report run
+#: is too short for an interval): so many that their own scatter hardly matters beside that of eight
+#: report runs.
 LATER = 40
 SECONDS = {"flexible_link": 4.0}
 
 
 def medium(plant: Plant, j: int, rng: np.random.Generator) -> dict[str, dict[str, float]]:
-    """effect -> numbers of the twin at medium strength, at joint j; what has no strength (speeds, widths, orders) is a tuple."""
+    """effect -> numbers of the twin at medium strength, at joint j; what has no strength (speeds,
+    widths, orders) is a tuple.
+    """
     T, V, J = plant.torque[j], plant.speed[j], plant.inertia[j]
     U = 1.0 if plant.model == "servo" else T  # size of a command
     any_of: Any = lambda a, b: (rng.uniform(a, b),)
@@ -148,7 +153,9 @@ def outsiders(plant: Plant, j: int, rng: np.random.Generator) -> dict[str, dict[
 
 
 def commands(plant: Plant, rng: np.random.Generator, runs: int, before: int = 0) -> np.ndarray:
-    """A multisine with steps and rests for each input, [runs samples nu], by so many samples longer than usual."""
+    """A multisine with steps and rests for each input, [runs samples nu], by so many samples longer
+    than usual.
+    """
     count = before + int(plant.rate * SECONDS.get(plant.model, 8.0))
     t = np.arange(count) / plant.rate
     u = np.zeros((runs, count, plant.n))
@@ -318,7 +325,9 @@ AT_OUTPUT = ("sensor_bias", "sensor_scale", "sensor_lag", "sensor_delay", "times
 
 
 def steps(plant: Plant, rng: np.random.Generator, run: int) -> np.ndarray:
-    """The papers' own excitation: two levels after each other at one joint, the others without drive, [samples nu]."""
+    """The papers' own excitation: two levels after each other at one joint, the others without
+    drive, [samples nu].
+    """
     count = int(plant.rate * SECONDS.get(plant.model, 8.0))
     u = np.zeros((count, plant.n))
     j = run % plant.n
@@ -333,8 +342,9 @@ def steps(plant: Plant, rng: np.random.Generator, run: int) -> np.ndarray:
 def recordings(
     cases: list[dict[str, Any]], seed: int
 ) -> tuple[list[Dataset], np.ndarray, np.ndarray]:
-    """The datasets of cases of one model and kind, and commands and readings of later runs [cases runs samples channels],
-    all of them integrated side by side."""
+    """The datasets of cases of one model and kind, and commands and readings of later runs [cases
+    runs samples channels], all of them integrated side by side.
+    """
     plant = PLANTS[cases[0]["model"]]
     kind = cases[0]["kind"]
     rng = np.random.default_rng([seed, 1, zlib.crc32(f"{plant.model} {kind}".encode())])
@@ -389,7 +399,9 @@ def dataset(
 
 
 def write_set(model: str, seed: int, kind: str, folder: Path) -> Path:
-    """Writes the set of one kind of cases of a model, unless it is there; returns its folder, whose name says nothing."""
+    """Writes the set of one kind of cases of a model, unless it is there; returns its folder, whose
+    name says nothing.
+    """
     place = folder / f"{zlib.crc32(f'{model} {seed} {kind}'.encode()):08x}"
     if (place / "key.json").exists():
         return place

@@ -1,9 +1,11 @@
-"""Blind robots: arms of random MJCF files, driven by goals, simulated by MuJoCo with one withheld effect; diagnosed, scored.
+"""Blind robots: arms of random MJCF files, driven by goals, simulated by MuJoCo with one withheld
+effect; diagnosed, scored.
 
-The diagnosis gets the file as it was before the effect, goals and encoders. Every arm is drawn anew (two or three joints, axes,
-masses, gains, goals of several sines); the encoder reads with noise. What is asked: the effect at its joint, or one that looks
-the same under such a law; no name where nothing is missing or where the re-tuned file accounts for it, with the number that
-differs in `stated`.
+The diagnosis gets the file as it was before the effect, goals and encoders. Every arm is drawn anew
+(two or three joints, axes, masses, gains, goals of several sines); the encoder reads with noise.
+What is asked: the effect at its joint, or one that looks the same under such a law; no name where
+nothing is missing or where the re-tuned file accounts for it, with the number that differs in
+`stated`.
 
     python benchmarks/blind_robots.py [--seed N] [--cases 24] [--seconds 20] [--only saturation,none] [--off 0.1]
 
@@ -40,7 +42,8 @@ from jaxid.diagnosis.verdict import level  # noqa: E402
 
 
 RESULTS = Path(__file__).with_name("results") / "blind_robots.jsonl"
-#: Further runs of each arm that ask whether its interval of how far holds: the motion goes on, each as long as the report run.
+#: Further runs of each arm that ask whether its interval of how far holds: the motion goes on, each
+#: as long as the report run.
 FURTHER = 10
 REPORT = 0.15  # of a recording: its report run
 #: What looks the same under one law and pose: see `docs/limits.md`, or ask `jaxid effects --model`.
@@ -58,7 +61,8 @@ RETUNED = {
     "torque_scale": ("armature", "damping", "frictionloss"),
     "input_delay": ("armature", "damping"),
 }
-#: What acts by a motion of its own is no candidate on this road: `unknown` and `partly` without its name are right.
+#: What acts by a motion of its own is no candidate on this road: `unknown` and `partly` without its
+#: name are right.
 OUTSIDE = ("backlash",)
 
 
@@ -111,9 +115,11 @@ def score(c: dict[str, Any], found: Any) -> dict[str, Any]:
 
 
 def further(long: dict[str, Any], found: Any, seconds: float) -> list[float] | None:
-    """Share of the file's gap that is closed in those of further runs in which there is one, which go on behind `seconds` of
-    `long`; what is closed twice counts once, as in a diagnosis. Where the file's numbers stand MuJoCo runs it, and with what was
-    named written into it (None where MuJoCo here does not have that), else jaxid runs it and the re-tuned model."""
+    """Share of the file's gap that is closed in those of further runs in which there is one, which
+    go on behind `seconds` of `long`; what is closed twice counts once, as in a diagnosis. Where the
+    file's numbers stand MuJoCo runs it, and with what was named written into it (None where MuJoCo
+    here does not have that), else jaxid runs it and the re-tuned model.
+    """
     arm = long["arm"]
 
     def in_mujoco(arm: Arm, kind: str, j: int, beside: dict[str, Any]) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Blind cases against what was asked: shares with 95 % intervals, and a picture of what was named for what was withheld.
+"""Blind cases against what was asked: shares with 95 % intervals, and a picture of what was named
+for what was withheld.
 
 Reads results/blind.jsonl, which `benchmarks/blind.py` writes; by itself it diagnoses nothing.
 """
@@ -27,7 +28,9 @@ def share(hits: Sequence[bool]) -> str:
 
 
 def held(rows: Sequence[Row]) -> str:
-    """Percentage of further runs inside the interval of their case; its own from the scatter between cases (Student's t)."""
+    """Percentage of further runs inside the interval of their case; its own from the scatter
+    between cases (Student's t).
+    """
     shares = np.array(
         [np.mean([r["interval"][0] <= s <= r["interval"][1] for s in r["later"]]) for r in rows]
     )

@@ -1,8 +1,9 @@
-"""A robot on a free base catches a drifting, spinning target: when, and what it holds then, by angular momentum alone.
+"""A robot on a free base catches a drifting, spinning target: when, and what it holds then, by
+angular momentum alone.
 
-Twin: MuJoCo with a free joint in zero gravity, the target fixed to the last link at a random sample by an inelastic impact that
-keeps the momentum of both; 1e-4 rad of noise on every angle, neither torque nor acceleration is used. All ten numbers of the last
-body change and are fitted.
+Twin: MuJoCo with a free joint in zero gravity, the target fixed to the last link at a random sample
+by an inelastic impact that keeps the momentum of both; 1e-4 rad of noise on every angle, neither
+torque nor acceleration is used. All ten numbers of the last body change and are fitted.
 """
 
 from __future__ import annotations

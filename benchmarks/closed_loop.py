@@ -1,9 +1,10 @@
 """A closed-loop twin with noise that goes round the loop: what five ways of estimation make of it.
 
-A joint with dry friction under a sampled PD controller follows a slow reference. The controller reads a noisy encoder, the drive
-adds a torque disturbance of 5 % of the torque that is not recorded. The twin is integrated in closed form between the
-controller's samples (linear while it slides; stops and reversals at their exact times); it shares no code with the product.
-Run: `python -m benchmarks.closed_loop`.
+A joint with dry friction under a sampled PD controller follows a slow reference. The controller
+reads a noisy encoder, the drive adds a torque disturbance of 5 % of the torque that is not
+recorded. The twin is integrated in closed form between the controller's samples (linear while it
+slides; stops and reversals at their exact times); it shares no code with the product. Run: `python
+-m benchmarks.closed_loop`.
 """
 
 from __future__ import annotations
@@ -143,7 +144,9 @@ def recording(runs: dict[str, np.ndarray], number: int, controller: bool = True)
 
 
 def estimate(data: Dataset, method: str) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Estimates, their standard deviations in the order of TRUTH, and whether the fitter converged; on the whole recording."""
+    """Estimates, their standard deviations in the order of TRUTH, and whether the fitter converged;
+    on the whole recording.
+    """
     fitter, residual = METHODS[method]
     binding = bind("joint", data, splits=False)
     bench = Bench(binding)
@@ -176,8 +179,10 @@ def study(
 
 
 def summary(found: dict[str, np.ndarray], truth: dict[str, float] = TRUTH) -> dict[str, np.ndarray]:
-    """Per parameter: `bias` of the mean in standard deviations of a single estimate, `claimed` the same in the method's own
-    sigmas, `scatter` over the mean claimed sigma, `coverage` of the 95 % intervals, and `relative` bias."""
+    """Per parameter: `bias` of the mean in standard deviations of a single estimate, `claimed` the
+    same in the method's own sigmas, `scatter` over the mean claimed sigma, `coverage` of the 95 %
+    intervals, and `relative` bias.
+    """
     true = np.array(list(truth.values()))
     value, std = found["value"], found["std"]
     bias, scatter = value.mean(0) - true, value.std(0, ddof=1)
@@ -212,7 +217,9 @@ def table(
 
 
 def main(count: int = 60, dry_count: int = 24) -> dict:
-    """The table over `count` noise seeds; `dry_count` seeds of a twin with stronger dry friction."""
+    """The table over `count` noise seeds; `dry_count` seeds of a twin with stronger dry
+    friction.
+    """
     rows: list[dict[str, str]] = []
     for method, found in study(range(count)).items():
         rows += table(method, found)

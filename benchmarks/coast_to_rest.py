@@ -1,4 +1,5 @@
-"""Coverage of fits of a joint that coasts to rest without any force: 200 recordings that differ in their noise.
+"""Coverage of fits of a joint that coasts to rest without any force: 200 recordings that differ in
+their noise.
 
 python benchmarks/coast_to_rest.py [N]
 """

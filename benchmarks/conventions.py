@@ -1,11 +1,14 @@
-"""Recordings whose conventions are broken: 15 kinds on three models, with and without an effect that the model lacks as well.
+"""Recordings whose conventions are broken: 15 kinds on three models, with and without an effect
+that the model lacks as well.
 
     python benchmarks/conventions.py [--seed N] [--simulate] [--diagnose MODEL,...]
 
-The motion is a multisine; the torque that it takes is worked out by the equations of benchmarks/twins.py, so no simulation and no
-line of the product makes the data. Prints what `jaxid.check` finds: of each kind the finding, its size, and what else was
-claimed. With --simulate the findings are confirmed by simulation, as the command does; with --diagnose each recording of these
-models is diagnosed, and counted is where an effect is named that only stands in for what is broken.
+The motion is a multisine; the torque that it takes is worked out by the equations of
+benchmarks/twins.py, so no simulation and no line of the product makes the data. Prints what
+`jaxid.check` finds: of each kind the finding, its size, and what else was claimed. With --simulate
+the findings are confirmed by simulation, as the command does; with --diagnose each recording of
+these models is diagnosed, and counted is where an effect is named that only stands in for what is
+broken.
 """
 
 from __future__ import annotations
@@ -200,7 +203,8 @@ def found(r: Recording, simulate: bool = False) -> list[Any]:
     )
 
 
-#: Faults of a clock or of rows that all inputs share, and of a start that all outputs do: found at any of them.
+#: Faults of a clock or of rows that all inputs share, and of a start that all outputs do: found at
+#: any of them.
 SHARED = {"row_shift": "input", "clock": "input", "not_at_rest": "output"}
 
 
@@ -211,8 +215,8 @@ def right(finding: Any, kind: str, channel: str, plant: Plant) -> bool:
     return finding.kind == kind and bool(at & {finding.channel, *(c for _, c in finding.same_as)})
 
 
-#: What a diagnosis is asked for: the usual stand-ins of signs, zeros and units. And what it may name beside the drag of a
-#: recording that has it: the effect that is what the finding says.
+#: What a diagnosis is asked for: the usual stand-ins of signs, zeros and units. And what it may
+#: name beside the drag of a recording that has it: the effect that is what the finding says.
 FEW = ("spring_torque", "torque_ripple", "quadratic_drag")
 MEANT = {"saturated": {"saturation"}, "filtered": {"sensor_lag", "sensor_delay"}}
 
@@ -220,7 +224,9 @@ MEANT = {"saturated": {"saturation"}, "filtered": {"sensor_lag", "sensor_delay"}
 def stand_ins(
     r: Recording, kind: str, effect: str, effects: Sequence[str] | None = FEW
 ) -> tuple[str, list[str]]:
-    """The verdict of a diagnosis (of these effects, else the library), and what is named in place of the broken convention."""
+    """The verdict of a diagnosis (of these effects, else the library), and what is named in place
+    of the broken convention.
+    """
     import jaxid
 
     try:
@@ -240,7 +246,9 @@ FRESH = 88118
 def main(
     seed: int = FRESH, simulate: bool = False, diagnose: Sequence[str] = ("pendulum",)
 ) -> dict[str, Any]:
-    """Of each model how many were found, where they were not or something else was claimed, and what diagnoses named instead."""
+    """Of each model how many were found, where they were not or something else was claimed, and
+    what diagnoses named instead.
+    """
     rows = []
     for model in MODELS:
         kept = ("found", "missed", "something else claimed", "diagnosed", "stands in")

@@ -1,8 +1,10 @@
-"""A flexible robot arm of the DaISy collection: torque of the structure on the ground to acceleration of the arm.
+"""A flexible robot arm of the DaISy collection: torque of the structure on the ground to
+acceleration of the arm.
 
-Neither units nor the sample rate are documented, so the unit of time is the sample and the channels are numbers. The input is one
-period of a sweep and the record is periodic: its transform gives the response line by line, nothing leaks. What is judged is the
-free run over the record, not one step ahead (which pure autoregression predicts to 5e-7 of the square and proves nothing by).
+Neither units nor the sample rate are documented, so the unit of time is the sample and the channels
+are numbers. The input is one period of a sweep and the record is periodic: its transform gives the
+response line by line, nothing leaks. What is judged is the free run over the record, not one step
+ahead (which pure autoregression predicts to 5e-7 of the square and proves nothing by).
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ from jaxid.dynamics.parameter import param
 
 
 class TwoModes(Rigid):
-    """Two vibration modes that one torque drives and one accelerometer sees, with a direct way between them."""
+    """Two vibration modes that one torque drives and one accelerometer sees, with a direct way
+    between them.
+    """
 
     name: ClassVar[str] = "two_modes"
     signatures: ClassVar[tuple[Signature, ...]] = (
@@ -68,7 +72,9 @@ def record() -> tuple[np.ndarray, np.ndarray]:
 
 
 def dataset(u: np.ndarray, y: np.ndarray) -> tuple[Dataset, np.ndarray]:
-    """Lines that the sweep excites, every second for the fit, and their numbers; weighted alike in absolute terms."""
+    """Lines that the sweep excites, every second for the fit, and their numbers; weighted alike in
+    absolute terms.
+    """
     U, Y = np.fft.rfft(u), np.fft.rfft(y)
     lines = np.flatnonzero(np.abs(U) > 0.05 * np.abs(U).max())
     parts = {"fit": lines[::2], "report": lines[1::2]}

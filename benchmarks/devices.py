@@ -1,4 +1,5 @@
-"""The loss of a population on the processor and on an accelerator that JAX sees: the same numbers, and in what time.
+"""The loss of a population on the processor and on an accelerator that JAX sees: the same numbers,
+and in what time.
 
 Without an accelerator it raises `FileNotFoundError`, and the last figures stand.
 """

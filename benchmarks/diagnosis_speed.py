@@ -1,11 +1,12 @@
 """How long one diagnosis takes, with every effect of the library at every joint.
 
-Recordings of the separate twins of the blind cases, from rest, with noise and one withheld effect: 8 s (of a flexible link four
-runs of 4 s), and 20 runs of 60 s. Cold: a process of its own with an empty cache of compiled programs, but for what the rows
-above have left there. Warm: another one with that cache, importing JAX included. Again: the same diagnosis once more in that
-process. Command: `jaxid diagnose` with its page. Steps: those of all candidates, simulated or along the measured motion, which no
-machine changes. The answer is the first name: what a recording cannot tell from it stands beside it on the page (of the tracker
-the lag).
+Recordings of the separate twins of the blind cases, from rest, with noise and one withheld effect:
+8 s (of a flexible link four runs of 4 s), and 20 runs of 60 s. Cold: a process of its own with an
+empty cache of compiled programs, but for what the rows above have left there. Warm: another one
+with that cache, importing JAX included. Again: the same diagnosis once more in that process.
+Command: `jaxid diagnose` with its page. Steps: those of all candidates, simulated or along the
+measured motion, which no machine changes. The answer is the first name: what a recording cannot
+tell from it stands beside it on the page (of the tracker the lag).
 """
 
 from __future__ import annotations
@@ -120,7 +121,9 @@ def timed(folder: Path, again: bool) -> None:
 
 
 def counted() -> list[int]:
-    """Counts from now on, in its only entry, what all engines of this process step through, also those that are let go."""
+    """Counts from now on, in its only entry, what all engines of this process step through, also
+    those that are let go.
+    """
     from jaxid.simulation.batch import Engine
 
     total = [0]

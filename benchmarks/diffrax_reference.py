@@ -1,7 +1,8 @@
-"""The fixed-step scan against diffrax on the same smoothed model, and smoothed friction against true sticking.
+"""The fixed-step scan against diffrax on the same smoothed model, and smoothed friction against
+true sticking.
 
-`Chain.ode` is a plain ODE; diffrax integrates it adaptively (Tsit5, or Kvaerno5 where tanh makes it stiff) between the
-samples of a held command.
+`Chain.ode` is a plain ODE; diffrax integrates it adaptively (Tsit5, or Kvaerno5 where tanh makes it
+stiff) between the samples of a held command.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ ARM = {"viscous1": 1.0, "viscous2": 0.5, "coulomb1": 2.0, "coulomb2": 0.8}
 def by_diffrax(
     chain: Chain, theta: np.ndarray, t: np.ndarray, u: np.ndarray, solver=None
 ) -> np.ndarray:
-    """Joint positions [time nq] of a smoothed chain from rest, adaptively to 1e-10 between the samples."""
+    """Joint positions [time nq] of a smoothed chain from rest, adaptively to 1e-10 between the
+    samples.
+    """
     from jaxid.dynamics.parameter_vector import Layout
 
     layout, nq = Layout(chain), chain.nq
@@ -83,7 +86,9 @@ def agreement(
     solver=None,
     count: int = 500,
 ) -> tuple[float, float]:
-    """Relative differences in L2: scan to diffrax (same smoothing), and smoothed to truly sticking (both by the scan)."""
+    """Relative differences in L2: scan to diffrax (same smoothing), and smoothed to truly sticking
+    (both by the scan).
+    """
     t = np.arange(count) * 4e-3
     u = ref.multisine(t, amplitude, 3 if len(amplitude) > 1 else 0, periods=count / 1000, lines=5)
     chain = Chain(kind())

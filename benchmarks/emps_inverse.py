@@ -1,7 +1,8 @@
-"""EMPS, nominal model: inverse-dynamics least squares against the published estimate, and the simulation in closed loop.
+"""EMPS, nominal model: inverse-dynamics least squares against the published estimate, and the
+simulation in closed loop.
 
-Data: the folder named by JAXID_DATA (default `../shared/data` beside the repository); they are not part of the repository.
-Run: `python -m benchmarks.emps_inverse`.
+Data: the folder named by JAXID_DATA (default `../shared/data` beside the repository); they are not
+part of the repository. Run: `python -m benchmarks.emps_inverse`.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ def folder() -> Path:
 
 
 def load() -> Dataset:
-    """Both recordings with reference, pulses (V, contained in the recorded force) and the drive's controller."""
+    """Both recordings with reference, pulses (V, contained in the recorded force) and the drive's
+    controller.
+    """
     import pyarrow.parquet as pq
 
     tables = [pq.read_table(folder() / f"{name}.parquet").to_pydict() for name in FILES]
@@ -77,7 +80,9 @@ def nominal(data: Dataset, fitter: str = "ls") -> Fit:
 
 
 def force_errors(data: Dataset, fit: Fit) -> list[float]:
-    """Relative error of the inverse-dynamics force on the whole training and the whole test recording."""
+    """Relative error of the inverse-dynamics force on the whole training and the whole test
+    recording.
+    """
     bench = Bench(bind("joint", data, splits=False))
     theta = np.asarray(fit.theta)
     return [
@@ -89,7 +94,9 @@ def force_errors(data: Dataset, fit: Fit) -> list[float]:
 
 
 def closed_loop(data: Dataset, fit: Fit) -> list[tuple[float, float]]:
-    """(relative force error, position error rms in m) of the simulation under the drive's controller, per recording."""
+    """(relative force error, position error rms in m) of the simulation under the drive's
+    controller, per recording.
+    """
     b = bind("joint", data, splits=False)
     made = simulate_closed_loop(
         b.dataset, data.experiments, b.layout, np.asarray(fit.theta), b.sigma

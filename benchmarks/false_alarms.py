@@ -2,9 +2,10 @@
 
     python benchmarks/false_alarms.py [--seed N] [--count N] [--model NAME] [--show]
 
-Six machines whose model lacks nothing, under uneven clocks, rounded time stamps, lost rows, coarse encoders, long standstill,
-repeats, short runs, speeds beside positions and torques that are measured. The equations are those of benchmarks/twins.py,
-which imports nothing of the product. A finding that is applied is a false alarm; so is one that is asked with a gap.
+Six machines whose model lacks nothing, under uneven clocks, rounded time stamps, lost rows, coarse
+encoders, long standstill, repeats, short runs, speeds beside positions and torques that are
+measured. The equations are those of benchmarks/twins.py, which imports nothing of the product. A
+finding that is applied is a false alarm; so is one that is asked with a gap.
 """
 
 from __future__ import annotations
@@ -74,7 +75,9 @@ SPEEDS = ("none", "none", "beside", "coarse_beside")
 
 @dataclass(frozen=True)
 class Form:
-    """How one twin is made; `repeats` runs share their command, `spread` is what friction differs by between runs (share)."""
+    """How one twin is made; `repeats` runs share their command, `spread` is what friction differs
+    by between runs (share).
+    """
 
     machine: str
     clock: str
@@ -125,7 +128,9 @@ class Twin:
 def forms(
     count: int, seed: int, machines: Sequence[str] = tuple(MACHINES), longest: float = SECONDS
 ) -> list[Form]:
-    """Of runs of up to `longest` s, drawn so that every machine, clock and sensor comes as often as the others."""
+    """Of runs of up to `longest` s, drawn so that every machine, clock and sensor comes as often as
+    the others.
+    """
     rng = np.random.default_rng(seed)
     drawn = []
     for k in range(count):
@@ -158,7 +163,9 @@ def forms(
 
 
 def instants(form: Form, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """True instants of the samples, s, on the grid of the simulation, and the time stamps that are written beside them."""
+    """True instants of the samples, s, on the grid of the simulation, and the time stamps that are
+    written beside them.
+    """
     step = 1 / form.rate
     count = int(form.seconds * form.rate)
     steps = np.full(count, step)
@@ -284,9 +291,11 @@ def _simulated(machine: str, chosen: Sequence[Form]) -> list[Twin]:
 
 
 def _motion(plant: Plant, u: np.ndarray, p: dict[str, np.ndarray]) -> np.ndarray:
-    """Positions [lanes steps n] from rest at zero, under commands u [lanes steps n] on the simulation's grid.
+    """Positions [lanes steps n] from rest at zero, under commands u [lanes steps n] on the
+    simulation's grid.
 
-    The midpoint rule; dry friction is the impulse that the joints can hold, joint by joint, from that of the step before.
+    The midpoint rule; dry friction is the impulse that the joints can hold, joint by joint, from
+    that of the step before.
     """
     lanes, steps, n = u.shape
     q, v, a, f = (np.zeros((lanes, n)) for _ in range(4))
@@ -372,7 +381,9 @@ def _read(sensor: str, x: np.ndarray, size: float, rng: np.random.Generator) -> 
 def alarms(
     twin: Twin, simulate: bool = True, model: bool = True
 ) -> tuple[list[Any], list[Any], str]:
-    """Findings that are applied, findings that are asked with a gap, and why the recording was refused, or ""."""
+    """Findings that are applied, findings that are asked with a gap, and why the recording was
+    refused, or "".
+    """
     from jaxid.conventions import checking
     from jaxid.errors import DatasetError
     from jaxid.fitters.short_fit import left_by_short_fit

@@ -1,7 +1,9 @@
-"""Are intervals by profile and by bootstrap honest? Share of twin recordings whose 95 % interval holds the truth.
+"""Are intervals by profile and by bootstrap honest? Share of twin recordings whose 95 % interval
+holds the truth.
 
-A joint with viscous and dry friction and an offset, integrated event-exactly by SciPy, with white noise and with noise of a
-memory of ten samples; each recording is fitted on its own. Beside them the covariance of `jaxid.fitting.covariance`.
+A joint with viscous and dry friction and an offset, integrated event-exactly by SciPy, with white
+noise and with noise of a memory of ten samples; each recording is fitted on its own. Beside them
+the covariance of `jaxid.fitting.covariance`.
 """
 
 from __future__ import annotations

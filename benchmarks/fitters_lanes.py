@@ -1,7 +1,9 @@
-"""What a step of a population costs: the loss of `Problem` against the same scheme written out by hand in one scan.
+"""What a step of a population costs: the loss of `Problem` against the same scheme written out by
+hand in one scan.
 
-The hand-written joint and pendulum step 64 candidates side by side with the same Runge-Kutta scheme and exact dry friction, held
-command, and accumulate the weighted square error in the scan; nothing in them is general. CPU time, interleaved, one thread.
+The hand-written joint and pendulum step 64 candidates side by side with the same Runge-Kutta scheme
+and exact dry friction, held command, and accumulate the weighted square error in the scan; nothing
+in them is general. CPU time, interleaved, one thread.
 """
 
 from __future__ import annotations

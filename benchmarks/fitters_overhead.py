@@ -1,7 +1,9 @@
-"""What an optimiser costs besides the loss: CPU time of a generation on a loss that costs next to nothing.
+"""What an optimiser costs besides the loss: CPU time of a generation on a loss that costs next to
+nothing.
 
-Interleaved in one process, medians of several runs with their spread. Compiling is left out on our side. SciPy's DE calls the
-same compiled loss once a generation (`vectorized=True`) and does no polishing.
+Interleaved in one process, medians of several runs with their spread. Compiling is left out on our
+side. SciPy's DE calls the same compiled loss once a generation (`vectorized=True`) and does no
+polishing.
 """
 
 from __future__ import annotations
@@ -87,8 +89,9 @@ def peer(problem: FunctionProblem, popsize: int, generations: int, seed: int) ->
 
 
 def evosax(problem: FunctionProblem, popsize: int) -> Any:
-    """(generations, seed) -> CPU seconds a generation of evosax's differential evolution, generations as one program; None where
-    it is not installed. It keeps no bounds."""
+    """(generations, seed) -> CPU seconds a generation of evosax's differential evolution,
+    generations as one program; None where it is not installed. It keeps no bounds.
+    """
     try:
         from evosax.algorithms import DifferentialEvolution as Peer  # pyright: ignore[reportMissingImports]
     except ImportError:

@@ -1,8 +1,10 @@
-"""The pendulum problem that other tools were run on: from anywhere in the box, by every method, and against SciPy.
+"""The pendulum problem that other tools were run on: from anywhere in the box, by every method, and
+against SciPy.
 
-(m l^2 + J) q'' = u - b q' - m g l sin q with l = 0.3 m and truth m = 1.2, b = 0.08, J = 0.03; 5 s at 200 Hz, six tones held
-between the samples, 1e-3 rad of noise. Fitted are inertia m l^2 + J, gravity torque m g l and b. Data come from
-SciPy (DOP853 at 1e-12). SciPy's solvers get the same compiled loss, residual and Jacobian in the same process.
+(m l^2 + J) q'' = u - b q' - m g l sin q with l = 0.3 m and truth m = 1.2, b = 0.08, J = 0.03; 5 s
+at 200 Hz, six tones held between the samples, 1e-3 rad of noise. Fitted are inertia m l^2 + J,
+gravity torque m g l and b. Data come from SciPy (DOP853 at 1e-12). SciPy's solvers get the same
+compiled loss, residual and Jacobian in the same process.
 """
 
 from __future__ import annotations
@@ -48,7 +50,8 @@ TRUTH = {
     "gravity_torque": MASS * G * LENGTH,
     "viscous": DAMPING,
 }
-#: The box of the problem, [0.3, 3] x [0, 0.5] x [0, 0.2] for (m, b, J), as a box of what is fitted here.
+#: The box of the problem, [0.3, 3] x [0, 0.5] x [0, 0.2] for (m, b, J), as a box of what is fitted
+#: here.
 BOX = {"inertia": (0.027, 0.47), "gravity_torque": (0.883, 8.83), "viscous": (0.0, 0.5)}
 START = {"inertia": 0.6 * LENGTH**2 + 0.08, "gravity_torque": 0.6 * G * LENGTH, "viscous": 0.2}
 NOISE = 1e-3
@@ -83,7 +86,9 @@ def recording() -> jaxid.Dataset:
 
 
 def by_pypesto(problem: Any, both: Any, points: np.ndarray) -> list[tuple[np.ndarray, int]]:
-    """Its multistart on the same residual and Jacobian: (where it ends, residuals taken) of each start; none if not installed."""
+    """Its multistart on the same residual and Jacobian: (where it ends, residuals taken) of each
+    start; none if not installed.
+    """
     try:
         import pypesto  # pyright: ignore[reportMissingImports]
         from pypesto import optimize  # pyright: ignore[reportMissingImports]
@@ -116,8 +121,10 @@ SWING = """
 
 
 def by_mujoco(data: Any) -> tuple[float, float] | None:
-    """`mujoco.sysid` on the same recording, from the same start, with its own simulation and optimiser: (wall seconds, worst
-    relative error of inertia, gravity torque and damping); None where it is not installed."""
+    """`mujoco.sysid` on the same recording, from the same start, with its own simulation and
+    optimiser: (wall seconds, worst relative error of inertia, gravity torque and damping); None
+    where it is not installed.
+    """
     try:
         import mujoco
         from mujoco import sysid

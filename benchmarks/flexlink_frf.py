@@ -1,8 +1,10 @@
-"""The flexible link against the measured frequency response of a Quanser rotary flexible link (volts to hub angle).
+"""The flexible link against the measured frequency response of a Quanser rotary flexible link
+(volts to hub angle).
 
-The source states neither units nor the loop the hub stood in: its response is flat towards low frequency, so that a spring at
-the hub (a position loop) belongs to the model, and the input's gain is free. What can be judged is the shape: zeros at the
-clamped frequencies, poles, phase. Four days of recordings: one is fitted, the other three are predicted.
+The source states neither units nor the loop the hub stood in: its response is flat towards low
+frequency, so that a spring at the hub (a position loop) belongs to the model, and the input's gain
+is free. What can be judged is the shape: zeros at the clamped frequencies, poles, phase. Four days
+of recordings: one is fitted, the other three are predicted.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Gradient against population on three hard problems: a joint that sticks and slips, backlash, and the flexible link's response.
+"""Gradient against population on three hard problems: a joint that sticks and slips, backlash, and
+the flexible link's response.
 
-Every fitter gets the same compiled loss, the same random starts in the sampling box and at most 20,000 evaluations (a Jacobian
-counts one for each number and one more). A run succeeds within a thousandth of the best known loss. The joints' recordings come
-from the blind cases' twins, the link's from the paper study's: neither shares code with the product.
+Every fitter gets the same compiled loss, the same random starts in the sampling box and at most
+20,000 evaluations (a Jacobian counts one for each number and one more). A run succeeds within a
+thousandth of the best known loss. The joints' recordings come from the blind cases' twins, the
+link's from the paper study's: neither shares code with the product.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ BUDGET = 20_000
 
 
 def joint(numbers: dict[str, float], reach: float) -> Dataset:
-    """4 s of a joint under a slow multisine, from rest; the twin's own friction and these numbers."""
+    """4 s of a joint under a slow multisine, from rest; the twin's own friction and these
+    numbers.
+    """
     plant, rng = PLANTS["joint"], np.random.default_rng(3)
     t = np.arange(int(4 * plant.rate)) / plant.rate
     u = (

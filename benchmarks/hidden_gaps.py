@@ -1,7 +1,9 @@
-"""What a residual does not show: effects that the model's own numbers take in, on twins of the papers' rigs.
+"""What a residual does not show: effects that the model's own numbers take in, on twins of the
+papers' rigs.
 
-The withheld effect hides in a wrong parameter, shows only in motions that were not fitted, or in none that was recorded. Asked is
-whether it is named, else whether the answer says what these recordings would not show. Twins are separately written equations.
+The withheld effect hides in a wrong parameter, shows only in motions that were not fitted, or in
+none that was recorded. Asked is whether it is named, else whether the answer says what these
+recordings would not show. Twins are separately written equations.
 """
 
 from __future__ import annotations
@@ -81,7 +83,9 @@ SPLIT: dict[str, Any] = {"J": (0.117, 0.0011), "reflected": (0.0, 0.0989)}
 
 
 def space(base: tuple[float, float], payload: float = 1.0, noise: float = 0.01) -> Dataset:
-    """On a base of this mass and inertia; with `payload` < 1 a part of the last body is lost at half of each run."""
+    """On a base of this mass and inertia; with `payload` < 1 a part of the last body is lost at
+    half of each run.
+    """
     rng, runs = np.random.default_rng(0), []
     known = test_models.SPACE | {"base_mass": base[0], "base_inertia": base[1]}
     friction = {k: np.array(x) for k, x in arm.FRICTION.items()}
@@ -142,7 +146,9 @@ def floating(known: dict[str, float], share: float):
 
 
 def cases() -> list[tuple[str, str, str, Dataset, dict[str, Any], dict[str, float]]]:
-    """Rig, what is withheld, its effect, recordings, settings of the diagnosis, and true numbers to compare with."""
+    """Rig, what is withheld, its effect, recordings, settings of the diagnosis, and true numbers to
+    compare with.
+    """
     body = {k: test_models.SPACE[k] for k in ("m2", "hx", "hy", "I2")}
     inertia = {"J_theta": 0.117}
     torque = {"residual": "inverse_dynamics"}

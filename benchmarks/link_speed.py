@@ -1,8 +1,10 @@
-"""What a candidate of the flexible link's study costs: this library, SciPy, diffrax, and a loop written by hand in C++.
+"""What a candidate of the flexible link's study costs: this library, SciPy, diffrax, and a loop
+written by hand in C++.
 
-2 s at 1 kHz and 250 lines of a frequency response, candidates drawn from the whole box of paper 002. CPU time of one thread.
-SciPy (LSODA) and diffrax (Kvaerno5, vmapped) integrate all nine degrees of freedom with friction smoothed at 0.01 rad/s, rtol
-1e-6; the hand-written loop (link_loop.cpp, compiled here with -O3 -march=native) takes the same modal step and has nothing
+2 s at 1 kHz and 250 lines of a frequency response, candidates drawn from the whole box of paper
+002. CPU time of one thread. SciPy (LSODA) and diffrax (Kvaerno5, vmapped) integrate all nine
+degrees of freedom with friction smoothed at 0.01 rad/s, rtol 1e-6; the hand-written loop
+(link_loop.cpp, compiled here with -O3 -march=native) takes the same modal step and has nothing
 general in it.
 """
 
@@ -186,7 +188,9 @@ def hub_angle_errors(x: np.ndarray) -> list[float]:
 
 
 def responses(x: np.ndarray, modes: int) -> tuple[float, float, float]:
-    """CPU seconds of a candidate's response by the modal sum and by batched complex solves, and their relative difference."""
+    """CPU seconds of a candidate's response by the modal sum and by batched complex solves, and
+    their relative difference.
+    """
     omega = 2 * np.pi * np.arange(0.2, 50.01, 0.2)
     matrices = [link.full(E, I_m, alpha, beta) for E, I_m, _, _, alpha, beta in x]
     M, C, K = (np.array(m) for m in zip(*matrices, strict=True))

@@ -1,10 +1,13 @@
-"""Long paths on emulators: what plays to its end, what ends early and why, and two recorders on one port.
+"""Long paths on emulators: what plays to its end, what ends early and why, and two recorders on one
+port.
 
-Each run is the real client library (ur_rtde, ROBOTIS' SDK) against an emulator in a process of its own, in real time: five paths
-of 120 s and one of 600 s for the arm (500 rows and 500 samples a second, six joints), one of 400 s for the servo (200 a second).
-`data_age` is 2 s, the most there is, as these emulators share their processors with whatever else this computer does. A witness
-that wants to run every 5 ms says for how long it was not let: it tells a computer that stands still from a fault of ours, though
-not one that is only short of processors, for it needs next to none; that is the load.
+Each run is the real client library (ur_rtde, ROBOTIS' SDK) against an emulator in a process of its
+own, in real time: five paths of 120 s and one of 600 s for the arm (500 rows and 500 samples a
+second, six joints), one of 400 s for the servo (200 a second). `data_age` is 2 s, the most there
+is, as these emulators share their processors with whatever else this computer does. A witness that
+wants to run every 5 ms says for how long it was not let: it tells a computer that stands still from
+a fault of ours, though not one that is only short of processors, for it needs next to none; that is
+the load.
 
     python benchmarks/long_paths.py [NAME ...]     # of arm-120-1 … arm-120-5, arm-600, servo-400, two-recorders; others are kept
 """
@@ -39,7 +42,9 @@ RATE = {"arm": 500.0, "servo": 200.0}
 
 
 class Witness:
-    """A thread that sleeps 5 ms at a time; `longest_s` is the most that it overslept, `over` how often by more than 0.1 s."""
+    """A thread that sleeps 5 ms at a time; `longest_s` is the most that it overslept, `over` how
+    often by more than 0.1 s.
+    """
 
     def __init__(self):
         self.longest_s, self.over, self._going = 0.0, 0, True
@@ -67,7 +72,9 @@ def end_of(errors: str, folder: Path) -> str:
 
 
 def waited_share() -> float:
-    """Share of the last five minutes (0 to 1) in which some process of this computer waited for a processor; nan if not told."""
+    """Share of the last five minutes (0 to 1) in which some process of this computer waited for a
+    processor; nan if not told.
+    """
     try:
         some = Path("/proc/pressure/cpu").read_text().split("\n")[0]
         return float(dict(f.split("=") for f in some.split()[1:])["avg300"]) / 100
@@ -196,7 +203,9 @@ RUNS: dict[str, Callable[[], dict[str, object]]] = {
 
 
 def main(names: tuple[str, ...] = ()) -> dict:
-    """Everything, one after the other (26 minutes of real time, little of it at work), or those runs anew."""
+    """Everything, one after the other (26 minutes of real time, little of it at work), or those
+    runs anew.
+    """
     kept = json.loads(KEPT.read_text()).get("runs", {}) if KEPT.is_file() else {}
     for name in names or RUNS:
         kept[name] = RUNS[name]()

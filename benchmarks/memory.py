@@ -1,7 +1,9 @@
-"""Memory and time of long recordings: `check`, `fit` and `diagnose` of a pendulum, `identify` of an arm with seven joints.
+"""Memory and time of long recordings: `check`, `fit` and `diagnose` of a pendulum, `identify` of an
+arm with seven joints.
 
-Each row is a process of its own that runs the command on recordings at 1 kHz; memory is the most that was resident at a time.
-`before` is the code of a revision that is given (`--before FOLDER`: a checkout of it), whose figures are kept from run to run.
+Each row is a process of its own that runs the command on recordings at 1 kHz; memory is the most
+that was resident at a time. `before` is the code of a revision that is given (`--before FOLDER`: a
+checkout of it), whose figures are kept from run to run.
 """
 
 from __future__ import annotations

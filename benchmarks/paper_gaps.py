@@ -1,9 +1,12 @@
-"""Gaps between what the papers fit and what they (or physics) say of their own rigs, as cases of the diagnosis.
+"""Gaps between what the papers fit and what they (or physics) say of their own rigs, as cases of
+the diagnosis.
 
-Tracker: the motors' measured torques (paper 003, Table 1) against its formula (6). Joint: friction that grows with a power of
-the speed against a linear law (paper 001). Flexible link (paper 002): a beam stiffened by its rotation against the paper's
-equations, in slow and in fast moves; and a hub with dry friction whose frequency response is read as that of a linear system.
-Twins are separately written equations. The number that is compared is the one that the gap bends most in the re-tuned model.
+Tracker: the motors' measured torques (paper 003, Table 1) against its formula (6). Joint: friction
+that grows with a power of the speed against a linear law (paper 001). Flexible link (paper 002): a
+beam stiffened by its rotation against the paper's equations, in slow and in fast moves; and a hub
+with dry friction whose frequency response is read as that of a linear system. Twins are separately
+written equations. The number that is compared is the one that the gap bends most in the re-tuned
+model.
 """
 
 from __future__ import annotations
@@ -56,7 +59,9 @@ def recorded(
 
 
 def tracker() -> Dataset:
-    """Stepped in volts, one axis after the other as in paper 003, on motors as its Table 1 has them; 0.1 degree noise."""
+    """Stepped in volts, one axis after the other as in paper 003, on motors as its Table 1 has
+    them; 0.1 degree noise.
+    """
     plant = dataclasses.replace(twins.PLANTS["tracker"], noise=np.deg2rad(0.1), resolution=0.0)
     t = np.arange(1000) / 100
     u = np.zeros((4, 1000, 2))
@@ -92,7 +97,9 @@ LINK = {k: v for k, v in twins.LINK.items() if k != "coulomb"}
 
 
 def turning_link(torque: float) -> Dataset:
-    """Pulses of a size, kicks while the hub turns and brakes; the full nonlinear beam with its tension."""
+    """Pulses of a size, kicks while the hub turns and brakes; the full nonlinear beam with its
+    tension.
+    """
     plant, rng = (
         dataclasses.replace(twins.PLANTS["flexible_link"], resolution=0.0),
         np.random.default_rng(2),
@@ -116,7 +123,9 @@ def turning_link(torque: float) -> Dataset:
 
 
 def beam(t: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Hub angle and tip acceleration [samples 2] under held torques: Lagrange's equations with the tension's foreshortening."""
+    """Hub angle and tip acceleration [samples 2] under held torques: Lagrange's equations with the
+    tension's foreshortening.
+    """
     Mp, Kp, c, rigid, G = twins.link_matrices(0.0)
     S, n = Mp - G, len(c)
     C, K = LINK["alpha"] * Mp + LINK["beta"] * LINK["E"] * Kp, LINK["E"] * Kp
@@ -143,7 +152,9 @@ def beam(t: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 def rubbing_link() -> Dataset:
-    """The paper's pulse (0.241 N m for 0.3 s) on a hub whose dry friction, 0.1071 N m, the model does not have."""
+    """The paper's pulse (0.241 N m for 0.3 s) on a hub whose dry friction, 0.1071 N m, the model
+    does not have.
+    """
     plant = twins.PLANTS["flexible_link"]
     t = np.arange(int(4 * plant.rate)) / plant.rate
     u = np.array(

@@ -1,8 +1,10 @@
-"""The algorithms of papers 002 and 003 beside others, on twins: data from separately written equations at the published answers.
+"""The algorithms of papers 002 and 003 beside others, on twins: data from separately written
+equations at the published answers.
 
-Nobody's recordings of the rigs are published, so nothing here claims agreement with them. What can be compared: which parameters
-come back, how the algorithms rank, and how large the published differences are beside the scatter of our own runs. The papers
-whole, with every claim: `jaxid reproduce`.
+Nobody's recordings of the rigs are published, so nothing here claims agreement with them. What can
+be compared: which parameters come back, how the algorithms rank, and how large the published
+differences are beside the scatter of our own runs. The papers whole, with every claim: `jaxid
+reproduce`.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ from jaxid.study.papers.searches import race, Searched  # noqa: E402
 
 
 def link_study(seeds: int) -> tuple[list[dict], list[Searched]]:
-    """A row for each method, the paper's box searched linearly as it does, first populations drawn from all of it."""
+    """A row for each method, the paper's box searched linearly as it does, first populations drawn
+    from all of it.
+    """
     size: Any = {"popsize": 100, "generations": 100}
     more = {
         "DE rand/1/bin, F 0.5 to 0.9, CR 0.9": fitters.DifferentialEvolution(**size),

@@ -1,9 +1,10 @@
-"""A stage with a flexible beam (Quanser 2-DOF serial flexible link): does the diagnosis name the dry friction that the maker's
-model lacks?
+"""A stage with a flexible beam (Quanser 2-DOF serial flexible link): does the diagnosis name the
+dry friction that the maker's model lacks?
 
-The maker models a stage as a motor behind a gear, viscous friction, a torsional spring and a load. The diagnosis gets
-this model, recorded motor current as input, hub angle and beam angle (strain gauge) as outputs: 14 s under one controller are
-fitted, 14 s under another judge, the rest reports. Written here as a user would write a model.
+The maker models a stage as a motor behind a gear, viscous friction, a torsional spring and a load.
+The diagnosis gets this model, recorded motor current as input, hub angle and beam angle (strain
+gauge) as outputs: 14 s under one controller are fitted, 14 s under another judge, the rest reports.
+Written here as a user would write a model.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ def dataset() -> Dataset:
     return Dataset("quanser_2dsfl", channels, tuple(runs), model=ModelSpec("flexible_stage"))
 
 
-#: The maker's figures of the first stage: the spring by theory and by an older test, viscous friction of the hub.
+#: The maker's figures of the first stage: the spring by theory and by an older test, viscous
+#: friction of the hub.
 MAKER = {"stiffness": "40.0 (theory), 27.0 (older test)", "B_hub": "4.0", "B_beam": "0"}
 
 

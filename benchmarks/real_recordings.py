@@ -1,6 +1,7 @@
 """Diagnosis of real recordings: EMPS (a ball-screw drive) and a free pendulum on ball bearings.
 
-Data: the folder named by JAXID_DATA (default `../shared/data` beside the repository); they are not part of the repository.
+Data: the folder named by JAXID_DATA (default `../shared/data` beside the repository); they are not
+part of the repository.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "
 
 
 def rows_of(name: str, channel: str, unit: float) -> list[dict[str, Any]]:
-    """Nominal and diagnosed model: free-run error on each whole recording, started from its first samples."""
+    """Nominal and diagnosed model: free-run error on each whole recording, started from its first
+    samples.
+    """
     folder = DATA / name
     if not folder.is_dir():
         raise FileNotFoundError(f"{name} is not in {DATA.name}; set JAXID_DATA")

@@ -1,7 +1,9 @@
-"""Recovery: are the stated 95 % intervals honest, and how wide are they against the Cramér-Rao bound?
+"""Recovery: are the stated 95 % intervals honest, and how wide are they against the Cramér-Rao
+bound?
 
-A pendulum with viscous and dry friction and an offset, integrated event-exactly by SciPy from separately written equations;
-the same motion is recorded with 200 noise seeds, each recording is fitted on its own.
+A pendulum with viscous and dry friction and an offset, integrated event-exactly by SciPy from
+separately written equations; the same motion is recorded with 200 noise seeds, each recording is
+fitted on its own.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ STEP = 1.25e-3  # s; halving it moves the answer by less than a hundredth of the
 
 
 def study(seeds: int) -> dict[str, np.ndarray]:
-    """Estimates [seeds parameters], their stated standard deviations, and the Cramér-Rao bound [parameters]."""
+    """Estimates [seeds parameters], their stated standard deviations, and the Cramér-Rao bound
+    [parameters].
+    """
     t = np.arange(round(SECONDS * RATE) + 1) / RATE
     u = ref.multisine(t, [1.0], 0, periods=2.5)
     u[:20] = 0.0
@@ -48,7 +52,9 @@ def study(seeds: int) -> dict[str, np.ndarray]:
     settings |= {"split": ["fit", "validation"]}
 
     def dataset(y: np.ndarray) -> Dataset:
-        """The recording, and a piece of it as validation run, so that nothing is cut off the fitted one."""
+        """The recording, and a piece of it as validation run, so that nothing is cut off the fitted
+        one.
+        """
         piece = slice(60, 120)
         return Dataset.from_arrays(
             [t, t[:60]], {"tau": [u[:, 0], u[piece, 0]]}, {"q": [y, y[piece]]}, **settings

@@ -1,9 +1,10 @@
-"""What a study survives, at full counts: kills, dying solvers, flipped bits, full disks, several coordinators, mutated files.
+"""What a study survives, at full counts: kills, dying solvers, flipped bits, full disks, several
+coordinators, mutated files.
 
     make benchmark-reliability          # or: python benchmarks/run_all.py reliability
 
-The fleet calculates instead of fitting (tests/study_fleet.py), so that many kills take minutes; one row kills the real command.
-`JAXID_RELIABILITY=0.1` runs a tenth of the counts.
+The fleet calculates instead of fitting (tests/study_fleet.py), so that many kills take minutes; one
+row kills the real command. `JAXID_RELIABILITY=0.1` runs a tenth of the counts.
 """
 
 from __future__ import annotations
@@ -83,7 +84,9 @@ def killed(study: Path, command: list[str], rng: random.Random, longest_s: float
 def many_kills(
     home: Path, study: Path, command, count: int, longest_s: float, plain: list[dict]
 ) -> tuple[int, int, int]:
-    """(kills that hit, studies completed, acknowledged results that were lost); each completed table is compared."""
+    """(kills that hit, studies completed, acknowledged results that were lost); each completed
+    table is compared.
+    """
     rng, hits, studies, lost = random.Random(11), 0, 0, 0
     known: set[str] = set()
     total = len(read_study(study).tasks)

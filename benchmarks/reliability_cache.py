@@ -2,9 +2,10 @@
 
     python benchmarks/run_all.py reliability_cache
 
-After each flip a fit is made in a process of its own, which reads every program from the cache: forked from one that has imported
-what a fit imports and computed nothing. One flip in 25 is followed by the command `jaxid fit` in a fresh process instead.
-`JAXID_RELIABILITY=0.1` runs a tenth of the counts.
+After each flip a fit is made in a process of its own, which reads every program from the cache:
+forked from one that has imported what a fit imports and computed nothing. One flip in 25 is
+followed by the command `jaxid fit` in a fresh process instead. `JAXID_RELIABILITY=0.1` runs a tenth
+of the counts.
 """
 
 from __future__ import annotations
@@ -78,7 +79,9 @@ def main() -> dict:
 
 
 def flip(cache: Path, rng: random.Random) -> tuple[Path, bytes, str]:
-    """Flips one bit, each of the cache as likely as any other; the file, its content now and what was hit."""
+    """Flips one bit, each of the cache as likely as any other; the file, its content now and what
+    was hit.
+    """
     from jaxid.numerics.program_cache import HASH_BYTES, MARK
 
     files = sorted(p for p in cache.rglob("*") if p.is_file())

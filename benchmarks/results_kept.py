@@ -1,10 +1,11 @@
-"""What a result in a folder survives: signals at random moments of a run that is to replace it, and a full disk at every point.
+"""What a result in a folder survives: signals at random moments of a run that is to replace it, and
+a full disk at every point.
 
-Each run is the command itself, in a process forked from one that has imported JAX and computed nothing. Of every sixteen signals
-one comes at a random moment of a whole run; the others meet the command where it saves the numbers of an earlier run, without
-pictures, so that writing is what takes the time: seven at a random moment of that, eight while files are being exchanged. So it
-does where the disk is full.
-`JAXID_RELIABILITY=0.1` runs a tenth of the counts.
+Each run is the command itself, in a process forked from one that has imported JAX and computed
+nothing. Of every sixteen signals one comes at a random moment of a whole run; the others meet the
+command where it saves the numbers of an earlier run, without pictures, so that writing is what
+takes the time: seven at a random moment of that, eight while files are being exchanged. So it does
+where the disk is full. `JAXID_RELIABILITY=0.1` runs a tenth of the counts.
 """
 
 from __future__ import annotations
@@ -74,7 +75,9 @@ def main() -> dict:
 
 
 def started(command: str, home: Path, out: Path, seed: int, told: Path, ready: bool = True) -> int:
-    """A process that runs the command; its words go into the file `told`. `ready`: with the numbers of an earlier run."""
+    """A process that runs the command; its words go into the file `told`. `ready`: with the numbers
+    of an earlier run.
+    """
     sys.stdout.flush()
     sys.stderr.flush()
     if pid := os.fork():
@@ -198,7 +201,9 @@ def kills(home: Path) -> tuple[str, str, str]:
 
 
 def full_disk(home: Path) -> tuple[str, str, str]:
-    """A file system of memory that has room for ever more of the new result; needs the right to mount."""
+    """A file system of memory that has room for ever more of the new result; needs the right to
+    mount.
+    """
     points, refused, kept, place = max(6, round(60 * SHARE)), 0, 0, home / "disk"
     place.mkdir()
     told, saved = home / "told", 0

@@ -1,12 +1,15 @@
-"""Layouts that people build on benches, as twins of their own equations, with the model that a user would write for each.
+"""Layouts that people build on benches, as twins of their own equations, with the model that a user
+would write for each.
 
     python benchmarks/rig_layouts.py [--seeds N] [--layouts NAME,...] [--questions fit,none,withheld,check]
 
-A cart-pole and a rotary pendulum driven by volts (back EMF, encoders on both joints), a pneumatic cylinder driven by two
-pressures, a rack on a pinion with Stribeck friction, a wheel that spins down. Every twin (SciPy's `solve_ivp`, standstill by its
-events) is written apart from the model, which follows the recipe of the README; encoders are quantised. Asked are fits with
-nothing missing (shares of the 95 % intervals that hold the truth), diagnoses with nothing missing and with one effect withheld,
-and `jaxid.check` where a convention of the bench is broken, alone and beside a withheld effect.
+A cart-pole and a rotary pendulum driven by volts (back EMF, encoders on both joints), a pneumatic
+cylinder driven by two pressures, a rack on a pinion with Stribeck friction, a wheel that spins
+down. Every twin (SciPy's `solve_ivp`, standstill by its events) is written apart from the model,
+which follows the recipe of the README; encoders are quantised. Asked are fits with nothing missing
+(shares of the 95 % intervals that hold the truth), diagnoses with nothing missing and with one
+effect withheld, and `jaxid.check` where a convention of the bench is broken, alone and beside a
+withheld effect.
 """
 
 from __future__ import annotations
@@ -50,7 +53,9 @@ from jaxid.data.dataset import ModelSpec  # noqa: E402
 
 @dataclass(frozen=True)
 class Layout:
-    """A twin and its model: what is withheld by effect and place (settings of the twin), true numbers, encoders' steps."""
+    """A twin and its model: what is withheld by effect and place (settings of the twin), true
+    numbers, encoders' steps.
+    """
 
     model: type
     twin: Callable[..., Any]
@@ -70,7 +75,9 @@ def one_input(size: float, low: float, high: float):
 
 
 def pressures(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
-    """Both chambers, about pressures that hold the piston where it is; one fills while the other empties, each in its own way."""
+    """Both chambers, about pressures that hold the piston where it is; one fills while the other
+    empties, each in its own way.
+    """
     filling, own = multisine(rng, t, 35e3, 0.3, 2.0), multisine(rng, t, 15e3, 0.3, 2.0)
     return np.stack([3e5 + filling, 3e5 * 0.025**2 / (0.025**2 - 0.010**2) - filling + own], 1)
 
@@ -169,7 +176,9 @@ def record(name: str, seed: int, withheld: str = "", runs: int = 4) -> Recording
 
 @dataclass(frozen=True)
 class Broken:
-    """A convention broken: how, and the findings (kind, channels of which one is named) that say it; none where nobody can."""
+    """A convention broken: how, and the findings (kind, channels of which one is named) that say
+    it; none where nobody can.
+    """
 
     change: Callable[
         [list[np.ndarray], list[np.ndarray]], tuple[list[np.ndarray], list[np.ndarray]]
@@ -242,7 +251,9 @@ CONVENTIONS = {
 
 
 def fitted(name: str, seeds: Sequence[int]) -> dict[str, Any]:
-    """Fits with nothing missing: how many converge, and the share of 95 % intervals that hold the truth."""
+    """Fits with nothing missing: how many converge, and the share of 95 % intervals that hold the
+    truth.
+    """
     layout, off, states = LAYOUTS[name], [], []
     for seed in seeds:
         fit = jaxid.fit(layout.model(), record(name, seed, runs=3).dataset(), seed=seed)
@@ -262,7 +273,9 @@ def fitted(name: str, seeds: Sequence[int]) -> dict[str, Any]:
 
 
 def diagnosed(name: str, withheld: str, seed: int) -> dict[str, Any]:
-    """A diagnosis with one effect withheld ("": none): right where it is named or in the set that the data leave open."""
+    """A diagnosis with one effect withheld ("": none): right where it is named or in the set that
+    the data leave open.
+    """
     layout = LAYOUTS[name]
     data = record(name, seed, withheld).dataset()
     which = jaxid.diagnose(layout.model(), data, without=layout.without.get(withheld, ())).which
@@ -281,7 +294,9 @@ def diagnosed(name: str, withheld: str, seed: int) -> dict[str, Any]:
 
 
 def conventions(name: str, withheld: str, seed: int) -> dict[str, Any]:
-    """Every convention broken, by the measured motion alone: which are found, and what else is claimed."""
+    """Every convention broken, by the measured motion alone: which are found, and what else is
+    claimed.
+    """
     from jaxid.conventions.checking import run_check
 
     layout, tally, missed = LAYOUTS[name], Counter[str](), []

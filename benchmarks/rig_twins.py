@@ -1,7 +1,8 @@
-"""Models of benches as their users would write them, and twins of the same benches by equations of their own.
+"""Models of benches as their users would write them, and twins of the same benches by equations of
+their own.
 
-A model follows the recipe of the README: its numbers, its mass matrix or energies, its `drive`. A twin is simulated by SciPy's
-`solve_ivp`; standstill begins and ends by its events.
+A model follows the recipe of the README: its numbers, its mass matrix or energies, its `drive`. A
+twin is simulated by SciPy's `solve_ivp`; standstill begins and ends by its events.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ OF_EACH_JOINT = (
 
 
 class CartPole(Lagrangian):
-    """A cart on a rail, driven by a motor's volts through a pinion; a pole hangs from it (theta = 0 hangs down)."""
+    """A cart on a rail, driven by a motor's volts through a pinion; a pole hangs from it (theta = 0
+    hangs down).
+    """
 
     name: ClassVar[str] = "cart_pole"
     signatures: ClassVar[tuple[Signature, ...]] = (
@@ -220,8 +223,9 @@ class SlideTwin:
 
 
 def motion(plant, t: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray, delay: float = 0.0):
-    """Positions and speeds [time nq] at t; every input holds until the next one, dry friction acts on the first joint, which
-    stands still until what pulls at it exceeds its level."""
+    """Positions and speeds [time nq] at t; every input holds until the next one, dry friction acts
+    on the first joint, which stands still until what pulls at it exceeds its level.
+    """
     n = len(q)
 
     def accelerations(x, command, way):

@@ -1,4 +1,6 @@
-"""Arms of random MJCF files with one effect that the file has not, simulated by MuJoCo under position goals."""
+"""Arms of random MJCF files with one effect that the file has not, simulated by MuJoCo under
+position goals.
+"""
 
 from __future__ import annotations
 
@@ -129,7 +131,9 @@ class Arm:
 
 
 def withheld(arm: Arm, kind: str, rng: np.random.Generator) -> tuple[Arm, int, dict[str, Any]]:
-    """The arm that is recorded, the joint of the effect, and what acts beside MuJoCo's own model."""
+    """The arm that is recorded, the joint of the effect, and what acts beside MuJoCo's own
+    model.
+    """
     real, j = deepcopy(arm), int(rng.integers(arm.n))
     beside: dict[str, Any] = {}
     if kind == "frictionloss":
@@ -222,7 +226,9 @@ def recorded(
 def limited(
     arm: Arm, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """`beside` with the most torque that a drive gives which gives less than the file says: a share of what a motion asks for."""
+    """`beside` with the most torque that a drive gives which gives less than the file says: a share
+    of what a motion asks for.
+    """
     if "clip" not in beside:
         return beside
     free = recorded(arm, "none", j, {}, u, rng)
@@ -233,8 +239,9 @@ def limited(
 def case(
     seed: int, number: int, seconds: float, off: float = 0.0, more: float = 0.0
 ) -> dict[str, Any]:
-    """A case with its key: file, goals, readings. `off`: the share by which armature, damping and dry friction of the file are
-    wrong at most; `more` seconds of the motion that goes on."""
+    """A case with its key: file, goals, readings. `off`: the share by which armature, damping and
+    dry friction of the file are wrong at most; `more` seconds of the motion that goes on.
+    """
     rng = np.random.default_rng([seed, number])
     kind = KINDS[number % len(KINDS)]
     arm = Arm.drawn(rng)
@@ -268,8 +275,9 @@ def dataset(c: dict[str, Any]) -> jaxid.Dataset:
 
 
 def as_named(arm: Arm, found: Any) -> tuple[Arm, str, int, dict[str, Any]] | None:
-    """The arm with the one effect that a diagnosis names written into it, as `withheld` gives it; None where it names none or
-    several, or what the simulation of this benchmark has not."""
+    """The arm with the one effect that a diagnosis names written into it, as `withheld` gives it;
+    None where it names none or several, or what the simulation of this benchmark has not.
+    """
     if found.which.verdict != "named" or len(found.which.effects) != 1:
         return None
     e, real = found.which.effects[0], deepcopy(arm)

@@ -1,9 +1,12 @@
-"""Position-controlled and torque-driven robots as recorded: error of each joint with its file, re-tuned, and with effects.
+"""Position-controlled and torque-driven robots as recorded: error of each joint with its file,
+re-tuned, and with effects.
 
-A quadruped hung by its trunk (free runs from the goals; its maintainers' identified numbers leave 0.0066 rad), a hobby arm of
-six servos (free runs; by hand 5.6 mrad at joint 1, 21.7 mrad at joint 2), a seven-joint arm (torque; file: 38 to 101 %).
+A quadruped hung by its trunk (free runs from the goals; its maintainers' identified numbers leave
+0.0066 rad), a hobby arm of six servos (free runs; by hand 5.6 mrad at joint 1, 21.7 mrad at joint
+2), a seven-joint arm (torque; file: 38 to 101 %).
 
-Data: the folder named by JAXID_DATA (default `../shared/data` beside the repository); they are not part of the repository.
+Data: the folder named by JAXID_DATA (default `../shared/data` beside the repository); they are not
+part of the repository.
 """
 
 from __future__ import annotations
@@ -31,7 +34,9 @@ def recording(name: str) -> jaxid.Dataset:
 def table(
     name: str, per_joint: Sequence[Mapping[str, Any]], said: str, split: str = "report"
 ) -> list[dict[str, Any]]:
-    """Free runs of the joints of a robot under its law; the row of all joints has what was `said`."""
+    """Free runs of the joints of a robot under its law; the row of all joints has what was
+    `said`.
+    """
     columns = {
         "file as it stands": "as_it_stands",
         "re-tuned": "retuned",

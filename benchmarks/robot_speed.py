@@ -1,11 +1,13 @@
-"""Robots under goals: how long a diagnosis takes, and `mujoco.sysid` beside it, fitting the same numbers to the same log.
+"""Robots under goals: how long a diagnosis takes, and `mujoco.sysid` beside it, fitting the same
+numbers to the same log.
 
-Arms of `benchmarks/robot_arms.py` with Stribeck friction withheld at one joint, three joints for 20 s at 500 Hz and seven for
-60 s at 250 Hz, and two real recordings. Each diagnosis runs in a process of its own: with no compiled programs on disk, with
-them, and as the whole command with its page. `mujoco.sysid` gets the file's numbers that jaxid re-tunes (centres of mass,
-armature, damping, dry friction, and the law's gains where they are asked for), jaxid's bounds, the fit runs and those
-validation runs that are recordings of their own, and no effect; times of the log one step later, for its rollout gives what a
-sensor reads as a step begins the time at which the step ends.
+Arms of `benchmarks/robot_arms.py` with Stribeck friction withheld at one joint, three joints for 20
+s at 500 Hz and seven for 60 s at 250 Hz, and two real recordings. Each diagnosis runs in a process
+of its own: with no compiled programs on disk, with them, and as the whole command with its page.
+`mujoco.sysid` gets the file's numbers that jaxid re-tunes (centres of mass, armature, damping, dry
+friction, and the law's gains where they are asked for), jaxid's bounds, the fit runs and those
+validation runs that are recordings of their own, and no effect; times of the log one step later,
+for its rollout gives what a sensor reads as a step begins the time at which the step ends.
 
     python benchmarks/robot_speed.py [NAME ...]
 """
@@ -60,7 +62,9 @@ def twin(name: str, folder: Path) -> tuple[Path, Path]:
 
 
 def diagnosed(dataset: str, model: str | None) -> None:
-    """Prints what a diagnosis in this process finds, and how long it takes once the data are loaded."""
+    """Prints what a diagnosis in this process finds, and how long it takes once the data are
+    loaded.
+    """
     data = jaxid.load_dataset(dataset)
     began = time.perf_counter()
     found = jaxid.diagnose(model, data)
@@ -83,7 +87,9 @@ def diagnosed(dataset: str, model: str | None) -> None:
 
 
 def _changes(robot: Any, tree: Any) -> dict[str, Any]:
-    """By the first part of a number's name how `mujoco.sysid` sets it: (spec, joint or link, value)."""
+    """By the first part of a number's name how `mujoco.sysid` sets it: (spec, joint or link,
+    value).
+    """
 
     def body(spec: Any, link: str) -> Any:
         return (
@@ -126,7 +132,9 @@ def _changes(robot: Any, tree: Any) -> dict[str, Any]:
 
 
 def _held(t: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Goals that are held between their samples, at every step of the simulation: the tool draws lines through what it gets."""
+    """Goals that are held between their samples, at every step of the simulation: the tool draws
+    lines through what it gets.
+    """
     fine = np.arange(round((t[-1] - t[0]) / step) + 1) * step
     return fine, u[np.clip(np.searchsorted(t - t[0], fine + 1e-9, side="right") - 1, 0, len(t) - 1)]
 
@@ -134,8 +142,9 @@ def _held(t: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.nda
 def by_mujoco(
     dataset: Path, file: Path | None, longest_s: float = LONGEST_S
 ) -> dict[str, Any] | None:
-    """The same fit by `mujoco.sysid`, stopped after `longest_s`: seconds, how many numbers, rms that its best model leaves on the
-    report runs; None where it is not installed."""
+    """The same fit by `mujoco.sysid`, stopped after `longest_s`: seconds, how many numbers, rms
+    that its best model leaves on the report runs; None where it is not installed.
+    """
     from mujoco import sysid
 
     if not hasattr(sysid, "optimize"):
@@ -262,7 +271,9 @@ def by_mujoco(
 def in_processes(
     dataset: Path, file: Path | None, cache: Path
 ) -> tuple[dict[str, Any], dict[str, Any], float]:
-    """What a diagnosis says and takes with no compiled programs on disk and with them, and seconds of the whole command."""
+    """What a diagnosis says and takes with no compiled programs on disk and with them, and seconds
+    of the whole command.
+    """
     environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"} | {
         "JAXID_CACHE_DIR": str(cache)
     }

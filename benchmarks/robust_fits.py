@@ -1,9 +1,10 @@
-"""Random fits: how many are right, say that they failed, or are wrong and say that they converged; beside SciPy on the same
-residuals from the same starts.
+"""Random fits: how many are right, say that they failed, or are wrong and say that they converged;
+beside SciPy on the same residuals from the same starts.
 
-Models of the library and ones with a drive of their own, speeds as outputs, no offset (a joint stands still without any force),
-start values off by up to a factor of ten, and every tenth with data that cannot determine a number. A fit is right where every
-number that it calls determined lies within four of its standard deviations, or two percent, of the truth.
+Models of the library and ones with a drive of their own, speeds as outputs, no offset (a joint
+stands still without any force), start values off by up to a factor of ten, and every tenth with
+data that cannot determine a number. A fit is right where every number that it calls determined lies
+within four of its standard deviations, or two percent, of the truth.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
-"""Runs the benchmarks and writes RESULTS.md: every module of this folder with a function `main() -> dict`.
+"""Runs the benchmarks and writes RESULTS.md: every module of this folder with a function `main() ->
+dict`.
 
     python benchmarks/run_all.py [NAME ...] [--write-only]
 
-`main` returns {"title": ..., "text": ..., "rows": [{column: value, ...}, ...]}; each result is kept as results/NAME.json, and
-RESULTS.md is written from all of them. A benchmark whose data are absent raises `FileNotFoundError` and keeps its old figures.
+`main` returns {"title": ..., "text": ..., "rows": [{column: value, ...}, ...]}; each result is kept
+as results/NAME.json, and RESULTS.md is written from all of them. A benchmark whose data are absent
+raises `FileNotFoundError` and keeps its old figures.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""The space manipulator of paper 000: how many evaluations each algorithm takes, and who follows a payload that changes.
+"""The space manipulator of paper 000: how many evaluations each algorithm takes, and who follows a
+payload that changes.
 
-All equations and tables of the paper are lost in the public copies; truth, bounds, trajectory and the algorithms' details are
-this library's reading of its words. Torques come from the Lagrangian that SymPy derives for the tests, friction from its formula.
+All equations and tables of the paper are lost in the public copies; truth, bounds, trajectory and
+the algorithms' details are this library's reading of its words. Torques come from the Lagrangian
+that SymPy derives for the tests, friction from its formula.
 """
 
 from __future__ import annotations
@@ -71,7 +73,9 @@ def path(seed: int, seconds: float) -> tuple[np.ndarray, ...]:
 
 
 def torque(motion: tuple[np.ndarray, ...], payload: np.ndarray) -> np.ndarray:
-    """[time 2]; the payload [time] is the share of the last body that is there. The Lagrangian is linear in the body."""
+    """[time 2]; the payload [time] is the share of the last body that is there. The Lagrangian is
+    linear in the body.
+    """
     _, q, qd, qdd = motion
     empty, whole = (space(False, share) for share in (0.0, 1.0))
     rigid = [[np.array(of(*row)) for of in (empty, whole)] for row in zip(q, qd, qdd, strict=True)]
@@ -108,7 +112,9 @@ def problem_of(
 
 
 def race(seeds: int) -> list[dict]:
-    """Evaluations until the residual is below a thousandth of the torque (rms), from a random population or start."""
+    """Evaluations until the residual is below a thousandth of the torque (rms), from a random
+    population or start.
+    """
     motion = path(1, SECONDS)
     data, problem = problem_of([motion], [torque(motion, np.ones(len(motion[0])))], 0.0)
     base = fitters.LevenbergMarquardt(restarts=40).minimise(
@@ -152,7 +158,9 @@ def race(seeds: int) -> list[dict]:
 
 
 def chase(seeds: int) -> list[dict]:
-    """Largest error of the body's numbers, in percent of their range, block by block, over a payload that drops."""
+    """Largest error of the body's numbers, in percent of their range, block by block, over a
+    payload that drops.
+    """
     motion = path(2, BLOCK * BLOCKS / RATE)
     share = np.where(np.arange(len(motion[0])) < BLOCK * (CHANGE - 1), 1.0, DROPPED)
     tau = torque(motion, share)

@@ -1,7 +1,9 @@
-"""What a study costs beside the same fits in one hand-written batched program, and what its coordinator costs a task.
+"""What a study costs beside the same fits in one hand-written batched program, and what its
+coordinator costs a task.
 
-Both programs of the first comparison are started as commands and do everything: start Python, load the data, take the compiled
-programs from the cache, fit 1,000 seeds. `python study_throughput.py by_hand FOLDER COUNT [search]` is the hand-written one.
+Both programs of the first comparison are started as commands and do everything: start Python, load
+the data, take the compiled programs from the cache, fit 1,000 seeds. `python study_throughput.py
+by_hand FOLDER COUNT [search]` is the hand-written one.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ CHUNK = 100
 
 
 def by_hand(folder: str, count: int, search_alone: bool) -> None:
-    """The same fits by the library's own parts, in one process: all seeds of a chunk in the same batches of lanes."""
+    """The same fits by the library's own parts, in one process: all seeds of a chunk in the same
+    batches of lanes.
+    """
     from jaxid.runtime import prepare
 
     prepare()
@@ -127,7 +131,9 @@ def nothing(session: str, command: tuple[str, ...], batch: str) -> str:
 
 
 def fleet(home: Path) -> list[dict]:
-    """The coordinator with workers that do nothing: processor time of its process a task, and where it saturates."""
+    """The coordinator with workers that do nothing: processor time of its process a task, and where
+    it saturates.
+    """
     from jaxid.study import read_study, supervisor
     from jaxid.study.cluster import local_cluster
     from jaxid.study.coordinator import Coordinator, Stop

@@ -1,8 +1,10 @@
-"""How long a diagnosis by torque takes with the whole library, in process: recorded arms, and twins with something missing.
+"""How long a diagnosis by torque takes with the whole library, in process: recorded arms, and twins
+with something missing.
 
-UR10e: its model is robbed of friction, whole library. Panda, double pendulum: as they are. Twins: a UR10e by Pinocchio whose
-held-out runs carry 1.5 kg, and one whose last two joints share gears. Errors are those of the torque on report data, both
-sides through the low-pass of the diagnosis, |measured - predicted| / |measured| over all joints.
+UR10e: its model is robbed of friction, whole library. Panda, double pendulum: as they are. Twins: a
+UR10e by Pinocchio whose held-out runs carry 1.5 kg, and one whose last two joints share gears.
+Errors are those of the torque on report data, both sides through the low-pass of the diagnosis,
+|measured - predicted| / |measured| over all joints.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
-"""Twins for the blind cases: six plants with effects that a diagnosis is not told of, in separately written equations (NumPy).
+"""Twins for the blind cases: six plants with effects that a diagnosis is not told of, in separately
+written equations (NumPy).
 
-Nothing here imports the product. Many recordings are integrated side by side with steps of 0.1 ms: Heun's rule for what is
-smooth, then dry friction as the impulse that the joints can hold, then the position by the mean speed. A joint may have a motor
-of its own behind a spring with play. The arm swings over the top and takes half these steps: over 4 s it is then off by a third
-of the noise, against an adaptive solver with events.
+Nothing here imports the product. Many recordings are integrated side by side with steps of 0.1 ms:
+Heun's rule for what is smooth, then dry friction as the impulse that the joints can hold, then the
+position by the mean speed. A joint may have a motor of its own behind a spring with play. The arm
+swings over the top and takes half these steps: over 4 s it is then off by a third of the noise,
+against an adaptive solver with events.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ Lanes = dict[str, np.ndarray]  # number -> [lanes joints]
 
 @dataclass(frozen=True)
 class Plant:
-    """`matrices(q, v, numbers)` -> mass matrix [lanes n n] and bias [lanes n]; magnitudes of torque, speed and angle; what is
-    nominal (numbers of the plant and of its friction)."""
+    """`matrices(q, v, numbers)` -> mass matrix [lanes n n] and bias [lanes n]; magnitudes of
+    torque, speed and angle; what is nominal (numbers of the plant and of its friction).
+    """
 
     model: str
     inputs: tuple[tuple[str, str], ...]
@@ -293,7 +296,9 @@ def fine(u: np.ndarray, p: Lanes, parts: int, h: float) -> np.ndarray:
 
 
 def recorded(plant: Plant, u: np.ndarray, p: Lanes, rng: np.random.Generator) -> np.ndarray:
-    """What the sensors write down [lanes samples ny] under commands u [lanes samples nu], from rest at zero."""
+    """What the sensors write down [lanes samples ny] under commands u [lanes samples nu], from rest
+    at zero.
+    """
     p = {
         k: np.broadcast_to(np.asarray(x, float), (len(u), plant.n))
         for k, x in ({**NEUTRAL, **p}).items()
@@ -305,7 +310,9 @@ def recorded(plant: Plant, u: np.ndarray, p: Lanes, rng: np.random.Generator) ->
 
 
 def rigid(plant: Plant, u: np.ndarray, p: Lanes, parts: int, h: float) -> np.ndarray:
-    """Joint positions on the fine grid [lanes steps n], without and with a motor of its own (lanes with compliance)."""
+    """Joint positions on the fine grid [lanes steps n], without and with a motor of its own (lanes
+    with compliance).
+    """
     table = fine(u, p, parts, h)
     lanes, steps, n = table.shape
     q, v, lagged = np.zeros((lanes, n)), np.zeros((lanes, n)), table[:, 0].copy()
@@ -333,8 +340,9 @@ def rigid(plant: Plant, u: np.ndarray, p: Lanes, parts: int, h: float) -> np.nda
         return np.where(soft & ((p["play"] == 0) | (t * deep > 0)), t, 0.0)
 
     def acceleration(q, v, link, dlink, tau, time):
-        """Of the motors (of the joints where they are stiff) and of the links, the inverse mass on the motors' side, and that of
-        the links as friction at stiff joints meets it."""
+        """Of the motors (of the joints where they are stiff) and of the links, the inverse mass on
+        the motors' side, and that of the links as friction at stiff joints meets it.
+        """
         against = smooth(p, q, v, z, time)
         M, bias = plant.matrices(np.where(soft, link, q), np.where(soft, dlink, v), p)
         M = M + p["reflected"][:, :, None] * eye - motor[:, :, None] * eye
@@ -413,7 +421,9 @@ LONG, AREA, SECOND, RHO, TIP = 0.197, 0.0266 * 0.001, 0.0266 * 0.001**3 / 12, 64
 
 
 def link_matrices(payload: float, n: int = 4):
-    """Hermite elements: M, K per E, coupling to the hub's turn, inertia about the hub, geometric stiffness per phid^2."""
+    """Hermite elements: M, K per E, coupling to the hub's turn, inertia about the hub, geometric
+    stiffness per phid^2.
+    """
     le, size = LONG / n, 2 * n + 2
     M, K, G = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
     points, weights = np.polynomial.legendre.leggauss(8)
@@ -454,7 +464,9 @@ def link_matrices(payload: float, n: int = 4):
 
 
 def flexible(u: np.ndarray, p: Lanes, parts: int, h: float) -> np.ndarray:
-    """Hub angle and tip acceleration on the fine grid: exponentials of all states, dry friction projected at every step."""
+    """Hub angle and tip acceleration on the fine grid: exponentials of all states, dry friction
+    projected at every step.
+    """
     table = fine(u, p, parts, h)[:, :, 0]
     lanes, steps = table.shape
     A, B, Bt = [], [], []

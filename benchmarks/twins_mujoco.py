@@ -1,9 +1,12 @@
-"""Twins of the blind cases simulated by MuJoCo: its multibody dynamics, its constraints for dry friction, stops and play.
+"""Twins of the blind cases simulated by MuJoCo: its multibody dynamics, its constraints for dry
+friction, stops and play.
 
-The same numbers as in benchmarks/twins.py, for those plants and effects that MuJoCo can express. What MuJoCo has itself is left
-to it: damping, dry friction (`frictionloss`, a soft constraint: a joint that should stand still creeps), rotor inertia, springs,
-payloads, gravity's direction, a rotor behind a spring, play as a joint with stops, a swinging mass. What it has not (what the
-drive does to the command, dry friction that depends on speed, load or position, drag, a ripple) is set anew before every step.
+The same numbers as in benchmarks/twins.py, for those plants and effects that MuJoCo can express.
+What MuJoCo has itself is left to it: damping, dry friction (`frictionloss`, a soft constraint: a
+joint that should stand still creeps), rotor inertia, springs, payloads, gravity's direction, a
+rotor behind a spring, play as a joint with stops, a swinging mass. What it has not (what the drive
+does to the command, dry friction that depends on speed, load or position, drag, a ripple) is set
+anew before every step.
 """
 
 from __future__ import annotations
@@ -18,7 +21,8 @@ import numpy as np
 from benchmarks.twins import fine, Lanes, NEUTRAL, Plant, sensed
 
 
-#: Effects that are expressed; a mass that swings on a second joint turns with the link, which is another effect.
+#: Effects that are expressed; a mass that swings on a second joint turns with the link, which is
+#: another effect.
 EFFECTS = (
     "dead_zone", "saturation", "supply_droop", "torque_scale", "actuator_lag", "input_delay", "input_hold", "back_emf",
     "torque_ripple", "viscous_friction", "coulomb_friction", "asymmetric_friction", "stribeck_friction", "quadratic_drag",
@@ -28,8 +32,8 @@ EFFECTS = (
 )  # fmt: skip
 ON_ONE_JOINT = ("flexible_mode",)
 STEP = 2e-4
-#: Time constant (s), damping ratio and impedance of dry friction and stops: as stiff as the step allows. MuJoCo's defaults creep
-#: so much that no real joint looks like it.
+#: Time constant (s), damping ratio and impedance of dry friction and stops: as stiff as the step
+#: allows. MuJoCo's defaults creep so much that no real joint looks like it.
 STIFF = 'solreffriction="0.0004 1" solimpfriction="0.99 0.999 0.001" solreflimit="0.0004 1" solimplimit="0.99 0.999 0.0001"'
 _MJ: Any = mujoco
 
@@ -37,7 +41,9 @@ Own = dict[str, np.ndarray]  # numbers of one lane: [joints]
 
 
 def recorded(plant: Plant, u: np.ndarray, p: Lanes, rng: np.random.Generator) -> np.ndarray:
-    """What the sensors write down [lanes samples ny] under commands u [lanes samples nu], from rest at zero."""
+    """What the sensors write down [lanes samples ny] under commands u [lanes samples nu], from rest
+    at zero.
+    """
     p = {
         k: np.broadcast_to(np.asarray(x, float), (len(u), plant.n))
         for k, x in ({**NEUTRAL, **p}).items()
@@ -55,7 +61,9 @@ def recorded(plant: Plant, u: np.ndarray, p: Lanes, rng: np.random.Generator) ->
 
 
 def simulated(plant: Plant, table: np.ndarray, p: Own, h: float) -> np.ndarray:
-    """Positions [steps n] that the encoders see (those of the motors) under commands on the fine grid [steps n]."""
+    """Positions [steps n] that the encoders see (those of the motors) under commands on the fine
+    grid [steps n].
+    """
     model = _MJ.MjModel.from_xml_string(machine(plant, p, h))
     data = _MJ.MjData(model)
     dofs = [int(model.joint(f"motor{j}").dofadr[0]) for j in range(plant.n)]
@@ -74,7 +82,9 @@ def simulated(plant: Plant, table: np.ndarray, p: Own, h: float) -> np.ndarray:
 
 
 class Drive:
-    """What acts on one joint besides what MuJoCo simulates itself: torque of the drive, and the level of dry friction."""
+    """What acts on one joint besides what MuJoCo simulates itself: torque of the drive, and the
+    level of dry friction.
+    """
 
     def __init__(self, plant: Plant, p: dict[str, float], command: float, h: float):
         self.servo, self.p, self.lagged = plant.model == "servo", p, command
@@ -132,7 +142,9 @@ def _down(tilt: float) -> tuple[float, float, float]:
 def _jointed(
     p: Own, j: int, place: str, axis: str, link: str, effective: float, armature: float = 0.0
 ) -> str:
-    """A link on joint j, with what its numbers put into the joint: a rotor behind a spring, with play, or a swinging mass."""
+    """A link on joint j, with what its numbers put into the joint: a rotor behind a spring, with
+    play, or a swinging mass.
+    """
     v = lambda name: float(p[name][j]) if name in p else 0.0
     joint = (
         f'<joint name="motor{j}" axis="{axis}" damping="{v("viscous") + v("back_emf")!r}" stiffness="{v("spring")!r}" '
@@ -182,7 +194,9 @@ def _servo(p: Own) -> tuple[tuple[float, float, float], str]:
 
 
 def _tracker(p: Own) -> tuple[tuple[float, float, float], str]:
-    """The barrel points back over the yaw axis from a joint at 0.09 m; a thin rod with a camera, so that no inertia about it."""
+    """The barrel points back over the yaw axis from a joint at 0.09 m; a thin rod with a camera, so
+    that no inertia about it.
+    """
     m, mc, length, c, R = 0.043, 0.103, 0.26, 0.036, 0.09
     J, total = float(p["J"][1]), m + mc
     at = (m * length / 2 + mc * c) / total

@@ -1,8 +1,10 @@
-"""Table VIII of paper 001 on a twin: what is left of the friction torque by a linear law and by one with an exponent.
+"""Table VIII of paper 001 on a twin: what is left of the friction torque by a linear law and by one
+with an exponent.
 
-The twin (benchmarks/ur10_payload.py) gets white noise of the size that the paper's law with an exponent leaves, by joint, so
-that the columns can be compared: what the linear law leaves beyond it is the law's own error along this motion. The paper fits
-friction alone; here base parameters and friction are fitted together, filtered at 40 Hz, and judged on another motion.
+The twin (benchmarks/ur10_payload.py) gets white noise of the size that the paper's law with an
+exponent leaves, by joint, so that the columns can be compared: what the linear law leaves beyond it
+is the law's own error along this motion. The paper fits friction alone; here base parameters and
+friction are fitted together, filtered at 40 Hz, and judged on another motion.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ import jaxid
 from benchmarks.ur10_payload import arm_of, EXPONENT, LEVEL, LOADS, OFFSET, VISCOUS
 
 
-#: Exponents of Table VI without and with the payload, and Table VIII: RMSE (N m) by the linear law and by the one with exponent.
+#: Exponents of Table VI without and with the payload, and Table VIII: RMSE (N m) by the linear law
+#: and by the one with exponent.
 CASES = {
     "no load": (
         None, EXPONENT,

@@ -1,7 +1,9 @@
-"""Payload of a UR10 twin over noise seeds: the estimators of paper 001, its baselines, and weighted least squares of all rows.
+"""Payload of a UR10 twin over noise seeds: the estimators of paper 001, its baselines, and weighted
+least squares of all rows.
 
-The twin: Pinocchio's inverse dynamics of the physically consistent UR10, friction of Table VI (F_c2 := 0), torque noise of Table
-II, the motion that `jaxid excite` designs, 125 Hz. Unloaded and loaded arm move alike, each with noise of its own.
+The twin: Pinocchio's inverse dynamics of the physically consistent UR10, friction of Table VI (F_c2
+:= 0), torque noise of Table II, the motion that `jaxid excite` designs, 125 Hz. Unloaded and loaded
+arm move alike, each with noise of its own.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ VISCOUS = np.array([21.6084, 26.4096, 15.1400, 2.7746, 3.4578, 3.5335])
 EXPONENT = np.array([0.5758, 0.2723, 0.6093, 0.9995, 0.8031, 0.7209])
 OFFSET = np.array([-0.3426, 0.0582, 0.1780, 0.6453, 0.6725, 0.5685])
 NOISE = np.array([3.7817, 4.1789, 3.0339, 1.7334, 1.0670, 0.9896])
-#: Both payloads of the paper in frame 6; the second one's shape is not given: scaled from the first.
+#: Both payloads of the paper in frame 6; the second one's shape is not given: scaled from the
+#: first.
 LOADS = {
     "3.5256 kg": about_origin(3.5256, [0, 0, 0.0296], [0.0064, 0, 0, 0.0064, 0, 0.0045]),
     "3.223 kg": about_origin(
@@ -37,7 +40,9 @@ Z95 = 1.959963984540054
 
 
 class Twin(NamedTuple):
-    """Motion, columns [time 6 58], and the torque without noise of the unloaded arm and of a load's part."""
+    """Motion, columns [time 6 58], and the torque without noise of the unloaded arm and of a load's
+    part.
+    """
 
     q: np.ndarray
     qd: np.ndarray
@@ -90,8 +95,10 @@ def made(design: Any) -> Twin:
 def static_mass(
     rng: np.random.Generator, load: np.ndarray, poses: int = 30, seconds: float = 1.0
 ) -> tuple[float, float]:
-    """Algorithm 2 (Gaz): gravity torque at rest in static poses with and without the load, `seconds` of samples averaged; m and
-    m r by weighted least squares. Friction at rest may take any value; here, to the method's favour, it takes none."""
+    """Algorithm 2 (Gaz): gravity torque at rest in static poses with and without the load,
+    `seconds` of samples averaged; m and m r by weighted least squares. Friction at rest may take
+    any value; here, to the method's favour, it takes none.
+    """
     arm = UR10()
     home = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
     q = home + rng.uniform(-1.2, 1.2, (poses, 6))
@@ -124,7 +131,8 @@ def estimates(
     solve = lambda tau: cov @ (A.T @ (tau * w).ravel())
     unloaded, with_load = solve(a), solve(b)
     out: dict[str, tuple[float, float | None]] = {}
-    # Where noise has a memory a user sees it in the residual: the covariance grows with its correlation time.
+    # Where noise has a memory a user sees it in the residual: the covariance grows with its
+    # correlation time.
     r = (b - twin.W @ with_load) / NOISE
     rho = float(np.mean(np.sum(r[1:] * r[:-1], 0) / np.sum(r * r, 0)))
     stretch = (1 + rho) / (1 - rho) if rho > 0.1 else 1.0

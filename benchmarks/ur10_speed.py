@@ -1,4 +1,6 @@
-"""How fast: online updates at 500 Hz in real time, inverse dynamics, regressor and forward dynamics against loops in Python."""
+"""How fast: online updates at 500 Hz in real time, inverse dynamics, regressor and forward dynamics
+against loops in Python.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,9 @@ def asleep_until(moment: float) -> None:
 
 
 def empty(seconds: float, rate: float = 500.0) -> dict[str, Any]:
-    """What this computer takes for a compiled program that adds one number, called at the same pace."""
+    """What this computer takes for a compiled program that adds one number, called at the same
+    pace.
+    """
     with float64():
         add = jax.jit(lambda P, x: P + x[0, 0])
         P, spent, began = jnp.zeros((58, 58)), [], time.perf_counter()
@@ -180,7 +184,9 @@ def batches() -> list[dict[str, Any]]:
 
 
 def mjcf(arm: Any) -> str:
-    """A six-joint chain of the same lengths for MuJoCo (its bodies are rods: the time does not depend on the numbers)."""
+    """A six-joint chain of the same lengths for MuJoCo (its bodies are rods: the time does not
+    depend on the numbers).
+    """
     parts, ends = [], []
     for j in range(6):
         a, d = float(np.asarray(arm.a)[j]), float(np.asarray(arm.d)[j])

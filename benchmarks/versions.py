@@ -1,9 +1,11 @@
-"""The shipped example and the core of tests with every Python found here and the versions of JAX; writes docs/versions.md.
+"""The shipped example and the core of tests with every Python found here and the versions of JAX;
+writes docs/versions.md.
 
     python benchmarks/versions.py [--python 3.12] [--jax 0.9.2] [--no-tests]
 
-One environment a Python (in out/versions), into which pip puts one JAX after the other, with what pip chooses beside it. What was
-run stays in out/versions/rows.json until it is run again, so that a part can be repeated.
+One environment a Python (in out/versions), into which pip puts one JAX after the other, with what
+pip chooses beside it. What was run stays in out/versions/rows.json until it is run again, so that a
+part can be repeated.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "out" / "versions"
 ROWS = FOLDER / "rows.json"
 PAGE = ROOT / "docs" / "versions.md"
-#: From the oldest version that is stated to the newest: of each 0.x the last, and the first ones since programs have a new form.
+#: From the oldest version that is stated to the newest: of each 0.x the last, and the first ones
+#: since programs have a new form.
 JAX = ("0.7.2", "0.8.3", "0.9.2", "0.10.2", "0.11.0", "0.11.2", "0.12.0", "0.12.0.1")
 BESIDE = ("equinox", "diffrax", "numpy", "scipy")
 #: The command, with what our own code is told about its future as an error.
@@ -139,7 +142,9 @@ def numbers(diagnosis: dict[str, Any]) -> dict[str, list[float]]:
 
 
 def deviation(found: dict[str, list[float]], reference: dict[str, list[float]]) -> float:
-    """Largest difference of two answers in standard deviations; infinite where they name other numbers."""
+    """Largest difference of two answers in standard deviations; infinite where they name other
+    numbers.
+    """
     if found.keys() != reference.keys():
         return float("inf")
     return max(

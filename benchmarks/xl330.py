@@ -1,9 +1,11 @@
-"""A position-controlled servo as it was recorded: Dynamixel XL330 on a pendulum bench, three gains, four trajectories.
+"""A position-controlled servo as it was recorded: Dynamixel XL330 on a pendulum bench, three gains,
+four trajectories.
 
-Free runs of 6 s from the goal position alone. Mean absolute error per log, averaged over the logs (reference of the recording's
-notes: 0.0492 rad with Coulomb and viscous friction, 0.0320 with load-dependent and Stribeck friction). Then one gain is left
-out of the fit and predicted. In the end what the diagnosis names of the first model's gap, of all effects (the gap in multiples
-of 1 mrad).
+Free runs of 6 s from the goal position alone. Mean absolute error per log, averaged over the logs
+(reference of the recording's notes: 0.0492 rad with Coulomb and viscous friction, 0.0320 with
+load-dependent and Stribeck friction). Then one gain is left out of the fit and predicted. In the
+end what the diagnosis names of the first model's gap, of all effects (the gap in multiples of 1
+mrad).
 """
 
 from __future__ import annotations

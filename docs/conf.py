@@ -1,4 +1,6 @@
-"""Sphinx: the pages here, those that docs/generate.py writes from the code, and the notebooks with their outputs."""
+"""Sphinx: the pages here, those that docs/generate.py writes from the code, and the notebooks with
+their outputs.
+"""
 
 import hashlib
 import os

@@ -1,4 +1,6 @@
-"""Pages written from the code: effect atlas, models, fitters, benchmarks, and the list of notebooks."""
+"""Pages written from the code: effect atlas, models, fitters, benchmarks, and the list of
+notebooks.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ NOTEBOOKS = (
 
 
 def notebook(text: str):
-    """A text notebook as nbformat's, with its language for the pages that show it without running it."""
+    """A text notebook as nbformat's, with its language for the pages that show it without running
+    it.
+    """
     import jupytext
 
     book = jupytext.reads(text, fmt="py:percent")
@@ -35,7 +39,9 @@ def notebook(text: str):
 
 
 def write(folder: Path, root: Path) -> None:
-    """Writes all pages into the folder; pictures and equivalences are kept in out/ until the code that they show changes."""
+    """Writes all pages into the folder; pictures and equivalences are kept in out/ until the code
+    that they show changes.
+    """
     from jaxid.runtime import prepare
 
     prepare()

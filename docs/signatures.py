@@ -1,7 +1,9 @@
-"""What an effect looks like: the force that a model without it lacks, along a rich motion of the model with it.
+"""What an effect looks like: the force that a model without it lacks, along a rich motion of the
+model with it.
 
-Nothing is drawn by hand. The model moves under its own rich command, each effect switched on at its last probe strength; the
-missing force is computed from the simulated positions as a diagnosis does it, without noise.
+Nothing is drawn by hand. The model moves under its own rich command, each effect switched on at its
+last probe strength; the missing force is computed from the simulated positions as a diagnosis does
+it, without noise.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Makes examples/servo_pendulum: a servo-driven pendulum, simulated by MuJoCo and recorded by a noisy encoder.
+"""Makes examples/servo_pendulum: a servo-driven pendulum, simulated by MuJoCo and recorded by a
+noisy encoder.
 
     python examples/make_servo_pendulum.py
 
-Needs the package `mujoco`; the same files come out every time. What the drive does that the model `pendulum` does not know
-stands here only: the recordings and their dataset.toml do not name it.
+Needs the package `mujoco`; the same files come out every time. What the drive does that the model
+`pendulum` does not know stands here only: the recordings and their dataset.toml do not name it.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ from jaxid.fitting.settings import option
 class RandToBestDE(AbstractPopulation):
     """DE/rand-to-best/1/bin: v = x + K (best - x) + F (b - c).
 
-    Faster than rand/1 and easier to trap: with F = 0.5 for every member (`F=(0.5, 0.5)`) it converges prematurely; F drawn for
-    each member, the default, keeps it alive.
+    Faster than rand/1 and easier to trap: with F = 0.5 for every member (`F=(0.5, 0.5)`) it
+    converges prematurely; F drawn for each member, the default, keeps it alive.
     """
 
     name: ClassVar[str] = "ade"

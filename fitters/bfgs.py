@@ -1,7 +1,9 @@
-"""Quasi-Newton for losses that are no sum of squares: bounded BFGS in a trust region, all starts as one batch.
+"""Quasi-Newton for losses that are no sum of squares: bounded BFGS in a trust region, all starts as
+one batch.
 
-Gradients come from forward tangents through the simulation and the chain rule from the residual to the loss. The first matrix
-is the curvature of the reweighted least-squares problem at the start, which gives every parameter its scale.
+Gradients come from forward tangents through the simulation and the chain rule from the residual to
+the loss. The first matrix is the curvature of the reweighted least-squares problem at the start,
+which gives every parameter its scale.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ from jaxid.problem.objective import expand, Linear
 
 
 class BFGS(AbstractFitter):
-    """Bounded BFGS with multistart, for every loss: sum of squares, of norms, of absolute values."""
+    """Bounded BFGS with multistart, for every loss: sum of squares, of norms, of absolute
+    values.
+    """
 
     name: ClassVar[str] = "bfgs"
     source: ClassVar[str] = (
@@ -37,7 +41,9 @@ class BFGS(AbstractFitter):
 
 
 def updated(path: Path, trial: np.ndarray, new: Linear) -> np.ndarray:
-    """BFGS update of the path's matrix by the step to `trial`, damped so that it stays positive definite."""
+    """BFGS update of the path's matrix by the step to `trial`, damped so that it stays positive
+    definite.
+    """
     assert path.hessian is not None and path.gradient is not None
     B, step, bend = path.hessian, trial - path.z, new.gradient - path.gradient
     along = B @ step

@@ -42,7 +42,9 @@ def describe_fitter(name: str) -> FitterInfo:
 
 
 def fitter_of(text: str) -> Any:
-    """The fitter that a text names, with its settings. Raises `UsageError` for a name or a value that does not fit."""
+    """The fitter that a text names, with its settings. Raises `UsageError` for a name or a value
+    that does not fit.
+    """
     name, values = parsed(text)
     return configured(fitter_class(name), values, text, fitter_of)
 
@@ -50,8 +52,10 @@ def fitter_of(text: str) -> Any:
 def labelled(
     fitters: Iterable[AbstractFitter | str] | None, budget: int | None, seconds: float | None
 ) -> list[tuple[str, AbstractFitter]]:
-    """(label, fitter) of each; a population given by its id goes on for as long as the budget lasts. Raises `UsageError` for a
-    name that does not exist, and for a fitter that knows no limit of time where one is given."""
+    """(label, fitter) of each; a population given by its id goes on for as long as the budget
+    lasts. Raises `UsageError` for a name that does not exist, and for a fitter that knows no limit
+    of time where one is given.
+    """
     out: list[tuple[str, AbstractFitter]] = []
     for given in COMPARED if fitters is None else fitters:
         fitter = fitter_of(given) if isinstance(given, str) else given

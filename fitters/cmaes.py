@@ -1,4 +1,6 @@
-"""Covariance matrix adaptation (Hansen, The CMA Evolution Strategy: A Tutorial, arXiv 1604.00772)."""
+"""Covariance matrix adaptation (Hansen, The CMA Evolution Strategy: A Tutorial, arXiv
+1604.00772).
+"""
 
 from __future__ import annotations
 
@@ -31,9 +33,9 @@ class State(NamedTuple):
 class CMAES(AbstractPopulation):
     """CMA-ES with bounds by reflection, restarted with twice the population when it stalls (IPOP).
 
-    It learns the metric of the problem, so that correlated parameters and parameters of different weight cost it little: the
-    quickest population on smooth problems of few parameters. With a dozen parameters, some of them near bounds, `shade` reaches
-    the minimum more reliably.
+    It learns the metric of the problem, so that correlated parameters and parameters of different
+    weight cost it little: the quickest population on smooth problems of few parameters. With a
+    dozen parameters, some of them near bounds, `shade` reaches the minimum more reliably.
     """
 
     name: ClassVar[str] = "cmaes"

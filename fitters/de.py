@@ -25,11 +25,12 @@ class State(NamedTuple):
 
 
 class DifferentialEvolution(AbstractPopulation):
-    """Differential evolution; `strategy` is rand/1, best/1 or current-to-best/1, `crossover` bin or exp.
+    """Differential evolution; `strategy` is rand/1, best/1 or current-to-best/1, `crossover` bin or
+    exp.
 
-    F is drawn for every member within `F`, which keeps the population from stalling. The three donors of a member are its
-    neighbours at three random distances that a generation shares: shifts of the whole array, which cost a copy where an index
-    for every member costs a gather.
+    F is drawn for every member within `F`, which keeps the population from stalling. The three
+    donors of a member are its neighbours at three random distances that a generation shares: shifts
+    of the whole array, which cost a copy where an index for every member costs a gather.
     """
 
     name: ClassVar[str] = "de"
@@ -86,7 +87,9 @@ class DifferentialEvolution(AbstractPopulation):
 def donors(
     key: PRNGKeyArray, x: Float[Array, "pop dim"], count: int = 3
 ) -> list[Float[Array, "pop dim"]]:
-    """For each member `count` others, all different: the population rolled by distinct random distances."""
+    """For each member `count` others, all different: the population rolled by distinct random
+    distances.
+    """
     pop = x.shape[0]
     draw = jax.random.uniform(key, (count,), jnp.float32)
     shifts: list[Array] = []
@@ -110,16 +113,19 @@ def dithered(F: tuple[float, float], u: Array) -> Array:
 def binomial(
     key: PRNGKeyArray, shape: tuple[int, int], CR: float | Array, forced: Float[Array, "pop 1"]
 ) -> Array:
-    """Crossover mask: every coordinate with probability CR (a number, or one a member [pop 1]), and one for sure; `forced`
-    uniform draws for that."""
+    """Crossover mask: every coordinate with probability CR (a number, or one a member [pop 1]), and
+    one for sure; `forced` uniform draws for that.
+    """
     level = (jnp.asarray(CR) * LARGEST).astype(jnp.uint32)
     return (words(key, shape) < level) | (jnp.arange(shape[1]) == jnp.floor(forced * shape[1]))
 
 
 def words(key: PRNGKeyArray, shape: tuple[int, ...]) -> UInt32[Array, ...]:
-    """Random words, in an eighth of the time of `jax.random.bits`: the counters hashed with one half of the key, then with the
-    other. Good enough for the coin tosses of a crossover, not for cryptography (hash of two multiplications with the constants of
-    Wellons, Hash Function Prospector, 2018)."""
+    """Random words, in an eighth of the time of `jax.random.bits`: the counters hashed with one
+    half of the key, then with the other. Good enough for the coin tosses of a crossover, not for
+    cryptography (hash of two multiplications with the constants of Wellons, Hash Function
+    Prospector, 2018).
+    """
     half = jnp.ravel(jax.random.key_data(key)).astype(jnp.uint32)
     count = jax.lax.iota(jnp.uint32, math.prod(shape)).reshape(shape)
     return _hash(_hash(count + half[0]) + half[-1])
@@ -134,7 +140,9 @@ def _hash(x: Array) -> Array:
 def exponential(
     shape: tuple[int, int], CR: float, start: Float[Array, "pop 1"], length: Float[Array, "pop 1"]
 ) -> Array:
-    """Crossover mask: a cyclic run of coordinates that begins anywhere and goes on with probability CR."""
+    """Crossover mask: a cyclic run of coordinates that begins anywhere and goes on with probability
+    CR.
+    """
     _, dim = shape
     run = 1 + jnp.floor(jnp.log(jnp.maximum(length, 1e-30)) / np.log(min(max(CR, 1e-9), 1 - 1e-9)))
     after = jnp.arange(dim) - jnp.floor(start * dim)

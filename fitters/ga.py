@@ -1,4 +1,6 @@
-"""Genetic algorithm with real numbers as genes, in the two forms that the studies behind this library used."""
+"""Genetic algorithm with real numbers as genes, in the two forms that the studies behind this
+library used.
+"""
 
 from __future__ import annotations
 
@@ -28,13 +30,15 @@ class State(NamedTuple):
 class GeneticAlgorithm(AbstractPopulation):
     """Genetic algorithm; `scheme` is blend or scattered.
 
-    blend: the better `keep` of the population stays, pairs of it are drawn by rank and mixed gene by gene (with probability
-    `crossover`), and a share `mutation` of the genes of the children is drawn anew. These defaults are the settings of the
-    flexible-link study with its population of 100.
+    blend: the better `keep` of the population stays, pairs of it are drawn by rank and mixed gene
+    by gene (with probability `crossover`), and a share `mutation` of the genes of the children is
+    drawn anew. These defaults are the settings of the flexible-link study with its population of
+    100.
 
-    scattered: one member stays, parents are drawn by stochastic uniform selection, `crossover` of the children take each gene
-    from either parent, the others are mutated by steps that shrink over the generations. The settings of the sun-tracker study:
-    `GeneticAlgorithm(scheme="scattered", popsize=20, stall=50, tolerance=1e-6)`.
+    scattered: one member stays, parents are drawn by stochastic uniform selection, `crossover` of
+    the children take each gene from either parent, the others are mutated by steps that shrink over
+    the generations. The settings of the sun-tracker study: `GeneticAlgorithm(scheme="scattered",
+    popsize=20, stall=50, tolerance=1e-6)`.
     """
 
     name: ClassVar[str] = "ga"
@@ -142,7 +146,9 @@ class GeneticAlgorithm(AbstractPopulation):
 def _feasible(
     key: Array, x: Array, step: Array, lower: Array, upper: Array
 ) -> Float[Array, "count dim"]:
-    """Each x moved by `step` along the first of some random directions that stays within the bounds; where none does, x."""
+    """Each x moved by `step` along the first of some random directions that stays within the
+    bounds; where none does, x.
+    """
     d = jax.random.normal(key, (TRIED, *x.shape))
     moved = x + step * (upper - lower) * d / jnp.sqrt(jnp.sum(d * d, -1, keepdims=True))
     inside = jnp.all((moved >= lower) & (moved <= upper), -1)

@@ -1,4 +1,6 @@
-"""Global, then local: a population finds the basins, Levenberg-Marquardt descends from the best of them in one batch."""
+"""Global, then local: a population finds the basins, Levenberg-Marquardt descends from the best of
+them in one batch.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,13 @@ from jaxid.problem.objective import AbstractProblem
 
 
 class Hybrid(AbstractFitter):
-    """A population, then bounded Levenberg-Marquardt on its `descents` best distinct points and on the start values, all as one
-    batch; recommended where nothing is known of the start. Works on every loss.
+    """A population, then bounded Levenberg-Marquardt on its `descents` best distinct points and on
+    the start values, all as one batch; recommended where nothing is known of the start. Works on
+    every loss.
 
-    The population takes at most `share` of what is left of budget and time; the rest is for the descents. Every round starts
-    anew, until one ends in the lowest minimum so far once more, or after `rounds`.
+    The population takes at most `share` of what is left of budget and time; the rest is for the
+    descents. Every round starts anew, until one ends in the lowest minimum so far once more, or
+    after `rounds`.
     """
 
     name: ClassVar[str] = "hybrid"
@@ -68,7 +72,9 @@ class Hybrid(AbstractFitter):
 
 
 def basins(problem: AbstractProblem, course: Course, count: int) -> list[np.ndarray]:
-    """The best points of a course, none within a twentieth of its extent of a better one in every direction."""
+    """The best points of a course, none within a twentieth of its extent of a better one in every
+    direction.
+    """
     points, losses = np.asarray(course.points), np.asarray(course.losses)
     extent = np.maximum(np.ptp(points, axis=0), 1e-12 * (problem.upper - problem.lower))
     kept: list[np.ndarray] = []

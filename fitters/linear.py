@@ -1,4 +1,5 @@
-"""Linear estimators on the inverse-dynamics residual, which is linear in the parameters of rigid models: W theta = b + error.
+"""Linear estimators on the inverse-dynamics residual, which is linear in the parameters of rigid
+models: W theta = b + error.
 
 - `ls`: ordinary least squares. Biased in closed loop, where the disturbance is in the motion and hence in W.
 - `wls`: the same, each joint of each run weighted by its own residual (Gautier 1997).
@@ -6,7 +7,8 @@
 - `iv`: instrumental variables, Z'W theta = Z'b, with Z the W of the motion that the model makes under the recording's
   controller: no noise in it, so no bias (Janot, Vandanjon, Gautier 2014).
 
-All but `rls` are one bounded problem, min |Q'(W theta - b)| with Q a basis of the columns of Z (of W itself without instruments).
+All but `rls` are one bounded problem, min |Q'(W theta - b)| with Q a basis of the columns of Z (of
+W itself without instruments).
 """
 
 from __future__ import annotations
@@ -29,22 +31,28 @@ from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, Runs
 
 
-#: A residual counts as linear where it departs from its linearisation by less than this share of itself.
+#: A residual counts as linear where it departs from its linearisation by less than this share of
+#: itself.
 LINEAR = 1e-6
-#: Instruments have converged where the estimate moves by less than this share of its standard deviation.
+#: Instruments have converged where the estimate moves by less than this share of its standard
+#: deviation.
 STILL = 0.05
 
 
 @dataclass(frozen=True)
 class LinearMinimum(Minimum):
-    """A minimum that brings its own covariance, for weights and instruments are not part of the problem's loss."""
+    """A minimum that brings its own covariance, for weights and instruments are not part of the
+    problem's loss.
+    """
 
     covariance: Covariance | None = None
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """W theta = b: per run of the problem W [samples nq k] and b [samples nq], both divided by the noise."""
+    """W theta = b: per run of the problem W [samples nq k] and b [samples nq], both divided by the
+    noise.
+    """
 
     W: list[np.ndarray]
     b: list[np.ndarray]
@@ -77,7 +85,9 @@ def of_runs(problem: AbstractProblem, name: str) -> Problem:
 
 
 class LeastSquares(AbstractFitter):
-    """Ordinary least squares on the inverse-dynamics residual; solved at once, no start values needed."""
+    """Ordinary least squares on the inverse-dynamics residual; solved at once, no start values
+    needed.
+    """
 
     name: ClassVar[str] = "ls"
     source: ClassVar[str] = "textbook; standard deviations by the sandwich of Newey and West 1987"
@@ -116,7 +126,8 @@ class WeightedLeastSquares(AbstractFitter):
 
 
 class RecursiveLeastSquares(AbstractFitter):
-    """Recursive least squares in the order of the samples; `forgetting` below 1 lets old samples count less.
+    """Recursive least squares in the order of the samples; `forgetting` below 1 lets old samples
+    count less.
 
     Without forgetting it ends where `ls` does. An estimate beyond its bounds is put on them.
     """
@@ -163,10 +174,11 @@ class RecursiveLeastSquares(AbstractFitter):
 class InstrumentalVariables(AbstractFitter):
     """Instrumental variables: unbiased in closed loop. Needs `[controller]` and its reference.
 
-    The instruments are the regressor along the motion that the current estimate makes under the controller, through the same
-    filter and decimation as the data; repeated until the estimate stands still. What is left of the torque equation along that
-    noise-free motion (sticking, held inputs, the filter: no noise, yet not zero) is subtracted from the data's own, so that
-    it does not bias the estimate either (`corrected`).
+    The instruments are the regressor along the motion that the current estimate makes under the
+    controller, through the same filter and decimation as the data; repeated until the estimate
+    stands still. What is left of the torque equation along that noise-free motion (sticking, held
+    inputs, the filter: no noise, yet not zero) is subtracted from the data's own, so that it does
+    not bias the estimate either (`corrected`).
     """
 
     name: ClassVar[str] = "iv"
@@ -252,7 +264,9 @@ def _torque_runs(problem: Problem, name: str) -> Runs:
 
 
 def linearised(problem: Problem, guess: np.ndarray, name: str) -> tuple[np.ndarray, Blocks]:
-    """(theta, blocks) at an interior point near the guess. Raises `UsageError` where the residual is not linear."""
+    """(theta, blocks) at an interior point near the guess. Raises `UsageError` where the residual
+    is not linear.
+    """
     _torque_runs(problem, name)
     lower, upper = bounds(problem)
     # A dry level at its bound 0 has half a derivative: step a little inside.
@@ -288,8 +302,9 @@ def _blocks(problem: Problem, theta: np.ndarray) -> Blocks:
 
 
 def solve(problem: Problem, at: np.ndarray, blocks: Blocks, instruments: Blocks) -> np.ndarray:
-    """min |Q'(W theta - b)| within the bounds, Q a basis of the instruments; a direction that the data do not determine
-    stays where `at` is."""
+    """min |Q'(W theta - b)| within the bounds, Q a basis of the instruments; a direction that the
+    data do not determine stays where `at` is.
+    """
     from scipy.optimize import lsq_linear
 
     W, b = blocks.stacked
@@ -308,7 +323,9 @@ def solve(problem: Problem, at: np.ndarray, blocks: Blocks, instruments: Blocks)
 
 
 def _instruments(problem: Problem, theta: np.ndarray) -> Blocks | None:
-    """W and b along the closed-loop motion of the estimate, filtered and decimated as the data; None if it diverges."""
+    """W and b along the closed-loop motion of the estimate, filtered and decimated as the data;
+    None if it diverges.
+    """
     runs = problem.runs
     assert runs.dataset is not None and runs.setting is not None
     full = problem.theta(at_theta(problem, theta))
@@ -352,7 +369,9 @@ def finish(
     stopped: str,
     evaluations: int,
 ) -> Minimum:
-    """The result at theta, after checking that the residual there is what the linear problem says."""
+    """The result at theta, after checking that the residual there is what the linear problem
+    says.
+    """
     z = at_theta(problem, theta)
     loss = problem.loss(z)
     if not np.isfinite(loss) or loss >= PENALTY:
@@ -384,7 +403,9 @@ def finish(
 def sandwich(
     problem: Problem, z: np.ndarray, blocks: Blocks, instruments: Blocks, theta: np.ndarray
 ) -> Covariance:
-    """(Z'W)^-1 S (W'Z)^-1 in the search scale: S the long-run covariance of the scores Z'r, s^2 Z'Z where r is white."""
+    """(Z'W)^-1 S (W'Z)^-1 in the search scale: S the long-run covariance of the scores Z'r, s^2 Z'Z
+    where r is white.
+    """
     slope = problem.dtheta(z)
     W, Z = blocks.stacked[0] * slope, instruments.stacked[0] * slope
     residuals = blocks.errors(theta)

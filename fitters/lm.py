@@ -1,9 +1,10 @@
 """Bounded Levenberg-Marquardt, all starts as one batch.
 
-Minimise |r(z)|^2 / 2 with lower <= z <= upper: solve (H + mu D^2) dz = -g on the variables that are not held at a bound, with
-H = J'J, g = J'r, D^2 the largest diag H so far, and mu such that |D dz| is at most the radius of a trust region (More, The
-Levenberg-Marquardt Algorithm: Implementation and Theory, 1978).
-Sums of norms or of absolute values are the same with H of the reweighted least-squares problem (Lawson 1961).
+Minimise |r(z)|^2 / 2 with lower <= z <= upper: solve (H + mu D^2) dz = -g on the variables that are
+not held at a bound, with H = J'J, g = J'r, D^2 the largest diag H so far, and mu such that |D dz|
+is at most the radius of a trust region (More, The Levenberg-Marquardt Algorithm: Implementation and
+Theory, 1978). Sums of norms or of absolute values are the same with H of the reweighted
+least-squares problem (Lawson 1961).
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from jaxid.problem.objective import AbstractProblem
 class LevenbergMarquardt(AbstractFitter):
     """Bounded Levenberg-Marquardt with multistart.
 
-    `restarts` random starts join the given ones; all run on growing shares of the records (a long oscillation has one basin
-    per cycle that is gained or lost; a short look finds the right one), the best go on to the end.
+    `restarts` random starts join the given ones; all run on growing shares of the records (a long
+    oscillation has one basin per cycle that is gained or lost; a short look finds the right one),
+    the best go on to the end.
     """
 
     name: ClassVar[str] = "lm"
@@ -45,8 +47,9 @@ class LevenbergMarquardt(AbstractFitter):
         return self._search([(problem, starts, key)], [log])[0]
 
     def minimise_each(self, jobs, budget=None, progress=None):
-        """`minimise` of several (problem, starts, key) on the same runs, each with the budget: the same bits as one by one, with
-        all linearisations in the same batches."""
+        """`minimise` of several (problem, starts, key) on the same runs, each with the budget: the
+        same bits as one by one, with all linearisations in the same batches.
+        """
         return self._search(
             jobs, [Log(problem, self.name, budget, None, progress) for problem, _, _ in jobs]
         )

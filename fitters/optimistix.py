@@ -24,14 +24,18 @@ from jaxid.problem.objective import AbstractProblem, CANDIDATES, expand, penalis
 
 #: Blocks of random points that are looked at for a first one at which the loss is a number.
 BLOCKS = 16
-#: Runs that begin where the last ended, at most; and steps in a row that are not accepted before a line search has failed.
+#: Runs that begin where the last ended, at most; and steps in a row that are not accepted before a
+#: line search has failed.
 RUNS, REJECTED = 20, 50
-#: Share of the budget and of the time that goes into starts of the fitter's own, the rest is for a second look at the end.
+#: Share of the budget and of the time that goes into starts of the fitter's own, the rest is for a
+#: second look at the end.
 SHARE = 0.5
 
 
 class Bounded(NamedTuple):
-    """z = lower + range (1 + sin(at + step x)) / 2, as MINUIT has it: for every solver alike, since few of them know bounds."""
+    """z = lower + range (1 + sin(at + step x)) / 2, as MINUIT has it: for every solver alike, since
+    few of them know bounds.
+    """
 
     middle: Any
     half: Any
@@ -42,8 +46,9 @@ class Bounded(NamedTuple):
     def around(
         cls, problem: AbstractProblem, z: np.ndarray, scale: float = 1.0, margin: float = 0.05
     ) -> Bounded:
-        """`z` is x = 0; within `margin` typical steps of a bound, at which the slope is none, it moves inside. A unit of x is
-        `scale` typical steps, inward."""
+        """`z` is x = 0; within `margin` typical steps of a bound, at which the slope is none, it
+        moves inside. A unit of x is `scale` typical steps, inward.
+        """
         lower, upper = problem.lower, problem.upper
         typical = np.maximum(np.abs(z), 5 * problem.scale)
         typical[: problem.free.size][problem.log] = 1.0
@@ -60,9 +65,11 @@ class Bounded(NamedTuple):
         return self.middle + self.half * jnp.sin(self.at + self.step @ x)
 
     def curved(self, problem: AbstractProblem) -> Bounded:
-        """In units in which the loss at x = 0 curves alike in all directions, which is what a quasi-Newton method begins with.
-        The curvature is that of the reweighted least-squares problem plus the length of the slope: a first step is then no
-        longer than a typical one (Li, Fukushima, Qi, Yamashita, Regularized Newton methods, 2004)."""
+        """In units in which the loss at x = 0 curves alike in all directions, which is what a
+        quasi-Newton method begins with. The curvature is that of the reweighted least-squares
+        problem plus the length of the slope: a first step is then no longer than a typical one (Li,
+        Fukushima, Qi, Yamashita, Regularized Newton methods, 2004).
+        """
         at = expand([(problem, np.asarray(self.z(np.zeros(problem.size))))])[0]
         typical = self.half * np.cos(self.at) * np.diag(self.step)
         slope, bend = typical * at.gradient, typical[:, None] * at.hessian * typical
@@ -74,7 +81,9 @@ class Bounded(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Where a run of a solver has ended: `done` by its own tolerance, `limited` by steps, budget or time."""
+    """Where a run of a solver has ended: `done` by its own tolerance, `limited` by steps, budget or
+    time.
+    """
 
     loss: float
     z: np.ndarray
@@ -84,11 +93,13 @@ class Run(NamedTuple):
 
 
 class AbstractOptimistix(AbstractFitter):
-    """Abstract: `made` gives the solver of optimistix. Steps are taken one by one, so that budget, time and Ctrl-C count.
+    """Abstract: `made` gives the solver of optimistix. Steps are taken one by one, so that budget,
+    time and Ctrl-C count.
 
-    A solver begins anew where it ended until that gains nothing: only then has it converged. Half of what is then left of a
-    budget or of a limit of time goes into new starts, each the best of some random points; one that ends its first run above the
-    best is given up. Where no start has a finite loss, random points of the box are tried until one has.
+    A solver begins anew where it ended until that gains nothing: only then has it converged. Half
+    of what is then left of a budget or of a limit of time goes into new starts, each the best of
+    some random points; one that ends its first run above the best is given up. Where no start has a
+    finite loss, random points of the box are tried until one has.
     """
 
     steps: int = eqx.field(default=256, kw_only=True, metadata=about("most steps of a run", 1))
@@ -136,7 +147,9 @@ class AbstractOptimistix(AbstractFitter):
         return found if found.loss < best.loss else best
 
     def _descent(self, problem: AbstractProblem, best: Run, log: Log, rival: float) -> Run:
-        """Runs of the solver, each from where the last ended, until none gains; given up after one that ends above `rival`."""
+        """Runs of the solver, each from where the last ended, until none gains; given up after one
+        that ends above `rival`.
+        """
         for scale in itertools.islice(itertools.cycle(self.scales), RUNS):
             new = self._from(problem, best.z, log, scale)
             gained = (
@@ -230,7 +243,9 @@ def _drawn(
     rng: np.random.Generator,
     wide: bool = False,
 ) -> Run:
-    """The best of some random points around the guess or, `wide`, of all the box; unknown starts of runs stay as guessed."""
+    """The best of some random points around the guess or, `wide`, of all the box; unknown starts of
+    runs stay as guessed.
+    """
     lower, upper = (problem.lower, problem.upper) if wide else sampling_box(problem, guess)
     z = lower + (upper - lower) * rng.uniform(
         size=(int(min(CANDIDATES, 10 * problem.size, log.left)), problem.size)
@@ -242,7 +257,9 @@ def _drawn(
 
 
 def _evaluations(before: Any, state: Any, corners: int) -> int:
-    """Of a step of the simplex: two points, but for the first step, and all corners where it shrinks."""
+    """Of a step of the simplex: two points, but for the first step, and all corners where it
+    shrinks.
+    """
     return 2 * (not bool(before.first_pass)) + corners * int(
         state.stats.n_shrink - before.stats.n_shrink
     )
@@ -254,7 +271,9 @@ def _message(optx: Any, result: Any) -> str:
 
 
 def _finite(r: Any) -> Any:
-    """A residual that no solver takes for a number it may go on with, where the simulation diverges."""
+    """A residual that no solver takes for a number it may go on with, where the simulation
+    diverges.
+    """
     return jnp.clip(jnp.where(jnp.isfinite(r), r, 1e12), -1e12, 1e12)
 
 
@@ -279,8 +298,9 @@ def _single(problem: AbstractProblem) -> Callable[[Any, Any], tuple[Any, Any]]:
 
 
 def _spanned(solver: Any, x: Any, state: Any) -> Any:
-    """A first state; the simplex of optimistix 0.1 for more than two numbers lies in a plane, since its corners go to wrong rows:
-    here each goes along one axis."""
+    """A first state; the simplex of optimistix 0.1 for more than two numbers lies in a plane, since
+    its corners go to wrong rows: here each goes along one axis.
+    """
     if not hasattr(state, "simplex"):
         return state
     return eqx.tree_at(
@@ -291,7 +311,9 @@ def _spanned(solver: Any, x: Any, state: Any) -> Any:
 
 
 def _mended(x: Any, state: Any, aux: Any) -> tuple[Any, Any, Any]:
-    """A step's answer; the simplex of optimistix 0.1 takes best and worst corner from before the step: they are put right."""
+    """A step's answer; the simplex of optimistix 0.1 takes best and worst corner from before the
+    step: they are put right.
+    """
     if not hasattr(state, "simplex"):
         return x, state, aux
     (_, _, best), (_, _, worst) = state.best, state.worst
@@ -302,7 +324,9 @@ def _mended(x: Any, state: Any, aux: Any) -> tuple[Any, Any, Any]:
 def _programs(
     problem, fitter, solver, fn, options, f_struct, aux_struct, tags
 ) -> tuple[Callable, ...]:
-    """init, step and terminate of a solver, compiled once for all starts of problems of one structure."""
+    """init, step and terminate of a solver, compiled once for all starts of problems of one
+    structure.
+    """
     key = "optimistix", type(fitter), repr(fitter), problem.loss_name, problem.size, str(f_struct)
     if key not in problem.programs:
         rest = {"options": options, "tags": tags}
@@ -317,9 +341,11 @@ def _programs(
 
 
 class Optimistix(AbstractOptimistix):
-    """Any minimiser or least-squares solver of optimistix: `Optimistix(optimistix.Dogleg(rtol=1e-8, atol=1e-8))`.
+    """Any minimiser or least-squares solver of optimistix: `Optimistix(optimistix.Dogleg(rtol=1e-8,
+    atol=1e-8))`.
 
-    Bounds are kept by the transform that all of them share; a least-squares solver gets the residual, a minimiser the loss.
+    Bounds are kept by the transform that all of them share; a least-squares solver gets the
+    residual, a minimiser the loss.
     """
 
     name: ClassVar[str] = "optimistix"
@@ -393,7 +419,8 @@ class OptimistixBFGS(AbstractOptimistix):
 
 
 class OptimistixNelderMead(AbstractOptimistix):
-    """Nelder and Mead's simplex of optimistix, for every loss, without derivatives; bounds by a sine transform.
+    """Nelder and Mead's simplex of optimistix, for every loss, without derivatives; bounds by a
+    sine transform.
 
     It begins anew where it ends, with a large simplex and a small mirrored one in turn.
     """

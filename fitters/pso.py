@@ -21,10 +21,12 @@ class State(NamedTuple):
 
 
 class ParticleSwarm(AbstractPopulation):
-    """v <- w v + c1 u1 (own best - x) + c2 u2 (swarm's best - x); a particle at a bound stops there.
+    """v <- w v + c1 u1 (own best - x) + c2 u2 (swarm's best - x); a particle at a bound stops
+    there.
 
-    The default is the constricted swarm. `ParticleSwarm(w=1.4, c1=1.5, c2=2.5)` are the settings of the flexible-link study:
-    w > 1 lies outside the region of convergence, the swarm ends at the bounds.
+    The default is the constricted swarm. `ParticleSwarm(w=1.4, c1=1.5, c2=2.5)` are the settings of
+    the flexible-link study: w > 1 lies outside the region of convergence, the swarm ends at the
+    bounds.
     """
 
     name: ClassVar[str] = "pso"

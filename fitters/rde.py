@@ -1,7 +1,8 @@
 """Recursive differential evolution of the space-manipulator study, with the Gauss-Newton metric.
 
-The study describes in words how the best vector of rand-to-best/1/bin is replaced by one improved by a recursive least-squares
-step. With r the residual and Psi = -dr/dz at z, in coordinates of the unit box,
+The study describes in words how the best vector of rand-to-best/1/bin is replaced by one improved
+by a recursive least-squares step. With r the residual and Psi = -dr/dz at z, in coordinates of the
+unit box,
 
     s(z) = (Psi' Psi + mu I)^-1 Psi' r,    mu = 1e-8 trace(Psi' Psi) / dim,    rho ~ U(0, 1)
 
@@ -41,9 +42,11 @@ class State(NamedTuple):
 
 
 class RecursiveDE(AbstractPopulation):
-    """Recursive differential evolution: rand-to-best/1/bin that knows Gauss-Newton steps; `variant` is self, target or shift.
+    """Recursive differential evolution: rand-to-best/1/bin that knows Gauss-Newton steps; `variant`
+    is self, target or shift.
 
-    self is the most robust, target the fastest. A step costs 1 + dim evaluations, counted in the budget.
+    self is the most robust, target the fastest. A step costs 1 + dim evaluations, counted in the
+    budget.
     """
 
     name: ClassVar[str] = "rde"

@@ -26,8 +26,10 @@ class State(NamedTuple):
 
 
 class Shade(AbstractPopulation):
-    """Differential evolution that learns its own F and CR from the candidates that were better: current-to-pbest/1/bin with an
-    archive of replaced members. Nothing to tune: the population to take where the others need their settings looked after."""
+    """Differential evolution that learns its own F and CR from the candidates that were better:
+    current-to-pbest/1/bin with an archive of replaced members. Nothing to tune: the population to
+    take where the others need their settings looked after.
+    """
 
     name: ClassVar[str] = "shade"
     source: ClassVar[str] = (
@@ -55,7 +57,9 @@ class Shade(AbstractPopulation):
         return self._drawn(blank)
 
     def _drawn(self, state: State) -> State:
-        """The state with F (Cauchy) and CR (normal) of the next generation, each around a remembered success."""
+        """The state with F (Cauchy) and CR (normal) of the next generation, each around a
+        remembered success.
+        """
         key, k_slot, k_F, k_CR = jax.random.split(state.key, 4)
         slot = jax.random.randint(k_slot, (self.popsize,), 0, self.memory)
         F = state.F_memory[slot] + 0.1 * jax.random.cauchy(k_F, (self.popsize,))

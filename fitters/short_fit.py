@@ -19,7 +19,9 @@ SHORT = 400  # evaluations
 def left_by_short_fit(
     binding: Binding, data: Dataset, effects: tuple[str, ...] = ()
 ) -> float | None:
-    """What a model, with more effects, leaves of a dataset after a short fit, times the noise; None without a simulation."""
+    """What a model, with more effects, leaves of a dataset after a short fit, times the noise; None
+    without a simulation.
+    """
     try:
         own = bind(binding.chain, data, effects=effects)
         residual = default_residual(own)

@@ -1,7 +1,8 @@
-"""Fits mechanical models to measured data and says where a simulator is wrong, which effect is missing, how far the gap
-shrinks.
+"""Fits mechanical models to measured data and says where a simulator is wrong, which effect is
+missing, how far the gap shrinks.
 
-`import jaxid` loads nothing heavy and changes no setting: each name is imported when it is first used.
+`import jaxid` loads nothing heavy and changes no setting: each name is imported when it is first
+used.
 """
 
 import sys as _sys
@@ -100,6 +101,7 @@ _sys.meta_path.append(
     _Moved({f"jaxid.{former}": f"jaxid.{place}" for former, place in _FORMER.items()})
 )
 
-# Installed, models/ and fitters/ lie in this folder; in a checkout beside it (in it are only stubs for type checkers).
+# Installed, models/ and fitters/ lie in this folder; in a checkout beside it (in it are only stubs
+# for type checkers).
 if not (_Path(__file__).parent / "models" / "__init__.py").is_file():
     __path__.append(str(_Path(__file__).parents[1]))

@@ -56,15 +56,18 @@ def fit(
 ) -> Fit:
     """Fits the parameters of a model to a dataset.
 
-    `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects` (`dead_zone@tau`, or one of
-    your own) are added and fitted, `without` takes built-in ones out. The recording is checked first, and decisive findings are
-    applied (`data`, `jaxid.check`) unless `as_recorded`. `fitter` is one or its text, `de(popsize=20)`; `solver` (a
-    solver of diffrax, or `Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
-    not fit (`cutoff_hz` is the low-pass of `inverse_dynamics`); a fit that fails is a `Fit` with `failed` set and a sentence in
-    `stopped_because`. More rows than there is memory for are refused before anything is computed.
+    `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects`
+    (`dead_zone@tau`, or one of your own) are added and fitted, `without` takes built-in ones out.
+    The recording is checked first, and decisive findings are applied (`data`, `jaxid.check`) unless
+    `as_recorded`. `fitter` is one or its text, `de(popsize=20)`; `solver` (a solver of diffrax, or
+    `Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
+    not fit (`cutoff_hz` is the low-pass of `inverse_dynamics`); a fit that fails is a `Fit` with
+    `failed` set and a sentence in `stopped_because`. More rows than there is memory for are refused
+    before anything is computed.
 
-    With a `window` (blocks) or `forgetting` (0 to 1, 1 forgets nothing) the fit goes along the fit runs block by block, of
-    `block_s` seconds or as `recursion.in_blocks` cuts them, each at the same cost: see `jaxid.fitting.recursion`.
+    With a `window` (blocks) or `forgetting` (0 to 1, 1 forgets nothing) the fit goes along the fit
+    runs block by block, of `block_s` seconds or as `recursion.in_blocks` cuts them, each at the
+    same cost: see `jaxid.fitting.recursion`.
     """
     from jaxid.fitting.recursion import in_blocks, Recursion
 
@@ -170,14 +173,16 @@ def diagnose(
     reference: Any = None,
     cutoff_hz: float | None = None,
 ) -> Diagnosis:
-    """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it is added.
+    """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it
+    is added.
 
-    `effects` limits the candidates (ids, and effects of your own; default: all of the library that the model lacks),
-    `max_effects` how many may be named. Of recordings that would need more memory than there is, or more
-    than about an hour, the first part is looked at, and a note says so.
-    The recording is checked first (`jaxid.check`), and decisive findings are applied unless `as_recorded`. `reference`, a fit, an
-    identification or a diagnosis of another recording (or its JSON file), is what is known beforehand: what is asked is what is
-    different here. `cutoff_hz` is the low-pass of `inverse_dynamics`.
+    `effects` limits the candidates (ids, and effects of your own; default: all of the library that
+    the model lacks), `max_effects` how many may be named. Of recordings that would need more memory
+    than there is, or more than about an hour, the first part is looked at, and a note says so. The
+    recording is checked first (`jaxid.check`), and decisive findings are applied unless
+    `as_recorded`. `reference`, a fit, an identification or a diagnosis of another recording (or its
+    JSON file), is what is known beforehand: what is asked is what is different here. `cutoff_hz` is
+    the low-pass of `inverse_dynamics`.
     """
     from jaxid.diagnosis.limbs import diagnose_each
     from jaxid.diagnosis.run import begin_compiling, run_diagnosis
@@ -222,10 +227,11 @@ def diagnose(
 def check(
     model: object, dataset: Dataset, *, without: Iterable[str] = (), as_recorded: bool = False
 ) -> Checked:
-    """What a recording says about itself before any effect is looked for: signs, zeros, units, rows, clocks, glitches …
+    """What a recording says about itself before any effect is looked for: signs, zeros, units,
+    rows, clocks, glitches …
 
-    `model` as in `fit`; without one, what the samples show by themselves is found alone. The result's `mended` is the dataset
-    with the decisive findings applied (`as_recorded`: with none).
+    `model` as in `fit`; without one, what the samples show by themselves is found alone. The
+    result's `mended` is the dataset with the decisive findings applied (`as_recorded`: with none).
     """
     return _checked(model, dataset, tuple(without), as_recorded)
 
@@ -240,9 +246,10 @@ def simulate(
 ) -> Simulation:
     """Free runs of a model on a dataset's inputs.
 
-    `model` as of `fit`, None for the one that the parameters or the dataset name; `parameters` a `Fit`, a `Diagnosis` (with the
-    effects that it names) or the content of the JSON of either, None for the numbers of the model itself, such as `fit.chain`.
-    `solver` (a solver of diffrax, or `Diffrax`) checks jaxid's own stepping. Raises `UsageError` for arguments that do not fit.
+    `model` as of `fit`, None for the one that the parameters or the dataset name; `parameters` a
+    `Fit`, a `Diagnosis` (with the effects that it names) or the content of the JSON of either, None
+    for the numbers of the model itself, such as `fit.chain`. `solver` (a solver of diffrax, or
+    `Diffrax`) checks jaxid's own stepping. Raises `UsageError` for arguments that do not fit.
     """
     from jaxid.fitting.simulate import simulate_dataset
 
@@ -264,11 +271,12 @@ def simulate(
 
 
 def replay(dataset: Dataset, robot: str | Path, against: str | Path | None = None) -> Replay:
-    """A robot's file (MJCF or URDF, patched or not) run in MuJoCo on a recording: each joint's error.
+    """A robot's file (MJCF or URDF, patched or not) run in MuJoCo on a recording: each joint's
+    error.
 
-    Beside it stands jaxid's own free run, of the result that the file was exported from (where `jaxid export` wrote it) or of
-    the file itself; with `against` that file in MuJoCo. Raises `UsageError` for a file that cannot be read and for joints that
-    are not recorded.
+    Beside it stands jaxid's own free run, of the result that the file was exported from (where
+    `jaxid export` wrote it) or of the file itself; with `against` that file in MuJoCo. Raises
+    `UsageError` for a file that cannot be read and for joints that are not recorded.
     """
     from jaxid.fitting.replay import run_replay
 
@@ -293,12 +301,12 @@ def compare(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Runs every fitter with every seed on the same compiled loss, with the same budget of evaluations (default 10,000) or
-    `seconds`, whichever ends a run first.
+    """Runs every fitter with every seed on the same compiled loss, with the same budget of
+    evaluations (default 10,000) or `seconds`, whichever ends a run first.
 
-    A seed is a random start within the bounds, the same for all fitters (`starts="guess"`: the start that the data suggest).
-    A run has reached the target when its loss is at most the best known one times 1 + `tolerance`. Raises `UsageError` for
-    arguments that do not fit.
+    A seed is a random start within the bounds, the same for all fitters (`starts="guess"`: the
+    start that the data suggest). A run has reached the target when its loss is at most the best
+    known one times 1 + `tolerance`. Raises `UsageError` for arguments that do not fit.
     """
     from jaxid.fitters.by_name import labelled
     from jaxid.fitting.comparison_runs import BUDGET, run_comparison

@@ -1,4 +1,5 @@
-"""What there is: models, effects, residuals by id, with their equations, parameters, units and sources.
+"""What there is: models, effects, residuals by id, with their equations, parameters, units and
+sources.
 
 Fitters stand in `jaxid.fitters.by_name`.
 """
@@ -86,10 +87,11 @@ def _effects() -> dict[str, type]:
 
 
 def enrolled(effect: Any) -> str:
-    """The name of an effect given as such (it may go on with `@LOCATION`), as its class, as one with other settings, or as one of
-    the user's own, which is known by it from then on.
+    """The name of an effect given as such (it may go on with `@LOCATION`), as its class, as one
+    with other settings, or as one of the user's own, which is known by it from then on.
 
-    Raises `UsageError` for what is no effect, and for one of the user's own that takes the name of another one.
+    Raises `UsageError` for what is no effect, and for one of the user's own that takes the name of
+    another one.
     """
     from jaxid.dynamics.effect import Effect
     from jaxid.dynamics.parameter import kind_with, settings
@@ -117,7 +119,9 @@ def enrolled(effect: Any) -> str:
 
 
 def pick(kind: str, table: dict[str, type], name: str) -> type:
-    """What `name` stands for in a table; raises `UsageError` with the nearest name for an unknown one."""
+    """What `name` stands for in a table; raises `UsageError` with the nearest name for an unknown
+    one.
+    """
     if name not in table:
         own = (
             "; a model of your own is named by its file: mymodel.py, or mymodel.py:MyModel"
@@ -137,9 +141,11 @@ def effect_names() -> tuple[str, ...]:
 
 
 def model_class(name: str) -> Any:
-    """The class of a model by its id, or by the file of one of the user's own (`duffing.py:Duffing`), which is run.
+    """The class of a model by its id, or by the file of one of the user's own
+    (`duffing.py:Duffing`), which is run.
 
-    Raises `UsageError` with the nearest name for an unknown one, and for a file that holds no model.
+    Raises `UsageError` with the nearest name for an unknown one, and for a file that holds no
+    model.
     """
     from jaxid.data.model_names import is_model_file
     from jaxid.dynamics.model_file import own_model
@@ -148,8 +154,9 @@ def model_class(name: str) -> Any:
 
 
 def effect_class(name: str, mechanism: Any = None) -> Any:
-    """The class of an effect, on a mechanism where that has its own variant of it, with the settings that its id states:
-    `load_dependent_friction(load=drive)`."""
+    """The class of an effect, on a mechanism where that has its own variant of it, with the
+    settings that its id states: `load_dependent_friction(load=drive)`.
+    """
     from jaxid.dynamics.parameter import kind_with
 
     plain, bracket, stated = name.partition("(")
@@ -167,7 +174,9 @@ def effect_class(name: str, mechanism: Any = None) -> Any:
 
 
 def describe(name: str, model: Any = None) -> ModelInfo:
-    """What a user and the checks of a dataset need to know of a model; `model` one of it where they differ (a `serial_arm`)."""
+    """What a user and the checks of a dataset need to know of a model; `model` one of it where they
+    differ (a `serial_arm`).
+    """
     from jaxid.dynamics.chain import Chain
     from jaxid.dynamics.mechanism import speed_names
     from jaxid.dynamics.parameter import settings

@@ -5,11 +5,15 @@ from dataclasses import dataclass
 
 
 class UsageError(ValueError):
-    """A wrong argument: an unknown name, a model that does not fit the data, a fitter that does not fit the residual."""
+    """A wrong argument: an unknown name, a model that does not fit the data, a fitter that does not
+    fit the residual.
+    """
 
 
 class NotSaved(OSError):
-    """Files could not be written; older ones are as they were. `needed` and `free` are in bytes, `free` None if unknown."""
+    """Files could not be written; older ones are as they were. `needed` and `free` are in bytes,
+    `free` None if unknown.
+    """
 
     def __init__(
         self, number: int | None, reason: str, path: str, needed: int, free: int | None = None
@@ -23,7 +27,9 @@ class NotSaved(OSError):
 
 
 def nearest(word: str, choices) -> str:
-    """`" (did you mean 'x'?)"` for the closest choice, or the list of choices when nothing is close."""
+    """`" (did you mean 'x'?)"` for the closest choice, or the list of choices when nothing is
+    close.
+    """
     from difflib import get_close_matches
 
     choices = list(choices)
@@ -33,7 +39,9 @@ def nearest(word: str, choices) -> str:
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault of a dataset. `row` counts as an editor does (the header is row 1, the first sample row 2)."""
+    """One fault of a dataset. `row` counts as an editor does (the header is row 1, the first sample
+    row 2).
+    """
 
     file: str
     row: int | None

@@ -26,13 +26,17 @@ EXTRAS = {
 
 
 def required(package: str) -> None:
-    """Raises `UsageError` that names the extra to install where a package is missing; imports nothing."""
+    """Raises `UsageError` that names the extra to install where a package is missing; imports
+    nothing.
+    """
     if find_spec(package) is None:
         raise missing(package)
 
 
 def needed(module: str) -> Any:
-    """The optional module. Raises `UsageError` that names the extra to install where it is missing."""
+    """The optional module. Raises `UsageError` that names the extra to install where it is
+    missing.
+    """
     try:
         return import_module(module)
     except ImportError:

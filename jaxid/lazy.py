@@ -15,7 +15,9 @@ from typing import Any
 def attach(
     package: str, home: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a package whose names live in other modules. `home`: name -> module."""
+    """`__getattr__`, `__dir__` and `__all__` of a package whose names live in other modules.
+    `home`: name -> module.
+    """
 
     def get(name: str) -> Any:
         if name not in home:
@@ -31,7 +33,9 @@ def attach(
 
 
 class Moved(MetaPathFinder, Loader):
-    """Modules that are found under a former name too, for one version and with a warning. `places`: former name -> module."""
+    """Modules that are found under a former name too, for one version and with a warning. `places`:
+    former name -> module.
+    """
 
     def __init__(self, places: Mapping[str, str]):
         self.places = places

@@ -12,14 +12,18 @@ from jaxid.numerics.program_cache import own_folder, want
 from jaxid.numerics.versions import check_jax
 
 
-# XLA on the CPU runs small while loops op by op on one thread; with this limit the loop over samples counts as small.
+# XLA on the CPU runs small while loops op by op on one thread; with this limit the loop over
+# samples counts as small.
 LOOP_FLAG = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"
-# Programs here are one long loop body: more than LLVM's first level compiles for 1.6 times as long and runs no faster (measured).
+# Programs here are one long loop body: more than LLVM's first level compiles for 1.6 times as long
+# and runs no faster (measured).
 LEVEL_FLAG = "--xla_backend_optimization_level=1"
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C during a fit or a diagnosis; `partial` is the result finished so far, which a command saves."""
+    """Ctrl-C during a fit or a diagnosis; `partial` is the result finished so far, which a command
+    saves.
+    """
 
     def __init__(self, partial: Any = None):
         super().__init__("interrupted")
@@ -27,15 +31,17 @@ class Interrupted(KeyboardInterrupt):
 
 
 def prepare(streaming: bool = False) -> None:
-    """Sets XLA's flags, the platform and NumPy's threads by environment variables (values already set win), and the cache of
-    programs. Python's garbage collector runs more rarely.
+    """Sets XLA's flags, the platform and NumPy's threads by environment variables (values already
+    set win), and the cache of programs. Python's garbage collector runs more rarely.
 
-    Call it before JAX is imported. `JAXID_XLA=0` leaves XLA's flags alone; `JAXID_CACHE_DIR` moves the cache, as does JAX's own
-    `JAX_COMPILATION_CACHE_DIR`; a cache folder that cannot be written is left out silently, one of another user with a line.
-    Raises `UsageError` for a JAX that is too old.
+    Call it before JAX is imported. `JAXID_XLA=0` leaves XLA's flags alone; `JAXID_CACHE_DIR` moves
+    the cache, as does JAX's own `JAX_COMPILATION_CACHE_DIR`; a cache folder that cannot be written
+    is left out silently, one of another user with a line. Raises `UsageError` for a JAX that is too
+    old.
 
-    `streaming` is for a program that answers one sample at a time: JAX then dispatches in the thread that calls it and keeps one
-    worker besides. Handing a small program from thread to thread takes as long as the program; fits, which are large, gain by it.
+    `streaming` is for a program that answers one sample at a time: JAX then dispatches in the
+    thread that calls it and keeps one worker besides. Handing a small program from thread to thread
+    takes as long as the program; fits, which are large, gain by it.
     """
     check_jax()
     flags = os.environ.get("XLA_FLAGS", "")
@@ -48,7 +54,8 @@ def prepare(streaming: bool = False) -> None:
             if f.split("=")[0].lstrip("-") not in flags
         ]
         os.environ["XLA_FLAGS"] = " ".join([*flags.split(), *ours])
-    # NumPy's matrices are small here; more threads only wait for each other (measured: 3 to 5 times the CPU time).
+    # NumPy's matrices are small here; more threads only wait for each other (measured: 3 to 5 times
+    # the CPU time).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     folder = (
@@ -61,7 +68,8 @@ def prepare(streaming: bool = False) -> None:
         os.environ.setdefault(
             "JAX_PERSISTENT_CACHE_ENABLE_XLA_CACHES", "none"
         )  # XLA reads those itself, unchecked
-    # Tracing a program makes hundreds of thousands of objects that live on; going through them again and again takes a tenth.
+    # Tracing a program makes hundreds of thousands of objects that live on; going through them
+    # again and again takes a tenth.
     gc.set_threshold(100_000, 50, 50)
     if streaming:
         os.environ.setdefault("PJRT_NPROC", "1")
@@ -71,7 +79,9 @@ def prepare(streaming: bool = False) -> None:
 
 
 def cache_folder() -> Path | None:
-    """The folder of the cache of programs, made if missing; None where it cannot be written or is another user's."""
+    """The folder of the cache of programs, made if missing; None where it cannot be written or is
+    another user's.
+    """
     try:
         return own_folder(Path(os.environ.get("JAXID_CACHE_DIR") or _user_cache() / "jaxid"))
     except RuntimeError:  # no home folder

@@ -26,13 +26,16 @@ def json_bytes(result: Any) -> bytes:
 
 
 def model_digest(sha256: str) -> dict[str, str]:
-    """What a result says of the file of a model of the user's own, beside the model's name; nothing for another model."""
+    """What a result says of the file of a model of the user's own, beside the model's name; nothing
+    for another model.
+    """
     return {"model_sha256": sha256} if sha256 else {}
 
 
 def with_effects(content: Any) -> Any:
-    """The content of a result with the effects that it adds to its model under `effects`, where a fit has them: those of a
-    diagnosis stand under what it names."""
+    """The content of a result with the effects that it adds to its model under `effects`, where a
+    fit has them: those of a diagnosis stand under what it names.
+    """
     which = (
         content.get("which")
         if isinstance(content, dict) and content.get("kind") == "diagnosis"
@@ -43,7 +46,9 @@ def with_effects(content: Any) -> Any:
 
 
 def finite(value: Any) -> Any:
-    """The same nested data as JSON can hold: NumPy numbers become Python's, a number that is not finite becomes null."""
+    """The same nested data as JSON can hold: NumPy numbers become Python's, a number that is not
+    finite becomes null.
+    """
     if isinstance(value, dict):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -12,12 +12,15 @@ from contextlib import suppress
 from typing import Protocol
 
 
-# Format characters that turn the direction of text around or hide it; control characters are category Cc.
+# Format characters that turn the direction of text around or hide it; control characters are
+# category Cc.
 _INVISIBLE = {"Cc", "Cf", "Zl", "Zp", "Cs"}
 
 
 def one_line(text: object) -> str:
-    """The text with every control and direction character (names from files may hold escape sequences) as `?`."""
+    """The text with every control and direction character (names from files may hold escape
+    sequences) as `?`.
+    """
     return "".join("?" if unicodedata.category(c) in _INVISIBLE else c for c in str(text))
 
 
@@ -56,7 +59,9 @@ CLOSE = 1e-4
 
 
 def value_with_std(estimate: Measured, unit: bool = True) -> str:
-    """`0.0812 ± 0.0004 kg m^2`, rounded to two digits of the standard deviation; four digits where it is known better."""
+    """`0.0812 ± 0.0004 kg m^2`, rounded to two digits of the standard deviation; four digits where
+    it is known better.
+    """
     value, std = estimate.value, estimate.std
     tail = f" {one_line(estimate.unit)}" if unit and estimate.unit not in ("", "1") else ""
     if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
@@ -121,7 +126,9 @@ def by_effect(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
 
 
 def placed(names: Iterable[str]) -> str:
-    """`lag at tau1 and tau2 and drag at q1` of `lag at tau1`, `lag at tau2`, `drag at q1`: every effect once, with its places."""
+    """`lag at tau1 and tau2 and drag at q1` of `lag at tau1`, `lag at tau2`, `drag at q1`: every
+    effect once, with its places.
+    """
     pairs = ((effect, place) for effect, _, place in (name.partition(" at ") for name in names))
     return " and ".join(
         f"{effect} at {listed(at)}" if any(at) else effect

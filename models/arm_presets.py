@@ -1,4 +1,6 @@
-"""Arms by name: kinematics from the makers' tables; inertial parameters are jaxid's own fits or plain estimates."""
+"""Arms by name: kinematics from the makers' tables; inertial parameters are jaxid's own fits or
+plain estimates.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,11 @@ _90 = np.pi / 2
 
 
 def _ur10() -> ArmTable:
-    """Table III of paper 001: modified table, theta_j = q_j; the same chain as the maker's standard table, turned by pi about
-    the first and last z. Inertial parameters: physically consistent and closest in torque to the paper's Table VI, whose own
-    drive inertias are partly negative and cannot be simulated."""
+    """Table III of paper 001: modified table, theta_j = q_j; the same chain as the maker's standard
+    table, turned by pi about the first and last z. Inertial parameters: physically consistent and
+    closest in torque to the paper's Table VI, whose own drive inertias are partly negative and
+    cannot be simulated.
+    """
     content = json.loads(
         (Path(__file__).parent / "ur10_consistent.json").read_text(encoding="utf-8")
     )
@@ -38,7 +42,9 @@ def _ur10() -> ArmTable:
 
 
 class UR10(AbstractArm):
-    """Universal Robots UR10 (CB3) as identified in paper 001, with its friction law; q as the controller's `actual_q`."""
+    """Universal Robots UR10 (CB3) as identified in paper 001, with its friction law; q as the
+    controller's `actual_q`.
+    """
 
     name: ClassVar[str] = "ur10"
     signatures: ClassVar[tuple[Signature, ...]] = _SIX
@@ -62,7 +68,9 @@ class UR10(AbstractArm):
 
 
 class UR10e(AbstractArm):
-    """Universal Robots UR10e; q as the controller's `actual_q`. Links start as slender rods: fit them."""
+    """Universal Robots UR10e; q as the controller's `actual_q`. Links start as slender rods: fit
+    them.
+    """
 
     name: ClassVar[str] = "ur10e"
     signatures: ClassVar[tuple[Signature, ...]] = _SIX
@@ -80,7 +88,9 @@ class UR10e(AbstractArm):
 
 
 class Panda(AbstractArm):
-    """Franka Emika Panda, torques measured behind the gears (no drive inertia shows). Links start as slender rods: fit them."""
+    """Franka Emika Panda, torques measured behind the gears (no drive inertia shows). Links start
+    as slender rods: fit them.
+    """
 
     name: ClassVar[str] = "panda"
     signatures: ClassVar[tuple[Signature, ...]] = _SEVEN

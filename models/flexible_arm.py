@@ -1,4 +1,6 @@
-"""Two flexible links in a plane, each on a motor: finite elements in clamped modes, moving in the frames of the bent links."""
+"""Two flexible links in a plane, each on a motor: finite elements in clamped modes, moving in the
+frames of the bent links.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,10 @@ from jaxid.numerics.fast_math import dot, inverse, sincos
 
 
 class Link(NamedTuple):
-    """Integrals of a link over its length, with modes phi: mass, first and second moment about its hub; of the modes the
-    integrals of phi and x phi, mass and stiffness, deflection and slope at the tip, curvature at the hub; and what it carries at
-    its tip (kg, kg m^2)."""
+    """Integrals of a link over its length, with modes phi: mass, first and second moment about its
+    hub; of the modes the integrals of phi and x phi, mass and stiffness, deflection and slope at
+    the tip, curvature at the hub; and what it carries at its tip (kg, kg m^2).
+    """
 
     length: Array
     mass: Array
@@ -62,7 +65,9 @@ class Link(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """Where a link begins: position, m, and angle; and their rates, the velocity along the link's own axes."""
+    """Where a link begins: position, m, and angle; and their rates, the velocity along the link's
+    own axes.
+    """
 
     at: Float[Array, " 2"]
     angle: Array
@@ -71,13 +76,15 @@ class Frame(NamedTuple):
 
 
 class FlexibleArm(Mechanism):
-    """Two flexible links in a plane; q = 0 is straight (with gravity: hangs down), q2 is relative to the bent end of link 1.
+    """Two flexible links in a plane; q = 0 is straight (with gravity: hangs down), q2 is relative
+    to the bent end of link 1.
 
-    Each link deflects across the axis of its own clamped end; the second motor and the payload are bodies at the ends. Angles,
-    also those that the bending makes, are taken as they are; the shortening of a bent link is not counted. `kinetic_energy`,
-    `potential_energy` and `strain_energy` define the equations; `matrices` are their closed form, for speed. A step takes
-    stiffness and damping of the links by the trapezoidal rule, so that stiff modes limit no step, and everything else at the
-    middle of the step.
+    Each link deflects across the axis of its own clamped end; the second motor and the payload are
+    bodies at the ends. Angles, also those that the bending makes, are taken as they are; the
+    shortening of a bent link is not counted. `kinetic_energy`, `potential_energy` and
+    `strain_energy` define the equations; `matrices` are their closed form, for speed. A step takes
+    stiffness and damping of the links by the trapezoidal rule, so that stiff modes limit no step,
+    and everything else at the middle of the step.
     """
 
     name: ClassVar[str] = "flexible_arm"
@@ -212,9 +219,9 @@ class FlexibleArm(Mechanism):
     ) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
         """M(p) and h(p, pd) of joints and modes; stiffness and damping of the links are not in h.
 
-        d'Alembert's forces of every point, which are Lagrange's equations: along a link's axes a point moves with
-        J pd = (U0 - w turn, U1 + x turn + phi) pd, and J' times its acceleration where pdd = 0 is integrated. Gravity is an
-        acceleration of the base.
+        d'Alembert's forces of every point, which are Lagrange's equations: along a link's axes a
+        point moves with J pd = (U0 - w turn, U1 + x turn + phi) pd, and J' times its acceleration
+        where pdd = 0 is integrated. Gravity is an acceleration of the base.
         """
         first, second = self.links()
         one = jnp.eye(p.shape[0])
@@ -284,7 +291,9 @@ class FlexibleArm(Mechanism):
         return x[0] + h / 2 * (x[1] + qd) + shift, qd, x[2] + h / 2 * (x[3] + z), z
 
     def inverse(self, q, qd, qdd):
-        """Torque of the arm moved as if its links were rigid (the deflection is no function of the joints' motion)."""
+        """Torque of the arm moved as if its links were rigid (the deflection is no function of the
+        joints' motion).
+        """
         _, _, e, z = self.start(q, qd)
         M, bias = self.matrices(jnp.concatenate([q, e]), jnp.concatenate([qd, z]))
         return dot(M[:2, :2], qdd) + bias[:2]
@@ -337,7 +346,9 @@ def _end(link: Link, frame: Frame, e: Array, z: Array) -> Frame:
 
 
 def _kinetic(link: Link, frame: Frame, e: Array, z: Array) -> Array:
-    """Energy of a bent link without what it carries: points move with (ux - rate w, uy + rate x + wd) along its axes."""
+    """Energy of a bent link without what it carries: points move with (ux - rate w, uy + rate x +
+    wd) along its axes.
+    """
     (ux, uy), rate = frame.velocity, frame.rate
     alone = (
         link.mass * (ux**2 + uy**2)
@@ -355,8 +366,10 @@ def _kinetic(link: Link, frame: Frame, e: Array, z: Array) -> Array:
 def _inertia_forces(
     link: Link, turn: Array, move: Array, pull: Array, e: Array, z: Array, rate: Array, own: Array
 ):
-    """(M, h) of a bent link without what it carries. `turn` [n] and `move` [2 n]: how its frame turns and moves with each
-    coordinate; `pull` [2]: acceleration of the frame; `own` [modes n]: its modes among the coordinates."""
+    """(M, h) of a bent link without what it carries. `turn` [n] and `move` [2 n]: how its frame
+    turns and moves with each coordinate; `pull` [2]: acceleration of the frame; `own` [modes n]:
+    its modes among the coordinates.
+    """
     shift, turning, bent = link.shift @ own, link.turn @ own, dot(link.M, e)
     across, leaned = dot(link.shift, e), dot(link.turn, e)
     mixed = (
@@ -379,7 +392,9 @@ def _inertia_forces(
 
 
 def _carried(link: Link, turn, move, pull, e, z, pd, own, M, h):
-    """The far end's turn, move and pull, still along the link's own axes, and (M, h) with what it carries."""
+    """The far end's turn, move and pull, still along the link's own axes, and (M, h) with what it
+    carries.
+    """
     across, rate = dot(link.tip, e), dot(turn, pd)
     pull = pull - rate * jnp.stack([rate * link.length + 2 * dot(link.tip, z), rate * across])
     move = move + jnp.stack([-across * turn, link.length * turn + link.tip @ own])

@@ -15,8 +15,10 @@ from jaxid.models.effects import CoulombFriction, ViscousFriction
 
 
 class ModalStep(NamedTuple):
-    """A step of length h of the clamped modes: e' = a e + b z, z' = d z - c e; what a change of the hub's speed takes off both;
-    the inertia that the modes bear in the meantime, and how far the hub gives way to an impulse."""
+    """A step of length h of the clamped modes: e' = a e + b z, z' = d z - c e; what a change of the
+    hub's speed takes off both; the inertia that the modes bear in the meantime, and how far the hub
+    gives way to an impulse.
+    """
 
     a: Float[Array, " modes"]
     b: Float[Array, " modes"]
@@ -45,11 +47,13 @@ class ModalStep(NamedTuple):
 
 
 class FlexibleLink(Mechanism):
-    """Hub angle phi and elastic deflection psi across the hub-fixed axis, clamped at the hub; no gravity.
+    """Hub angle phi and elastic deflection psi across the hub-fixed axis, clamped at the hub; no
+    gravity.
 
-    The state holds phi, its velocity, and modal deflections and velocities of the beam. A step takes each mode by its exact
-    exponential under the hub acceleration of that step and closes the hub's momentum balance, so that stiff modes cost
-    nothing; friction at the hub sticks truly (`jaxid.dynamics.dry_friction`).
+    The state holds phi, its velocity, and modal deflections and velocities of the beam. A step
+    takes each mode by its exact exponential under the hub acceleration of that step and closes the
+    hub's momentum balance, so that stiff modes cost nothing; friction at the hub sticks truly
+    (`jaxid.dynamics.dry_friction`).
     """
 
     name: ClassVar[str] = "flexible_link"
@@ -126,7 +130,9 @@ class FlexibleLink(Mechanism):
         return self.prepared if self.prepared is not None else self.prepare(None).prepared
 
     def _rotation(self, e: Array) -> Array:
-        """S eta, with S = I - stiffening K_G between modes: the part of a deflection that turns with the hub."""
+        """S eta, with S = I - stiffening K_G between modes: the part of a deflection that turns
+        with the hub.
+        """
         return e - self.stiffening * (self._parts()[0].geometric @ e)
 
     def stiffened(self, share: Array) -> FlexibleLink:
@@ -148,7 +154,9 @@ class FlexibleLink(Mechanism):
         return x[0], x[1]
 
     def pull(self, w: Array, e: Array, z: Array) -> Array:
-        """Modal forces of stiffness, damping and, with the nonlinear terms, of the hub's rotation at speed w [1]."""
+        """Modal forces of stiffness, damping and, with the nonlinear terms, of the hub's rotation
+        at speed w [1].
+        """
         kept, damping, _, _ = self._parts()
         force = -kept.squares * e - damping * z
         return force + w * w * self._rotation(e) if self.nonlinear else force
@@ -176,13 +184,14 @@ class FlexibleLink(Mechanism):
         G = kept.participation
         _, w, e, z = x
         e1, z1 = step.a * e + step.b * z, step.d * z - step.c * e
-        # Momentum of hub and beam, moving w + G z, grows by h tau. A change of w moves the modes by -bent and -pushed of it.
+        # Momentum of hub and beam, moving w + G z, grows by h tau. A change of w moves the modes by
+        # -bent and -pushed of it.
         if not self.nonlinear:
             compliance = step.compliance
             change = (h * tau - jnp.sum(G * (z1 - z))) * compliance
         else:
-            # The deflection's rotation as a force held at its middle value; the hub's inertia at both ends. Values from a
-            # first pass with those of the beginning.
+            # The deflection's rotation as a force held at its middle value; the hub's inertia at
+            # both ends. Values from a first pass with those of the beginning.
             bend, push = (1 - step.a) / kept.squares, step.b
             turned = self._rotation(e)
             moving = inertia + jnp.sum(e * turned)
@@ -209,7 +218,9 @@ class FlexibleLink(Mechanism):
         return x[0] + h / 2 * (x[1] + qd) + shift, qd, e - bend * change, z - push * change
 
     def transfer(self, omega, slope, stiffness):
-        """Sum over the clamped modes, in real arithmetic: eta / phi = omega^2 G / (squares - omega^2 + i omega damping)."""
+        """Sum over the clamped modes, in real arithmetic: eta / phi = omega^2 G / (squares -
+        omega^2 + i omega damping).
+        """
         kept, damping, inertia, _ = self._parts()
         w2 = omega**2
         jr, ji, tr, ti = (
@@ -240,7 +251,9 @@ class FlexibleLink(Mechanism):
         return jnp.stack([c * along - s * across, s * along + c * across], 1)
 
     def inverse(self, q, qd, qdd):
-        """Torque of the link moved as a rigid body (the deflection is no function of the hub's motion)."""
+        """Torque of the link moved as a rigid body (the deflection is no function of the hub's
+        motion).
+        """
         return self._parts()[2] * qdd
 
     def output(self, x, tau, rests):

@@ -1,4 +1,6 @@
-"""One joint without gravity: a drive, a slide, a spindle. Rotary (`tau` -> `q`) or linear (`force` -> `position`)."""
+"""One joint without gravity: a drive, a slide, a spindle. Rotary (`tau` -> `q`) or linear (`force`
+-> `position`).
+"""
 
 from __future__ import annotations
 

@@ -15,7 +15,9 @@ from jaxid.numerics.fast_math import sincos
 
 
 class PlanarArm(Rigid):
-    """Masses m, distances c from the joint to the centre of mass along the link, inertias I about the centre of mass."""
+    """Masses m, distances c from the joint to the centre of mass along the link, inertias I about
+    the centre of mass.
+    """
 
     name: ClassVar[str] = "planar_arm"
     signatures: ClassVar[tuple[Signature, ...]] = (

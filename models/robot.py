@@ -1,4 +1,6 @@
-"""Any robot of an MJCF or URDF file: a tree of hinge and slide joints, driven by torques or by goals."""
+"""Any robot of an MJCF or URDF file: a tree of hinge and slide joints, driven by torques or by
+goals.
+"""
 
 from __future__ import annotations
 
@@ -35,10 +37,11 @@ plan_of = lru_cache(dynamics.plan)
 class Robot(Staged):
     """A robot from its file: `Robot.from_mjcf("robot.xml")`, `Robot.from_urdf("robot.urdf")`.
 
-    Numbers go by the names of joints and links: armature@JOINT, damping@JOINT, frictionloss@JOINT, mass@LINK, com_x@LINK (in the
-    link's frame). Bodies are written so that every value within its bounds is a body that can exist. Fitted by default: armature,
-    damping and dry friction of each joint, its link's centre of mass across the axis (where gravity shows it), and what
-    [controller] names; numbers that a dataset names under [model.parameters] are fitted too. On channels
+    Numbers go by the names of joints and links: armature@JOINT, damping@JOINT, frictionloss@JOINT,
+    mass@LINK, com_x@LINK (in the link's frame). Bodies are written so that every value within its
+    bounds is a body that can exist. Fitted by default: armature, damping and dry friction of each
+    joint, its link's centre of mass across the axis (where gravity shows it), and what [controller]
+    names; numbers that a dataset names under [model.parameters] are fitted too. On channels
     `JOINT_cmd` the law of [controller] or of the file's actuators drives.
     """
 
@@ -269,10 +272,12 @@ class Robot(Staged):
         text: str | None = None,
         free: bool = False,
     ) -> Robot:
-        """The robot of an MJCF file; with `tip` only the joints up to that link move. `free`: its base floats, and its angles
-        base_roll, base_pitch, base_yaw are the last joints. Needs no meshes.
+        """The robot of an MJCF file; with `tip` only the joints up to that link move. `free`: its
+        base floats, and its angles base_roll, base_pitch, base_yaw are the last joints. Needs no
+        meshes.
 
-        Raises `UsageError` for what is not a tree of hinge and slide joints with stated inertias, by name.
+        Raises `UsageError` for what is not a tree of hinge and slide joints with stated inertias,
+        by name.
         """
         from jaxid.robots.mjcf import read_mjcf
 
@@ -293,7 +298,9 @@ class Robot(Staged):
         return cls(based(up_to(read_urdf_tree(path, text), tip), free))
 
     def limits(self) -> Any:
-        """`lower`, `upper` (rad, m), `velocity` and `effort` [joints] of the joints that move by themselves, by the file."""
+        """`lower`, `upper` (rad, m), `velocity` and `effort` [joints] of the joints that move by
+        themselves, by the file.
+        """
         tree: Tree = self.tree.tree
         own = [tree.joints.index(j) for j in tree.leading]
         return SimpleNamespace(
@@ -301,7 +308,9 @@ class Robot(Staged):
         )
 
     def matched(self, dataset: Dataset) -> Chain:
-        """The model of a recording: its joints by name, joints that it lacks held, its drive law. See `jaxid.robots.match`."""
+        """The model of a recording: its joints by name, joints that it lacks held, its drive law.
+        See `jaxid.robots.match`.
+        """
         from jaxid.robots.match import matched
 
         return matched(self, dataset)
@@ -448,8 +457,10 @@ class Robot(Staged):
         return S.T @ M @ S, S.T @ bias
 
     def damped(self, h, x, tau, qd, slope, stiffness):
-        """Where goals drive, by one evaluation in the middle of the step: their law is quicker than what it moves, its torque is
-        that of the middle and of second order, and the rest need be no better."""
+        """Where goals drive, by one evaluation in the middle of the step: their law is quicker than
+        what it moves, its torque is that of the middle and of second order, and the rest need be no
+        better.
+        """
         if self.drive_law is None:
             return super().damped(h, x, tau, qd, slope, stiffness)
         return dynamics.middle_step(self.matrices, h, x, tau, qd, slope, stiffness)
@@ -476,7 +487,9 @@ class Robot(Staged):
         return own if self.coupling is None else jnp.asarray(np.array(self.coupling).T ** 2) @ own
 
     def momenta(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Float[Array, " nq"]:
-        """Generalised momenta of a robot on a free base, armature excluded, in the frame in which its linear momentum is 0."""
+        """Generalised momenta of a robot on a free base, armature excluded, in the frame in which
+        its linear momentum is 0.
+        """
         body, plan = self._worked_out()[0], plan_of(self.parent)
         q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
         zero, E = 0.0 * q[0], dynamics.frames(plan, body, q - np.array(self.reference))
@@ -525,7 +538,9 @@ class Robot(Staged):
     def loaded(
         self, mass: Float[Array, " nq"], beyond: Float[Array, "nq 3"] | None = None
     ) -> Robot:
-        """The same with a point mass `beyond` the end of each joint's link: the next joint, else the link's centre of mass."""
+        """The same with a point mass `beyond` the end of each joint's link: the next joint, else
+        the link's centre of mass.
+        """
         added = jnp.zeros((len(self.joints), 10))
         for k, joint in enumerate(self.signatures[0].joints):
             node = self.joints.index(joint)

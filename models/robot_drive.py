@@ -1,4 +1,6 @@
-"""The drive of a position-controlled joint: from its goal to its torque, by the law that the recording or the file states."""
+"""The drive of a position-controlled joint: from its goal to its torque, by the law that the
+recording or the file states.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +20,13 @@ VELOCITIES = ("measured", "difference", "averaged_difference")
 
 
 class PositionLaw(InputEffect):
-    """Goal -> torque. Continuous (`period` 0, as in MuJoCo and Isaac), or sampled every `period` s and held in between.
+    """Goal -> torque. Continuous (`period` 0, as in MuJoCo and Isaac), or sampled every `period` s
+    and held in between.
 
-    `kind` pd: v = kp (goal - q) - kd qd; pid: the same + ki times the integral of the error, which stands still while the output
-    is saturated and the error drives it further; cascade: v = kd (kp (goal - q) - qd). The goal's own rate is taken off qd where
-    it is `recorded`, or with `rate`, which takes the difference to the last sample (sampled laws alone). Torque = gain clip(v +
+    `kind` pd: v = kp (goal - q) - kd qd; pid: the same + ki times the integral of the error, which
+    stands still while the output is saturated and the error drives it further; cascade: v = kd (kp
+    (goal - q) - qd). The goal's own rate is taken off qd where it is `recorded`, or with `rate`,
+    which takes the difference to the last sample (sampled laws alone). Torque = gain clip(v +
     offset, lowest, highest).
     """
 

@@ -1,4 +1,6 @@
-"""Serial arms of any kind: revolute and prismatic joints, from a Denavit-Hartenberg table or a URDF."""
+"""Serial arms of any kind: revolute and prismatic joints, from a Denavit-Hartenberg table or a
+URDF.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from jaxid.models.effects import ConstantTorque, CoulombFriction, PowerLawFricti
 
 
 class DriveGain(InputEffect):
-    """What a drive makes of its command: N m per unit of the input. Known, not fitted: any error of it scales every inertia."""
+    """What a drive makes of its command: N m per unit of the input. Known, not fitted: any error of
+    it scales every inertia.
+    """
 
     name: ClassVar[str] = "drive_gain"
     #: What else happens to a command happens to it in its own unit.
@@ -60,8 +64,9 @@ def signatures_of(prismatic: tuple[bool, ...]) -> tuple[Signature, ...]:
 
 
 def ends_of(table: ArmTable) -> tuple[tuple[float, ...], ...]:
-    """Where each link of a chain ends, in its own frame: at the next joint; the last at the tool, or twice as far as its centre
-    of mass where nothing says where that is."""
+    """Where each link of a chain ends, in its own frame: at the next joint; the last at the tool,
+    or twice as far as its centre of mass where nothing says where that is.
+    """
     E = table.placements(np.zeros(table.n))
     ends = [[float(component[j + 1]) for component in E.p] for j in range(table.n - 1)]
     tool = np.asarray(table.tool, float)[:3, 3]
@@ -71,12 +76,13 @@ def ends_of(table: ArmTable) -> tuple[tuple[float, ...], ...]:
 
 
 class AbstractArm(Staged):
-    """Abstract: n links in a chain, each with ten inertial parameters about the origin of its frame and a drive inertia.
+    """Abstract: n links in a chain, each with ten inertial parameters about the origin of its frame
+    and a drive inertia.
 
-    The frame of joint j stands in the frame before it at Rz(gamma) Tz(b) Rx(alpha) Tx(a) Rz(theta + q) Tz(d), q added to d where
-    the joint slides. Fitted by default: the parameters that lead the base parameters (`base`), with all others kept as they are;
-    friction levels and offsets; not the exponents of friction. A dataset that names others under [model.parameters] has them
-    fitted too.
+    The frame of joint j stands in the frame before it at Rz(gamma) Tz(b) Rx(alpha) Tx(a) Rz(theta +
+    q) Tz(d), q added to d where the joint slides. Fitted by default: the parameters that lead the
+    base parameters (`base`), with all others kept as they are; friction levels and offsets; not the
+    exponents of friction. A dataset that names others under [model.parameters] has them fitted too.
     """
 
     prismatic: tuple[bool, ...] = eqx.field(static=True)
@@ -181,7 +187,9 @@ class AbstractArm(Staged):
         return frozenset({*standard_names(n)} - {*self.base().names} | exponents)
 
     def spec_of(self, field: str, place: int, spec: ParameterSpec) -> ParameterSpec:
-        """Bounds by the arm's own size: regrouped parameters stand for much more than one link, but not for ten arms."""
+        """Bounds by the arm's own size: regrouped parameters stand for much more than one link, but
+        not for ten arms.
+        """
         if field not in STANDARD:
             return spec
         mass = max(float(np.sum(np.asarray(self.m))), 1e-3)
@@ -258,7 +266,9 @@ class AbstractArm(Staged):
         return M, inverse_dynamics(E, self.prismatic, phi, self.free_fall(), qd, jnp.zeros_like(qd))
 
     def inverse(self, q, qd, qdd):
-        """Joint torque of a motion [n ...] (any number of samples behind the joints), friction excluded."""
+        """Joint torque of a motion [n ...] (any number of samples behind the joints), friction
+        excluded.
+        """
         Ia = jnp.asarray(self.Ia).reshape(-1, *(1,) * (qdd.ndim - 1))
         return (
             inverse_dynamics(
@@ -280,7 +290,9 @@ _DEFAULT = modified_dh(  # an upright elbow arm with a spherical wrist
 
 
 class SerialArm(AbstractArm):
-    """Any serial chain: `SerialArm(modified_dh(...))`, `SerialArm(standard_dh(...))` or `SerialArm.from_urdf("arm.urdf")`."""
+    """Any serial chain: `SerialArm(modified_dh(...))`, `SerialArm(standard_dh(...))` or
+    `SerialArm.from_urdf("arm.urdf")`.
+    """
 
     name: ClassVar[str] = "serial_arm"
     source: ClassVar[str] = (
@@ -312,7 +324,9 @@ class SerialArm(AbstractArm):
     def from_urdf(
         cls, path: str | Path, tip: str | None = None, root: str | None = None
     ) -> SerialArm:
-        """The chain of a URDF from `root` (default: its root link) to `tip` (default: the only leaf)."""
+        """The chain of a URDF from `root` (default: its root link) to `tip` (default: the only
+        leaf).
+        """
         from jaxid.dynamics.urdf import read_urdf
 
         return cls(read_urdf(path, tip, root))

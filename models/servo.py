@@ -1,4 +1,6 @@
-"""A position-controlled servo with a pendulum on its horn: what enters is the goal position, not a torque."""
+"""A position-controlled servo with a pendulum on its horn: what enters is the goal position, not a
+torque.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,12 @@ from jaxid.numerics.fast_math import sin
 
 
 class Servo(Rigid):
-    """Goal -> duty by the firmware's proportional gain -> voltage -> current, limited -> torque against back-EMF.
+    """Goal -> duty by the firmware's proportional gain -> voltage -> current, limited -> torque
+    against back-EMF.
 
-    Torque and back-EMF constants are apart, as they are found by a fit: `torque_constant` is the stall torque per volt (k_t / R),
-    `back_emf` the torque lost per speed (k_t k_e / R). With the input `enable` (0: motor released) a run may let go of the load.
+    Torque and back-EMF constants are apart, as they are found by a fit: `torque_constant` is the
+    stall torque per volt (k_t / R), `back_emf` the torque lost per speed (k_t k_e / R). With the
+    input `enable` (0: motor released) a run may let go of the load.
     """
 
     name: ClassVar[str] = "servo"

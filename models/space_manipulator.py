@@ -1,4 +1,6 @@
-"""Two-joint arm on a spacecraft: an unknown last body behind a known link, in the plane and without gravity."""
+"""Two-joint arm on a spacecraft: an unknown last body behind a known link, in the plane and without
+gravity.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from jaxid.numerics.fast_math import dot, inverse, sincos
 
 
 class StribeckLevels(JointEffect):
-    """Dry and viscous friction whose level falls from breakaway to sliding: the friction of paper 000 as one law."""
+    """Dry and viscous friction whose level falls from breakaway to sliding: the friction of paper
+    000 as one law.
+    """
 
     name: ClassVar[str] = "stribeck_friction"
     contains: ClassVar[tuple[str, ...]] = ("coulomb_friction", "viscous_friction")
@@ -42,11 +46,13 @@ class StribeckLevels(JointEffect):
 
 
 class SpaceManipulator(Rigid):
-    """Joint 1 at the base, joint 2 before the last body, whose mass, first moments and inertia about joint 2 are unknown.
+    """Joint 1 at the base, joint 2 before the last body, whose mass, first moments and inertia
+    about joint 2 are unknown.
 
-    As in the paper the base stands still (its "second assumption": joint torques hardly move it). With `floating = true` it
-    floats freely: the exact reduced dynamics at zero momentum, with M_r = M_mm - M_mb M_bb^-1 M_bm. Angles of the last body
-    are relative to link 1, those of link 1 to the base; the base's attitude is the rotation it has made.
+    As in the paper the base stands still (its "second assumption": joint torques hardly move it).
+    With `floating = true` it floats freely: the exact reduced dynamics at zero momentum, with M_r =
+    M_mm - M_mb M_bb^-1 M_bm. Angles of the last body are relative to link 1, those of link 1 to the
+    base; the base's attitude is the rotation it has made.
     """
 
     name: ClassVar[str] = "space_manipulator"
@@ -99,8 +105,9 @@ class SpaceManipulator(Rigid):
         return x[0], x[1]
 
     def _full(self, q):
-        """Mass matrix [3 3] of (base rotation, q1, q2) and its mixed block [2 3] with the base's translation, in the base's
-        frame, from the Jacobians of the three centres."""
+        """Mass matrix [3 3] of (base rotation, q1, q2) and its mixed block [2 3] with the base's
+        translation, in the base's frame, from the Jacobians of the three centres.
+        """
         s, c = sincos(jnp.stack([q[0], q[0] + q[1]]))
         x1, y1 = self.base_x + self.l1 * c[0], self.base_y + self.l1 * s[0]  # joint 2
         hx, hy = (
@@ -164,7 +171,9 @@ class SpaceManipulator(Rigid):
         return jnp.where(self.base_lightness > 0, reduced, self._full(q)[0][1:, 1:])
 
     def loosened(self, share: Array) -> SpaceManipulator:
-        """The same on a base that gives way: share [1] 0 stands still, 1 floats with the known mass and inertia."""
+        """The same on a base that gives way: share [1] 0 stands still, 1 floats with the known mass
+        and inertia.
+        """
         return dataclasses.replace(self, floating=True, base_lightness=share[0])
 
     def matrices(self, q, qd):

@@ -13,17 +13,20 @@ from jaxid.models.effects import ViscousFriction
 from jaxid.numerics.fast_math import sincos
 
 
-#: Measured torque of the gear motors (paper 003, Table 1): (V, N m), odd in V, and continued beyond along its last secant.
+#: Measured torque of the gear motors (paper 003, Table 1): (V, N m), odd in V, and continued beyond
+#: along its last secant.
 MOTOR_TABLE = ((1.68, 0.0), (2.4, 0.0882), (3.6, 0.1176))
 
 
 class Tracker(Lagrangian):
     """Base yaw theta, barrel tilt alpha from the horizontal; gravity acts on the tilt.
 
-    The barrel, a uniform rod, starts at distance R from the yaw axis and points back over it; the camera is a point mass on it.
-    As in the paper J_alpha stands in both the tilt inertia and the terms that couple it to the yaw; `rotor_alpha` is the part
-    of it that only tilts (a motor's reflected rotor does not yaw with the tilt angle). Driven by torque, or by voltage through
-    the motor's dead zone (equation 6, the default) or its measured table (`motor_table`), which contradict each other.
+    The barrel, a uniform rod, starts at distance R from the yaw axis and points back over it; the
+    camera is a point mass on it. As in the paper J_alpha stands in both the tilt inertia and the
+    terms that couple it to the yaw; `rotor_alpha` is the part of it that only tilts (a motor's
+    reflected rotor does not yaw with the tilt angle). Driven by torque, or by voltage through the
+    motor's dead zone (equation 6, the default) or its measured table (`motor_table`), which
+    contradict each other.
     """
 
     name: ClassVar[str] = "tracker"

@@ -1,4 +1,6 @@
-"""Settings that every test shares: the flags of the command line, and a cache of compiled programs of their own."""
+"""Settings that every test shares: the flags of the command line, and a cache of compiled programs
+of their own.
+"""
 
 import os
 from pathlib import Path

@@ -20,7 +20,8 @@ from jaxid.hardware.transfer import Sender
 _NUMBER = itertools.count(1)
 #: Longest delay this machine may add to a deadline (s); tests state deadlines without it.
 SLACK_S = float(os.environ.get("JAXID_TEST_SLACK_S", "0.25"))
-#: How long things may be silent while something moves: far more than on a robot, for a machine that does other things too.
+#: How long things may be silent while something moves: far more than on a robot, for a machine that
+#: does other things too.
 PATIENT_S = 0.8
 
 
@@ -58,7 +59,9 @@ class Emulator:
         return cls(folder, "dynamixel", "--plant", plant, "--latency", "0.0005", *fast, *more)
 
     def order(self, text: str) -> float:
-        """Types an order and waits until it was carried out; returns when it was typed (monotonic s)."""
+        """Types an order and waits until it was carried out; returns when it was typed (monotonic
+        s).
+        """
         assert self.process.stdin is not None and self.process.stdout is not None
         typed = time.monotonic()
         self.process.stdin.write(text + "\n")

@@ -1,4 +1,6 @@
-"""A craft with an arm, a reaction wheel and a rail on a base that floats: its file, and its motion by MuJoCo."""
+"""A craft with an arm, a reaction wheel and a rail on a base that floats: its file, and its motion
+by MuJoCo.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def text(gravity: float = 0.0, step: float = 1e-3, damping: float = 0.0, mass: f
 
 
 def placed(data: Any, angles: np.ndarray, q: np.ndarray, spin: np.ndarray, qd: np.ndarray) -> None:
-    """MuJoCo's data with the base turned by (roll, pitch, yaw), spinning at `spin` rad/s in its own frame."""
+    """MuJoCo's data with the base turned by (roll, pitch, yaw), spinning at `spin` rad/s in its own
+    frame.
+    """
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, rotation(*angles).ravel())
     data.qpos[:3], data.qpos[3:7], data.qpos[7:] = (0.4, 0.1, -0.3), quaternion, q
@@ -55,7 +59,9 @@ def motion(
     inside: int = 4,
     **file: Any,
 ) -> np.ndarray:
-    """Joints and unwrapped angles [time 7] under torque [time 4] that is held from sample to sample; `inside` steps each."""
+    """Joints and unwrapped angles [time 7] under torque [time 4] that is held from sample to
+    sample; `inside` steps each.
+    """
     model = mujoco.MjModel.from_xml_string(text(step=float(t[1] - t[0]) / inside, **file))
     data = mujoco.MjData(model)
     placed(data, *start)
@@ -117,8 +123,10 @@ HAND = '<inertial pos="0.15 0 0.03" mass="{mass}" fullinertia="0.01 0.015 0.012 
 
 @dataclass(frozen=True)
 class Target:
-    """A body that the last link takes hold of: mass, kg, centre of mass in the link's frame, m, inertia about it, kg m^2, and
-    what its centre's velocity, m/s, and its spin, rad/s, are beside the hand's, in the world."""
+    """A body that the last link takes hold of: mass, kg, centre of mass in the link's frame, m,
+    inertia about it, kg m^2, and what its centre's velocity, m/s, and its spin, rad/s, are beside
+    the hand's, in the world.
+    """
 
     mass: float = 0.8
     com: tuple[float, float, float] = (0.38, 0.04, 0.0)
@@ -156,7 +164,9 @@ def capture(
     mass: float = 1.1,
     **file: Any,
 ) -> np.ndarray:
-    """As `motion`, the target caught at sample `at`: momentum of both together goes on, the speeds of the joints jump."""
+    """As `motion`, the target caught at sample `at`: momentum of both together goes on, the speeds
+    of the joints jump.
+    """
     step = float(t[1] - t[0]) / inside
     before = mujoco.MjModel.from_xml_string(text(step=step, mass=mass, **file))
     after = mujoco.MjModel.from_xml_string(holding(target, step=step, mass=mass, **file))
@@ -204,8 +214,9 @@ class Catch:
 
 
 def catch(seed: int, seconds: float = 20.0, caught: bool = True) -> Catch:
-    """A target of random mass, place, inertia, speed and spin, caught at a random moment on a random motion whose base does not
-    pitch too far; without the catch where `caught` is not set."""
+    """A target of random mass, place, inertia, speed and spin, caught at a random moment on a
+    random motion whose base does not pitch too far; without the catch where `caught` is not set.
+    """
     rng, t = np.random.default_rng([seed, 37]), np.arange(round(100 * seconds) + 1) * 0.01
     for k in range(20):
         target = Target(

@@ -1,7 +1,9 @@
-"""Separately written equations for the tests: mechanisms, friction, drives, and an event-exact simulator (SciPy).
+"""Separately written equations for the tests: mechanisms, friction, drives, and an event-exact
+simulator (SciPy).
 
-Nothing here imports the product. Dry friction is integrated in modes (a joint slides one way, the other way, or sticks); the
-moments at which a joint stops or breaks away are located by the integrator, so there is no step to converge in.
+Nothing here imports the product. Dry friction is integrated in modes (a joint slides one way, the
+other way, or sticks); the moments at which a joint stops or breaks away are located by the
+integrator, so there is no step to converge in.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ def joint(inertia: float = 0.1) -> Plant:
 def planar_arm(
     m1=4.0, m2=2.5, c1=0.25, c2=0.2, I1=0.12, I2=0.05, l1=0.5, gravity=9.81, tilt=0.0
 ) -> Plant:
-    """Two links by virtual power: M = sum m J'J + I w'w, bias = sum m J'(Jdot v + g); `tilt` turns the base under gravity."""
+    """Two links by virtual power: M = sum m J'J + I w'w, bias = sum m J'(Jdot v + g); `tilt` turns
+    the base under gravity.
+    """
     gx, gy = gravity * sin(tilt), gravity * cos(tilt)
 
     def plant(q, v):
@@ -48,7 +52,8 @@ def planar_arm(
         # Velocity of the second centre of mass per joint rate: (x1, y1) and (x2, y2).
         x2, y2 = c2 * cb, c2 * sb
         x1, y1 = l1 * ca + x2, l1 * sa + y2
-        # Its acceleration at constant rates, and gravity; the first link's is radial and does no work.
+        # Its acceleration at constant rates, and gravity; the first link's is radial and does no
+        # work.
         first, both = float(v[0]) ** 2, float(v[0] + v[1]) ** 2
         ax = -l1 * sa * first - c2 * sb * both + gx
         ay = l1 * ca * first + c2 * cb * both + gy
@@ -62,7 +67,9 @@ def planar_arm(
 
 
 def loaded_arm(payload1: float, payload2: float, l2: float = 0.4) -> Plant:
-    """The arm with point masses at the ends of both links: each a link of its own without inertia, at c = l."""
+    """The arm with point masses at the ends of both links: each a link of its own without inertia,
+    at c = l.
+    """
     bare = planar_arm()
     first = planar_arm(m1=payload1, m2=0.0, c1=0.5, c2=0.0, I1=0.0, I2=0.0)
     second = planar_arm(m1=0.0, m2=payload2, c1=0.0, c2=l2, I1=0.0, I2=0.0)
@@ -101,7 +108,9 @@ PLANTS: dict[str, Callable[..., Plant]] = {
 
 @dataclass(frozen=True)
 class Truth:
-    """What acts besides the mechanism; each number for all joints or one per joint, 0 where it is absent."""
+    """What acts besides the mechanism; each number for all joints or one per joint, 0 where it is
+    absent.
+    """
 
     viscous: Any = 0.0
     coulomb: Any = 0.0
@@ -215,7 +224,9 @@ class Piece:
 
 
 def drive(t: np.ndarray, u: np.ndarray, truth: Truth, hold: str = "zero") -> list[Piece]:
-    """Torque of the recorded command u [time nu] after hold, delay, lag and drive, exact in time."""
+    """Torque of the recorded command u [time nu] after hold, delay, lag and drive, exact in
+    time.
+    """
     shares = {"zero": 1 - truth.other_hold, "linear": truth.other_hold}
     if hold == "linear":
         shares = {"zero": truth.other_hold, "linear": 1 - truth.other_hold}
@@ -247,7 +258,9 @@ def drive(t: np.ndarray, u: np.ndarray, truth: Truth, hold: str = "zero") -> lis
 
 
 def driven(u: np.ndarray, truth: Truth) -> np.ndarray:
-    """Torque that the drive gives for a command: scale, droop, limit, dead zone, one after the other."""
+    """Torque that the drive gives for a command: scale, droop, limit, dead zone, one after the
+    other.
+    """
     u = (1 + truth.scale) * u
     u = u - truth.droop * abs(u) * u
     u = np.minimum(np.maximum(u, -np.asarray(truth.limit)), truth.limit)
@@ -274,7 +287,9 @@ def simulate(
     rtol: float = 1e-10,
     atol: float = 1e-13,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Joint positions and velocities [time nq] at the samples; u [time nu], no column for free motion."""
+    """Joint positions and velocities [time nq] at the samples; u [time nu], no column for free
+    motion.
+    """
     n = nq or u.shape[1]
     u = np.zeros((len(t), n)) if u.shape[1] == 0 else u
     q = np.zeros(n) if q0 is None else np.array(q0, float).reshape(n)
@@ -375,8 +390,8 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
             events=events,
             max_step=longest,
         )
-        # A joint that leaves from rest and returns within one step crosses zero once as the steps see it, and the event is found
-        # at its own beginning: look again with finer steps.
+        # A joint that leaves from rest and returns within one step crosses zero once as the steps
+        # see it, and the event is found at its own beginning: look again with finer steps.
         if found.status == 1 and found.t[-1] - t < 1e-13 and longest > SHORTEST_STEP:
             longest /= 8
             continue
@@ -403,7 +418,9 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
 def multisine(
     t: np.ndarray, amplitudes: Any, seed: int = 0, periods: float = 1.0, lines: int = 6
 ) -> np.ndarray:
-    """A command [time nu] of some sines with random phases, `periods` of the lowest in the record."""
+    """A command [time nu] of some sines with random phases, `periods` of the lowest in the
+    record.
+    """
     rng = np.random.default_rng(seed)
     u = np.zeros((len(t), len(amplitudes)))
     for j, amplitude in enumerate(amplitudes):

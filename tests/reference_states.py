@@ -1,7 +1,8 @@
-"""Separately written equations of effects that have states of their own, without dry friction (SciPy).
+"""Separately written equations of effects that have states of their own, without dry friction
+(SciPy).
 
-Nothing here imports the product. Each memory adds its states and their rates to those of the mechanism; everything is integrated
-together from sample to sample of the held command.
+Nothing here imports the product. Each memory adds its states and their rates to those of the
+mechanism; everything is integrated together from sample to sample of the held command.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from reference import drive, Plant, Truth
 
 @dataclass(frozen=True)
 class Memory:
-    """Torque against the motor's motion: `rate(z, q, v)` of `size` states a joint, `torque(z, rate, q, v)`."""
+    """Torque against the motor's motion: `rate(z, q, v)` of `size` states a joint, `torque(z, rate,
+    q, v)`.
+    """
 
     size: int
     rate: Callable[..., np.ndarray]
@@ -97,7 +100,9 @@ def simulate(
     sensor_lag: Any = 0.0,
     longest: float = np.inf,
 ) -> dict[str, np.ndarray]:
-    """From rest at zero; at the times `at`: motor position `q`, acceleration on both sides `qdd` [2], lagging reading `y`."""
+    """From rest at zero; at the times `at`: motor position `q`, acceleration on both sides `qdd`
+    [2], lagging reading `y`.
+    """
     n = u.shape[1]
     sizes = [m.size for m in memories]
     lagging = np.any(sensor_lag > 0)

@@ -1,4 +1,6 @@
-"""A realistic diagnosis of a servo-driven pendulum with dry friction, made without fitting anything."""
+"""A realistic diagnosis of a servo-driven pendulum with dry friction, made without fitting
+anything.
+"""
 
 from __future__ import annotations
 

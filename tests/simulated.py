@@ -1,4 +1,6 @@
-"""Runs of the product's chains for the tests: many parameter sets on one command, in one compiled program."""
+"""Runs of the product's chains for the tests: many parameter sets on one command, in one compiled
+program.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from jaxid.simulation.sample_buffers import Record
 
 
 class Simulator:
-    """A chain on one command u [time nu], in steps no longer than `step`; programs are shared by equal `size`."""
+    """A chain on one command u [time nu], in steps no longer than `step`; programs are shared by
+    equal `size`.
+    """
 
     def __init__(
         self,
@@ -77,7 +81,9 @@ class Simulator:
     def tangents(
         self, theta: np.ndarray, start: Sequence[float] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs [time ny] at one parameter set and their derivatives [size time ny] by each of its numbers."""
+        """Outputs [time ny] at one parameter set and their derivatives [size time ny] by each of
+        its numbers.
+        """
         size, nx = len(theta), 2 * self.layout.chain.nq
         x = np.zeros(nx) if start is None else np.asarray(start, float)
         y, dy = self.engine.tangents(

@@ -1,4 +1,5 @@
-"""A study without fits: `solve` answers tasks by arithmetic and misbehaves to order, `run` coordinates such solvers.
+"""A study without fits: `solve` answers tasks by arithmetic and misbehaves to order, `run`
+coordinates such solvers.
 
 python study_fleet.py run STUDY --workers 2 -- --sleep 0.01 --poison 7
 """

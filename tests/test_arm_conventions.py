@@ -1,4 +1,6 @@
-"""What a recording of an arm says about itself: one channel of a twin broken, with and without an effect that the model lacks."""
+"""What a recording of an arm says about itself: one channel of a twin broken, with and without an
+effect that the model lacks.
+"""
 
 from __future__ import annotations
 
@@ -92,6 +94,8 @@ def test_nothing_is_claimed_of_an_arm_that_lacks_an_effect(name, effect):
 
 
 def test_what_the_numbers_of_a_model_take_in_is_no_finding():
-    """The zero of a base joint turns nothing, and the scale of a light last joint's torque is that of its friction."""
+    """The zero of a base joint turns nothing, and the scale of a light last joint's torque is that
+    of its friction.
+    """
     assert not findings("seven", "", Mending({"q1": {"offset": 1.5708}}))
     assert not [f for f in findings("three", "", scaled("tau3", 1000.0)) if f.decisive]

@@ -1,4 +1,6 @@
-"""A robot's file as it stands: what MuJoCo makes of it, and the one thing that is different in a recording."""
+"""A robot's file as it stands: what MuJoCo makes of it, and the one thing that is different in a
+recording.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -53,8 +55,9 @@ def ends(values: np.ndarray, factor: float) -> np.ndarray:
 
 
 def test_what_mujoco_makes_of_a_file_is_known_whatever_the_file_lacks(tmp_path):
-    """Its first-order steps are 5e-4 rad from jaxid's run here; less than a twentieth of that is left of a recording that a load
-    moves by 0.05 rad."""
+    """Its first-order steps are 5e-4 rad from jaxid's run here; less than a twentieth of that is
+    left of a recording that a load moves by 0.05 rad.
+    """
     load = (0.2, np.array([0.2, 0.0, 0.03]))
     c = case(6.0, more={"payload": {1: load}})
     data = dataset(c)
@@ -95,7 +98,9 @@ def test_what_mujoco_makes_of_a_file_is_known_whatever_the_file_lacks(tmp_path):
 
 
 def test_the_first_moments_of_a_held_out_run_are_at_the_noise_for_what_recorded_it(tmp_path):
-    """What two simulators differ by is taken off before a cut, too, where a run's start is told: else that is bent."""
+    """What two simulators differ by is taken off before a cut, too, where a run's start is told:
+    else that is bent.
+    """
     b = bind(written(tmp_path), dataset(case(6.0)))
     step = loop_step(b)
     plain = difference(bench := Bench(b, step, differences=1, together=True), {})

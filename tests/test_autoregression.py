@@ -1,4 +1,6 @@
-"""Noise with a memory: against dense matrices, spectra, and the scatter of linear fits, where all is known."""
+"""Noise with a memory: against dense matrices, spectra, and the scatter of linear fits, where all
+is known.
+"""
 
 from __future__ import annotations
 
@@ -98,7 +100,9 @@ def test_a_column_without_data_is_silent():
 
 
 def test_smooth_residuals_of_short_windows_have_a_variance_like_what_is_seen(monkeypatch):
-    """Eight windows of a residual without noise of its own, each with two numbers of its own: roots lie at the unit circle."""
+    """Eight windows of a residual without noise of its own, each with two numbers of its own: roots
+    lie at the unit circle.
+    """
     from jaxid.fitting import noise_model
 
     rng, t = np.random.default_rng(0), np.linspace(-1, 1, 175)

@@ -1,4 +1,6 @@
-"""`jaxid batch`: what a study is, and that its results survive kills, crashes, full disks, flipped bits and hostile names."""
+"""`jaxid batch`: what a study is, and that its results survive kills, crashes, full disks, flipped
+bits and hostile names.
+"""
 
 from __future__ import annotations
 
@@ -198,7 +200,9 @@ def test_refusals_of_the_command(home, capsys):
 
 
 def test_fits_equal_those_of_the_function(home, capsys, monkeypatch):
-    """The command, interrupted and started again, against `jaxid.fit`; then a changed study runs only what changed."""
+    """The command, interrupted and started again, against `jaxid.fit`; then a changed study runs
+    only what changed.
+    """
     study = write_study(home, "seeds = 3")
     assert cli.main(["batch", str(study), "--status", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"total": 3, "done": 0, "failed": 0, "running": 0}
@@ -247,7 +251,9 @@ def test_fits_equal_those_of_the_function(home, capsys, monkeypatch):
 
 
 def test_ten_kills(home):
-    """Kill -9 at random moments: every acknowledged result stays, and the table is that of a run without kills."""
+    """Kill -9 at random moments: every acknowledged result stays, and the table is that of a run
+    without kills.
+    """
     study = write_study(home, "seeds = 60")
     rng, kills, known = random.Random(1), 0, set()
     while kills < 10:
@@ -292,7 +298,9 @@ def uninterrupted(home: Path, study: Path) -> list[dict]:
 
 @pytest.mark.parametrize("together", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_poison_and_random_deaths(home, together):
-    """One task kills its process each time, and processes are killed at random: all others have a result."""
+    """One task kills its process each time, and processes are killed at random: all others have a
+    result.
+    """
     study = write_study(home, "seeds = 100")
     process = start(
         study, "--sleep", "0.01", "--poison", "37", *(["--together"] if together else [])
@@ -310,7 +318,8 @@ def test_poison_and_random_deaths(home, together):
     status = json.loads(out)
     outcomes = study_status(study)[1]
     failed = {t.seed: o for t in read_study(study).tasks.values() if (o := outcomes[t.key]).failed}
-    # By chance the kills may hit any task twice, which then counts as crashed too, and also the one that is about to die.
+    # By chance the kills may hit any task twice, which then counts as crashed too, and also the one
+    # that is about to die.
     assert all(o.status == "crashed" and "2 times" in o.reason for o in failed.values())
     others = len(failed) - 1
     assert 37 in failed and others <= killed // 2
@@ -367,8 +376,9 @@ def test_a_solver_that_never_starts_ends_the_study(home):
     "number, ignored", [(signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False)]
 )
 def test_signals_save_and_leave(home, number, ignored):
-    """Within 2 s even where a task takes minutes, also as a background job of a shell, with SIGINT ignored; what was finished
-    is there, and the study goes on."""
+    """Within 2 s even where a task takes minutes, also as a background job of a shell, with SIGINT
+    ignored; what was finished is there, and the study goes on.
+    """
     study = write_study(home, "seeds = 40")
     handler = signal.SIG_IGN if ignored else signal.SIG_DFL
     process = start(
@@ -401,7 +411,9 @@ def test_signals_save_and_leave(home, number, ignored):
     reason="signals come to the main thread",
 )
 def test_a_cluster_that_does_not_close_holds_nothing_up(home, monkeypatch):
-    """On a crowded computer dask takes all the time that it is given; what was finished is on the disk long before."""
+    """On a crowded computer dask takes all the time that it is given; what was finished is on the
+    disk long before.
+    """
     import distributed
 
     def stuck(self, timeout: float, **more):
@@ -520,7 +532,9 @@ def test_every_flipped_byte_in_a_payload_is_found(tmp_path):
 
 
 def test_any_damage_leaves_sound_rows_or_a_clear_message(tmp_path):
-    """Bytes flipped and blocks overwritten anywhere in the file: no wrong row, no traceback, and the store works again."""
+    """Bytes flipped and blocks overwritten anywhere in the file: no wrong row, no traceback, and
+    the store works again.
+    """
     with Store(tmp_path) as store:
         store.acquire()
         store.save(rows_of(200, 600))
@@ -564,7 +578,9 @@ def test_a_damaged_store_is_mended_by_the_study(home):
 
 
 def test_full_disk(tmp_path):
-    """SQLite's own word for it, at every page: nothing that was saved is lost, the message says what to do."""
+    """SQLite's own word for it, at every page: nothing that was saved is lost, the message says
+    what to do.
+    """
     with Store(tmp_path) as store:
         store.acquire()
         store.save(rows_of(50))
@@ -587,7 +603,9 @@ def test_full_disk(tmp_path):
 
 
 def test_a_study_on_a_full_disk(home):
-    """No file may grow beyond 100 kB: the study stops with exit code 2 and goes on when there is room."""
+    """No file may grow beyond 100 kB: the study stops with exit code 2 and goes on when there is
+    room.
+    """
     study = write_study(home, "seeds = 500")
     limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
     code, status, err = fleet(study, preexec_fn=limit)
@@ -633,7 +651,9 @@ def as_anyone():
 @pytest.mark.skipif(not hasattr(os, "setresuid"), reason="needs the users of Linux")
 @pytest.mark.parametrize("locked", [("study.sqlite",), (".",), ("study.sqlite", ".", "arrays")])
 def test_store_without_the_right_to_write(locked):
-    """File, folder or both: what is there can be read, whoever wants to write is told, nothing is touched."""
+    """File, folder or both: what is there can be read, whoever wants to write is told, nothing is
+    touched.
+    """
     with tempfile.TemporaryDirectory() as name:  # pytest's own folders are closed to others
         home = Path(name)
         home.chmod(0o755)
@@ -694,7 +714,9 @@ def test_schema(tmp_path, monkeypatch):
 
 
 def test_a_store_is_looked_at_as_it_was_at_one_time(tmp_path, monkeypatch):
-    """`--status` while the study makes its tables: what it reads first must not be older than what it reads last."""
+    """`--status` while the study makes its tables: what it reads first must not be older than what
+    it reads last.
+    """
 
     class Slow:
         def __init__(self, db):
@@ -770,7 +792,9 @@ def running_scheduler(tmp_path):
 
 
 def test_on_a_running_cluster(home, running_scheduler, monkeypatch):
-    """One of the cluster's workers is killed: its tasks move to the other, nothing is done twice, nothing blamed."""
+    """One of the cluster's workers is killed: its tasks move to the other, nothing is done twice,
+    nothing blamed.
+    """
     address, pids = running_scheduler
     killed = []
 
@@ -797,7 +821,9 @@ def test_on_a_running_cluster(home, running_scheduler, monkeypatch):
 
 
 def test_overhead_of_the_coordinator(home):
-    """Processor time of this process between the first and the last of 1,000 empty tasks: below 5 ms a task."""
+    """Processor time of this process between the first and the last of 1,000 empty tasks: below 5
+    ms a task.
+    """
     course = []
     heard = lambda p: course.append((p.new, time.process_time()))
     run_study(write_study(home, "seeds = 1000"), workers=2, solver=SOLVE, check=False, heard=heard)

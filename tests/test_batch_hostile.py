@@ -1,4 +1,6 @@
-"""Study and dataset files that were damaged or written to do harm: clear errors, no script, no formula, no escape sequence."""
+"""Study and dataset files that were damaged or written to do harm: clear errors, no script, no
+formula, no escape sequence.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ def harmless_cell(value: str) -> bool:
 
 @pytest.mark.slow
 def test_forty_names_in_every_field(tmp_path, capsys):
-    """Study, description, dataset and path; effects, models and fitters of such names are refused by name."""
+    """Study, description, dataset and path; effects, models and fitters of such names are refused
+    by name.
+    """
     assert len(NAMES) >= 40
     for k, name in enumerate(NAMES):
         home = tmp_path / str(k)
@@ -181,7 +185,9 @@ def mutated(text: bytes, rng: random.Random) -> bytes:
 def survives(
     folder: Path, files: tuple[Path, ...], rng: random.Random, count: int, limit_s: float
 ) -> dict[str, int]:
-    """Mutates one of the files `count` times; the study is either read or refused with a clear error."""
+    """Mutates one of the files `count` times; the study is either read or refused with a clear
+    error.
+    """
     study, ends = folder / "study.toml", {"read": 0, "refused": 0}
     for _ in range(count):
         path = rng.choice(files)
@@ -250,8 +256,10 @@ def test_status_of_mutated_studies(tmp_path, capsys):
 
 
 def test_nothing_in_the_package_runs_what_it_reads():
-    """No pickle, eval, exec, YAML or shell in the package; arrays are read without pickles. Files of PyTorch are pickles: the one
-    module that reads them knows tensors alone (its own tests hold it to that). A model of one's own is code: one module runs it."""
+    """No pickle, eval, exec, YAML or shell in the package; arrays are read without pickles. Files
+    of PyTorch are pickles: the one module that reads them knows tensors alone (its own tests hold
+    it to that). A model of one's own is code: one module runs it.
+    """
     tensors = ROOT / "jaxid/data/importers/torch.py"
     own_models = ROOT / "jaxid/dynamics/model_file.py"
     for top in ("jaxid", "models", "fitters"):

@@ -1,4 +1,6 @@
-"""Motion that comes before its cause: an input that is reported late by any time, and silence where causes come first."""
+"""Motion that comes before its cause: an input that is reported late by any time, and silence where
+causes come first.
+"""
 
 from dataclasses import replace
 
@@ -11,7 +13,9 @@ from jaxid.conventions import checking
 
 
 def moved(r: Recording, rows: float) -> Recording:
-    """The recording with its inputs that many rows later (before 0: earlier, as where a drive has a delay)."""
+    """The recording with its inputs that many rows later (before 0: earlier, as where a drive has a
+    delay).
+    """
     u = r.u.copy()
     for run in range(len(u)):
         for k in range(u.shape[2]):

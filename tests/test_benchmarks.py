@@ -38,7 +38,9 @@ def test_scan_agrees_with_diffrax(kind, values, amplitude, smoothing, limit):
 
 
 def test_the_twins_of_the_blind_cases_are_those_of_the_tests():
-    """Against the event-exact simulator; several lanes with an effect each, 3e-4 rad being the recordings' noise."""
+    """Against the event-exact simulator; several lanes with an effect each, 3e-4 rad being the
+    recordings' noise.
+    """
     plant = twins.PLANTS["pendulum"]
     t = np.arange(100) / plant.rate
     u = ref.multisine(t, [0.6], 3, periods=0.6, lines=4)
@@ -65,8 +67,9 @@ def test_the_twins_of_the_blind_cases_are_those_of_the_tests():
 
 @pytest.mark.slow
 def test_the_arms_twin_is_as_good_as_its_noise():
-    """Dry friction between two coupled links: taken with the mass matrix of a step's beginning it is off by more than the noise
-    once the arm swings."""
+    """Dry friction between two coupled links: taken with the mass matrix of a step's beginning it
+    is off by more than the noise once the arm swings.
+    """
     plant = twins.PLANTS["planar_arm"]
     t = np.arange(200) / plant.rate
     u = ref.multisine(t, [22.0, 7.0], 5, periods=0.8, lines=5)
@@ -91,7 +94,9 @@ def test_the_arms_twin_is_as_good_as_its_noise():
 @pytest.mark.parametrize("model", twins_mujoco.PLANTS)
 @pytest.mark.slow
 def test_the_twins_of_mujoco_are_the_same_machines(model):
-    """For 1.5 s, with what MuJoCo has itself and what is set anew before every step; the arm swings over the top."""
+    """For 1.5 s, with what MuJoCo has itself and what is set anew before every step; the arm swings
+    over the top.
+    """
     plant = twins.PLANTS[model]
     u = commands(plant, np.random.default_rng(4), 1)[:, : int(1.5 * plant.rate)]
     own = {

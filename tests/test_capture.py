@@ -21,7 +21,9 @@ KNOWN: dict[str, Any] = {"mass@a2": (1.1,), "com_x@a2": (0.15,)}
 
 @pytest.mark.parametrize("caught", [True, False])
 def test_a_catch_is_noticed_and_nothing_else(caught: bool):
-    """The target brings momentum: without a word about it the numbers of the whole run would be wrong and look sure."""
+    """The target brings momentum: without a word about it the numbers of the whole run would be
+    wrong and look sure.
+    """
     run = catch(3, caught=caught)
     binding = bind(None, capture.recorded(run, 3, numbers=KNOWN))
     own = [i for i in binding.free if of_a_body(binding.layout, i)]
@@ -49,7 +51,9 @@ def test_what_momentum_cannot_tell_of_a_change():
 
 
 def test_a_jump_of_speed_is_in_neither_side():
-    """Each side is filtered where its own content ends: that of the jump would bring in noise of several times the frequency."""
+    """Each side is filtered where its own content ends: that of the jump would bring in noise of
+    several times the frequency.
+    """
     run = catch(5)
     data = capture.recorded(run, 5)
     chain = resolve_model(None, data)

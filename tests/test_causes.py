@@ -1,4 +1,6 @@
-"""A cause in its own terms: every effect of the library says where it acts, what it is, and what to look for."""
+"""A cause in its own terms: every effect of the library says where it acts, what it is, and what to
+look for.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +99,9 @@ def test_what_the_effects_supply_is_said_with_its_size_and_place(variable, law, 
 
 
 def test_means_count_visits_not_samples():
-    """A law is found within its intervals, which do not shrink because neighbours in time say the same."""
+    """A law is found within its intervals, which do not shrink because neighbours in time say the
+    same.
+    """
     rng = np.random.default_rng(0)
     slow = np.repeat(rng.standard_normal(300), 20)  # noise that lasts twenty samples
     x = np.sin(np.arange(6000) / 150)

@@ -1,4 +1,6 @@
-"""The way from a recorded channel to joint torque: the same recording in A, mA, counts and N m gives the same answers."""
+"""The way from a recorded channel to joint torque: the same recording in A, mA, counts and N m
+gives the same answers.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The command line: what it writes, prints and returns. The work behind it is replaced by sample results."""
+"""The command line: what it writes, prints and returns. The work behind it is replaced by sample
+results.
+"""
 
 from __future__ import annotations
 

@@ -32,7 +32,9 @@ def law(data: Dataset, kind: str, settings: dict[str, Any]):
 
 
 def test_closed_loop_simulation_follows_the_exact_twin(quiet):
-    """Positions and torques of the product's closed loop against the twin's closed-form integration."""
+    """Positions and torques of the product's closed loop against the twin's closed-form
+    integration.
+    """
     b = bind("joint", quiet, splits=False)
     theta = b.theta.copy()
     for name, value in twin.TRUTH.items():
@@ -85,7 +87,9 @@ def test_linear_estimators_refuse_what_they_cannot_do(quiet):
 
 
 def test_recursion_ends_where_least_squares_does(quiet):
-    """Without forgetting; with it the later samples count more, and the estimate of a clean twin stays."""
+    """Without forgetting; with it the later samples count more, and the estimate of a clean twin
+    stays.
+    """
     batch = jaxid.fit("joint", quiet, fitter="ls")
     stream = jaxid.fit("joint", quiet, fitter="rls")
     forgets = jaxid.fit(

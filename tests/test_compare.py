@@ -1,4 +1,6 @@
-"""`jaxid compare`: what it writes, its statistics against separately computed ones, interruption, refusals."""
+"""`jaxid compare`: what it writes, its statistics against separately computed ones, interruption,
+refusals.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +90,9 @@ def test_wilson_interval(n, share):
 
 
 def test_interval_of_a_median_covers():
-    """800 draws of ten from a skewed distribution; the interval by order statistics covers at least 95 %."""
+    """800 draws of ten from a skewed distribution; the interval by order statistics covers at least
+    95 %.
+    """
     rng = np.random.default_rng(0)
     covered = 0
     for _ in range(800):
@@ -123,7 +127,9 @@ def test_summaries_of_known_runs():
 
 
 def test_the_drawn_median_never_rises():
-    """Runs that come to a loss late do not lift the line of those that came early: without one, a run stands above all."""
+    """Runs that come to a loss late do not lift the line of those that came early: without one, a
+    run stands above all.
+    """
     from matplotlib.figure import Figure
 
     c = made({"a": [1.0, 1.0, 3.0, 3.0, 5.0]})

@@ -1,4 +1,6 @@
-"""What a recording says about itself: each kind of finding, its size, the line that mends it, and silence where all is well."""
+"""What a recording says about itself: each kind of finding, its size, the line that mends it, and
+silence where all is well.
+"""
 
 import json
 import os
@@ -133,7 +135,9 @@ class Lever(Rigid):
     ("turned", "late", "found"), [(0.0, 1.2, []), (pi / 2, 0.0, [("zero", "q", pi / 2)])]
 )
 def test_no_scale_of_an_angle_hides_what_a_drive_of_volts_lacks(turned, late, found):
-    """The larger the motion is taken, the more it takes: what remains is compared with that, not with what it took before."""
+    """The larger the motion is taken, the more it takes: what remains is compared with that, not
+    with what it took before.
+    """
     r = recording("pendulum", 5)
     u = np.array([np.interp(r.t - late * r.t[1], r.t, x) for x in r.u[:, :, 0] / 0.15])
     data = jaxid.Dataset.from_arrays(
@@ -149,7 +153,9 @@ def test_no_scale_of_an_angle_hides_what_a_drive_of_volts_lacks(turned, late, fo
 
 
 def test_degrees_of_a_servo_under_goals_are_told_from_other_units():
-    """Gain, torque and back-EMF make up for much of a scale: the factor is sought from the numbers that fit with it."""
+    """Gain, torque and back-EMF make up for much of a scale: the factor is sought from the numbers
+    that fit with it.
+    """
     r = recording("servo", 5, noise=0.0)
     speed = np.gradient(r.y, r.t, axis=1)
     goal = r.y + (r.u + 0.04 * speed) / (0.12 * 7.4 * 0.4)
@@ -178,7 +184,9 @@ def test_what_a_simulation_does_not_bear_out_is_a_question(kind):
 
 
 def test_what_is_found_beside_laws_is_simulated_beside_them():
-    """A row's delay is a hundredth of what a spring leaves that the model lacks: without the spring no simulation shows it."""
+    """A row's delay is a hundredth of what a spring leaves that the model lacks: without the spring
+    no simulation shows it.
+    """
     r, _, _ = broken("row_shift", recording("pendulum", 5, "spring"), np.random.default_rng(0))
     (finding,) = [
         f
@@ -201,7 +209,9 @@ def test_a_filter_is_told_only_far_below_the_rate(corner, said):
 
 
 def test_a_reading_has_to_hold_in_the_runs_that_are_kept_back():
-    """A sign leaves more than the whole drive of a run whose torque is four times too large: it is not all that is wrong."""
+    """A sign leaves more than the whole drive of a run whose torque is four times too large: it is
+    not all that is wrong.
+    """
     r = recording("pendulum", 5)
     claimed = found(replace(r, u=-r.u * np.array([1.0, 1.0, 4.0])[:, None, None]))
     assert not [f for f in claimed if f.kind in ("sign", "zero", "scale")]
@@ -447,7 +457,9 @@ def test_faults_of_an_arm_with_many_numbers(recorded_arm, fault, kind, line):
 
 
 def test_columns_are_made_once_and_give_the_force():
-    """One motion's columns serve every reading of its inputs; other numbers and few samples give what the model itself does."""
+    """One motion's columns serve every reading of its inputs; other numbers and few samples give
+    what the model itself does.
+    """
     binding = bind(None, recording("pendulum", 5).dataset())
     motion = measured(binding)
     assert motion is not None
@@ -490,7 +502,9 @@ def test_only_what_the_data_do_not_allow_becomes_a_note(monkeypatch, error, note
 
 
 def test_a_current_is_no_torque_whatever_its_channel_is_called():
-    """A dataset that names no model states units of its own; a model that is given beside it is held to them."""
+    """A dataset that names no model states units of its own; a model that is given beside it is
+    held to them.
+    """
     t = np.arange(400) / 100
     data = jaxid.Dataset.from_arrays(
         t, {"tau": np.sin(t)}, {"q": np.sin(t) ** 2}, units={"tau": "mA"}

@@ -68,7 +68,9 @@ class Piston(Rigid):
 
 
 def moved(seed: int, size: float, force) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Positions of three runs at T, and the force that each takes, as means over the steps that follow the samples."""
+    """Positions of three runs at T, and the force that each takes, as means over the steps that
+    follow the samples.
+    """
     rng, h = np.random.default_rng(seed), T[1]
     q, f = [], []
     for _ in SPLITS:
@@ -130,7 +132,9 @@ def test_pressures_that_move_as_one_are_late_together():
 
 
 def spun(fault: str, angle: bool = False) -> jaxid.Dataset:
-    """A wheel with dry and viscous friction and drag of which a tachometer is read, and an encoder."""
+    """A wheel with dry and viscous friction and drag of which a tachometer is read, and an
+    encoder.
+    """
     t, runs = np.arange(0, 8, 0.005), []
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -197,7 +201,9 @@ def test_a_tachometer_alone_tells_what_is_wrong_with_the_torque(fault, value, li
     ],
 )
 def test_a_speed_that_is_not_the_rate_of_its_position(fault, kind, channel, line):
-    """Which of the two is wrong the torque tells, or the unit; a torque of opposite sign is neither."""
+    """Which of the two is wrong the torque tells, or the unit; a torque of opposite sign is
+    neither.
+    """
     found = jaxid.check(None, spun(fault, angle=True)).findings
     told = [(f.kind, f.channel, f.line[:14], f.same_as, f.applied) for f in found]
     asked = fault == "gear"  # by a gear either of them may be meant

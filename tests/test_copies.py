@@ -1,4 +1,6 @@
-"""One recording under two names, and repeats that change one way: neither tells anything of scatter."""
+"""One recording under two names, and repeats that change one way: neither tells anything of
+scatter.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +113,9 @@ def test_a_simulation_that_is_run_twice_is_asked_about():
 
 @pytest.mark.parametrize("blurred", [False, True])
 def test_motion_on_an_odd_clock_is_no_noise_of_a_copy(blurred):
-    """A clock that alternates makes motion alternate by rows; time stamps that scatter, by times."""
+    """A clock that alternates makes motion alternate by rows; time stamps that scatter, by
+    times.
+    """
     rng = np.random.default_rng(0)
     true = T if blurred else np.cumsum(np.tile([0.004, 0.006], len(T) // 2))
     stamps = T + 1e-4 * rng.standard_normal(len(T)) if blurred else true

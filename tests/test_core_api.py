@@ -1,4 +1,6 @@
-"""The core as users of optimistix, diffrax and blackjax meet it: each test is what one of them would write."""
+"""The core as users of optimistix, diffrax and blackjax meet it: each test is what one of them
+would write.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""One covariance: positive semidefinite whatever the data leave open, one-sided where a bound holds."""
+"""One covariance: positive semidefinite whatever the data leave open, one-sided where a bound
+holds.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ class Linear:
 
 
 def is_distribution(C: np.ndarray) -> bool:
-    """Whether a covariance is finite, symmetric and positive semidefinite, in units of its diagonal."""
+    """Whether a covariance is finite, symmetric and positive semidefinite, in units of its
+    diagonal.
+    """
     size = np.sqrt(np.diag(C))
     R = C / np.outer(size, size)
     return bool(np.isfinite(R).all() and np.allclose(R, R.T) and np.linalg.eigvalsh(R)[0] > -1e-9)
@@ -61,7 +65,9 @@ def is_distribution(C: np.ndarray) -> bool:
     st.booleans(),
 )
 def test_a_covariance_is_one_of_some_distribution(seed, n, rank, active, coloured):
-    """Of random Jacobians, also of less than full rank and of columns of any size, with any numbers at their bounds."""
+    """Of random Jacobians, also of less than full rank and of columns of any size, with any numbers
+    at their bounds.
+    """
     rng = np.random.default_rng(seed)
     rank, active = min(rank, n), min(active, n)
     J = (
@@ -95,7 +101,9 @@ def test_what_is_far_from_its_bounds_has_the_least_squares_covariance():
 
 
 def test_two_that_the_data_tell_only_as_a_sum_are_bounded_by_it():
-    """One stands at 0, and neither can be negative: each lies between 0 and the sum, and the sum is known."""
+    """One stands at 0, and neither can be negative: each lies between 0 and the sum, and the sum is
+    known.
+    """
     total = 0.07
     J = np.full((200, 2), 50.0)
     rng = np.random.default_rng(0)
@@ -110,7 +118,9 @@ def test_two_that_the_data_tell_only_as_a_sum_are_bounded_by_it():
 
 
 def test_a_number_that_is_pushed_against_its_bound_frees_the_others():
-    """The further the best value lies beyond the bound, the better the number is known to stand at it."""
+    """The further the best value lies beyond the bound, the better the number is known to stand at
+    it.
+    """
     rng = np.random.default_rng(0)
     J = rng.standard_normal((300, 2)) @ np.array([[1.0, 0.9], [0.0, 0.4]])
     r = rng.standard_normal(300)

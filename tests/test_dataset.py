@@ -1,5 +1,7 @@
 # ruff: noqa: E501 (tables of cases, one a line)
-"""Datasets: what is refused and how, what is accepted, and that nothing is lost between arrays, folders and splits."""
+"""Datasets: what is refused and how, what is accepted, and that nothing is lost between arrays,
+folders and splits.
+"""
 
 from __future__ import annotations
 

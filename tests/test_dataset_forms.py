@@ -1,5 +1,7 @@
 # ruff: noqa: E501 (tables of cases, one a line)
-"""What `dataset.toml` may say of how a channel was recorded: each form undoes what was done to it, alone and together."""
+"""What `dataset.toml` may say of how a channel was recorded: each form undoes what was done to it,
+alone and together.
+"""
 
 from __future__ import annotations
 
@@ -471,7 +473,9 @@ def test_paths_of_windows(tmp_path, file, shown):
 def test_forms_compose_and_survive_saving(
     tmp_path, scale, offset, unit, wrap, shift, weights, time_unit, every
 ):
-    """A signal that was wrapped, put into a unit, scaled, shifted and spread over columns comes back as it was."""
+    """A signal that was wrapped, put into a unit, scaled, shifted and spread over columns comes
+    back as it was.
+    """
     to = conversion(unit)
     stated = Q / to.factor
     if wrap:

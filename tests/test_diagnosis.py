@@ -1,4 +1,6 @@
-"""The diagnosis on twins whose missing effect it is not told, on controls, and on real recordings where they are present."""
+"""The diagnosis on twins whose missing effect it is not told, on controls, and on real recordings
+where they are present.
+"""
 
 import dataclasses
 import functools
@@ -109,8 +111,9 @@ RIPPLE: dict[str, Any] = {"ripple": 0.05, "ripple_order": 27.7}
 
 @pytest.mark.slow
 def test_the_order_of_a_ripple_is_read_off_the_missing_torque():
-    """A joint without end stops passes dozens of its periods: no probe is near, and a free run has a minimum at every one. From
-    the probes alone this fit ends at an order of 12.7."""
+    """A joint without end stops passes dozens of its periods: no probe is near, and a free run has
+    a minimum at every one. From the probes alone this fit ends at an order of 12.7.
+    """
     data = recording("joint", 7, **RIPPLE)
     assert np.ptp(data.experiments[0].y) * 27.7 > 12 * 2 * np.pi  # periods
     fit = jaxid.fit("joint", data, effects=["torque_ripple"])
@@ -159,7 +162,9 @@ def test_growth_of_a_difference_at_the_start(angle, least, most):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_an_arm_thrown_over_the_top():
-    """A two-link arm that is thrown over the top; its command has another scale than the model's at joint 2."""
+    """A two-link arm that is thrown over the top; its command has another scale than the model's at
+    joint 2.
+    """
     t, rng = np.arange(1200) / 200, np.random.default_rng(3)
     plant = dataclasses.replace(twins.PLANTS["planar_arm"], rate=200)
     lines = 2 * np.pi * rng.uniform(0.3, 1.5, (4, 2, 6)), rng.uniform(0, 6, (4, 2, 6))
@@ -190,7 +195,8 @@ def test_an_arm_thrown_over_the_top():
         data,
         effects=["torque_scale", "supply_droop", "back_emf", "torque_ripple", "sensor_bias"],
     )
-    # A drive that gives 7 % more at one joint is one that gives 7 % less at the other, on an arm heavier by as much.
+    # A drive that gives 7 % more at one joint is one that gives 7 % less at the other, on an arm
+    # heavier by as much.
     assert d.which.verdict == "named" and len(d.which.effects) == 1
     assert {str(e) for e in (*d.which.effects, *d.which.confusable_with)} == {
         "torque_scale at tau1",
@@ -265,7 +271,9 @@ def written(
     names: dict[str, str],
     units: dict[str, tuple[str, float]],
 ):
-    """A dataset on disk: runs in this order, channels under these column names, in these units (name, size in SI)."""
+    """A dataset on disk: runs in this order, channels under these column names, in these units
+    (name, size in SI).
+    """
     folder.mkdir()
     signals = {"tau": lambda e: e.u[:, 0], "q": lambda e: e.y[:, 0]}
     lines = ["name = 'written'", "[model]", "name = 'pendulum'"]
@@ -363,7 +371,9 @@ def test_a_model_that_lacks_nothing_gets_none():
 
 
 def commanded_arm(drag: tuple[float, float]) -> jaxid.Dataset:
-    """A two-link arm along prescribed motion without rests, its torque by the twin's equations with noise: three runs of 6 s."""
+    """A two-link arm along prescribed motion without rests, its torque by the twin's equations with
+    noise: three runs of 6 s.
+    """
     t, plant = np.arange(1200) / 200, twins.PLANTS["planar_arm"]
     numbers = {
         k: np.tile(x, (len(t), 1))
@@ -439,7 +449,9 @@ def test_a_nominal_term_taken_out_is_found():
 @pytest.mark.parametrize("dry", [0.02, 0.0])
 @pytest.mark.slow
 def test_what_refines_an_effect_that_is_missing_comes_with_it(dry):
-    """Stribeck friction is no law without dry friction: a model that has none is asked for both, and keeps what the data need."""
+    """Stribeck friction is no law without dry friction: a model that has none is asked for both,
+    and keeps what the data need.
+    """
     data = recording("pendulum", 5, coulomb=dry, stribeck=0.02, stribeck_speed=0.15)
     choice = ["coulomb_friction", "stribeck_friction", *CHOICE]
     d = jaxid.diagnose("pendulum", data, without=["coulomb_friction"], effects=choice)
@@ -453,8 +465,9 @@ def test_what_refines_an_effect_that_is_missing_comes_with_it(dry):
 
 @pytest.mark.slow
 def test_of_two_effects_neither_need_help_alone():
-    """A lag beside asymmetric friction explains the fit runs and spoils the validation runs, which go where the friction counts;
-    what a lag of the sensor explains is less, of both."""
+    """A lag beside asymmetric friction explains the fit runs and spoils the validation runs, which
+    go where the friction counts; what a lag of the sensor explains is less, of both.
+    """
     data = recording("joint", 3, lag=0.0138, dry_asymmetry=0.0143, viscous_asymmetry=0.002)
     timing = ["input_delay", "sensor_delay", "actuator_lag", "sensor_lag"]
     d = jaxid.diagnose(
@@ -466,7 +479,9 @@ def test_of_two_effects_neither_need_help_alone():
 
 @pytest.mark.slow
 def test_something_small_is_found_beside_what_was_named():
-    """The first effect brings the model to 1.05 times the noise; what is left is white, and has the shape of the second."""
+    """The first effect brings the model to 1.05 times the noise; what is left is white, and has the
+    shape of the second.
+    """
     data = recording("pendulum", 1, load=0.1, drag=1e-4)
     d = jaxid.diagnose("pendulum", data, effects=[*CHOICE, "spring_torque"])
     assert d.which.verdict == "named"
@@ -477,7 +492,9 @@ def test_something_small_is_found_beside_what_was_named():
 
 
 def test_what_was_passed_over_is_tried_again_beside_a_later_effect():
-    """In the place of the accepted effect, never of the last one, and with the numbers of that place where they were."""
+    """In the place of the accepted effect, never of the last one, and with the numbers of that
+    place where they were.
+    """
     names = ["input_delay", "actuator_lag", "spring_torque", "quadratic_drag"]
     data = recording("pendulum", 1, load=0.1)
     bench = Bench(bind("pendulum", data, candidates=[catalogue.effect_class(n) for n in names]))
@@ -545,7 +562,8 @@ def test_wrong_arguments_are_named():
     for arguments, word in wrong:
         with pytest.raises(jaxid.UsageError, match=word):
             jaxid.diagnose("joint", data, **arguments)
-    # By torque, half a second at each end goes to the filter: the first tenth of a run holds no row.
+    # By torque, half a second at each end goes to the filter: the first tenth of a run holds no
+    # row.
     assert (
         jaxid.diagnose(
             "joint", data, residual="inverse_dynamics", effects=["spring_torque"]
@@ -584,7 +602,9 @@ def test_evidence_counts_memory():
 
 
 def test_an_interval_holds_a_further_run():
-    """Of runs whose errors are alike, and of those of which few are far worse than the others (log-normal)."""
+    """Of runs whose errors are alike, and of those of which few are far worse than the others
+    (log-normal).
+    """
     rng = np.random.default_rng(1)
 
     def runs(count: int, spread: float) -> tuple[HeldOut, HeldOut]:
@@ -608,7 +628,9 @@ def test_an_interval_holds_a_further_run():
 
 
 def test_runs_that_begin_in_motion_are_not_taken_for_a_gap():
-    """A joint that turns freely keeps the speed that its first samples tell badly; a part that was cut off knows it better."""
+    """A joint that turns freely keeps the speed that its first samples tell badly; a part that was
+    cut off knows it better.
+    """
     runs = recording("joint", 4).experiments
     later = [(e.t[400:] - e.t[400], e.u[400:, 0], e.y[400:, 0]) for e in runs]
     t, u, q = zip(*later, strict=True)
@@ -630,7 +652,9 @@ def test_runs_that_begin_in_motion_are_not_taken_for_a_gap():
 
 @pytest.mark.slow
 def test_what_contains_a_hypothesis_leads_it_out_of_a_local_minimum():
-    """Dry friction alone had ended at 79 times the noise where Stribeck's law beside it ended at the noise, without any of it."""
+    """Dry friction alone had ended at 79 times the noise where Stribeck's law beside it ended at
+    the noise, without any of it.
+    """
     names = ["coulomb_friction", "stribeck_friction"]
     data = recording("pendulum", 3)
     library = [catalogue.effect_class(n) for n in names]
@@ -679,8 +703,10 @@ def test_an_interval_needs_blocks():
 
 @pytest.mark.parametrize("left", [0.0, 0.3])
 def test_an_interval_holds_where_the_model_before_is_wrong_for_long(left):
-    """What was left before is one slow curve of which a report run holds few independent parts. Where the effect leaves none of
-    it the interval knows enough; where it leaves a share, that is as slow, and there may be none."""
+    """What was left before is one slow curve of which a report run holds few independent parts.
+    Where the effect leaves none of it the interval knows enough; where it leaves a share, that is
+    as slow, and there may be none.
+    """
     rng = np.random.default_rng(5)
     kernel = np.ones(100) / 10
 
@@ -738,7 +764,9 @@ def test_free_pendulum_has_dry_friction_and_drag_for_its_viscous_term():
     not (DATA / "xl330_pendulum").is_dir(), reason="the XL330 recording is not in $JAXID_DATA"
 )
 def test_a_recorded_servo_lacks_load_dependent_friction():
-    """Neither model comes near the noise, and the nominal one must not be bent to the runs that choose."""
+    """Neither model comes near the noise, and the nominal one must not be bent to the runs that
+    choose.
+    """
     from benchmarks import xl330
 
     row = xl330.diagnosed()
@@ -774,7 +802,9 @@ def test_a_run_that_diverges_is_held_against_no_other():
 
 
 def leaving(fit_loss: float, loss: float, *effects: str) -> Any:
-    """What a verdict sees of a hypothesis that leaves these mean squares of fit and validation runs."""
+    """What a verdict sees of a hypothesis that leaves these mean squares of fit and validation
+    runs.
+    """
     path, held = SimpleNamespace(count=4000), SimpleNamespace(loss=loss, count=4000)
     return SimpleNamespace(
         effects=effects, size=len(effects), fit_loss=fit_loss, path=path, validation=held
@@ -786,7 +816,9 @@ def leaving(fit_loss: float, loss: float, *effects: str) -> Any:
     [(False, 9.0, "named"), (True, 9.0, "partly"), (True, 2.0, "named")],
 )
 def test_several_effects_must_come_down_to_the_noise(several, left, verdict):
-    """Three effects that leave three times the noise of two thousand come close to something else."""
+    """Three effects that leave three times the noise of two thousand come close to something
+    else.
+    """
     found = judge(
         Search(leaving(4e6, 4e6), leaving(left, left, "one", "two", "three"), several=several)
     )
@@ -803,7 +835,9 @@ def test_several_effects_must_come_down_to_the_noise(several, left, verdict):
     ],
 )
 def test_where_an_encoder_counts_from_within_a_step_is_no_gap(zeros, wave, verdict):
-    """Each run reads its own zero, in steps; more than half a step, or anything that moves, is a gap."""
+    """Each run reads its own zero, in steps; more than half a step, or anything that moves, is a
+    gap.
+    """
     rng = np.random.default_rng(0)
     error = [
         rng.uniform(-0.5, 0.5, (2000, 1)) + z + wave * np.sin(np.arange(2000) / 50)[:, None]
@@ -833,7 +867,9 @@ def test_where_an_encoder_counts_from_within_a_step_is_no_gap(zeros, wave, verdi
     ],
 )
 def test_a_small_effect_must_explain_more_than_it_leaves(left, without, stands_in):
-    """On an arm simulated with soft contacts a spring beside the inertia that was missing explained 81 units of 250."""
+    """On an arm simulated with soft contacts a spring beside the inertia that was missing explained
+    81 units of 250.
+    """
     both, one = leaving(left, left, "one", "two"), leaving(without, without, "one")
     assert outweighed(leaving(90.0, 90.0), both, one) == stands_in
     # A law that explains so much is not known to a thousandth.
@@ -842,7 +878,9 @@ def test_a_small_effect_must_explain_more_than_it_leaves(left, without, stands_i
 
 @pytest.mark.parametrize("fit_loss, loss, plain", [(0.99, 0.96, True), (1.0, 1.05, False)])
 def test_a_part_of_the_effects_is_enough_where_the_rest_is_within_the_noise(fit_loss, loss, plain):
-    """Dry friction came down to the noise; with Stribeck's share of 0.2 % of it the validation runs were 25 units better."""
+    """Dry friction came down to the noise; with Stribeck's share of 0.2 % of it the validation runs
+    were 25 units better.
+    """
     both, alone = leaving(0.98, 0.945, "dry", "stribeck"), leaving(fit_loss, loss, "dry")
     assert simpler(cast(Any, None), leaving(9e4, 9e4), alone, both) == plain
     other = leaving(
@@ -855,7 +893,9 @@ def test_a_part_of_the_effects_is_enough_where_the_rest_is_within_the_noise(fit_
     "fit_loss, verdict", [(1.0, "named"), (2.0, "named"), (8.0, "named"), (15.5, "partly")]
 )
 def test_what_is_named_closes_the_gap_of_the_fit_runs_too(fit_loss, verdict):
-    """On a tracker whose motors are not as their formula has them, one effect left 15.5 of 429 there."""
+    """On a tracker whose motors are not as their formula has them, one effect left 15.5 of 429
+    there.
+    """
     assert (
         judge(Search(leaving(429.0, 366.0), leaving(fit_loss, 7.1, "one"), several=False)).name
         == verdict
@@ -910,7 +950,9 @@ class Named(FunctionProblem):
 
 
 def test_what_the_data_leave_open_stays_where_the_user_put_it():
-    """Only the sum of the first two numbers is seen, and the third: the two share what they have to move, the third stays."""
+    """Only the sum of the first two numbers is seen, and the third: the two share what they have to
+    move, the third stays.
+    """
     residual = lambda z: 1e3 * jnp.stack([z[0] + z[1] - 1.0, z[2] - 0.3])
     problem = Named(residual, -np.full(3, 5.0), np.full(3, 5.0))
     astray = descend([(problem, np.array([4.0, -2.0, 0.1]))], 20, 1e-9)[0]
@@ -924,8 +966,10 @@ def test_what_the_data_leave_open_stays_where_the_user_put_it():
 
 
 def test_a_number_that_went_as_far_as_the_data_let_it_is_put_back():
-    """A small goal never brings the servo's duty to its limit: of motor constant and gain only the product is seen. A fit that
-    began where the gain is too large stays there; from there the numbers that the user gave are as good."""
+    """A small goal never brings the servo's duty to its limit: of motor constant and gain only the
+    product is seen. A fit that began where the gain is too large stays there; from there the
+    numbers that the user gave are as good.
+    """
     t = np.arange(800) / 200
     goal = 0.2 * multisine(t, [1.0], seed=3, periods=2, lines=6)[:, 0]
     truth = {"torque_constant": 0.2, "gain_scale": 1e-3}
@@ -1002,7 +1046,9 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
 
 
 def test_a_limit_far_below_the_commands_is_found():
-    """A servo that hardly follows its goals is re-tuned to one that stands still, which milder limits move no more."""
+    """A servo that hardly follows its goals is re-tuned to one that stands still, which milder
+    limits move no more.
+    """
     t = np.arange(1200) / 200
     u = [2 * multisine(t, [1.0], seed=k, periods=2, lines=6)[:, 0] for k in range(3)]
     plant = dataclasses.replace(twins.PLANTS["servo"], rate=200, noise=NOISE, resolution=0.0)
@@ -1066,7 +1112,9 @@ def test_what_leads_a_screen_and_what_may_equal_it_is_refitted_however_many_ther
 
 
 def test_an_effect_is_left_out_with_the_others_where_they_end_without_it():
-    """A scale of the torque and the model's own numbers are known only together: without it they have to go along."""
+    """A scale of the torque and the model's own numbers are known only together: without it they
+    have to go along.
+    """
     kinds = [catalogue.effect_class(n) for n in ("torque_scale", "dead_zone")]
     bench = Bench(bind("pendulum", recording("pendulum", 2, dead_zone=0.05), candidates=kinds))
     (scale,), (zone,) = (candidates(bench, [k.name]) for k in kinds)
@@ -1105,7 +1153,9 @@ def test_an_effect_is_left_out_with_the_others_where_they_end_without_it():
 
 
 def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):
-    """All single effects are asked in any case; what would come beside them is not, where nothing may be simulated any more."""
+    """All single effects are asked in any case; what would come beside them is not, where nothing
+    may be simulated any more.
+    """
     both = recording("pendulum", 5, load=0.1, lag=0.03)
     effects = [
         "load_dependent_friction",
@@ -1129,7 +1179,9 @@ def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):
 
 
 def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
-    """Of a model that lacks nothing: from where one with an effect ended it comes down to the noise, and then stays there."""
+    """Of a model that lacks nothing: from where one with an effect ended it comes down to the
+    noise, and then stays there.
+    """
     binding = bind(
         "pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")]
     )
@@ -1153,7 +1205,9 @@ def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
 
 
 def test_a_small_effect_has_to_show_on_report_data_too():
-    """Beside another, next to the noise; far from it, or where nothing is kept for the report, it is no question."""
+    """Beside another, next to the noise; far from it, or where nothing is kept for the report, it
+    is no question.
+    """
     binding = bind(
         "pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")]
     )
@@ -1184,7 +1238,9 @@ class Held(Searcher):
 
 
 def test_an_effect_that_only_led_out_of_a_local_minimum_is_not_named(monkeypatch):
-    """The effect's refit comes down to the noise and is accepted; once the model without it gets there too, it names nothing."""
+    """The effect's refit comes down to the noise and is accepted; once the model without it gets
+    there too, it names nothing.
+    """
     binding = bind(
         "pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")]
     )

@@ -1,4 +1,6 @@
-"""The documentation: its code runs, its commands exist, its links lead somewhere, and the site builds without a warning."""
+"""The documentation: its code runs, its commands exist, its links lead somewhere, and the site
+builds without a warning.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from jaxid.fitters.by_name import fitter_names
 
 
 ROOT = Path(__file__).resolve().parents[1]
-#: Pages whose blocks need a robot, a store or a cluster: what they import exists, and the tests of those parts run it.
+#: Pages whose blocks need a robot, a store or a cluster: what they import exists, and the tests of
+#: those parts run it.
 ELSEWHERE = [ROOT / "docs" / name for name in ("hardware.md", "batch.md")]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
@@ -177,7 +180,9 @@ def test_every_effect_has_a_place_in_the_atlas(monkeypatch, tmp_path):
 
 
 def test_the_site_builds_without_warnings(tmp_path):
-    """Notebooks without their outputs, which `make docs` computes; in a copy, for the build writes pages beside its sources."""
+    """Notebooks without their outputs, which `make docs` computes; in a copy, for the build writes
+    pages beside its sources.
+    """
     for module in ("furo", "myst_nb", "jupytext", "sphinx"):
         pytest.importorskip(module)
     source = tmp_path / "source"

@@ -1,4 +1,6 @@
-"""Every effect against separately written equations, at its neutral value, in fits, and its gradients."""
+"""Every effect against separately written equations, at its neutral value, in fits, and its
+gradients.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ INERTIA = {
 }
 ONLY = {"planar_arm": ("coupled_friction", "payload", "reflected_inertia")}
 
-#: Three settings of each effect: (number, power of the torque, power of the speed, power of the inertia).
+#: Three settings of each effect: (number, power of the torque, power of the speed, power of the
+#: inertia).
 One = tuple[float, int, int, int]
 T, R, N, J = (1, 0, 0), (1, -1, 0), (0, 0, 0), (0, 0, 1)
 
@@ -102,11 +105,13 @@ SETTINGS: dict[str, list[dict[str, One]]] = {
     "sensor_delay": settings(delay=of(N, 0.0013, 0.006, 0.0271)),
     "timestamp_jitter": settings(spread=of(N, 0.002, 0.005, 0.01)),
 }  # fmt: skip
-#: Effects of one model alone, tested with it: tests/test_flexible_link.py, tests/test_models.py; and tests/test_late_effects.py.
+#: Effects of one model alone, tested with it: tests/test_flexible_link.py, tests/test_models.py;
+#: and tests/test_late_effects.py.
 ELSEWHERE = {"geometric_stiffening", "base_motion", "actuator_curve", "step_change"}
 #: What a diagnosis asks first.
 FIRST = tuple(e for e in LIBRARY if not e.last_resort)
-#: What has events within a step, or a motor that rings against its link, needs finer steps for the same accuracy.
+#: What has events within a step, or a motor that rings against its link, needs finer steps for the
+#: same accuracy.
 FINE = (
     "coulomb_friction",
     "asymmetric_friction",
@@ -153,7 +158,9 @@ def mean_level(layout: Layout) -> np.ndarray:
 
 
 class Product:
-    """One mechanism with the whole library at its neutral values, on a command of 0.6 s; every effect at every setting."""
+    """One mechanism with the whole library at its neutral values, on a command of 0.6 s; every
+    effect at every setting.
+    """
 
     def __init__(self, case: str):
         self.case = case
@@ -264,7 +271,9 @@ def test_settings_cover_the_library():
 
 @pytest.mark.parametrize("effect", SETTINGS)
 def test_effect_against_its_equation(product, effect):
-    """All three settings on the pendulum, and those of effects that need two joints on the arm; the middle one elsewhere."""
+    """All three settings on the pendulum, and those of effects that need two joints on the arm; the
+    middle one elsewhere.
+    """
     case = product.case
     if (effect, 0) not in product.outputs:
         pytest.skip("not on this mechanism")
@@ -282,7 +291,9 @@ def test_effect_against_its_equation(product, effect):
 
 
 def alike(product: Product, a: np.ndarray, b: np.ndarray) -> bool:
-    """Bitwise equal; for the arm but for rounding: some compilers join products and sums in one program of it only."""
+    """Bitwise equal; for the arm but for rounding: some compilers join products and sums in one
+    program of it only.
+    """
     return np.array_equal(a, b) or (
         product.case == "planar_arm" and np.abs(a - b).max() <= 1e-13 * np.abs(b).max()
     )
@@ -305,8 +316,9 @@ def test_neutral_effects_beside_the_builtin_ones_are_absent(product):
 
 
 def test_no_gradient_is_nan(product):
-    """At rest without command, with every effect neutral; and anywhere within the bounds where the simulation itself holds (all
-    effects at once, at any strength, can be stiffer than the step)."""
+    """At rest without command, with every effect neutral; and anywhere within the bounds where the
+    simulation itself holds (all effects at once, at any strength, can be stiffer than the step).
+    """
     layout, nq = product.layout, product.layout.chain.nq
     still = Simulator(layout.chain, product.t[:4], 0 * product.u[:4], 2e-3, size=1024, whole=True)
     y, dy = still.tangents(layout.values)
@@ -330,7 +342,9 @@ def test_no_gradient_is_nan(product):
 
 
 def test_effects_of_the_drive_act_in_the_order_given_after_those_of_time():
-    """Delay, then scale, droop, limit and dead zone one after the other, however the timing is written."""
+    """Delay, then scale, droop, limit and dead zone one after the other, however the timing is
+    written.
+    """
     from jaxid.models import effects as library
 
     t = np.arange(61) * 0.01
@@ -358,7 +372,8 @@ def test_effects_of_the_drive_act_in_the_order_given_after_those_of_time():
 
 
 NOISE, VISCOUS = 2e-4, 0.05
-#: What re-tuning cannot tell from parameters of the pendulum or from its unknown start: those are known here.
+#: What re-tuning cannot tell from parameters of the pendulum or from its unknown start: those are
+#: known here.
 KNOWN = (
     "backlash",
     "torque_scale",
@@ -381,8 +396,8 @@ FOUND: dict[str, dict[str, float]] = {
     "sensor_scale": {"gain": 0.03}, "sensor_lag": {"lag": 0.02}, "sensor_delay": {"delay": 0.008},
     "timestamp_jitter": {"spread": 0.01},
 }  # fmt: skip
-#: A free run has many local minima in these, or too little of its beginning tells of them: found again from a start nearby
-#: (saturation from afar in 10 or 11 of 12 draws of the noise).
+#: A free run has many local minima in these, or too little of its beginning tells of them: found
+#: again from a start nearby (saturation from afar in 10 or 11 of 12 draws of the noise).
 NEAR = ("joint_elasticity", "backlash", "timestamp_jitter", "saturation")
 T_FIT = np.arange(201) * 0.01
 
@@ -395,7 +410,9 @@ QUICK = ("dead_zone", "input_delay", "quadratic_drag", "flexible_mode", "sensor_
     "effect", [e if e in QUICK else pytest.param(e, marks=pytest.mark.slow) for e in FOUND]
 )
 def test_an_effect_is_found_again(effect):
-    """From noisy data with viscous friction beside it, by a fit that starts without it (dry laws: test_diagnosis.py)."""
+    """From noisy data with viscous friction beside it, by a fit that starts without it (dry laws:
+    test_diagnosis.py).
+    """
     u = ref.multisine(T_FIT, [1.2], 3, periods=2, lines=8)
     u[:10] = 0.0
     values = {p: np.array([v]) for p, v in FOUND[effect].items()}
@@ -417,7 +434,8 @@ def test_an_effect_is_found_again(effect):
         initial={"q": 0.0, "qd": 0.0} if effect in KNOWN else None,
         model=ModelSpec("pendulum", constants=known if effect in KNOWN else {}),
     )
-    # The whole library stays in the chain at its neutral values, so that effects of a family share a program.
+    # The whole library stays in the chain at its neutral values, so that effects of a family share
+    # a program.
     binding = bind(None, data, effects=[effect], candidates=FIRST, splits=False)
     bench = Bench(binding, 1.25e-3)  # the step of a fit that has checked its step
     guesses = start_values(bench, binding.free, 0)

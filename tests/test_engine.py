@@ -47,7 +47,9 @@ def test_how_many_lanes_there_are_changes_no_bit(model):
 
 
 def test_a_program_is_compiled_once_also_where_the_first_call_was_interrupted():
-    """Two threads that need it at once wait for one another; what an interrupt leaves undone, the next call does."""
+    """Two threads that need it at once wait for one another; what an interrupt leaves undone, the
+    next call does.
+    """
     t = np.arange(200) / 200
     run = Simulator(Chain(Pendulum()), t, 0.3 * np.sin(7 * t)[:, None], step=5e-3, size=1024)
     programs, _ = run.engine._programs_of(frozenset())
@@ -66,7 +68,9 @@ def test_a_program_is_compiled_once_also_where_the_first_call_was_interrupted():
 
 
 def test_a_call_that_does_not_come_again_needs_one_program_for_what_would_need_many(monkeypatch):
-    """Several effects of two families each run in the program of all, and come out as in programs of their own."""
+    """Several effects of two families each run in the program of all, and come out as in programs
+    of their own.
+    """
     chain = Chain(Pendulum()).with_effects(DeadZone(), Backlash(), SensorLag())
     t = np.arange(200) / 100
     run = Simulator(chain, t, 0.4 * np.sin(3 * t)[:, None], step=1e-2, size=512)
@@ -95,7 +99,9 @@ def test_a_call_that_does_not_come_again_needs_one_program_for_what_would_need_m
 
 
 def test_only_what_remembers_follows_the_motion_before_a_record():
-    """Lanes of which nothing remembers start at the record itself; they come out as if they had followed the motion up to it."""
+    """Lanes of which nothing remembers start at the record itself; they come out as if they had
+    followed the motion up to it.
+    """
     chain = Chain(Pendulum()).with_effects(DeadZone(), Backlash(), SensorLag())
     t = np.arange(300) / 100
     u = 0.4 * np.sin(3 * t)[:, None]

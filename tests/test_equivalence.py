@@ -1,4 +1,6 @@
-"""Which effects a model cannot tell apart: known identities are found, and what gravity tells apart is not in a class."""
+"""Which effects a model cannot tell apart: known identities are found, and what gravity tells apart
+is not in a class.
+"""
 
 import pytest
 
@@ -14,7 +16,8 @@ def test_classes_are_those_of_mechanics(model):
     assert (
         frozenset({"input_delay at tau", "sensor_delay at q"}) in classes
     )  # from rest, nothing else runs on time
-    # A motor with its link on a spring is a joint with a swinging mass, unless the link alone has weight.
+    # A motor with its link on a spring is a joint with a swinging mass, unless the link alone has
+    # weight.
     both = frozenset({"joint_elasticity at q", "flexible_mode at q"})
     assert (both in classes) == (model == "joint")
     absorbed = {str(p) for p in found.absorbed}

@@ -62,7 +62,9 @@ def test_the_motion_keeps_its_limits_and_rests_at_both_ends(arm):
 
 @pytest.mark.slow
 def test_the_condition_number_is_that_of_the_written_out_regressor(arm):
-    """58 columns: base parameters, then the paper's friction with its exponents; sign(qd) smoothed as in the identification."""
+    """58 columns: base parameters, then the paper's friction with its exponents; sign(qd) smoothed
+    as in the identification.
+    """
     model, (q, qd, qdd) = UR10(), arm.fourier(arm.t)
     W = np.zeros((len(q), 6, 58))
     W[:, :, :40] = torque_columns(model, q, qd, qdd)[:, :, list(model.base().kept)]
@@ -80,7 +82,9 @@ def test_the_condition_number_is_that_of_the_written_out_regressor(arm):
 
 
 def test_optimisation_beats_chance(arm):
-    """The best of many random motions of the same family, all scaled to the same limits, is worse by far."""
+    """The best of many random motions of the same family, all scaled to the same limits, is worse
+    by far.
+    """
     assert arm.condition_number < 130
 
 
@@ -311,7 +315,9 @@ def test_every_model_has_a_test_here():
 
 @pytest.mark.slow
 def test_the_objective_of_paper_001():
-    """(18) and its constraints, worked out here from the coefficients alone; the search lowers it."""
+    """(18) and its constraints, worked out here from the coefficients alone; the search lowers
+    it.
+    """
     made: Any
     made, other = (
         excite(

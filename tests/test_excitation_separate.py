@@ -93,7 +93,9 @@ def test_the_input_stays_within_what_was_recorded(made, recordings, tmp_path):
 
 @pytest.mark.slow
 def test_the_distance_is_what_a_recording_shows(diagnosis, made, recordings):
-    """The designed run, recorded on the independent twin, sets the two apart by about what was claimed."""
+    """The designed run, recorded on the independent twin, sets the two apart by about what was
+    claimed.
+    """
     c = made.content
     assert c["distance"] > 2 * c["distance_recorded"] and c["distance"] > 3
     u = made.dataset.experiments[0].u[: len(T), 0]

@@ -1,4 +1,6 @@
-"""What was found goes back into the simulator: patched files, code for what has no field, and the round trip in MuJoCo."""
+"""What was found goes back into the simulator: patched files, code for what has no field, and the
+round trip in MuJoCo.
+"""
 
 import importlib
 import json
@@ -519,7 +521,9 @@ NUMBERS = {
 
 @pytest.mark.parametrize("to", list(TARGETS))
 def test_nothing_is_passed_over(arm, to, tmp_path):
-    """Every effect and every number has a row, with a field or a reason; the code is Python, and the texts are XML or YAML."""
+    """Every effect and every number has a row, with a field or a reason; the code is Python, and
+    the texts are XML or YAML.
+    """
     effects = EVERY + [(*k, n) for _, _, own in EXACT for k, n in own.items()][:-1]
     found = export(fit(NUMBERS, effects, arm), to, ranges=True)
     save(found, tmp_path / "out")
@@ -829,7 +833,9 @@ def recorded_in_mujoco(bench: Bench, path: Path, controller=None):
 
 
 def test_replay_of_the_file_that_made_the_recording(bench, tmp_path):
-    """Beside jaxid's run of the result that the file was exported from; an edited file is one of its own."""
+    """Beside jaxid's run of the result that the file was exported from; an edited file is one of
+    its own.
+    """
     effects = [(e, where, n) for (e, where), n in NEUTRAL.items()]
     effects[2] = ("back_emf", "lift_tau", {"constant": 0.4})
     save(export(fit({"damping@bend": 0.4}, effects, bench.path), "mjcf"), tmp_path)
@@ -879,7 +885,9 @@ URDF_ARM = """<robot name="arm"><link name="base"/>
 
 @pytest.mark.parametrize("every", [0.0, 0.005])
 def test_a_urdf_under_the_recordings_law(bench, tmp_path, every):
-    """The same arm as MJCF with actuators, and as URDF whose law [controller] states: continuous, or sampled at 200 Hz."""
+    """The same arm as MJCF with actuators, and as URDF whose law [controller] states: continuous,
+    or sampled at 200 Hz.
+    """
     from jaxid.data.dataset import Controller
 
     same = ARM.replace('damping="0.2" armature="0.02"', 'damping="0.2"').replace(
@@ -996,7 +1004,9 @@ def test_joints_named_q_take_the_torques_of_their_numbers(tmp_path):
 
 
 def swing(text: str, step: float, late: float = 0.0) -> np.ndarray:
-    """Positions of the arm's joints after 0.4 s of a goal that swings, `late` s late, run in MuJoCo in steps of `step` s."""
+    """Positions of the arm's joints after 0.4 s of a goal that swings, `late` s late, run in MuJoCo
+    in steps of `step` s.
+    """
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.timestep = step
     data = mujoco.MjData(model)
@@ -1050,7 +1060,8 @@ def test_a_limit_in_one_direction_is_not_called_exact(arm):
 # ---- what is written is nearer to the recording
 
 
-#: One joint that a drive holds, run in steps of 4 ms: first-order steps make its inertia h / 2 (0.8 + 3) more.
+#: One joint that a drive holds, run in steps of 4 ms: first-order steps make its inertia h / 2 (0.8
+#: + 3) more.
 STEPPED = """<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="{integrator}" gravity="0 0 0"/>
 <worldbody><body><joint name="q" axis="0 1 0" armature="{armature}" damping="0.8" frictionloss="{dry}"/>
 <inertial pos="0 0 0" mass="1" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody>

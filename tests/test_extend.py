@@ -1,4 +1,6 @@
-"""A mechanism, an effect with a state, and two fitters, written from outside: what a user adds in one file each."""
+"""A mechanism, an effect with a state, and two fitters, written from outside: what a user adds in
+one file each.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ class SpringCart(Rigid):
 
 
 class ActuatorLag(InputEffect):
-    """A drive of first order; its state follows the exact solution for a command that is held over the step."""
+    """A drive of first order; its state follows the exact solution for a command that is held over
+    the step.
+    """
 
     name: ClassVar[str] = "actuator_lag"
     equation: ClassVar[str] = "lag du'/dt = u - u'"
@@ -234,7 +238,9 @@ def test_a_gradient_fitter_from_outside(plain):
 
 
 def test_the_lag_is_exact_for_a_held_command(lagging):
-    """The neutral lag is bitwise absent, and a step response of the drive follows the exponential."""
+    """The neutral lag is bitwise absent, and a step response of the drive follows the
+    exponential.
+    """
     from simulated import relative, Simulator
 
     e = lagging.experiments[0]

@@ -1,4 +1,6 @@
-"""Packages that only some commands need: a command whose package is missing says what to install; the core runs without."""
+"""Packages that only some commands need: a command whose package is missing says what to install;
+the core runs without.
+"""
 
 from __future__ import annotations
 

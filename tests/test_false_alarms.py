@@ -1,4 +1,6 @@
-"""Clean recordings in odd forms, in which the check must find nothing that it applies; all 1,000 are in benchmarks/."""
+"""Clean recordings in odd forms, in which the check must find nothing that it applies; all 1,000
+are in benchmarks/.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ def test_glitches_on_an_uneven_clock_are_found_where_they_are():
 
 @pytest.mark.parametrize("first", [0.15, 0.01])
 def test_a_gap_at_the_beginning_is_no_speed(first):
-    """From rest under a constant force: at even times it goes one, three, five; after a gap it does not."""
+    """From rest under a constant force: at even times it goes one, three, five; after a gap it does
+    not.
+    """
     t = np.concatenate([[0.0], first + 0.01 * np.arange(200)])
     q = (
         0.5 * np.minimum(t, 0.16) ** 2

@@ -1,4 +1,6 @@
-"""Fits on data of separately written equations: what comes back, with what certainty, by which method."""
+"""Fits on data of separately written equations: what comes back, with what certainty, by which
+method.
+"""
 
 from __future__ import annotations
 
@@ -139,7 +141,9 @@ def test_rotary_and_linear_joint():
 
 @pytest.mark.slow
 def test_planar_arm():
-    """Its base parameters: with the lengths and the two centres of mass known, all others are determined."""
+    """Its base parameters: with the lengths and the two centres of mass known, all others are
+    determined.
+    """
     t = np.arange(401) * 0.01
     u = ref.multisine(t, [14.0, 4.0], 3, periods=2)
     q, _ = ref.simulate(
@@ -324,7 +328,9 @@ def test_gradient_method_and_population_reach_the_same_minimum(problem):
 
 
 def test_divergent_candidates_disturb_nobody(problem):
-    """A tenth of a population diverges: the others get the same numbers to the last bit, at no more than three times the cost."""
+    """A tenth of a population diverges: the others get the same numbers to the last bit, at no more
+    than three times the cost.
+    """
     rng = np.random.default_rng(1)
     z0 = problem.z(problem.base)
     healthy = np.clip(
@@ -383,7 +389,9 @@ def test_fitters_keep_bounds_and_repeat(problem, kind):
 
 
 def test_a_float32_program_beside_a_fit_is_unchanged(swing):
-    """A fit computes in float64 and leaves neither the setting nor the numbers of the program around it changed."""
+    """A fit computes in float64 and leaves neither the setting nor the numbers of the program
+    around it changed.
+    """
     before = {
         k: getattr(jax.config, k)
         for k in ("jax_enable_x64", "jax_platforms", "jax_default_matmul_precision")
@@ -400,7 +408,9 @@ def test_a_float32_program_beside_a_fit_is_unchanged(swing):
 
 @pytest.mark.slow
 def test_a_part_cut_from_a_run_starts_with_what_effects_remember():
-    """A slow drive under a steep command: what it still delivers at the cut is nothing that the part's own samples show."""
+    """A slow drive under a steep command: what it still delivers at the cut is nothing that the
+    part's own samples show.
+    """
     t = np.arange(801) * 0.005
     u = ref.multisine(t, [1.5], 3, periods=3, lines=12)
     u[:20] = 0.0
@@ -431,7 +441,9 @@ def test_a_part_cut_from_a_run_starts_with_what_effects_remember():
 def cut_in_time(
     q: np.ndarray, u: np.ndarray, t: np.ndarray, noise: float, effect: str
 ) -> jaxid.Fit:
-    """A pendulum's one recording from rest, of which the last third is kept for validation and report."""
+    """A pendulum's one recording from rest, of which the last third is kept for validation and
+    report.
+    """
     data = jaxid.Dataset.from_arrays(
         t,
         {"tau": u[:, 0]},
@@ -445,7 +457,9 @@ def cut_in_time(
 
 @pytest.mark.slow
 def test_a_part_cut_from_a_run_starts_before_its_sensor():
-    """What was measured has gone through the sensor already: taken for the motion, it would be late twice."""
+    """What was measured has gone through the sensor already: taken for the motion, it would be late
+    twice.
+    """
     t, lag, noise = np.arange(1001) * 0.005, 0.02, 1e-4
     u = ref.multisine(t, [0.5], 3, periods=3, lines=8)
     u[:20] = 0.0

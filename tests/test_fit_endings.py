@@ -62,7 +62,9 @@ def test_a_second_look_is_counted_and_a_budget_without_room_for_it_is_said(data)
 
 
 def test_a_look_at_the_same_minimum_ends_on_the_way_there(data):
-    """From a good start a search takes a few steps; a look from beside its end took several times as many."""
+    """From a good start a search takes a few steps; a look from beside its end took several times
+    as many.
+    """
     binding = bind(None, replace(data, model=ModelSpec("joint", without=("constant_torque",))))
     bench = Bench(binding)
     guess = start_values(bench, binding.free, 0)[0]
@@ -214,7 +216,9 @@ def test_a_fast_short_record_is_cut_so_that_every_part_is_judged(recwarn):
 
 
 def test_a_valley_in_which_steps_gain_nothing_beside_the_noise_is_at_its_end():
-    """1000 residuals of about 3 times the noise; every step gains a ten-thousandth of what one of them varies by."""
+    """1000 residuals of about 3 times the noise; every step gains a ten-thousandth of what one of
+    them varies by.
+    """
     wide = np.full(1, 1e9)
     problem: Any = SimpleNamespace(
         size=1,

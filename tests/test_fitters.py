@@ -1,4 +1,6 @@
-"""One conformance test for every fitter that searches: analytic minima, fits, bounds, repeatability, budgets, divergence."""
+"""One conformance test for every fitter that searches: analytic minima, fits, bounds,
+repeatability, budgets, divergence.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ each_search = pytest.mark.parametrize("kind", SEARCHES, ids=lambda k: k.name)
 
 
 def fitter_for(kind):
-    """The fitter, going on for as long as the budget lasts; one configuration, so that its programs are compiled once."""
+    """The fitter, going on for as long as the budget lasts; one configuration, so that its programs
+    are compiled once.
+    """
     fields = {f.name for f in dataclasses.fields(kind)}
     return kind(generations=10_000) if "generations" in fields else kind()
 
@@ -56,13 +60,17 @@ B = A @ np.array([0.5, 1.6, -0.3, -1.4]) + 0.3 * RNG.normal(size=20)
 
 
 def stepwise(problem: FunctionProblem) -> FunctionProblem:
-    """Evaluated generation by generation like a large simulation; `quadratic` runs whole generations as one program."""
+    """Evaluated generation by generation like a large simulation; `quadratic` runs whole
+    generations as one program.
+    """
     problem.work = 10**6
     return problem
 
 
 def quadratic() -> tuple[FunctionProblem, float]:
-    """Linear least squares with two unknowns beyond their bounds; the minimum by SciPy's bounded solver."""
+    """Linear least squares with two unknowns beyond their bounds; the minimum by SciPy's bounded
+    solver.
+    """
     problem = FunctionProblem(
         lambda z: jnp.asarray(A) @ z - jnp.asarray(B), -np.ones(4), np.ones(4)
     )
@@ -176,7 +184,9 @@ def test_searches_that_take_turns_are_those_alone():
 
 @each_search
 def test_survives_nan(kind):
-    """A third of the box gives nan, the start too; the minimum lies close to the edge of that region."""
+    """A third of the box gives nan, the start too; the minimum lies close to the edge of that
+    region.
+    """
     residual = lambda z: (
         jnp.where(z[0] > 0.5, jnp.nan, 1.0)
         * jnp.stack([z[0] - 0.45, 3 * (z[1] + 0.2), z[0] * z[1] + 0.09])
@@ -273,7 +283,9 @@ FITS = [
 
 @pytest.mark.parametrize(("model", "kind"), FITS)
 def test_fits(model, kind):
-    """Bounds, budget, monotone history; the same key gives the same bits; better than the start by far."""
+    """Bounds, budget, monotone history; the same key gives the same bits; better than the start by
+    far.
+    """
     problem = fit_problem(model)
     start = problem.z(problem.base)
     budget = 600
@@ -330,7 +342,9 @@ def test_losses_that_are_no_sum_of_squares(pendulum, loss, kind):
 
 
 def test_descent_needs_no_more_steps_than_scipy(pendulum):
-    """Against `least_squares` (trf) on the same residual and Jacobian, from a fifth off in every variable."""
+    """Against `least_squares` (trf) on the same residual and Jacobian, from a fifth off in every
+    variable.
+    """
     problem = Bench(pendulum).problem(OutputError(), "fit", pendulum.free, pendulum.theta)
 
     def both(z):
@@ -485,7 +499,9 @@ def test_weighted_pieces_are_weighted_least_squares():
 
 
 def test_recursion_over_runs_of_a_model(pendulum):
-    """Records of a model as pieces: loss, residual and Jacobian of a part are those of its records."""
+    """Records of a model as pieces: loss, residual and Jacobian of a part are those of its
+    records.
+    """
     problem = Bench(pendulum).problem(OutputError(), "fit", pendulum.free, pendulum.theta)
     z = problem.z(pendulum.theta)
     half = problem.part([0], [0.5])
@@ -522,8 +538,9 @@ def test_penalty_is_above_every_loss():
 )
 @settings(max_examples=200, deadline=None)
 def test_a_step_lowers_the_model_within_bounds(seed, size, flat, far):
-    """Nearly flat valleys that leave the box: variables held one after the other led uphill, which passed for convergence.
-    From where a model has all but diverged, numbers stay finite."""
+    """Nearly flat valleys that leave the box: variables held one after the other led uphill, which
+    passed for convergence. From where a model has all but diverged, numbers stay finite.
+    """
     rng = np.random.default_rng(seed)
     J = (
         rng.normal(size=(size + 3, size))
@@ -550,7 +567,9 @@ def test_a_step_lowers_the_model_within_bounds(seed, size, flat, far):
 
 
 def test_words_of_a_crossover_are_even_and_unrelated():
-    """Every bit is set half the time; no bit tells of its neighbours, of the next member or of the next generation's."""
+    """Every bit is set half the time; no bit tells of its neighbours, of the next member or of the
+    next generation's.
+    """
     from jaxid.fitters.de import words
 
     keys = jax.random.split(jax.random.key(5), 40)
@@ -605,7 +624,9 @@ def test_a_model_that_all_but_diverges_says_nothing_on_the_way():
 
 
 def test_a_good_start_does_not_end_a_population_before_it_has_searched():
-    """All of a population is worse than a good start for many generations; it goes on, and past it."""
+    """All of a population is worse than a good start for many generations; it goes on, and past
+    it.
+    """
     problem, _ = valley()
     start = np.array([1.001, 1.002])
     found = [

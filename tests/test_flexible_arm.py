@@ -1,4 +1,6 @@
-"""Two flexible links against energies, known frequencies, and a separately written integration in SciPy."""
+"""Two flexible links against energies, known frequencies, and a separately written integration in
+SciPy.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +23,11 @@ def arm_of(n_elements: int = 3, n_modes: int = 2, **numbers: float) -> FlexibleA
 
 
 class Written:
-    """The same arm once more, of point masses in the complex plane: M = sum m J' J, h = sum m J' Jdot v.
+    """The same arm once more, of point masses in the complex plane: M = sum m J' J, h = sum m J'
+    Jdot v.
 
-    Coordinates: q1, q2, and (u, theta) of the free nodes of both links. Nothing of it is taken from the product.
+    Coordinates: q1, q2, and (u, theta) of the free nodes of both links. Nothing of it is taken from
+    the product.
     """
 
     def __init__(self, arm: FlexibleArm):
@@ -74,7 +78,9 @@ class Written:
         return rows[:, 2:]
 
     def places(self, p):
-        """Positions of all points, how they move with each coordinate [points, size], and how what turns does [4, size]."""
+        """Positions of all points, how they move with each coordinate [points, size], and how what
+        turns does [4, size].
+        """
         at, angle = 0j, 0.0
         moves, turns = np.zeros(self.size, complex), np.zeros(self.size)
         where, J, T = [], [], []
@@ -111,7 +117,9 @@ def torque(t):
 
 @pytest.mark.parametrize("gravity", [pytest.param(0.0, marks=pytest.mark.slow), 9.81])
 def test_the_step_against_an_integration(gravity):
-    """Strong bends (tip angles of tenths of a radian), in both planes; the error of a step shrinks with its square."""
+    """Strong bends (tip angles of tenths of a radian), in both planes; the error of a step shrinks
+    with its square.
+    """
     with float64():
         arm = arm_of(2, 0, gravity=gravity, E1=2e10, E2=2e10)
         peer = Written(arm)
@@ -184,7 +192,9 @@ def test_the_matrices_are_those_of_the_energies():
 
 
 def test_welded_and_straight_it_is_one_beam():
-    """Cantilever of the double length: (beta L)^2 sqrt(EI / (rho A L^4)), beta L = 1.8751, 4.6941, 7.8548."""
+    """Cantilever of the double length: (beta L)^2 sqrt(EI / (rho A L^4)), beta L = 1.8751, 4.6941,
+    7.8548.
+    """
     same = dict(L1=0.5, L2=0.5, h1=0.003, h2=0.003, b1=0.05, b2=0.05, E1=7e10, E2=7e10)
     with float64():
         arm = arm_of(6, 0, **same, m_h=0.0, J_h=0.0, m_p=0.0, I_m1=0.0, I_m2=0.0)

@@ -1,4 +1,6 @@
-"""The flexible link against separately written finite elements, the analytic beam, and SciPy and diffrax integrations."""
+"""The flexible link against separately written finite elements, the analytic beam, and SciPy and
+diffrax integrations.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ T = np.arange(2001) * 1e-3
 
 
 def test_the_assembled_matrices_are_those_of_the_energies():
-    """Lagrange by automatic differentiation is the definition; the closed forms and a separate assembly equal it."""
+    """Lagrange by automatic differentiation is the definition; the closed forms and a separate
+    assembly equal it.
+    """
     with float64():
         values: dict[str, Any] = OWN | {"J_p": 2e-5}
         b = FlexibleLink(**values).beam()
@@ -58,7 +62,8 @@ def test_the_assembled_matrices_are_those_of_the_energies():
         )
         bending = jax.hessian(lambda p: beam.strain_energy(b, p))(psi)
         geometric = jax.hessian(lambda p: beam.foreshortening_energy(b, 1.0, p))(psi)
-        # The part that only a deflection's rotation adds is quadratic in it, with the beam's own mass matrix.
+        # The part that only a deflection's rotation adds is quadratic in it, with the beam's own
+        # mass matrix.
         rotation = jax.hessian(
             lambda p: (
                 beam.kinetic_energy(b, 1.0, p, psid) - beam.kinetic_energy(b, 1.0, p, psid, False)
@@ -95,14 +100,17 @@ def frequencies(link: FlexibleLink) -> np.ndarray:
 
 
 def analytic(count: int) -> list[float]:
-    """Uniform beam, hub inertia at one end, point mass at the other: zeros of the boundary determinant, in Hz."""
+    """Uniform beam, hub inertia at one end, point mass at the other: zeros of the boundary
+    determinant, in Hz.
+    """
     EI, m = DE["E"] * SECOND, RHO * AREA
 
     def determinant(f: float) -> float:
         w2 = (2 * pi * f) ** 2
         k = (m * w2 / EI) ** 0.25
         c, s, ch, sh = np.cos(k * L), np.sin(k * L), np.cosh(k * L), np.sinh(k * L)
-        # y = a cos + b sin + p cosh + q sinh in a frame at rest: y(0) = 0, EI y'' = -I_m w2 y' at 0, free end with a mass.
+        # y = a cos + b sin + p cosh + q sinh in a frame at rest: y(0) = 0, EI y'' = -I_m w2 y' at
+        # 0, free end with a mass.
         rows = [
             [1, 0, 1, 0],
             [-EI * k**2, DE["I_m"] * w2 * k, EI * k**2, DE["I_m"] * w2 * k],
@@ -139,7 +147,9 @@ def test_frequencies():
 
 
 def test_centrifugal_terms_change_the_clamped_frequency():
-    """Softening without, stiffening with the geometric term, by the figures derived for this link."""
+    """Softening without, stiffening with the geometric term, by the figures derived for this
+    link.
+    """
     Mp, Kp, _, _, G = elements()
     with float64():
         for stiff, table in (
@@ -162,7 +172,9 @@ def test_centrifugal_terms_change_the_clamped_frequency():
 
 @pytest.mark.parametrize("stiffening", [0.0, 1.0])
 def test_energy_is_kept_for_20_seconds(stiffening):
-    """Without damping and friction: hub at 8 rad/s, bent beam; kinetic and strain energy from the elements' integrals."""
+    """Without damping and friction: hub at 8 rad/s, bent beam; kinetic and strain energy from the
+    elements' integrals.
+    """
     undamped: dict[str, Any] = OWN | {
         "alpha": 0.0,
         "beta": 0.0,
@@ -210,7 +222,9 @@ def test_the_step_against_fine_steps_of_all_states(simulator, tau_c, phi, accele
 
 
 def test_the_hub_sticks(simulator):
-    """After the pulse the hub stands exactly still while the beam rings at its clamped frequency."""
+    """After the pulse the hub stands exactly still while the beam rings at its clamped
+    frequency.
+    """
     y = simulator.outputs([DE | {"tau_c": 0.2}])[0]
     still = np.flatnonzero(np.diff(y[:, 0]) == 0)
     assert still.size > 300
@@ -219,7 +233,9 @@ def test_the_hub_sticks(simulator):
 
 @pytest.mark.parametrize("stiffening", [False, True])
 def test_the_nonlinear_step_against_an_integration(stiffening):
-    """Hub at 10 rad/s, bent beam: SciPy on dense nodal equations with h as the paper's text defines it."""
+    """Hub at 10 rad/s, bent beam: SciPy on dense nodal equations with h as the paper's text defines
+    it.
+    """
     Mp, Kp, c, J, G = elements(2)
     M0, C, K = full(n=2)
     S = Mp - stiffening * G
@@ -406,7 +422,9 @@ def test_the_papers_pulse_is_fitted_by_records_and_biased_by_a_linear_response()
 
 @pytest.mark.slow
 def test_held_out_data_without_a_line_and_steps_finer_than_samples():
-    """2 ms samples are one step apart, and two where the step is halved; 0.2 s of a constant input hold no line of a response."""
+    """2 ms samples are one step apart, and two where the step is halved; 0.2 s of a constant input
+    hold no line of a response.
+    """
     t = np.arange(1000) * 2e-3
     u = np.where(t < 0.3, 0.241, 0.0)
     y = zero_order_hold(u, 2e-3, 20, DE["v"], 0.0) + np.random.default_rng(1).standard_normal(

@@ -102,7 +102,9 @@ def compared(robot: Robot, model, n: int) -> float:
 
 @pytest.mark.parametrize("gravity", [0.0, -9.81])
 def test_it_moves_as_in_mujoco(gravity):
-    """Random states with linear and angular momentum, a wheel and a slide among the joints; a uniform gravity shows nowhere."""
+    """Random states with linear and angular momentum, a wheel and a slide among the joints; a
+    uniform gravity shows nowhere.
+    """
     robot = craft(gravity)
     assert robot.signatures[0].joints == (*JOINTS, *ANGLES) and len(robot.signatures[0].inputs) == 4
     assert compared(robot, mujoco.MjModel.from_xml_string(text(gravity)), 4) < 1e-11
@@ -146,7 +148,9 @@ def test_a_rollout_is_mujocos():
 
 
 def test_momentum_is_conserved_and_mujocos():
-    """Angular momentum about the centre of mass, in the world: MuJoCo's sum over its bodies, at every time the same."""
+    """Angular momentum about the centre of mass, in the world: MuJoCo's sum over its bodies, at
+    every time the same.
+    """
     robot = craft()
     model = mujoco.MjModel.from_xml_string(text())
     data, rng = mujoco.MjData(model), np.random.default_rng(1)
@@ -184,7 +188,9 @@ def replace_mass(robot: Robot, mass) -> Robot:
 
 @pytest.fixture(scope="module")
 def runs():
-    """Two runs of 6 s, one without and one with momentum, friction in the joints that the fit is not told."""
+    """Two runs of 6 s, one without and one with momentum, friction in the joints that the fit is
+    not told.
+    """
     t = np.arange(601) * 0.01
     u = [torques(t, k + 1, 0.15) for k in range(2)]
     spins = (np.zeros(3), np.array([0.1, -0.05, 0.2]))
@@ -246,7 +252,9 @@ def test_simulate_takes_it(runs, tmp_path: Path):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_fit_by_torque():
-    """The last body's mass and the joints' damping within their intervals; the base's rows have no torque."""
+    """The last body's mass and the joints' damping within their intervals; the base's rows have no
+    torque.
+    """
     fine = np.arange(2001) * 0.002
     smooth = torques(fine, 5, 0.15)
     moved = motion(

@@ -32,7 +32,9 @@ def changed(robot: Robot, numbers: dict[str, float]) -> Robot:
 
 @pytest.mark.parametrize("kind", ["mjcf", "urdf"])
 def test_the_base_and_its_arm_are_patched(tmp_path: Path, kind: str):
-    """The patched file in MuJoCo with a free joint and without gravity moves as the fitted model does, lumped bodies too."""
+    """The patched file in MuJoCo with a free joint and without gravity moves as the fitted model
+    does, lumped bodies too.
+    """
     last, n = ("a2", 4) if kind == "mjcf" else ("arm", 1)
     file = tmp_path / ("craft.xml" if kind == "mjcf" else "craft.urdf")
     file.write_text(text() if kind == "mjcf" else URDF)

@@ -1,4 +1,6 @@
-"""The parts of a recording that need no device: limits, paths, clocks, rows on disk, sensors, the command line."""
+"""The parts of a recording that need no device: limits, paths, clocks, rows on disk, sensors, the
+command line.
+"""
 
 from __future__ import annotations
 
@@ -251,7 +253,9 @@ def test_a_held_current_is_sampled_as_held():
 
 
 def test_drift_and_offset_from_arrivals():
-    """Truth: the device runs 80 ppm slow and began 12.5 s later; delays are 0.3 ms and an exponential tail."""
+    """Truth: the device runs 80 ppm slow and began 12.5 s later; delays are 0.3 ms and an
+    exponential tail.
+    """
     rng = np.random.default_rng(0)
     within = 0
     for _ in range(20):
@@ -384,7 +388,9 @@ def test_words_wait_for_a_slow_listener_and_the_last_one_says_why():
 
 
 def test_a_reason_is_heard_although_the_line_is_closed():
-    """The driver ends while the recorder writes to it; what it said before its end is raised, not that the line is gone."""
+    """The driver ends while the recorder writes to it; what it said before its end is raised, not
+    that the line is gone.
+    """
     driver = Driver("jaxid.hardware.ur.driver", "test")
     driver.send("quit")
     driver.process.wait(20)
@@ -612,7 +618,9 @@ def test_lines_of_a_serial_sensor(tmp_path):
 
 
 def test_a_sensor_and_a_file_join_the_main_clock(tmp_path):
-    """Main device at 100 Hz, a sensor at 333 Hz with a clock of its own, and a file from another logger."""
+    """Main device at 100 Hz, a sensor at 333 Hz with a clock of its own, and a file from another
+    logger.
+    """
     rng = np.random.default_rng(3)
     motion = lambda t: np.sin(2 * np.pi * 0.5 * t) + 0.4 * np.sin(2 * np.pi * 1.3 * t + 1)
     tip = Stream("tip", (Column("tip", "rad"),), "sensor time, column 'ms'")
@@ -787,7 +795,9 @@ def test_a_wrong_plant_is_refused(tmp_path, capsys, text, words):
 
 
 def test_plants_are_models_in_real_time():
-    """A joint alone against its equation in plain Python; a whole arm against its own acceleration."""
+    """A joint alone against its equation in plain Python; a whole arm against its own
+    acceleration.
+    """
     from jaxid.hardware.emulators.plant import Ideal, Modelled
 
     numbers = {"inertia": 0.03, "viscous": 0.06, "gravity_torque": 0.8}

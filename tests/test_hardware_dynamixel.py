@@ -1,4 +1,6 @@
-"""Recording and moving Dynamixel servos: ROBOTIS' own SDK against the emulator, with every fault it can order."""
+"""Recording and moving Dynamixel servos: ROBOTIS' own SDK against the emulator, with every fault it
+can order.
+"""
 
 from __future__ import annotations
 
@@ -119,8 +121,8 @@ def test_ping_errors_action_and_reboot(three):
 def test_bytes_that_look_like_a_header_go_through(bus, content):
     assert bus.packets.writeTxRx(bus.port, 1, 200, len(content), content) == (0, 0)
     back, result, error = bus.packets.readTxRx(bus.port, 1, 200, len(content))
-    # The SDK 4.1.0 removes stuffing also where FF FF FD FD was sent, and where FF FD FD was after it removed some; what it then
-    # misses at the end is its own affair.
+    # The SDK 4.1.0 removes stuffing also where FF FF FD FD was sent, and where FF FD FD was after
+    # it removed some; what it then misses at the end is its own affair.
     sent = bytes(content)
     stuffed = sent.find(b"\xff\xff\xfd")
     if stuffed < 0 or not (
@@ -151,7 +153,8 @@ def check_against_log(folder: Path, emulator: Emulator, since: float) -> int:
         position, count = round(q / x.POSITION) + zero, round(current / amps)
         shifts.append([at[k[0]] - t for k in truth if k[1:] == (position, count)])
     assert all(shifts), "a row that the servo never gave"
-    # One offset between the clocks puts every row at its own time, to a tick; the row with the fewest twins offers it.
+    # One offset between the clocks puts every row at its own time, to a tick; the row with the
+    # fewest twins offers it.
     offsets = min(shifts, key=len)
     assert (
         min(max(min(abs(s - c) for s in found) for found in shifts) for c in offsets) < 2 * x.TICK_S
@@ -393,7 +396,8 @@ def test_the_end_of_the_recorder_stops_the_servo(servo, tmp_path, number):
     else:
         assert process.returncode == 130
     about = report(tmp_path / "out")
-    # rows go to disk every 0.5 s: SIGKILL takes what came since, with as much again for a machine that is busy
+    # rows go to disk every 0.5 s: SIGKILL takes what came since, with as much again for a machine
+    # that is busy
     assert not about["complete"] and about["rows"] > COMMANDED - 100
 
 
@@ -515,7 +519,9 @@ def test_a_path_of_any_length_begins(servo, tmp_path):
 
 
 def test_a_silence_that_is_allowed_ends_nothing(servo, tmp_path):
-    """The driver's process stands still for less than `data_age`, as on a computer that has too much to do."""
+    """The driver's process stands still for less than `data_age`, as on a computer that has too
+    much to do.
+    """
     since = time.monotonic()
 
     def pause() -> None:
@@ -615,7 +621,9 @@ def test_wrong_words(settings_, words):
     "JAXID_DYNAMIXEL_PORT" not in os.environ, reason="not run: JAXID_DYNAMIXEL_PORT names no servo"
 )
 def test_a_real_servo_is_recorded(tmp_path):
-    """Watches only; nothing moves. JAXID_DYNAMIXEL_BAUD and JAXID_DYNAMIXEL_ID where they differ from 1000000 and 1."""
+    """Watches only; nothing moves. JAXID_DYNAMIXEL_BAUD and JAXID_DYNAMIXEL_ID where they differ
+    from 1000000 and 1.
+    """
     device = Dynamixel(
         os.environ["JAXID_DYNAMIXEL_PORT"],
         int(os.environ.get("JAXID_DYNAMIXEL_ID", "1")),

@@ -14,10 +14,12 @@ NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "recording.py"
 
 
 def check(diagnosis, effect: str, field: str, hidden: float, truth: dict[str, float]) -> None:
-    """The hidden effect is the first one named, alone or beside smaller ones; hidden numbers lie in their 95 % intervals.
+    """The hidden effect is the first one named, alone or beside smaller ones; hidden numbers lie in
+    their 95 % intervals.
 
-    Six numbers are inside together with 95 % where each interval is 2.7 standard deviations wide. A command arrives at the
-    machine up to a millisecond beside its recorded time, which no interval knows of: 0.5 % of a value is granted for that.
+    Six numbers are inside together with 95 % where each interval is 2.7 standard deviations wide. A
+    command arrives at the machine up to a millisecond beside its recorded time, which no interval
+    knows of: 0.5 % of a value is granted for that.
     """
     result = diagnosis.to_dict()
     first = result["which"]["effects"][0]

@@ -1,4 +1,6 @@
-"""Recording and moving a UR: the real ur_rtde against the emulator, with every fault it can order."""
+"""Recording and moving a UR: the real ur_rtde against the emulator, with every fault it can
+order.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def report(folder: Path) -> dict:
 
 
 def test_nothing_is_lost_while_the_robot_moves(robot, tmp_path):
-    """Beside it ur_rtde's own file recording, which loses samples without a word: its count is printed, not required."""
+    """Beside it ur_rtde's own file recording, which loses samples without a word: its count is
+    printed, not required.
+    """
     code = (
         "import rtde_receive, sys, time;"
         "r = rtde_receive.RTDEReceiveInterface(sys.argv[1], 500.0, ['timestamp', 'actual_q']);"
@@ -168,7 +172,9 @@ def test_a_mute_server_is_recognised(robot, tmp_path):
 
 
 def test_a_lost_control_line_does_not_restart_the_robot(robot, tmp_path):
-    """ur_rtde would connect again and upload its program by itself after 4 s; by then its process is gone."""
+    """ur_rtde would connect again and upload its program by itself after 4 s; by then its process
+    is gone.
+    """
     ordered: list[float] = []
 
     def progress(stage, done, total, text):
@@ -274,7 +280,8 @@ def test_a_dead_or_hung_driver_stops_the_robot(robot, tmp_path, number):
     process = run_cli(robot, tmp_path / "out")
     sent = time.monotonic()
     os.kill(driver_of(process), number)
-    # Killed: its line closes at once. Hung: the recorder misses its word, ends it and asks the dashboard.
+    # Killed: its line closes at once. Hung: the recorder misses its word, ends it and asks the
+    # dashboard.
     assert (
         first_stop(robot, sent)
         < (0.2 if number == signal.SIGKILL else 1.5 * PATIENT_S + 0.3) + SLACK_S

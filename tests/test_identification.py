@@ -1,4 +1,6 @@
-"""Identification of six-axis arms: a UR10 simulated by Pinocchio, payloads, the recursion; recordings where they are at hand."""
+"""Identification of six-axis arms: a UR10 simulated by Pinocchio, payloads, the recursion;
+recordings where they are at hand.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ DATA = Path(
     os.environ.get("JAXID_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")
 ).resolve()
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
-#: Paper 001: friction of Table VI (F_c2 := 0), torque noise of Table II, the first payload in frame 6.
+#: Paper 001: friction of Table VI (F_c2 := 0), torque noise of Table II, the first payload in frame
+#: 6.
 LEVEL = np.array([10.0037, 0.0, 5.1803, 2.7800, 2.0115, 1.7533])
 VISCOUS = np.array([21.6084, 26.4096, 15.1400, 2.7746, 3.4578, 3.5335])
 EXPONENT = np.array([0.5758, 0.2723, 0.6093, 0.9995, 0.8031, 0.7209])
@@ -123,7 +126,9 @@ def test_the_right_law_wins_on_held_out_motion(quiet):
 
 @pytest.mark.slow
 def test_a_constrained_arm_can_be_simulated(quiet):
-    """Noise makes plain estimates unphysical; the constrained ones are bodies that can exist, and predict as well."""
+    """Noise makes plain estimates unphysical; the constrained ones are bodies that can exist, and
+    predict as well.
+    """
     from jaxid.dynamics.rigid_body import pseudo_inertia
 
     noisy = recording(None, 1.0, 5)
@@ -161,7 +166,9 @@ def test_one_moving_joint_leaves_directions_open():
 
 
 def test_payload_by_difference():
-    """Mass and centre of mass within their intervals; all rows beat the paper's three at equal data."""
+    """Mass and centre of mass within their intervals; all rows beat the paper's three at equal
+    data.
+    """
     empty = identify(None, recording(None, 1.0, 11), friction="power")
     loaded = identify(
         None, recording(LOAD, 1.0, 12), friction="power", reference=empty, gain_std=0.0
@@ -217,7 +224,9 @@ def test_references_of_another_arm_are_refused(quiet, tmp_path):
 
 @pytest.mark.slow
 def test_feed_forward_holds_the_loaded_arm(tmp_path):
-    """Gravity and torque of the loaded arm, elsewhere than where it was identified, against Pinocchio."""
+    """Gravity and torque of the loaded arm, elsewhere than where it was identified, against
+    Pinocchio.
+    """
     from jaxid.identification.feed_forward import FeedForward
 
     loaded = identify(None, recording(LOAD, 0.02, 12), friction="power")
@@ -262,7 +271,9 @@ def prior() -> np.ndarray:
 
 
 def test_recursion_is_ridge_regression(stream):
-    """(8) to (11) with P0 = 10, xi = 100 equal the closed form with prior weight xi / P0, and the stop rule counts."""
+    """(8) to (11) with P0 = 10, xi = 100 equal the closed form with prior weight xi / P0, and the
+    stop rule counts.
+    """
     from jaxid.dynamics.base_parameters import torque_columns
     from jaxid.identification.regression import friction_columns, LAWS
 
@@ -318,7 +329,9 @@ def test_payload_online_and_the_stop_rule(stream):
 
 
 def test_forgetting_follows_a_change():
-    """A load dropped halfway: with a forgetting factor the estimate follows, without it stays between."""
+    """A load dropped halfway: with a forgetting factor the estimate follows, without it stays
+    between.
+    """
     motion = excitation(3)
     half = len(motion[0]) // 2
     tau = np.concatenate([torque(motion, LOAD)[:half], torque(motion)[half:]])
@@ -374,7 +387,9 @@ def test_recursion_is_a_pure_function():
 
 
 def test_recursion_ends_at_weighted_least_squares(quiet):
-    """`rls` sees the same rows with the same weights as `wls`, but all of them and one after the other."""
+    """`rls` sees the same rows with the same weights as `wls`, but all of them and one after the
+    other.
+    """
     a, b = (identify(None, quiet, method=m, friction="linear") for m in ("wls", "rls"))
     assert np.abs(a.theta - b.theta).max() < 0.3 * np.max(a.std()) + 1e-3
     assert b.experiments[1].relative_error == pytest.approx(
@@ -393,7 +408,9 @@ def test_recursion_says_when_the_payload_has_converged():
 
 
 def test_replay_is_the_stream(stream):
-    """The recursion over recorded rows ends where the stream ends, and its rule fires at the same sample."""
+    """The recursion over recorded rows ends where the stream ends, and its rule fires at the same
+    sample.
+    """
     from jaxid.dynamics.base_parameters import torque_columns
     from jaxid.fitting.recursive_least_squares import replay
     from jaxid.identification.regression import friction_columns, LAWS
@@ -423,7 +440,9 @@ def test_instruments_need_the_commanded_motion(quiet):
 
 
 def test_instruments_remove_the_bias_of_noisy_positions():
-    """Encoder noise in the columns shrinks the drive inertias of least squares; instruments bring them back."""
+    """Encoder noise in the columns shrinks the drive inertias of least squares; instruments bring
+    them back.
+    """
     runs, rng = [excitation(3), excitation(8)], np.random.default_rng(2)
     taus = [torque(m, exponent=np.ones(6)) for m in runs]
     noisy = [m[1] + 2e-3 * rng.normal(size=m[1].shape) for m in runs]
@@ -625,7 +644,9 @@ def test_models_that_are_no_arm_are_refused():
 
 @pytest.mark.skipif(not (DATA / "ur10e").is_dir(), reason="no recordings at hand")
 def test_ur10e_recordings():
-    """Torque errors of the recording's own README: 3.90, 4.64, 4.54 %; the over-fitting friction law is turned down."""
+    """Torque errors of the recording's own README: 3.90, 4.64, 4.54 %; the over-fitting friction
+    law is turned down.
+    """
     r = identify(None, jaxid.load_dataset(DATA / "ur10e"))
     errors = [e.relative_error for e in r.experiments]
     assert errors[0] < 0.0395 and errors[1] < 0.047 and errors[2] < 0.046, errors
@@ -678,7 +699,9 @@ def test_a_file_is_trusted_only_where_every_validation_run_is_predicted_better(s
 
 @pytest.mark.slow
 def test_what_short_recordings_leave_open_stays_near_the_file():
-    """Seven joints, 4.7 s that are fitted: by that alone another recording is predicted worse than by nothing."""
+    """Seven joints, 4.7 s that are fitted: by that alone another recording is predicted worse than
+    by nothing.
+    """
     if not (DATA / "kinova_gen3").is_dir():
         pytest.skip(f"{DATA / 'kinova_gen3'} is not here; set JAXID_DATA")
     found = identify(None, jaxid.load_dataset(DATA / "kinova_gen3"), friction="linear")

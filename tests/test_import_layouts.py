@@ -1,6 +1,7 @@
 # ruff: noqa: E501 (tables of cases, one a line)
-"""Layouts of tables that programs write by habit: headers of several rows, printed arrays, clocks, lists of recordings; and what is
-proposed or refused of them."""
+"""Layouts of tables that programs write by habit: headers of several rows, printed arrays, clocks,
+lists of recordings; and what is proposed or refused of them.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 # ruff: noqa: E501 (tables of layouts, one a line)
-"""What is proposed for a file whose channels nobody named: every command runs as it is printed, and none leaves the input out."""
+"""What is proposed for a file whose channels nobody named: every command runs as it is printed, and
+none leaves the input out.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 # ruff: noqa: E501 (tables of cases, one a line)
-"""Recordings of robots by topic, unit and name of joint: bags and MCAP by their own writers, LeRobot's layouts, chains of a URDF."""
+"""Recordings of robots by topic, unit and name of joint: bags and MCAP by their own writers,
+LeRobot's layouts, chains of a URDF.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 # ruff: noqa: E501 (tables of cases, one a line)
-"""Imports of tables and arrays: each layout written by the public writer of its format, and read as what it is."""
+"""Imports of tables and arrays: each layout written by the public writer of its format, and read as
+what it is.
+"""
 
 from __future__ import annotations
 

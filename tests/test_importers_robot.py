@@ -1,4 +1,6 @@
-"""Imports of robots' recordings, on files made by the formats' own libraries where there are any."""
+"""Imports of robots' recordings, on files made by the formats' own libraries where there are
+any.
+"""
 
 from __future__ import annotations
 

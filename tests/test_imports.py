@@ -9,9 +9,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 
-#: From the ground up. What stands in one line may import each other. A part of a package that is built on more than the rest
-#: has a place of its own: a dataset is a plain value that robots are matched with, but it is read against the model it states;
-#: the files of a result hold its page.
+#: From the ground up. What stands in one line may import each other. A part of a package that is
+#: built on more than the rest has a place of its own: a dataset is a plain value that robots are
+#: matched with, but it is read against the model it states; the files of a result hold its page.
 LAYERS = (
     ("errors", "extras", "lazy", "numerics", "runtime", "serialise", "storage", "wording"),
     ("data",),
@@ -34,8 +34,8 @@ LAYERS = (
     ("__main__",),
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-#: Methods by which a result shows, exports and saves itself, and those by which a dataset is made: a class is where a user looks
-#: for them. Only they may import upward, when they are called.
+#: Methods by which a result shows, exports and saves itself, and those by which a dataset is made:
+#: a class is where a user looks for them. Only they may import upward, when they are called.
 AT_HAND = {
     "report",
     "plot",
@@ -56,7 +56,9 @@ def modules() -> Iterator[tuple[str, ast.Module]]:
 
 
 def imported(node: ast.AST) -> Iterator[str]:
-    """The packages of jaxid, or parts of them with a place of their own, that an import statement names."""
+    """The packages of jaxid, or parts of them with a place of their own, that an import statement
+    names.
+    """
     if isinstance(node, ast.Import):
         names = [a.name for a in node.names]
     elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -77,7 +79,9 @@ def place_of(module: str) -> str | None:
 
 
 def statements(node: ast.AST, inside: str | None = None) -> Iterator[tuple[ast.AST, str | None]]:
-    """Import statements and the function that they stand in; those for type checkers alone are left out."""
+    """Import statements and the function that they stand in; those for type checkers alone are left
+    out.
+    """
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
             continue

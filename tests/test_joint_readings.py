@@ -182,7 +182,8 @@ def test_friction_of_an_axis_driven_by_volts_is_recovered(residual):
     fit = jaxid.fit(Slow(), axis(), residual=residual)
     assert fit.state == "converged"
     for name, value in {"viscous": 500.0, "coulomb": 5.0}.items():
-        # A speed that is made of positions has noise where its sign turns, which the torque equation does not know of.
+        # A speed that is made of positions has noise where its sign turns, which the torque
+        # equation does not know of.
         assert fit.parameters[name].value == pytest.approx(
             value, rel=0.02 if residual == "output_error" else 0.15
         )

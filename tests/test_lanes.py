@@ -35,7 +35,9 @@ def in_blocks(step, carry, steps, width):
 
 
 def looped(A, x, table, steps):
-    """A loop with what a step may contain: small matrices, a loop that each lane leaves at its own time, a table."""
+    """A loop with what a step may contain: small matrices, a loop that each lane leaves at its own
+    time, a table.
+    """
     shift = jnp.sum(A, 0)
 
     def step(carry, k):
@@ -162,7 +164,9 @@ def test_models_move_alike(mechanism, effects):
     ],
 )
 def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
-    """Values and tangents as `jax.vmap` gives them; `laid_out` raises where it does not know the form of a program."""
+    """Values and tangents as `jax.vmap` gives them; `laid_out` raises where it does not know the
+    form of a program.
+    """
     chain = Chain(mechanism())
     layout, n, rng = Layout(chain), 24, np.random.default_rng(1)
     nu, ny, nq = len(chain.signature.inputs), len(chain.signature.outputs), chain.nq

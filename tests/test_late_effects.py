@@ -1,4 +1,6 @@
-"""The effects of last resort: an actuator's curve and a number that changes, against SciPy, and in fits and diagnoses."""
+"""The effects of last resort: an actuator's curve and a number that changes, against SciPy, and in
+fits and diagnoses.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def chain_of(effect) -> Chain:
 
 
 def swing(t: np.ndarray, u: np.ndarray, inertia, drive) -> np.ndarray:
-    """q [time] of a pendulum with these laws of time and command, the command held between samples."""
+    """q [time] of a pendulum with these laws of time and command, the command held between
+    samples.
+    """
     x, out = np.zeros(2), []
     for k in range(len(t)):
         out.append(x[0])

@@ -56,7 +56,9 @@ def test_the_setting_stands_in_the_id(capsys):
 @pytest.mark.parametrize("rotor", [0.0, 0.3])
 @pytest.mark.parametrize("model", [Pendulum, PlanarArm, SerialArm])
 def test_a_measured_motion_with_it_lacks_nothing(model, load, rotor):
-    """M qdd + bias of a motion is what goes on to the links; the rotor before the gear is no load to it."""
+    """M qdd + bias of a motion is what goes on to the links; the rotor before the gear is no load
+    to it.
+    """
     mechanism = model()
     n = len(mechanism.signatures[0].joints)
     rng = np.random.default_rng(n)

@@ -1,4 +1,6 @@
-"""Long recordings: windows give what whole records give, memory is foreseen, files are measured before they are read."""
+"""Long recordings: windows give what whole records give, memory is foreseen, files are measured
+before they are read.
+"""
 
 import dataclasses
 import resource
@@ -99,7 +101,9 @@ def test_a_long_series_is_transformed_in_the_same_way(monkeypatch):
 
 @pytest.mark.parametrize("jitter", [0.0, 0.3])
 def test_filtering_by_stretches(jitter):
-    """Each stretch knows enough of its neighbourhood; where samples are irregular splines are local, too."""
+    """Each stretch knows enough of its neighbourhood; where samples are irregular splines are
+    local, too.
+    """
     rng = np.random.default_rng(1)
     t = (np.arange(30_000) + jitter * rng.uniform(-0.5, 0.5, 30_000)) / 500
     x = rng.standard_normal((len(t), 2, 3)) + t[:, None, None]

@@ -1,4 +1,6 @@
-"""Fits that a free run or a sensor's noise would lead astray: windows, weights by what is left, equations without a scale."""
+"""Fits that a free run or a sensor's noise would lead astray: windows, weights by what is left,
+equations without a scale.
+"""
 
 from __future__ import annotations
 
@@ -187,7 +189,9 @@ def driven():
 
 
 def outcome(bench, first: Fit, growth: float, monkeypatch, **others: Fit) -> tuple[Fit, list[str]]:
-    """What is believed, and what was fitted on the way; `others` by residual, `free` from where windows ended."""
+    """What is believed, and what was fitted on the way; `others` by residual, `free` from where
+    windows ended.
+    """
     asked = []
 
     def fitted(residual, begin, spent):

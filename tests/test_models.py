@@ -1,4 +1,6 @@
-"""The papers' rigid systems against equations derived by SymPy and integrated by SciPy, which share no code with the product."""
+"""The papers' rigid systems against equations derived by SymPy and integrated by SciPy, which share
+no code with the product.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ from simulated import flow, relative, Simulator
 
 
 def lagrange(T, V, q, qd):
-    """tau = d/dt dL/dqd - dL/dq as functions of (q, qd, qdd), with everything else in it substituted."""
+    """tau = d/dt dL/dqd - dL/dq as functions of (q, qd, qdd), with everything else in it
+    substituted.
+    """
     qdd = sp.symbols(f"a0:{len(q)}")
     equations = []
     for x, v in zip(q, qd, strict=True):
@@ -50,7 +54,9 @@ M, MC, LONG, U, R, G = 0.043, 0.103, 0.26, 0.036, 0.09, 9.81
 
 @cache
 def tracker(J_theta: float, J_alpha: float, rotor: float = 0.0):
-    """The rod and camera as masses on a barrel that points back over the base axis, the rest of J_alpha as a free inertia."""
+    """The rod and camera as masses on a barrel that points back over the base axis, the rest of
+    J_alpha as a free inertia.
+    """
     th, al, thd, ald, s = sp.symbols("th al thd ald s")
     q, qd = (th, al), (thd, ald)
 
@@ -73,7 +79,9 @@ def tracker(J_theta: float, J_alpha: float, rotor: float = 0.0):
 
 @cache
 def space(floating: bool, share: float = 1.0) -> Any:
-    """Base (x, y, turn), link 1, last body (a `share` of it), all in the inertial plane; parameters below."""
+    """Base (x, y, turn), link 1, last body (a `share` of it), all in the inertial plane; parameters
+    below.
+    """
     x, y, th, q1, q2 = q = sp.symbols("x y th q1 q2")
     qd = sp.symbols("xd yd thd q1d q2d")
     p = SPACE | {k: share * SPACE[k] for k in ("m2", "hx", "hy", "I2")}
@@ -161,7 +169,9 @@ def test_the_tracker_under_voltage():
 
 
 def test_an_unpowered_barrel_sags():
-    """With the identified parameters by 32.8 degrees in 10 s (test A of the paper leaves the barrel at 0 V)."""
+    """With the identified parameters by 32.8 degrees in 10 s (test A of the paper leaves the barrel
+    at 0 V).
+    """
     t = np.arange(1001) * 0.01
     s = Simulator(jaxid.Chain(Tracker()), t, np.zeros((1001, 2)), 2.5e-3, size=8192)
     y = s.outputs([{"J_theta": 0.117, "J_alpha": 0.1, "b_theta": 1.9, "b_alpha": 1.495}])[0]
@@ -189,7 +199,9 @@ def test_the_space_manipulator_on_a_fixed_base():
 
 
 def test_the_floating_base_is_the_full_lagrangian_at_zero_momentum():
-    """Joint torques of the five-coordinate system with a free base, at random states without momentum."""
+    """Joint torques of the five-coordinate system with a free base, at random states without
+    momentum.
+    """
     equations, mass = space(True)
     rng = np.random.default_rng(4)
     model = SpaceManipulator(**SPACE, floating=True)
@@ -223,7 +235,8 @@ def test_the_base_turns_as_the_full_system_does_and_is_an_effect():
 
     truth = solve_ivp(field, (0, t[-1]), np.zeros(10), "DOP853", t, rtol=1e-9, atol=1e-11).y
     none = {f"{n}{j}": v for j in (1, 2) for n, v in (("F_c", 0.0), ("F_s", 0.0), ("F_v", 0.0))}
-    # As an effect on the nominal arm: at share 1 its base floats as that of the model with a floating base does.
+    # As an effect on the nominal arm: at share 1 its base floats as that of the model with a
+    # floating base does.
     loose = Simulator(
         jaxid.Chain(SpaceManipulator()).with_effects(BaseMotion()),
         t,
@@ -247,7 +260,9 @@ def test_the_base_turns_as_the_full_system_does_and_is_an_effect():
 
 
 def test_the_servo_against_scipy():
-    """Saturated duty, back-EMF, current limit, a release; viscous friction, no dry friction (that is the step's own test)."""
+    """Saturated duty, back-EMF, current limit, a release; viscous friction, no dry friction (that
+    is the step's own test).
+    """
     p = {
         "torque_constant": 0.11,
         "back_emf": 0.05,
@@ -322,7 +337,8 @@ def draw(layout: Layout, rng: np.random.Generator) -> np.ndarray:
     return out
 
 
-#: The others are the same code with more joints or other ends, or take the compiler half a minute and more: `make test-all`.
+#: The others are the same code with more joints or other ends, or take the compiler half a minute
+#: and more: `make test-all`.
 QUICK = (
     "joint-tau-1",
     "pendulum-tau-1",
@@ -338,7 +354,9 @@ QUICK = (
     ids=label,
 )
 def test_no_gradient_is_nan(chain):
-    """Of a step, the sensors and the frequency response, by every number and state, in 1,000 draws, a quarter of them at rest."""
+    """Of a step, the sensors and the frequency response, by every number and state, in 1,000 draws,
+    a quarter of them at rest.
+    """
     layout, nq, nu = Layout(chain), chain.nq, len(chain.signature.inputs)
     rng = np.random.default_rng(0)
     theta = np.array([draw(layout, rng) for _ in range(1000)])
@@ -381,7 +399,9 @@ def masses(name: str):
 @settings(max_examples=5, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_the_mass_matrix_is_symmetric_and_positive_definite(seed):
-    """10,000 random states and parameters in all (physical ones where a model's parameters need not be: its defaults)."""
+    """10,000 random states and parameters in all (physical ones where a model's parameters need not
+    be: its defaults).
+    """
     rng = np.random.default_rng(seed)
     for name, chain in RIGID.items():
         layout, mass = masses(name)
@@ -396,7 +416,9 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite(seed):
 
 
 def energy(mechanism: Rigid, q, qd):
-    """Kinetic and potential energy by the mass matrix and the work of the bias at rest along a path from 0 to q."""
+    """Kinetic and potential energy by the mass matrix and the work of the bias at rest along a path
+    from 0 to q.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(24)
     M = np.asarray(mechanism.matrices(jnp.asarray(q), jnp.zeros(len(q)))[0])
     work = sum(

@@ -41,7 +41,9 @@ def far(before: float, retuned: float, after: float, reason: str = "") -> HowFar
 @pytest.mark.parametrize("bad", NONE)
 @pytest.mark.parametrize("at", range(4))
 def test_no_verdict_rests_on_what_is_no_number(bad, at):
-    """Nominal and chosen, on fit and validation data: one of the four is none, the others speak for a name."""
+    """Nominal and chosen, on fit and validation data: one of the four is none, the others speak for
+    a name.
+    """
     losses = [50.0, 50.0, 1.0, 1.0]
     losses[at] = bad
     nominal, chosen = (

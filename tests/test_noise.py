@@ -140,7 +140,9 @@ def test_repeated_runs_show_what_the_machine_does():
 
 
 def test_a_repeat_that_stops_before_the_other_is_one():
-    """As where the end of a run is kept for report; what covers less than half of the other says nothing of it."""
+    """As where the end of a run is kept for report; what covers less than half of the other says
+    nothing of it.
+    """
     wander = [MOTION + 0.01 * k * np.sin(T) + noise(1e-5, k) for k in range(2)]
     both = dataset(*wander, noise_std=1e-5)
     short = lambda count: replace(
@@ -239,7 +241,9 @@ def test_g_needs_to_know_what_it_measures():
 
 
 def test_what_repeats_differ_by_adds_up_along_a_run_not_within_windows():
-    """Friction that differs from time to time: after ten seconds the joint is elsewhere, a second after each start it is not."""
+    """Friction that differs from time to time: after ten seconds the joint is elsewhere, a second
+    after each start it is not.
+    """
     slow = lambda k: k * 0.01 * T**2
     runs = [MOTION + slow(k) + noise(1e-4, k + 1) for k in (-1, 0, 1)]
     whole, parts = (

@@ -1,4 +1,6 @@
-"""Every notebook runs from its first cell to its last, with the small budgets, and shows what it says it shows."""
+"""Every notebook runs from its first cell to its last, with the small budgets, and shows what it
+says it shows.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ NAMES = sorted(
     p.stem for p in FOLDER.glob("*.py") if p.stem not in ("budget", "recording")
 )  # recording: test_hardware_end_to_end
 
-#: Run by `make test`; the others take minutes of compiling and are run by `make test-all`, `make notebooks` and `make docs`.
+#: Run by `make test`; the others take minutes of compiling and are run by `make test-all`, `make
+#: notebooks` and `make docs`.
 QUICK = ("00_tour", "diagnose_your_robot")
 
 jupytext = pytest.importorskip("jupytext")
@@ -72,7 +75,9 @@ def test_notebook(name, monkeypatch):
 
 
 def test_notebooks_and_budgets_name_the_same_things():
-    """Every cell compiles, and every setting of the budgets is used by a notebook: one that is not is a leftover."""
+    """Every cell compiles, and every setting of the budgets is used by a notebook: one that is not
+    is a leftover.
+    """
     sources = {p.stem: p.read_text(encoding="utf-8") for p in FOLDER.glob("*.py")}
     for name, source in sources.items():
         compile(source, name, "exec")

@@ -57,7 +57,9 @@ def test_every_configured_folder_exists():
 
 
 def test_stubs_name_every_sub_package():
-    """Type checkers see jaxid.models through these; without one they see nothing and say nothing."""
+    """Type checkers see jaxid.models through these; without one they see nothing and say
+    nothing.
+    """
     for name in SETUPTOOLS["packages"]:
         folder = SETUPTOOLS["package-dir"][name]
         if folder.startswith("jaxid"):
@@ -258,7 +260,9 @@ def in_the_repository() -> set[str]:
 
 
 def test_what_is_built(tmp_path):
-    """Wheel and source distribution, built from a copy so that no build folder is left in the checkout."""
+    """Wheel and source distribution, built from a copy so that no build folder is left in the
+    checkout.
+    """
     pytest.importorskip("setuptools", minversion="77")
     source, files = tmp_path / "source", in_the_repository()
     for file in files:

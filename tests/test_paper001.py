@@ -38,7 +38,9 @@ def loaded():
 
 
 def test_the_recursion_is_the_ridge_regression_that_is_printed(empty, loaded):
-    """(7) to (11) minimise |tau - W theta|^2 / 100 + |theta - unloaded|^2 / 10, solved here at once."""
+    """(7) to (11) minimise |tau - W theta|^2 / 100 + |theta - unloaded|^2 / 10, solved here at
+    once.
+    """
     found: Any = identify(None, loaded, method="paper001", reference=empty)
     assert found.law == "power" and np.array_equal(found.exponents, empty.exponents)
     W, tau = rows_of(loaded, "power", empty.exponents)
@@ -60,7 +62,9 @@ def test_algorithm_1_on_the_same_trajectory(empty, loaded):
 
 
 def poses(load: np.ndarray | None, seed: int) -> Dataset:
-    """The arm held at 24 poses for half a second each, with moves between them of half a second at constant speed."""
+    """The arm held at 24 poses for half a second each, with moves between them of half a second at
+    constant speed.
+    """
     rng = np.random.default_rng(seed)
     centre = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
     at = centre + np.random.default_rng(5).uniform(-1, 1, (24, 6))
@@ -155,7 +159,9 @@ def test_the_command(empty, tmp_path, capsys):
 
 
 def test_a_fourier_series_keeps_the_harmonics():
-    """Acceleration of a line close to the cutoff: exact by its harmonic, damped by a low-pass there."""
+    """Acceleration of a line close to the cutoff: exact by its harmonic, damped by a low-pass
+    there.
+    """
     from jaxid.data.signals import differentiate
     from jaxid.identification.fourier import harmonic_motion
 
@@ -177,7 +183,9 @@ def test_a_fourier_series_keeps_the_harmonics():
 
 
 def test_identification_by_the_harmonics(tmp_path):
-    """Runs of whole periods: the base parameters come back, and no run is cut in the middle of one."""
+    """Runs of whole periods: the base parameters come back, and no run is cut in the middle of
+    one.
+    """
     from test_identification import truth
 
     rng = np.random.default_rng(2)

@@ -1,4 +1,6 @@
-"""The papers done again: their commands with next to nothing to compute, and their twins and methods against other code."""
+"""The papers done again: their commands with next to nothing to compute, and their twins and
+methods against other code.
+"""
 
 from __future__ import annotations
 
@@ -208,7 +210,9 @@ def test_numbers_are_written_to_the_digits_that_scatter_leaves():
 
 @pytest.mark.slow
 def test_differential_evolution_as_the_paper_has_it():
-    """In the linear box, against a loop written apart, with the paper's settings: each within the other's scatter."""
+    """In the linear box, against a loop written apart, with the paper's settings: each within the
+    other's scatter.
+    """
     p = flexible_link.problem()
     assert not p.log.any() and np.all(
         p.lower == [flexible_link.BOUNDS[name][0] for name in p.names]

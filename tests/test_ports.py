@@ -110,7 +110,9 @@ def test_a_local_cluster_listens_nowhere(home):
 
 
 def test_workers_of_slurm_listen_by_tls_on_one_network(home, fake_slurm):
-    """Everything between the nodes stays on the named network, here loopback; who has no certificate is refused."""
+    """Everything between the nodes stays on the named network, here loopback; who has no
+    certificate is refused.
+    """
     pytest.importorskip("cryptography")
     store, seen, tries, private = home / "out", set(), [], []
 
@@ -317,7 +319,8 @@ def test_commands_listen_on_loopback_alone(home, command):
         process.communicate()
 
 
-# Runs commands one after the other in one process and tells every address that Python binds, be it for a moment.
+# Runs commands one after the other in one process and tells every address that Python binds, be it
+# for a moment.
 IN_ONE_PROCESS = """
 import json, socket, sys
 def heard(event, about):
@@ -389,7 +392,9 @@ WORDS: dict[str, list[str]] = {
 
 @pytest.mark.slow
 def test_no_command_listens_beyond_loopback(home, tmp_path):
-    """All of them in one process: what Python binds, and what the kernel says of the process and its children meanwhile."""
+    """All of them in one process: what Python binds, and what the kernel says of the process and
+    its children meanwhile.
+    """
     assert set(WORDS) == set(app.cli.commands) | set(app.MODULES)
     memory.write(home / "arm", "identify", 4000)
     write_study(home)
@@ -462,8 +467,9 @@ def test_no_command_listens_beyond_loopback(home, tmp_path):
     shutil.which("openssl") is None, reason="the recipe makes its certificate with openssl"
 )
 def test_the_recipe_without_slurm(home, tmp_path):
-    """The commands of docs/batch.md as they stand there, with loopback for the network between the nodes: who has no certificate
-    is refused, and nothing listens elsewhere."""
+    """The commands of docs/batch.md as they stand there, with loopback for the network between the
+    nodes: who has no certificate is refused, and nothing listens elsewhere.
+    """
     page = (Path(__file__).resolve().parents[1] / "docs" / "batch.md").read_text()
     blocks = [b.partition("```")[0] for b in page.split("```sh\n")[1:]]
     (certificate,) = [b for b in blocks if "openssl req" in b]

@@ -1,4 +1,6 @@
-"""Profiles and bootstrap against what is known of linear problems, and where a parabola misleads."""
+"""Profiles and bootstrap against what is known of linear problems, and where a parabola
+misleads.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def test_profile_needs_no_absolute_step(fitted):
 
 
 def test_profile_at_a_bound_has_one_end(fitted):
-    """The friction bound just below the best value: the interval is open on that side and says that the bound is why."""
+    """The friction bound just below the best value: the interval is open on that side and says that
+    the bound is why.
+    """
     problem, z = fitted
     theta = problem.theta(z)
     i = problem.runs.layout.index("coulomb")
@@ -81,7 +85,9 @@ def test_bootstrap_agrees_with_the_covariance_of_white_residuals(fitted):
 
 
 def test_bootstrap_of_coloured_residuals_keeps_their_colour(fitted):
-    """Residuals with a memory widen the intervals as the covariance does; independent draws would not."""
+    """Residuals with a memory widen the intervals as the covariance does; independent draws would
+    not.
+    """
     problem, z = fitted
     rng = np.random.default_rng(0)
     at = problem.runs.record(problem.records[0]).samples

@@ -1,4 +1,6 @@
-"""The folder of programs: what is read is what was written, whatever happened to the files meanwhile."""
+"""The folder of programs: what is read is what was written, whatever happened to the files
+meanwhile.
+"""
 
 from __future__ import annotations
 

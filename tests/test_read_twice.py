@@ -1,4 +1,6 @@
-"""A joint that is read twice: a speed late against its position, play between two encoders; and bodies that cannot exist."""
+"""A joint that is read twice: a speed late against its position, play between two encoders; and
+bodies that cannot exist.
+"""
 
 import numpy as np
 import pytest

@@ -133,7 +133,9 @@ def test_the_road_from_a_table_runs_as_it_is_typed(tmp_path, monkeypatch, capsys
 
 
 def one_hinge(folder: Path) -> Any:
-    """Writes a recording of one hinge that is driven by goals, with friction that its file does not state; returns MuJoCo."""
+    """Writes a recording of one hinge that is driven by goals, with friction that its file does not
+    state; returns MuJoCo.
+    """
     mujoco: Any = importlib.import_module("mujoco")
     robot = """<mujoco><option timestep="0.001" integrator="implicitfast"/><compiler angle="radian"/><worldbody>
 <body name="arm"><joint name="shoulder" type="hinge" axis="0 1 0" damping="0.3" frictionloss="{}"/>
@@ -176,7 +178,9 @@ def test_the_road_of_a_robot_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.slow
 def test_a_law_that_does_not_say_which_rate_it_brakes_is_asked(tmp_path):
-    """Without the line of the README kd would be taken to act on the goal's rate too, which looks like a delay."""
+    """Without the line of the README kd would be taken to act on the goal's rate too, which looks
+    like a delay.
+    """
     one_hinge(tmp_path / "recording")
     toml = tmp_path / "recording" / "dataset.toml"
     toml.write_text(

@@ -26,7 +26,9 @@ CHANGE = 12.0
 
 @pytest.fixture(scope="module")
 def joint() -> Dataset:
-    """A joint whose inertia drops from 0.08 to 0.05 kg m^2 at 12 s; torque and motion in closed form."""
+    """A joint whose inertia drops from 0.08 to 0.05 kg m^2 at 12 s; torque and motion in closed
+    form.
+    """
     t = np.arange(2400) * 0.01
     rng = np.random.default_rng(0)
     waves = list(
@@ -59,7 +61,9 @@ def along(data: Dataset, **settings) -> jaxid.Fit:
 
 @pytest.mark.parametrize("forgetting", [1.0, 0.7])
 def test_it_is_recursive_least_squares(joint, forgetting):
-    """Of a model that is linear in its numbers the last recursion is least squares over all blocks, weighted by their age."""
+    """Of a model that is linear in its numbers the last recursion is least squares over all blocks,
+    weighted by their age.
+    """
     found = along(joint, forgetting=forgetting)
     b = bind(None, in_blocks(joint, 1.0))
     p = Bench(b).problem(InverseDynamics(), "fit", b.free, b.theta)
@@ -80,7 +84,9 @@ def test_it_is_recursive_least_squares(joint, forgetting):
 
 
 def test_starts_of_runs_are_eliminated(joint):
-    """What a block says of the parameters is the Schur complement of its Gauss-Newton matrix, its unknown start taken out."""
+    """What a block says of the parameters is the Schur complement of its Gauss-Newton matrix, its
+    unknown start taken out.
+    """
     b = bind(None, in_blocks(joint, 1.0))
     p = Bench(b).problem(OutputError(), "fit", b.free, b.theta).part([3], [1.0])
     z = p.z(b.theta)
@@ -118,7 +124,9 @@ def test_it_follows_a_change_at_a_constant_cost(joint, setting, fitter):
 
 
 def test_growing_data_stay_between(joint):
-    """Nothing is forgotten: after 5 s of the new inertia beside 12 s of the old one the answer is neither."""
+    """Nothing is forgotten: after 5 s of the new inertia beside 12 s of the old one the answer is
+    neither.
+    """
     assert 0.055 < along(joint, forgetting=1.0).parameters["inertia"].value < 0.077
 
 

@@ -1,4 +1,6 @@
-"""Registers of servos that were read without their sign: which they are, what mends them, and silence on sound numbers."""
+"""Registers of servos that were read without their sign: which they are, what mends them, and
+silence on sound numbers.
+"""
 
 import numpy as np
 import pytest

@@ -19,7 +19,9 @@ FORCES = (0.0, 1e-300, 1e-164, 1e-30, 1e-9, 0.3, 5.0)
 
 @pytest.fixture(scope="module")
 def end_velocities():
-    """End velocities of a step of joints by (start velocities, velocity changes of the force, dry level): value and tangent."""
+    """End velocities of a step of joints by (start velocities, velocity changes of the force, dry
+    level): value and tangent.
+    """
 
     def programs(nq: int):
         A = jnp.eye(nq) * 0.5 + 0.1 * jnp.ones((nq, nq))
@@ -63,7 +65,9 @@ def test_tangents_agree_with_differences_at_and_near_rest(end_velocities, nq, fo
 
 
 def coast_down(seed: int, inertia=0.01, viscous=0.005, coulomb=0.02, noise=1e-3):
-    """Two pulses of torque, after each of which the joint coasts to rest and stands; by the closed form of each stretch."""
+    """Two pulses of torque, after each of which the joint coasts to rest and stands; by the closed
+    form of each stretch.
+    """
     t = np.arange(0, 6, 0.01)
     tau = np.where(t < 0.5, 0.1, np.where((t >= 3) & (t < 3.5), -0.12, 0.0))
     q, v, out = 0.0, 0.0, []

@@ -1,4 +1,6 @@
-"""Nothing finished is lost or mixed up: files that belong together, runs that are stopped, a full disk, effects asked for."""
+"""Nothing finished is lost or mixed up: files that belong together, runs that are stopped, a full
+disk, effects asked for.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,9 @@ def forked(work) -> int:
 
 @pytest.mark.parametrize("first", [True, False])
 def test_an_end_at_any_act_leaves_the_old_or_the_new(tmp_path, first):
-    """A process that ends at its k-th act on files, for every k; what it leaves is ended by the next one."""
+    """A process that ends at its k-th act on files, for every k; what it leaves is ended by the
+    next one.
+    """
     seen, k = [], 0
     while "done" not in seen:
         k += 1
@@ -147,7 +151,9 @@ def undrawn() -> jaxid.Diagnosis:
 
 
 def test_every_page_has_its_json(tmp_path):
-    """Also where results of two kinds share a folder; what a stopped run left goes with the whole result."""
+    """Also where results of two kinds share a folder; what a stopped run left goes with the whole
+    result.
+    """
     fit, diagnosis = replace(sample_fit(samples=200), traces=(), history=()), undrawn()
     result_files.save_partial(diagnosis, tmp_path, page=True)
     assert belongs(tmp_path / "partial", "report.html", "diagnosis.json")
@@ -231,7 +237,9 @@ sys.exit(cli.main(["diagnose", sys.argv[1], "--out", sys.argv[2]]))
     "name, deaf", [("SIGINT", False), ("SIGTERM", False), ("SIGHUP", False), ("SIGTERM", True)]
 )
 def test_signals_are_alike(data, tmp_path, name, deaf):
-    """What was known is there, the older result too; also where the work does not hear the signal."""
+    """What was known is there, the older result too; also where the work does not hear the
+    signal.
+    """
     result_files.save(replace(undrawn(), seed=9), tmp_path)
     before = content(tmp_path)
     code = STOPPED.replace("DEAF", str(deaf))
@@ -239,7 +247,9 @@ def test_signals_are_alike(data, tmp_path, name, deaf):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(here)}
 
     def heard() -> None:
-        """A shell has its background jobs ignore SIGINT, and `nohup` SIGHUP: these tests may be one."""
+        """A shell has its background jobs ignore SIGINT, and `nohup` SIGHUP: these tests may be
+        one.
+        """
         for ended in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(ended, signal.SIG_DFL)
 
@@ -287,7 +297,9 @@ cli.run()
 
 
 def test_compiled_work_ends_in_time(data, tmp_path):
-    """Ctrl-C where neither the main thread nor another one comes back to Python: 2 s, with room for a busy machine."""
+    """Ctrl-C where neither the main thread nor another one comes back to Python: 2 s, with room for
+    a busy machine.
+    """
     here = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
     process = subprocess.Popen(
         [sys.executable, "-c", COMPILED, "diagnose", str(data), "--out", str(tmp_path)],

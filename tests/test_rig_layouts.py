@@ -1,4 +1,6 @@
-"""Layouts of benches as twins: nothing is claimed where nothing is missing, and what is withheld is among what is claimed."""
+"""Layouts of benches as twins: nothing is claimed where nothing is missing, and what is withheld is
+among what is claimed.
+"""
 
 from __future__ import annotations
 

@@ -93,7 +93,9 @@ def test_a_robot_that_goals_drive_lacks_nothing_but_friction_that_its_file_under
 
 @pytest.mark.slow
 def test_what_the_numbers_of_a_robot_take_up_under_its_law():
-    """Back-EMF is viscous friction; a delay, a gain or a torque that ends is nothing that the file has a number for."""
+    """Back-EMF is viscous friction; a delay, a gain or a torque that ends is nothing that the file
+    has a number for.
+    """
     found = equivalences(str(case("robot_04_mjcf_refused") / "arm2.xml"))
     taken = {(p.effect, p.location) for p in found.absorbed}
     assert {("back_emf", "lift_tau"), ("back_emf", "elbow_tau")} <= taken

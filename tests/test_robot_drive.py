@@ -1,5 +1,6 @@
-"""What drives a robot and what carries it: laws whose numbers are fitted, recorded rates of goals, encoders that are off inside
-the loop, and a base that moves as it was measured."""
+"""What drives a robot and what carries it: laws whose numbers are fitted, recorded rates of goals,
+encoders that are off inside the loop, and a base that moves as it was measured.
+"""
 
 import importlib
 from dataclasses import replace
@@ -185,7 +186,9 @@ def test_an_encoder_that_is_off_tells_the_loop_too():
 
 
 def test_a_law_read_at_the_samples_is_in_phase():
-    """Goals that are held jump at every sample; half a sample of lead would read as inertia and damping."""
+    """Goals that are held jump at every sample; half a sample of lead would read as inertia and
+    damping.
+    """
     law = replace(stated_law(pd(), JOINTS, 0.01))
     t = np.arange(0, 4, 0.05)
     q = 0.2 * np.sin(2 * t[:, None] + [0.0, 1.0])
@@ -400,7 +403,9 @@ GRIPPER = f"""<mujoco><compiler angle="radian"/><worldbody><body name="l1"><join
 
 
 def gripper(joints, goals, text=GRIPPER, roles=()):
-    """(chain, dataset, notes) of an arm of which some joints and some goals are recorded; `roles` names auxiliary joints."""
+    """(chain, dataset, notes) of an arm of which some joints and some goals are recorded; `roles`
+    names auxiliary joints.
+    """
     goal = {f"{j}_cmd": 0.02 + 0.01 * wave(k) for k, j in enumerate(goals)}
     shown = {j: 0.02 + 0.01 * wave(k) for k, j in enumerate(joints)}
     units = {n: "rad" if n.startswith("lift") else "m" for n in (*goal, *shown, *roles)}
@@ -423,7 +428,9 @@ def test_a_recorded_follower_leads_with_its_own_goal():
 
 
 def test_goals_of_a_follower_are_told_to_the_joint_that_is_recorded():
-    """The file drives `left`; only `right`, which leads in the file, is recorded: the same force by virtual work."""
+    """The file drives `left`; only `right`, which leads in the file, is recorded: the same force by
+    virtual work.
+    """
     chain, data, notes = gripper(("lift", "right"), ("lift", "left"))
     law = chain.mechanism.drive_law
     assert (law.kp[1], law.kd[1], law.lowest[1], law.highest[1]) == (160.0, 16.0, -12.0, 12.0)
@@ -535,7 +542,9 @@ def test_a_goal_that_is_held_counts_from_both_sides_of_its_jump():
 
 
 def test_a_step_under_goals_is_one_evaluation_of_second_order():
-    """A law's torque is that of the middle of a step: four evaluations of the rest made it no better."""
+    """A law's torque is that of the middle of a step: four evaluations of the rest made it no
+    better.
+    """
     b = bind(*prepared(Robot.from_mjcf("robot.xml", text=ARM), recording(pd())))
 
     def simulated(step):

@@ -32,7 +32,9 @@ def states(robot, count, seed=0):
 
 
 def peer(text, robot, q, qd, qdd):
-    """M, bias and inverse dynamics of the moving joints by MuJoCo [states ...]; bias holds the springs, as here."""
+    """M, bias and inverse dynamics of the moving joints by MuJoCo [states ...]; bias holds the
+    springs, as here.
+    """
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EQUALITY
     data = mujoco.MjData(model)

@@ -1,4 +1,6 @@
-"""What a robot's file leaves out, as its owner has it: brakes of nothing, stops that the recording meets, a patch of one line."""
+"""What a robot's file leaves out, as its owner has it: brakes of nothing, stops that the recording
+meets, a patch of one line.
+"""
 
 import dataclasses
 import importlib
@@ -41,7 +43,9 @@ def file(dry: float = 0.0, angle: str = '<compiler angle="radian"/>', rate: floa
 
 
 def log(text: str, folder: Path, seconds: float = 10.0, noise: float = 2e-4) -> Path:
-    """A recording in MuJoCo of the file in `text`, with goals and encoders at 100 Hz, and the file without dry friction."""
+    """A recording in MuJoCo of the file in `text`, with goals and encoders at 100 Hz, and the file
+    without dry friction.
+    """
     rng, joints = np.random.default_rng(3), ("lift", "bend")
     m = mujoco.MjModel.from_xml_string(text)
     step, t = round(0.01 / m.opt.timestep), np.arange(0, seconds, 0.01)
@@ -242,7 +246,9 @@ def test_numbers_that_go_together_are_left_together_or_not_at_all():
 
 
 def test_a_doubt_counts_beside_what_noise_leaves():
-    """What a simulator's first-order step makes of dampings, in the covariance that `assemble` writes."""
+    """What a simulator's first-order step makes of dampings, in the covariance that `assemble`
+    writes.
+    """
     names, shift = ["damping@lift", "damping@bend"], np.array([0.045, 0.035])
     C = 1e-6 * np.array([[1.0, 0.99], [0.99, 1.0]]) + np.diag(shift**2)
     std = np.sqrt(np.diag(C))

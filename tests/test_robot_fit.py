@@ -1,4 +1,6 @@
-"""A robot is fitted like any other model: a joint that MuJoCo drives by its own position actuator."""
+"""A robot is fitted like any other model: a joint that MuJoCo drives by its own position
+actuator.
+"""
 
 import importlib
 import json
@@ -20,7 +22,9 @@ ARM = f"""<mujoco><option timestep="5e-4" integrator="RK4"/><default><joint damp
 
 
 def record(model, seconds=6.0, dt=0.01, noise=2e-4):
-    """Goals held between samples, measured angle with noise, both [time]; MuJoCo's own simulation."""
+    """Goals held between samples, measured angle with noise, both [time]; MuJoCo's own
+    simulation.
+    """
     data, t = mujoco.MjData(model), np.arange(0, seconds, dt)
     goal = 0.5 * np.sin(2 * np.pi * (0.3 + 0.25 * t) * t)
     q = np.empty_like(t)
@@ -33,7 +37,9 @@ def record(model, seconds=6.0, dt=0.01, noise=2e-4):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The recording of a robot whose damping, armature and centre of mass are not those of its file."""
+    """The recording of a robot whose damping, armature and centre of mass are not those of its
+    file.
+    """
     out = tmp_path_factory.mktemp("arm")
     model = mujoco.MjModel.from_xml_string(ARM)
     model.dof_damping[0], model.dof_armature[0], model.body_ipos[1, 0] = 0.45, 0.03, 0.15
@@ -71,7 +77,8 @@ def test_a_fit_says_what_differs_from_the_file(folder, tmp_path, capsys):
     moment = 0.3 * np.hypot(found["com_x@l1"]["value"], found["com_z@l1"]["value"])
     assert abs(moment - 0.045) < 0.003
     assert abs(found["damping@lift"]["value"] - 0.45) < 0.03
-    # Of the inertia about the axis the first moment's share is fitted with it, the rest is the armature.
+    # Of the inertia about the axis the first moment's share is fitted with it, the rest is the
+    # armature.
     inertia = found["armature@lift"]["value"] + 1e-3 + moment**2 / 0.3
     assert abs(inertia - (0.03 + 1e-3 + 0.3 * 0.15**2)) < 0.002
     rows = {r["parameter"]: r for r in fit["stated"]}

@@ -1,4 +1,6 @@
-"""A robot under goals along its measured motion: what friction holds, what a drive's limit does, programs of one shape."""
+"""A robot under goals along its measured motion: what friction holds, what a drive's limit does,
+programs of one shape.
+"""
 
 import dataclasses
 import gc
@@ -174,7 +176,9 @@ def test_secants_end_where_slopes_of_all_numbers_do():
 
 @pytest.mark.parametrize("everywhere", [False, True])
 def test_a_descent_ends_where_runs_diverge(everywhere, monkeypatch):
-    """One number away from its start, or at the start itself: slopes that nobody can take are not waited for."""
+    """One number away from its start, or at the start itself: slopes that nobody can take are not
+    waited for.
+    """
     model = robot(limb("lift", 0.1))
     b = bind(model, moving(model, swinging(4.0)))
     made = lambda free: Bench(b, differences=1).problem(OutputError(), "fit", free, b.theta)
@@ -300,7 +304,9 @@ def test_a_limit_that_the_file_does_not_have_is_read_off_the_measured_motion():
 
 @pytest.mark.slow
 def test_gains_are_no_numbers_of_a_reading():
-    """The smaller all numbers of a torque equation are, the less it leaves, and any reading then fits."""
+    """The smaller all numbers of a torque equation are, the less it leaves, and any reading then
+    fits.
+    """
     model = robot(limb("lift"), limb("turn", axis="0 0 1", x=0.3))
     data = moving(model, np.repeat(swinging(), 2, 1))
     assert data.controller is not None
@@ -384,7 +390,9 @@ def public(name: str) -> jaxid.Dataset:
 
 @pytest.mark.slow
 def test_what_a_quadrupeds_calf_lacks_is_named_or_partly():
-    """The hind left leg of a robot hung by its trunk: no identification had explained its calf (15 mrad)."""
+    """The hind left leg of a robot hung by its trunk: no identification had explained its calf (15
+    mrad).
+    """
     (model, data), *_ = [
         limb
         for limb in limbs_of(None, public("go2_chirp"))
@@ -431,7 +439,9 @@ def test_a_search_that_takes_back_what_it_adds_ends():
 
 
 def test_what_two_simulators_differ_by_is_taken_off_what_is_left():
-    """In part or in full, never more and never the other way round, beside what re-tuned numbers take up."""
+    """In part or in full, never more and never the other way round, beside what re-tuned numbers
+    take up.
+    """
     rng = np.random.default_rng(0)
     n = 4000
     noise, J, apart = rng.standard_normal(n), rng.standard_normal((n, 3)), np.sin(np.arange(n) / 50)

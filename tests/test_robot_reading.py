@@ -102,7 +102,9 @@ def test_what_a_tree_cannot_express_is_refused_by_name():
 
 
 def test_what_ties_joints_together_is_named_with_all_of_them():
-    """Joints of a tendon, of a loop through its two branches, of a curved equality, and behind a ball joint."""
+    """Joints of a tendon, of a loop through its two branches, of a curved equality, and behind a
+    ball joint.
+    """
     tendon = '<tendon><fixed name="t"><joint joint="lift" coef="1"/><joint joint="elbow" coef="1"/></fixed></tendon>'
     driven = (
         tendon

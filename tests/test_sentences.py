@@ -1,4 +1,6 @@
-"""No sentence against a number of the same result: over random searches, report data and results."""
+"""No sentence against a number of the same result: over random searches, report data and
+results.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ SAMPLE = sample_diagnosis(samples=200)
 
 
 def hypothesis(fit_loss: float, loss: float, *effects: str) -> Any:
-    """What a verdict sees of a hypothesis that leaves these mean squares of fit and validation runs."""
+    """What a verdict sees of a hypothesis that leaves these mean squares of fit and validation
+    runs.
+    """
     path, held = SimpleNamespace(count=4000), SimpleNamespace(loss=loss, count=4000)
     return SimpleNamespace(
         effects=effects, size=len(effects), fit_loss=fit_loss, path=path, validation=held

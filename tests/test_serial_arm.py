@@ -224,7 +224,9 @@ def dh_standard(q: np.ndarray, a, alpha, d) -> np.ndarray:
 
 
 def test_ur10_modified_table_is_the_makers_standard_one():
-    """T_std = Rz(pi) T_mdh Rz(pi) (paper 001's table flips x axes), and the upright pose is where the maker draws it."""
+    """T_std = Rz(pi) T_mdh Rz(pi) (paper 001's table flips x axes), and the upright pose is where
+    the maker draws it.
+    """
     maker = (
         [0, -0.612, -0.5723, 0, 0, 0],
         [RIGHT, 0, 0, RIGHT, -RIGHT, 0],
@@ -251,7 +253,9 @@ def test_tables_of_unequal_length_are_refused():
 
 
 def test_tilted_base_and_payload():
-    """A wall-mounted arm with a known load against Pinocchio with turned gravity and an added body."""
+    """A wall-mounted arm with a known load against Pinocchio with turned gravity and an added
+    body.
+    """
     import equinox as eqx
 
     arm = eqx.tree_at(
@@ -420,7 +424,9 @@ def test_energy_is_kept():
 
 
 def test_no_gradient_is_nan():
-    """1000 random draws of all parameters, at rest and in motion, of torque and acceleration, friction included."""
+    """1000 random draws of all parameters, at rest and in motion, of torque and acceleration,
+    friction included.
+    """
     chain = Chain(UR10()).smoothed(1e-2)
     layout = Layout(chain)
     lower, upper, _ = layout.boxes([REFERENCE] * 6)
@@ -460,8 +466,9 @@ def test_no_gradient_is_nan():
 
 
 def test_simulation_with_friction_sticks():
-    """The whole chain, six joints with dry friction: an arm held by friction stands still, the same arm without
-    falls."""
+    """The whole chain, six joints with dry friction: an arm held by friction stands still, the same
+    arm without falls.
+    """
     chain = Chain(UR10())
     t = np.arange(0, 0.2, 2e-3)
     s = Simulator(chain, t, np.zeros((len(t), 6)), size=1024)
@@ -553,7 +560,9 @@ def test_base_parameters_say_all_that_torque_does(prismatic):
 
 
 def test_panda_and_tilted_bases():
-    """The 43 coefficients known of the Panda; a tilted base shows two first moments of link 1 more."""
+    """The 43 coefficients known of the Panda; a tilted base shows two first moments of link 1
+    more.
+    """
     import equinox as eqx
 
     assert len(Panda().base().kept) == 43

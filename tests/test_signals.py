@@ -127,7 +127,9 @@ def test_a_polynomial_is_asked_no_more_than_it_follows():
 
 @pytest.mark.parametrize("rows", [200, 500, 5000])
 def test_noise_of_a_short_record_is_no_content(rows):
-    """A spectrum of few segments reaches far above its mean by chance; motion at 1 Hz stays all that there is."""
+    """A spectrum of few segments reaches far above its mean by chance; motion at 1 Hz stays all
+    that there is.
+    """
     t = np.arange(rows) / 100
     for seed in range(20):
         noise = 8e-4 * np.random.default_rng(seed).standard_normal(rows)

@@ -58,7 +58,9 @@ def test_derivatives_against_differences():
 
 
 def test_large_batches_come_back():
-    """Two batched LAPACK solves in one program wait for each other for ever on two cores; these are loops of arithmetic."""
+    """Two batched LAPACK solves in one program wait for each other for ever on two cores; these are
+    loops of arithmetic.
+    """
     a = np.array([graded(np.random.default_rng(k), 8) for k in range(1000)])
     with float64():
         both = jax.jit(

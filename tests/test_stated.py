@@ -1,4 +1,6 @@
-"""What is said of stated numbers: all together, by the smallest change that the data allow; ratios where only these are known."""
+"""What is said of stated numbers: all together, by the smallest change that the data allow; ratios
+where only these are known.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ FITTED = SCALE * TRUE
 
 
 def only_ratios(relative: float = 0.003, scale: float = 0.9) -> np.ndarray:
-    """The covariance of numbers of which ratios are known so well, and their common scale hardly."""
+    """The covariance of numbers of which ratios are known so well, and their common scale
+    hardly.
+    """
     return (relative**2 * np.eye(4) + scale**2) * np.outer(FITTED, FITTED)
 
 
@@ -65,7 +69,9 @@ def test_the_one_number_that_is_wrong_beside_the_others_is_refuted():
 
 
 def test_what_all_ratios_share_is_refuted_alone():
-    """All but the inertia are a fifth too low: it is the inertia that is wrong, by the fewest changes."""
+    """All but the inertia are a fifth too low: it is the inertia that is wrong, by the fewest
+    changes.
+    """
     told = servo({"kp": 8.0, "kd": 0.05, "inertia": 0.0084, "friction": 0.02})
     assert [s.parameter for s in told if s.refuted] == ["inertia"]
 
@@ -87,7 +93,9 @@ def known(value, covariance, lower=-1e9, upper=1e9) -> Known:
 
 
 def test_a_sum_is_bounded_by_what_cannot_be_negative():
-    """Damping and kd of one law: kd cannot be as high as it is stated, for the damping would have to be negative."""
+    """Damping and kd of one law: kd cannot be as high as it is stated, for the damping would have
+    to be negative.
+    """
     C = 1e-8 * np.eye(2) + 0.03**2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     change = smallest_change(known([0.0, 0.07], C, 0.0, 14.0), np.array([0.02, 0.7]))
     assert change.refuted == (1,) and not change.instead

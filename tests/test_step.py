@@ -1,4 +1,6 @@
-"""The step against separately written equations: stick-slip, every effect on every mechanism, energies, gradients."""
+"""The step against separately written equations: stick-slip, every effect on every mechanism,
+energies, gradients.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +113,9 @@ jitted_solve = jax.jit(
 @settings(max_examples=60, deadline=None)
 @given(st.integers(2, 4), st.integers(0, 2**31), st.booleans())
 def test_gauss_seidel_meets_the_friction_law(n, seed, moving):
-    """From rest, Moreau's conditions hold; from motion, the torques stay within their levels and explain the velocity."""
+    """From rest, Moreau's conditions hold; from motion, the torques stay within their levels and
+    explain the velocity.
+    """
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(n, n))
     A = root @ root.T / n + np.eye(n)
@@ -201,7 +205,9 @@ speeds = st.floats(-8.0, 8.0)
 @settings(max_examples=40, deadline=None)
 @given(angles, angles, speeds, speeds)
 def test_three_ways_to_the_arm_agree(q1, q2, v1, v2):
-    """Closed form, Lagrange by automatic differentiation, and virtual power written for the tests."""
+    """Closed form, Lagrange by automatic differentiation, and virtual power written for the
+    tests.
+    """
     q, v = np.array([q1, q2]), np.array([v1, v2])
     with float64():
         closed, lagrange = both_arms(jnp.asarray(q), jnp.asarray(v))
@@ -230,7 +236,8 @@ def test_arm_equals_mujoco():
         assert np.allclose(mine[1], data.qfrc_bias, rtol=1e-10, atol=1e-10)
 
 
-#: The systems whose parameters may lie anywhere in their bounds; tests of the others stand in files of their own.
+#: The systems whose parameters may lie anywhere in their bounds; tests of the others stand in files
+#: of their own.
 SMALL = (Joint, Pendulum, PlanarArm)
 
 
@@ -283,7 +290,9 @@ def test_linear_hold_against_the_reference():
 
 @pytest.mark.parametrize("delay", [0.0005, 0.0037, 0.0431])
 def test_delay_is_exact_on_irregular_times(delay):
-    """A delay that is no multiple of the step: the mean of the delayed command over each step is exact."""
+    """A delay that is no multiple of the step: the mean of the delayed command over each step is
+    exact.
+    """
     rng = np.random.default_rng(7)
     t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.004, 0.016, 100))])
     u = ref.multisine(t, [1.2], 2)

@@ -1,4 +1,6 @@
-"""Every fault of a study is told at once: keys, values, datasets, and the names of models, effects and fitters."""
+"""Every fault of a study is told at once: keys, values, datasets, and the names of models, effects
+and fitters.
+"""
 
 from __future__ import annotations
 

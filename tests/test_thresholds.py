@@ -1,4 +1,6 @@
-"""The numbers that the diagnosis decides by stand in one place, each with its unit, its reason and its case."""
+"""The numbers that the diagnosis decides by stand in one place, each with its unit, its reason and
+its case.
+"""
 
 from __future__ import annotations
 

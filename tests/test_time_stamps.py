@@ -124,7 +124,9 @@ def test_a_diagnosis_names_time_stamps_that_scatter(beside):
 
 @pytest.mark.slow
 def test_stamps_that_no_reading_shows_are_not_asked():
-    """To second order they shift a reading as a smooth law may; the noise that they would make is not there."""
+    """To second order they shift a reading as a smooth law may; the noise that they would make is
+    not there.
+    """
     data = recording("joint", 3, dead_zone=0.03)
     found = jaxid.diagnose(None, data, effects=["timestamp_jitter"])
     assert found.which.verdict == "unknown" and not found.which.ranking

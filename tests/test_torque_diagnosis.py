@@ -1,4 +1,6 @@
-"""Diagnosis by torque: twins whose torques come from Pinocchio, with one thing in them that the model does not have."""
+"""Diagnosis by torque: twins whose torques come from Pinocchio, with one thing in them that the
+model does not have.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def moved(n: int, seed: int, seconds: float = 16.0, rate: float = 100.0) -> tupl
 def run(
     arm: Any, seed: int, load: np.ndarray | None = None, more: Any = None, tilt: float = 0.0
 ) -> tuple[np.ndarray, ...]:
-    """t, torque and position of one run; `load` ten numbers added to the last link, `more(q, qd, qdd, rigid)` another torque."""
+    """t, torque and position of one run; `load` ten numbers added to the last link, `more(q, qd,
+    qdd, rigid)` another torque.
+    """
     table = table_of(arm)
     inertia = np.array(table.inertia)
     inertia[-1] += 0 if load is None else load
@@ -137,7 +141,8 @@ def test_what_is_withheld_is_named(law, tmp_path):
     d = asked(ARMS[arm], [run(ARMS[arm], s, more=more) for s in (1, 2, 3)])
     assert d.which.verdict in ("named", "partly") and named(d) == truth, d.which.text
     assert d.how_far.gap_after < 1.6 < d.how_far.gap_retuned
-    # All joints move in every row: the errors of the table, over the noise beside them, are the gap.
+    # All joints move in every row: the errors of the table, over the noise beside them, are the
+    # gap.
     each = [
         (c.rmse_retuned / c.noise, c.rmse_after / c.noise) for c in d.how_far.per_channel.values()
     ]
@@ -217,7 +222,9 @@ def test_what_a_torque_cannot_show_is_refused_by_name():
 
 @pytest.mark.slow
 def test_uneven_samples_tell_what_even_ones_do():
-    """Every 15th sample is late by half a step and a rest of the steps are even: plain least squares on both is the yardstick."""
+    """Every 15th sample is late by half a step and a rest of the steps are even: plain least
+    squares on both is the yardstick.
+    """
     t, tau, q = run(ARMS["three"], 1)
     late = t.copy()
     late[7::15] += 0.6 * (t[1] - t[0])
@@ -300,8 +307,9 @@ def test_a_load_is_weighed_where_joints_stick_and_torques_are_held(monkeypatch):
 
 
 def repeated(drift: float, more: float = 0.0) -> jaxid.Dataset:
-    """A joint with friction on four motions, each three times; `drift` is what its friction differs by from time to time, `more`
-    viscous friction that acts forwards alone."""
+    """A joint with friction on four motions, each three times; `drift` is what its friction differs
+    by from time to time, `more` viscous friction that acts forwards alone.
+    """
     rng, runs = np.random.default_rng(4), []
     for motion in range(4):
         for again, split in enumerate(("fit", "validation", "report")):

@@ -1,4 +1,6 @@
-"""By torque against plain least squares, NumPy's on the columns of the textbook, where a model lacks far more than noise."""
+"""By torque against plain least squares, NumPy's on the columns of the textbook, where a model
+lacks far more than noise.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ TRUE = {"inertia": 0.02, "viscous": 0.05, "gravity_torque": 0.9, "coulomb": 0.1,
 
 
 def swing(seed: int, late: bool) -> tuple[np.ndarray, ...]:
-    """t, torque and position of a pendulum on which a slow torque acts that depends on nothing; `late`: the clock limps."""
+    """t, torque and position of a pendulum on which a slow torque acts that depends on nothing;
+    `late`: the clock limps.
+    """
     rng, t = np.random.default_rng(seed), np.arange(0, 20, 0.005)
     if late:
         t[7::15] += 0.003
@@ -46,7 +50,9 @@ def swing(seed: int, late: bool) -> tuple[np.ndarray, ...]:
 
 
 def columns(t: np.ndarray, tau: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Filtered columns of inertia, viscous friction, gravity, dry friction and an offset, and torque, on equal steps."""
+    """Filtered columns of inertia, viscous friction, gravity, dry friction and an offset, and
+    torque, on equal steps.
+    """
     even = np.linspace(t[0], t[-1], t.size)
     q, qd, qdd, _ = differentiate(even, spline(t, q, even), 2 * CUTOFF)
     both = zero_phase(
@@ -108,7 +114,9 @@ def test_a_public_double_pendulum_is_left_with_what_least_squares_leaves():
 
 
 def test_noise_of_a_clock_does_not_widen_the_band_of_a_motion():
-    """Readings that are late by up to half a step, each by its own, make noise where the joint is quick."""
+    """Readings that are late by up to half a step, each by its own, make noise where the joint is
+    quick.
+    """
     rng, t = np.random.default_rng(0), np.arange(0, 20, 1e-3)
     y = np.sin(
         2 * np.pi * 0.5 * (t + 5e-4 * rng.uniform(-1, 1, t.size))
@@ -117,7 +125,9 @@ def test_noise_of_a_clock_does_not_widen_the_band_of_a_motion():
 
 
 def test_rows_at_standstill_are_known_to_within_dry_friction():
-    """Friction 0.5 N m holds the joint for seconds: what acts on it then is not missing, and does not bend the numbers."""
+    """Friction 0.5 N m holds the joint for seconds: what acts on it then is not missing, and does
+    not bend the numbers.
+    """
     rng, step, inertia, level, viscous = np.random.default_rng(0), 1e-3, 0.1, 0.5, 0.2
     runs = []
     for seed in (1, 2, 3):

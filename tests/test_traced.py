@@ -54,7 +54,9 @@ def test_other_shapes_and_keys_are_other_programs(folder):
 
 
 def test_another_device_is_another_program(folder, monkeypatch):
-    """A program is exported for one platform: one of a GPU refuses to run where `jax.default_device` names the CPU."""
+    """A program is exported for one platform: one of a GPU refuses to run where
+    `jax.default_device` names the CPU.
+    """
     x, y = np.ones(3), {"scale": np.float64(2.0)}
     cpu = jax.devices("cpu")[0]
     with float64():

@@ -1,4 +1,6 @@
-"""The plants of the notebooks against a separate library, so that a notebook's machine is none of our own making."""
+"""The plants of the notebooks against a separate library, so that a notebook's machine is none of
+our own making.
+"""
 
 from __future__ import annotations
 

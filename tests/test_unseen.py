@@ -17,7 +17,9 @@ J, MGL, VISCOUS = 0.06, 0.9, 0.03
 
 
 def swung(u: np.ndarray, mgl: float, spring: float, more: tuple[float, ...]) -> np.ndarray:
-    """A pendulum under held torques [runs time], four Runge-Kutta steps a sample; `more` damping in some of them."""
+    """A pendulum under held torques [runs time], four Runge-Kutta steps a sample; `more` damping in
+    some of them.
+    """
     h, x, out = 1 / 800, np.zeros((2, len(u))), []
     viscous = VISCOUS + np.array(more)
     for k in range(len(T)):
@@ -66,8 +68,9 @@ SMALL, LARGE = (0.015,) * 4, (0.4,) * 4
 
 
 def test_a_spring_hides_in_gravity_where_the_pendulum_hardly_moves(tmp_path):
-    """sin q is q there; with large motion the same effect would show. A twin that has a spring of the size that is stated fits as
-    well without it, with the gravity torque that is stated."""
+    """sin q is q there; with large motion the same effect would show. A twin that has a spring of
+    the size that is stated fits as well without it, with the gravity torque that is stated.
+    """
     small = diagnosed(recording(SMALL))
     assert small.which.verdict == "none"
     (spring,) = [u for u in small.unseen if u.effect == "spring_torque"]
@@ -92,7 +95,9 @@ def test_a_spring_hides_in_gravity_where_the_pendulum_hardly_moves(tmp_path):
 
 
 def test_what_fit_runs_cannot_show_validation_runs_name(tmp_path):
-    """Fitted where it hardly moves, judged where it swings: the fit runs come down to the noise without the spring."""
+    """Fitted where it hardly moves, judged where it swings: the fit runs come down to the noise
+    without the spring.
+    """
     found = diagnosed(recording((0.015, 0.015, 0.4, 0.4), spring=0.3))
     assert [str(e) for e in found.which.effects] == [
         "spring_torque at q"
@@ -115,7 +120,9 @@ def test_what_fit_runs_cannot_show_validation_runs_name(tmp_path):
 
 
 def test_a_number_that_drifts_is_a_sign():
-    """Damping of one run that is not that of the others, which is no effect of the library; without it there is no sign."""
+    """Damping of one run that is not that of the others, which is no effect of the library; without
+    it there is no sign.
+    """
     drifts = diagnosed(recording((0.2,) * 4, more=(0.0, 2e-4, 0.0, 0.0)), "dead_zone")
     assert (
         "viscous is not the same in all of the recordings" in drifts.which.text
@@ -130,7 +137,9 @@ def test_a_number_that_drifts_is_a_sign():
 
 
 def test_what_is_known_survives_an_interruption(monkeypatch):
-    """Ctrl-C while it is worked out what the recordings would not show: the verdict was there before."""
+    """Ctrl-C while it is worked out what the recordings would not show: the verdict was there
+    before.
+    """
 
     def stopped(*_):
         raise KeyboardInterrupt

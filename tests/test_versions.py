@@ -1,4 +1,6 @@
-"""Versions of JAX outside of those that jaxid was run with, and ways that lanes take with the one that is installed."""
+"""Versions of JAX outside of those that jaxid was run with, and ways that lanes take with the one
+that is installed.
+"""
 
 from __future__ import annotations
 

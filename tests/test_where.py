@@ -54,7 +54,9 @@ def looked_at(force: np.ndarray, left: np.ndarray, only: tuple[str, ...]):
 
 
 def test_a_force_far_below_the_noise_is_found_where_its_effect_acts():
-    """A third of the noise at speed forwards, at b. Joint a shows more than noise of itself, with and without it."""
+    """A third of the noise at speed forwards, at b. Joint a shows more than noise of itself, with
+    and without it.
+    """
     noise = np.random.default_rng(1).standard_normal((N, 2))
     noise[:, 0] *= 1.4
     law = np.stack([np.zeros(N), 0.35 * (QD[:, 1] > 0.5)], 1)
@@ -78,7 +80,9 @@ def test_a_force_far_below_the_noise_is_found_where_its_effect_acts():
 
 
 def test_what_an_effect_does_not_take_away_is_looked_at_as_measured():
-    """A sensor or play changes the motion: what the law with it supplies along that motion is not what was missing."""
+    """A sensor or play changes the motion: what the law with it supplies along that motion is not
+    what was missing.
+    """
     rng = np.random.default_rng(2)
     noise = rng.standard_normal((N, 2))
     large = 3.0 * (QD > 0.5)
@@ -105,8 +109,9 @@ def test_the_floor_is_told_where_it_lies():
 
 
 def test_what_repeats_differ_by_is_a_motion_and_no_noise_of_a_reading():
-    """Two runs of a mass whose friction differs by a fifth end rad apart: a torque that the model lacks stands out of that, where
-    rad of white noise would hide anything."""
+    """Two runs of a mass whose friction differs by a fifth end rad apart: a torque that the model
+    lacks stands out of that, where rad of white noise would hide anything.
+    """
     rng, t = np.random.default_rng(0), np.arange(600) / 100
     u = multisine(t, [0.05], seed=1, periods=3.0, lines=6)[:, 0]
     runs = []
@@ -143,8 +148,9 @@ def test_what_repeats_differ_by_is_a_motion_and_no_noise_of_a_reading():
 
 
 def test_a_joint_that_its_friction_may_hold_lacks_nothing():
-    """It is pushed by less than its friction, and its reading flickers: no force is missing, whichever way the flicker goes. A
-    model of half that friction lacks the rest of it."""
+    """It is pushed by less than its friction, and its reading flickers: no force is missing,
+    whichever way the flicker goes. A model of half that friction lacks the rest of it.
+    """
     rng, t = np.random.default_rng(0), np.arange(600) / 100
     u = 0.05 * np.sin(t)
     data = jaxid.Dataset.from_arrays(
@@ -188,7 +194,9 @@ def test_a_reading_that_is_left_out_leaves_a_floor():
 
 @pytest.mark.slow
 def test_a_right_model_shows_what_noise_shows():
-    """At each joint, though one moves faster than the other: what is measured and what is simulated pass the same filters."""
+    """At each joint, though one moves faster than the other: what is measured and what is simulated
+    pass the same filters.
+    """
     plant, t = dataclasses.replace(twins.PLANTS["tracker"], resolution=0.0), np.arange(800) / 100
     slow, fast = (
         multisine(t, [a], seed=s, periods=p, lines=6)[:, 0]

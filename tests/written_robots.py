@@ -55,7 +55,9 @@ def two_arms(seed: int = 2) -> str:
 
 
 def quadruped(seed: int = 3) -> str:
-    """Its trunk is held by a free joint that is left out, and carries a head that is welded to it."""
+    """Its trunk is held by a free joint that is left out, and carries a head that is welded to
+    it.
+    """
     rng = np.random.default_rng(seed)
     legs = "".join(_limb(rng, leg, ["hinge"] * 3) for leg in ("FL", "FR", "RL", "RR"))
     return _mjcf(_body(rng, "trunk", "<freejoint/>", _body(rng, "head", "") + legs))

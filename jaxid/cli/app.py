@@ -1,4 +1,6 @@
-"""The command line. Nothing heavy is imported before a command runs: `jaxid --help` loads no JAX."""
+"""The command line. Nothing heavy is imported before a command runs: `jaxid --help` loads no
+JAX.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ from jaxid.errors import explain, FAILED, SUCCESS
 from jaxid.storage.stopping import INTERRUPTED, stoppable
 
 
-#: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
+#: Commands that live in modules of their own, as light to import as this one: name -> module that
+#: has it under that name.
 MODULES = {
     "batch": "jaxid.cli.batch",
     "check": "jaxid.cli.check",
@@ -81,10 +84,11 @@ class AllCommands(Commands):
 )
 @click.version_option(package_name="jaxid")
 def cli() -> None:
-    """Fits mechanical models to measured data and says where a simulator is wrong, which effect is missing, and how far
-    the gap shrinks once it is added.
+    """Fits mechanical models to measured data and says where a simulator is wrong, which effect is
+    missing, and how far the gap shrinks once it is added.
 
-    Exit codes: 0 success, 1 a fit failed, 2 bad input, 130 interrupted (what was finished is saved).
+    Exit codes: 0 success, 1 a fit failed, 2 bad input, 130 interrupted (what was finished is
+    saved).
     """
 
 
@@ -169,7 +173,8 @@ def fit(
 ) -> int:
     """Fit a model to a dataset.
 
-    With --window or --forgetting along the data, at the same cost for every block. Writes fit.json and report.html into DIR.
+    With --window or --forgetting along the data, at the same cost for every block. Writes fit.json
+    and report.html into DIR.
     """
     jaxid, data = start(dataset, out)
     foretell("fit", model, data, quiet)
@@ -262,8 +267,9 @@ def diagnose(
 ) -> int:
     """Say where a model is wrong, and which effect is missing.
 
-    Also says how far the gap shrinks once it is added. Writes diagnosis.json and report.html into DIR. With --next, also the
-    input that best tells the two leading hypotheses apart, as a folder that `jaxid record --play` takes.
+    Also says how far the gap shrinks once it is added. Writes diagnosis.json and report.html into
+    DIR. With --next, also the input that best tells the two leading hypotheses apart, as a folder
+    that `jaxid record --play` takes.
     """
     from jaxid.data.limits import Limits
 
@@ -313,7 +319,8 @@ def diagnose(
 def simulate(dataset, parameters, out, model, solver, as_json, quiet) -> int:
     """Run a model on a dataset's inputs.
 
-    Writes run_1.parquet …, run_1.png … (poses of the mechanism over time) and simulation.json into DIR.
+    Writes run_1.parquet …, run_1.png … (poses of the mechanism over time) and simulation.json into
+    DIR.
     """
     fitted = read_parameters(parameters)
     jaxid, data = start(dataset, out)
@@ -384,7 +391,9 @@ IN_THEIR_OWN_WAY = ("record", "emulate", "batch")
 
 
 def run() -> None:
-    """The command line as a process, which ends with it: threads that still compile are not waited for."""
+    """The command line as a process, which ends with it: threads that still compile are not waited
+    for.
+    """
     code = main()
     if code == INTERRUPTED and not set(sys.argv[1:2]) & set(IN_THEIR_OWN_WAY):
         for stream in (sys.stdout, sys.stderr):
@@ -404,7 +413,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the command line and returns the exit code."""
     terminal.begin()
     for stream in (sys.stdout, sys.stderr):
-        # A terminal that cannot show `±` gets `?` instead of an error; streams replaced by others stay as they are.
+        # A terminal that cannot show `±` gets `?` instead of an error; streams replaced by others
+        # stay as they are.
         if callable(reconfigure := getattr(stream, "reconfigure", None)):
             reconfigure(errors="replace")
     try:
@@ -419,7 +429,8 @@ def main(arguments: list[str] | None = None) -> int:
         terminal.complain("interrupted")
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader went away (`jaxid effects | head`); keep Python from failing again when it closes the stream.
+        # The reader went away (`jaxid effects | head`); keep Python from failing again when it
+        # closes the stream.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except Exception as error:

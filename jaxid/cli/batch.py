@@ -47,8 +47,8 @@ from jaxid.cli.options import output_options
 def batch(study, workers, scheduler, cluster, interface, status, retry, as_json, quiet) -> int:
     """Run many fits or diagnoses: every combination that STUDY.toml lists.
 
-    Writes study.sqlite, and at the end runs.parquet, runs.csv and report.html, into the study's `store`. Started again, it goes
-    on where it stopped and runs only what changed.
+    Writes study.sqlite, and at the end runs.parquet, runs.csv and report.html, into the study's
+    `store`. Started again, it goes on where it stopped and runs only what changed.
     """
     if status:
         return tell_status(study, as_json, quiet)
@@ -108,7 +108,9 @@ def tell_status(study: str, as_json: bool, quiet: bool) -> int:
 
 
 class Table:
-    """A live table on standard error while a study runs; nothing at all where that is no terminal."""
+    """A live table on standard error while a study runs; nothing at all where that is no
+    terminal.
+    """
 
     def __init__(self, quiet: bool):
         self.on = not quiet and sys.stderr.isatty()

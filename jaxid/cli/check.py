@@ -29,8 +29,8 @@ from jaxid.errors import FAILED, SUCCESS
 def check(dataset, out, model, without, as_recorded, as_json, quiet) -> int:
     """Say what is wrong with a recording itself: signs, zeros, units, rows, clocks.
 
-    Prints each finding with the line of dataset.toml that mends it; with --out also writes check.json and report.html into DIR.
-    Exit code 1: the recording cannot be used as it is.
+    Prints each finding with the line of dataset.toml that mends it; with --out also writes
+    check.json and report.html into DIR. Exit code 1: the recording cannot be used as it is.
     """
     from jaxid import runtime
 

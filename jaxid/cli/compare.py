@@ -82,9 +82,9 @@ def compare(
 ) -> int:
     """Compare fitters on the same loss.
 
-    Success rate, evaluations and time to the best known loss; every fitter runs with every seed, from the same starts.
-    Writes comparison.json, runs.parquet and report.html into DIR; when it is stopped, those of the runs that were finished into
-    DIR/partial.
+    Success rate, evaluations and time to the best known loss; every fitter runs with every seed,
+    from the same starts. Writes comparison.json, runs.parquet and report.html into DIR; when it is
+    stopped, those of the runs that were finished into DIR/partial.
     """
     jaxid, data = start(dataset, out)
     from jaxid.report.comparison_text import comparison_text

@@ -24,8 +24,8 @@ _LOG = click.option(
 def emulate() -> None:
     """Emulate a robot or servo on this computer, to try a recording without hardware.
 
-    Prints its address, then takes orders on standard input, such as `stall 2` or `crc 0.01`; `help` lists them, `quit` ends it.
-    Loopback and pseudo terminals only.
+    Prints its address, then takes orders on standard input, such as `stall 2` or `crc 0.01`; `help`
+    lists them, `quit` ends it. Loopback and pseudo terminals only.
     """
 
 
@@ -36,8 +36,9 @@ def emulate() -> None:
 def ur10(host, plant, log) -> int:
     """A UR10 controller: RTDE, dashboard and script ports.
 
-    Behind it are six joints that do not know of each other, each a pendulum by default. Orders: drop, malformed, truncated,
-    short, wrong_id, text (each also with `record` or `control`), stall SECONDS, mute, speed SHARE, protective_stop, clear.
+    Behind it are six joints that do not know of each other, each a pendulum by default. Orders:
+    drop, malformed, truncated, short, wrong_id, text (each also with `record` or `control`), stall
+    SECONDS, mute, speed SHARE, protective_stop, clear.
     """
     from jaxid import runtime
     from jaxid.hardware.emulators.ur import serve
@@ -82,8 +83,8 @@ def ur10(host, plant, log) -> int:
 def dynamixel(ids, baud, latency, return_delay, seed, plant, log) -> int:
     """XM430-W350 servos on a pseudo terminal, paced like a wire.
 
-    Orders: silent SHARE, crc SHARE, drop_byte SHARE, late SECONDS [SHARE], noise HEX, latency SECONDS, overload [ID],
-    wrap_in SECONDS (of the millisecond counter), unplug.
+    Orders: silent SHARE, crc SHARE, drop_byte SHARE, late SECONDS [SHARE], noise HEX, latency
+    SECONDS, overload [ID], wrap_in SECONDS (of the millisecond counter), unplug.
     """
     from jaxid import runtime
     from jaxid.hardware.emulators.dynamixel import serve

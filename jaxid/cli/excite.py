@@ -1,4 +1,6 @@
-"""`jaxid excite`: designs an experiment for a model, and writes it as a folder that `jaxid record --play` takes."""
+"""`jaxid excite`: designs an experiment for a model, and writes it as a folder that `jaxid record
+--play` takes.
+"""
 
 from __future__ import annotations
 
@@ -156,8 +158,9 @@ def excite(
 ) -> int:
     """Design an experiment: the motion or the input that shows most of a model.
 
-    Arms get a periodic motion within their limits, at rest at both ends; all other models an input. Writes a dataset folder for
-    `jaxid record --play`, excitation.json, trajectory.csv and a plot; for a UR also what it plays.
+    Arms get a periodic motion within their limits, at rest at both ends; all other models an input.
+    Writes a dataset folder for `jaxid record --play`, excitation.json, trajectory.csv and a plot;
+    for a UR also what it plays.
     """
     from jaxid import runtime
     from jaxid.cli.options import read_parameters
@@ -249,7 +252,9 @@ def excitation_text(made: Excitation, out: Path | None) -> str:
 
 
 def design_next(diagnosis: Diagnosis, out: Path, limits: Limits | None, silent: bool) -> None:
-    """Writes the run that tells the two leading hypotheses apart; a diagnosis without such a run stands as it is."""
+    """Writes the run that tells the two leading hypotheses apart; a diagnosis without such a run
+    stands as it is.
+    """
     from jaxid.errors import UsageError
 
     try:

@@ -1,4 +1,6 @@
-"""`jaxid export` and `jaxid replay`: a result carried back into a simulator, and what that simulator then says."""
+"""`jaxid export` and `jaxid replay`: a result carried back into a simulator, and what that
+simulator then says.
+"""
 
 from __future__ import annotations
 
@@ -41,9 +43,10 @@ from jaxid.errors import FAILED, SUCCESS, UsageError
 def export(result, to, robot, ranges, data, out, as_json, quiet) -> int:
     """Carry a diagnosis, a fit or an identification back into a simulator.
 
-    Writes the patched file or the code, export.json (for each effect and number the field that carries it) and source.json into
-    DIR; with --ranges also ranges.json. A patched MJCF is tried in MuJoCo on the recording, which is looked for beside the
-    robot's file and the result. Exit code 1 where nothing can be carried over.
+    Writes the patched file or the code, export.json (for each effect and number the field that
+    carries it) and source.json into DIR; with --ranges also ranges.json. A patched MJCF is tried in
+    MuJoCo on the recording, which is looked for beside the robot's file and the result. Exit code 1
+    where nothing can be carried over.
     """
     content = read_result(result)
     from jaxid import runtime
@@ -119,8 +122,8 @@ def read_result(path: Path) -> Any:
 def replay(dataset, robot, against, out, as_json, quiet) -> int:
     """Run a robot's file in MuJoCo on a recording, and say how far off each joint is.
 
-    Beside it stands jaxid's own free run: of the result that the file was exported from where `jaxid export` wrote it, else of
-    the same file. Writes replay.json into DIR.
+    Beside it stands jaxid's own free run: of the result that the file was exported from where
+    `jaxid export` wrote it, else of the same file. Writes replay.json into DIR.
     """
     jaxid, data = start(dataset, out)
     from jaxid.report.carried_text import replay_text

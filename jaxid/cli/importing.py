@@ -123,8 +123,9 @@ def header_row(_ctx, _param, value: str | None) -> int | None:
 def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
     """Convert a recording made by others.
 
-    KIND: csv, mat, npz, json, torch, tdms, parquet (tables, by --channel), rosbag, mcap, lerobot, ur_rtde_csv, emps. Several
-    files of one recording become one folder. What was recognised of a table is printed as the command that says it.
+    KIND: csv, mat, npz, json, torch, tdms, parquet (tables, by --channel), rosbag, mcap, lerobot,
+    ur_rtde_csv, emps. Several files of one recording become one folder. What was recognised of a
+    table is printed as the command that says it.
     """
     import jaxid
     from jaxid.errors import DatasetWarning, nearest

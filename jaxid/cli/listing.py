@@ -11,7 +11,9 @@ from jaxid.wording import one_line, table
 
 
 def find(kind: str, name: str | None) -> list[Any]:
-    """The descriptions of everything of a kind (`models`, `effects`, `fitters`), or of the one named."""
+    """The descriptions of everything of a kind (`models`, `effects`, `fitters`), or of the one
+    named.
+    """
     from jaxid import catalogue
     from jaxid.data.model_names import is_model_file
     from jaxid.fitters import by_name

@@ -1,4 +1,6 @@
-"""What commands leave in the folder `--out` and on the terminal, also when they are stopped or the disk is full."""
+"""What commands leave in the folder `--out` and on the terminal, also when they are stopped or the
+disk is full.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,10 @@ if TYPE_CHECKING:
 
 
 class Output:
-    """Shows progress while work goes on inside `with`, saves what is known before the end as it comes (`interim`) in a folder of
-    its own, and the result in the place of an older one (`deliver`). Ctrl-C, SIGTERM and SIGHUP leave what there is."""
+    """Shows progress while work goes on inside `with`, saves what is known before the end as it
+    comes (`interim`) in a folder of its own, and the result in the place of an older one
+    (`deliver`). Ctrl-C, SIGTERM and SIGHUP leave what there is.
+    """
 
     def __init__(self, out: Path, as_json: bool, quiet: bool):
         self.out, self.as_json, self.quiet = out, as_json, quiet
@@ -49,8 +53,9 @@ class Output:
             self.kept, self._latest = save_partial(result, self.out, page=False), result
 
     def deliver(self, result: Any, text: Callable[[Any], str]) -> int:
-        """Saves the result and prints it, by its `text` or as JSON; returns the exit code. A result that cannot be saved is
-        printed in any case."""
+        """Saves the result and prints it, by its `text` or as JSON; returns the exit code. A result
+        that cannot be saved is printed in any case.
+        """
         from jaxid.storage.result_files import DRAWN, kind_of, save
 
         if kind_of(result) in DRAWN:  # which takes seconds
@@ -122,7 +127,9 @@ class Output:
 
 
 def writable_folder(out: Path) -> None:
-    """Makes the folder and ends what a process that was killed had begun there, or says why nothing could be written."""
+    """Makes the folder and ends what a process that was killed had begun there, or says why nothing
+    could be written.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
         settle(out)

@@ -200,8 +200,8 @@ def _record(device, out, play, limits, sensors, as_json, quiet, gain, constants,
         play = Trajectory.read(play, device.joints, device.kinds[0])
     limits = None if limits is None else Limits.read(limits)
     specs = [SensorSpec.read(s) for s in sensors]
-    # A batch system ends a job with SIGTERM, a lost connection with SIGHUP, and a shell has background jobs ignore SIGINT: the
-    # device is let go in any case.
+    # A batch system ends a job with SIGTERM, a lost connection with SIGHUP, and a shell has
+    # background jobs ignore SIGINT: the device is let go in any case.
     before = {n: signal.signal(n, signal.default_int_handler) for n in {signal.SIGINT, *ending()}}
     try:
         with terminal.Progress(quiet) as progress:

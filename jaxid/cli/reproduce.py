@@ -22,9 +22,10 @@ from jaxid.cli.output import Output, writable_folder
 def reproduce(paper, budget, out, as_json, quiet) -> int:
     """Do one of the four papers again, whole.
 
-    Its experiments on a twin written apart from the library; its claims and numbers beside ours, and what cannot be compared:
-    000 space manipulator, 001 payload of a UR10, 002 flexible link, 003 target tracker. Writes result.json and report.html into
-    DIR. The small budget takes minutes on two cores; what was finished when it is stopped lies in DIR/partial.
+    Its experiments on a twin written apart from the library; its claims and numbers beside ours,
+    and what cannot be compared: 000 space manipulator, 001 payload of a UR10, 002 flexible link,
+    003 target tracker. Writes result.json and report.html into DIR. The small budget takes minutes
+    on two cores; what was finished when it is stopped lies in DIR/partial.
     """
     from jaxid import runtime
 

@@ -20,7 +20,9 @@ def say(text: object) -> None:
 
 @contextmanager
 def warnings_said_once() -> Iterator[None]:
-    """Warnings on the user's own data as sentences, each once, whichever line of ours reads the same file again."""
+    """Warnings on the user's own data as sentences, each once, whichever line of ours reads the
+    same file again.
+    """
     with warnings.catch_warnings():
         show, said = warnings.showwarning, set()
 
@@ -75,7 +77,9 @@ ARITHMETIC = (
 
 
 def of_arithmetic(message: Any, category: type[Warning]) -> bool:
-    """Whether a warning is one of an operation on arrays, which tells a user nothing; they go to the log `jaxid`, as debug."""
+    """Whether a warning is one of an operation on arrays, which tells a user nothing; they go to
+    the log `jaxid`, as debug.
+    """
     return issubclass(category, RuntimeWarning) and str(message).startswith(ARITHMETIC)
 
 
@@ -84,7 +88,9 @@ LINE_S = 30.0
 
 
 class Progress:
-    """A progress bar on standard error while work goes on; a line every half minute where that is no terminal."""
+    """A progress bar on standard error while work goes on; a line every half minute where that is
+    no terminal.
+    """
 
     def __init__(self, quiet: bool):
         self.callback: Callable[[str, int, int, str], None] | None = None

@@ -9,7 +9,9 @@ from jaxid.conventions.finding import DataFinding
 
 
 def impossible(mechanism: Any) -> list[DataFinding]:
-    """Of each link with an inertia that no body has a finding; none where the mechanism is no robot's."""
+    """Of each link with an inertia that no body has a finding; none where the mechanism is no
+    robot's.
+    """
     held = getattr(mechanism, "tree", None)
     if held is None:
         return []

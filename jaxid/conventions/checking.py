@@ -1,7 +1,9 @@
-"""Before physics: what a recording says about itself. `jaxid.check`, and the first step of fit, diagnose and identify.
+"""Before physics: what a recording says about itself. `jaxid.check`, and the first step of fit,
+diagnose and identify.
 
-What the samples show by themselves comes first (`runs`, `samples`), then what a model tells (`decide`, `readings`, `timing`) by
-regression on the missing force, without a simulation; a decisive finding that needs the model is confirmed by one.
+What the samples show by themselves comes first (`runs`, `samples`), then what a model tells
+(`decide`, `readings`, `timing`) by regression on the missing force, without a simulation; a
+decisive finding that needs the model is confirmed by one.
 """
 
 from __future__ import annotations
@@ -41,10 +43,12 @@ from jaxid.robots.match import prepared
 from jaxid.robots.stops import sentences_of
 
 
-#: What a short fit of a bound model, with more effects, leaves of a dataset, times the noise; None where nothing is simulated.
+#: What a short fit of a bound model, with more effects, leaves of a dataset, times the noise; None
+#: where nothing is simulated.
 Gap = Callable[[Binding, Dataset, tuple[str, ...]], float | None]
 
-#: Numbers of a model beyond which readings are gone through on few samples, and nothing is simulated.
+#: Numbers of a model beyond which readings are gone through on few samples, and nothing is
+#: simulated.
 MOST_NUMBERS = 15
 #: Kinds that a model tells, and that its simulation has to confirm.
 BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")
@@ -57,7 +61,9 @@ def run_check(
     as_recorded: bool = False,
     gap: Gap | None = None,
 ) -> Checked:
-    """See `jaxid.check`; with `gap`, findings that need the model are confirmed by simulations, as recorded and mended."""
+    """See `jaxid.check`; with `gap`, findings that need the model are confirmed by simulations, as
+    recorded and mended.
+    """
     began = time.perf_counter()
     found, data, change = _by_itself(dataset, as_recorded)
     notes = one_way_sentences(data)
@@ -113,7 +119,8 @@ def check_folder(
     as_recorded: bool = False,
     gap: Gap | None = None,
 ) -> Checked:
-    """The check of a dataset's folder; one that is refused for what a finding says is a result, not an error.
+    """The check of a dataset's folder; one that is refused for what a finding says is a result, not
+    an error.
 
     Raises `DatasetError` for a folder with other faults.
     """
@@ -279,8 +286,10 @@ def _together(shown: Iterable[Shown]) -> Mending:
 def _confirmed(
     binding: Binding, data: Dataset, total: Mending, shown: list[Shown], gap: Gap
 ) -> list[Shown]:
-    """Gaps by simulation as recorded and mended; what does not hold there is a question. What was found beside any law that the
-    model may lack is simulated beside these laws, as recorded and mended alike: their gap is not the finding's."""
+    """Gaps by simulation as recorded and mended; what does not hold there is a question. What was
+    found beside any law that the model may lack is simulated beside these laws, as recorded and
+    mended alike: their gap is not the finding's.
+    """
     laws = _laws(binding.chain) if any(s.beside for s in shown if s.mending) else ()
     before, after = gap(binding, data, laws), gap(binding, mended(data, total), laws)
     if before is None or after is None:

@@ -1,6 +1,8 @@
-"""One recording under two names: runs that hold the same samples, noise and all. They are neither repeats nor fit and validation.
+"""One recording under two names: runs that hold the same samples, noise and all. They are neither
+repeats nor fit and validation.
 
-No two recordings share their noise. A copy may be cut shorter, begin later, carry other time stamps, or be rounded anew.
+No two recordings share their noise. A copy may be cut shorter, begin later, carry other time
+stamps, or be rounded anew.
 """
 
 from __future__ import annotations
@@ -20,25 +22,32 @@ from jaxid.data.time_stamps import differences
 
 #: Samples that are looked for in the other run: where (share of the run), and how many in a row.
 ANCHORS, IN_A_ROW = (0.05, 0.25, 0.5, 0.75, 0.95), 8
-#: Rows that have to be the same, and places in the other run beyond which what is looked for stands everywhere.
+#: Rows that have to be the same, and places in the other run beyond which what is looked for stands
+#: everywhere.
 FEWEST, EVERYWHERE = 30, 20
-#: Two readings are one where they differ by no more than that share of the step that either is rounded to.
+#: Two readings are one where they differ by no more than that share of the step that either is
+#: rounded to.
 OF_STEP = 0.505
 #: White noise is as large in differences of these orders, to that share; motion is not.
 ORDERS, ALIKE = (3, 5, 7), 0.25
-#: Its fifth differences change sign between 81 % of neighbours; those of a motion do so seldom, on odd clocks always.
+#: Its fifth differences change sign between 81 % of neighbours; those of a motion do so seldom, on
+#: odd clocks always.
 CHANGE_SIGN = 0.7, 0.9
 MEDIAN = 0.4549  # of the square of a normal number
-#: Share of the largest number that six digits round away; and fewer digits, where all numbers have no more.
+#: Share of the largest number that six digits round away; and fewer digits, where all numbers have
+#: no more.
 DIGITS, FEWER = 5e-6, (3, 4, 5)
-#: No machine repeats its motion to that share of it: codes that change at the same rows so often that it would have to.
+#: No machine repeats its motion to that share of it: codes that change at the same rows so often
+#: that it would have to.
 REPEATS_TO = 1e-5
 SPLITS = "fit", "validation", "report"
 
 
 @dataclass(frozen=True)
 class Run:
-    """All samples of a run [time channels], outputs first, and by how much a reading may be off in a copy [channels]."""
+    """All samples of a run [time channels], outputs first, and by how much a reading may be off in
+    a copy [channels].
+    """
 
     experiment: Experiment
     samples: np.ndarray
@@ -56,7 +65,9 @@ class Same:
 
 
 def copies(dataset: Dataset) -> Iterator[Shown]:
-    """Runs of which another one holds samples: what comes later, in the order fit, validation, report, is the copy."""
+    """Runs of which another one holds samples: what comes later, in the order fit, validation,
+    report, is the copy.
+    """
     order = sorted(dataset.experiments, key=lambda e: SPLITS.index(e.split))
     runs = [_run(dataset, e) for e in order]
     gone: set[str] = set()
@@ -101,8 +112,10 @@ def _rounded_away(x: np.ndarray) -> float:
 
 
 def _noise_shows(t: np.ndarray, x: np.ndarray, step: float, digits: float) -> bool:
-    """Whether no second recording would give a reading `x [time]` at `t [time]` s: it shows noise, or so many codes change that
-    no machine would change them at the same rows again. Without either a motion that is simulated twice is the same."""
+    """Whether no second recording would give a reading `x [time]` at `t [time]` s: it shows noise,
+    or so many codes change that no machine would change them at the same rows again. Without either
+    a motion that is simulated twice is the same.
+    """
     if len(x) < FEWEST:
         return False
     # Motion may look like noise by one of them: time stamps scatter, clocks alternate.
@@ -115,7 +128,9 @@ def _noise_shows(t: np.ndarray, x: np.ndarray, step: float, digits: float) -> bo
 
 
 def _white(at: np.ndarray, x: np.ndarray, grid: float) -> bool | None:
-    """Whether what no curve has of readings [time] along an axis `at [time]` is white noise; None where a grid hides it."""
+    """Whether what no curve has of readings [time] along an axis `at [time]` is white noise; None
+    where a grid hides it.
+    """
     apart = [differences(at, x, order)[0] for order in ORDERS]
     levels = [float(np.sqrt(np.median(d**2) / MEDIAN)) for d in apart]
     if min(levels) <= grid:
@@ -156,7 +171,9 @@ def _offsets(other: np.ndarray, copy: np.ndarray, loose: np.ndarray) -> set[int]
 
 
 def _along(other: Run, copy: Run, offset: int, loose: np.ndarray) -> Same | None:
-    """The rows of a copy that lie within the other run, which stands so many rows later; None where any of them differs."""
+    """The rows of a copy that lie within the other run, which stands so many rows later; None where
+    any of them differs.
+    """
     first = max(0, -offset)
     stop = min(len(copy.samples), len(other.samples) - offset)
     if stop - first < FEWEST:

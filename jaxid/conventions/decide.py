@@ -52,9 +52,10 @@ class Judged:
 
 
 def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) -> Iterator[Shown]:
-    """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave. `many`: the
-    model has so many numbers that readings are gone through on few samples first, and times are asked for where one row more or
-    less tells."""
+    """Findings that need the model, one after another: each is looked for in what the decisive ones
+    before it leave. `many`: the model has so many numbers that readings are gone through on few
+    samples first, and times are asked for where one row more or less tells.
+    """
     names, m, asked = Names(binding), motion, None
     for _ in range(MOST):
         shown, changed = _next(binding, fit, m, names, many)
@@ -80,8 +81,10 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
 def _next(
     binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False
 ) -> tuple[Shown | None, Motion | None]:
-    """The next finding, and the motion without it. A fault beside a strong effect that the model lacks hides in what that leaves:
-    where laws of the joints' own motion take much of the gap, what nothing explains of the whole is asked of what they leave."""
+    """The next finding, and the motion without it. A fault beside a strong effect that the model
+    lacks hides in what that leaves: where laws of the joints' own motion take much of the gap, what
+    nothing explains of the whole is asked of what they leave.
+    """
     plain, beside = fit.fit(m, False), fit.fit(m, True)
     found = _claimed(binding, fit, m, names, many, plain, beside, laws=False)
     if found is not None and found[0].finding.decisive:
@@ -124,7 +127,8 @@ def _claimed(
     best = tried[0]
     near = [t for t in tried[1:] if t.left <= ALIKE * best.left]
     same = [t for t in near if t.reading.kind == best.reading.kind]
-    # Of equals the one that changes least, and inputs before outputs (the order in which they were made).
+    # Of equals the one that changes least, and inputs before outputs (the order in which they were
+    # made).
     if best.reading.kind in ("sign", "swapped_channels"):
         order = [r.channels for r in (*signs(names), *exchanges(names))]
         best, *same = sorted(
@@ -154,8 +158,9 @@ def _claimed(
         others |= {"another channel" for t in same if t.reading.channels != best.reading.channels}
     left = fit.fit(change(m), laws)
     closes = max(best.left, left.worst + FLOOR) <= GONE * before  # with its known value, too
-    # Beside any law it has to be the whole answer: what has another cause goes some way by many a reading.
-    # It has to show in what is fitted, too: held-out motion alone tells how laws that the model lacks extrapolate.
+    # Beside any law it has to be the whole answer: what has another cause goes some way by many a
+    # reading. It has to show in what is fitted, too: held-out motion alone tells how laws that the
+    # model lacks extrapolate.
     closes &= ALIKE * (left.left + FLOOR) <= recorded.left + FLOOR
     # What leaves as much as the whole drive explains nothing of it.
     if not closes or not left.worst <= (FLOOR if laws else 1.0):
@@ -208,9 +213,10 @@ def _bounded(binding: Binding) -> bool:
 
 
 def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, known: bool) -> bool:
-    """Whether laws of the joints' own motion come nowhere near: they alone do not leave less of the motion as `recorded` than the
-    reading alone, and less remains beside them of it; or, of a reading that has no number of its own (`known`), they close less
-    of the gap."""
+    """Whether laws of the joints' own motion come nowhere near: they alone do not leave less of the
+    motion as `recorded` than the reading alone, and less remains beside them of it; or, of a
+    reading that has no number of its own (`known`), they close less of the gap.
+    """
     own, beside = recorded.worst + FLOOR, fit.fit(changed).worst + FLOOR
     return (known and left.worst + FLOOR <= ALIKE * own) or (
         left.worst + FLOOR <= own and beside <= GONE * own
@@ -220,7 +226,9 @@ def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, know
 def _tried(
     fit: ForceFit, m: Motion, readings: list[Reading], before: float, laws: bool
 ) -> list[Judged]:
-    """What readings of a motion leave, the least first; what cannot come near what is decisive is given up."""
+    """What readings of a motion leave, the least first; what cannot come near what is decisive is
+    given up.
+    """
     found = _POOL.map(
         lambda r: Judged(r, fit.fit(r.change(m), laws, hopeless=ALIKE * GONE * before)), readings
     )
@@ -242,8 +250,10 @@ def _refined(
     before: float,
     laws: bool,
 ):
-    """Size with interval, words, change, and whether it is a convention's own value; None for what has no size. A known factor is
-    one where it leaves as little as any other and none of those that come `near` is far from it."""
+    """Size with interval, words, change, and whether it is a convention's own value; None for what
+    has no size. A known factor is one where it leaves as little as any other and none of those that
+    come `near` is far from it.
+    """
     found = refinement(best.reading, names)
     if found is None:
         return None

@@ -40,9 +40,10 @@ UNUSABLE = ("time_unit", "does_not_move")
 class DataFinding:
     """What seems to be wrong with a channel of a recording.
 
-    `value` is the fault (-1 for a sign, the offset, factor, rows, ppm … by which the record is off, in SI), `interval_95` its
-    interval; `gap_before` and `gap_if_mended` are what the model leaves, times the noise; `line` is what to write in
-    `dataset.toml` ("" where nothing mends it); `same_as`: other readings that these data cannot tell from it.
+    `value` is the fault (-1 for a sign, the offset, factor, rows, ppm … by which the record is off,
+    in SI), `interval_95` its interval; `gap_before` and `gap_if_mended` are what the model leaves,
+    times the noise; `line` is what to write in `dataset.toml` ("" where nothing mends it);
+    `same_as`: other readings that these data cannot tell from it.
     """
 
     kind: str
@@ -77,7 +78,9 @@ class DataFinding:
 
 @dataclass(frozen=True)
 class Checked:
-    """What `jaxid.check` returns: the findings, and `mended`, the dataset with those applied that are decisive."""
+    """What `jaxid.check` returns: the findings, and `mended`, the dataset with those applied that
+    are decisive.
+    """
 
     dataset: str
     dataset_sha256: str
@@ -125,7 +128,9 @@ class Checked:
 
 
 def data_lines(findings: Sequence[DataFinding]) -> list[str]:
-    """What comes first in every answer: `DATA: tau has the opposite sign; everything below takes it negated.`"""
+    """What comes first in every answer: `DATA: tau has the opposite sign; everything below takes it
+    negated.`
+    """
     return [f"DATA: {one_line(f.headline)}." for f in findings if f.applied]
 
 

@@ -1,4 +1,6 @@
-"""The force that a model lacks at all samples of a motion, and its columns where it is linear in the model's numbers."""
+"""The force that a model lacks at all samples of a motion, and its columns where it is linear in
+the model's numbers.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,8 @@ from jaxid.problem.binding import Binding
 from jaxid.problem.torque_filter import drive_torque
 
 
-#: Rows at which the force is looked at, and at which readings are gone through; samples of one call: what is compiled is compiled
-#: for these alone.
+#: Rows at which the force is looked at, and at which readings are gone through; samples of one
+#: call: what is compiled is compiled for these alone.
 ROWS, FEW, AT_ONCE = 1200, 150, 750
 
 
@@ -32,8 +34,10 @@ def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
 
 
 def _program(layout: Layout, free: tuple[int, ...]) -> Traced:
-    """`force` at sets of those numbers of a layout that are `free`, one program for all chains of its structure: the others
-    [numbers], the sets [sets free] and a motion [samples nq] give [sets samples nq]."""
+    """`force` at sets of those numbers of a layout that are `free`, one program for all chains of
+    its structure: the others [numbers], the sets [sets free] and a motion [samples nq] give [sets
+    samples nq].
+    """
     form = layout.form
 
     def made() -> Traced:
@@ -59,16 +63,19 @@ def _program(layout: Layout, free: tuple[int, ...]) -> Traced:
 
 
 class Forces:
-    """The missing force of a bound model along motions (anything with q, qd, qdd [rows nq] and u [rows nu]); at the samples of
-    `motion` it is seen whether it is linear."""
+    """The missing force of a bound model along motions (anything with q, qd, qdd [rows nq] and u
+    [rows nu]); at the samples of `motion` it is seen whether it is linear.
+    """
 
     def __init__(self, binding: Binding, free: list[int], motion: Any):
         self.binding, self.free, self.motion = binding, free, motion
         self._known: tuple[Any, ...] = ()
 
     def at(self, thetas: np.ndarray, m: Any, u: np.ndarray | None = None) -> np.ndarray:
-        """Missing force [sets rows nq] at sets of numbers, of which those that are free may differ from the binding's; `u` in
-        place of the motion's inputs. One set, or as many as give the slopes, are one call for `AT_ONCE` samples."""
+        """Missing force [sets rows nq] at sets of numbers, of which those that are free may differ
+        from the binding's; `u` in place of the motion's inputs. One set, or as many as give the
+        slopes, are one call for `AT_ONCE` samples.
+        """
         run = _program(self.binding.layout, tuple(self.free))
         own = _padded(thetas[:, self.free], 1 if len(thetas) == 1 else 1 + len(self.free))
         motion = m.q, m.qd, m.qdd, m.u if u is None else u
@@ -84,7 +91,9 @@ class Forces:
         return np.nan_to_num(found, nan=1e12, posinf=1e12, neginf=-1e12)
 
     def missing(self, theta: np.ndarray, m: Any) -> np.ndarray:
-        """Missing force [rows nq] at these numbers, of which those that are free may differ from the binding's."""
+        """Missing force [rows nq] at these numbers, of which those that are free may differ from
+        the binding's.
+        """
         if not self.linear:
             return self.at(theta[None], m)[0]
         base, slopes = self.columns(m)
@@ -97,8 +106,10 @@ class Forces:
         return drive_torque(b.layout, b.theta, m.u, np.concatenate([m.q, m.qd], 1))
 
     def columns(self, m: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Of a linear model: the force [rows nq] at the binding's numbers, without the drive where that is but added, and its
-        columns [rows nq free]. They are kept: a reading of the inputs alone leaves them as they are."""
+        """Of a linear model: the force [rows nq] at the binding's numbers, without the drive where
+        that is but added, and its columns [rows nq free]. They are kept: a reading of the inputs
+        alone leaves them as they are.
+        """
         key = (m.q, m.qd, m.qdd) if self.additive else (m.q, m.qd, m.qdd, m.u)
         known = self._known  # several threads ask
         if not known or any(a is not b for a, b in zip(known[0], key, strict=True)):
@@ -108,7 +119,9 @@ class Forces:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether the force is linear in the free numbers, as an arm's is, seen at three sets of them."""
+        """Whether the force is linear in the free numbers, as an arm's is, seen at three sets of
+        them.
+        """
         m, b = self.motion, self.binding
         here, slopes = self._with_slopes(m, m.u)
         others = self.at(np.stack([self._inside[1], b.theta]), m)
@@ -133,7 +146,9 @@ class Forces:
 
     @cached_property
     def _steps(self) -> np.ndarray:
-        """Two steps into the inside of the box [2 numbers]: at its edges a law's slope may have two values."""
+        """Two steps into the inside of the box [2 numbers]: at its edges a law's slope may have two
+        values.
+        """
         b = self.binding
         steps = np.zeros((2, len(b.theta)))
         by = np.random.default_rng(0).uniform(0.1, 1.0, (2, len(self.free)))
@@ -145,8 +160,9 @@ class Forces:
         return self.binding.theta + self._steps
 
     def _with_slopes(self, m: Any, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The force [rows nq] at numbers inside the box, and how it changes by a step of each [rows nq free]: of a linear model
-        its slopes."""
+        """The force [rows nq] at numbers inside the box, and how it changes by a step of each [rows
+        nq free]: of a linear model its slopes.
+        """
         h = self._steps[0, self.free]
         thetas = np.repeat(self._inside[:1], 1 + len(h), 0)
         thetas[1 + np.arange(len(h)), self.free] += h

@@ -1,4 +1,6 @@
-"""A speed that stands later than the position whose rate it is: differenced, averaged or filtered on its way, by no model."""
+"""A speed that stands later than the position whose rate it is: differenced, averaged or filtered
+on its way, by no model.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,11 @@ from jaxid.data.signals import even_grid, speed_content, zero_phase
 
 
 RATES = {"rad/s": "rad", "m/s": "m"}
-#: Share of a speed's power that is the rate of a position, at least: what is less is of another joint.
+#: Share of a speed's power that is the rate of a position, at least: what is less is of another
+#: joint.
 SAME = 0.9
-#: A speed is late by so many rows beyond what its own updates bring: a difference of two samples stands half a row late, and one
-#: bus may read speed and position a row apart.
+#: A speed is late by so many rows beyond what its own updates bring: a difference of two samples
+#: stands half a row late, and one bus may read speed and position a row apart.
 ROWS = 1.5
 #: Standard deviations, over parts of the recording, from which a lateness is one.
 SURE = 6.0
@@ -40,7 +43,9 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Lateness:
-    """By how many s a speed is late against a position, its standard deviation, and the median step (s)."""
+    """By how many s a speed is late against a position, its standard deviation, and the median step
+    (s).
+    """
 
     seconds: float
     std: float
@@ -49,7 +54,9 @@ class Lateness:
 
 
 def late_speeds(dataset: Dataset) -> Iterator[Shown]:
-    """Speeds, outputs or auxiliary, that are late or early against the position that they are the rate of."""
+    """Speeds, outputs or auxiliary, that are late or early against the position that they are the
+    rate of.
+    """
     for speed in dataset.channels:
         if speed.unit not in RATES or speed.role == "input" or commanded(speed.name):
             continue
@@ -64,7 +71,9 @@ def late_speeds(dataset: Dataset) -> Iterator[Shown]:
 
 
 def lateness(dataset: Dataset, position: Channel, speed: Channel) -> Lateness | None:
-    """How late a speed is against the position that it is the rate of; None where it is none of it, or not surely late."""
+    """How late a speed is against the position that it is the rate of; None where it is none of it,
+    or not surely late.
+    """
     stretches = list(_stretches(dataset, position, speed))
     if len(stretches) < 3:
         return None
@@ -112,7 +121,8 @@ def _stretches(dataset: Dataset, position: Channel, speed: Channel) -> Iterator[
 def _lag(stretches: list[Stretch]) -> float | None:
     """By how many s the speeds are late; None where they are no rates of these positions.
 
-    The lag of the highest peak of what both have in common, among those within a quarter period of the motion.
+    The lag of the highest peak of what both have in common, among those within a quarter period of
+    the motion.
     """
     step = stretches[0].step
     most = max(2, min(min(len(s.rate) for s in stretches) // 3, _quarter_period(stretches)))
@@ -129,7 +139,9 @@ def _lag(stretches: list[Stretch]) -> float | None:
 
 
 def _quarter_period(stretches: list[Stretch]) -> int:
-    """Rows in a quarter of the usual period of a motion, by how often its rate changes sign on the whole."""
+    """Rows in a quarter of the usual period of a motion, by how often its rate changes sign on the
+    whole.
+    """
     rate = np.concatenate([s.rate for s in stretches])
     power, change = (
         float(np.mean(rate**2)),
@@ -152,7 +164,9 @@ def _shared(stretches: list[Stretch], lag: int) -> tuple[float, float, float]:
 
 
 def _apart(stretches: list[Stretch], late: float) -> float:
-    """What is left of a speed beside the rate of the position (rms, share), taken so many s earlier."""
+    """What is left of a speed beside the rate of the position (rms, share), taken so many s
+    earlier.
+    """
     product, power, rates = _shared(stretches, round(late / stretches[0].step))
     return float(np.sqrt(max(0.0, 1 - product**2 / max(power * rates, 1e-300))))
 

@@ -1,6 +1,8 @@
-"""On which rate the law of a recording brakes, where [controller] does not say: kd may act on the joint's own rate, as in
-MuJoCo and Isaac, or on the goal's less the joint's. A law that is read the wrong way looks like a delay of kd / kp, damping and a
-heavier joint, so both readings are simulated, and a delay beside the first."""
+"""On which rate the law of a recording brakes, where [controller] does not say: kd may act on the
+joint's own rate, as in MuJoCo and Isaac, or on the goal's less the joint's. A law that is read the
+wrong way looks like a delay of kd / kp, damping and a heavier joint, so both readings are
+simulated, and a delay beside the first.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ DELAY = "input_delay"
 
 
 def is_open(binding: Binding, data: Dataset) -> bool:
-    """Whether goals drive through a law that takes the goal's rate off the joint's, and [controller] does not say so."""
+    """Whether goals drive through a law that takes the goal's rate off the joint's, and
+    [controller] does not say so.
+    """
     law, stated = getattr(binding.chain.mechanism, "drive_law", None), data.controller
     return (
         law is not None
@@ -43,8 +47,10 @@ def read_as(data: Dataset, reading: str) -> Dataset:
 def law_reading(
     data: Dataset, gap: Callable[[Dataset, tuple[str, ...]], float | None], places: tuple[str, ...]
 ) -> DataFinding | None:
-    """What the other reading of an open law explains: decisive where neither the law as it is read nor a delay of its goals (at
-    `places`) beside it comes near. `gap`: what a dataset and more effects leave, times the noise."""
+    """What the other reading of an open law explains: decisive where neither the law as it is read
+    nor a delay of its goals (at `places`) beside it comes near. `gap`: what a dataset and more
+    effects leave, times the noise.
+    """
     before = gap(data, ())
     if before is None or before <= ALIKE:
         return None

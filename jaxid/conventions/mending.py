@@ -1,4 +1,6 @@
-"""What mends a recording: the change of its samples, and the line of `dataset.toml` that says the same."""
+"""What mends a recording: the change of its samples, and the line of `dataset.toml` that says the
+same.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,10 @@ REGISTER = frozenset({"sign_bit", "signed_bits"})
 
 @dataclass(frozen=True)
 class Mending:
-    """Forms by channel (`scale`, `offset`, `unwrap`, `shift` …, on SI values), channels that take each other's samples, whether
-    a start at rest is no longer claimed, and samples `(run, first, stop)` that are left out: before anything else is changed."""
+    """Forms by channel (`scale`, `offset`, `unwrap`, `shift` …, on SI values), channels that take
+    each other's samples, whether a start at rest is no longer claimed, and samples `(run, first,
+    stop)` that are left out: before anything else is changed.
+    """
 
     forms: dict[str, dict[str, Any]] = field(default_factory=dict)
     exchanged: tuple[tuple[str, str], ...] = ()
@@ -65,7 +69,9 @@ def mended(dataset: Dataset, mending: Mending) -> Dataset:
 
 
 def _without(e: Experiment, left_out: tuple[tuple[str, int, int], ...]) -> Experiment | None:
-    """A run without some of its samples: the longest stretch of the others, or None where that is too short to say anything."""
+    """A run without some of its samples: the longest stretch of the others, or None where that is
+    too short to say anything.
+    """
     taken = np.zeros(len(e), bool)
     for name, first, stop in left_out:
         if name == e.name:
@@ -126,7 +132,9 @@ def _run(dataset: Dataset, e: Experiment, mending: Mending) -> Experiment:
 
 
 def raw_of(channel: Channel, values: np.ndarray) -> np.ndarray:
-    """What was recorded where a channel has these values (SI), by the scale and offset that `dataset.toml` states."""
+    """What was recorded where a channel has these values (SI), by the scale and offset that
+    `dataset.toml` states.
+    """
     s = channel.stated or Stated(channel.unit)
     return (values / s.factor - s.offset) / s.scale
 
@@ -134,14 +142,18 @@ def raw_of(channel: Channel, values: np.ndarray) -> np.ndarray:
 def _as_recorded(
     channel: Channel, entry: ChannelEntry, values: np.ndarray
 ) -> tuple[ChannelEntry, Conversion, np.ndarray]:
-    """The entry, conversion and samples of a channel as its file has them, whole numbers of a register."""
+    """The entry, conversion and samples of a channel as its file has them, whole numbers of a
+    register.
+    """
     s = channel.stated or Stated(channel.unit)
     stated = entry.model_copy(update={"scale": s.scale, "offset": s.offset})
     return stated, Conversion(s.factor, channel.unit), np.round(raw_of(channel, values))
 
 
 def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
-    """What to write for a channel in `dataset.toml`, in its stated unit and with what stands there already."""
+    """What to write for a channel in `dataset.toml`, in its stated unit and with what stands there
+    already.
+    """
     found = next(c for c in dataset.channels if c.name == channel)
     s = found.stated or Stated(found.unit)
     out = []
@@ -171,7 +183,9 @@ def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
 
 
 def _unit(channel: Channel, s: Stated, factor: float) -> str:
-    """The unit that the values are in if they are to be multiplied by `factor`, where it has a name."""
+    """The unit that the values are in if they are to be multiplied by `factor`, where it has a
+    name.
+    """
     for name in (
         "deg",
         "rpm",

@@ -1,9 +1,11 @@
-"""The force that a model lacks along a measured motion, under any reading of the channels: fast, without a simulation.
+"""The force that a model lacks along a measured motion, under any reading of the channels: fast,
+without a simulation.
 
-The measured joints are filtered without phase and differentiated, the inputs pass the same filter, and the model's numbers are
-fitted to what is missing, drive(u) - (M qdd + bias + friction), beside laws of the joint's own motion that a model may lack (an
-offset, a spring, friction that brakes). A reading changes the channels (negated, offset, scaled, exchanged, late); the program is
-the same for all of them.
+The measured joints are filtered without phase and differentiated, the inputs pass the same filter,
+and the model's numbers are fitted to what is missing, drive(u) - (M qdd + bias + friction), beside
+laws of the joint's own motion that a model may lack (an offset, a spring, friction that brakes). A
+reading changes the channels (negated, offset, scaled, exchanged, late); the program is the same for
+all of them.
 """
 
 from __future__ import annotations
@@ -26,13 +28,16 @@ from jaxid.simulation.sample_buffers import columns
 
 #: The longest part of a run that is filtered.
 LONGEST = 200_000
-#: Samples of a row, and the width of what they lie in in periods of the highest frequency of the motion.
+#: Samples of a row, and the width of what they lie in in periods of the highest frequency of the
+#: motion.
 NEIGHBOURS, WIDTH = 5, 0.5
-#: Share of the usual speed below which a joint counts as standing still: its friction may take any value.
+#: Share of the usual speed below which a joint counts as standing still: its friction may take any
+#: value.
 STILL = 0.08
 BLOCKS, EDGE = 10, 4
-#: A fit is done where a step takes less than that share of the sum of squares, one that `REACH` cuts off, and one that nothing
-#: does: what is compared with it are remainders that differ by `ALIKE`.
+#: A fit is done where a step takes less than that share of the sum of squares, one that `REACH`
+#: cuts off, and one that nothing does: what is compared with it are remainders that differ by
+#: `ALIKE`.
 COARSE, FINE = 1e-2, 1e-3
 #: The first step of a model that is not linear moves no number by more than so many times its size.
 REACH = 3.0
@@ -47,7 +52,9 @@ LAWS = "constant_torque", "spring_torque", "viscous_friction", "coulomb_friction
 
 @dataclass(frozen=True)
 class Source:
-    """The inputs of a run, filtered: `t [time]`, `u [time nu]`, and the times [rows] at which the motion is looked at."""
+    """The inputs of a run, filtered: `t [time]`, `u [time nu]`, and the times [rows] at which the
+    motion is looked at.
+    """
 
     t: np.ndarray
     u: np.ndarray
@@ -56,10 +63,12 @@ class Source:
 
 @dataclass(frozen=True)
 class Motion:
-    """Samples of all runs that are looked at: [samples n], SI, `each` neighbours in a row for one row, over which both sides of
-    the equation are averaged. `since [rows]` is the time since the run began, `weight [rows nq]` 0 where a joint stands still,
-    `held [rows]` marks what is kept for judging. Input j is the sources' columns times `mix [nu nu]`, taken `rows [nu]` later,
-    and the later the longer the run by `drift [nu]` s/s."""
+    """Samples of all runs that are looked at: [samples n], SI, `each` neighbours in a row for one
+    row, over which both sides of the equation are averaged. `since [rows]` is the time since the
+    run began, `weight [rows nq]` 0 where a joint stands still, `held [rows]` marks what is kept for
+    judging. Input j is the sources' columns times `mix [nu nu]`, taken `rows [nu]` later, and the
+    later the longer the run by `drift [nu]` s/s.
+    """
 
     q: np.ndarray
     qd: np.ndarray
@@ -111,9 +120,11 @@ class Motion:
 
 
 def measured(binding: Binding, each: int = 1) -> Motion | None:
-    """The motion of the runs to fit and to choose by, `each` samples a row; None where the model's joints are not all measured or
-    hidden states move beside them. Where a row is one sample, dry friction is off while its step is filtered in the drive alone;
-    the mean over several is the same for both sides."""
+    """The motion of the runs to fit and to choose by, `each` samples a row; None where the model's
+    joints are not all measured or hidden states move beside them. Where a row is one sample, dry
+    friction is off while its step is filtered in the drive alone; the mean over several is the same
+    for both sides.
+    """
     chain = binding.chain
     if not binding.motions or chain.mechanism.hidden_states:
         return None
@@ -158,10 +169,12 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
     nu = len(iu)
     u = e.u[part][:, iu] if nu else np.zeros((len(t), 0))
     linear = np.array([binding.dataset.inputs[i].hold == "linear" for i in iu], bool)
-    # An input that is held from its sample on acts, as a mean over both sides of a sample, half a row later.
+    # An input that is held from its sample on acts, as a mean over both sides of a sample, half a
+    # row later.
     acting = np.where(linear, u, (u + np.concatenate([u[:1], u[:-1]])) / 2) if nu else u
     step = float(np.median(np.diff(t)))
-    # The neighbours of a row lie `every` steps apart, and the drive is filtered as far as they do not see.
+    # The neighbours of a row lie `every` steps apart, and the drive is filtered as far as they do
+    # not see.
     every = max(1, round(WIDTH / (cutoff * step * each))) if each > 1 else 1
     smooth = zero_phase(t, acting, cutoff if each == 1 else 0.4 / (every * step)) if nu else u
     aside = every * (np.arange(each) - each // 2)
@@ -191,8 +204,9 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
 
 @dataclass(frozen=True)
 class Fitted:
-    """Numbers fitted under one reading: what is left of the drive (rms, share) on fitted and on held-out samples, and the
-    residual [rows nq] with its slopes by all numbers [rows nq numbers]."""
+    """Numbers fitted under one reading: what is left of the drive (rms, share) on fitted and on
+    held-out samples, and the residual [rows nq] with its slopes by all numbers [rows nq numbers].
+    """
 
     x: np.ndarray
     left: float
@@ -224,8 +238,9 @@ class ForceFit:
 
     @property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the free numbers. Where a box reaches to nothing its end comes from how fast and far the recording moves, which a
-        reading may change: there only the sign is kept."""
+        """Of the free numbers. Where a box reaches to nothing its end comes from how fast and far
+        the recording moves, which a reading may change: there only the sign is kept.
+        """
         lower, upper = self.binding.lower[self.free], self.binding.upper[self.free]
         return np.where(lower < 0, -np.inf, lower), np.where(lower <= 0, np.inf, upper)
 
@@ -234,7 +249,9 @@ class ForceFit:
         return m.mean(self.forces.missing(theta, m))
 
     def slopes(self, theta: np.ndarray, h: np.ndarray, m: Motion) -> np.ndarray:
-        """The force [rows nq free] by each free number, by differences h unless the model is linear in its numbers."""
+        """The force [rows nq free] by each free number, by differences h unless the model is linear
+        in its numbers.
+        """
         if self.forces.linear:
             return m.mean(self.forces.columns(m)[1])
         thetas = np.repeat(theta[None], 1 + len(h), 0)
@@ -243,8 +260,10 @@ class ForceFit:
         return m.mean(np.moveaxis((found[1:] - found[0]) / h[:, None, None], 0, -1))
 
     def norm(self, m: Motion, theta: np.ndarray | None = None) -> np.ndarray:
-        """What the force is measured by, [nq]: the drive where the inputs tell it, else what the motion takes at these numbers
-        (those of the start). Under another scale of a channel a motion takes more, and as much as it takes remains more."""
+        """What the force is measured by, [nq]: the drive where the inputs tell it, else what the
+        motion takes at these numbers (those of the start). Under another scale of a channel a
+        motion takes more, and as much as it takes remains more.
+        """
         theta = self.binding.theta if theta is None else theta
         size = self._driven(m, theta)
         if not self.binding.chain.direct and not np.all(size > 1e-9 * np.max(size)):
@@ -252,7 +271,9 @@ class ForceFit:
         return np.where(size > 1e-9 * np.max(size), size, np.max(size) + 1e-300)
 
     def _driven(self, m: Motion, theta: np.ndarray) -> np.ndarray:
-        """How much the inputs drive each joint [nq], as rms about its mean; 0 where they are goals, which say no force."""
+        """How much the inputs drive each joint [nq], as rms about its mean; 0 where they are goals,
+        which say no force.
+        """
         chain = self.binding.chain
         if not self.driven or any(unit in GOALS for _, unit in chain.signature.commands):
             return np.zeros(self.nq)
@@ -264,11 +285,15 @@ class ForceFit:
         return drive_torque(self.binding.layout, theta, m.u, np.concatenate([m.q, m.qd], 1))
 
     def pushed(self, m: Motion, theta: np.ndarray) -> np.ndarray:
-        """Force of the inputs [rows nq] at these numbers, beside what the drive makes of the motion alone."""
+        """Force of the inputs [rows nq] at these numbers, beside what the drive makes of the motion
+        alone.
+        """
         return self.missing(theta, m) - self.missing(theta, replace(m, mix=0 * m.mix))
 
     def _taken(self, m: Motion, theta: np.ndarray) -> np.ndarray:
-        """What a motion takes [nq], accelerations and the rest apart: at a joint without a drive they add up to nothing."""
+        """What a motion takes [nq], accelerations and the rest apart: at a joint without a drive
+        they add up to nothing.
+        """
         still = replace(m, mix=0 * m.mix)
         whole, slow = (
             m.mean(self.forces.at(theta[None], x)[0])
@@ -291,9 +316,10 @@ class ForceFit:
         hopeless: float = np.inf,
         begin: np.ndarray | None = None,
     ) -> Fitted:
-        """Gauss-Newton between the bounds of all numbers, from those of `begin`, a fit without `more`. `more` gives the motion by
-        `size` further numbers of the reading; what after three steps still leaves more than `hopeless` of the drive is given
-        up."""
+        """Gauss-Newton between the bounds of all numbers, from those of `begin`, a fit without
+        `more`. `more` gives the motion by `size` further numbers of the reading; what after three
+        steps still leaves more than `hopeless` of the drive is given up.
+        """
         b, free = self.binding, self.free
         norm = self.norm(m)
         train = ~m.held
@@ -365,7 +391,8 @@ class ForceFit:
             else:
                 break
             promised = float(np.sum((before + A @ found) ** 2))
-            # Where a whole step comes out as the slopes have it, they hold there too, and no second step can do better.
+            # Where a whole step comes out as the slopes have it, they hold there too, and no second
+            # step can do better.
             whole = not np.any(np.abs(found * unit) >= 0.999 * room)
             done = (
                 new < 1e-14
@@ -386,7 +413,9 @@ class ForceFit:
         return Fitted(x, rms(train), rms(m.held) if m.held.any() else rms(train), r, J)
 
     def noise(self, fitted: Fitted, binding: Binding, m: Motion) -> float:
-        """What the sensors' noise alone leaves of a fit, as a share of the drive, at the samples of a motion."""
+        """What the sensors' noise alone leaves of a fit, as a share of the drive, at the samples of
+        a motion.
+        """
         rng = np.random.default_rng(0)
         theta = binding.theta.copy()
         theta[self.free] = fitted.x[: len(self.free)]
@@ -394,14 +423,16 @@ class ForceFit:
         runs = [e for e in binding.dataset.experiments if e.split != "report"]
         noisy = _noise_motion(binding, runs, rng, m)
         moved = replace(m, q=m.q + noisy[0], qd=m.qd + noisy[1], qdd=m.qdd + noisy[2])
-        # Signs of slow velocities flip: no more than any reading would show, so only smooth parts are compared.
+        # Signs of slow velocities flip: no more than any reading would show, so only smooth parts
+        # are compared.
         change = (self.missing(theta, moved) - self.missing(theta, m)) * m.weight / norm
         with np.errstate(over="ignore"):  # a fit that has run away
             return float(np.sqrt(np.mean(change**2)))
 
     def spread(self, fitted: Fitted, m: Motion, at: int) -> tuple[float, float]:
-        """A number's change from the fit, and its standard deviation: by leaving parts of the recording out, since what a model
-        lacks is no noise."""
+        """A number's change from the fit, and its standard deviation: by leaving parts of the
+        recording out, since what a model lacks is no noise.
+        """
         J = fitted.slopes.reshape(-1, fitted.slopes.shape[-1])
         r = fitted.residual.ravel()
         block = np.repeat(m.block, self.nq)
@@ -428,8 +459,9 @@ class ForceFit:
 
 
 def _noise_motion(binding: Binding, runs: Sequence[Any], rng: Any, m: Motion) -> list[np.ndarray]:
-    """Position, velocity and acceleration [samples nq] of white noise as the sensors', through the filters of the motion: the
-    same over a row."""
+    """Position, velocity and acceleration [samples nq] of white noise as the sensors', through the
+    filters of the motion: the same over a row.
+    """
     chain = binding.chain
     _, iy = columns(binding.dataset, chain)
     e = max(runs, key=len)

@@ -1,4 +1,6 @@
-"""Two encoders of one joint whose difference has two ends: the play between them, read off without a model."""
+"""Two encoders of one joint whose difference has two ends: the play between them, read off without
+a model.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ ONE_JOINT = 0.99
 APART = 6.0
 #: Each end holds at least, and what lies between them at most, that share of the samples.
 EACH, BETWEEN = 0.1, 0.25
-#: Times that the difference goes from one end to the other, at least: a coupling that slips once does so once.
+#: Times that the difference goes from one end to the other, at least: a coupling that slips once
+#: does so once.
 TURNS = 4
 #: A ratio of two encoders is 1, or a whole number, within this share of it.
 RATIO = 0.02
@@ -32,8 +35,9 @@ SHORTEST = 60
 
 @dataclass(frozen=True)
 class Ends:
-    """The play between two positions, how it scatters (what lies between winds up under load, too), and how often it is
-    passed."""
+    """The play between two positions, how it scatters (what lies between winds up under load, too),
+    and how often it is passed.
+    """
 
     size: float
     std: float
@@ -78,9 +82,11 @@ def _moving(
 
 
 def play(dataset: Dataset, a: Channel, b: Channel) -> Ends | None:
-    """The play between two positions; None where they are not of one joint, or their difference has no two ends.
+    """The play between two positions; None where they are not of one joint, or their difference has
+    no two ends.
 
-    What grows with the speed, the acceleration or the drive is a time between the two readings, or a shaft that winds up.
+    What grows with the speed, the acceleration or the drive is a time between the two readings, or
+    a shaft that winds up.
     """
     moving = _moving(dataset, a, b)
     ratio = _ratio([(x, y) for _, x, y in moving])
@@ -113,7 +119,9 @@ def play(dataset: Dataset, a: Channel, b: Channel) -> Ends | None:
 
 
 def _ratio(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float | None:
-    """How far the second of two positions goes for the first one; None where it does not follow it."""
+    """How far the second of two positions goes for the first one; None where it does not follow
+    it.
+    """
     if not pairs:
         return None
     x, y = (np.concatenate([p[k] - np.mean(p[k]) for p in pairs]) for k in (0, 1))
@@ -146,7 +154,9 @@ def _settled(d: np.ndarray, low: float, high: float) -> np.ndarray:
 def _beside_motion(
     moving: list[tuple[Experiment, np.ndarray, np.ndarray]], parts: list[np.ndarray]
 ) -> float:
-    """What is left of the differences (rms) beside what is linear in position, speed, acceleration and the inputs."""
+    """What is left of the differences (rms) beside what is linear in position, speed, acceleration
+    and the inputs.
+    """
     rows, values = [], []
     for (e, x, _), d in zip(moving, parts, strict=True):
         t = e.t[:LONGEST]

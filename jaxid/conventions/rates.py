@@ -1,5 +1,6 @@
-"""Two readings of one joint that contradict each other: its speed is not the rate of its position. No physics is needed to see
-it; which of the two is wrong a model tells, or the factor."""
+"""Two readings of one joint that contradict each other: its speed is not the rate of its position.
+No physics is needed to see it; which of the two is wrong a model tells, or the factor.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +22,20 @@ from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
 
-#: Share of a speed's power that is the rate of the position, at least: what is less is no reading of the same joint.
+#: Share of a speed's power that is the rate of the position, at least: what is less is no reading
+#: of the same joint.
 SAME = 0.9
-#: A ratio is a convention's within this share of it: both are readings of one motion, but for noise and a filter.
+#: A ratio is a convention's within this share of it: both are readings of one motion, but for noise
+#: and a filter.
 NEAR = 0.03
 
 
 def contradictions(
     binding: Binding, dataset: Dataset, fit: ForceFit | None, m: Motion | None
 ) -> tuple[list[Shown], Motion | None]:
-    """What the speeds of joints say of their positions; and the motion as it then is (it is made of positions)."""
+    """What the speeds of joints say of their positions; and the motion as it then is (it is made of
+    positions).
+    """
     outputs = binding.chain.signature.outputs
     both = {
         j: (r.q, r.qd)
@@ -79,8 +84,9 @@ def _crosswise(
     m: Motion | None,
     lost: dict[int, tuple[int, int]],
 ) -> tuple[list[Shown], Motion | None]:
-    """Two joints of which each one's speed is the rate of the other one's position; `lost` (position, speed) of those whose own
-    is not."""
+    """Two joints of which each one's speed is the rate of the other one's position; `lost`
+    (position, speed) of those whose own is not.
+    """
     found: list[Shown] = []
     outputs = binding.chain.signature.outputs
     for j, k in combinations(lost, 2):
@@ -111,7 +117,9 @@ def _crosswise(
 
 
 def _ratio(binding: Binding, q: int, qd: int) -> float | None:
-    """Rate of a position over the speed that was recorded; None where they are no readings of one motion."""
+    """Rate of a position over the speed that was recorded; None where they are no readings of one
+    motion.
+    """
     _, iy = columns(binding.dataset, binding.chain)
     rates, speeds = [], []
     for e in binding.dataset.experiments:
@@ -133,9 +141,10 @@ def _ratio(binding: Binding, q: int, qd: int) -> float | None:
 
 
 def _factor(ratio: float) -> tuple[bool, float, str] | None:
-    """Whether the position is off, by which factor, and what that is called; None where the two agree, or differ by no more than
-    a sensor's scale may. A unit that was forgotten makes a number larger where it is finer: that of the position a ratio above 1,
-    that of the speed one below."""
+    """Whether the position is off, by which factor, and what that is called; None where the two
+    agree, or differ by no more than a sensor's scale may. A unit that was forgotten makes a number
+    larger where it is finer: that of the position a ratio above 1, that of the speed one below.
+    """
     if abs(np.log(ratio)) <= NEAR:
         return None
     off = ratio if ratio > 1 else 1 / ratio
@@ -150,8 +159,9 @@ def _factor(ratio: float) -> tuple[bool, float, str] | None:
 def _told(
     fit: ForceFit | None, m: Motion | None, change: Change
 ) -> tuple[bool | None, Motion | None]:
-    """Whether the model follows a motion so much better, or so much worse, with its positions changed, inputs as they are, None
-    where that makes no such difference; and the motion then."""
+    """Whether the model follows a motion so much better, or so much worse, with its positions
+    changed, inputs as they are, None where that makes no such difference; and the motion then.
+    """
     if fit is None or m is None or not fit.driven:
         return None, m
     turned = change(m)

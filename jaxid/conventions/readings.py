@@ -1,5 +1,6 @@
-"""Readings of a recording that need a model to be told apart: signs, zeros, scales, exchanged channels. Each changes a motion and
-is undone by a mending; rows and clocks are in `timing`."""
+"""Readings of a recording that need a model to be told apart: signs, zeros, scales, exchanged
+channels. Each changes a motion and is undone by a mending; rows and clocks are in `timing`.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ from jaxid.simulation.sample_buffers import columns
 
 Change = Callable[[Motion], Motion]
 
-#: Factors by which an angle or its rate, and anything else, is off where its unit, or a constant, was forgotten.
+#: Factors by which an angle or its rate, and anything else, is off where its unit, or a constant,
+#: was forgotten.
 ANGLES = {
     "degrees read as radians": 180 / pi,
     "radians read as degrees": pi / 180,
@@ -53,7 +55,9 @@ TOGETHER = 3
 
 @dataclass(frozen=True)
 class Reading:
-    """One way in which channels may have been recorded: `change` gives the motion as it would then be."""
+    """One way in which channels may have been recorded: `change` gives the motion as it would then
+    be.
+    """
 
     kind: str
     channels: tuple[str, ...]
@@ -192,7 +196,9 @@ def mending_of(reading: Reading, value: float, dataset_units: dict[str, str]) ->
 def refinement(
     reading: Reading, names: Names
 ) -> tuple[Callable[[Motion, np.ndarray], Motion], Callable[[float], float]] | None:
-    """For a reading with a size: the motion by one number beside its own value, and the size by that number."""
+    """For a reading with a size: the motion by one number beside its own value, and the size by
+    that number.
+    """
     if reading.kind == "zero":
         j = names.joints.index(reading.channels[0])
         return (lambda m, x: offset_joint(m, j, -reading.value - float(x[0]))), (
@@ -220,7 +226,9 @@ def nearest_factor(value: float, unit: str) -> tuple[float, str]:
 def nearest_convention(
     kind: str, unit: str, value: float, std: float, travel: float
 ) -> tuple[float, str] | None:
-    """The convention's own value that a fitted size stands for, and its name; None where it stays an effect."""
+    """The convention's own value that a fitted size stands for, and its name; None where it stays
+    an effect.
+    """
     if kind == "zero":
         wound = (value + pi) % (2 * pi) - pi
         quarter = round(wound / (pi / 2)) * (pi / 2)

@@ -1,4 +1,6 @@
-"""Registers of servos that were read without their sign: a size with a sign bit, or two's complement."""
+"""Registers of servos that were read without their sign: a size with a sign bit, or two's
+complement.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ def register(dataset: Dataset, channel: Channel) -> Shown | None:
 
 
 def told_once(by_itself: list[DataFinding], by_model: list[DataFinding]) -> list[DataFinding]:
-    """All findings, less what a model says of the sign of a register that its own numbers have told of."""
+    """All findings, less what a model says of the sign of a register that its own numbers have told
+    of.
+    """
     registers = {f.channel for f in by_itself if f.kind == "unsigned"}
     return by_itself + [
         f for f in by_model if f.channel not in registers or f.kind not in ("sign", "unsigned")

@@ -1,4 +1,6 @@
-"""What whole runs show by themselves: their time axis, a start that is no rest, channels and parts that do not move."""
+"""What whole runs show by themselves: their time axis, a start that is no rest, channels and parts
+that do not move.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,11 @@ from jaxid.data.noise import Noise
 from jaxid.errors import DatasetError
 
 
-#: Sampling steps that recordings of machines do not have in seconds, but have in other units: a row number, ms, us.
+#: Sampling steps that recordings of machines do not have in seconds, but have in other units: a row
+#: number, ms, us.
 SLOW = 0.5
-#: A start at rest is refuted by a speed of so many standard deviations and that share of the run's own.
+#: A start at rest is refuted by a speed of so many standard deviations and that share of the run's
+#: own.
 SURE, SHARE = 8.0, 0.02
 #: It shows within so many seconds, and is that share of the speed soon after.
 SOON, ALREADY = 0.015, 0.8
@@ -25,7 +29,9 @@ FLICKER = 8.0
 
 
 def refused(error: DatasetError) -> list[DataFinding]:
-    """What a dataset was refused for as findings: a time that cannot be in seconds, outputs that never move; else none."""
+    """What a dataset was refused for as findings: a time that cannot be in seconds, outputs that
+    never move; else none.
+    """
     out = []
     for p in error.problems:
         if "time_unit =" in f"{p.message}{p.remedy}":
@@ -93,10 +99,11 @@ def not_at_rest(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
 
 
 def _first_speed(t: np.ndarray, y: np.ndarray, noise: float) -> tuple[float, float, float]:
-    """Speed over the first rows that show one, how many standard deviations it is from rest, and the run's usual speed.
+    """Speed over the first rows that show one, how many standard deviations it is from rest, and
+    the run's usual speed.
 
-    From rest, the same time again brings three times as much, and twice as much where a drive soon runs at its speed; a joint
-    that moves already goes as far again.
+    From rest, the same time again brings three times as much, and twice as much where a drive soon
+    runs at its speed; a joint that moves already goes as far again.
     """
     usual = float(np.percentile(np.abs(np.gradient(y, t)), 95))
     soon = max(
@@ -147,7 +154,9 @@ def does_not_move(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
 
 
 def _moves_until(dataset: Dataset, e: Experiment, noise: dict[str, Noise]) -> float | None:
-    """When everything has come to rest for good, s, where that is before the last 40 % of a run; else None."""
+    """When everything has come to rest for good, s, where that is before the last 40 % of a run;
+    else None.
+    """
     last = 0
     for k, c in enumerate(dataset.outputs):
         y = e.motion()[:, k]

@@ -1,4 +1,6 @@
-"""What the samples of a channel show by themselves: wrapped, glitches, repeated rows, cut off at an end, filtered."""
+"""What the samples of a channel show by themselves: wrapped, glitches, repeated rows, cut off at an
+end, filtered.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +23,22 @@ GOAL = re.compile(
     re.I,
 )
 LONGEST = 400_000  # samples of a run that are looked at
-#: A wrap is a jump that, with the period taken off, fits its neighbours to so many times what they usually change by.
+#: A wrap is a jump that, with the period taken off, fits its neighbours to so many times what they
+#: usually change by.
 FITS = 6.0
 #: Glitches are left out where they are few; more of a channel than that is its noise or its law.
 FEW = 0.02
-#: Repeated rows: so many of the changes fall on every n-th row, and so many of these rows bring a change.
+#: Repeated rows: so many of the changes fall on every n-th row, and so many of these rows bring a
+#: change.
 IN_STEP, FRESH = 0.98, 0.6
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A finding, and what mends it (nothing where it is but a question). `beside`: it was found beside any friction and spring
-    that the model may lack, whose gap a simulation of the model leaves as it is."""
+    """A finding, and what mends it (nothing where it is but a question). `beside`: it was found
+    beside any friction and spring that the model may lack, whose gap a simulation of the model
+    leaves as it is.
+    """
 
     finding: DataFinding
     mending: Mending
@@ -74,7 +80,9 @@ def commanded(name: str) -> bool:
 
 
 def wrapped(dataset: Dataset, channel: Channel) -> Shown | None:
-    """Jumps by one turn, or by the range of a counter, between neighbours that are smooth but for it."""
+    """Jumps by one turn, or by the range of a counter, between neighbours that are smooth but for
+    it.
+    """
     parts = [y for _, y in series(dataset, channel)]
     steps = [np.diff(y) for y in parts if len(y) > 3]
     if not steps or (channel.role != "output" and channel.unit != "rad"):
@@ -97,7 +105,9 @@ def wrapped(dataset: Dataset, channel: Channel) -> Shown | None:
 
 
 def _wraps(d: np.ndarray, period: float, usual: float, span: float) -> int | None:
-    """How often a series with steps d [time] wraps; None where it does not, or jumps in other ways too."""
+    """How often a series with steps d [time] wraps; None where it does not, or jumps in other ways
+    too.
+    """
     jumps = np.flatnonzero(np.abs(d) > 0.6 * period)
     if not len(jumps) or span > 1.05 * period or usual > period / 8:
         return None
@@ -230,7 +240,9 @@ def every_row(y: np.ndarray) -> int:
 
 
 def saturated(dataset: Dataset, channel: Channel) -> Shown | None:
-    """Stretches at the very end of a channel's range that a moving signal runs into and comes out of: cut off, not at rest."""
+    """Stretches at the very end of a channel's range that a moving signal runs into and comes out
+    of: cut off, not at rest.
+    """
     if channel.role == "auxiliary":
         return None
     where: list[tuple[float, int, int]] = []
@@ -256,7 +268,9 @@ def saturated(dataset: Dataset, channel: Channel) -> Shown | None:
 
 
 def _cut_off(y: np.ndarray, end: float) -> list[tuple[int, int]]:
-    """Stretches [first, stop) of at least five equal samples at an end, entered and left by slopes and not by steps or rests."""
+    """Stretches [first, stop) of at least five equal samples at an end, entered and left by slopes
+    and not by steps or rests.
+    """
     if np.ptp(y) == 0:
         return []
     at = np.concatenate([[False], y == end, [False]])
@@ -278,7 +292,9 @@ def _cut_off(y: np.ndarray, end: float) -> list[tuple[int, int]]:
 
 
 def filtered(dataset: Dataset, channel: Channel, step: float) -> Shown | None:
-    """Noise that is even up to a frequency and gone above it: a filter, whose delay is the signal's too."""
+    """Noise that is even up to a frequency and gone above it: a filter, whose delay is the signal's
+    too.
+    """
     if channel.role != "output" or channel.resolution is not None:
         return None
     ends = [_corner(y, 1 / step) for e, y in series(dataset, channel) if len(y) >= 1000]
@@ -315,7 +331,9 @@ def _corner(y: np.ndarray, rate: float) -> float | None:
 
 
 def shown(dataset: Dataset, channels: Sequence[Channel]) -> Iterator[Shown]:
-    """All that the channels show by themselves; what mends one comes before what is looked for next."""
+    """All that the channels show by themselves; what mends one comes before what is looked for
+    next.
+    """
     for channel in channels:
         for look in (wrapped, glitch, repeated_rows, saturated):
             if (found := look(dataset, channel)) is not None:

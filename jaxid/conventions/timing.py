@@ -1,4 +1,6 @@
-"""Rows and clocks: by how many rows the inputs are late against the motion, and whether that grows."""
+"""Rows and clocks: by how many rows the inputs are late against the motion, and whether that
+grows.
+"""
 
 from __future__ import annotations
 
@@ -19,22 +21,28 @@ from jaxid.wording import listed
 
 #: A delay is one of whole rows if it is known so well (rows) and lies so close to them.
 KNOWN, CLOSE = 0.12, 0.25
-#: Standard deviations from which a drift is said, and from which it is tried: nothing fits well, and is known well, before it.
+#: Standard deviations from which a drift is said, and from which it is tried: nothing fits well,
+#: and is known well, before it.
 SURE, LIKELY = 6.0, 2.0
 #: A clock's drift moves the input by at least so many rows within a run.
 DRIFT = 0.7
 MOST_ROWS, MOST_DRIFT = 6.0, 0.02
-#: A motion comes before its cause from so many rows on: an input that is held or runs on from sample to sample is half a row.
+#: A motion comes before its cause from so many rows on: an input that is held or runs on from
+#: sample to sample is half a row.
 EARLY = 0.75
-#: The time of a reading within its row is known no better, whatever scatters (rows, one standard deviation).
+#: The time of a reading within its row is known no better, whatever scatters (rows, one standard
+#: deviation).
 FINEST = 0.05
-#: How well a lateness of many rows is known, as a share of it; steps to each side in which one is looked for.
+#: How well a lateness of many rows is known, as a share of it; steps to each side in which one is
+#: looked for.
 SHARE, WIDEST = 0.1, 12
 
 
 @dataclass(frozen=True)
 class Late:
-    """By how many rows an input stands later than it acts, and how fast that grows (s/s), with standard deviations."""
+    """By how many rows an input stands later than it acts, and how fast that grows (s/s), with
+    standard deviations.
+    """
 
     rows: float
     std: float
@@ -43,8 +51,9 @@ class Late:
 
 
 def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late], Motion]:
-    """Of each input, or of all of them `as_one`, beside any law of the joint's own motion (what a model lacks there is no delay);
-    and the motion without."""
+    """Of each input, or of all of them `as_one`, beside any law of the joint's own motion (what a
+    model lacks there is no delay); and the motion without.
+    """
     nu, nq, size = len(m.mix), fit.nq, len(fit.free)
     begun = m.rows
     late: list[Late] = []
@@ -103,7 +112,9 @@ def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late]
 def together(
     values: np.ndarray, stds: np.ndarray, least: float = SURE
 ) -> tuple[float, float] | None:
-    """Mean and standard deviation of what several inputs say, where that is surely not zero and they agree."""
+    """Mean and standard deviation of what several inputs say, where that is surely not zero and
+    they agree.
+    """
     known = np.isfinite(stds) & (stds > 0)
     if not known.any():
         return None
@@ -134,7 +145,9 @@ def _own_laws(m: Motion) -> np.ndarray:
 
 
 def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
-    """What the times of inputs and motion say: rows and clocks, else a motion that comes before its cause by any time."""
+    """What the times of inputs and motion say: rows and clocks, else a motion that comes before its
+    cause by any time.
+    """
     rows = list(_rows_and_clocks(binding, fit, m, names))
     yield from rows
     if names.inputs and not any(shown.finding.decisive for shown in rows):
@@ -142,7 +155,9 @@ def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[
 
 
 def _before_causes(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
-    """Inputs that are recorded later than they act, by any time: the motion comes before its cause, as in no machine."""
+    """Inputs that are recorded later than they act, by any time: the motion comes before its cause,
+    as in no machine.
+    """
     plain = fit.fit(m)
     noise = fit.noise(plain, binding, m)
     if plain.worst <= ALIKE * noise:
@@ -160,15 +175,17 @@ def _before_causes(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> 
     left = fit.fit(replace(m, rows=m.rows + rows)).worst
     if left > GONE * plain.worst:
         return
-    # A fraction of a row has no value of its own that would speak for it: it has to be the answer as a whole.
+    # A fraction of a row has no value of its own that would speak for it: it has to be the answer
+    # as a whole.
     sure = left <= max(ASKED * plain.worst, ALIKE * noise)
     for k in np.flatnonzero(rows):
         yield _early(binding, m.step, names, int(k), *told[k], sure)
 
 
 def _nearest_rows(fit: ForceFit, m: Motion, before: float) -> Motion:
-    """The motion with all inputs taken later or earlier by what leaves least of it, on a grid that no oscillation of theirs slips
-    through."""
+    """The motion with all inputs taken later or earlier by what leaves least of it, on a grid that
+    no oscillation of theirs slips through.
+    """
     change = np.concatenate([np.diff(s.u, axis=0) for s in m.sources])
     size = np.concatenate([s.u - s.u.mean(0) for s in m.sources])
     swing = float(np.mean(size**2)) / max(float(np.mean(change**2)), 1e-300)
@@ -205,8 +222,9 @@ def _early(
 
 
 def _rows_and_clocks(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
-    """Whole rows and drifting clocks, where they close a share of what is missing: a load that is lost half-way looks late
-    too."""
+    """Whole rows and drifting clocks, where they close a share of what is missing: a load that is
+    lost half-way looks late too.
+    """
     plain, recorded = fit.fit(m), m
 
     def closes(moved: Motion, before: float = plain.worst) -> bool:
@@ -258,7 +276,9 @@ Told = tuple[float, float] | None
 
 
 def _told(fit: ForceFit, m: Motion) -> tuple[list[Late], Told, Told]:
-    """Lateness of each input; by how many rows all are late, and how fast that grows, with standard deviations, where sure."""
+    """Lateness of each input; by how many rows all are late, and how fast that grows, with standard
+    deviations, where sure.
+    """
     late, _ = lateness(fit, m)
     told = late
     if len(late) > 1 and not any(
@@ -285,7 +305,9 @@ def whole_rows_tell(fit: ForceFit, m: Motion) -> bool:
 
 
 def _far_drift(fit: ForceFit, m: Motion, plain: Fitted) -> Motion | None:
-    """The motion with clocks that drift by so much that nothing fits as recorded; None where that explains nothing."""
+    """The motion with clocks that drift by so much that nothing fits as recorded; None where that
+    explains nothing.
+    """
     tried = []
     for ppm in (200, 500, 1000, 2000, 5000, 10000):
         for sign in (1, -1):
@@ -322,7 +344,9 @@ def _clock(binding: Binding, m: Motion, names: Names, drift: float, std: float) 
 
 
 def _shifted(binding: Binding, names: Names, k: int, rows: int, late: float, std: float) -> Shown:
-    """Whole rows: the output before its cause is a convention; a cause that comes early is a delay as well."""
+    """Whole rows: the output before its cause is a convention; a cause that comes early is a delay
+    as well.
+    """
     name = names.inputs[k]
     forms = {"shift": rows}
     interval = (late - 1.96 * std, late + 1.96 * std)

@@ -16,7 +16,8 @@ from jaxid.problem.binding import Binding
 from jaxid.wording import listed
 
 
-#: Units of what drives one way or the other: a pressure or a goal that is never negative says nothing.
+#: Units of what drives one way or the other: a pressure or a goal that is never negative says
+#: nothing.
 TWO_WAY = "N m", "N", "V", "A", "1"
 
 
@@ -50,13 +51,17 @@ def unsigned(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Shown 
 
 
 def _signed(fit: ForceFit, m: Motion, which: list[int]) -> Motion | None:
-    """The motion with these inputs given the signs that the model itself asks for, starting from those of the acceleration."""
+    """The motion with these inputs given the signs that the model itself asks for, starting from
+    those of the acceleration.
+    """
     sources, theta, norm = [], fit.binding.theta.copy(), fit.norm(m)
     alone = lambda j: replace(m, mix=m.mix * (np.arange(len(m.mix)) == j))
     without = replace(m, mix=0 * m.mix)
 
     def signs(wanted: np.ndarray) -> np.ndarray:
-        """Those with which each input [samples which] drives as is wanted of the joints [samples nq]."""
+        """Those with which each input [samples which] drives as is wanted of the joints [samples
+        nq].
+        """
         still = fit.forces.missing(theta, without)
         push = np.stack([fit.forces.missing(theta, alone(j)) - still for j in which], 1)
         return np.where(np.sum(push * wanted[:, None] / norm**2, axis=2) >= 0, 1.0, -1.0)

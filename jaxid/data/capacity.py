@@ -1,7 +1,8 @@
 """What work will need, said before it begins: memory and time, against what this machine can give.
 
-One principle: work that is large goes by windows and blocks; what would still take more than SHARE of the memory that is free is
-done on less where the answer does not need all of it (a diagnosis), and is otherwise refused with what to do.
+One principle: work that is large goes by windows and blocks; what would still take more than SHARE
+of the memory that is free is done on less where the answer does not need all of it (a diagnosis),
+and is otherwise refused with what to do.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.errors import UsageError
 
 
-#: Share of the free memory that work may take: the rest is for what others start meanwhile, and for what is not foreseen.
+#: Share of the free memory that work may take: the rest is for what others start meanwhile, and for
+#: what is not foreseen.
 SHARE = 0.8
 #: Seconds of a diagnosis above which it looks at less.
 LONGEST_S = 3600.0
@@ -25,8 +27,8 @@ LONGEST_S = 3600.0
 BASE = 0.7e9
 #: Below these no word is said.
 SMALL_BYTES, SMALL_S = 1.5e9, 120.0
-#: Rough, to be measured by benchmarks/memory.py: numbers a row in memory for each channel, joint and parameter, and seconds for
-#: each sample and parameter of a fit, of one core.
+#: Rough, to be measured by benchmarks/memory.py: numbers a row in memory for each channel, joint
+#: and parameter, and seconds for each sample and parameter of a fit, of one core.
 FIT_CHANNEL, FIT_JOINT, FIT_NUMBER = 12, 8, 8
 SECONDS = 6e-6
 #: A diagnosis refits each candidate, from more than one start.
@@ -35,8 +37,10 @@ PER_CANDIDATE = 1.5
 
 @dataclass(frozen=True)
 class Need:
-    """What some work on so many rows of so many runs needs: bytes at its peak and seconds, both within a factor of about two. The
-    seconds of a fit depend on its fitter and on how far it has to go: nobody is told them."""
+    """What some work on so many rows of so many runs needs: bytes at its peak and seconds, both
+    within a factor of about two. The seconds of a fit depend on its fitter and on how far it has to
+    go: nobody is told them.
+    """
 
     work: str
     rows: int
@@ -59,7 +63,9 @@ class Need:
 
 
 def need(work: str, dataset: Dataset, joints: int, candidates: int = 0) -> Need:
-    """Of `fit`, `diagnose` (among so many candidates) or `identify`, of a model with so many joints."""
+    """Of `fit`, `diagnose` (among so many candidates) or `identify`, of a model with so many
+    joints.
+    """
     rows, runs = sum(len(e.whole) for e in dataset.experiments), len(dataset.experiments)
     channels, numbers = 1 + len(dataset.channels), 6 * joints
     if work == "identify":
@@ -97,8 +103,9 @@ def refuse_too_large(wanted: Need) -> None:
 
 
 def shortened(dataset: Dataset, wanted: Need) -> Dataset:
-    """The dataset, or the first part of each of its runs with a note, where `wanted` of the whole is more than there is memory
-    for, or takes longer than LONGEST_S. Each split keeps its share."""
+    """The dataset, or the first part of each of its runs with a note, where `wanted` of the whole
+    is more than there is memory for, or takes longer than LONGEST_S. Each split keeps its share.
+    """
     from jaxid.data.records import MINIMUM_SAMPLES
 
     room, _ = available()
@@ -122,7 +129,9 @@ def shortened(dataset: Dataset, wanted: Need) -> Dataset:
 
 
 def available() -> tuple[float, str]:
-    """Bytes that this process may still take, and what limits them: the machine, its control group, or a limit of its own."""
+    """Bytes that this process may still take, and what limits them: the machine, its control group,
+    or a limit of its own.
+    """
     found = [(_free_memory(), "free memory of this machine")]
     found += [(room, "limit of its container or job") for room in _control_groups()]
     try:
@@ -139,7 +148,9 @@ def available() -> tuple[float, str]:
 
 
 def _free_memory() -> float:
-    """Bytes that this machine has left for programs; where only psutil could tell and it is not there, no limit."""
+    """Bytes that this machine has left for programs; where only psutil could tell and it is not
+    there, no limit.
+    """
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):
@@ -153,7 +164,9 @@ def _free_memory() -> float:
 
 
 def _control_groups() -> list[float]:
-    """Bytes left in each control group above this process that states a limit (Linux, both versions)."""
+    """Bytes left in each control group above this process that states a limit (Linux, both
+    versions).
+    """
     rooms = []
     try:
         own = [line.split(":", 2) for line in Path("/proc/self/cgroup").read_text().splitlines()]
@@ -191,8 +204,9 @@ def _room(folder: Path, limit: str, usage: str) -> float | None:
 
 
 def give_back() -> None:
-    """Has the C library give memory that was freed back to the system, where it would keep it (glibc): compiling a program takes
-    a few hundred megabytes in many small pieces."""
+    """Has the C library give memory that was freed back to the system, where it would keep it
+    (glibc): compiling a program takes a few hundred megabytes in many small pieces.
+    """
     import ctypes
 
     with contextlib.suppress(OSError, AttributeError):
@@ -201,12 +215,15 @@ def give_back() -> None:
 
 # ---- files, before they are read
 
-#: Bytes in memory for each byte of CSV text, and for each number of a Parquet file, while it is read.
+#: Bytes in memory for each byte of CSV text, and for each number of a Parquet file, while it is
+#: read.
 CSV_FACTOR, PARQUET_NUMBER = 16, 8 * 5
 
 
 def too_large_to_read(path: Path) -> tuple[str, str] | None:
-    """(what is wrong, what to do) with a data file for which there is too little memory; its size is read, not its content."""
+    """(what is wrong, what to do) with a data file for which there is too little memory; its size
+    is read, not its content.
+    """
     size = os.stat(path).st_size
     if path.suffix.lower() == ".csv":
         needed, what = float(size * CSV_FACTOR), f"{size / 1e6:,.0f} MB of text"

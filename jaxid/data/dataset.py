@@ -1,7 +1,7 @@
 """Experiments and datasets in memory: SI units, float64, read-only, already checked.
 
-`Dataset` holds recorded runs (`Experiment`) and measured frequency responses (`FrequencyResponse`). Columns of `u`
-follow `Dataset.inputs` and columns of `y` follow `Dataset.outputs`.
+`Dataset` holds recorded runs (`Experiment`) and measured frequency responses (`FrequencyResponse`).
+Columns of `u` follow `Dataset.inputs` and columns of `y` follow `Dataset.outputs`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ def _frozen(values: Any, dtype: type = float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Stated:
-    """How `dataset.toml` says a channel was recorded: value = scale * raw + offset in `unit`, and factor * value in SI."""
+    """How `dataset.toml` says a channel was recorded: value = scale * raw + offset in `unit`, and
+    factor * value in SI.
+    """
 
     unit: str
     factor: float = 1.0
@@ -42,8 +44,9 @@ class Stated:
 
 @dataclass(frozen=True)
 class Channel:
-    """One measured signal, in SI; `noise_std` (one standard deviation) and `resolution` (quantisation step) too. `stated` is what
-    the dataset says of how it was recorded, for messages."""
+    """One measured signal, in SI; `noise_std` (one standard deviation) and `resolution`
+    (quantisation step) too. `stated` is what the dataset says of how it was recorded, for messages.
+    """
 
     name: str
     role: str  # "input" | "output" | "auxiliary"
@@ -58,13 +61,14 @@ class Channel:
 class Experiment:
     """One recorded run.
 
-    `t [time]` s, strictly increasing; `u [time nu]` inputs; `y [time ny]` outputs; `auxiliary` channel -> `[time]`.
-    `initial` (state -> value) or `at_rest` fix the initial state; with neither it is estimated.
-    `past` samples before the first of `t` belong to the same recording and to none of its splits: delays, lags and friction
-    that remember bring their state from there. `source` says where the samples stand, for messages. `scatter [time ny]` is the
-    standard deviation of what each reading is off by beside its channel's noise, where that is known (see `time_stamps`).
-    `left_out [time ny]` marks readings that count in no loss (glitches, repeated rows); `y` keeps there what was recorded.
-    `repeat_of` names the run of which this is a repeat.
+    `t [time]` s, strictly increasing; `u [time nu]` inputs; `y [time ny]` outputs; `auxiliary`
+    channel -> `[time]`. `initial` (state -> value) or `at_rest` fix the initial state; with neither
+    it is estimated. `past` samples before the first of `t` belong to the same recording and to none
+    of its splits: delays, lags and friction that remember bring their state from there. `source`
+    says where the samples stand, for messages. `scatter [time ny]` is the standard deviation of
+    what each reading is off by beside its channel's noise, where that is known (see `time_stamps`).
+    `left_out [time ny]` marks readings that count in no loss (glitches, repeated rows); `y` keeps
+    there what was recorded. `repeat_of` names the run of which this is a repeat.
     """
 
     name: str
@@ -152,7 +156,9 @@ class Experiment:
         )
 
     def noise(self, sigma: np.ndarray, columns: Sequence[int]) -> np.ndarray:
-        """Noise of each reading of some outputs [time columns] whose channels have the noise `sigma` [columns]."""
+        """Noise of each reading of some outputs [time columns] whose channels have the noise
+        `sigma` [columns].
+        """
         all_alike = np.hypot(
             sigma, 0.0 if self.scatter is None else self.scatter[:, columns]
         ) * np.ones((len(self), 1))
@@ -173,15 +179,18 @@ class Experiment:
         return np.ones(self.y.shape, bool) if self.left_out is None else ~self.left_out
 
     def motion(self) -> np.ndarray:
-        """`y [time ny]` to smooth: readings that are left out lie on the line between their neighbours. Never for a loss."""
+        """`y [time ny]` to smooth: readings that are left out lie on the line between their
+        neighbours. Never for a loss.
+        """
         if self.left_out is None:
             return self.y
         pairs = [(self.y[:, i], self.read[:, i]) for i in range(self.y.shape[1])]
         return np.stack([np.interp(self.t, self.t[k], y[k]) if k.any() else y for y, k in pairs], 1)
 
     def piece(self, start: int, stop: int, *, name: str, split: str, past: int = 0) -> Experiment:
-        """Samples `start:stop` as a run of its own, at their times, that knows up to `past` samples before them; only one from
-        sample 0 keeps the initial state."""
+        """Samples `start:stop` as a run of its own, at their times, that knows up to `past` samples
+        before them; only one from sample 0 keeps the initial state.
+        """
         first = start == 0
         if past and not first:
             whole = self.whole
@@ -208,7 +217,9 @@ class Experiment:
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """A measured `output / input`: `omega [f]` rad/s, `response [f]` complex, in SI; repeats are repeated rows."""
+    """A measured `output / input`: `omega [f]` rad/s, `response [f]` complex, in SI; repeats are
+    repeated rows.
+    """
 
     name: str
     split: str
@@ -240,8 +251,9 @@ class FrequencyResponse:
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """What the user knows beforehand of a fitted parameter: start value, bounds, whether its logarithm is searched (None: as the
-    model says), and a Gaussian prior {"mean": ..., "std": ...}."""
+    """What the user knows beforehand of a fitted parameter: start value, bounds, whether its
+    logarithm is searched (None: as the model says), and a Gaussian prior {"mean": ..., "std": ...}.
+    """
 
     value: float | None = None
     lower: float | None = None
@@ -252,8 +264,9 @@ class ParameterPrior:
 
 @dataclass(frozen=True)
 class Geometry:
-    """The links of a `serial_arm`: the text of a URDF with its file's name, root and tip of the chain, or the columns of a
-    Denavit-Hartenberg table of a `convention` (modified or standard)."""
+    """The links of a `serial_arm`: the text of a URDF with its file's name, root and tip of the
+    chain, or the columns of a Denavit-Hartenberg table of a `convention` (modified or standard).
+    """
 
     urdf: str = ""
     file: str = ""
@@ -267,9 +280,11 @@ class Geometry:
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm` or a robot, whose
-    `base` is fixed or prescribed; `joints`: channel of a position -> the name of its joint. `file` is the path of a model of the
-    user's own, with its class where it was named (`/data/osc/duffing.py:Duffing`)."""
+    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a
+    `serial_arm` or a robot, whose `base` is fixed or prescribed; `joints`: channel of a position ->
+    the name of its joint. `file` is the path of a model of the user's own, with its class where it
+    was named (`/data/osc/duffing.py:Duffing`).
+    """
 
     name: str | None = None
     without: tuple[str, ...] = ()
@@ -284,7 +299,9 @@ class ModelSpec:
 
 @dataclass(frozen=True)
 class Controller:
-    """The feedback law under which the data were recorded; sample time, saturation and gains stand in `settings`."""
+    """The feedback law under which the data were recorded; sample time, saturation and gains stand
+    in `settings`.
+    """
 
     kind: str
     settings: dict[
@@ -296,8 +313,9 @@ class Controller:
 class Dataset:
     """Checked experiments with their channels.
 
-    `notes` says what was done and what deserves a look; `sha256` is that of the content. Two datasets are equal when
-    their names, channels, runs, model and controller are, wherever they were read from.
+    `notes` says what was done and what deserves a look; `sha256` is that of the content. Two
+    datasets are equal when their names, channels, runs, model and controller are, wherever they
+    were read from.
     """
 
     name: str
@@ -330,12 +348,13 @@ class Dataset:
     def with_splits(self) -> Dataset:
         """The dataset with validation and report data, by these rules; `notes` says what was done.
 
-        Without a validation run, the last 30 % of each fit run are kept for it. Without a report run, each
-        validation run is cut once in time: first half validation, second half report. After each cut
-        max(20 samples, 0.1 s) are left out. Times stay absolute; a later piece knows no initial state, but what went
-        before it, up to 5 s (1000 samples) for validation and 60 s (20 000 samples) for report: delays, lags, springs
-        and friction that remembers start from there, and the free run begins up to 1 s before the part.
-        A run whose later piece would be under 20 samples is not cut.
+        Without a validation run, the last 30 % of each fit run are kept for it. Without a report
+        run, each validation run is cut once in time: first half validation, second half report.
+        After each cut max(20 samples, 0.1 s) are left out. Times stay absolute; a later piece knows
+        no initial state, but what went before it, up to 5 s (1000 samples) for validation and 60 s
+        (20 000 samples) for report: delays, lags, springs and friction that remembers start from
+        there, and the free run begins up to 1 s before the part. A run whose later piece would be
+        under 20 samples is not cut.
         """
         from jaxid.data.splits import with_splits
 
@@ -354,16 +373,18 @@ class Dataset:
     ) -> Dataset:
         """A dataset from arrays, with the same checks as a folder.
 
-        One run: `t [time]` seconds and channel -> `[time]`. Several runs: lists of such arrays, one a run.
-        `units`: channel -> unit; a channel named by convention (`q1`, `qd`, `tau`, `force`, `current2` …) needs none.
-        No inputs is free motion.
+        One run: `t [time]` seconds and channel -> `[time]`. Several runs: lists of such arrays, one
+        a run. `units`: channel -> unit; a channel named by convention (`q1`, `qd`, `tau`, `force`,
+        `current2` …) needs none. No inputs is free motion.
 
-        Settings of a run (one value for all, or a list with one a run): `split` ("fit"), `at_rest`, `initial`
-        (state -> value), `constants`, `initial_window_s`, `split_at_gaps`, `names`. Of a channel (channel -> value):
-        `noise_std`, `resolution`, `hold`, `valid` (arrays like its values: 0 where it was not read). Of the dataset:
-        `name`, `description`, `source`, `model` (an id or a `ModelSpec`), `controller` (a `Controller`), `check_model` (True).
+        Settings of a run (one value for all, or a list with one a run): `split` ("fit"), `at_rest`,
+        `initial` (state -> value), `constants`, `initial_window_s`, `split_at_gaps`, `names`. Of a
+        channel (channel -> value): `noise_std`, `resolution`, `hold`, `valid` (arrays like its
+        values: 0 where it was not read). Of the dataset: `name`, `description`, `source`, `model`
+        (an id or a `ModelSpec`), `controller` (a `Controller`), `check_model` (True).
 
-        Raises `DatasetError` with every fault; `file` is then the run's name and `row` the index into the array.
+        Raises `DatasetError` with every fault; `file` is then the run's name and `row` the index
+        into the array.
         """
         from jaxid.data.reading.arrays import from_arrays
 
@@ -380,18 +401,21 @@ class Dataset:
         time: str = "t",
         **settings: Any,
     ) -> Dataset:
-        """A dataset from a data frame, or from a list of frames (one a run); else like `from_arrays`.
+        """A dataset from a data frame, or from a list of frames (one a run); else like
+        `from_arrays`.
 
-        `inputs`, `outputs`, `auxiliary`: column names, or channel -> column; `time`: the column of seconds. A frame is
-        whatever gives its columns by `frame[name]` and lists them in `frame.columns` (pandas, polars, a pyarrow table
-        has `column_names`).
+        `inputs`, `outputs`, `auxiliary`: column names, or channel -> column; `time`: the column of
+        seconds. A frame is whatever gives its columns by `frame[name]` and lists them in
+        `frame.columns` (pandas, polars, a pyarrow table has `column_names`).
         """
         from jaxid.data.reading.arrays import from_frame
 
         return from_frame(frame, inputs, outputs, auxiliary, time, **settings)
 
     def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:
-        """Draws a channel (default: the first output) of every run over time, on new axes or the given ones."""
+        """Draws a channel (default: the first output) of every run over time, on new axes or the
+        given ones.
+        """
         from jaxid.report import figures
 
         return figures.dataset(self, channel, ax)

@@ -1,11 +1,11 @@
-"""What `dataset.toml` may say of how a channel was recorded, applied to its samples: unwrapping, glitches, rows that repeat,
-rows and times it is late by, a clock that drifts.
+"""What `dataset.toml` may say of how a channel was recorded, applied to its samples: unwrapping,
+glitches, rows that repeat, rows and times it is late by, a clock that drifts.
 
-The forms compose in one order: raw (a column, or weighted columns), the sign of a register (`sign_bit`, `signed_bits`), `scale`
-and `offset`, `unwrap`, `drop_glitches` and `sampled_every`, the unit's SI value, then `shift`, and `delay_s` with `clock_ppm` at
-last. Nothing is filled in: a reading of an
-output that is left out counts in no loss, and an input or auxiliary channel holds its last good sample there, as it does between
-samples.
+The forms compose in one order: raw (a column, or weighted columns), the sign of a register
+(`sign_bit`, `signed_bits`), `scale` and `offset`, `unwrap`, `drop_glitches` and `sampled_every`,
+the unit's SI value, then `shift`, and `delay_s` with `clock_ppm` at last. Nothing is filled in: a
+reading of an output that is left out counts in no loss, and an input or auxiliary channel holds its
+last good sample there, as it does between samples.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from jaxid.data import registers
 from jaxid.data.units import Conversion
 
 
-#: A glitch lies off both sides by this many times what the curve bends nearby; white noise does so once in 1e9 samples.
+#: A glitch lies off both sides by this many times what the curve bends nearby; white noise does so
+#: once in 1e9 samples.
 OFF = 8.0
 LONGEST_GLITCH = 3  # samples
 _BESIDE = 7  # samples on each side that say what is usual
@@ -27,8 +28,10 @@ _BESIDE = 7  # samples on each side that say what is usual
 
 @dataclass(frozen=True)
 class Signal:
-    """A channel at the samples of a run, SI: `values [time]`, `left_out [time]`, and `known [time]`: where it has a value; `held`
-    counts the samples of an input or auxiliary channel at which the last good one holds."""
+    """A channel at the samples of a run, SI: `values [time]`, `left_out [time]`, and `known
+    [time]`: where it has a value; `held` counts the samples of an input or auxiliary channel at
+    which the last good one holds.
+    """
 
     values: np.ndarray
     left_out: np.ndarray
@@ -89,7 +92,9 @@ def _with_sign(raw: np.ndarray, valid: np.ndarray, entry: Any) -> np.ndarray:
 
 
 def _period(entry: Any, conversion: Conversion) -> float:
-    """After how much a wrapped value starts again, in the channel's stated unit; 0 where it does not wrap."""
+    """After how much a wrapped value starts again, in the channel's stated unit; 0 where it does
+    not wrap.
+    """
     if entry.unwrap is False:
         return 0.0
     if entry.unwrap is not True:
@@ -110,7 +115,9 @@ def unwrapped(values: np.ndarray, period: float) -> np.ndarray:
 def _without_glitches(
     values: np.ndarray, t: np.ndarray, left: np.ndarray, period: float, drop: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Unwrapped values, and which are left out. A glitch must not turn what follows it, so it is found before it is unwrapped."""
+    """Unwrapped values, and which are left out. A glitch must not turn what follows it, so it is
+    found before it is unwrapped.
+    """
     values = values.copy()
     good = np.flatnonzero(~left)
     if drop:
@@ -124,11 +131,12 @@ def _without_glitches(
 
 
 def glitches(values: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Which of `values [time]` at `t [time]` s are glitches [time]: up to three samples that lie off both what came before and
-    what follows, by far more than the curve bends nearby. A jump or an impact agrees with one side, a flicker by the resolution
-    is usual.
+    """Which of `values [time]` at `t [time]` s are glitches [time]: up to three samples that lie
+    off both what came before and what follows, by far more than the curve bends nearby. A jump or
+    an impact agrees with one side, a flicker by the resolution is usual.
 
-    A clock may be uneven, and time stamps may scatter about an even clock: a glitch is one by the times and by the rows.
+    A clock may be uneven, and time stamps may scatter about an even clock: a glitch is one by the
+    times and by the rows.
     """
     by_rows = _off_both_sides(values, np.arange(len(values), dtype=float))
     return by_rows & _off_both_sides(values, t) if by_rows.any() else by_rows
@@ -206,7 +214,8 @@ def _shifted(s: Signal, rows: int) -> Signal:
 def _resampled(s: Signal, t: np.ndarray, own: np.ndarray, entry: Any) -> Signal:
     """A channel whose samples belong to the times `own [time]`, at the times t.
 
-    An input that holds its samples keeps its mean over each interval; anything else lies on the line between its samples.
+    An input that holds its samples keeps its mean over each interval; anything else lies on the
+    line between its samples.
     """
     good = s.known
     known = (t >= own[good][0]) & (t <= own[good][-1])

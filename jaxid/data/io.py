@@ -29,10 +29,12 @@ SUFFIXES = (".csv", ".parquet", ".pq")
 def load_dataset(path: str | os.PathLike[str], *, check_model: bool = True) -> Dataset:
     """The dataset in a folder (or of a `dataset.toml`), in SI units.
 
-    `check_model=False` reads data without asking whether they fit the model that `dataset.toml` names.
+    `check_model=False` reads data without asking whether they fit the model that `dataset.toml`
+    names.
 
-    Raises `DatasetError` with every fault of the folder at once, each with file, row, column and what to do. Data that
-    deserve a look (long time steps, a constant input) give a `DatasetWarning` and a line in `Dataset.notes`.
+    Raises `DatasetError` with every fault of the folder at once, each with file, row, column and
+    what to do. Data that deserve a look (long time steps, a constant input) give a `DatasetWarning`
+    and a line in `Dataset.notes`.
     """
     folder = Path(path)
     if folder.name == "dataset.toml" and not folder.is_dir():
@@ -206,9 +208,11 @@ def save_dataset(
     format: str = "parquet",
     overwrite: bool = False,
 ) -> Path:
-    """Writes `dataset.toml` and `run_1.parquet` … (or `.csv`), in SI; `load_dataset` reads an equal dataset from it.
+    """Writes `dataset.toml` and `run_1.parquet` … (or `.csv`), in SI; `load_dataset` reads an equal
+    dataset from it.
 
-    The folder appears complete or not at all. An existing folder with other content is left alone unless `overwrite`.
+    The folder appears complete or not at all. An existing folder with other content is left alone
+    unless `overwrite`.
 
     Raises `DatasetError` where the folder exists, or where it cannot be written.
     """

@@ -1,4 +1,6 @@
-"""The joints of a recording and those of a chain, matched by their names: q1 … become the chain's first joint and so on."""
+"""The joints of a recording and those of a chain, matched by their names: q1 … become the chain's
+first joint and so on.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,16 @@ _NUMBERED = re.compile(r"([A-Za-z_]+?)(\d+)((?:_[A-Za-z]+)?)")
 
 
 def joint_names(mechanism: Any) -> tuple[str, ...]:
-    """The names that a chain's file gives its joints, in the order of the chain; none where it has no names."""
+    """The names that a chain's file gives its joints, in the order of the chain; none where it has
+    no names.
+    """
     return tuple(getattr(mechanism, "joint_names", ()))
 
 
 def names_of_joints(mechanism: Any, dataset: Dataset, count: int) -> tuple[str, ...]:
-    """Names of the first `count` joints, by the chain's file or else by the recording; q1 … where neither names all of them."""
+    """Names of the first `count` joints, by the chain's file or else by the recording; q1 … where
+    neither names all of them.
+    """
     joints = {} if dataset.model is None else dataset.model.joints
     channels = [f"q{k}" for k in range(1, count + 1)]
     return joint_names(mechanism) or tuple(
@@ -31,10 +37,12 @@ def names_of_joints(mechanism: Any, dataset: Dataset, count: int) -> tuple[str, 
 
 
 def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
-    """The dataset with its numbered channels in the order of the chain's joints `names`, which a note says.
+    """The dataset with its numbered channels in the order of the chain's joints `names`, which a
+    note says.
 
-    Joints that the chain lacks become auxiliary channels behind them. Without names on either side the numbers count, and a
-    note says so where there are more joints than the chain has. Raises `UsageError` where the chain's joints are not recorded.
+    Joints that the chain lacks become auxiliary channels behind them. Without names on either side
+    the numbers count, and a note says so where there are more joints than the chain has. Raises
+    `UsageError` where the chain's joints are not recorded.
     """
     if not names:
         return dataset
@@ -86,7 +94,9 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
 
 
 def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int]:
-    """Number of each recorded joint (`joints`: q1 -> its name) -> its number in the chain; those that it lacks come behind."""
+    """Number of each recorded joint (`joints`: q1 -> its name) -> its number in the chain; those
+    that it lacks come behind.
+    """
     own = {int(c[1:]): j for c, j in joints.items() if re.fullmatch(r"q\d+", c)}
     plain = [plain_name(j) for j in own.values()]
     found: dict[int, int] = {}
@@ -112,7 +122,9 @@ def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int
 
 
 def _bynumber_of(dataset: Dataset, names: Sequence[str]) -> Dataset:
-    """Without names of the recording: a note where the numbers are all there is, and joints are left out."""
+    """Without names of the recording: a note where the numbers are all there is, and joints are
+    left out.
+    """
     more = sorted(
         (
             c.name
@@ -134,7 +146,9 @@ def _bynumber_of(dataset: Dataset, names: Sequence[str]) -> Dataset:
 
 
 def plain_name(name: str) -> str:
-    """A name without what drivers put around it: `arm/shoulder_pan_joint`, `Shoulder-Pan`, `shoulder_pan.pos`."""
+    """A name without what drivers put around it: `arm/shoulder_pan_joint`, `Shoulder-Pan`,
+    `shoulder_pan.pos`.
+    """
     last = name.rpartition("/")[2].lower()
     last = re.sub(r"(\.pos|\.position)$", "", last)
     last = re.sub(r"[_\- ]?joint$|^joint[_\- ](?=[a-z])", "", last)

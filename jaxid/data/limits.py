@@ -17,10 +17,11 @@ from jaxid.storage.small_files import read_small
 class Limits:
     """Bounds of each joint, one number a joint or one for all; None is no bound.
 
-    `lower`, `upper` rad; `speed` rad/s; `acceleration` rad/s^2; `current` A; `temperature` K. `step` is the largest change from
-    one command to the next (rad, rad/s or A, as the command is). `tracking` is how far (rad) a joint may be from where it is
-    told to be. `data_age` s is how long anything may be silent while something moves: the measurements, the recording process,
-    and the driver, for the watchdog of the device itself.
+    `lower`, `upper` rad; `speed` rad/s; `acceleration` rad/s^2; `current` A; `temperature` K.
+    `step` is the largest change from one command to the next (rad, rad/s or A, as the command is).
+    `tracking` is how far (rad) a joint may be from where it is told to be. `data_age` s is how long
+    anything may be silent while something moves: the measurements, the recording process, and the
+    driver, for the watchdog of the device itself.
     """
 
     lower: tuple[float, ...] | None = None
@@ -60,7 +61,9 @@ class Limits:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Limits:
-        """From a TOML file whose keys are the fields, as in `speed = [1.0, 1.0, 1.5]`; raises `UsageError`."""
+        """From a TOML file whose keys are the fields, as in `speed = [1.0, 1.0, 1.5]`; raises
+        `UsageError`.
+        """
         path = Path(path)
         try:
             content = tomllib.loads(read_small(path).decode())
@@ -78,7 +81,9 @@ class Limits:
             raise UsageError(f"limits {path}: {error}") from error
 
     def widened(self, joints: int) -> Limits:
-        """The same with one number for each joint; raises `UsageError` where a list has another length."""
+        """The same with one number for each joint; raises `UsageError` where a list has another
+        length.
+        """
         wide = {}
         for f in fields(self):
             value = getattr(self, f.name)
@@ -116,7 +121,8 @@ class Limits:
     ) -> str | None:
         """One sentence on the first measurement beyond its limit, or None; rad, rad/s, A, K.
 
-        Positions may pass theirs by one percent and speeds and currents by ten, for measurements are noisy.
+        Positions may pass theirs by one percent and speeds and currents by ten, for measurements
+        are noisy.
         """
         hot = self._violation("temperature", temperature, None, self.temperature, "K", 0.0)
         if hot is not None:

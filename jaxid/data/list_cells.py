@@ -1,4 +1,6 @@
-"""Cells that hold lists of numbers, as Python, NumPy and JSON print them, as one column an element."""
+"""Cells that hold lists of numbers, as Python, NumPy and JSON print them, as one column an
+element.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ import numpy as np
 
 
 def with_list_elements(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns whose cells are lists of one length (`[0.1, -0.2]`) as one column an element too: `positions[0]` …"""
+    """Columns whose cells are lists of one length (`[0.1, -0.2]`) as one column an element too:
+    `positions[0]` …
+    """
     out = dict(columns)
     for name, cells in columns.items():
         rows = _lists(cells)
@@ -41,7 +45,9 @@ def _lists(cells: Any) -> np.ndarray | None:
 
 
 def _list_text(cell: str) -> str:
-    """A list as JSON writes it, of one that Python or NumPy wrote: `(1, 2)`, `[1. 2.]`, `array([1, 2], dtype=float32)`."""
+    """A list as JSON writes it, of one that Python or NumPy wrote: `(1, 2)`, `[1. 2.]`, `array([1,
+    2], dtype=float32)`.
+    """
     text = cell.strip()
     if wrapped := re.fullmatch(
         r"(?:array|tensor)\((?:'\w', *)?(.*?)(?:, *dtype=[\w.']+)?\)", text, re.DOTALL

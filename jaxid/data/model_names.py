@@ -1,4 +1,6 @@
-"""Models that are named by a file of Python: `duffing.py`, or `duffing.py:Duffing` where the file holds several."""
+"""Models that are named by a file of Python: `duffing.py`, or `duffing.py:Duffing` where the file
+holds several.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +21,8 @@ def parts_of(text: str) -> tuple[str, str | None] | None:
 
 
 def called(model: str) -> str:
-    """What a model named by a file is called in tables: the class, where one was named, else the file."""
+    """What a model named by a file is called in tables: the class, where one was named, else the
+    file.
+    """
     own = parts_of(model)
     return own[1] if own is not None and own[1] is not None else Path(model).stem

@@ -1,9 +1,9 @@
 """The noise floor of each output channel: how close to the measurement any model can come.
 
-The largest counts of what is stated (noise and step of the sensor, together where both are), a quantisation that is found,
-and the scatter between repeated runs. Where nothing is stated, the sensor's white noise is estimated from differences of
-neighbouring samples. Without repeats the floor is the sensor's alone: what the machine does differently from run to run is not
-in it.
+The largest counts of what is stated (noise and step of the sensor, together where both are), a
+quantisation that is found, and the scatter between repeated runs. Where nothing is stated, the
+sensor's white noise is estimated from differences of neighbouring samples. Without repeats the
+floor is the sensor's alone: what the machine does differently from run to run is not in it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ _LEAST_SHARE = 1e-9  # of the motion: the floor of data that are free of noise
 
 @dataclass(frozen=True)
 class Noise:
-    """One standard deviation in `unit`; `source` is "stated", "quantisation", "sensor" or "repeatability"."""
+    """One standard deviation in `unit`; `source` is "stated", "quantisation", "sensor" or
+    "repeatability".
+    """
 
     std: float
     source: str
@@ -40,10 +42,13 @@ Window = Callable[[Experiment], float]
 def noise_floor(
     dataset: Dataset, readings: bool = False, window: Window | None = None
 ) -> dict[str, Noise]:
-    """Output channel -> its noise. Report runs are not looked at unless there is no other run. `readings`: without what the
-    machine does differently from run to run, which is motion, too. `window`: the length, s, of parts of a run that each have a
-    start of their own; what repeats differ by is then what they differ by within one, not what has added up since they began.
-    Repeats that change one way, report runs among them, tell no scatter: their drift is none, and hides what there is."""
+    """Output channel -> its noise. Report runs are not looked at unless there is no other run.
+    `readings`: without what the machine does differently from run to run, which is motion, too.
+    `window`: the length, s, of parts of a run that each have a start of their own; what repeats
+    differ by is then what they differ by within one, not what has added up since they began.
+    Repeats that change one way, report runs among them, tell no scatter: their drift is none, and
+    hides what there is.
+    """
     runs = [e for e in dataset.experiments if e.split != "report"] or list(dataset.experiments)
     groups = [] if readings else repeats(runs)
     drifting = {e.name for w in one_way(dataset.experiments) for e in w.runs} if groups else set()
@@ -129,8 +134,9 @@ def _floor(
 
 
 def _evenly(read: np.ndarray) -> list[np.ndarray]:
-    """Indices of the readings [time] that count, in stretches where each is as many samples behind the last as usual: differences
-    of neighbours mean something only there."""
+    """Indices of the readings [time] that count, in stretches where each is as many samples behind
+    the last as usual: differences of neighbours mean something only there.
+    """
     at = np.flatnonzero(read)
     if len(at) == len(read) or len(at) < 2:
         return [at]
@@ -139,9 +145,11 @@ def _evenly(read: np.ndarray) -> list[np.ndarray]:
 
 
 def sensor_noise(series: Sequence[np.ndarray]) -> float:
-    """The standard deviation of white noise on smooth signals `[time]`: third differences, median over blocks.
+    """The standard deviation of white noise on smooth signals `[time]`: third differences, median
+    over blocks.
 
-    Where fifth differences give less than half of it, the motion shows in the third ones and the fifth are used.
+    Where fifth differences give less than half of it, the motion shows in the third ones and the
+    fifth are used.
     """
     third, fifth = (_from_differences(series, order) for order in (3, 5))
     return fifth if fifth < 0.5 * third else third
@@ -163,14 +171,18 @@ def _from_differences(series: Sequence[np.ndarray], order: int) -> float:
 
 
 def _median_of_variance(count: int, order: int) -> float:
-    """Median of the mean square of `count` differences of unit variance: that of chi-square over its degrees of freedom
-    (Wilson and Hilferty 1931), which correlation of neighbouring differences makes fewer than `count`."""
+    """Median of the mean square of `count` differences of unit variance: that of chi-square over
+    its degrees of freedom (Wilson and Hilferty 1931), which correlation of neighbouring differences
+    makes fewer than `count`.
+    """
     freedom = max(1.0, count * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order))
     return (1 - 2 / (9 * freedom)) ** 3
 
 
 def _beside(series: Sequence[np.ndarray], scatter: Sequence[np.ndarray]) -> float:
-    """The same where each sample `[time]` is off by a known standard deviation beside that noise: likeliest variance."""
+    """The same where each sample `[time]` is off by a known standard deviation beside that noise:
+    likeliest variance.
+    """
     d = np.concatenate([np.diff(y, 3) ** 2 / comb(6, 3) for y in series])
     known = np.concatenate([s[1 : len(s) - 2] ** 2 for s in scatter])
     variance = float(np.mean(d))
@@ -180,12 +192,15 @@ def _beside(series: Sequence[np.ndarray], scatter: Sequence[np.ndarray]) -> floa
     return sqrt(variance)
 
 
-#: So many values of a long series show whether it may be quantised at all, and the share of distances on a grid that they need.
+#: So many values of a long series show whether it may be quantised at all, and the share of
+#: distances on a grid that they need.
 FIRST, MAYBE = 20_000, 0.3
 
 
 def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
-    """The step of a quantised signal, or None: every distance of distinct values is then a multiple of one step."""
+    """The step of a quantised signal, or None: every distance of distinct values is then a multiple
+    of one step.
+    """
     values = (
         np.concatenate([np.asarray(y, dtype=float) for y in series]) if len(series) else np.zeros(0)
     )
@@ -202,8 +217,9 @@ def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
 
 
 def _grid_of(values: np.ndarray) -> tuple[float, bool, float] | None:
-    """Smallest distance of distinct values, whether there are values enough to call it a step, and the share of distances that
-    are multiples of it; None where there are too few."""
+    """Smallest distance of distinct values, whether there are values enough to call it a step, and
+    the share of distances that are multiples of it; None where there are too few.
+    """
     distinct = np.unique(values)
     if len(distinct) < 3:
         return None
@@ -217,19 +233,23 @@ def _grid_of(values: np.ndarray) -> tuple[float, bool, float] | None:
     step = float(np.mean(smallest))
     multiple = spacing / step
     on_grid = np.abs(multiple - np.round(multiple)) < 0.05
-    # Repeated values speak for a step; so do many distances of several steps (one step each is but steady motion).
+    # Repeated values speak for a step; so do many distances of several steps (one step each is but
+    # steady motion).
     enough = bool(len(distinct) <= len(values) / 2 or np.count_nonzero(multiple > 1.5) >= 12)
     return step, enough, float(on_grid.mean())
 
 
 def edges(e: Experiment, length: float) -> np.ndarray:
-    """Where windows of `length` s begin: indices of samples; the last one goes on to the end of the run."""
+    """Where windows of `length` s begin: indices of samples; the last one goes on to the end of the
+    run.
+    """
     return np.searchsorted(e.t, np.arange(e.t[0], e.t[-1] - 0.5 * length, length))
 
 
 def _scatter(repeated: np.ndarray, begins: Sequence[int] | np.ndarray, known: int) -> float:
-    """Standard deviation between repeats [runs time]; within windows that begin there, what the start of each tells (a line, for
-    a position; its value, for a speed: `known` numbers) taken off."""
+    """Standard deviation between repeats [runs time]; within windows that begin there, what the
+    start of each tells (a line, for a position; its value, for a speed: `known` numbers) taken off.
+    """
     variances = np.var(repeated, axis=0, ddof=1)
     if not len(begins):
         return sqrt(float(np.mean(variances)))

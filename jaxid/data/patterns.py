@@ -1,4 +1,6 @@
-"""Patterns of a `dataset.toml`: one table for the channels of many joints (`[channels."q*"]`), one for many runs (`files`)."""
+"""Patterns of a `dataset.toml`: one table for the channels of many joints (`[channels."q*"]`), one
+for many runs (`files`).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from jaxid.errors import Problem
 def expanded_files(
     document: Document, places: Places, folder: Path, suffixes: tuple[str, ...]
 ) -> list[Problem]:
-    """Puts one experiment a file in the place of each that names `files`; what matches nothing comes back as a problem."""
+    """Puts one experiment a file in the place of each that names `files`; what matches nothing
+    comes back as a problem.
+    """
     problems: list[Problem] = []
     runs: dict[int, ExperimentEntry] = {}
     free = max([*document.experiments, 0]) + 1000
@@ -43,7 +47,9 @@ def expanded_files(
 
 
 def _matching(folder: Path, pattern: str, suffixes: tuple[str, ...]) -> list[str] | str:
-    """Files of the folder that match, in the order in which people count them; or what is wrong with the pattern."""
+    """Files of the folder that match, in the order in which people count them; or what is wrong
+    with the pattern.
+    """
     parts = re.split(r"[/\\]", pattern)
     if ".." in parts or Path(pattern).is_absolute() or pattern[1:2] == ":":
         return "lies outside the folder"
@@ -73,8 +79,8 @@ def expanded_channels(
 ) -> list[Problem]:
     """Puts a channel a joint in the place of each pattern, by the columns of the first run.
 
-    What `*` stands for is the joint: numbers count as they are (from 0 they are moved to 1), names in the order of the columns,
-    and kept as names of the joints.
+    What `*` stands for is the joint: numbers count as they are (from 0 they are moved to 1), names
+    in the order of the columns, and kept as names of the joints.
     """
     patterns = [name for name in document.channels if "*" in name]
     if not patterns:
@@ -131,7 +137,9 @@ def expanded_channels(
 
 
 def joint_numbers(captures: list[str], joints: dict[str, int]) -> dict[str, int]:
-    """The joint, from 1, of each text that a `*` stood for; names are added to `joints` in their order."""
+    """The joint, from 1, of each text that a `*` stood for; names are added to `joints` in their
+    order.
+    """
     if all(c.isdigit() for c in captures):
         first = 1 if any(int(c) == 0 for c in captures) else 0
         return {c: int(c) + first for c in captures}
@@ -141,7 +149,9 @@ def joint_numbers(captures: list[str], joints: dict[str, int]) -> dict[str, int]
 
 
 def captures_of(pattern: str, names: list[str]) -> dict[str, str] | None:
-    """Text that the `*` of a pattern stands for -> the column; None for a pattern with another number of `*`."""
+    """Text that the `*` of a pattern stands for -> the column; None for a pattern with another
+    number of `*`.
+    """
     if pattern.count("*") != 1:
         return None
     form = re.compile(re.escape(pattern).replace(r"\*", "(.+)"))

@@ -1,4 +1,6 @@
-"""Where the keys of a `dataset.toml` stand: problems that name the key as people write it, and its line."""
+"""Where the keys of a `dataset.toml` stand: problems that name the key as people write it, and its
+line.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,9 @@ def _key_lines(text: str) -> dict[tuple[str | int, ...], int]:
 
 
 def real_path(loc: tuple[str | int, ...], raw: Any) -> tuple[str | int, ...]:
-    """The part of pydantic's location that stands in the data (it also names branches of unions)."""
+    """The part of pydantic's location that stands in the data (it also names branches of
+    unions).
+    """
     path: list[str | int] = []
     for part in loc:
         if isinstance(raw, Mapping) and part in raw:

@@ -23,7 +23,9 @@ GAP, LONG_STEP = 20.0, 5.0  # in medians of the time step
 
 @dataclass(frozen=True)
 class Reading:
-    """How a channel is read: its columns and forms (`jaxid.data.forms`), and the conversion of its unit to SI."""
+    """How a channel is read: its columns and forms (`jaxid.data.forms`), and the conversion of its
+    unit to SI.
+    """
 
     name: str
     entry: ChannelEntry
@@ -198,7 +200,9 @@ def _there(table: Table, reading: Reading) -> bool:
 def _known_span(
     table: Table, name: str, signals: dict[str, Signal], cuts: list[int], harvest: Harvest
 ) -> tuple[slice | None, list[int]]:
-    """The samples between the first and the last at which every channel has a value, and where to cut among them."""
+    """The samples between the first and the last at which every channel has a value, and where to
+    cut among them.
+    """
     known = (
         np.all([s.known for s in signals.values()], axis=0)
         if signals
@@ -279,7 +283,9 @@ def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndar
 
 
 def _readable(table: Table, index: np.ndarray, harvest: Harvest) -> tuple[np.ndarray, bool]:
-    """The selected samples whose rows have a field for each column; whether there are others, which is a problem."""
+    """The selected samples whose rows have a field for each column; whether there are others, which
+    is a problem.
+    """
     good = ~np.isin(index, list(table.ragged))
     if good.all():
         return index, False

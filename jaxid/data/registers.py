@@ -1,4 +1,6 @@
-"""Registers that hold a signed number without a sign: as a size with a sign bit, or as two's complement read as if unsigned."""
+"""Registers that hold a signed number without a sign: as a size with a sign bit, or as two's
+complement read as if unsigned.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +9,15 @@ from collections.abc import Sequence
 import numpy as np
 
 
-#: A number of a register is whole to so much: what a file writes with a few digits of a decimal fraction is none.
+#: A number of a register is whole to so much: what a file writes with a few digits of a decimal
+#: fraction is none.
 WHOLE = 1e-6
 
 
 def by_sign_bit(raw: np.ndarray, bit: int) -> np.ndarray:
-    """Numbers of a register [time] whose size stands below a bit (counted from 0) that says minus."""
+    """Numbers of a register [time] whose size stands below a bit (counted from 0) that says
+    minus.
+    """
     place = 2.0**bit
     return np.where(raw >= place, place - raw, raw)
 
@@ -23,7 +28,8 @@ def by_twos_complement(raw: np.ndarray, bits: int) -> np.ndarray:
 
 
 def signed(raw: np.ndarray, sign_bit: int | None, signed_bits: int | None) -> np.ndarray:
-    """Numbers of a register [time] with their sign, as `sign_bit` or `signed_bits` of a channel say; as they are without both.
+    """Numbers of a register [time] with their sign, as `sign_bit` or `signed_bits` of a channel
+    say; as they are without both.
 
     Raises `ValueError` where they are no numbers of such a register.
     """
@@ -51,21 +57,22 @@ def register_numbers(parts: Sequence[np.ndarray]) -> bool:
 
 #: Bits that say minus, and widths in two's complement, that are looked for.
 SIGN_BITS, WIDTHS = range(7, 32), (8, 16, 32)
-#: Steps at which a register that is read without its sign jumps, at least, and different numbers on each side of it.
+#: Steps at which a register that is read without its sign jumps, at least, and different numbers on
+#: each side of it.
 CROSSINGS, DIFFERENT = 2, 5
-#: With its sign a number goes through zero as it goes elsewhere: by so many times what most steps are, which are that share of
-#: the jump at most.
+#: With its sign a number goes through zero as it goes elsewhere: by so many times what most steps
+#: are, which are that share of the jump at most.
 AS_USUAL, SMALL = 2.0, 1 / 8
 #: Share of the crossings at which it has to: gaps in a log may fall on some.
 MOST = 0.8
 
 
 def found_sign(parts: Sequence[np.ndarray]) -> tuple[str, int] | None:
-    """`("sign_bit", bit)` or `("signed_bits", width)` of a register in runs [time] that was read without its sign; None where
-    they are numbers as they are.
+    """`("sign_bit", bit)` or `("signed_bits", width)` of a register in runs [time] that was read
+    without its sign; None where they are numbers as they are.
 
-    A signed number that goes through zero changes there as it does elsewhere, and jumps by the place of its sign bit where it is
-    read without sign; any other number runs through that place.
+    A signed number that goes through zero changes there as it does elsewhere, and jumps by the
+    place of its sign bit where it is read without sign; any other number runs through that place.
     """
     parts = [known for y in parts if len(known := y[np.isfinite(y)])]
     if not parts or not register_numbers(parts):

@@ -1,5 +1,6 @@
-"""Runs that repeat one another, and what they differ by from first to last where that goes one way: a machine that warms up, a
-sensor that drifts. One way is no scatter."""
+"""Runs that repeat one another, and what they differ by from first to last where that goes one way:
+a machine that warms up, a sensor that drifts. One way is no scatter.
+"""
 
 from __future__ import annotations
 
@@ -13,23 +14,29 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.wording import listed
 
 
-#: Of so many runs in any order, one in sixty changes one way by chance; of four, one in twelve, so they have to settle, too.
+#: Of so many runs in any order, one in sixty changes one way by chance; of four, one in twelve, so
+#: they have to settle, too.
 FEWEST, ENOUGH = 4, 5
-#: Share of what repeats differ by that goes along one pattern: noise of five runs shares a quarter with each.
+#: Share of what repeats differ by that goes along one pattern: noise of five runs shares a quarter
+#: with each.
 ONE_PATTERN = 0.5
 
 
 @dataclass(frozen=True)
 class OneWay:
-    """Repeats that change one way, in their order, and the root mean square by which the last one is off the first [ny]."""
+    """Repeats that change one way, in their order, and the root mean square by which the last one
+    is off the first [ny].
+    """
 
     runs: tuple[Experiment, ...]
     apart: np.ndarray
 
 
 def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:
-    """Groups of two and more runs with the same inputs at the same times, the same constants and the same start, or of which one
-    is stated to repeat the other; one may stop before the other, but not before half of it."""
+    """Groups of two and more runs with the same inputs at the same times, the same constants and
+    the same start, or of which one is stated to repeat the other; one may stop before the other,
+    but not before half of it.
+    """
     groups: list[list[Experiment]] = []
     for run in runs:
         group = next((g for g in groups if _same_conditions(g[0], run)), None)
@@ -67,7 +74,9 @@ def together(group: Sequence[Experiment]) -> np.ndarray:
 
 
 def one_way(runs: Sequence[Experiment]) -> list[OneWay]:
-    """Groups of repeats, in the order in which they are listed, that change one way from the first to the last."""
+    """Groups of repeats, in the order in which they are listed, that change one way from the first
+    to the last.
+    """
     return [found for group in repeats(runs) if (found := _one_way(group)) is not None]
 
 

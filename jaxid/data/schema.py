@@ -1,4 +1,6 @@
-"""What may stand in `dataset.toml`: pydantic models of it, and its faults as problems with the line of the key."""
+"""What may stand in `dataset.toml`: pydantic models of it, and its faults as problems with the line
+of the key.
+"""
 
 from __future__ import annotations
 
@@ -49,8 +51,10 @@ class Header(Strict):
 
 
 class ChannelEntry(Strict):
-    """`[channels.NAME]`. A value is `scale * raw + offset`, in `unit`; raw is a column, or columns with weights. What else may be
-    said of how it was recorded is applied to it in that unit (`jaxid.data.forms`)."""
+    """`[channels.NAME]`. A value is `scale * raw + offset`, in `unit`; raw is a column, or columns
+    with weights. What else may be said of how it was recorded is applied to it in that unit
+    (`jaxid.data.forms`).
+    """
 
     role: Literal["input", "output", "auxiliary"]
     unit: str
@@ -119,7 +123,9 @@ class ChannelEntry(Strict):
 
 
 class ExperimentEntry(Strict):
-    """`[[experiments]]`: a recorded run, several of them by a pattern (`files`), or a frequency response."""
+    """`[[experiments]]`: a recorded run, several of them by a pattern (`files`), or a frequency
+    response.
+    """
 
     file: str = ""
     files: str | None = None
@@ -189,7 +195,9 @@ class ExperimentEntry(Strict):
 
 @dataclass
 class Document:
-    """The sound parts of a `dataset.toml`, and its faults. A part that is at fault is None or left out."""
+    """The sound parts of a `dataset.toml`, and its faults. A part that is at fault is None or left
+    out.
+    """
 
     header: Header | None = None
     channels: dict[str, ChannelEntry] = field(default_factory=dict)
@@ -272,7 +280,9 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
 
 
 def _selects(key: str | int | None) -> bool:
-    """Whether a faulty key may have chosen the samples, so that checking all of them would blame the wrong ones."""
+    """Whether a faulty key may have chosen the samples, so that checking all of them would blame
+    the wrong ones.
+    """
     harmless = {"split", "name", "at_rest", "initial", "initial_window_s", "constants"}
     if not isinstance(key, str):
         return True
@@ -289,7 +299,9 @@ def entry_of(
     section: str,
     allowed: list[str] | None = None,
 ) -> Entry | None:
-    """One part, checked; one with a fault is tried again without the faulty keys, so that the rest can be checked."""
+    """One part, checked; one with a fault is tried again without the faulty keys, so that the rest
+    can be checked.
+    """
     if not isinstance(raw, Mapping):
         document.sound.discard(section)
         document.problems.append(

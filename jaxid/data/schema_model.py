@@ -1,4 +1,6 @@
-"""The tables of dataset.toml that say what is simulated: model, base, links, priors of parameters, and the controller."""
+"""The tables of dataset.toml that say what is simulated: model, base, links, priors of parameters,
+and the controller.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ class GaussEntry(Strict):
 
 
 class PriorEntry(Strict):
-    """`[model.parameters.NAME]`: start value, bounds, search scale and Gaussian prior of a fitted number."""
+    """`[model.parameters.NAME]`: start value, bounds, search scale and Gaussian prior of a fitted
+    number.
+    """
 
     value: FiniteFloat | None = None
     lower: FiniteFloat | None = None
@@ -79,9 +83,10 @@ class BaseEntry(Strict):
 class ModelEntry(Strict):
     """`[model]`.
 
-    `urdf` (a file of the folder, with the `root` and the `tip` of the chain where it has several) or `dh` are the links of a
-    `serial_arm`; `robot` is the file of any robot, MJCF or URDF, with its `base`. `file` holds a model of the user's own, `name`
-    its class where there are several. `joints` says which joint a channel is of (`q1` and its `tau1`, `q1_cmd` … alike).
+    `urdf` (a file of the folder, with the `root` and the `tip` of the chain where it has several)
+    or `dh` are the links of a `serial_arm`; `robot` is the file of any robot, MJCF or URDF, with
+    its `base`. `file` holds a model of the user's own, `name` its class where there are several.
+    `joints` says which joint a channel is of (`q1` and its `tau1`, `q1_cmd` … alike).
     """
 
     name: str | None = None
@@ -145,7 +150,9 @@ class ModelEntry(Strict):
 
 
 class ControllerEntry(BaseModel):
-    """`[controller]`: its kind; gains, sample time and saturation as numbers or lists of numbers; the names of channels."""
+    """`[controller]`: its kind; gains, sample time and saturation as numbers or lists of numbers;
+    the names of channels.
+    """
 
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
     __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat] | dict[str, FiniteFloat]]

@@ -1,5 +1,6 @@
-"""Velocities and accelerations from measured positions, without a shift in time. Every result comes with a sentence
-that says what was done, for the report. Signals are `[time]` or `[time n]`, times in s, frequencies in Hz.
+"""Velocities and accelerations from measured positions, without a shift in time. Every result comes
+with a sentence that says what was done, for the report. Signals are `[time]` or `[time n]`, times
+in s, frequencies in Hz.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ UNIFORM = 0.01  # steps that differ by less than this share of their median coun
 def zero_phase(t: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int = ORDER) -> np.ndarray:
     """`x` through a Butterworth low-pass, forwards and backwards (no phase; -6 dB at the cutoff).
 
-    Irregularly sampled signals are filtered on a uniform grid of the median step and brought back by splines.
-    Raises `ValueError` for a cutoff that is not between 0 and half the sampling frequency, or too few samples.
+    Irregularly sampled signals are filtered on a uniform grid of the median step and brought back
+    by splines. Raises `ValueError` for a cutoff that is not between 0 and half the sampling
+    frequency, or too few samples.
     """
     grid, values, uniform = _on_grid(t, x)
     filtered = _filtered(grid, values, cutoff_hz, order)
@@ -35,11 +37,13 @@ def zero_phase_stretches(
     stretch: int = STRETCH,
     order: int = ORDER,
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """`zero_phase` of a series that is made as it is needed: `rows(samples)` gives a part of it, [samples n ...].
+    """`zero_phase` of a series that is made as it is needed: `rows(samples)` gives a part of it,
+    [samples n ...].
 
     Gives (samples, filtered, unfiltered) of one stretch after the other; a short series is one.
 
-    Each stretch is filtered with so much of its neighbourhood that the filter has forgotten what lies beyond to rounding.
+    Each stretch is filtered with so much of its neighbourhood that the filter has forgotten what
+    lies beyond to rounding.
     """
     from scipy.signal import sos2zpk
 
@@ -76,8 +80,8 @@ def differentiate(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
     """Filtered `q`, its velocity and its acceleration at `t`, and the sentence.
 
-    Central differences of the zero-phase filtered signal. All three have the length of `q`; the first and last
-    `filter_ends(t, cutoff_hz)` samples suffer from the ends and should not be used.
+    Central differences of the zero-phase filtered signal. All three have the length of `q`; the
+    first and last `filter_ends(t, cutoff_hz)` samples suffer from the ends and should not be used.
     """
     grid, values, uniform = _on_grid(t, q)
     smooth = _filtered(grid, values, cutoff_hz, order)
@@ -98,13 +102,16 @@ def differentiate(
 
 
 def filter_ends(t: np.ndarray, cutoff_hz: float) -> int:
-    """How many samples at each end the filter spoils: two periods of the cutoff, at most a tenth of the record."""
+    """How many samples at each end the filter spoils: two periods of the cutoff, at most a tenth of
+    the record.
+    """
     step = float(np.median(np.diff(t)))
     return min(int(np.ceil(2 / (cutoff_hz * step) - 1e-6)), len(t) // 10)
 
 
 def decimate(t: np.ndarray, x: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray, str]:
-    """Every `factor`-th time and sample after a zero-phase low-pass at 0.8 of the new Nyquist frequency; the sentence.
+    """Every `factor`-th time and sample after a zero-phase low-pass at 0.8 of the new Nyquist
+    frequency; the sentence.
 
     Apply it to both sides of an equation alike. `factor` 1 returns the signals as they are.
     """
@@ -126,8 +133,8 @@ def start_state(
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Position and velocity at `t[0]` from a polynomial through the first samples; the sentence.
 
-    The window is `window_s`, by default 20 samples and at least 0.1 s. Returns `q0 [n]` and `qd0 [n]` (scalars as
-    0-d arrays for `q [time]`).
+    The window is `window_s`, by default 20 samples and at least 0.1 s. Returns `q0 [n]` and `qd0
+    [n]` (scalars as 0-d arrays for `q [time]`).
     """
     t, q = np.asarray(t, dtype=float), np.asarray(q, dtype=float)
     span = window_s if window_s is not None else max(0.1, float(t[min(20, len(t)) - 1] - t[0]))
@@ -146,8 +153,10 @@ def start_state(
 
 
 def followed(t: np.ndarray, x: np.ndarray, degree: int = 2, least: int = 20) -> float:
-    """The longest of the window of all samples, its half, its quarter …, in s, over which a polynomial follows every signal of
-    x [time n]: to within twice its noise (third differences, or the step of a counter), or 2 % of what it moves there."""
+    """The longest of the window of all samples, its half, its quarter …, in s, over which a
+    polynomial follows every signal of x [time n]: to within twice its noise (third differences, or
+    the step of a counter), or 2 % of what it moves there.
+    """
     count = len(t)
     while count // 2 >= max(least, degree + 2):
         part = x[:count]
@@ -176,7 +185,9 @@ def _on_grid(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool
 
 
 def even_grid(t: np.ndarray) -> np.ndarray | None:
-    """Times of equal steps over t, as long as the mean step; None where those of t are equal already."""
+    """Times of equal steps over t, as long as the mean step; None where those of t are equal
+    already.
+    """
     if _grid(t)[1]:
         return None
     return np.linspace(t[0], t[-1], len(t))
@@ -188,7 +199,9 @@ def spline(t: np.ndarray, x: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def _grid(t: np.ndarray) -> tuple[np.ndarray, bool]:
-    """The times of a uniform grid over t, and whether samples are taken to lie on it as they are."""
+    """The times of a uniform grid over t, and whether samples are taken to lie on it as they
+    are.
+    """
     step = np.diff(t)
     median = float(np.median(step))
     if np.min(step) <= 0:
@@ -216,7 +229,9 @@ def _sections(grid: np.ndarray, cutoff_hz: float, order: int) -> np.ndarray:
 
 
 def _padding(grid: np.ndarray, cutoff_hz: float, order: int) -> int:
-    """About two periods of the cutoff; SciPy's own default is a few samples and rings at low cutoffs."""
+    """About two periods of the cutoff; SciPy's own default is a few samples and rings at low
+    cutoffs.
+    """
     return max(3 * (2 * -(-order // 2) + 1), int(np.ceil(2 / float(grid[1] - grid[0]) / cutoff_hz)))
 
 
@@ -254,7 +269,8 @@ LONG = 1 << 15
 
 
 def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
-    """Frequency in Hz up to which a recorded position rises above its white noise; motion is smoothed there.
+    """Frequency in Hz up to which a recorded position rises above its white noise; motion is
+    smoothed there.
 
     At least 8 periods of the record, at most a fifth of the sampling frequency.
     """
@@ -272,12 +288,14 @@ def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
         segment = next_fast_len(segment, real=True)
     f, power = welch(second, rate, nperseg=segment)
     floor = 2 * noise**2 / rate * (2 - 2 * np.cos(2 * np.pi * f / rate)) ** 2
-    # The fewer segments are averaged, the higher noise alone reaches: where one line of a hundred spectra does is no content.
+    # The fewer segments are averaged, the higher noise alone reaches: where one line of a hundred
+    # spectra does is no content.
     freedom = 2 * max(1, second.size // segment)
     chance = float(chi2.isf(0.01 / f.size, freedom)) / freedom
     above = np.flatnonzero((power > max(4.0, chance) * floor) & (f > 0))
     top = f[above[-1]] if above.size else 0.0
-    # A lone peak far up is not content: take the frequency below which 99.9 % of the power above the floor lies.
+    # A lone peak far up is not content: take the frequency below which 99.9 % of the power above
+    # the floor lies.
     excess = np.cumsum(np.maximum(power - floor, 0.0) * (f <= top))
     if excess[-1] > 0:
         top = f[np.searchsorted(excess, 0.999 * excess[-1])]
@@ -289,8 +307,10 @@ SPEED_SHARE = 0.95
 
 
 def speed_content(t: np.ndarray, y: np.ndarray, noise: float) -> float:
-    """Frequency (Hz) below which nearly all power of the speed of a position y at equal steps lies, white noise taken off: no
-    less of it than the upper half of the spectrum shows (a clock that jitters adds to that of the sensor)."""
+    """Frequency (Hz) below which nearly all power of the speed of a position y at equal steps lies,
+    white noise taken off: no less of it than the upper half of the spectrum shows (a clock that
+    jitters adds to that of the sensor).
+    """
     from scipy.signal import welch
 
     step = float(t[-1] - t[0]) / (len(t) - 1)

@@ -1,4 +1,6 @@
-"""The split rules: validation data from the tail of fit runs, report data from the second half of validation runs."""
+"""The split rules: validation data from the tail of fit runs, report data from the second half of
+validation runs.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,9 @@ TAIL = 0.3
 GUARD_SAMPLES, GUARD_S = 20, 0.1
 #: A run whose first time stamp (s) is later than this is spoken of by the time since its start.
 LATE = 1e4
-#: What a part knows of the samples before it, by time (s) and at most so many: an effect that remembers starts from them.
-#: Validation runs are simulated for every hypothesis, report runs for a few.
+#: What a part knows of the samples before it, by time (s) and at most so many: an effect that
+#: remembers starts from them. Validation runs are simulated for every hypothesis, report runs for a
+#: few.
 PAST = {"validation": (5.0, 1000), "report": (60.0, 20_000)}
 
 
@@ -95,7 +98,9 @@ def _forgetful(run: Experiment) -> Experiment:
 
 
 def _place(run: Experiment, stop: int) -> str:
-    """Where a run is cut; of clocks that count from 1970 or from when a machine was switched on nobody wants to read."""
+    """Where a run is cut; of clocks that count from 1970 or from when a machine was switched on
+    nobody wants to read.
+    """
     return (
         f"at {run.t[stop]:.6g} s"
         if abs(run.t[0]) < LATE
@@ -104,8 +109,9 @@ def _place(run: Experiment, stop: int) -> str:
 
 
 def _after_guard(run: Experiment, stop: int) -> int:
-    """The first sample behind a guard gap of 20 samples or 0.1 s, whichever is longer; a fast record is over so soon that a third
-    of what is left has to do."""
+    """The first sample behind a guard gap of 20 samples or 0.1 s, whichever is longer; a fast
+    record is over so soon that a third of what is left has to do.
+    """
     by_time = int(np.searchsorted(run.t, run.t[stop] + GUARD_S, side="left"))
     return min(
         max(stop + GUARD_SAMPLES, by_time),

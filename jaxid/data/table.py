@@ -1,4 +1,6 @@
-"""A data file as a table of columns, each fault with its row and column: CSV, Parquet, or arrays."""
+"""A data file as a table of columns, each fault with its row and column: CSV, Parquet, or
+arrays.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "?"}
 
 @dataclass(frozen=True)
 class Numbers:
-    """A column as float64, NaN where a cell is no finite number; `faults`: sample index -> what stands there."""
+    """A column as float64, NaN where a cell is no finite number; `faults`: sample index -> what
+    stands there.
+    """
 
     values: np.ndarray
     faults: dict[int, str]
@@ -28,10 +32,11 @@ class Numbers:
 
 @dataclass
 class Table:
-    """Columns of equal length. `rows` is the row of each sample as an editor shows it, None for arrays in memory.
+    """Columns of equal length. `rows` is the row of each sample as an editor shows it, None for
+    arrays in memory.
 
-    `ragged` are samples whose row has another count of fields than the header, with that count; `twice` are names that stand
-    over several, different columns, with their numbers.
+    `ragged` are samples whose row has another count of fields than the header, with that count;
+    `twice` are names that stand over several, different columns, with their numbers.
     """
 
     file: str
@@ -52,7 +57,9 @@ class Table:
         return f"sample {self.row(sample) - 1} (row {self.row(sample)})"
 
     def find(self, column: str | int) -> str | None:
-        """The name of a column that is given by name or by number, from 1; None where there is none."""
+        """The name of a column that is given by name or by number, from 1; None where there is
+        none.
+        """
         if isinstance(column, int):
             return list(self.columns)[column - 1] if 1 <= column <= len(self.columns) else None
         return column if column in self.columns else None
@@ -158,7 +165,9 @@ def _as_numbers(cells: Any) -> Numbers:
 
 
 def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
-    """A table of arrays in memory; unequal lengths and shapes other than [time] are its problems."""
+    """A table of arrays in memory; unequal lengths and shapes other than [time] are its
+    problems.
+    """
     problems, good = [], {}
     lengths: dict[str, int] = {}
     for column, values in columns.items():
@@ -196,7 +205,9 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
 
 
 def read_table(path: Path, file: str, content: bytes, *, numbered: bool = False) -> Table:
-    """The table of a `.csv` or `.parquet` file, whose bytes are `content`; one of `numbered` columns needs no header."""
+    """The table of a `.csv` or `.parquet` file, whose bytes are `content`; one of `numbered`
+    columns needs no header.
+    """
     if path.suffix.lower() in (".parquet", ".pq"):
         return _read_parquet(file, content)
     return _read_csv(file, content, numbered)
@@ -317,8 +328,9 @@ def _read_csv(file: str, content: bytes, numbered: bool = False) -> Table:
 
 
 def _read_numbers(file: str, content: bytes) -> Table | None:
-    """The table of a plain file of names and numbers, fast and in little memory; None for anything else, which is read row by
-    row so that each fault has its place."""
+    """The table of a plain file of names and numbers, fast and in little memory; None for anything
+    else, which is read row by row so that each fault has its place.
+    """
     import pyarrow as pa
     from pyarrow import csv as arrow
 
@@ -350,10 +362,12 @@ def _read_numbers(file: str, content: bytes) -> Table | None:
 
 
 def _owned_by_arrow(content: bytes) -> Any:
-    """The bytes in memory of Arrow's own, for its reader of CSV, which always has a thread read ahead.
+    """The bytes in memory of Arrow's own, for its reader of CSV, which always has a thread read
+    ahead.
 
-    Bytes of Python may be let go last by such a thread. Where that happens while the interpreter ends, the process is aborted
-    ("terminate called without an active exception"). So Arrow's threads hold no memory of Python.
+    Bytes of Python may be let go last by such a thread. Where that happens while the interpreter
+    ends, the process is aborted ("terminate called without an active exception"). So Arrow's
+    threads hold no memory of Python.
     """
     import pyarrow as pa
 
@@ -394,7 +408,9 @@ def _header_fault(
 def csv_columns(
     file: str, header: Sequence[str], lines: Sequence[list[str]], rows: Sequence[int]
 ) -> Table:
-    """The table of rows of text; a row with another count of fields is a sample whose cells are missing."""
+    """The table of rows of text; a row with another count of fields is a sample whose cells are
+    missing.
+    """
     width = len(header)
     kept, ragged = [], {}
     for sample, fields in enumerate(lines):
@@ -428,7 +444,9 @@ def ragged_rows(file: str, rows: Sequence[int], ragged: Mapping[int, int], width
 def distinct(
     names: Sequence[str], columns: Sequence[Any]
 ) -> tuple[dict[str, Any], dict[str, list[int]]]:
-    """Columns by name, and which names stand over several columns that differ (with their numbers); each keeps its place."""
+    """Columns by name, and which names stand over several columns that differ (with their numbers);
+    each keeps its place.
+    """
     out: dict[str, Any] = {}
     places: dict[str, list[int]] = {}
     for k, (name, column) in enumerate(zip(names, columns, strict=True)):

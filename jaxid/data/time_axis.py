@@ -1,4 +1,6 @@
-"""The time column of a table in seconds: units, dates, clocks that count from 1970, and times that cannot be seconds."""
+"""The time column of a table in seconds: units, dates, clocks that count from 1970, and times that
+cannot be seconds.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,11 @@ CLOCK = re.compile(
 
 
 def seconds(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarray, str]:
-    """Seconds [time] from a column's cells (`numbers [time]` are the same as float64), and what was done, or "".
+    """Seconds [time] from a column's cells (`numbers [time]` are the same as float64), and what was
+    done, or "".
 
-    Dates, ISO texts and clocks that count from 1970 count from the first sample of the column, exactly.
+    Dates, ISO texts and clocks that count from 1970 count from the first sample of the column,
+    exactly.
     """
     t, start = since_start(cells, numbers, unit)
     if start is None:
@@ -33,7 +37,9 @@ def seconds(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarr
 
 
 def since_start(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarray, int | None]:
-    """Seconds [time], and the nanoseconds since 1970 from which they count, None where they count from nowhere in particular."""
+    """Seconds [time], and the nanoseconds since 1970 from which they count, None where they count
+    from nowhere in particular.
+    """
     dates = _dates(cells, numbers)
     if dates is not None and dates.dtype.kind == "m":
         return _from(dates, np.timedelta64(0, "ns")), None
@@ -53,7 +59,9 @@ def since_start(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.n
 
 
 def impossible(t: np.ndarray, recorded: str = "t") -> tuple[str, str] | None:
-    """Why these times [time] of a column without a stated unit can be no seconds, and what to write; None where they can."""
+    """Why these times [time] of a column without a stated unit can be no seconds, and what to
+    write; None where they can.
+    """
     step = np.diff(t)
     step = step[step > 0]
     if not len(step):
@@ -78,7 +86,9 @@ def impossible(t: np.ndarray, recorded: str = "t") -> tuple[str, str] | None:
 
 
 def contradicted(numbers: np.ndarray, unit: str | None) -> tuple[str, str] | None:
-    """Why a clock [time] cannot count in the unit that is stated for it, and the one it does count in; None where it can."""
+    """Why a clock [time] cannot count in the unit that is stated for it, and the one it does count
+    in; None where it can.
+    """
     finite = numbers[np.isfinite(numbers)]
     if unit is None or not len(finite) or abs(finite[0]) / PER_SECOND[unit] <= LATEST:
         return None
@@ -114,8 +124,10 @@ def _texts(cells: Any) -> np.ndarray:
 
 
 def _clock(cells: Any) -> np.ndarray:
-    """Texts of a time of day as durations. Dates before it count where they differ and begin with the year, or have dots after
-    the day; which of two numbers between slashes is the day cannot be known."""
+    """Texts of a time of day as durations. Dates before it count where they differ and begin with
+    the year, or have dots after the day; which of two numbers between slashes is the day cannot be
+    known.
+    """
     found = [CLOCK.fullmatch(c.strip()) for c in cells]
     if any(m is None for m in found):
         raise ValueError("not a time of day")

@@ -1,7 +1,9 @@
-"""Time stamps that scatter around the true instants, found from a recording alone, before any model.
+"""Time stamps that scatter around the true instants, found from a recording alone, before any
+model.
 
-A reading taken e seconds off its stamp is off by e dy/dt. High differences of neighbouring samples take the motion out and leave
-white noise; where its variance grows with the square of speed, and with nothing else so well, the stamps scatter.
+A reading taken e seconds off its stamp is off by e dy/dt. High differences of neighbouring samples
+take the motion out and leave white noise; where its variance grows with the square of speed, and
+with nothing else so well, the stamps scatter.
 """
 
 from __future__ import annotations
@@ -17,15 +19,19 @@ from jaxid.data.noise import Noise, quantisation_step
 from jaxid.data.signals import content_cutoff, differentiate, filter_ends
 
 
-#: The differences that are asked, and how far the slope over speed squared is from zero by each, in its standard deviations.
-#: Motion that is left in the third is less in the fifth; white noise is the same in both: their spreads are this much alike.
+#: The differences that are asked, and how far the slope over speed squared is from zero by each, in
+#: its standard deviations. Motion that is left in the third is less in the fifth; white noise is
+#: the same in both: their spreads are this much alike.
 ORDERS, ALIKE = {3: 4.0, 5: 3.0}, 0.1
-#: Scatter counts from this share of the noise's variance on; of a quantised reading, at high speed, from so many times that.
+#: Scatter counts from this share of the noise's variance on; of a quantised reading, at high speed,
+#: from so many times that.
 SEEN, STEPS = 0.1, 2.0
-#: Fourth moment of the standardised differences: 1.8 for an even spread, 3 for a normal one. More is bursts, not stamps; the more
-#: samples a difference has, the less well their speeds are known near reversals.
+#: Fourth moment of the standardised differences: 1.8 for an even spread, 3 for a normal one. More
+#: is bursts, not stamps; the more samples a difference has, the less well their speeds are known
+#: near reversals.
 MOMENTS = {3: (1.5, 4.0), 5: (1.5, 8.0)}
-#: Log-likelihood by which speed squared has to beat position, acceleration and time as the cause, and not to lose to speed.
+#: Log-likelihood by which speed squared has to beat position, acceleration and time as the cause,
+#: and not to lose to speed.
 BETTER, LOSE = 4.0, 4.0
 FEWEST = 200  # samples
 EVEN = 1e-6  # steps that differ by less than this share of their median are one step
@@ -33,7 +39,9 @@ EVEN = 1e-6  # steps that differ by less than this share of their median are one
 
 @dataclass(frozen=True)
 class Stamps:
-    """Standard deviation of a channel's time stamps, s, its own standard deviation, and what was found in the recording."""
+    """Standard deviation of a channel's time stamps, s, its own standard deviation, and what was
+    found in the recording.
+    """
 
     spread: float
     std: float
@@ -41,7 +49,9 @@ class Stamps:
 
 
 def scattered_stamps(dataset: Dataset, noise: Mapping[str, Noise]) -> dict[str, Stamps]:
-    """Output channel -> its time stamps, for those whose stamps scatter visibly. Report runs are not looked at."""
+    """Output channel -> its time stamps, for those whose stamps scatter visibly. Report runs are
+    not looked at.
+    """
     runs = [e for e in dataset.experiments if e.split != "report" and len(e) >= FEWEST]
     found = (
         {c.name: _stamps(runs, k, noise[c.name].std, c.name) for k, c in enumerate(dataset.outputs)}
@@ -75,8 +85,10 @@ def _speed(t: np.ndarray, y: np.ndarray, noise: float) -> np.ndarray:
 
 
 def differences(t: np.ndarray, y: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """What no polynomial below `order` has of the samples, whatever their times [time - order], and the weights of the samples
-    in it [time - order, order + 1]: of unit norm, so that white noise keeps its variance."""
+    """What no polynomial below `order` has of the samples, whatever their times [time - order], and
+    the weights of the samples in it [time - order, order + 1]: of unit norm, so that white noise
+    keeps its variance.
+    """
     step = np.diff(t)
     even = np.ptp(step) < EVEN * np.median(step)
     at = np.lib.stride_tricks.sliding_window_view((t - t[0]) / np.median(step), order + 1)[
@@ -108,8 +120,9 @@ def _stamps(runs: Sequence[Experiment], column: int, noise: float, name: str) ->
 def _by_differences(
     runs: Sequence[Experiment], column: int, noise: float, order: int, sure: float
 ) -> tuple[float, float, float] | None:
-    """Spread, its standard deviation, and the mean square of what it adds over that of the noise; None where the noise is not
-    of that kind."""
+    """Spread, its standard deviation, and the mean square of what it adds over that of the noise;
+    None where the noise is not of that kind.
+    """
     parts: list[tuple[np.ndarray, ...]] = []
     for e in runs:
         y = e.motion()[:, column]
@@ -149,8 +162,9 @@ def _by_differences(
 def _variance(
     square: np.ndarray, cause: np.ndarray, memory: float
 ) -> tuple[float, float, float, float]:
-    """Squares of normal numbers whose variance is a line over a cause: its slope, the slope's standard deviation, the
-    log-likelihood, and the fourth moment of the standardised numbers."""
+    """Squares of normal numbers whose variance is a line over a cause: its slope, the slope's
+    standard deviation, the log-likelihood, and the fourth moment of the standardised numbers.
+    """
     size = max(float(cause.mean()), 1e-300)
     X = np.stack([np.ones_like(cause), cause / size], 1)
     level = float(square.mean())

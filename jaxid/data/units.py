@@ -1,10 +1,11 @@
 """Units of measured channels: every unit a dataset may state, and its conversion to SI.
 
-A value in SI is `factor * value + shift`; a width (noise, resolution) converts by `factor` alone. Names are
-case-sensitive (mN is not MN). `N m`, `N*m`, `N·m`, `Nm` and `rad/s^2`, `rad/s²`, `rad/s**2` are the same unit.
+A value in SI is `factor * value + shift`; a width (noise, resolution) converts by `factor` alone.
+Names are case-sensitive (mN is not MN). `N m`, `N*m`, `N·m`, `Nm` and `rad/s^2`, `rad/s²`,
+`rad/s**2` are the same unit.
 
-`g` alone means gram or the acceleration of gravity: the channel that the model needs decides, and where nothing
-decides it is refused; `gram` and `g_n` always say which.
+`g` alone means gram or the acceleration of gravity: the channel that the model needs decides, and
+where nothing decides it is refused; `gram` and `g_n` always say which.
 """
 
 from __future__ import annotations
@@ -170,9 +171,11 @@ def _tidy(unit: str) -> str:
 
 
 def conversion(unit: str, wanted: str | None = None) -> Conversion:
-    """The conversion of `unit` to SI. `wanted` is the SI unit that the model's channel has; it decides what `g` is.
+    """The conversion of `unit` to SI. `wanted` is the SI unit that the model's channel has; it
+    decides what `g` is.
 
-    Raises `UnitError` with the nearest known unit for an unknown one, and for `g` where nothing decides.
+    Raises `UnitError` with the nearest known unit for an unknown one, and for `g` where nothing
+    decides.
     """
     name = _tidy(unit)
     name = _OTHER_NAMES.get(name, name)
@@ -186,7 +189,9 @@ def conversion(unit: str, wanted: str | None = None) -> Conversion:
 
 
 def si_unit(unit: str) -> str:
-    """The SI unit of the quantity that `unit` measures, as the table spells it; a unit it lacks comes back as it is."""
+    """The SI unit of the quantity that `unit` measures, as the table spells it; a unit it lacks
+    comes back as it is.
+    """
     try:
         return conversion(unit).si
     except UnitError:

@@ -14,7 +14,9 @@ from jaxid.data.time_axis import impossible
 
 
 def write_files(dataset: Dataset, folder: Path, format: str) -> None:
-    """Runs are `run_1`, `run_2` …, frequency responses `response_1` … in the order of the dataset."""
+    """Runs are `run_1`, `run_2` …, frequency responses `response_1` … in the order of the
+    dataset.
+    """
     import tomlkit
 
     flagged = {
@@ -36,7 +38,8 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
         }
         _write_table(folder / file, columns | run.auxiliary | flags, format)
         entry = {"file": file, "name": run.name, "split": run.split}
-        # The gaps of a loaded run are within the limit already; those of arrays were checked as well.
+        # The gaps of a loaded run are within the limit already; those of arrays were checked as
+        # well.
         entry |= {"at_rest": True} if run.at_rest else {}
         entry |= (
             {"initial_window_s": run.initial_window_s} if run.initial_window_s is not None else {}

@@ -1,4 +1,6 @@
-"""What a diagnosis tells of its hypotheses: where the gap lies, their numbers and ranking, measured and simulated series."""
+"""What a diagnosis tells of its hypotheses: where the gap lies, their numbers and ranking, measured
+and simulated series.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +101,9 @@ def where_it_lies(
 
 
 def ranked(search: Search) -> list[Ranked]:
-    """Every hypothesis that was refitted, best validation gap first; those with several effects name the last one added."""
+    """Every hypothesis that was refitted, best validation gap first; those with several effects
+    name the last one added.
+    """
     out, seen = [], set()
     nominal = search.nominal
     for h in sorted([*search.tried, search.chosen], key=lambda h: h.validation.loss):
@@ -124,7 +128,9 @@ def ranked(search: Search) -> list[Ranked]:
 
 
 def traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothesis, named):
-    """Measured and simulated series of every split, for the report, simulated as models were compared."""
+    """Measured and simulated series of every split, for the report, simulated as models were
+    compared.
+    """
     out = []
     hypotheses = (nominal, final) if named else (nominal,)
     thetas = [h.theta for h in hypotheses]
@@ -147,8 +153,9 @@ def traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothe
 def _by_windows(
     bench: Bench, residual: Residual, split: str, hypotheses: Sequence[Hypothesis]
 ) -> list[list[np.ndarray]]:
-    """What each hypothesis simulates of the runs of a split, window by window; empty where models are compared otherwise, or a
-    run is not covered."""
+    """What each hypothesis simulates of the runs of a split, window by window; empty where models
+    are compared otherwise, or a run is not covered.
+    """
     if not residual.windows:
         return []
     own = [own_simulation(bench, residual, split, h.path.problem, h.path.z) for h in hypotheses]
@@ -157,7 +164,9 @@ def _by_windows(
 
 
 def notes_of(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
-    """What a fit notes beyond its dataset's notes, the friction law, and the time that compiling took."""
+    """What a fit notes beyond its dataset's notes, the friction law, and the time that compiling
+    took.
+    """
     own = [n for n in fit.notes if n not in binding.dataset.notes]
     friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
     law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction

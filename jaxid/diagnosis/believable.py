@@ -1,4 +1,6 @@
-"""Whether the numbers of named effects can be believed: none does nothing, none stands at a bound, no drive is switched off."""
+"""Whether the numbers of named effects can be believed: none does nothing, none stands at a bound,
+no drive is switched off.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +18,19 @@ from jaxid.wording import listed, number
 def doubts(
     effects: Sequence[EffectEstimate], covariance: Covariance | None = None
 ) -> dict[str, str]:
-    """Effect at its place -> what speaks against it as it was estimated, in words; `covariance` of all fitted numbers."""
+    """Effect at its place -> what speaks against it as it was estimated, in words; `covariance` of
+    all fitted numbers.
+    """
     return {str(e): why for e in effects if (why := _doubt(e, covariance))}
 
 
 def beside_bounds(
     effects: Sequence[EffectEstimate], own: Mapping[str, Estimate], stated: Container[str]
 ) -> dict[str, str]:
-    """The same for all effects, where numbers of the model's `own` were pushed to bounds that nobody `stated`: an effect may
-    stand in for what such a number was not let be. Where a number cannot be negative, 0 is no bound but nothing."""
+    """The same for all effects, where numbers of the model's `own` were pushed to bounds that
+    nobody `stated`: an effect may stand in for what such a number was not let be. Where a number
+    cannot be negative, 0 is no bound but nothing.
+    """
     pushed = [
         f"{name} was pushed to its bound ({number(e.value)}{'' if e.unit == '1' else f' {e.unit}'})"
         for name, e in own.items()
@@ -61,8 +67,9 @@ def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:
 def _together(
     effect: EffectEstimate, strengths: dict[str, Estimate], covariance: Covariance | None
 ) -> bool:
-    """Whether several numbers, none of them sure, are not all zero: a sine and a cosine of unknown phase. Together they are as
-    far from it as two standard deviations are for one."""
+    """Whether several numbers, none of them sure, are not all zero: a sine and a cosine of unknown
+    phase. Together they are as far from it as two standard deviations are for one.
+    """
     from scipy.stats import chi2
 
     names = [f"{effect.effect}.{k}@{effect.location}" for k in strengths]

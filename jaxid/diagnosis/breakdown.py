@@ -1,4 +1,6 @@
-"""How far the gap shrinks run by run and regime by regime: whether what was found holds elsewhere, and where it does not."""
+"""How far the gap shrinks run by run and regime by regime: whether what was found holds elsewhere,
+and where it does not.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ SAMPLES = 20
 
 @dataclass(frozen=True)
 class Share:
-    """Gap of a part of the held-out data, in multiples of the noise: the model as stated, re-tuned, and with the effects."""
+    """Gap of a part of the held-out data, in multiples of the noise: the model as stated, re-tuned,
+    and with the effects.
+    """
 
     part: str
     joint: str
@@ -52,7 +56,9 @@ def by_run(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, 
 
 
 def by_regime(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
-    """Of the situations that the machine was in, joint by joint; none where joints are not measured or torques are compared."""
+    """Of the situations that the machine was in, joint by joint; none where joints are not measured
+    or torques are compared.
+    """
     b = bench.binding
     runs = b.experiments(split)
     if (

@@ -1,4 +1,6 @@
-"""A cause in its own terms: where the effect acts, what it is in plain words, and what to look for at the machine."""
+"""A cause in its own terms: where the effect acts, what it is in plain words, and what to look for
+at the machine.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,9 @@ if TYPE_CHECKING:
 
 
 class Amount:
-    """A fitted number inside a sentence: with its unit, as a share (`{gain:%}`), or of a wave number the period
-    (`{order:period}`)."""
+    """A fitted number inside a sentence: with its unit, as a share (`{gain:%}`), or of a wave
+    number the period (`{order:period}`).
+    """
 
     def __init__(self, estimate: Estimate):
         self.value, self.unit = (
@@ -36,7 +39,9 @@ class Amount:
 
 
 def words(effect: EffectEstimate, field: str) -> str:
-    """A sentence of the effect's class (`seen`, `plain` or `check`) with the fitted numbers in it; "" where it has none."""
+    """A sentence of the effect's class (`seen`, `plain` or `check`) with the fitted numbers in it;
+    "" where it has none.
+    """
     try:
         template = getattr(catalogue.effect_class(effect.effect), field, "")
         return template.format_map({name: Amount(p) for name, p in effect.parameters.items()})
@@ -45,12 +50,16 @@ def words(effect: EffectEstimate, field: str) -> str:
 
 
 def variable(effect: EffectEstimate) -> str:
-    """What the effect is a law of: speed, position, load, command, acceleration, reading or time; "" where it says nothing."""
+    """What the effect is a law of: speed, position, load, command, acceleration, reading or time;
+    "" where it says nothing.
+    """
     return words(effect, "axis")
 
 
 def span(effect: EffectEstimate) -> tuple[float | None, float | None] | None:
-    """The range of that variable in which the effect acts, where its numbers say so; None is an open end."""
+    """The range of that variable in which the effect acts, where its numbers say so; None is an
+    open end.
+    """
     try:
         limits: Callable | None = getattr(catalogue.effect_class(effect.effect), "span", None)
     except ValueError:

@@ -36,8 +36,9 @@ class Claim:
 
 
 class Judge:
-    """Judges a search by all that was recorded. `still`: of "validation" and "report" what stands still; `scatter`: what time
-    stamps do."""
+    """Judges a search by all that was recorded. `still`: of "validation" and "report" what stands
+    still; `scatter`: what time stamps do.
+    """
 
     def __init__(
         self,
@@ -107,14 +108,15 @@ class Judge:
     def _named_on_report(self, found: Claim) -> Claim:
         """What the report data leave of a verdict that names effects."""
         judged, several = found.verdict, self.search.several
-        # What is asked beside the model as it stands is compared with that: more numbers take up what one says.
+        # What is asked beside the model as it stands is compared with that: more numbers take up
+        # what one says.
         other = (
             found.how_far.gap_retuned if self.search.stands is None else found.how_far.gap_before
         )
         gaps = Gaps(found.how_far.gap_before, other, found.how_far.gap_after)
         verdict = upheld(judged, gaps, several)
-        # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
-        # is `partly` there has to hold as it is.
+        # Unless the model follows the fit runs and what they leave open can account for it, where
+        # it is not better without; what is `partly` there has to hold as it is.
         if judged.name == "named" != verdict.name and gaps.retuned > LIMITS.seen:
             within = upheld(judged, self._within_what_is_known(gaps, found.final), several)
             if within.name != judged.name:
@@ -132,7 +134,9 @@ class Judge:
         return self._claim(verdict)
 
     def _within_what_is_known(self, gaps: Gaps, final: Hypothesis) -> Gaps:
-        """Gaps on report data, where each model's numbers are known no better than the fit and validation data leave them."""
+        """Gaps on report data, where each model's numbers are known no better than the fit and
+        validation data leave them.
+        """
         told = [knowledge(h.path) for h in (self.nominal, final)]
         follow = [None, final.path if final.fit_loss <= LIMITS.white else None]
         seen = held_out(
@@ -141,11 +145,14 @@ class Judge:
         return Gaps(gaps.before, *(float(np.sqrt(max(held.loss, 0.0))) for held in seen))
 
     def _none_on_report(self, found: Claim) -> Claim:
-        """`none` is said only where the report data are at the noise too, in every run and direction."""
+        """`none` is said only where the report data are at the noise too, in every run and
+        direction.
+        """
         far = found.how_far
         if not astray(far.per_run, far.per_regime, far.gap_retuned):
             return found
-        # Scatter between repeated runs is taken up whole by a refit to report runs: that would show nothing.
+        # Scatter between repeated runs is taken up whole by a refit to report runs: that would show
+        # nothing.
         path = found.final.path
         within = held_out(
             self.bench,

@@ -1,8 +1,9 @@
 """Which effects of the library a model cannot tell apart, and which its own parameters absorb.
 
-Nothing is listed by hand: the model moves under a rich command of its own, each effect is switched on at its probe strengths, and
-what re-tuning the model's parameters and its unknown start could do to first order is taken out of the change. Effects whose
-changes are parallel are then fitted to each other's recordings.
+Nothing is listed by hand: the model moves under a rich command of its own, each effect is switched
+on at its probe strengths, and what re-tuning the model's parameters and its unknown start could do
+to first order is taken out of the change. Effects whose changes are parallel are then fitted to
+each other's recordings.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ from jaxid.problem.residual import OutputError
 from jaxid.robots.match import is_file, robot_from
 
 
-#: A weak effect is this share of a probe: what a first-order re-tuning leaves of one that is absorbed exactly goes with its
-#: strength, what it cannot absorb does not.
+#: A weak effect is this share of a probe: what a first-order re-tuning leaves of one that is
+#: absorbed exactly goes with its strength, what it cannot absorb does not.
 WEAK = 5e-5
 RATE, SECONDS = 200, 5.0
 #: The motion that is compared on travels so far at most (rad, m).
@@ -56,7 +57,9 @@ class Place:
 
 @dataclass(frozen=True)
 class Equivalences:
-    """What `jaxid effects --model M` says. Effects that are in no list can be told from every other one."""
+    """What `jaxid effects --model M` says. Effects that are in no list can be told from every other
+    one.
+    """
 
     model: str
     excitation: str
@@ -100,10 +103,12 @@ class Equivalences:
 
 
 def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
-    """Equivalent and absorbed effects of a model at its default parameters, without controller, every output measured; `without`
-    takes built-in ones out of the model, which are then candidates too.
+    """Equivalent and absorbed effects of a model at its default parameters, without controller,
+    every output measured; `without` takes built-in ones out of the model, which are then candidates
+    too.
 
-    Raises `UsageError` for an unknown model and for one that has no moderate motion at its defaults.
+    Raises `UsageError` for an unknown model and for one that has no moderate motion at its
+    defaults.
     """
     from jaxid import catalogue
 
@@ -261,7 +266,9 @@ def _classes(places: list[Place], alike: set[frozenset[Place]]) -> tuple[tuple[P
 
 
 def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, str]:
-    """A command of sines, steps and rests as strong as keeps the motion within about a radian (or metre), and its recording."""
+    """A command of sines, steps and rests as strong as keeps the motion within about a radian (or
+    metre), and its recording.
+    """
     from jaxid.fitting.simulate import own_numbers, simulate_dataset
 
     t = np.arange(int(RATE * SECONDS)) / RATE

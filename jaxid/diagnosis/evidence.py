@@ -1,4 +1,6 @@
-"""Held-out evidence: how well models predict runs that were not fitted, and what a difference between two of them is worth."""
+"""Held-out evidence: how well models predict runs that were not fitted, and what a difference
+between two of them is worth.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,10 @@ TOGETHER = 12
 class HeldOut:
     """Prediction of one split by one model.
 
-    `residual` [samples columns] in multiples of the noise, of the free run started from its first samples; `loss` the mean
-    square after the own uncertainty of starts and parameters is taken out (a start from 20 noisy samples would else count as a
-    gap); `theta` its parameters where they were refitted to this split and the fit runs together.
+    `residual` [samples columns] in multiples of the noise, of the free run started from its first
+    samples; `loss` the mean square after the own uncertainty of starts and parameters is taken out
+    (a start from 20 noisy samples would else count as a gap); `theta` its parameters where they
+    were refitted to this split and the fit runs together.
     """
 
     residual: list[np.ndarray]
@@ -46,7 +49,8 @@ class HeldOut:
         return float(np.sqrt(max(self.loss, 0.0)))
 
 
-#: What the fit runs tell about the free numbers of a model: their positions, and J'J [size size] in search scale.
+#: What the fit runs tell about the free numbers of a model: their positions, and J'J [size size] in
+#: search scale.
 Knowledge = tuple[Sequence[int], np.ndarray]
 
 
@@ -70,11 +74,12 @@ def held_out(
 ) -> list[HeldOut]:
     """Each model on the runs of a split.
 
-    Free run (default): starts from the first samples only, those samples left out of the score. Where `known` says how well the
-    fit determines a model's numbers, what these uncertainties do to the prediction counts no more than they are likely (a free
-    run that is sensitive to its numbers would else tell nothing), to first order. What the fit leaves open may be far away:
-    models whose fits are given to `follow` are refitted to both where they leave more than the noise. Windows: each window's
-    start is fitted, and costs its degrees of freedom.
+    Free run (default): starts from the first samples only, those samples left out of the score.
+    Where `known` says how well the fit determines a model's numbers, what these uncertainties do to
+    the prediction counts no more than they are likely (a free run that is sensitive to its numbers
+    would else tell nothing), to first order. What the fit leaves open may be far away: models whose
+    fits are given to `follow` are refitted to both where they leave more than the noise. Windows:
+    each window's start is fitted, and costs its degrees of freedom.
     """
     if residual is None or residual.free_run:
         return _free(
@@ -155,8 +160,9 @@ def _squares(residual: Sequence[np.ndarray]) -> float:
 
 
 def together(bench: Bench, split: str, paths: Sequence[Path], starts: np.ndarray) -> list[Path]:
-    """Models refitted to the free runs that they were fitted to and of a split at once, from where their fits ended; `starts` of
-    the latter."""
+    """Models refitted to the free runs that they were fitted to and of a split at once, from where
+    their fits ended; `starts` of the latter.
+    """
     jobs = []
     for path, own in zip(paths, starts, strict=True):
         theta = path.problem.theta(path.z)
@@ -172,8 +178,10 @@ def shifted(
     about: np.ndarray,
     starts: list[np.ndarray],
 ) -> tuple[list[np.ndarray], float]:
-    """Residuals after the shift of parameters (common) and starts (of each run) that is likeliest by these residuals and by what
-    was known before (J'J of the parameters and of each start), and what the shift costs as a sum of squares."""
+    """Residuals after the shift of parameters (common) and starts (of each run) that is likeliest
+    by these residuals and by what was known before (J'J of the parameters and of each start), and
+    what the shift costs as a sum of squares.
+    """
     n = len(about)
     ends = n + np.cumsum([0, *(len(s) for s in starts)])
     prior = np.zeros((ends[-1], ends[-1]))
@@ -217,8 +225,10 @@ def correlation(r: np.ndarray) -> np.ndarray:
 
 
 def memory(series: Sequence[np.ndarray]) -> int:
-    """Samples over which a residual remembers itself: the integrated correlation time 1 + 2 sum rho up to the first lag
-    whose correlation is lost in the noise; the mean over runs, the longest over columns. 1 for white residuals."""
+    """Samples over which a residual remembers itself: the integrated correlation time 1 + 2 sum rho
+    up to the first lag whose correlation is lost in the noise; the mean over runs, the longest over
+    columns. 1 for white residuals.
+    """
     if not series:
         return 1
     times = np.ones((len(series), series[0].shape[1]))
@@ -235,11 +245,14 @@ def memory(series: Sequence[np.ndarray]) -> int:
 
 
 def inflation(held: HeldOut) -> float:
-    """Factor by which a difference of sums of squares is worth less than for white residuals at the noise: the residual's
-    own level times its memory (1 for a perfect model)."""
+    """Factor by which a difference of sums of squares is worth less than for white residuals at the
+    noise: the residual's own level times its memory (1 for a perfect model).
+    """
     return max(1.0, held.loss) * memory(held.settled)
 
 
 def worth(better: HeldOut, other: HeldOut, factor: float) -> float:
-    """Difference of the sums of squares of two models on the same data, in units of a chi-square with one degree."""
+    """Difference of the sums of squares of two models on the same data, in units of a chi-square
+    with one degree.
+    """
     return (other.loss - better.loss) * better.count / factor

@@ -37,9 +37,11 @@ def measure(
     alike: Bench,
     still: Sequence[str] = (),
 ) -> HowFar:
-    """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect, with the effect; of what was
-    compared: free runs or windows. `alike` is the bench on which all readings count alike, before it is known that
-    their time stamps scatter; else `bench` itself. Splits that stand `still` have no gap; without any other there is none."""
+    """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect,
+    with the effect; of what was compared: free runs or windows. `alike` is the bench on which all
+    readings count alike, before it is known that their time stamps scatter; else `bench` itself.
+    Splits that stand `still` have no gap; without any other there is none.
+    """
     b = bench.binding
     splits = [s for s in ("report", "validation") if b.experiments(s) and s not in still]
     if not splits:
@@ -122,8 +124,9 @@ def measure(
 
 
 def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str]:
-    """The model before anything was fitted: a robot's file as it stands; of other models the values that the dataset states, and
-    what it does not state re-tuned."""
+    """The model before anything was fitted: a robot's file as it stands; of other models the values
+    that the dataset states, and what it does not state re-tuned.
+    """
     if is_robot(binding.chain.mechanism):
         theta, what = as_it_stands(binding)
         return theta, f"Before is {what}."
@@ -158,7 +161,9 @@ def whole_runs(bench: Bench, residual: Residual, split: str, held: HeldOut) -> H
 def parts(
     bench: Bench, residual: Residual, split: str, held: HeldOut
 ) -> tuple[tuple[Share, ...], tuple[Share, ...]]:
-    """Gaps of one model run by run and regime by regime after the own uncertainty of starts and numbers is taken out."""
+    """Gaps of one model run by run and regime by regime after the own uncertainty of starts and
+    numbers is taken out.
+    """
     settled = replace(held, residual=held.settled)
     whole = whole_runs(bench, residual, split, settled)
     return by_run(bench, split, [whole] * 3), by_regime(bench, split, [settled] * 3)
@@ -179,7 +184,9 @@ def shrink(before: float, after: float) -> float:
 
 
 def closed(before: float, after: float) -> float:
-    """The same as a part of the whole, 0 to 1: 0 where nothing is closed, or where there is no gap."""
+    """The same as a part of the whole, 0 to 1: 0 where nothing is closed, or where there is no
+    gap.
+    """
     share = shrink(before, after) if before > 1 else 0.0
     return float(np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0))
 
@@ -187,14 +194,17 @@ def closed(before: float, after: float) -> float:
 def interval_of_further_run(
     before: HeldOut, after: HeldOut
 ) -> tuple[tuple[float, float] | None, str, str]:
-    """95 % interval of the shrinkage in a further run like the report runs; what it is made of; or the reason why there is none.
+    """95 % interval of the shrinkage in a further run like the report runs; what it is made of; or
+    the reason why there is none.
 
-    Student's prediction interval. Eight runs or more are its samples: now and then a run goes where errors grow a thousandfold,
-    which shows between runs and not within one, so shares left are taken as the inverse hyperbolic sine, whose linear part is
-    what noise alone scatters. Of fewer runs it is blocks of what each sample moves the share by (its influence); a free run
-    drifts, its error is one slow curve, so they are twice as long as the memory of that and of the residual with the effect.
-    What the model had left before may be slower than both: where nothing of it is left that says no more than how much a further
-    run's gap may be smaller, by which the interval widens (a logarithmic normal of as much scatter).
+    Student's prediction interval. Eight runs or more are its samples: now and then a run goes where
+    errors grow a thousandfold, which shows between runs and not within one, so shares left are
+    taken as the inverse hyperbolic sine, whose linear part is what noise alone scatters. Of fewer
+    runs it is blocks of what each sample moves the share by (its influence); a free run drifts, its
+    error is one slow curve, so they are twice as long as the memory of that and of the residual
+    with the effect. What the model had left before may be slower than both: where nothing of it is
+    left that says no more than how much a further run's gap may be smaller, by which the interval
+    widens (a logarithmic normal of as much scatter).
     """
     if len(after.residual) >= BLOCKS:
         squares = lambda held: np.array([np.mean(r**2) for r in held.residual])

@@ -60,7 +60,9 @@ class Hypothesis:
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Of the fitted numbers, in search scale: slopes of all of them are simulated for it, once."""
+        """Of the fitted numbers, in search scale: slopes of all of them are simulated for it,
+        once.
+        """
         return covariance(self.path.problem, self.path.z)
 
     @property
@@ -74,11 +76,12 @@ class Hypothesis:
 class Search:
     """What the search found: the accepted steps, and all that was tried on the way.
 
-    `rivals`: the two hypotheses between which further data should decide. `several`: more than one effect was chosen, and motions
-    are simulated. `without`: what is left on validation data, in multiples of the noise, where one of several is taken out and
-    the rest refitted; what is missed most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to
-    those that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked beside that. `cut_short`: not
-    all was asked, as the search had simulated as much as it may.
+    `rivals`: the two hypotheses between which further data should decide. `several`: more than one
+    effect was chosen, and motions are simulated. `without`: what is left on validation data, in
+    multiples of the noise, where one of several is taken out and the rest refitted; what is missed
+    most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to those
+    that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked
+    beside that. `cut_short`: not all was asked, as the search had simulated as much as it may.
     """
 
     nominal: Hypothesis
@@ -96,7 +99,9 @@ class Search:
 def without_each(
     h: Hypothesis, known: Mapping[frozenset[str], Hypothesis]
 ) -> tuple[tuple[Candidate, float], ...]:
-    """What the effects of a hypothesis contribute: see `Search.without`; the refits are among those known."""
+    """What the effects of a hypothesis contribute: see `Search.without`; the refits are among those
+    known.
+    """
     smaller = [(c, known.get(key_of([e for e in h.effects if e is not c]))) for c in h.effects]
     left = [
         (c, float(np.sqrt(max(less.validation.loss, 0.0))))
@@ -125,8 +130,9 @@ def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
 
 
 def possible(nominal: Chain, names: Iterable[str], residual: str = "") -> list[type[Effect]]:
-    """Those effects that a model lacks and has a place for, and that a residual can see; raises `UsageError` for a name that does
-    not exist."""
+    """Those effects that a model lacks and has a place for, and that a residual can see; raises
+    `UsageError` for a name that does not exist.
+    """
     kinds = [catalogue.effect_class(n, nominal.mechanism) for n in names]
     lacking = [k for k in kinds if k.name not in nominal.contents and nominal.offers(k)]
     return [k for k in lacking if residual != InverseDynamics.name or shows(k, nominal)]
@@ -151,9 +157,10 @@ def check_asked(nominal: Chain, asked: Sequence[str], residual: str = "") -> Non
 
 
 def sensible(effects: Sequence[Candidate]) -> bool:
-    """Whether every effect that refines another has that one beside it: Stribeck friction is what dry friction has more of at
-    low speed, and without it would be a law of its own that no surface has; only where nothing is left of that one in the end
-    is it taken out."""
+    """Whether every effect that refines another has that one beside it: Stribeck friction is what
+    dry friction has more of at low speed, and without it would be a law of its own that no surface
+    has; only where nothing is left of that one in the end is it taken out.
+    """
     return all(
         not c.refines or any(e.effect == c.refines and e.location == c.location for e in effects)
         for c in effects

@@ -1,5 +1,7 @@
-"""Time stamps that scatter, before physics: where a recording shows it, readings count by what their stamps make of them, and the
-search runs on that. It holds if then nothing, or what the library can name, is missing."""
+"""Time stamps that scatter, before physics: where a recording shows it, readings count by what
+their stamps make of them, and the search runs on that. It holds if then nothing, or what the
+library can name, is missing.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ class Scatter:
         return tuple(Candidate(JITTER, channel, index(channel)) for channel in self.stamps)
 
     def verdict(self, verdict: Verdict) -> Verdict:
-        """Of the search by readings that count as their stamps make them, with what the stamps do."""
+        """Of the search by readings that count as their stamps make them, with what the stamps
+        do.
+        """
         found = "; ".join(s.text for s in self.stamps.values())
         stamps = Remark(f"{found[0].upper()}{found[1:]}.")
         if verdict.name == "none":
@@ -46,7 +50,9 @@ class Scatter:
         return Bench(self.alike, like.step, like.differences)
 
     def ranked(self, bench: Bench, residual: Residual, h: Hypothesis) -> tuple[Ranked, ...]:
-        """The scatter of all channels as one hypothesis over that of readings which count alike, at the same numbers."""
+        """The scatter of all channels as one hypothesis over that of readings which count alike, at
+        the same numbers.
+        """
         alike = self.bench(bench)
         weights, before = (
             bench.runs(residual, "validation").weights,

@@ -34,8 +34,9 @@ def last_resorts(nominal: Chain, residual: str) -> list[type[Effect]]:
 def asked_last(
     found: Diagnosis, nominal: Chain, residual: str, ask: Callable[[tuple[str, ...]], Diagnosis]
 ) -> Diagnosis:
-    """The answer with laws of last resort beside what was named, and with the simpler ones that these comprise (`ask` diagnoses
-    with such candidates), where that says more."""
+    """The answer with laws of last resort beside what was named, and with the simpler ones that
+    these comprise (`ask` diagnoses with such candidates), where that says more.
+    """
     before, late = found.which.verdict, last_resorts(nominal, residual)
     if before not in SAYS_MORE or not late:
         return found

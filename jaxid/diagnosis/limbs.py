@@ -1,4 +1,6 @@
-"""Limbs on a base that does not move are diagnosed each by itself: what one lacks moves no other. The answers become one."""
+"""Limbs on a base that does not move are diagnosed each by itself: what one lacks moves no other.
+The answers become one.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,9 @@ def diagnose_each(
     dataset: Dataset,
     progress: Progress | None,
 ) -> Diagnosis:
-    """The diagnoses of all limbs, `work(robot, data, progress)`, as one, made side by side. On Ctrl-C `Interrupted` carries those
-    that are finished."""
+    """The diagnoses of all limbs, `work(robot, data, progress)`, as one, made side by side. On
+    Ctrl-C `Interrupted` carries those that are finished.
+    """
     began = time.perf_counter()
     names = [robot.signatures[0].joints for robot, _ in limbs]
     words = [f"limb {k + 1} of {len(limbs)} ({', '.join(own)})" for k, own in enumerate(names)]
@@ -108,8 +111,9 @@ def joined(
 
 
 def verdict_of(verdicts: Sequence[str]) -> str:
-    """Of the whole: `none` and `named` where that holds of every limb with a gap; `partly` where something is named and a limb
-    has a remainder; else `unknown`."""
+    """Of the whole: `none` and `named` where that holds of every limb with a gap; `partly` where
+    something is named and a limb has a remainder; else `unknown`.
+    """
     if all(v == "none" for v in verdicts):
         return "none"
     if all(v in ("none", "named") for v in verdicts):

@@ -1,8 +1,9 @@
 """The force that the model lacks along the measured motion, and what noise alone would show of it.
 
-m(t) = drive - (M qdd + bias + friction) along the smoothed measured motion. Derivatives of a noisy position make such a residual
-even for a perfect model, so it stands beside the same figure of simulated data: the model's own free run with the sensors' noise,
-and what repeats of the run differ by, added, through the same filters.
+m(t) = drive - (M qdd + bias + friction) along the smoothed measured motion. Derivatives of a noisy
+position make such a residual even for a perfect model, so it stands beside the same figure of
+simulated data: the model's own free run with the sensors' noise, and what repeats of the run differ
+by, added, through the same filters.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ NULLS = 12
 
 @dataclass
 class Missing:
-    """Missing force of one run: [time nq], and [draws time nq] of what a perfect model would show."""
+    """Missing force of one run: [time nq], and [draws time nq] of what a perfect model would
+    show.
+    """
 
     experiment: Experiment
     keep: np.ndarray
@@ -46,7 +49,9 @@ class Missing:
 def missing_forces(
     bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: int, draws: int = NULLS
 ) -> list[Missing]:
-    """Missing force on the fit runs at `theta`; empty where the model does not measure its joints."""
+    """Missing force on the fit runs at `theta`; empty where the model does not measure its
+    joints.
+    """
     b = bench.binding
     if not b.motions or b.chain.mechanism.hidden_states:
         return []
@@ -99,7 +104,9 @@ def missing_forces(
 
 
 def joint_load(binding: Binding, e: Experiment, m: Motion) -> np.ndarray:
-    """Joint torque [time nq] that was recorded along a motion; nothing where the inputs are no torques."""
+    """Joint torque [time nq] that was recorded along a motion; nothing where the inputs are no
+    torques.
+    """
     chain = binding.chain
     iu, _ = samples.columns(binding.dataset, chain)
     if not chain.direct or not len(iu):
@@ -109,8 +116,10 @@ def joint_load(binding: Binding, e: Experiment, m: Motion) -> np.ndarray:
 
 
 def what_repeats_differ_by(binding: Binding) -> dict[str, list[np.ndarray]]:
-    """Run -> by how much it and each of its repeats is off their mean [time ny], as far as they all go, beyond what the sensors'
-    noise makes of that: a motion that no model foresees, of as much variance as one more repeat would have."""
+    """Run -> by how much it and each of its repeats is off their mean [time ny], as far as they all
+    go, beyond what the sensors' noise makes of that: a motion that no model foresees, of as much
+    variance as one more repeat would have.
+    """
     _, iy = samples.columns(binding.dataset, binding.chain)
     of_machine = np.sqrt(
         np.where(
@@ -141,8 +150,9 @@ def _positions(runs, k: int) -> np.ndarray:
 
 
 def filtered(runs: Runs, e: Experiment, y: np.ndarray) -> np.ndarray:
-    """Joints, their velocities and accelerations [time 3 nq] of simulated outputs y [time ny], through the filter of the measured
-    motion."""
+    """Joints, their velocities and accelerations [time 3 nq] of simulated outputs y [time ny],
+    through the filter of the measured motion.
+    """
     assert runs.setting is not None
     chain = runs.layout.chain
     start = stated_positions(e, chain.signature)
@@ -152,7 +162,9 @@ def filtered(runs: Runs, e: Experiment, y: np.ndarray) -> np.ndarray:
 
 
 def _rate_of(runs: Runs, e: Experiment, noise: np.ndarray) -> np.ndarray:
-    """Speed [nq] that noise of the readings [time ny] alone seldom shows: three of its standard deviations."""
+    """Speed [nq] that noise of the readings [time ny] alone seldom shows: three of its standard
+    deviations.
+    """
     nq = runs.layout.chain.nq
     return 3 * np.sqrt(np.mean(filtered(runs, e, noise)[:, nq : 2 * nq] ** 2, 0))
 
@@ -163,8 +175,10 @@ def _lacking(
     still: Sequence[np.ndarray],
     motion: Sequence[np.ndarray] | None = None,
 ) -> list[np.ndarray]:
-    """The missing force [time nq] at the kept samples of each run. A joint slower than `still` [nq] may be held by its friction
-    with any force between those of its two directions: what lies between is not missing."""
+    """The missing force [time nq] at the kept samples of each run. A joint slower than `still` [nq]
+    may be held by its friction with any force between those of its two directions: what lies
+    between is not missing.
+    """
     records = [problem.runs.record(number) for number in problem.records]
     nq = problem.runs.layout.chain.nq
     if motion is None:
@@ -195,7 +209,9 @@ def _lacking(
 def torque_along(
     problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None
 ) -> list[np.ndarray]:
-    """Minus the missing force at the kept samples of each run; `motion` [time 3 nq] per run replaces the measured one."""
+    """Minus the missing force at the kept samples of each run; `motion` [time 3 nq] per run
+    replaces the measured one.
+    """
     import jax.numpy as jnp
 
     from jaxid.numerics.precision import float64

@@ -23,7 +23,9 @@ SECOND = re.compile(r"(?:;|, and) a second encoder at the link")
 
 
 def rivals_of(bench: Bench, pair: tuple[Hypothesis, Hypothesis]) -> Rivals | None:
-    """The two hypotheses that further data should decide between, as models without all other candidates."""
+    """The two hypotheses that further data should decide between, as models without all other
+    candidates.
+    """
     b = bench.binding
     if not b.dataset.experiments:
         return None
@@ -66,8 +68,10 @@ def advice(
     still: Sequence[str] = (),
     read_twice: Sequence[str] = (),
 ) -> str:
-    """Sentences a person can act on; effects by id. `repeated`: the recording holds repeats of a run, which gave the noise;
-    `still`: splits in which nothing moves; `read_twice`: two encoders of one joint that the recording holds."""
+    """Sentences a person can act on; effects by id. `repeated`: the recording holds repeats of a
+    run, which gave the noise; `still`: splits in which nothing moves; `read_twice`: two encoders of
+    one joint that the recording holds.
+    """
     if still:
         kept = " and ".join(still)
         return (

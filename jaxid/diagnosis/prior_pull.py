@@ -1,7 +1,8 @@
 """What the fit data leave open stays where the user put it.
 
-A descent drags along what its data do not determine: two factors whose product alone is seen end anywhere on a curve, often where
-a poorer model has left them. Held-out runs that do tell them apart would then refuse a right model.
+A descent drags along what its data do not determine: two factors whose product alone is seen end
+anywhere on a curve, often where a poorer model has left them. Held-out runs that do tell them apart
+would then refuse a right model.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ TRIED, SHORT = 3, 0.1
 
 
 def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int]) -> list[Path]:
-    """The paths; those whose data leave directions open are moved along them towards where the numbers at `index` are those of
-    `theta`, if that costs nothing."""
+    """The paths; those whose data leave directions open are moved along them towards where the
+    numbers at `index` are those of `theta`, if that costs nothing.
+    """
     most = LIMITS.pull_hopeless * min((path.cost for path in paths), default=0.0)
     moves = [_way_back(path, theta, index) if path.cost <= most else None for path in paths]
     moved = [k for k, move in enumerate(moves) if move is not None]
@@ -46,12 +48,14 @@ def put_back(
     index: Sequence[int],
     problem: Callable[[list[int], np.ndarray], Problem],
 ) -> Path:
-    """The path with numbers at `index` put back to those of `theta` one after the other, the least certain first, where the rest,
-    refitted, follows the data as well without; `problem(free, theta)` is the same with other numbers free (of coarser steps,
-    perhaps: what it finds is looked at again with the path's own).
+    """The path with numbers at `index` put back to those of `theta` one after the other, the least
+    certain first, where the rest, refitted, follows the data as well without; `problem(free,
+    theta)` is the same with other numbers free (of coarser steps, perhaps: what it finds is looked
+    at again with the path's own).
 
-    What a model leaves open may have gone as far as the data let it, to where it looks determined (a drive that no longer reaches
-    its limit): no step along an open direction leads back from there.
+    What a model leaves open may have gone as far as the data let it, to where it looks determined
+    (a drive that no longer reaches its limit): no step along an open direction leads back from
+    there.
     """
     p = path.problem
     if path.hessian is None or not np.isfinite(path.cost):
@@ -97,7 +101,9 @@ def put_back(
 
 
 def moved_to(path: Path, theta: np.ndarray) -> Path:
-    """The path with all its free numbers as in `theta`, if its data are followed as well there but for what noise may do."""
+    """The path with all its free numbers as in `theta`, if its data are followed as well there but
+    for what noise may do.
+    """
     p = path.problem
     lower, upper, scale = p.whole
     still = Problem(

@@ -1,4 +1,6 @@
-"""What to refit next: sets of effects made of the hypotheses at hand, each with its starts (full parameter vectors)."""
+"""What to refit next: sets of effects made of the hypotheses at hand, each with its starts (full
+parameter vectors).
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,11 @@ from jaxid.problem.residual import InverseDynamics
 
 #: Pairs are made of so many of the best single effects.
 PAIRED = 4
-#: So many of those that an accepted effect was not clearly better than are tried in its place later on.
+#: So many of those that an accepted effect was not clearly better than are tried in its place later
+#: on.
 RIVALS = 3
-#: Starts of each refit that come from the screen: two of the best to first order, and the best of all probes as they simulate.
+#: Starts of each refit that come from the screen: two of the best to first order, and the best of
+#: all probes as they simulate.
 STARTS = 4
 #: So many of the starts also with the numbers of the model as the user gave them.
 GIVEN = 1
@@ -40,8 +44,9 @@ def beside(
     by_torque: Sequence[Screened],
     base: Mapping[str, Sequence[Candidate]],
 ) -> list[Proposal]:
-    """Candidates as screened beside a hypothesis, each with what it refines (`base`). Second of its starts comes the torque's
-    answer to which probe is right."""
+    """Candidates as screened beside a hypothesis, each with what it refines (`base`). Second of its
+    starts comes the torque's answer to which probe is right.
+    """
     best = {str(c): starts[:1] for _, c, starts in by_torque}
     sets: list[Proposal] = []
     for _, c, starts in kept:
@@ -56,7 +61,9 @@ def beside(
 
 
 def pairs(bench: Bench, found: Sequence[Hypothesis]) -> list[Proposal]:
-    """Two effects at once, where one alone brings nothing (a nominal term may stand in for both)."""
+    """Two effects at once, where one alone brings nothing (a nominal term may stand in for
+    both).
+    """
     singles = sorted(found, key=lambda h: h.fit_loss)[:PAIRED]
     sets: list[Proposal] = []
     for a in range(len(singles)):
@@ -75,8 +82,10 @@ def pairs(bench: Bench, found: Sequence[Hypothesis]) -> list[Proposal]:
 def exchanged(
     bench: Bench, found: Sequence[Hypothesis], passed_over: Mapping[Candidate, Sequence[Hypothesis]]
 ) -> list[Proposal]:
-    """Each hypothesis with another effect in the place of one that was there before its last: with that beside it, what could not
-    be told from the accepted effect (`passed_over`, for each of these) may be far better."""
+    """Each hypothesis with another effect in the place of one that was there before its last: with
+    that beside it, what could not be told from the accepted effect (`passed_over`, for each of
+    these) may be far better.
+    """
     sets: list[Proposal] = []
     for h, (old, rivals) in itertools.product(found, passed_over.items()):
         for rival in rivals:
@@ -97,8 +106,10 @@ def exchanged(
 def plain_pairs(
     bench: Bench, c: Candidate, pool: Sequence[Candidate], theta: np.ndarray
 ) -> list[Proposal]:
-    """Two laws of one number each in the place of one of the same kind with several: dry friction and drag, each alone of no
-    use beside a viscous term that stands in for both, look like friction that remembers. `theta` is the nominal model's."""
+    """Two laws of one number each in the place of one of the same kind with several: dry friction
+    and drag, each alone of no use beside a viscous term that stands in for both, look like friction
+    that remembers. `theta` is the nominal model's.
+    """
     if len(c.index) < 2:
         return []
     own = family_of(bench, c)
@@ -116,15 +127,19 @@ def plain_pairs(
 
 
 def left_out(bench: Bench, h: Hypothesis, c: Candidate) -> Proposal:
-    """A hypothesis less one of its effects, the others where they end to first order without it, and as they are: of numbers that
-    hang together tightly none can go alone without leaving the valley."""
+    """A hypothesis less one of its effects, the others where they end to first order without it,
+    and as they are: of numbers that hang together tightly none can go alone without leaving the
+    valley.
+    """
     theta, index = h.theta.copy(), list(c.index)
     theta[index] = bench.binding.theta[index]
     return tuple(e for e in h.effects if e is not c), [*_retuned(h.path, theta, index), theta]
 
 
 def _retuned(path: Path, theta: np.ndarray, index: Sequence[int]) -> list[np.ndarray]:
-    """The numbers at the end of a path with those at `index` as in theta, all others moved as its curvature says."""
+    """The numbers at the end of a path with those at `index` as in theta, all others moved as its
+    curvature says.
+    """
     p, H = path.problem, path.hessian
     if H is None or not np.all(np.isfinite(H)):
         return []
@@ -144,10 +159,12 @@ def _retuned(path: Path, theta: np.ndarray, index: Sequence[int]) -> list[np.nda
 def torque_starts(
     bench: Bench, base_free: Sequence[int], sets: Sequence[Proposal], tells: bool
 ) -> list[tuple[float, list[np.ndarray]]]:
-    """A start of each set from the torque residual of the measured motion, and its cost: biased by the noise of derivatives,
-    but free of the free run's local minima (where a nominal term stands in for two missing ones, a descent stays). No cost
-    where an effect is on the way of the command: a drive that delivers nothing leaves no torque unexplained. `tells`: whether
-    there is such a residual."""
+    """A start of each set from the torque residual of the measured motion, and its cost: biased by
+    the noise of derivatives, but free of the free run's local minima (where a nominal term stands
+    in for two missing ones, a descent stays). No cost where an effect is on the way of the command:
+    a drive that delivers nothing leaves no torque unexplained. `tells`: whether there is such a
+    residual.
+    """
     if not tells:
         return [(np.inf, []) for _ in sets]
     jobs, owners = [], []
@@ -173,8 +190,9 @@ def torque_starts(
 def promising(
     nominal: Path, sets: Sequence[Proposal]
 ) -> list[tuple[tuple[Candidate, ...], list[np.ndarray]]]:
-    """The first two starts of each set, and those of the others that simulate best: first order says little where a resonance
-    or a play has to be found."""
+    """The first two starts of each set, and those of the others that simulate best: first order
+    says little where a resonance or a play has to be found.
+    """
     thetas = [theta for _, starts in sets for theta in starts]
     found = each_probe(nominal.problem, nominal.z, thetas)
     out = []
@@ -196,8 +214,9 @@ def promising(
 def as_given(
     bench: Bench, effects: Sequence[Candidate], starts: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """The first few starts with the model's own numbers as the user gave them: re-tuning has bent those to stand in for what is
-    missing, and the way back may be long."""
+    """The first few starts with the model's own numbers as the user gave them: re-tuning has bent
+    those to stand in for what is missing, and the way back may be long.
+    """
     out = []
     for start in starts[:GIVEN]:
         theta = bench.binding.theta.copy()
@@ -210,7 +229,9 @@ def as_given(
 def with_refined(
     bench: Bench, base: Sequence[Candidate], starts: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Starts, and the first of them with each probe of the effects that are refined, which are off in them."""
+    """Starts, and the first of them with each probe of the effects that are refined, which are off
+    in them.
+    """
     return [
         *starts,
         *(theta for start in starts[:2] for c in base for theta in probes_of(bench, c, start)),

@@ -16,7 +16,9 @@ from jaxid.wording import listed, percent, times
 
 
 class _Words(Formatter):
-    """Says values as a form asks: `{gap:times}`, `{closed:percent}`, `{names:listed}`, `{closed:floor}` (whole percents)."""
+    """Says values as a form asks: `{gap:times}`, `{closed:percent}`, `{names:listed}`,
+    `{closed:floor}` (whole percents).
+    """
 
     SAY: ClassVar = {
         "times": times,
@@ -244,7 +246,9 @@ class WithinWhatIsKnown(Reason):
 
 @dataclass(frozen=True)
 class NextToTheNoise(Reason):
-    """An effect that would follow fit and validation data more closely where there was no gap to speak of."""
+    """An effect that would follow fit and validation data more closely where there was no gap to
+    speak of.
+    """
 
     names: str
     after: float
@@ -316,8 +320,9 @@ class NothingPredicts(Reason):
 
 @dataclass(frozen=True)
 class HeldOut(Reason):
-    """What is named by torque: `closed` of the gap on the runs that it was not fitted to, `left` on the worst of them; `fitted`
-    on the runs that it was fitted to, where that matters."""
+    """What is named by torque: `closed` of the gap on the runs that it was not fitted to, `left` on
+    the worst of them; `fitted` on the runs that it was fitted to, where that matters.
+    """
 
     names: Sequence[str]
     closed: float

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 
 def regimes(m: Missing, joint: int) -> dict[str, np.ndarray]:
-    """Masks over the kept samples of one run and joint: the situations in which a machine can be."""
+    """Masks over the kept samples of one run and joint: the situations in which a machine can
+    be.
+    """
     qd, q, qdd = m.qd[:, joint], m.q[:, joint], m.qdd[:, joint]
     speed = np.percentile(np.abs(qd), 99) + 1e-300
     t = m.experiment.t[m.keep]

@@ -29,8 +29,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Finding:
-    """One place where the gap lies. `times_noise_floor` is the missing signal there over what noise would show there; `variable`
-    what the force is a law of (or what tells the regime), `range` where in it (None: an open end)."""
+    """One place where the gap lies. `times_noise_floor` is the missing signal there over what noise
+    would show there; `variable` what the force is a law of (or what tells the regime), `range`
+    where in it (None: an open end).
+    """
 
     channel: str
     location: str
@@ -58,7 +60,9 @@ class Finding:
 
 @dataclass(frozen=True)
 class Regime:
-    """Strength of the missing force in one regime of one joint, against what noise alone would give."""
+    """Strength of the missing force in one regime of one joint, against what noise alone would
+    give.
+    """
 
     joint: str
     regime: str
@@ -82,7 +86,9 @@ class Regime:
 
 @dataclass(frozen=True)
 class MissingForce:
-    """Generalised force that the model lacks at one joint, along one experiment (torque residual, filtered)."""
+    """Generalised force that the model lacks at one joint, along one experiment (torque residual,
+    filtered).
+    """
 
     joint: str
     unit: str  # of the force
@@ -98,8 +104,10 @@ class MissingForce:
     floor: np.ndarray  # one standard deviation of what noise alone would show at each sample
 
     def plot(self, after: bool = False, ax: Axes | None = None) -> Axes:
-        """Draws the motion in the phase plane, coloured by the missing force: a band along an axis is a law of velocity or
-        position. `after`: what is still missing with the effect, in the same colours."""
+        """Draws the motion in the phase plane, coloured by the missing force: a band along an axis
+        is a law of velocity or position. `after`: what is still missing with the effect, in the
+        same colours.
+        """
         from jaxid.report import figures
 
         return figures.missing_force(self, after, ax)
@@ -107,7 +115,9 @@ class MissingForce:
 
 @dataclass(frozen=True)
 class Ranked:
-    """One candidate after its refit: gaps in multiples of the noise on validation data, and the evidence for it."""
+    """One candidate after its refit: gaps in multiples of the noise on validation data, and the
+    evidence for it.
+    """
 
     effect: str
     location: str
@@ -170,10 +180,12 @@ class ChannelGap:
 
 @dataclass(frozen=True)
 class HowFar:
-    """Gaps on report data, as multiples of the noise floor (1 = down to the noise; nan, null in JSON, where these stand still).
+    """Gaps on report data, as multiples of the noise floor (1 = down to the noise; nan, null in
+    JSON, where these stand still).
 
-    `shrinkage` is that of all report data; `shrinkage_interval_95` that of one further run like them, made of `interval_from`:
-    "runs", or "blocks" of fewer than eight runs, which do not know how runs differ.
+    `shrinkage` is that of all report data; `shrinkage_interval_95` that of one further run like
+    them, made of `interval_from`: "runs", or "blocks" of fewer than eight runs, which do not know
+    how runs differ.
     """
 
     gap_before: float
@@ -219,7 +231,9 @@ class HowFar:
 
 @dataclass(frozen=True)
 class Diagnosis(Exportable):
-    """Where the simulator is wrong, which effect is missing, how far the gap shrinks once it is added."""
+    """Where the simulator is wrong, which effect is missing, how far the gap shrinks once it is
+    added.
+    """
 
     model: str
     dataset: str
@@ -242,8 +256,9 @@ class Diagnosis(Exportable):
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
 
     def next_run(self, **settings: Any) -> Excitation:
-        """What to record next: the input that best tells the two leading hypotheses apart, within what the recorded runs reached,
-        as a dataset to play: `.save(folder)`, then `jaxid record --play`. Settings: see `jaxid.excitation.discriminate.separate`.
+        """What to record next: the input that best tells the two leading hypotheses apart, within
+        what the recorded runs reached, as a dataset to play: `.save(folder)`, then `jaxid record
+        --play`. Settings: see `jaxid.excitation.discriminate.separate`.
 
         Raises `UsageError` where no second hypothesis is left, or no input can be designed.
         """
@@ -252,7 +267,9 @@ class Diagnosis(Exportable):
         return separate(self.rivals, **settings)
 
     def to_frame(self) -> pandas.DataFrame:
-        """A row for each candidate that was refitted, best first. Raises `UsageError` without pandas."""
+        """A row for each candidate that was refitted, best first. Raises `UsageError` without
+        pandas.
+        """
         return frames.of_diagnosis(self)
 
     def to_dict(self) -> dict[str, Any]:
@@ -286,7 +303,9 @@ class Diagnosis(Exportable):
         return write_diagnosis(self, Path(path))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draws the gap before, after retuning and with the missing effect, on new axes or the given ones."""
+        """Draws the gap before, after retuning and with the missing effect, on new axes or the
+        given ones.
+        """
         from jaxid.report import figures
 
         return figures.diagnosis(self, ax)

@@ -148,7 +148,9 @@ def begin_compiling(
     effects: Iterable[str | Effect | type[Effect]] | None,
     without: tuple[str, ...],
 ) -> None:
-    """Begins to compile what the diagnosis of a recording under goals simulates first, while others look at the recording."""
+    """Begins to compile what the diagnosis of a recording under goals simulates first, while others
+    look at the recording.
+    """
     try:
         nominal = resolve_model(model, dataset, without)
         if not dataset.experiments or not led(nominal):
@@ -252,7 +254,8 @@ def _run(
         )
         if found.which.verdict == "named":
             return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
-    # Stamps that scatter are noise, which neighbouring readings show or refute: no fit may take something smooth for it.
+    # Stamps that scatter are noise, which neighbouring readings show or refute: no fit may take
+    # something smooth for it.
     question = Question(
         binding, own, allowed if stamps else others, max_effects, seed, progress, known, still
     )
@@ -306,7 +309,9 @@ def _run(
 def _diagnosed(
     question: Question, scatter: timing.Scatter | None = None
 ) -> tuple[Diagnosis, float]:
-    """The answer; and how much a difference at the start of a run grows within it. `scatter`: what the time stamps do."""
+    """The answer; and how much a difference at the start of a run grows within it. `scatter`: what
+    the time stamps do.
+    """
     began = time.perf_counter()
     question = dataclasses.replace(
         question, binding=question.binding.by_windows(question.residual.window)
@@ -502,8 +507,9 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
 
 
 def _check_followed(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> None:
-    """Raises `Diverged` where a descent that did not end left free runs that do not follow the recording: no effect can be seen
-    beside that."""
+    """Raises `Diverged` where a descent that did not end left free runs that do not follow the
+    recording: no effect can be seen beside that.
+    """
     off = max(
         s.nrmse
         for s in scores(bench, "fit", free_runs(bench, "fit", [theta], starts[None])[0]).values()
@@ -516,7 +522,9 @@ def _check_followed(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> None
 def _so_far(
     question: Question, bench: Bench, nominal: Fit, search: Search, began: float
 ) -> Diagnosis:
-    """What is known while effects are still compared: where the gap lies and how wide it is; nothing is claimed yet."""
+    """What is known while effects are still compared: where the gap lies and how wide it is;
+    nothing is claimed yet.
+    """
     binding, residual = question.binding, question.residual
     before, note = shrinking.model_before(binding, search.nominal.theta)
     how_far = shrinking.measure(

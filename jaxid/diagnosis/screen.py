@@ -1,4 +1,6 @@
-"""The screen: what each candidate could explain of a residual, from one simulation of each of its probes."""
+"""The screen: what each candidate could explain of a residual, from one simulation of each of its
+probes.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,11 @@ FEW = 16
 def screened(
     bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]
 ) -> list[Screened]:
-    """Share of the sum of squares at z that each candidate explains, to first order in everything but itself.
+    """Share of the sum of squares at z that each candidate explains, to first order in everything
+    but itself.
 
-    Each finite probe is simulated, what re-tuning could do is projected out, and the probe is scaled within [0, 4]
-    (or [-4, 4] where its parameters may have either sign). Best first.
+    Each finite probe is simulated, what re-tuning could do is projected out, and the probe is
+    scaled within [0, 4] (or [-4, 4] where its parameters may have either sign). Best first.
     """
     parts = list(rows([(p, z)]))
     retuning = Retuning(parts, p.size)
@@ -78,9 +81,10 @@ def torque_tells(bench: Bench) -> bool:
 
 
 def torque_screened(bench: Bench, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
-    """What each candidate explains beside `h` of the torque that the measured motion lacks. It is blind to what has no place in
-    an inverse (play, springs, sensors) and biased by the noise of derivatives, but it does not depend on how far the free run
-    has gone astray."""
+    """What each candidate explains beside `h` of the torque that the measured motion lacks. It is
+    blind to what has no place in an inverse (play, springs, sensors) and biased by the noise of
+    derivatives, but it does not depend on how far the free run has gone astray.
+    """
     if not torque_tells(bench):
         return []
     p = bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
@@ -123,7 +127,9 @@ class Retuning:
 def probe_residuals(
     p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Weighted residual vectors at the samples for full parameter vectors, from the starts of z (one, or one for each)."""
+    """Weighted residual vectors at the samples for full parameter vectors, from the starts of z
+    (one, or one for each).
+    """
     return list(each_probe(p, z, thetas))
 
 
@@ -133,7 +139,9 @@ def each_probe(
     thetas: Sequence[np.ndarray],
     once: bool = False,
 ) -> Iterator[np.ndarray]:
-    """`probe_residuals` one after the other; of long records a few are simulated at a time. `once`: they are not refitted."""
+    """`probe_residuals` one after the other; of long records a few are simulated at a time. `once`:
+    they are not refitted.
+    """
     some = FEW if p.runs.engine.long else max(1, len(thetas))
     for first in range(0, len(thetas), some):
         own = slice(first, first + some)

@@ -1,8 +1,10 @@
-"""Which effect is missing: screen all candidates from one fit, refit, choose on held-out runs, abstain when nothing fits.
+"""Which effect is missing: screen all candidates from one fit, refit, choose on held-out runs,
+abstain when nothing fits.
 
-The screen must rank and the refit must decide: signatures of physically different effects are often nearly parallel after
-re-tuning, and some effects have no derivative at their neutral value. Information criteria alone prefer the richer neighbour
-of the true effect; runs that were not fitted do not.
+The screen must rank and the refit must decide: signatures of physically different effects are often
+nearly parallel after re-tuning, and some effects have no derivative at their neutral value.
+Information criteria alone prefer the richer neighbour of the true effect; runs that were not fitted
+do not.
 """
 
 from __future__ import annotations
@@ -60,14 +62,18 @@ from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import defects, step_error, STEP_SHARE
 
 
-#: So many hypotheses that explain the torque of the measured motion best are refitted to the end, however they do at first.
+#: So many hypotheses that explain the torque of the measured motion best are refitted to the end,
+#: however they do at first.
 SURE = 3
-#: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
+#: How often the step may be halved, and how often its defect is worked out anew for a chosen
+#: hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
-#: After the single effects nothing more is asked once so many steps were simulated (a minute on two cores), and the fit runs so
-#: often: what few effects explain is found before; what none of the library explains could be searched for an hour.
+#: After the single effects nothing more is asked once so many steps were simulated (a minute on two
+#: cores), and the fit runs so often: what few effects explain is found before; what none of the
+#: library explains could be searched for an hour.
 MOST_STEPS, MOST_RUNS = 150_000_000, 40_000
-#: Iterations and tolerance of a descent to the end, and of that of a nominal model to which something better is compared.
+#: Iterations and tolerance of a descent to the end, and of that of a nominal model to which
+#: something better is compared.
 THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
 
 
@@ -97,7 +103,8 @@ class Searcher:
 
     def _hypotheses(self, found: Sequence[tuple[tuple[Candidate, ...], Path]]) -> list[Hypothesis]:
         thetas = [path.problem.theta(path.z) for _, path in found]
-        # Only what fits as well as the best, and almost down to the noise, may turn out to be right elsewhere.
+        # Only what fits as well as the best, and almost down to the noise, may turn out to be right
+        # elsewhere.
         losses = [path.loss for _, path in found]
         follow = [
             p if loss <= min(LIMITS.followed * min(losses), LIMITS.followed_near) else None
@@ -118,8 +125,9 @@ class Searcher:
         sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]],
         like: Hypothesis | None = None,
     ) -> list[Hypothesis]:
-        """Refits each set of effects from its starts (full parameter vectors), all in one batch, the runs begun as in `like` or
-        the nominal model; best start of each."""
+        """Refits each set of effects from its starts (full parameter vectors), all in one batch,
+        the runs begun as in `like` or the nominal model; best start of each.
+        """
         if not sets:
             return []
         begun = (like or self.nominal).path
@@ -149,8 +157,9 @@ class Searcher:
         return found
 
     def _led(self, found: list[Hypothesis]) -> list[Hypothesis]:
-        """The hypotheses; one that is left far behind by another that contains it begins anew where that ended, without what that
-        has more: it may have been in a local minimum."""
+        """The hypotheses; one that is left far behind by another that contains it begins anew where
+        that ended, without what that has more: it may have been in a local minimum.
+        """
         jobs: dict[int, tuple[Problem, np.ndarray]] = {}
         for k, h in enumerate(found):
             richer = [
@@ -197,8 +206,9 @@ class Searcher:
         max_effects: int,
         known: Callable[[Search], None] = lambda search: None,
     ) -> Search:
-        """Forward selection up to `max_effects`, then each accepted effect is questioned again; `known` is told after each
-        round."""
+        """Forward selection up to `max_effects`, then each accepted effect is questioned again;
+        `known` is told after each round.
+        """
         chosen = self._refined(self.nominal)
         while (
             (room := max_effects - len(chosen.effects)) > 0
@@ -264,8 +274,9 @@ class Searcher:
         )
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
-        """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
-        which may explain more than it and one beside it."""
+        """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first
+        choice also of two others, which may explain more than it and one beside it.
+        """
         found = self._extend(chosen, [c for c in pool if c not in chosen.effects], room)
         if len(chosen.effects) == 1 and not close_to_noise(chosen) and self._goes_on():
             found += self._as_pairs(chosen, self._singles, pool, room)
@@ -276,8 +287,10 @@ class Searcher:
     def _as_pairs(
         self, h: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate], room: int
     ) -> list[Hypothesis]:
-        """Two effects at once: pairs of those found, and anything beside the one that explains far more of the fit runs than `h`
-        does, whatever it makes of validation runs without what else is missing; at most `room` more than `h` has."""
+        """Two effects at once: pairs of those found, and anything beside the one that explains far
+        more of the fit runs than `h` does, whatever it makes of validation runs without what else
+        is missing; at most `room` more than `h` has.
+        """
         most = len(h.effects) + room
         out = self.refit(
             [
@@ -305,7 +318,9 @@ class Searcher:
     def _exchanged(
         self, chosen: Hypothesis, step: Hypothesis, found: Sequence[Hypothesis]
     ) -> Hypothesis:
-        """The step from the chosen hypothesis, or one with other effects in the place of those accepted before, if better."""
+        """The step from the chosen hypothesis, or one with other effects in the place of those
+        accepted before, if better.
+        """
         alike = [
             h
             for h in equals(self.bench, chosen, found)
@@ -319,11 +334,15 @@ class Searcher:
 
     @property
     def _quick(self) -> Bench:
-        """The bench on the steps of the search, whose defects for what was chosen are off its data."""
+        """The bench on the steps of the search, whose defects for what was chosen are off its
+        data.
+        """
         return (*self.benches, self.bench)[0]
 
     def _put_back(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis with those of the model's own numbers where the user put them that the data leave open."""
+        """The hypothesis with those of the model's own numbers where the user put them that the
+        data leave open.
+        """
         if not h.effects:
             return h
         path = put_back(
@@ -336,7 +355,9 @@ class Searcher:
         return after if after.validation.loss < h.validation.loss * LIMITS.alike else h
 
     def _taught(self, h: Hypothesis) -> Hypothesis:
-        """What the fit runs leave open, as the validation runs have it, for a model that follows the fit runs."""
+        """What the fit runs leave open, as the validation runs have it, for a model that follows
+        the fit runs.
+        """
         held, theta, far = h.validation, h.validation.theta, h.fit_loss > LIMITS.followed_near
         if (
             theta is None
@@ -360,9 +381,11 @@ class Searcher:
         return min([h, *good], key=lambda g: g.validation.gap)
 
     def _refined(self, chosen: Hypothesis) -> Hypothesis:
-        """The chosen hypothesis descended to the end, with steps so fine that they no longer matter against the noise: what the
-        step leaves behind would look like another effect. The search itself stays on its steps: what finer ones add to the
-        chosen hypothesis is taken off the data."""
+        """The chosen hypothesis descended to the end, with steps so fine that they no longer matter
+        against the noise: what the step leaves behind would look like another effect. The search
+        itself stays on its steps: what finer ones add to the chosen hypothesis is taken off the
+        data.
+        """
         chosen = self._descended(
             chosen, THOROUGH if chosen.effects or chosen.fit_loss < LIMITS.far else BRIEF
         )
@@ -392,8 +415,10 @@ class Searcher:
         return chosen
 
     def _freed(self, h: Hypothesis, richer: Hypothesis) -> Hypothesis:
-        """`h` from where a richer one ended, if far less is left there or, as fit runs show no gap, nothing for the richer one to
-        add: an effect may have led out of a local minimum, or along what the fit runs leave open, and be of no other use."""
+        """`h` from where a richer one ended, if far less is left there or, as fit runs show no gap,
+        nothing for the richer one to add: an effect may have led out of a local minimum, or along
+        what the fit runs leave open, and be of no other use.
+        """
         quiet = h.fit_inflation < LIMITS.white
         if joint_loss(h) < LIMITS.far and not quiet:
             return h
@@ -455,8 +480,9 @@ class Searcher:
         return chosen
 
     def _extend(self, h: Hypothesis, rest: Sequence[Candidate], room: int = 1) -> list[Hypothesis]:
-        """Refits of `h` with one more effect each, for all that the screen lets pass; one that refines another which is missing
-        comes with that one, where there is room for two."""
+        """Refits of `h` with one more effect each, for all that the screen lets pass; one that
+        refines another which is missing comes with that one, where there is room for two.
+        """
         base = {str(c): [] if sensible((*h.effects, c)) else refined_by(c, rest) for c in rest}
         rest = [
             c for c in rest if sensible((*h.effects, *base[str(c)], c)) and len(base[str(c)]) < room
@@ -465,7 +491,8 @@ class Searcher:
         if h.effects and close_to_noise(h):
             ranked = [f for f in ranked if f[0] * h.fit_loss * h.path.count > LIMITS.standing_out]
             rest = [c for _, c, _ in ranked]
-        # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
+        # A free run that has gone far astray says little to first order: what the torque screen
+        # puts first is tried as well.
         by_torque = (
             torque_screened(self.bench, h, [c for _, c, _ in ranked] or rest) if rest else []
         )
@@ -482,8 +509,10 @@ class Searcher:
         return self.refit(beside(self.bench, h, kept, by_torque, base))
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
-        """Takes out effects that are no longer needed beside the others (explain too little, or nothing of the report data), what
-        one refines as well where there is none of it; the smaller set gets every chance, from where the larger one ended."""
+        """Takes out effects that are no longer needed beside the others (explain too little, or
+        nothing of the report data), what one refines as well where there is none of it; the smaller
+        set gets every chance, from where the larger one ended.
+        """
         while len(h.effects) > 1:
             smaller = self.refit([left_out(self.bench, h, c) for c in h.effects], h)
             needless = [
@@ -498,7 +527,9 @@ class Searcher:
     def _alternatives(
         self, chosen: Hypothesis, pool: Sequence[Candidate]
     ) -> dict[Candidate, Hypothesis]:
-        """What the data cannot tell from the named effects: other effects in the place of each, the others kept."""
+        """What the data cannot tell from the named effects: other effects in the place of each, the
+        others kept.
+        """
         out: dict[Candidate, Hypothesis] = {}
         for c in chosen.effects:
             others = tuple(e for e in chosen.effects if e is not c)
@@ -521,7 +552,9 @@ class Searcher:
         return out
 
     def _renew(self, keys: Sequence[frozenset[str]], chosen: frozenset[str]) -> None:
-        """Brings hypotheses that were close to the chosen one before the data were corrected for the step up to date."""
+        """Brings hypotheses that were close to the chosen one before the data were corrected for
+        the step up to date.
+        """
         if chosen not in self._stale:
             return
         limit = 1.5 * self._stale[chosen].fit_loss

@@ -1,4 +1,6 @@
-"""Which of several refitted hypotheses to believe: evidence of fit and validation runs, and the choice among those alike."""
+"""Which of several refitted hypotheses to believe: evidence of fit and validation runs, and the
+choice among those alike.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def joint_loss(h: Hypothesis) -> float:
 
 
 def in_lead(known: Iterable[Hypothesis]) -> str:
-    """What explains most by now, and what it leaves, as a line of progress says it; nothing before anything was refitted."""
+    """What explains most by now, and what it leaves, as a line of progress says it; nothing before
+    anything was refitted.
+    """
     lead = min((h for h in known if h.effects), key=joint_loss, default=None)
     if lead is None:
         return ""
@@ -30,8 +34,10 @@ def in_lead(known: Iterable[Hypothesis]) -> str:
 
 
 def significant(before: Hypothesis, after: Hypothesis) -> bool:
-    """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, by more where
-    more is added (dozens of candidates are tried), and each of the two must agree."""
+    """Whether the effects that `after` has beyond `before` are there: fit and validation runs
+    together decide, by more where more is added (dozens of candidates are tried), and each of the
+    two must agree.
+    """
     held = worth(after.validation, before.validation, inflation(after.validation))
     if held <= 0:
         return False
@@ -46,15 +52,18 @@ def significant(before: Hypothesis, after: Hypothesis) -> bool:
     )
     if silent and held > LIMITS.overwhelming * more:
         return True
-    # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
+    # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates
+    # reaches some by chance.
     chance = LIMITS.decisive if after.fit_inflation < LIMITS.white else 0.0
     enough = fitted > chance + 2 * size and fitted + held > 3 * more * LIMITS.decisive + 2 * size
     return share > LIMITS.gain and enough
 
 
 def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
-    """The choice among refits: best on validation data; of those that it does not beat decisively, the one with the fewest
-    parameters, timing before physics, then the best evidence on fit and validation data together."""
+    """The choice among refits: best on validation data; of those that it does not beat decisively,
+    the one with the fewest parameters, timing before physics, then the best evidence on fit and
+    validation data together.
+    """
     near = equals(bench, before, found)
     fewest = min((h.size for h in near), default=0)
     physics = lambda h: h.effects[-1].effect not in TIMING
@@ -66,7 +75,9 @@ def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypot
 
 
 def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Those of the refits that say more than `before` and that the best of them does not beat decisively."""
+    """Those of the refits that say more than `before` and that the best of them does not beat
+    decisively.
+    """
     found = [
         h for h in found if np.isfinite(h.fit_loss)
     ]  # a run that diverges says nothing, and has no place in an order
@@ -92,9 +103,10 @@ def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> lis
 
 
 def simpler(bench: Bench, before: Hypothesis, h: Hypothesis, top: Hypothesis) -> bool:
-    """Whether `h` has fewer numbers and leaves next to nothing more than `top`: a part of its effects, or others that explain all
-    but a hundredth of what it does; or a law in the same place, of the same kind or where the larger law ended at a bound (as
-    another one's limit)."""
+    """Whether `h` has fewer numbers and leaves next to nothing more than `top`: a part of its
+    effects, or others that explain all but a hundredth of what it does; or a law in the same place,
+    of the same kind or where the larger law ended at a bound (as another one's limit).
+    """
     if h.size >= top.size or h.validation.loss >= LIMITS.alike * max(1.0, top.validation.loss):
         return False
     if joint_loss(h) < LIMITS.alike * max(1.0, joint_loss(top)):
@@ -110,7 +122,9 @@ def simpler(bench: Bench, before: Hypothesis, h: Hypothesis, top: Hypothesis) ->
 
 
 def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
-    """Whether neither the validation runs nor these and the fit runs together tell `h` from the chosen hypothesis."""
+    """Whether neither the validation runs nor these and the fit runs together tell `h` from the
+    chosen hypothesis.
+    """
     factor = inflation(chosen.validation)
     both = (
         (joint_loss(h) - joint_loss(chosen))
@@ -126,8 +140,10 @@ def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
 
 
 def mirrored(bench: Bench, chosen: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
-    """Effects at the other end of the plant that say the same of any recording (`Effect.mirrors`), however their fits ended: a
-    search of one may stop where that of the other goes on. All readings that are late say what one input that is late says."""
+    """Effects at the other end of the plant that say the same of any recording (`Effect.mirrors`),
+    however their fits ended: a search of one may stop where that of the other goes on. All readings
+    that are late say what one input that is late says.
+    """
     signature = bench.binding.chain.signature
     inputs, outputs = ([name for name, _ in side] for side in (signature.inputs, signature.outputs))
     named: dict[str, list[str]] = {}
@@ -144,15 +160,18 @@ def mirrored(bench: Bench, chosen: Hypothesis, pool: Sequence[Candidate]) -> lis
 
 
 def unexplained(h: Hypothesis) -> float:
-    """Chi-square units that a hypothesis leaves above the noise, beyond chance: the creep of a simulator's contacts, a stated
-    noise that is a little low, something that no effect here explains. Any of the effects may stand in for a part of it."""
+    """Chi-square units that a hypothesis leaves above the noise, beyond chance: the creep of a
+    simulator's contacts, a stated noise that is a little low, something that no effect here
+    explains. Any of the effects may stand in for a part of it.
+    """
     count = h.path.count + h.validation.count
     return float((joint_loss(h) - 1) * count - np.sqrt(2 * count))
 
 
 def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
-    """Whether an effect beside others, next to the noise, explains less than what stays unexplained with it, or so little that
-    the exact form of the others' laws is not known as well."""
+    """Whether an effect beside others, next to the noise, explains less than what stays unexplained
+    with it, or so little that the exact form of the others' laws is not known as well.
+    """
     gained = joint_loss(without) - joint_loss(h)
     form = gained < LIMITS.form * (joint_loss(nominal) - joint_loss(h))
     return joint_loss(without) < LIMITS.close_above and (
@@ -163,7 +182,9 @@ def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
 def not_borne_out(
     bench: Bench, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]
 ) -> list[Hypothesis]:
-    """Those of smaller sets close to the noise that predict the report data as well: what these do not show is no claim."""
+    """Those of smaller sets close to the noise that predict the report data as well: what these do
+    not show is no claim.
+    """
     close = [s for s in smaller if joint_loss(s) < LIMITS.close_above]
     if not close or not bench.binding.experiments("report"):
         return []
@@ -186,7 +207,9 @@ def finished(h: Hypothesis) -> bool:
 
 
 def close_to_noise(h: Hypothesis) -> bool:
-    """White and close above the noise: a stated noise may be a little low, or something small is left."""
+    """White and close above the noise: a stated noise may be a little low, or something small is
+    left.
+    """
     white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
     return max(h.validation.loss, h.fit_loss) < LIMITS.close_above and white
 
@@ -194,8 +217,10 @@ def close_to_noise(h: Hypothesis) -> bool:
 def rivals_among(
     known: Sequence[Hypothesis], chosen: Hypothesis, mates: Sequence[Hypothesis]
 ) -> tuple[Hypothesis, Hypothesis] | None:
-    """The two hypotheses between which further data should decide: the chosen one (else the best) and what the data cannot
-    tell from it (else the best of those known that are not the first with more or less in it)."""
+    """The two hypotheses between which further data should decide: the chosen one (else the best)
+    and what the data cannot tell from it (else the best of those known that are not the first with
+    more or less in it).
+    """
     nested = lambda a, b: (
         key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
     )

@@ -10,10 +10,12 @@ from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
 
 
-#: At least and at most so many candidates are refitted, and those that a screen puts in front however many others there are.
+#: At least and at most so many candidates are refitted, and those that a screen puts in front
+#: however many others there are.
 MINIMUM, MAXIMUM, FRONT = 6, 16, 4
-#: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
-#: wrong hold of the command, is soon made and looks like lag, friction or inertia.
+#: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset
+#: between two channels, or the wrong hold of the command, is soon made and looks like lag, friction
+#: or inertia.
 TIMING = ("input_hold", "input_delay", "sensor_delay")
 
 
@@ -24,14 +26,16 @@ def shortlist(
     refining: Callable[[Candidate], bool],
     alone: bool,
 ) -> list[Screened]:
-    """The best of both screens, and what may equal one of them at some of its numbers; all that reacts where there is one screen
-    only. `alone`: nothing is in the model yet, which is when timing is asked. What `refining` says to bring another effect along
-    takes nobody's place."""
+    """The best of both screens, and what may equal one of them at some of its numbers; all that
+    reacts where there is one screen only. `alone`: nothing is in the model yet, which is when
+    timing is asked. What `refining` says to bring another effect along takes nobody's place.
+    """
     blind = not by_torque  # a model with inner states
     beside = [f for f in _head(ranked) if refining(f[1])]
     ranked, by_torque = ([f for f in found if not refining(f[1])] for found in (ranked, by_torque))
     kept = ranked if blind else _head(ranked)
-    # At the joint first: what is on the way of the command always explains torque, by delivering less of it.
+    # At the joint first: what is on the way of the command always explains torque, by delivering
+    # less of it.
     at_joint = [f for f in by_torque if effect_of(bench, f[1]).location == "joint"]
     more = [
         str(c)

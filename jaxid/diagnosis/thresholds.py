@@ -1,4 +1,5 @@
-"""What the diagnosis decides by, in one place: each number with its unit, why it is what it is, and the case that it came from.
+"""What the diagnosis decides by, in one place: each number with its unit, why it is what it is, and
+the case that it came from.
 
 Numbers that only bound work (starts, iterations, samples) stand beside the loop that they bound.
 """

@@ -1,8 +1,10 @@
-"""What a model without a gap may still lack: effects that the recordings would not show, and signs below the noise as a whole.
+"""What a model without a gap may still lack: effects that the recordings would not show, and signs
+below the noise as a whole.
 
-An effect that re-tuning hides, or that the motion never stirs, leaves no residual. Which ones these are can be computed: each is
-switched on at its probes, the model with it is re-tuned to the plain model's own simulation of the same runs, and what is left
-between the two is compared with the noise.
+An effect that re-tuning hides, or that the motion never stirs, leaves no residual. Which ones these
+are can be computed: each is switched on at its probes, the model with it is re-tuned to the plain
+model's own simulation of the same runs, and what is left between the two is compared with the
+noise.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ from jaxid.problem.residual import Residual
 
 #: A share of a probe so small that re-tuning takes out what is absorbed exactly but for this share.
 WEAK, ABSORBED = 1e-5, 5e-5
-#: So many effects are re-tuned in earnest, in so many rounds and iterations, at a size that moves no number further than this (in
-#: factors of e, or in so many typical changes), where the first order still leads.
+#: So many effects are re-tuned in earnest, in so many rounds and iterations, at a size that moves
+#: no number further than this (in factors of e, or in so many typical changes), where the first
+#: order still leads.
 MOST, ROUNDS, ITERATIONS, REACH, CHANGES = 20, 3, 16, 0.7, 5.0
 #: Re-tuning ends where what is left did not fall below this share so many times after each other.
 ENOUGH, FAILED, SECANTS = 0.9, 4, 6
@@ -49,10 +52,12 @@ class Moved:
 
 @dataclass(frozen=True)
 class Unseen:
-    """An effect that the recordings would not show at the size `parameters`: after re-tuning it changes what is simulated by
-    `distance` standard deviations, all samples together, and by `stirred` without re-tuning. It hides in the numbers `moved`,
-    most changed first; where there is none, the motion does not stir it. `absorbed`: the model's own numbers take it in whole,
-    so that no motion of this kind would show it."""
+    """An effect that the recordings would not show at the size `parameters`: after re-tuning it
+    changes what is simulated by `distance` standard deviations, all samples together, and by
+    `stirred` without re-tuning. It hides in the numbers `moved`, most changed first; where there is
+    none, the motion does not stir it. `absorbed`: the model's own numbers take it in whole, so that
+    no motion of this kind would show it.
+    """
 
     effect: str
     location: str
@@ -84,8 +89,10 @@ class Unseen:
 
 @dataclass(frozen=True)
 class Look:
-    """What the recordings would not show, worst first; signs that something is missing all the same; and the first of what they
-    would not show that others could, as a hypothesis to design them for."""
+    """What the recordings would not show, worst first; signs that something is missing all the
+    same; and the first of what they would not show that others could, as a hypothesis to design
+    them for.
+    """
 
     unseen: tuple[Unseen, ...] = ()
     signs: tuple[str, ...] = ()
@@ -94,8 +101,9 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """A probe of a candidate to first order: parameters with it, the change of z by re-tuning, how much it changes what is
-    simulated without and with that, and whether it is absorbed."""
+    """A probe of a candidate to first order: parameters with it, the change of z by re-tuning, how
+    much it changes what is simulated without and with that, and whether it is absorbed.
+    """
 
     candidate: Candidate
     full: np.ndarray
@@ -119,7 +127,9 @@ class Probe:
 
 @dataclass(eq=False)
 class Match:
-    """A model with an effect, re-tuned to the model without: where it stands, and how far apart the two simulate."""
+    """A model with an effect, re-tuned to the model without: where it stands, and how far apart the
+    two simulate.
+    """
 
     problem: Problem
     z: np.ndarray
@@ -144,12 +154,16 @@ class Match:
 
     @property
     def improving(self) -> bool:
-        """Whether more re-tuning may help: neither as good as the same already, nor still far from it."""
+        """Whether more re-tuning may help: neither as good as the same already, nor still far from
+        it.
+        """
         limit = next((share for count, share in HOPELESS if self.trials >= count), np.inf)
         return self.failed < FAILED and LIMITS.told / 10 < self.distance < limit * LIMITS.told
 
     def next(self, retuning: Retuning) -> np.ndarray:
-        """What is left is made small along the secants first, and then along the slopes without the effect."""
+        """What is left is made small along the secants first, and then along the slopes without the
+        effect.
+        """
         (z, rest), *others = self.tried
         if others:
             way, change = (
@@ -175,7 +189,9 @@ class Looker:
     def __init__(
         self, bench: Bench, residual: Residual, nominal: Hypothesis, settled: Path | None = None
     ):
-        """`settled`: the nominal model as it was already fitted to the runs that fitted and chose."""
+        """`settled`: the nominal model as it was already fitted to the runs that fitted and
+        chose.
+        """
         self.bench, self.residual, self.nominal = bench, residual, nominal
         held = "validation" if bench.binding.experiments("validation") else ""
         self.split = f"fit+{held}" if held else "fit"
@@ -226,7 +242,9 @@ class Looker:
         return Hypothesis((c,), end.problem.theta(end.z), path, self.nominal.validation)
 
     def _probed(self, pool: Sequence[Candidate]) -> tuple[list[Probe], list[str]]:
-        """For each candidate the probe that hides most (else the largest), and a sign of the one that stands out most."""
+        """For each candidate the probe that hides most (else the largest), and a sign of the one
+        that stands out most.
+        """
         rest = self.retuning.remaining(self.before)
         probes = [(c, full) for c in pool for full in probes_of(self.bench, c, self.theta)]
         weak = [self._sized(full, WEAK) for _, full in probes]
@@ -314,7 +332,9 @@ class Looker:
         return float(np.min(room, initial=np.inf)) if at else 1.0
 
     def _hides(self, step: np.ndarray) -> np.ndarray:
-        """Positions of the free numbers that a change of z moves by far more than they are said to be uncertain."""
+        """Positions of the free numbers that a change of z moves by far more than they are said to
+        be uncertain.
+        """
         n = self.p.free.size
         share = np.abs(step[:n]) / np.where(
             self.p.log, 1.0, np.maximum(np.abs(self.z[:n]), self.p.scale[:n])
@@ -334,7 +354,9 @@ class Looker:
         return {entries[i].field: (float(theta[i]), entries[i].unit) for i in c.index}
 
     def _matched(self, hiding: Sequence[Probe]) -> list[tuple[Unseen, Candidate, Match]]:
-        """Those that are not seen after true re-tuning either, to what the model without them simulates."""
+        """Those that are not seen after true re-tuning either, to what the model without them
+        simulates.
+        """
         sizes, steps = [q.size for q in hiding], [q.step for q in hiding]
         kept: list[Match | None] = [None] * len(hiding)
         again = list(range(len(hiding)))
@@ -388,14 +410,18 @@ class Looker:
         return out
 
     def _with(self, theta: np.ndarray) -> Problem:
-        """The runs that were looked at and the numbers that are re-tuned, beside other parameters."""
+        """The runs that were looked at and the numbers that are re-tuned, beside other
+        parameters.
+        """
         return self.bench.problem(self.residual, self.split, self.p.free, theta)
 
     def _inside(self, z: np.ndarray) -> np.ndarray:
         return np.clip(z, self.p.lower, self.p.upper)
 
     def _retune(self, matches: Sequence[Match]) -> None:
-        """Re-tunes each, all at once, without slopes of their own: by those of the model without an effect, and by secants."""
+        """Re-tunes each, all at once, without slopes of their own: by those of the model without an
+        effect, and by secants.
+        """
         trials, active = [self._inside(m.z) for m in matches], list(matches)
         for _ in range(ITERATIONS):
             found = probe_residuals(
@@ -411,7 +437,9 @@ class Looker:
                 break
 
     def _drift(self) -> str:
-        """The number that differs most between the parts of the recordings (halves of each run), if by more than chance."""
+        """The number that differs most between the parts of the recordings (halves of each run), if
+        by more than chance.
+        """
         rest = self.retuning.remaining(self.before)
         pieces, ends = list(self._halves()), np.cumsum([part.r.size for part in self.parts])[:-1]
         worst: tuple[float, int, np.ndarray] | None = None
@@ -449,7 +477,9 @@ class Looker:
         )
 
     def _halves(self) -> Iterator[tuple[str, slice, Rows, slice]]:
-        """First and second half of each record: name, place in all residuals, and samples of which rows."""
+        """First and second half of each record: name, place in all residuals, and samples of which
+        rows.
+        """
         start = 0
         for part in self.parts:
             run = self.p.runs.experiments[self.p.runs.record(part.record).experiment].name

@@ -1,9 +1,9 @@
 """What is claimed: by fit and validation data, and only as far as it holds on the report data too.
 
-One principle: a verdict is a sentence about every set of data. `named` and `partly` say that with the effects the model comes
-nearer to the data than without them, as stated or re-tuned; `none` says that it is at the noise. Fit and validation data choose;
-the report data, which choose nothing, withdraw what does not hold on them. A wrong name costs a user more than an honest
-`unknown`.
+One principle: a verdict is a sentence about every set of data. `named` and `partly` say that with
+the effects the model comes nearer to the data than without them, as stated or re-tuned; `none` says
+that it is at the noise. Fit and validation data choose; the report data, which choose nothing,
+withdraw what does not hold on them. A wrong name costs a user more than an honest `unknown`.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ from jaxid.wording import placed
 
 
 class Diverged(UsageError):
-    """No free run of the nominal model stays finite, or near the recording; `by_torque` says whether it can be compared without
-    one, and `note` why that was done."""
+    """No free run of the nominal model stays finite, or near the recording; `by_torque` says
+    whether it can be compared without one, and `note` why that was done.
+    """
 
     def __init__(self, message: str, by_torque: bool, note: str):
         super().__init__(message)
@@ -52,7 +53,9 @@ class Diverged(UsageError):
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is claimed (`named`, `partly`, `none`, `unknown`), and what it rests on, in the order in which it was found."""
+    """What is claimed (`named`, `partly`, `none`, `unknown`), and what it rests on, in the order in
+    which it was found.
+    """
 
     name: str
     reasons: tuple[Reason, ...] = ()
@@ -95,7 +98,9 @@ MOST_OF_ZEROS = 1 + HALF_A_STEP**2
 
 
 def judge(search: Search, counted: np.ndarray | None = None) -> Verdict:
-    """By fit and validation data. `counted [ny]` says which outputs are read in steps and have no noise beside them."""
+    """By fit and validation data. `counted [ny]` says which outputs are read in steps and have no
+    noise beside them.
+    """
     nominal, chosen = search.nominal.validation, search.chosen.validation
     floor = level(nominal.count)
     gap = float(np.sqrt(max(nominal.loss, search.nominal.fit_loss)))
@@ -137,8 +142,9 @@ def judge(search: Search, counted: np.ndarray | None = None) -> Verdict:
 
 
 def _within_a_step(model: Hypothesis, counted: np.ndarray) -> bool:
-    """Whether a model is at the noise on fit and validation runs, where each counted output [ny] of a run has a zero of its own
-    within half a step."""
+    """Whether a model is at the noise on fit and validation runs, where each counted output [ny] of
+    a run has a zero of its own within half a step.
+    """
     for residual in (model.path.problem.residuals(model.path.z), model.validation.settled):
         zeros = [
             np.where(counted, np.clip(r.mean(0), -HALF_A_STEP, HALF_A_STEP), 0.0) for r in residual
@@ -152,12 +158,16 @@ def _within_a_step(model: Hypothesis, counted: np.ndarray) -> bool:
 
 
 def level(count: int) -> float:
-    """Mean square up to which residuals are noise: what chance makes of it, and how well the noise itself is known."""
+    """Mean square up to which residuals are noise: what chance makes of it, and how well the noise
+    itself is known.
+    """
     return 1 + 4 * np.sqrt(2 / max(1, count)) + 0.06
 
 
 def _nearer(search: Search) -> tuple[Reason, ...]:
-    """What comes nearest to the validation data where it is not what was chosen, as the ranking shows it."""
+    """What comes nearest to the validation data where it is not what was chosen, as the ranking
+    shows it.
+    """
     tried = [
         h
         for h in search.tried
@@ -199,8 +209,9 @@ def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
 def astray(
     runs: Sequence[Share], regimes: Sequence[Share], whole: float
 ) -> list[tuple[str, float]]:
-    """Where the re-tuned model is not near the noise on report data, worst first: (run, or direction of a joint, times the
-    noise); `whole` is what all of them leave."""
+    """Where the re-tuned model is not near the noise on report data, worst first: (run, or
+    direction of a joint, times the noise); `whole` is what all of them leave.
+    """
     found = [(s.part, s.retuned) for s in runs]
     found += [
         (f"{s.joint} moving {s.part}s", s.retuned)
@@ -215,7 +226,9 @@ def astray(
 
 
 def standing_still(binding: Binding) -> tuple[str, ...]:
-    """Of "validation" and "report" those splits in which no run moves and no input changes: every model predicts them."""
+    """Of "validation" and "report" those splits in which no run moves and no input changes: every
+    model predicts them.
+    """
     iu, iy = columns(binding.dataset, binding.chain)
     out = []
     for split in ("validation", "report"):

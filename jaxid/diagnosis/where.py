@@ -1,7 +1,9 @@
-"""Where the gap lies: the force that the model lacks, by joint, regime and time, against what noise alone would show.
+"""Where the gap lies: the force that the model lacks, by joint, regime and time, against what noise
+alone would show.
 
-Every figure of the missing force (`missing`) is compared with the same figure of simulated data. Where named effects explain what
-is missing, the force that they supply along the same motion is looked at in its place: it has no noise.
+Every figure of the missing force (`missing`) is compared with the same figure of simulated data.
+Where named effects explain what is missing, the force that they supply along the same motion is
+looked at in its place: it has no noise.
 """
 
 from __future__ import annotations
@@ -49,9 +51,10 @@ _WORDS = {
 def supplied(
     found: Sequence[Missing], after: Sequence[Missing], joint: int
 ) -> list[np.ndarray] | None:
-    """The force [time] that the named effects supply at a joint in each run: what is missing without them less what is missing
-    with them, noise and filters being the same. None where that is not what was missing: a sensor, a spring or play changes the
-    motion itself."""
+    """The force [time] that the named effects supply at a joint in each run: what is missing
+    without them less what is missing with them, noise and filters being the same. None where that
+    is not what was missing: a sensor, a spring or play changes the motion itself.
+    """
     given = [m.force[:, joint] - a.force[:, joint] for m, a in zip(found, after, strict=True)]
     energy = sum(float(g @ g) for g in given)
     gained = sum(
@@ -71,8 +74,9 @@ def supplied(
 def table(
     found: Sequence[Missing], joints: Sequence[str], given: dict[str, list[np.ndarray]]
 ) -> list[Regime]:
-    """Strength of the missing force in each regime over its strength overall, the same for a perfect model, and for the force
-    that named effects supply (`given`, by joint)."""
+    """Strength of the missing force in each regime over its strength overall, the same for a
+    perfect model, and for the force that named effects supply (`given`, by joint).
+    """
     out = []
     for j, joint in enumerate(joints):
         masks = [regimes(m, j) for m in found]
@@ -115,7 +119,9 @@ def floor_of(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray]) 
 
 
 def floor_at(m: Missing, joint: int) -> np.ndarray:
-    """The same at every sample [time], over a hundredth of the run: noise shows more where the motion is abrupt."""
+    """The same at every sample [time], over a hundredth of the run: noise shows more where the
+    motion is abrupt.
+    """
     from scipy.ndimage import uniform_filter1d
 
     square = uniform_filter1d(
@@ -134,9 +140,11 @@ def findings(
     most: int = 3,
     causes: Mapping[str, EffectEstimate] | None = None,
 ) -> list[Finding]:
-    """The places that hold most of the gap, worst first; `locations` joint -> location of the effect blamed there, `only`: joints
-    to look at (all, if empty), `given`: what named effects supply there, in place of what is missing; `causes`: the effect named
-    at a joint, in whose terms its place is then told."""
+    """The places that hold most of the gap, worst first; `locations` joint -> location of the
+    effect blamed there, `only`: joints to look at (all, if empty), `given`: what named effects
+    supply there, in place of what is missing; `causes`: the effect named at a joint, in whose terms
+    its place is then told.
+    """
     b = bench.binding
     joints, outputs = b.chain.signature.joints, [n for n, _ in b.chain.signature.outputs]
     unit = b.chain.signature.unit("{F}")
@@ -159,7 +167,8 @@ def findings(
             if row.stands_out and energy > (
                 LIMITS.own_regime * energy_of(j, None) if joint in given else 0.05 * total
             ):
-                # Elsewhere there may be less than noise, which is no reason to see more than all of it here.
+                # Elsewhere there may be less than noise, which is no reason to see more than all of
+                # it here.
                 share = min(1.0, energy / total)
                 scored_rows.append((lift * np.sqrt(share), share, row.regime, inside))
         scored_rows.sort(key=lambda r: -r[0])
@@ -196,7 +205,9 @@ def findings(
 def _range(
     found: Sequence[Missing], joint: int, name: str, masks: Sequence[np.ndarray]
 ) -> tuple[float, float] | None:
-    """From where to where a variable went inside a regime; None for one that is not recorded by joint."""
+    """From where to where a variable went inside a regime; None for one that is not recorded by
+    joint.
+    """
     series = {
         "speed": "qd",
         "position": "q",
@@ -218,8 +229,9 @@ def _excess(
     masks: Sequence[np.ndarray] | None,
     given: Sequence[np.ndarray] | None,
 ) -> float:
-    """Energy of the missing force above what noise would show, over a regime or everything, in units of that noise; where the
-    force itself is `given`, its energy."""
+    """Energy of the missing force above what noise would show, over a regime or everything, in
+    units of that noise; where the force itself is `given`, its energy.
+    """
     total = 0.0
     for k, m in enumerate(found):
         mask = np.ones(len(m.force), bool) if masks is None else masks[k]
@@ -233,7 +245,9 @@ def _excess(
 def _window(
     found: Sequence[Missing], force: Sequence[np.ndarray], masks: Sequence[np.ndarray]
 ) -> tuple[tuple[float, float], str]:
-    """The half second (or twentieth of the run) in which the missing force of a regime is strongest."""
+    """The half second (or twentieth of the run) in which the missing force of a regime is
+    strongest.
+    """
     best, where = -1.0, ((0.0, 0.0), "")
     for m, missing, mask in zip(found, force, masks, strict=True):
         t = m.experiment.t[m.keep]
@@ -303,7 +317,9 @@ def when(window: tuple[float, float], found: Sequence[Missing], name: str) -> st
 
 
 def during(window: tuple[float, float], e: Experiment) -> str:
-    """A window of a run in words: in its own time, or from its start where its clock began long before."""
+    """A window of a run in words: in its own time, or from its start where its clock began long
+    before.
+    """
     if abs(e.t[0]) < LATE:
         return f"from {window[0]:.3f} to {window[1]:.3f} s of {e.name}"
     return (

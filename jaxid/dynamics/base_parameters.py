@@ -1,9 +1,11 @@
-"""Base parameters: the combinations of inertial parameters that the torque of a serial chain can show at all.
+"""Base parameters: the combinations of inertial parameters that the torque of a serial chain can
+show at all.
 
-The torque is tau = Y(q, qd, qdd) phi, linear in the standard parameters phi, but columns of Y depend on each other whatever the
-motion. Found numerically (Gautier 1991): columns of Y over random motion, taken in a fixed order of preference, are kept where
-they are independent of those kept before; every other column is a combination of the kept ones, which says how the parameters
-regroup: base = phi_kept + K phi_others.
+The torque is tau = Y(q, qd, qdd) phi, linear in the standard parameters phi, but columns of Y
+depend on each other whatever the motion. Found numerically (Gautier 1991): columns of Y over random
+motion, taken in a fixed order of preference, are kept where they are independent of those kept
+before; every other column is a combination of the kept ones, which says how the parameters regroup:
+base = phi_kept + K phi_others.
 """
 
 from __future__ import annotations
@@ -18,19 +20,23 @@ from jaxid.dynamics.kinematics import free_fall, placements
 from jaxid.dynamics.rigid_body import INERTIA, inverse_dynamics, regressor
 
 
-#: A column counts as dependent where less than this share of it lies outside the span of the kept ones.
+#: A column counts as dependent where less than this share of it lies outside the span of the kept
+#: ones.
 DEPENDENT = 1e-8
-#: Order within a link: revolute joints keep what Khalil and Gautier keep (Iyy, mz, m regroup), prismatic ones the mass first.
+#: Order within a link: revolute joints keep what Khalil and Gautier keep (Iyy, mz, m regroup),
+#: prismatic ones the mass first.
 REVOLUTE = ("Ixx", "Ixy", "Ixz", "Iyz", "Izz", "mx", "my")
 PRISMATIC = ("m", "mx", "my", "mz")
-#: The numbers of a link in the order of the standard vector here: ten of the body, then the inertia of its drive.
+#: The numbers of a link in the order of the standard vector here: ten of the body, then the inertia
+#: of its drive.
 STANDARD = (*INERTIA, "Ia")
 
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """`standard` names of the 11 n parameters, `kept` the positions of the base columns, `K` [kept standard] with
-    Y = Y[:, kept] K, so that base = K phi."""
+    """`standard` names of the 11 n parameters, `kept` the positions of the base columns, `K` [kept
+    standard] with Y = Y[:, kept] K, so that base = K phi.
+    """
 
     standard: tuple[str, ...]
     kept: tuple[int, ...]
@@ -46,8 +52,9 @@ class BaseParameters:
         return self.K @ phi
 
     def expressions(self, symbols: dict[str, float] | None = None) -> tuple[str, ...]:
-        """The regrouping as text: `Izz3 + 0.3275 m4 + ...`; numbers that equal a product of `symbols` (lengths by name, m) are
-        written with them, like `a4^2 (m4 + m5)`."""
+        """The regrouping as text: `Izz3 + 0.3275 m4 + ...`; numbers that equal a product of
+        `symbols` (lengths by name, m) are written with them, like `a4^2 (m4 + m5)`.
+        """
         return tuple(self._expression(row, symbols or {}) for row in range(len(self.kept)))
 
     def _expression(self, row: int, symbols: dict[str, float]) -> str:
@@ -67,7 +74,9 @@ class BaseParameters:
 
 
 def _symbolic(k: float, symbols: dict[str, float]) -> str:
-    """A factor as a product of two of the symbols, twice one, or a sum of two or three squares; else the number."""
+    """A factor as a product of two of the symbols, twice one, or a sum of two or three squares;
+    else the number.
+    """
     if abs(k - 1) < 1e-9:
         return ""
     lengths = [(name, abs(v)) for name, v in symbols.items() if abs(v) > 1e-9]
@@ -93,7 +102,8 @@ def standard_names(n: int) -> tuple[str, ...]:
 def torque_columns(arm: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     """Torque per standard parameter [samples n 11 n] of measured motion [samples n], in NumPy.
 
-    `arm` holds the geometry (a, alpha, d, theta, b, gamma), `prismatic`, `gravity`, `base_roll`, `base_pitch`.
+    `arm` holds the geometry (a, alpha, d, theta, b, gamma), `prismatic`, `gravity`, `base_roll`,
+    `base_pitch`.
     """
     n, count = q.shape[1], q.shape[0]
     E, fall, qd_rows, qdd_rows = _joint_rows(arm, q, qd, qdd)
@@ -106,8 +116,9 @@ def torque_columns(arm: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> 
 def standard_torque(
     arm: Any, phi: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
 ) -> np.ndarray:
-    """Torque [samples n] of measured motion [samples n] at standard parameters [11 n]: `torque_columns` times them, at a small
-    part of its cost."""
+    """Torque [samples n] of measured motion [samples n] at standard parameters [11 n]:
+    `torque_columns` times them, at a small part of its cost.
+    """
     E, fall, qd_rows, qdd_rows = _joint_rows(arm, q, qd, qdd)
     table = phi.reshape(-1, len(STANDARD))
     return (
@@ -126,8 +137,9 @@ def _joint_rows(
 
 
 def base_parameters(arm: Any, without: Sequence[str] = ()) -> BaseParameters:
-    """Base parameters of a chain under random motion; `without` names standard parameters that are known to be zero (the
-    drive inertia, where the torque is measured behind the gear)."""
+    """Base parameters of a chain under random motion; `without` names standard parameters that are
+    known to be zero (the drive inertia, where the torque is measured behind the gear).
+    """
     n = len(arm.prismatic)
     rng = np.random.default_rng(0)
     count = 12 * n + 20
@@ -152,7 +164,9 @@ def base_parameters(arm: Any, without: Sequence[str] = ()) -> BaseParameters:
 
 
 def independent_columns(W: np.ndarray, order: Sequence[int], share: float = DEPENDENT) -> list[int]:
-    """Which columns, taken in this order, are independent of those taken before (Gram-Schmidt, applied twice)."""
+    """Which columns, taken in this order, are independent of those taken before (Gram-Schmidt,
+    applied twice).
+    """
     size = np.linalg.norm(W, axis=0)
     largest = float(size.max()) if size.size else 0.0
     basis = np.zeros((W.shape[0], 0))

@@ -1,8 +1,8 @@
 """Euler-Bernoulli beams by finite elements (Hermite cubics), clamped at a hub that turns.
 
-The definition is energy: `kinetic_energy` and `strain_energy` integrate over the elements. `matrices` are the closed forms of
-the same integrals, for speed. Nodal coordinates psi = (u1, theta1, ..., un, thetan): deflection across the hub-fixed axis and
-slope of every free node.
+The definition is energy: `kinetic_energy` and `strain_energy` integrate over the elements.
+`matrices` are the closed forms of the same integrals, for speed. Nodal coordinates psi = (u1,
+theta1, ..., un, thetan): deflection across the hub-fixed axis and slope of every free node.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from jaxid.numerics.linalg import eigh, whitening
 
 
 class Beam(NamedTuple):
-    """A uniform beam with a payload at its tip: length m, bending stiffness E I in N m^2, mass per length kg/m, payload kg and
-    its rotary inertia kg m^2."""
+    """A uniform beam with a payload at its tip: length m, bending stiffness E I in N m^2, mass per
+    length kg/m, payload kg and its rotary inertia kg m^2.
+    """
 
     length: Any
     stiffness: Any
@@ -28,8 +29,9 @@ class Beam(NamedTuple):
 
 
 class Matrices(NamedTuple):
-    """M, K of the clamped beam, its coupling to the hub's rotation, inertia about the hub, and the geometric stiffness per
-    squared hub speed."""
+    """M, K of the clamped beam, its coupling to the hub's rotation, inertia about the hub, and the
+    geometric stiffness per squared hub speed.
+    """
 
     M: Float[Array, "n n"]
     K: Float[Array, "n n"]
@@ -39,8 +41,9 @@ class Matrices(NamedTuple):
 
 
 class Modes(NamedTuple):
-    """Clamped modes, mass-normalised: squared frequencies 1/s^2, participation of the hub's rotation, tip deflection, and the
-    geometric stiffness between modes."""
+    """Clamped modes, mass-normalised: squared frequencies 1/s^2, participation of the hub's
+    rotation, tip deflection, and the geometric stiffness between modes.
+    """
 
     shapes: Float[Array, "n modes"]
     squares: Float[Array, " modes"]
@@ -86,7 +89,9 @@ def _elements(psi: Float[Array, " n"]) -> Float[Array, "elements 4"]:
 def kinetic_energy(
     beam: Beam, phid: Any, psi: Float[Array, " n"], psid: Float[Array, " n"], rotating: bool = True
 ) -> Array:
-    """Energy of the moving beam and payload, J; `rotating` includes (w phid)^2, the motion by a deflection's rotation."""
+    """Energy of the moving beam and payload, J; `rotating` includes (w phid)^2, the motion by a
+    deflection's rotation.
+    """
     n = psi.shape[0] // 2
     le = beam.length / n
     xi = (_NODES + 1) / 2
@@ -107,7 +112,9 @@ def strain_energy(beam: Beam, psi: Float[Array, " n"]) -> Array:
 
 
 def foreshortening_energy(beam: Beam, phid: Any, psi: Float[Array, " n"]) -> Array:
-    """What the centrifugal tension phid^2 (m_p L + rhoA (L^2 - x^2) / 2) adds to the potential of a bent beam, J."""
+    """What the centrifugal tension phid^2 (m_p L + rhoA (L^2 - x^2) / 2) adds to the potential of a
+    bent beam, J.
+    """
     n = psi.shape[0] // 2
     le = beam.length / n
     xi = (_NODES + 1) / 2
@@ -118,7 +125,9 @@ def foreshortening_energy(beam: Beam, phid: Any, psi: Float[Array, " n"]) -> Arr
 
 
 def _places(n_elements: int) -> np.ndarray:
-    """Which coordinate of all nodes each coordinate of an element is, [elements 4 coordinates], ones and zeros."""
+    """Which coordinate of all nodes each coordinate of an element is, [elements 4 coordinates],
+    ones and zeros.
+    """
     return np.eye(2 * n_elements + 2)[2 * np.arange(n_elements)[:, None] + np.arange(4)]
 
 
@@ -142,7 +151,8 @@ def matrices(beam: Beam, n_elements: int) -> Matrices:
     bend = (
         np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]]) * scale / le**3
     )
-    # Tension under rotation: int T(x) N'N' with T = m_p L + rhoA (L^2 - x^2) / 2, by quadrature (a polynomial).
+    # Tension under rotation: int T(x) N'N' with T = m_p L + rhoA (L^2 - x^2) / 2, by quadrature (a
+    # polynomial).
     xi = (_NODES + 1) / 2
     _, dN, _ = _shapes(xi, le)
     tension = (
@@ -184,7 +194,9 @@ def modes(m: Matrices, count: int) -> Modes:
 
 
 class Decay(NamedTuple):
-    """Exponential of [[0, 1], [-squares, -damping]] over a step, [modes] each: x' = a x + b v, v' = -squares b x + d v."""
+    """Exponential of [[0, 1], [-squares, -damping]] over a step, [modes] each: x' = a x + b v, v' =
+    -squares b x + d v.
+    """
 
     a: Float[Array, " modes"]
     b: Float[Array, " modes"]

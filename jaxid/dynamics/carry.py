@@ -17,7 +17,9 @@ from jaxid.dynamics.effect import (
 
 
 def first_state(e: Effect, q: Array, u: Array, y: Array, rate: Array) -> Any:
-    """State of an effect at the beginning of a run: `InputEffect.start` and the like; () for one that has none."""
+    """State of an effect at the beginning of a run: `InputEffect.start` and the like; () for one
+    that has none.
+    """
     if isinstance(e, InputEffect):
         return e.start(u)
     if isinstance(e, JointEffect):
@@ -35,8 +37,9 @@ def first_command(command: Command, n: int) -> Command:
 
 
 class Carry(NamedTuple):
-    """State of a simulation between steps: mechanism, effects, and predictors: dry torque, acceleration, and where an effect asks
-    for what is transmitted the net joint torque."""
+    """State of a simulation between steps: mechanism, effects, and predictors: dry torque,
+    acceleration, and where an effect asks for what is transmitted the net joint torque.
+    """
 
     x: Any
     z: tuple[Any, ...]

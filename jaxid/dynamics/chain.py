@@ -1,8 +1,10 @@
-"""A model is a signal chain: command -> input effects -> joint -> mechanism -> output effects -> sensor.
+"""A model is a signal chain: command -> input effects -> joint -> mechanism -> output effects ->
+sensor.
 
-An effect sits at ONE port of the chain and is called once a step. Nominal friction is an effect like any other, so "a
-candidate unless the model has it" is a set difference, and no mechanism writes friction or sensor code. Every parameter of an
-effect is one number per location (joint, input or output channel); at its neutral value the effect is the identity, bitwise.
+An effect sits at ONE port of the chain and is called once a step. Nominal friction is an effect
+like any other, so "a candidate unless the model has it" is a set difference, and no mechanism
+writes friction or sensor code. Every parameter of an effect is one number per location (joint,
+input or output channel); at its neutral value the effect is the identity, bitwise.
 """
 
 from __future__ import annotations
@@ -62,7 +64,8 @@ def _widened(effect: Effect, places: int) -> Effect:
 class Chain(eqx.Module):
     """A model: a mechanism and the effects on the way to and from it.
 
-    `smoothing_velocity` 0 is Coulomb friction with true sticking; v > 0 replaces sign(qd) by tanh(qd / v), another model.
+    `smoothing_velocity` 0 is Coulomb friction with true sticking; v > 0 replaces sign(qd) by
+    tanh(qd / v), another model.
     """
 
     mechanism: Mechanism
@@ -100,7 +103,9 @@ class Chain(eqx.Module):
 
     @property
     def torque_channels(self) -> tuple[tuple[str, str], ...]:
-        """(name, unit) of each joint's drive torque: the input channels, or the joints where inputs are something else."""
+        """(name, unit) of each joint's drive torque: the input channels, or the joints where inputs
+        are something else.
+        """
         if self.direct and records_torque(self):
             return self.signature.commands
         return tuple(
@@ -109,7 +114,9 @@ class Chain(eqx.Module):
 
     @property
     def joint_outputs(self) -> list[int]:
-        """Positions of the joints' own coordinates among the outputs; empty where not every joint is measured."""
+        """Positions of the joints' own coordinates among the outputs; empty where not every joint
+        is measured.
+        """
         names = [n for n, _ in self.signature.outputs]
         return (
             [names.index(j) for j in self.signature.joints]
@@ -126,7 +133,9 @@ class Chain(eqx.Module):
         return self.mechanism.places(effect, self.signature)
 
     def offers(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
-        """Those of its places where an effect makes sense in this model: its candidates in a diagnosis."""
+        """Those of its places where an effect makes sense in this model: its candidates in a
+        diagnosis.
+        """
         if self.mechanism.behind_law(effect):
             return self.places(effect)[: self.nq]
         return (
@@ -166,7 +175,9 @@ class Chain(eqx.Module):
         )
 
     def smoothed(self, smoothing_velocity: float) -> Chain:
-        """The same model with dry friction smoothed as tanh(qd / smoothing_velocity); 0 restores true sticking."""
+        """The same model with dry friction smoothed as tanh(qd / smoothing_velocity); 0 restores
+        true sticking.
+        """
         return Chain(
             self.mechanism,
             self.effects,
@@ -175,7 +186,9 @@ class Chain(eqx.Module):
         )
 
     def nameless(self) -> Chain:
-        """The same as programs are made of it: see `Mechanism.nameless`. Where numbers are told apart by name it is unchanged."""
+        """The same as programs are made of it: see `Mechanism.nameless`. Where numbers are told
+        apart by name it is unchanged.
+        """
         if self.timed:
             return self
         mechanism, signature = self.mechanism.nameless(self.signature)
@@ -219,11 +232,15 @@ class Chain(eqx.Module):
         return any(e.transmits for _, e in self.at(JointEffect))
 
     def has_states(self) -> bool:
-        """Whether an effect, or the mechanism beside its joints, remembers the motion before a record."""
+        """Whether an effect, or the mechanism beside its joints, remembers the motion before a
+        record.
+        """
         return self.mechanism.hidden_states or any(self.stateful())
 
     def stateful(self) -> tuple[bool, ...]:
-        """Which effects remember the motion before a record; sensors do not, they begin anew with it."""
+        """Which effects remember the motion before a record; sensors do not, they begin anew with
+        it.
+        """
         key = jax.tree.structure(self)
         if key not in _REMEMBERING:
             q, u = jnp.zeros(self.nq), jnp.zeros(len(self.signature.commands))
@@ -250,7 +267,9 @@ class Chain(eqx.Module):
         u: Float[Array, " nu"],
         body: Mechanism | None = None,
     ) -> Carry:
-        """State at the beginning of a run that has seen the input `u` for long; `body` the mechanism ready with its effects."""
+        """State at the beginning of a run that has seen the input `u` for long; `body` the
+        mechanism ready with its effects.
+        """
         body = self.body().prepare(None) if body is None else body
         x = body.start(q, qd)
         y, rate = (
@@ -276,7 +295,9 @@ class Chain(eqx.Module):
     def begins(
         self, body: Mechanism, q: Float[Array, " nq"], qd: Float[Array, " nq"]
     ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
-        """Outputs without effects of a run that begins at (q, qd) without acceleration, and their rate of change."""
+        """Outputs without effects of a run that begins at (q, qd) without acceleration, and their
+        rate of change.
+        """
 
         def outputs(q: Float[Array, " nq"]) -> Float[Array, " ny"]:
             return self.signature.read(
@@ -313,7 +334,9 @@ class Chain(eqx.Module):
         return (jnp.concatenate([u, beside]) if n < whole.u.shape[0] else u), tuple(z_new)
 
     def friction(self, s: Signals, z: tuple) -> tuple[Array, Array, Array, tuple]:
-        """Smooth opposing torque, dry levels (minus, plus), effect states at the end of the step."""
+        """Smooth opposing torque, dry levels (minus, plus), effect states at the end of the
+        step.
+        """
         smooth, minus, plus, z_new = (
             jnp.zeros_like(s.qd),
             jnp.zeros_like(s.qd),
@@ -328,7 +351,9 @@ class Chain(eqx.Module):
     def step(
         self, body: Mechanism, carry: Carry, command: Command
     ) -> tuple[Carry, Float[Array, " ny"]]:
-        """State at the end of a step, and what the sensors record at its beginning, under the torque that then begins to act."""
+        """State at the end of a step, and what the sensors record at its beginning, under the
+        torque that then begins to act.
+        """
         after, tau = self.advance(body, carry, command)
         v0, v1 = body.port(carry.x)[1], body.port(after.x)[1]
         y, z = self.sense(body, carry, tau, (v0 == 0) & (v1 == 0), command)
@@ -347,7 +372,9 @@ class Chain(eqx.Module):
         rests: Bool[Array, " nq"],
         command: Command,
     ) -> tuple[Float[Array, " ny"], tuple]:
-        """What the sensors record at the beginning of a step with net joint torque `tau`, and the effects' next states."""
+        """What the sensors record at the beginning of a step with net joint torque `tau`, and the
+        effects' next states.
+        """
         if self.timed:
             now = self.present(command.t, command.h)
             return now.sense(now.body().prepare(None), carry, tau, rests, command)
@@ -361,8 +388,10 @@ class Chain(eqx.Module):
     def advance(
         self, body: Mechanism, carry: Carry, command: Command
     ) -> tuple[Carry, Float[Array, " nq"]]:
-        """One step of length command.h, and the net joint torque in it: friction law at the predicted middle, smooth friction
-        linearly implicit, dry friction solved exactly (`jaxid.dynamics.dry_friction`)."""
+        """One step of length command.h, and the net joint torque in it: friction law at the
+        predicted middle, smooth friction linearly implicit, dry friction solved exactly
+        (`jaxid.dynamics.dry_friction`).
+        """
         if self.timed:
             now = self.present(command.t, command.h)
             return now.advance(now.body().prepare(None), carry, command)
@@ -390,11 +419,13 @@ class Chain(eqx.Module):
         else:
             lam = jnp.where(s.qd > 0, plus, minus) * jnp.tanh(s.qd / eps)
 
-        # Smooth law, linearised at the prediction, at the middle velocity (v + w) / 2: stable at any slope.
+        # Smooth law, linearised at the prediction, at the middle velocity (v + w) / 2: stable at
+        # any slope.
         free, w, A = body.damped(h, x, -F - lam, s.qd, slope, self._stiffness())
         push = lambda dv: slope * dv if slope.ndim == 1 else dot(slope, dv)
         dry, end, bend = solve_dry(v, w + dot(A, lam), A, minus, plus, lam, eps)
-        # A joint that sticks stands exactly still: rounding left here would ruin every later decision and gradient.
+        # A joint that sticks stands exactly still: rounding left here would ruin every later
+        # decision and gradient.
         sticks = (end == 0) & (minus + plus > 0)
         w = jnp.where(sticks, 0.0, w + dot(A, lam - dry))
         correction, shift = lam - dry - push((v + w) / 2 - s.qd), h * bend
@@ -407,7 +438,9 @@ class Chain(eqx.Module):
     def _linearised(
         self, law: Callable, qd: Float[Array, " nq"]
     ) -> tuple[Array, Array, Array, Array]:
-        """The law at qd, and its slope: [nq] where each joint's torque depends on its own speed alone, else [nq nq]."""
+        """The law at qd, and its slope: [nq] where each joint's torque depends on its own speed
+        alone, else [nq nq].
+        """
         if not any(e.couples for e in self.effects):
             (F, minus, plus), (slope, _, _) = jax.jvp(law, (qd,), (jnp.ones_like(qd),))
             return F, minus, plus, slope
@@ -428,8 +461,9 @@ class Chain(eqx.Module):
         h: Float[Array, ""] | None,
         rate: Float[Array, " ny"],
     ) -> Float[Array, "time ny"]:
-        """The sensors' series as the file holds it; times strictly increasing, by equal steps `h` where that is given; `rate` of
-        change before the series begins."""
+        """The sensors' series as the file holds it; times strictly increasing, by equal steps `h`
+        where that is given; `rate` of change before the series begins.
+        """
         for _, e in self.at(RecordEffect):
             y = e(t, y, h, rate)
         return y
@@ -444,7 +478,9 @@ class Chain(eqx.Module):
         qd: Float[Array, " nq"],
         qdd: Float[Array, " nq"],
     ) -> tuple[Float[Array, " nq"], tuple]:
-        """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states."""
+        """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the
+        effects' next states.
+        """
         left, minus, plus, z = self.balance(command, z, q, qd, qdd)
         eps = self.smoothing_velocity
         direction = jnp.sign(qd) if eps == 0 else jnp.tanh(qd / eps)
@@ -458,8 +494,9 @@ class Chain(eqx.Module):
         qd: Float[Array, " nq"],
         qdd: Float[Array, " nq"],
     ) -> tuple[Float[Array, " nq"], Float[Array, " nq"], Float[Array, " nq"], tuple]:
-        """What a measured motion leaves to dry friction, drive(u) - (M qdd + bias + smooth friction), the dry levels (minus,
-        plus), and the effects' next states."""
+        """What a measured motion leaves to dry friction, drive(u) - (M qdd + bias + smooth
+        friction), the dry levels (minus, plus), and the effects' next states.
+        """
         if self.timed:
             return self.present(command.t, command.h).balance(command, z, q, qd, qdd)
         body = self.body()
@@ -473,9 +510,11 @@ class Chain(eqx.Module):
         return tau - needed - F, minus, plus, z
 
     def ode(self) -> ODE:
-        """The model as dy/dt = f(t, y, (parameters, u)), for diffrax and other solvers: see `jaxid.dynamics.ode.ODE`.
+        """The model as dy/dt = f(t, y, (parameters, u)), for diffrax and other solvers: see
+        `jaxid.dynamics.ode.ODE`.
 
-        Raises `UsageError` for dry friction that is not smoothed (`chain.smoothed(1e-3)`): no such equation says what sticks.
+        Raises `UsageError` for dry friction that is not smoothed (`chain.smoothed(1e-3)`): no such
+        equation says what sticks.
         """
         from jaxid.dynamics.ode import ODE
 

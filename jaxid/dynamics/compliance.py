@@ -1,4 +1,5 @@
-"""What changes a mechanism at its joints: more inertia, other zeros, and a motor behind a spring with play.
+"""What changes a mechanism at its joints: more inertia, other zeros, and a motor behind a spring
+with play.
 
 Inertia and motor need nothing of the mechanism but its answers at the port (`free`, `close`).
 """
@@ -19,12 +20,15 @@ from jaxid.numerics.fast_math import dot, inverse
 
 Vector = Float[Array, " nq"]
 
-#: Damping ratio of the contact in a play, and the share of the play by which the contact has to be pressed to damp fully.
+#: Damping ratio of the contact in a play, and the share of the play by which the contact has to be
+#: pressed to damp fully.
 CONTACT_DAMPING, CONTACT_DEPTH = 0.5, 0.05
 
 
 def with_inertia(mechanism: Mechanism, inertia: Vector) -> Mechanism:
-    """The mechanism with more (or less) inertia at its joints, [nq]: on the diagonal of the mass matrix."""
+    """The mechanism with more (or less) inertia at its joints, [nq]: on the diagonal of the mass
+    matrix.
+    """
     own_step = type(mechanism).free is not Rigid.free or type(mechanism).close is not Rigid.close
     if isinstance(mechanism, Rigid) and not own_step:
         return Adjusted(mechanism, inertia, jnp.zeros_like(inertia))
@@ -76,7 +80,8 @@ class Adjusted(Rigid):
 
 
 class WithInertia(Mechanism):
-    """The same for any mechanism, by its compliance alone: (1 + A inertia / h) w = w_free + A inertia v / h.
+    """The same for any mechanism, by its compliance alone: (1 + A inertia / h) w = w_free + A
+    inertia v / h.
 
     The torque of the last step predicts, so that the step stays second order.
     """
@@ -141,11 +146,13 @@ class WithInertia(Mechanism):
 
 
 class Compliant(Mechanism):
-    """Motor | spring with damping and play | mechanism, at the joints whose `compliance` is positive.
+    """Motor | spring with damping and play | mechanism, at the joints whose `compliance` is
+    positive.
 
-    The port is the motor: drive, friction and the joint encoder act and read on its side, in units of the joint. The motor's
-    inertia is a `share` of what the drive sees at q = 0 and is taken from the mechanism, so that compliance -> 0 is the rigid
-    joint again. Spring torque: implicit midpoint, solved for all joints at once.
+    The port is the motor: drive, friction and the joint encoder act and read on its side, in units
+    of the joint. The motor's inertia is a `share` of what the drive sees at q = 0 and is taken from
+    the mechanism, so that compliance -> 0 is the rigid joint again. Spring torque: implicit
+    midpoint, solved for all joints at once.
     """
 
     name: ClassVar[str] = "compliant"
@@ -199,7 +206,9 @@ class Compliant(Mechanism):
         return k, 2 * ratio * jnp.sqrt(k * self.motor * (1 - self.share))
 
     def _pressed(self, gap: Vector) -> tuple[Vector, Vector]:
-        """How far the spring is pressed, and the share of its damping that acts: in a play both begin at contact."""
+        """How far the spring is pressed, and the share of its damping that acts: in a play both
+        begin at contact.
+        """
         pressed = gap - jnp.clip(gap, -self.play / 2, self.play / 2)
         depth = CONTACT_DEPTH * jnp.where(self.play > 0, self.play, 1.0)
         return pressed, jnp.where(self.play > 0, jnp.clip(jnp.abs(pressed) / depth, 0.0, 1.0), 1.0)
@@ -247,7 +256,9 @@ class Compliant(Mechanism):
         return y
 
     def inverse(self, q, qd, qdd):
-        """Torque of the same motion with a rigid joint (the link's motion is no function of the motor's)."""
+        """Torque of the same motion with a rigid joint (the link's motion is no function of the
+        motor's).
+        """
         return self.base.inverse(q, qd, qdd)
 
     def vector_field(self, t, x, tau):
@@ -268,7 +279,8 @@ class Compliant(Mechanism):
         k, d = self._spring()
         f = self.inner.free(h, inner, jnp.where(on, t0, tau))
         m = jnp.where(on, h / self.motor, 0.0)
-        # Middle gap and its rate without any spring torque; with that of the last step, for what damps.
+        # Middle gap and its rate without any spring torque; with that of the last step, for what
+        # damps.
         w = f.qd - dot(f.A, t0)
         gap, rate = (
             q - link + h / 4 * (v - dlink + v + m * tau - w),
@@ -315,7 +327,9 @@ class Compliant(Mechanism):
 
 
 def compliant(mechanism: Mechanism) -> Compliant:
-    """The mechanism as one whose joints can be given a spring or play; the same one where it has them already."""
+    """The mechanism as one whose joints can be given a spring or play; the same one where it has
+    them already.
+    """
     if isinstance(mechanism, Compliant):
         return mechanism
     none = jnp.zeros(len(mechanism_of(mechanism).signatures[0].joints))

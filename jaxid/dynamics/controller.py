@@ -1,6 +1,7 @@
 """Feedback laws of recordings, as pure functions for a simulation under the same controller.
 
-The controller reads the simulated position (and velocity) at its own sample time, and holds its output until the next one:
+The controller reads the simulated position (and velocity) at its own sample time, and holds its
+output until the next one:
 
 - `pd`: v = kp (q_cmd - q) + kd (qd_cmd - qd)
 - `pid`: the same + ki * integral of (q_cmd - q), which stands still while the output is saturated and the error drives it further
@@ -43,10 +44,11 @@ SAMPLE_TIME = "sample_time"
 
 @dataclass(frozen=True)
 class Law:
-    """A checked controller of `n` joints. Gains have one entry per joint; equal laws are equal, so that they share programs.
+    """A checked controller of `n` joints. Gains have one entry per joint; equal laws are equal, so
+    that they share programs.
 
-    `references`, `disturbances`: names of auxiliary channels per joint ("" for none). `sample_time` s; `every_sample` says
-    that the controller runs at the samples of the recording.
+    `references`, `disturbances`: names of auxiliary channels per joint ("" for none). `sample_time`
+    s; `every_sample` says that the controller runs at the samples of the recording.
     """
 
     kind: str
@@ -73,7 +75,9 @@ class Law:
 
 
 class Memory(NamedTuple):
-    """What a controller remembers between its samples: held model input, integral part, the last two positions."""
+    """What a controller remembers between its samples: held model input, integral part, the last
+    two positions.
+    """
 
     u: Float[Array, " n"]
     integral: Float[Array, " n"]
@@ -82,7 +86,9 @@ class Memory(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What a controller is told besides the measurement: reference, its rate, a disturbance of the output."""
+    """What a controller is told besides the measurement: reference, its rate, a disturbance of the
+    output.
+    """
 
     q_cmd: Float[Array, " n"]
     qd_cmd: Float[Array, " n"]
@@ -92,7 +98,9 @@ class Reading(NamedTuple):
 def begin(
     law: Law, q: Float[Array, " n"], qd: Float[Array, " n"], u: Float[Array, " n"], r: Reading
 ) -> Memory:
-    """Memory at the start of a run from position q, velocity qd under the input u; an integral starts where it gives u."""
+    """Memory at the start of a run from position q, velocity qd under the input u; an integral
+    starts where it gives u.
+    """
     back = law.sample_time * qd
     empty = Memory(u, jnp.zeros_like(q), q - back, q - 2 * back)
     output = _output(law, empty, q, qd, r)
@@ -103,7 +111,9 @@ def begin(
 def update(
     law: Law, m: Memory, q: Float[Array, " n"], qd: Float[Array, " n"], r: Reading
 ) -> Memory:
-    """Memory after the controller has read position q; `qd` is used only where the velocity is measured."""
+    """Memory after the controller has read position q; `qd` is used only where the velocity is
+    measured.
+    """
     limit, ki, error = jnp.array(law.saturation), jnp.array(law.ki), r.q_cmd - q
     output = _output(law, m, q, qd, r) + m.integral
     u = jnp.array(law.gain) * jnp.clip(output, -limit, limit)
@@ -129,8 +139,8 @@ def _output(law: Law, m: Memory, q: Array, qd: Array, r: Reading) -> Array:
 def law_of(dataset: Dataset, signature: Signature) -> Law:
     """The dataset's `[controller]`, checked against its channels and a model's signature.
 
-    Raises `UsageError` where the dataset states no controller, for an unknown kind or setting, a gain that is missing or not one
-    number per joint, and a reference that is not recorded.
+    Raises `UsageError` where the dataset states no controller, for an unknown kind or setting, a
+    gain that is missing or not one number per joint, and a reference that is not recorded.
     """
     if dataset.controller is None:
         raise UsageError(
@@ -219,7 +229,9 @@ def _word(settings: Mapping[str, Any], key: str) -> str:
 def _channels(
     dataset: Dataset, settings: Mapping[str, Any], key: str, signature: Signature, required: bool
 ) -> tuple[str, ...]:
-    """Auxiliary channels per joint: as stated, else by the naming convention of references, else "" where not required."""
+    """Auxiliary channels per joint: as stated, else by the naming convention of references, else ""
+    where not required.
+    """
     have = [c.name for c in dataset.channels if c.role == "auxiliary"]
     stated, n = settings.get(key), len(signature.joints)
     if stated is None:

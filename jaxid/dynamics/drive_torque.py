@@ -1,6 +1,8 @@
-"""The way from recorded inputs to joint torque: a channel, its drive gain, and a mechanism's own drive.
+"""The way from recorded inputs to joint torque: a channel, its drive gain, and a mechanism's own
+drive.
 
-Everything that compares recorded inputs with torques comes through here: a current in A is a torque only times its gain.
+Everything that compares recorded inputs with torques comes through here: a current in A is a torque
+only times its gain.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ def _known_gains(chain: Chain) -> list[Array]:
 
 
 def drive_gains(chain: Chain) -> Any:
-    """Joint torque (N m, N) that one unit of each command is known to make, [commands]; 1 where nothing says."""
+    """Joint torque (N m, N) that one unit of each command is known to make, [commands]; 1 where
+    nothing says.
+    """
     total: Any = np.ones(len(chain.signature.commands))
     for gain in _known_gains(chain):
         total = total * gain
@@ -54,8 +58,10 @@ def driven(
     q: Float[Array, " nq"],
     qd: Float[Array, " nq"],
 ) -> Float[Array, " nq"]:
-    """Joint torque (N m, N) of inputs in the units of their channels: through the drive gains, then through the mechanism's own
-    drive (gears, motors). Effects at the inputs that a fit looks for are left out."""
+    """Joint torque (N m, N) of inputs in the units of their channels: through the drive gains, then
+    through the mechanism's own drive (gears, motors). Effects at the inputs that a fit looks for
+    are left out.
+    """
     n = len(chain.signature.commands)
     known = jnp.concatenate([drive_gains(chain) * u[:n], u[n:]])
     return body.drive(chain.signature, known, q, qd)

@@ -1,14 +1,15 @@
 """Dry friction at the joints over one step, with true sticking.
 
-Given the velocity that each joint would reach without dry friction and the compliance of the mechanism at the joints (the
-Delassus matrix A = d qd / d tau over the step), find the dry torque `lam` that opposes motion:
-lam = +level_plus while sliding forwards, -level_minus while sliding backwards, anything in between while sticking
-(Moreau's time-stepping). One joint is solved in closed form; several by projected Gauss-Seidel, and once more with the
-sticking joints eliminated where another one reverses.
+Given the velocity that each joint would reach without dry friction and the compliance of the
+mechanism at the joints (the Delassus matrix A = d qd / d tau over the step), find the dry torque
+`lam` that opposes motion: lam = +level_plus while sliding forwards, -level_minus while sliding
+backwards, anything in between while sticking (Moreau's time-stepping). One joint is solved in
+closed form; several by projected Gauss-Seidel, and once more with the sticking joints eliminated
+where another one reverses.
 
-A joint that reaches zero velocity inside the step slides for the fraction f of the step, then sticks or leaves from zero
-for the remaining 1 - f; its path over the step is that of both parts. That keeps the step second order through stick-slip
-and the event time differentiable.
+A joint that reaches zero velocity inside the step slides for the fraction f of the step, then
+sticks or leaves from zero for the remaining 1 - f; its path over the step is that of both parts.
+That keeps the step second order through stick-slip and the event time differentiable.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ from jaxid.numerics.fast_math import dot, inverse
 from jaxid.numerics.reverse import reversible
 
 
-#: Gauss-Seidel stops when no dry torque changes by more than what makes this fraction of the step's largest velocity change.
+#: Gauss-Seidel stops when no dry torque changes by more than what makes this fraction of the step's
+#: largest velocity change.
 TOLERANCE = 1e-12
 SWEEPS = 100
-#: Squares of velocities below it underflow, and with them the derivative of a quotient: 0 / 0 where a joint has come to rest.
+#: Squares of velocities below it underflow, and with them the derivative of a quotient: 0 / 0 where
+#: a joint has come to rest.
 _SMALLEST = 2.0**-500
 
 Vector = Float[Array, " nq"]
@@ -41,7 +44,8 @@ def soft(x: Array, minus: Array, plus: Array) -> Array:
 
 
 def _slide_or_stick(v0: Array, free: Array, minus: Array, plus: Array) -> tuple[Array, Array]:
-    """End velocity of one joint, and what its mean velocity over the step differs from the mean of both ends.
+    """End velocity of one joint, and what its mean velocity over the step differs from the mean of
+    both ends.
 
     `minus`, `plus` are the velocity changes that the dry levels can make over the step.
     """
@@ -49,14 +53,17 @@ def _slide_or_stick(v0: Array, free: Array, minus: Array, plus: Array) -> tuple[
     v1 = free - jnp.where(v0 > 0, plus, jnp.where(v0 < 0, -minus, 0.0))
     change = v0 - v1
     slides = v1 * direction > 0
-    # Where it slides on f is not asked for, and must not be infinite: reverse mode would make 0 * inf of it.
+    # Where it slides on f is not asked for, and must not be infinite: reverse mode would make 0 *
+    # inf of it.
     f = v0 / jnp.where(slides | (jnp.abs(change) < _SMALLEST), 1.0, change)
     w = jnp.where(slides, v1, (1 - f) * soft(free - v0, minus, plus))
     return w, jnp.where(slides, 0.0, -((1 - f) * v0 + f * w) / 2)
 
 
 def _smoothed(v0: Array, free: Array, minus: Array, plus: Array, eps: float) -> tuple[Array, Array]:
-    """The same with the law tanh(v / eps) at the middle velocity, by Newton from the saturated law."""
+    """The same with the law tanh(v / eps) at the middle velocity, by Newton from the saturated
+    law.
+    """
     b = (v0 + free) / 2
     r = jnp.where(b > 0, plus, minus) / 2
     m = jnp.where(jnp.abs(b) <= eps + r, b / (1 + r / eps), soft(b, r, r))
@@ -75,10 +82,12 @@ def solve_dry(
     lam: Vector,
     smoothing_velocity: float,
 ) -> tuple[Vector, Vector, Vector]:
-    """Dry torques, end velocities, and the correction of the mean velocity over the step for joints that reversed or stopped.
+    """Dry torques, end velocities, and the correction of the mean velocity over the step for joints
+    that reversed or stopped.
 
-    `v0` velocity at the start of the step, `free` at its end without dry friction, `lam` the prediction that Gauss-Seidel
-    starts from. `smoothing_velocity` 0 means true sticking: a sticking joint gets velocity exactly 0.0.
+    `v0` velocity at the start of the step, `free` at its end without dry friction, `lam` the
+    prediction that Gauss-Seidel starts from. `smoothing_velocity` 0 means true sticking: a sticking
+    joint gets velocity exactly 0.0.
     """
     if reversible() and v0.shape[0] > 1:
         return _implicit(smoothing_velocity, (v0, free, A, level_minus, level_plus), lam)[0]
@@ -88,7 +97,9 @@ def solve_dry(
 def _sweeping(
     v0: Vector, level_minus: Vector, level_plus: Vector, smoothing_velocity: float
 ) -> Callable[[Vector, Array, Vector], Solved]:
-    """One sweep of Gauss-Seidel, (free, A, old torques) -> new ones, end velocities, corrections of the mean velocity."""
+    """One sweep of Gauss-Seidel, (free, A, old torques) -> new ones, end velocities, corrections of
+    the mean velocity.
+    """
     nq = v0.shape[0]
 
     def law(j: int, alone: Array, a: Array) -> tuple[Array, Array]:
@@ -114,7 +125,9 @@ def _pinned(
     old: Vector,
     held: Bool[Array, " nq"],
 ) -> Solved:
-    """A sweep with the joints that are `held` at rest eliminated: what holds them answers at once."""
+    """A sweep with the joints that are `held` at rest eliminated: what holds them answers at
+    once.
+    """
     nq = free.shape[0]
     both = held[:, None] & held[None, :]
     hold = jnp.where(
@@ -162,9 +175,10 @@ def _solve(
     if smoothing_velocity != 0:
         return solved, *none
 
-    # A joint that reverses moves the torque that holds a sticking one within the step, so one mean torque for both parts of
-    # the step would be wrong to first order. With the sticking joints eliminated (what holds them answers at once), the
-    # others see the mechanism as it is while those are held.
+    # A joint that reverses moves the torque that holds a sticking one within the step, so one mean
+    # torque for both parts of the step would be wrong to first order. With the sticking joints
+    # eliminated (what holds them answers at once), the others see the mechanism as it is while
+    # those are held.
     def pinned(carry):
         count, old, held, _, _ = carry
         new, w, mean = _pinned(sweep, free, A, old[0], held)
@@ -184,14 +198,18 @@ def _solve(
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _implicit(eps: float, given: tuple[Array, ...], lam: Vector) -> tuple[Solved, Array, Array]:
-    """`_solve` with the derivative of the solution, which does not depend on where the sweeps began."""
+    """`_solve` with the derivative of the solution, which does not depend on where the sweeps
+    began.
+    """
     v0, free, A, level_minus, level_plus = given
     return _solve(v0, free, A, level_minus, level_plus, lam, eps)
 
 
 @_implicit.defjvp
 def _implicit_jvp(eps, primals, tangents):
-    """Of torques x = S(x, given), which one more sweep S leaves as they are: dx = (1 - dS/dx)^-1 dS/dgiven."""
+    """Of torques x = S(x, given), which one more sweep S leaves as they are: dx = (1 - dS/dx)^-1
+    dS/dgiven.
+    """
     given, lam = primals
     solved, held, turns = _implicit(eps, given, lam)
 

@@ -19,8 +19,10 @@ LONGEST_DELAY_S = 0.1
 
 
 class Command(NamedTuple):
-    """What arrives from the data at one step: `u` the mean input over the step under the channel's stated hold, `other`
-    the same under the other hold (zero-order against linear), `delayed(d)` the mean input a time d earlier."""
+    """What arrives from the data at one step: `u` the mean input over the step under the channel's
+    stated hold, `other` the same under the other hold (zero-order against linear), `delayed(d)` the
+    mean input a time d earlier.
+    """
 
     t: Array
     h: Array
@@ -46,9 +48,10 @@ class Signals(NamedTuple):
 class Effect(eqx.Module):
     """Abstract: one physical effect at one port.
 
-    Class attributes of a final class: `name`, `equation`, `signature` (what it looks like in a residual), `source`,
-    `excitation` (what to record to see it), `refines` (the effect without which it is not added, or ""), and `probes`:
-    finite strengths for the screen, since some effects have zero derivative at their neutral value.
+    Class attributes of a final class: `name`, `equation`, `signature` (what it looks like in a
+    residual), `source`, `excitation` (what to record to see it), `refines` (the effect without
+    which it is not added, or ""), and `probes`: finite strengths for the screen, since some effects
+    have zero derivative at their neutral value.
     """
 
     name: eqx.AbstractClassVar[str]
@@ -66,34 +69,38 @@ class Effect(eqx.Module):
     def transfer(
         self, omega: Float[Array, " lines"]
     ) -> tuple[Float[Array, "lines n"], Float[Array, "lines n"]] | None:
-        """Real and imaginary part of what a linear effect at an input or output does to its n channels at omega, rad/s; None:
-        nothing."""
+        """Real and imaginary part of what a linear effect at an input or output does to its n
+        channels at omega, rad/s; None: nothing.
+        """
         return None
 
-    #: Effects of one port act in the order of their stage, then as they were given: what happens to the command before it
-    #: reaches the drive comes first, what edits a mechanism before what wraps it.
+    #: Effects of one port act in the order of their stage, then as they were given: what happens to
+    #: the command before it reaches the drive comes first, what edits a mechanism before what wraps
+    #: it.
     stage: ClassVar[int] = 1
     #: Whether its torque at one joint depends on the speed of another.
     couples: ClassVar[bool] = False
-    #: What it is a law of, where the name of its file does not say: laws of a family at one place stand in for each other.
+    #: What it is a law of, where the name of its file does not say: laws of a family at one place
+    #: stand in for each other.
     family: ClassVar[str] = ""
-    #: Effects that it may equal on some mechanism or at some of its numbers, however different they begin: one is compared with
-    #: the other.
+    #: Effects that it may equal on some mechanism or at some of its numbers, however different they
+    #: begin: one is compared with the other.
     resembles: ClassVar[tuple[str, ...]] = ()
-    #: Effect at the other end of the plant that says the same of every recording where there is one input and one output, because
-    #: no mechanism knows what time it is.
+    #: Effect at the other end of the plant that says the same of every recording where there is one
+    #: input and one output, because no mechanism knows what time it is.
     mirrors: ClassVar[str] = ""
     #: What it is a law of: speed, position, load, command, acceleration, reading or time.
     axis: ClassVar[str] = ""
-    #: Where it acts (a clause), what it is in plain words, what to look for at the machine; `{parameter}` is its number with its
-    #: unit, `{parameter:%}` a share.
+    #: Where it acts (a clause), what it is in plain words, what to look for at the machine;
+    #: `{parameter}` is its number with its unit, `{parameter:%}` a share.
     seen: ClassVar[str] = ""
     plain: ClassVar[str] = ""
     check: ClassVar[str] = ""
-    #: The range of that variable in which it acts, from its numbers (None: an open end); None: the whole of it.
+    #: The range of that variable in which it acts, from its numbers (None: an open end); None: the
+    #: whole of it.
     span: ClassVar[Callable[[dict[str, float]], tuple[float | None, float | None]] | None] = None
-    #: Whether a diagnosis that was given no candidates asks it only where the others leave the answer open: a law that comprises
-    #: simpler ones, or one that has to be searched for.
+    #: Whether a diagnosis that was given no candidates asks it only where the others leave the
+    #: answer open: a law that comprises simpler ones, or one that has to be searched for.
     last_resort: ClassVar[bool] = False
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
@@ -112,11 +119,14 @@ class InputEffect(Effect):
 
     location: ClassVar[str] = "input"
     offered: ClassVar = staticmethod(drives)
-    #: Whether it closes a loop: it is told what the encoders read in place of the joints' positions.
+    #: Whether it closes a loop: it is told what the encoders read in place of the joints'
+    #: positions.
     reads_encoders: ClassVar[bool] = False
 
     def stiffness(self) -> Array | None:
-        """How tightly it holds each joint where it stands at any moment, torque per position; None: not at all."""
+        """How tightly it holds each joint where it stands at any moment, torque per position; None:
+        not at all.
+        """
         return None
 
     def settled(
@@ -126,7 +136,9 @@ class InputEffect(Effect):
         q: Float[Array, " nq"],
         hold: Callable[[], Float[Array, " nq"]],
     ) -> Any:
-        """State `z` of a run that begins at positions q, which the joint torque hold() [nq] keeps."""
+        """State `z` of a run that begins at positions q, which the joint torque hold() [nq]
+        keeps.
+        """
         return z
 
     def late(self) -> Array | None:
@@ -134,7 +146,9 @@ class InputEffect(Effect):
         return None
 
     def known_gain(self) -> Array | None:
-        """Joint torque that a drive is known to make of one unit of each command [nu]; None: it says nothing of that."""
+        """Joint torque that a drive is known to make of one unit of each command [nu]; None: it
+        says nothing of that.
+        """
         return None
 
     @abc.abstractmethod
@@ -148,14 +162,16 @@ class InputEffect(Effect):
 
 
 class JointEffect(Effect):
-    """At the joint: (signals, state) -> smooth opposing torque, dry levels (minus, plus) >= 0, state."""
+    """At the joint: (signals, state) -> smooth opposing torque, dry levels (minus, plus) >= 0,
+    state.
+    """
 
     location: ClassVar[str] = "joint"
 
     #: Whether it looks at the transmitted torque, which a chain works out for such effects alone.
     transmits: ClassVar[bool] = False
-    #: Start values (field -> number) read off the force that a measured motion (q, qd, force, each [samples]) lacks at its joint;
-    #: None: the probes are start enough.
+    #: Start values (field -> number) read off the force that a measured motion (q, qd, force, each
+    #: [samples]) lacks at its joint; None: the probes are start enough.
     read_off: ClassVar[Callable[[np.ndarray, np.ndarray, np.ndarray], dict[str, float]] | None] = (
         None
     )
@@ -182,7 +198,9 @@ class OutputEffect(Effect):
     location: ClassVar[str] = "output"
 
     def offset(self) -> Array | None:
-        """By how much each reading is off at all times, which a loop that is closed through it is told too; None: not so."""
+        """By how much each reading is off at all times, which a loop that is closed through it is
+        told too; None: not so.
+        """
         return None
 
     @abc.abstractmethod
@@ -196,7 +214,9 @@ class OutputEffect(Effect):
 
 
 class NumberEffect(Effect):
-    """At numbers of the model, in time: (values [numbers] of all that are fitted, time and length of a step) -> values in it."""
+    """At numbers of the model, in time: (values [numbers] of all that are fitted, time and length
+    of a step) -> values in it.
+    """
 
     location: ClassVar[str] = "number"
 
@@ -219,8 +239,9 @@ class Applied(Effect):
 
 
 class RecordEffect(Effect):
-    """Between sensor and file: (times [time], series [time ny], the step's length where all are equal, rate of change before the
-    series begins [ny]) -> series. The motion knows nothing of it."""
+    """Between sensor and file: (times [time], series [time ny], the step's length where all are
+    equal, rate of change before the series begins [ny]) -> series. The motion knows nothing of it.
+    """
 
     location: ClassVar[str] = "output"
 

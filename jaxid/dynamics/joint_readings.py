@@ -1,5 +1,7 @@
-"""Which outputs read the positions and speeds of joints, and what they tell of the motion: angles and lengths by encoders, speeds
-by tachometers, gyroscopes and wheels. A joint whose speed alone is read has its position from the start of the run on."""
+"""Which outputs read the positions and speeds of joints, and what they tell of the motion: angles
+and lengths by encoders, speeds by tachometers, gyroscopes and wheels. A joint whose speed alone is
+read has its position from the start of the run on.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +22,19 @@ if TYPE_CHECKING:
 
 
 class Reading(NamedTuple):
-    """Positions among the outputs of a joint's coordinate and of its speed; None where it is not read."""
+    """Positions among the outputs of a joint's coordinate and of its speed; None where it is not
+    read.
+    """
 
     q: int | None
     qd: int | None
 
 
 def with_speeds(signature: Signature, outputs: Mapping[str, str]) -> Signature:
-    """The signature that also takes the speeds of its joints among these outputs (name -> SI unit), and leaves out positions
-    that are not there; unchanged where a position is missing whose speed is missing, too."""
+    """The signature that also takes the speeds of its joints among these outputs (name -> SI unit),
+    and leaves out positions that are not there; unchanged where a position is missing whose speed
+    is missing, too.
+    """
     own = [n for n, _ in signature.outputs]
     speeds, kept = [], []
     for j, joint in enumerate(signature.joints):
@@ -53,7 +59,9 @@ _OWN_SPEEDS: dict[Any, dict[int, int]] = {}
 
 
 def _own_speeds(chain: Chain) -> dict[int, int]:
-    """Joint -> output of the mechanism's own outputs in rad/s or m/s that are a joint's speed, found by reading some states."""
+    """Joint -> output of the mechanism's own outputs in rad/s or m/s that are a joint's speed,
+    found by reading some states.
+    """
     s = chain.signature
     asked = [
         k
@@ -98,7 +106,9 @@ def joint_readings(chain: Chain) -> list[Reading]:
 
 
 def read_by(chain: Chain) -> list[int]:
-    """The output that tells each joint's motion: its position, or its speed where that alone is read. Every joint is read."""
+    """The output that tells each joint's motion: its position, or its speed where that alone is
+    read. Every joint is read.
+    """
     return [k for r in joint_readings(chain) if (k := r.q if r.q is not None else r.qd) is not None]
 
 
@@ -108,7 +118,9 @@ def all_read(chain: Chain) -> bool:
 
 
 def position_matters(chain: Chain) -> bool:
-    """Whether the motion or an output depends on where the joints are; else a speed alone tells all there is to know."""
+    """Whether the motion or an output depends on where the joints are; else a speed alone tells all
+    there is to know.
+    """
     with float64():
         body = chain.body().prepare(None)
         if body.hidden_states:
@@ -127,7 +139,9 @@ def position_matters(chain: Chain) -> bool:
 
 
 def cutoffs(chain: Chain, t: np.ndarray, y: np.ndarray, noise: np.ndarray) -> list[float]:
-    """Frequency up to which the reading of each joint rises above its noise, Hz; y [time ny], noise [ny]."""
+    """Frequency up to which the reading of each joint rises above its noise, Hz; y [time ny], noise
+    [ny].
+    """
     from jaxid.data.signals import content_cutoff
 
     return [content_cutoff(t, y[:, k], float(noise[k])) for k in read_by(chain)]
@@ -140,9 +154,11 @@ def joint_motion(
     cutoff_hz: Sequence[float],
     q0: Sequence[float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
-    """Smoothed positions, velocities and accelerations of the joints [time nq] from outputs y [time ny], and a sentence.
+    """Smoothed positions, velocities and accelerations of the joints [time nq] from outputs y [time
+    ny], and a sentence.
 
-    Positions that are read are differentiated. Where the speed alone is, the position is its integral from `q0` (by default 0).
+    Positions that are read are differentiated. Where the speed alone is, the position is its
+    integral from `q0` (by default 0).
     """
     from jaxid.data.signals import differentiate
 
@@ -183,8 +199,10 @@ def stated_positions(e: Experiment, signature: Signature) -> list[float]:
 def start_of(
     chain: Chain, e: Experiment, y: np.ndarray, first: int, until: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities of the joints at sample `first` [nq], by polynomials through the samples up to `until`, or through
-    as many of them as polynomials follow; zero for what is not read. `y` [time ny] are the outputs of the whole run."""
+    """Positions and velocities of the joints at sample `first` [nq], by polynomials through the
+    samples up to `until`, or through as many of them as polynomials follow; zero for what is not
+    read. `y` [time ny] are the outputs of the whole run.
+    """
     from jaxid.data.signals import followed, start_state
 
     t, own = e.t[first:until], joint_readings(chain)
@@ -207,7 +225,9 @@ def start_of(
 
 
 def sizes(chain: Chain, t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Travel and largest speed of each joint as its readings show them [nq]; nan where nothing does."""
+    """Travel and largest speed of each joint as its readings show them [nq]; nan where nothing
+    does.
+    """
     travel, speed = np.full(chain.nq, np.nan), np.full(chain.nq, np.nan)
     for j, r in enumerate(joint_readings(chain)):
         if r.qd is not None:

@@ -1,12 +1,14 @@
-"""Geometry of serial chains: modified and standard Denavit-Hartenberg tables, general placements, and where the frames are.
+"""Geometry of serial chains: modified and standard Denavit-Hartenberg tables, general placements,
+and where the frames are.
 
-One description for all: the geometric parameters of Khalil and Kleinfinger (1986). The frame of joint j stands in the frame
-before it at
+One description for all: the geometric parameters of Khalil and Kleinfinger (1986). The frame of
+joint j stands in the frame before it at
 
     Rz(gamma_j) Tz(b_j) Rx(alpha_j) Tx(a_j) Rz(theta_j) Tz(d_j)
 
-with the joint variable added to theta (revolute) or d (prismatic). gamma = b = 0 is the modified table of Craig and Khalil; with
-them any placement can be written, so that a URDF and its frames keep their meaning.
+with the joint variable added to theta (revolute) or d (prismatic). gamma = b = 0 is the modified
+table of Craig and Khalil; with them any placement can be written, so that a URDF and its frames
+keep their meaning.
 """
 
 from __future__ import annotations
@@ -29,11 +31,13 @@ Column = Sequence[float] | np.ndarray
 
 @dataclass(frozen=True)
 class ArmTable:
-    """A serial chain before any data: geometry [n] in m and rad, inertial parameters [n 10], drive inertia [n].
+    """A serial chain before any data: geometry [n] in m and rad, inertial parameters [n 10], drive
+    inertia [n].
 
-    `tool` [4 4] is the flange or tool in the last link's frame; `joints` the names a URDF gives; `lower`, `upper` (rad or m),
-    `velocity` (rad/s or m/s) and `effort` (N m or N) are the maker's limits, infinite where unknown;
-    `viscous` and `coulomb` friction (N m s/rad, N m) a start for a fit.
+    `tool` [4 4] is the flange or tool in the last link's frame; `joints` the names a URDF gives;
+    `lower`, `upper` (rad or m), `velocity` (rad/s or m/s) and `effort` (N m or N) are the maker's
+    limits, infinite where unknown; `viscous` and `coulomb` friction (N m s/rad, N m) a start for a
+    fit.
     """
 
     a: np.ndarray
@@ -87,10 +91,12 @@ def modified_dh(
     drive_inertia: Column | None = None,
     tool: np.ndarray | None = None,
 ) -> ArmTable:
-    """A chain from a modified table (Craig; Khalil): a_{j-1}, alpha_{j-1}, d_j, theta_j, in m and rad.
+    """A chain from a modified table (Craig; Khalil): a_{j-1}, alpha_{j-1}, d_j, theta_j, in m and
+    rad.
 
-    `theta` and `d` are the offsets of the joint variable. Without inertial parameters the links are taken as slender steel-like
-    bodies between their joints: a start for a fit, nothing more. Raises `UsageError` for rows of unequal length.
+    `theta` and `d` are the offsets of the joint variable. Without inertial parameters the links are
+    taken as slender steel-like bodies between their joints: a start for a fit, nothing more. Raises
+    `UsageError` for rows of unequal length.
     """
     n = len(a)
     columns = {
@@ -131,10 +137,11 @@ def standard_dh(
     inertia: np.ndarray | None = None,
     drive_inertia: Column | None = None,
 ) -> ArmTable:
-    """The same from a standard table, Rz(theta_j) Tz(d_j) Tx(a_j) Rx(alpha_j) as most makers print it.
+    """The same from a standard table, Rz(theta_j) Tz(d_j) Tx(a_j) Rx(alpha_j) as most makers print
+    it.
 
-    Its frames lie at the far end of each link; the chain's lie at the joint, turned about the same axes, so `inertia` is about
-    the frames of this chain. The last a and alpha become the tool.
+    Its frames lie at the far end of each link; the chain's lie at the joint, turned about the same
+    axes, so `inertia` is about the frames of this chain. The last a and alpha become the tool.
     """
     if len(alpha) != len(a):
         raise UsageError(f"a has {len(a)} entries, alpha {len(alpha)}; one row a joint")
@@ -149,7 +156,8 @@ def standard_dh(
 
 
 def placements(geometry: Any, prismatic: Sequence[bool], q: Any) -> Placements:
-    """Frame of each link in the frame before it; `geometry` holds a, alpha, d, theta, b, gamma [n], q is [n ...].
+    """Frame of each link in the frame before it; `geometry` holds a, alpha, d, theta, b, gamma [n],
+    q is [n ...].
 
     JAX arrays or NumPy's, as q is.
     """
@@ -175,7 +183,9 @@ def placements(geometry: Any, prismatic: Sequence[bool], q: Any) -> Placements:
 
 
 def geometry_of(T: np.ndarray) -> tuple[float, float, float, float, float, float]:
-    """(a, alpha, d, theta, b, gamma) of a general placement [4 4], as in the head of this module."""
+    """(a, alpha, d, theta, b, gamma) of a general placement [4 4], as in the head of this
+    module.
+    """
     R, p = np.asarray(T, np.float64)[:3, :3], np.asarray(T, np.float64)[:3, 3]
     alpha = float(np.arctan2(np.hypot(R[0, 2], R[1, 2]), R[2, 2]))
     if np.hypot(R[0, 2], R[1, 2]) > 1e-9:
@@ -185,7 +195,8 @@ def geometry_of(T: np.ndarray) -> tuple[float, float, float, float, float, float
         across = -np.sin(gamma) * p[0] + np.cos(gamma) * p[1]
         d = -across / np.sin(alpha)
         return float(along), alpha, float(d), theta, float(p[2] - np.cos(alpha) * d), gamma
-    # Parallel axes: the turn may be split at will; gamma takes the direction of the offset, d nothing.
+    # Parallel axes: the turn may be split at will; gamma takes the direction of the offset, d
+    # nothing.
     alpha = 0.0 if R[2, 2] > 0 else float(np.pi)
     radius = float(np.hypot(p[0], p[1]))
     gamma = float(np.arctan2(p[1], p[0])) if radius > 1e-12 else 0.0
@@ -209,14 +220,18 @@ def flange(table: ArmTable, q: np.ndarray) -> np.ndarray:
 
 
 def free_fall(gravity: Any, roll: Any, pitch: Any) -> tuple[Any, Any, Any]:
-    """Gravity vector in the base frame of a base mounted at Ry(pitch) Rx(roll) in the world (z up); scalars, SI."""
+    """Gravity vector in the base frame of a base mounted at Ry(pitch) Rx(roll) in the world (z up);
+    scalars, SI.
+    """
     trig = sincos if isinstance(roll, jnp.ndarray) else lambda x: (np.sin(x), np.cos(x))
     (sr, cr), (sp, cp) = trig(roll), trig(pitch)
     return gravity * sp, -gravity * cp * sr, -gravity * cp * cr
 
 
 def slender_links(table: ArmTable, per_length: float = 8.0, radius: float = 0.05) -> np.ndarray:
-    """Inertial parameters [n 10] of solid rods from each joint to the next (kg per m, m): physical start values."""
+    """Inertial parameters [n 10] of solid rods from each joint to the next (kg per m, m): physical
+    start values.
+    """
     out = np.zeros((table.n, 10))
     E = table.placements(np.zeros(table.n))
     for j in range(table.n):

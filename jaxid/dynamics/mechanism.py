@@ -1,8 +1,9 @@
 """Mechanisms: what moves between the drive and the sensor.
 
-Every mechanism is a pure JAX ODE, `vector_field(t, x, tau)`; that is its definition and the reference of every test. And it
-brings its best step as two answers at the joint port: how fast it would move under this torque (`free`), and the state once
-the final joint velocity is known (`close`). A rigid mechanism gets both from its equation of motion; friction, sticking and
+Every mechanism is a pure JAX ODE, `vector_field(t, x, tau)`; that is its definition and the
+reference of every test. And it brings its best step as two answers at the joint port: how fast it
+would move under this torque (`free`), and the state once the final joint velocity is known
+(`close`). A rigid mechanism gets both from its equation of motion; friction, sticking and
 compliance are then solved in one place for all of them.
 """
 
@@ -28,12 +29,14 @@ if TYPE_CHECKING:
 
 
 class Signature(NamedTuple):
-    """The channels a model takes and gives: (name, unit) pairs, the names of its joints, and whether they translate
-    (`linear` all of them, `prismatic` one by one, or a joint's own output is in m).
+    """The channels a model takes and gives: (name, unit) pairs, the names of its joints, and
+    whether they translate (`linear` all of them, `prismatic` one by one, or a joint's own output is
+    in m).
 
-    `speeds`: the joints whose speeds are the last outputs. Those before are what the mechanism's `output` gives: its `shown`
-    places, or the first ones (None). `beside`: how many of the last inputs are no commands of joints, but what is known of the
-    motion beside them; the first `rates` of these are the commands' own rates, which arrive with them.
+    `speeds`: the joints whose speeds are the last outputs. Those before are what the mechanism's
+    `output` gives: its `shown` places, or the first ones (None). `beside`: how many of the last
+    inputs are no commands of joints, but what is known of the motion beside them; the first `rates`
+    of these are the commands' own rates, which arrive with them.
     """
 
     inputs: tuple[tuple[str, str], ...]
@@ -52,7 +55,9 @@ class Signature(NamedTuple):
         return self.inputs[: len(self.inputs) - self.beside]
 
     def unit(self, template: str, joint: int = 0) -> str:
-        """A parameter's unit with {F} force, {X} coordinate and {I} inertia of that joint filled in."""
+        """A parameter's unit with {F} force, {X} coordinate and {I} inertia of that joint filled
+        in.
+        """
         linear = (
             self.linear
             or (joint < len(self.prismatic) and self.prismatic[joint])
@@ -72,7 +77,9 @@ class Signature(NamedTuple):
         return jnp.concatenate([y, body.port(x)[1][np.array(self.speeds)]]) if self.speeds else y
 
     def renamed(self, names: Mapping[str, str]) -> Signature:
-        """The same with other names of joints, and channels called after these (`JOINT_cmd`) called after the new ones."""
+        """The same with other names of joints, and channels called after these (`JOINT_cmd`) called
+        after the new ones.
+        """
 
         def named(channel: str) -> str:
             for old in sorted(names, key=len, reverse=True):
@@ -97,7 +104,9 @@ class Signature(NamedTuple):
 
 
 def speed_names(joints: tuple[str, ...], joint: int) -> tuple[str, ...]:
-    """Names that a channel of a joint's speed may have: qd or qd2 by its number, the joint's own with _qd, velocity."""
+    """Names that a channel of a joint's speed may have: qd or qd2 by its number, the joint's own
+    with _qd, velocity.
+    """
     if joint >= len(joints):
         return ()
     return (
@@ -107,7 +116,9 @@ def speed_names(joints: tuple[str, ...], joint: int) -> tuple[str, ...]:
 
 
 class Free(NamedTuple):
-    """Answer of a mechanism to a held torque: end velocity, A = d qd / d tau over the step, and what `close` needs."""
+    """Answer of a mechanism to a held torque: end velocity, A = d qd / d tau over the step, and
+    what `close` needs.
+    """
 
     qd: Float[Array, " nq"]
     A: Float[Array, "nq nq"]
@@ -117,8 +128,8 @@ class Free(NamedTuple):
 class Mechanism(eqx.Module):
     """Abstract: a mechanical system seen from its joints.
 
-    Class attributes of a final class: `name`, `signatures`, `equations`, `source`, and `builtin`: pairs
-    (effect class, {effect parameter: id in this model}) that the model contains by default.
+    Class attributes of a final class: `name`, `signatures`, `equations`, `source`, and `builtin`:
+    pairs (effect class, {effect parameter: id in this model}) that the model contains by default.
     """
 
     name: eqx.AbstractClassVar[str]
@@ -126,20 +137,26 @@ class Mechanism(eqx.Module):
     builtin: eqx.AbstractClassVar[tuple[tuple[type, dict[str, str]], ...]]
     equations: eqx.AbstractClassVar[str]
     source: eqx.AbstractClassVar[str]
-    #: Whether the state holds more than joint positions and velocities: such a motion cannot be inverted without a simulation.
+    #: Whether the state holds more than joint positions and velocities: such a motion cannot be
+    #: inverted without a simulation.
     hidden_states: ClassVar[bool] = False
-    #: Effects that have more numbers on this mechanism: id of the effect -> a class of the same name.
+    #: Effects that have more numbers on this mechanism: id of the effect -> a class of the same
+    #: name.
     variants: ClassVar[dict[str, type]] = {}
 
     def ode(self, *, smoothing_velocity: float = 0.0) -> ODE:
-        """The model with its built-in effects as a differential equation: see `ode.ODE`. `smoothing_velocity` (rad/s or
-        m/s) smooths their dry friction; without, one that has some raises `UsageError`."""
+        """The model with its built-in effects as a differential equation: see `ode.ODE`.
+        `smoothing_velocity` (rad/s or m/s) smooths their dry friction; without, one that has some
+        raises `UsageError`.
+        """
         from jaxid.dynamics.chain import Chain
 
         return Chain(self, smoothing_velocity=smoothing_velocity).ode()
 
     def prepare(self, h: Any | None) -> Mechanism:
-        """The same mechanism with everything worked out that does not depend on the state; `h` None where steps differ."""
+        """The same mechanism with everything worked out that does not depend on the state; `h` None
+        where steps differ.
+        """
         return self
 
     def drive(
@@ -149,7 +166,9 @@ class Mechanism(eqx.Module):
         q: Float[Array, " nq"],
         qd: Float[Array, " nq"],
     ) -> Float[Array, " nq"]:
-        """Joint torque that the inputs make; a mechanism whose inputs are not joint torques has its own law."""
+        """Joint torque that the inputs make; a mechanism whose inputs are not joint torques has its
+        own law.
+        """
         return u if signature.inputs else jnp.zeros_like(q)
 
     @property
@@ -158,7 +177,9 @@ class Mechanism(eqx.Module):
         return frozenset()
 
     def behind_law(self, effect: Any) -> bool:
-        """Whether an effect at the inputs acts on the torque that a law makes of a goal, and not on the goal."""
+        """Whether an effect at the inputs acts on the torque that a law makes of a goal, and not on
+        the goal.
+        """
         return False
 
     def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
@@ -172,13 +193,16 @@ class Mechanism(eqx.Module):
         return [kind() for kind, _ in self.builtin]
 
     def held(self) -> frozenset[str]:
-        """Names of numbers, its own and those of built-in effects, that a fit leaves as they are unless the dataset names them
-        under [model.parameters]: what no motion determines beside the others."""
+        """Names of numbers, its own and those of built-in effects, that a fit leaves as they are
+        unless the dataset names them under [model.parameters]: what no motion determines beside the
+        others.
+        """
         return frozenset()
 
     def nameless(self, signature: Signature) -> tuple[Mechanism, Signature]:
-        """The same, as programs are made of it, without what does not change a result: mechanisms of one shape are then equal but
-        for their numbers."""
+        """The same, as programs are made of it, without what does not change a result: mechanisms
+        of one shape are then equal but for their numbers.
+        """
         return self, signature
 
     def number_name(self, field: str, place: int) -> str:
@@ -186,7 +210,9 @@ class Mechanism(eqx.Module):
         return f"{field}{place + 1}"
 
     def known(self) -> dict[str, ParameterPrior]:
-        """What is known, by name, of numbers that this model has fitted though it would hold them."""
+        """What is known, by name, of numbers that this model has fitted though it would hold
+        them.
+        """
         return {}
 
     def spec_of(self, field: str, place: int, spec: ParameterSpec) -> ParameterSpec:
@@ -198,8 +224,10 @@ class Mechanism(eqx.Module):
         """State x with these joint positions and velocities."""
 
     def follow(self, x: Any, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Any:
-        """State x with its joints moved to these positions and velocities. What moves beside the joints (springs, beams) stays as
-        it is where a mechanism says so; by default the state begins anew."""
+        """State x with its joints moved to these positions and velocities. What moves beside the
+        joints (springs, beams) stays as it is where a mechanism says so; by default the state
+        begins anew.
+        """
         return self.start(q, qd)
 
     @abc.abstractmethod
@@ -223,9 +251,11 @@ class Mechanism(eqx.Module):
         slope: Float[Array, " nq"] | Float[Array, "nq nq"],
         stiffness: Float[Array, " nq"],
     ) -> tuple[Free, Float[Array, " nq"], Float[Array, "nq nq"]]:
-        """`free`; and velocity and compliance at the end of the step where the joints are damped beside it: by `slope` (of each,
-        or a matrix) times what their mean speed exceeds `qd`, the one predicted for the middle of the step. `stiffness` is how
-        tightly a law holds them, torque per position."""
+        """`free`; and velocity and compliance at the end of the step where the joints are damped
+        beside it: by `slope` (of each, or a matrix) times what their mean speed exceeds `qd`, the
+        one predicted for the middle of the step. `stiffness` is how tightly a law holds them,
+        torque per position.
+        """
         free, v = self.free(h, x, tau), self.port(x)[1]
         B = inverse(
             jnp.eye(v.shape[0]) + (free.A * slope if slope.ndim == 1 else dot(free.A, slope)) / 2
@@ -243,8 +273,10 @@ class Mechanism(eqx.Module):
         qd: Float[Array, " nq"],
         shift: Float[Array, " nq"],
     ) -> Any:
-        """State at the end of the step, given the torque correction `dtau`, the final joint velocity `qd`, and the `shift`
-        of the joint position of a joint that stopped or reversed inside the step."""
+        """State at the end of the step, given the torque correction `dtau`, the final joint
+        velocity `qd`, and the `shift` of the joint position of a joint that stopped or reversed
+        inside the step.
+        """
 
     def rotors(self) -> Array | float:
         """Inertia [nq] of what turns before the gears and is no load to them."""
@@ -257,7 +289,9 @@ class Mechanism(eqx.Module):
         """Joint torque that this motion needs (friction excluded)."""
 
     def outline(self, x: Any, signature: Signature) -> Float[Array, "points d"] | None:
-        """Points of a line drawing of state x, m, in the plane or in space (z upwards); None: not to be drawn."""
+        """Points of a line drawing of state x, m, in the plane or in space (z upwards); None: not
+        to be drawn.
+        """
         return None
 
     def transfer(
@@ -266,22 +300,28 @@ class Mechanism(eqx.Module):
         slope: Float[Array, " nq"],
         stiffness: Float[Array, " nq"],
     ) -> tuple[Float[Array, "lines ny nq"], Float[Array, "lines ny nq"]] | None:
-        """Real and imaginary part of outputs / joint torques at omega, with viscous friction `slope` and springs at the joints.
-        None: no closed form, the equation of motion is linearised and solved at each line."""
+        """Real and imaginary part of outputs / joint torques at omega, with viscous friction
+        `slope` and springs at the joints. None: no closed form, the equation of motion is
+        linearised and solved at each line.
+        """
         return None
 
     @abc.abstractmethod
     def output(
         self, x: Any, tau: Float[Array, " nq"], rests: Bool[Array, " nq"]
     ) -> Float[Array, " ny"]:
-        """What ideal sensors read in state x, [ny] of the signature with most outputs (others take the first of them).
+        """What ideal sensors read in state x, [ny] of the signature with most outputs (others take
+        the first of them).
 
-        For accelerations: `tau` the net joint torque (drive minus friction) that acts, `rests` which joints stand still under it.
+        For accelerations: `tau` the net joint torque (drive minus friction) that acts, `rests`
+        which joints stand still under it.
         """
 
 
 class Rigid(Mechanism):
-    """Abstract: M(q) qdd + bias(q, qd) = tau, stepped by the classical Runge-Kutta scheme. Write `matrices`, nothing else."""
+    """Abstract: M(q) qdd + bias(q, qd) = tau, stepped by the classical Runge-Kutta scheme. Write
+    `matrices`, nothing else.
+    """
 
     @abc.abstractmethod
     def matrices(
@@ -326,7 +366,9 @@ class Rigid(Mechanism):
 
 
 class Staged(Rigid):
-    """Abstract: the scheme of `Rigid` with its stages in a loop, compiled once and not four times: for long recursions."""
+    """Abstract: the scheme of `Rigid` with its stages in a loop, compiled once and not four times:
+    for long recursions.
+    """
 
     def free(self, h, x, tau):
         q, v = x
@@ -347,7 +389,9 @@ class Staged(Rigid):
 
 
 class Lagrangian(Rigid):
-    """Abstract: a rigid mechanism from its energies; the equation of motion follows by automatic differentiation."""
+    """Abstract: a rigid mechanism from its energies; the equation of motion follows by automatic
+    differentiation.
+    """
 
     @abc.abstractmethod
     def kinetic_energy(

@@ -1,6 +1,8 @@
-"""A model of the user's own by its file: `duffing.py`, or `duffing.py:Duffing` where the file holds several.
+"""A model of the user's own by its file: `duffing.py`, or `duffing.py:Duffing` where the file holds
+several.
 
-The file runs as Python code. It is one file: what it imports is installed, and its sha256 stands in every result.
+The file runs as Python code. It is one file: what it imports is installed, and its sha256 stands in
+every result.
 """
 
 from __future__ import annotations
@@ -31,10 +33,11 @@ _RUN: dict[
 
 
 def own_model(text: str) -> type:
-    """The class that `FILE.py` or `FILE.py:CLASS` names; a relative path counts from the working folder.
+    """The class that `FILE.py` or `FILE.py:CLASS` names; a relative path counts from the working
+    folder.
 
-    The file is run once a process for each content. Raises `UsageError` where it cannot be read or run, for none and for several
-    classes, and for one that is no model.
+    The file is run once a process for each content. Raises `UsageError` where it cannot be read or
+    run, for none and for several classes, and for one that is no model.
     """
     parts = parts_of(text)
     if parts is None:
@@ -49,7 +52,9 @@ def own_model(text: str) -> type:
 
 
 def sha256_of(model: Any) -> str:
-    """The sha256 of the file that a mechanism was defined in, where a command or a dataset named it; else an empty text."""
+    """The sha256 of the file that a mechanism was defined in, where a command or a dataset named
+    it; else an empty text.
+    """
     module = sys.modules.get(type(model).__module__)
     return getattr(module, DIGEST, "")
 
@@ -74,7 +79,9 @@ def _module(path: Path) -> ModuleType:
 
 
 def _run(path: Path, content: bytes, digest: str) -> ModuleType:
-    """Runs the bytes that were hashed, under a name of their own: dataclasses look their module up by it."""
+    """Runs the bytes that were hashed, under a name of their own: dataclasses look their module up
+    by it.
+    """
     place = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
     module = ModuleType(f"jaxid_model_{path.stem}_{digest[:16]}_{place}")
     module.__file__ = str(path.resolve())
@@ -114,7 +121,9 @@ def _classes(module: ModuleType) -> dict[str, type]:
 
 
 def _models(module: ModuleType) -> dict[str, type]:
-    """Those of models; a class that others in the file are derived from and that lacks something is none."""
+    """Those of models; a class that others in the file are derived from and that lacks something is
+    none.
+    """
     from jaxid.dynamics.mechanism import Mechanism
 
     models = {

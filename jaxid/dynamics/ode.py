@@ -20,8 +20,10 @@ from jaxid.errors import UsageError
 
 
 class Numbers(NamedTuple):
-    """A model's numbers made ready: its chain, and its mechanism with body effects and whatever does not depend on the state
-    (the modes of a beam) worked out. A pytree; gradients flow through it."""
+    """A model's numbers made ready: its chain, and its mechanism with body effects and whatever
+    does not depend on the state (the modes of a beam) worked out. A pytree; gradients flow through
+    it.
+    """
 
     chain: Chain
     body: Mechanism
@@ -30,17 +32,21 @@ class Numbers(NamedTuple):
 class ODE(eqx.Module):
     """dy/dt = ode(t, y, args) of a model, with args = (parameters, u). Made by `model.ode()`.
 
-    `parameters`: those of the model are `ode.parameters`, others are made by `ode.with_parameters(inertia=0.1)`, once and not in
-    every call; a dictionary (name -> number), a vector [size] in the order of `ode.names`, and None (the model's own) serve, too,
-    and a beam then works out its modes at every call. `u(t)` gives the inputs [nu]. The state y is that of the mechanism,
-    (q, qd, ...); with effects that remember it is (state of the mechanism, (state of each such effect, ...)).
+    `parameters`: those of the model are `ode.parameters`, others are made by
+    `ode.with_parameters(inertia=0.1)`, once and not in every call; a dictionary (name -> number), a
+    vector [size] in the order of `ode.names`, and None (the model's own) serve, too, and a beam
+    then works out its modes at every call. `u(t)` gives the inputs [nu]. The state y is that of the
+    mechanism, (q, qd, ...); with effects that remember it is (state of the mechanism, (state of
+    each such effect, ...)).
     """
 
     parameters: Numbers
     names: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(self, chain: Chain):
-        """Raises `UsageError` for dry friction that is not smoothed, and for effects that act on a recorded series."""
+        """Raises `UsageError` for dry friction that is not smoothed, and for effects that act on a
+        recorded series.
+        """
         check_smooth(chain)
         for e in chain.effects:
             y = jnp.zeros(len(chain.places(e)))
@@ -61,8 +67,9 @@ class ODE(eqx.Module):
         return self._whole(dx, dz)
 
     def y0(self, q: Any, qd: Any, args: tuple[Any, Callable[[Any], Array]] | None = None) -> Any:
-        """State with these joint positions and velocities [nq], in which inputs and outputs have been for long what they are:
-        the inputs u(0) of `args`, or none."""
+        """State with these joint positions and velocities [nq], in which inputs and outputs have
+        been for long what they are: the inputs u(0) of `args`, or none.
+        """
         chain, body = self._numbers(args or (None, None))
         q, qd = (jnp.atleast_1d(jnp.asarray(a, float)) for a in (q, qd))
         nothing = jnp.zeros(len(chain.signature.inputs))
@@ -77,7 +84,9 @@ class ODE(eqx.Module):
     def outputs(
         self, t: Any, y: Any, args: tuple[Any, Callable[[Any], Array]]
     ) -> Float[Array, " ny"]:
-        """What the sensors read at one time. Map it over several: `jax.vmap(lambda t, y: ode.outputs(t, y, args))(ts, ys)`."""
+        """What the sensors read at one time. Map it over several: `jax.vmap(lambda t, y:
+        ode.outputs(t, y, args))(ts, ys)`.
+        """
         chain, body = self._numbers(args)
         x, z = self._parts(y)
         command = _command(t, args[1])
@@ -90,7 +99,9 @@ class ODE(eqx.Module):
         return read
 
     def with_parameters(self, values: Mapping[str, Any] | None = None, **more: Any) -> Numbers:
-        """The model's numbers with some of them replaced. Raises `UsageError` for a name that it does not have."""
+        """The model's numbers with some of them replaced. Raises `UsageError` for a name that it
+        does not have.
+        """
         return _ready(_replaced(self.parameters.chain, {**(values or {}), **more}))
 
     def _numbers(self, args: tuple[Any, Any]) -> Numbers:
@@ -146,10 +157,11 @@ def _command(t: Any, u: Callable[[Any], Array]) -> Command:
 def rates(
     chain: Chain, body: Mechanism, t: Any, x: Any, z: tuple, command: Command
 ) -> tuple[Any, tuple, Array]:
-    """Rates of change of the mechanism and of the effects, and the net torque at the joints, under a command that is held.
+    """Rates of change of the mechanism and of the effects, and the net torque at the joints, under
+    a command that is held.
 
-    Effects are written for a step of length h and follow their states exactly over it: the rate is the derivative by h at 0, and
-    what they pass on is the limit of short steps.
+    Effects are written for a step of length h and follow their states exactly over it: the rate is
+    the derivative by h at 0, and what they pass on is the limit of short steps.
     """
     q, qd = body.port(x)
 
@@ -186,7 +198,9 @@ def rates(
 
 
 def check_smooth(chain: Chain) -> None:
-    """Raises `UsageError` for a chain whose dry friction sticks: no differential equation says what holds a joint."""
+    """Raises `UsageError` for a chain whose dry friction sticks: no differential equation says what
+    holds a joint.
+    """
     if chain.smoothing_velocity == 0 and (dry := dry_effects(chain)):
         raise UsageError(
             f"{chain.mechanism.name} has dry friction with true sticking ({', '.join(dry)}), for which there is no differential "
@@ -196,7 +210,9 @@ def check_smooth(chain: Chain) -> None:
 
 
 def dry_effects(chain: Chain) -> list[str]:
-    """Names of the effects that have a dry level, whatever it is now: it is tried with all numbers at 1."""
+    """Names of the effects that have a dry level, whatever it is now: it is tried with all numbers
+    at 1.
+    """
     one = jnp.full(chain.nq, 0.7)
     u = jnp.full(len(chain.signature.inputs), 0.9)
     h = jnp.asarray(1e-3)
@@ -216,5 +232,6 @@ def dry_effects(chain: Chain) -> list[str]:
 
 #: Rounds in which the transmitted torque and the friction that it makes are brought together.
 ROUNDS = 8
-#: Length of the step at which an effect's rate is taken, s: short against every time constant, and not 0, by which some divide.
+#: Length of the step at which an effect's rate is taken, s: short against every time constant, and
+#: not 0, by which some divide.
 SHORT = 1e-9

@@ -1,7 +1,9 @@
-"""Parameters live on the field that holds them: start or neutral value, bounds, scale, unit, meaning.
+"""Parameters live on the field that holds them: start or neutral value, bounds, scale, unit,
+meaning.
 
-Bounds and scales of an effect cannot be absolute: a drive of 60 N and a tracker of 0.1 N m share the library. They are
-written as multiples of reference quantities (`2 * TORQUE / SPEED`) that are read off the data of each joint.
+Bounds and scales of an effect cannot be absolute: a drive of 60 N and a tracker of 0.1 N m share
+the library. They are written as multiples of reference quantities (`2 * TORQUE / SPEED`) that are
+read off the data of each joint.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ M = TypeVar("M")
 
 
 class Reference(NamedTuple):
-    """Typical magnitudes at one joint: drive torque, speed, travel, duration of a run, and sampling step; and of a number of the
-    model, where an effect acts on one."""
+    """Typical magnitudes at one joint: drive torque, speed, travel, duration of a run, and sampling
+    step; and of a number of the model, where an effect acts on one.
+    """
 
     torque: float
     speed: float
@@ -34,7 +37,9 @@ class Reference(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """A number in reference units, `coefficient * torque**a * speed**b * ...`, no more than `most` where that is physical."""
+    """A number in reference units, `coefficient * torque**a * speed**b * ...`, no more than `most`
+    where that is physical.
+    """
 
     coefficient: float
     powers: tuple[tuple[str, int], ...] = ()
@@ -97,7 +102,9 @@ def resolve(value: Bound, reference: Reference) -> float:
 
 
 class ParameterSpec(NamedTuple):
-    """What is known of a parameter before any data. `unit` may hold {F}, {X}, {I}: force, coordinate, inertia unit."""
+    """What is known of a parameter before any data. `unit` may hold {F}, {X}, {I}: force,
+    coordinate, inertia unit.
+    """
 
     value: float  # start value of a model parameter, neutral value of an effect's
     lower: Bound
@@ -123,9 +130,10 @@ def param(
 ) -> Any:
     """A field that can be fitted.
 
-    `value` is where a fit starts (the neutral value for an effect: the effect is then exactly the identity), `scale` a
-    typical change (default: a tenth of the value, or of the bounds), `log` searches the logarithm (positive quantities
-    that may lie anywhere in several decades), `only` a setting and its value without which the field is a constant.
+    `value` is where a fit starts (the neutral value for an effect: the effect is then exactly the
+    identity), `scale` a typical change (default: a tenth of the value, or of the bounds), `log`
+    searches the logarithm (positive quantities that may lie anywhere in several decades), `only` a
+    setting and its value without which the field is a constant.
     """
     if scale is None:
         scale = 0.1 * abs(value) if value else (upper * 0.1)
@@ -133,12 +141,16 @@ def param(
 
 
 def constant(value: float, *, unit: str, meaning: str = "") -> Any:
-    """A field with a known number that is not fitted (geometry, gravity); a dataset may state it, for each run too."""
+    """A field with a known number that is not fitted (geometry, gravity); a dataset may state it,
+    for each run too.
+    """
     return _field(ParameterSpec(value, -np.inf, np.inf, 1.0, unit, meaning, False, True))
 
 
 class SettingSpec(NamedTuple):
-    """What a model or an effect is built with: a whole number between bounds, yes and no, or one of some words."""
+    """What a model or an effect is built with: a whole number between bounds, yes and no, or one of
+    some words.
+    """
 
     default: int | bool | str
     lower: int
@@ -174,9 +186,10 @@ def setting(
     meaning: str,
     words: tuple[str, ...] = (),
 ) -> Any:
-    """A field that decides the structure of a model (a number of elements, a term taken or not) or which of some `words` an
-    effect is. A dataset states a model's among its constants, an effect's stands in its id: `NAME(load=drive)`.
-    Another value is another compiled program."""
+    """A field that decides the structure of a model (a number of elements, a term taken or not) or
+    which of some `words` an effect is. A dataset states a model's among its constants, an effect's
+    stands in its id: `NAME(load=drive)`. Another value is another compiled program.
+    """
     return eqx.field(
         static=True,
         default=default,
@@ -211,7 +224,9 @@ def _field(spec: ParameterSpec) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Python and NumPy numbers become float64 arrays that follow the precision in force; tracers pass."""
+    """Python and NumPy numbers become float64 arrays that follow the precision in force; tracers
+    pass.
+    """
     return (
         np.asarray(value, np.float64)
         if isinstance(value, int | float | list | tuple | np.ndarray | np.generic)
@@ -235,7 +250,8 @@ def specs(owner: Any) -> dict[str, ParameterSpec]:
 
 @lru_cache(maxsize=64)
 def kind_with(kind: type[M], values: tuple[tuple[str, Any], ...]) -> type[M]:
-    """The class of a module with other defaults of its settings, named by them: `load_dependent_friction(load=drive)`.
+    """The class of a module with other defaults of its settings, named by them:
+    `load_dependent_friction(load=drive)`.
 
     Raises `UsageError` for a setting that it does not have, or a value that it cannot have.
     """

@@ -19,8 +19,9 @@ from jaxid.errors import nearest, UsageError
 
 
 class Entry(NamedTuple):
-    """One number of a model. `owner` -1 is the mechanism, else the index of the effect; `place` its location there (0 for a
-    field of the mechanism that is not one number per joint)."""
+    """One number of a model. `owner` -1 is the mechanism, else the index of the effect; `place` its
+    location there (0 for a field of the mechanism that is not one number per joint).
+    """
 
     name: str
     owner: int
@@ -32,8 +33,10 @@ class Entry(NamedTuple):
 
 
 class Form:
-    """A chain without names: chains of one shape, as the limbs of a robot, have equal forms, so that a program that takes the
-    numbers of one takes those of the other. Compares and hashes by its structure."""
+    """A chain without names: chains of one shape, as the limbs of a robot, have equal forms, so
+    that a program that takes the numbers of one takes those of the other. Compares and hashes by
+    its structure.
+    """
 
     def __init__(self, chain: Chain, leaves: Sequence[tuple[int, str, int]]):
         self.chain, self._leaves = chain.nameless(), leaves
@@ -71,10 +74,14 @@ def _with_numbers(chain: Chain, leaves: Sequence[tuple[int, str, int]], theta: A
 
 
 class Layout:
-    """Order, names and meaning of all numbers of a model: those of the mechanism, then those of each effect by location."""
+    """Order, names and meaning of all numbers of a model: those of the mechanism, then those of
+    each effect by location.
+    """
 
     def __init__(self, chain: Chain, solver: Any = None):
-        """`solver` simulates in place of the stepping of chains: a `jaxid.simulation.diffrax_solver.Diffrax`."""
+        """`solver` simulates in place of the stepping of chains: a
+        `jaxid.simulation.diffrax_solver.Diffrax`.
+        """
         self.chain, self.solver = chain, solver
         self.entries = tuple(_entries(chain))
         self.names = [e.name for e in self.entries]
@@ -95,7 +102,8 @@ class Layout:
         for i, effect in enumerate(chain.effects):
             self._leaves += [(i, name, len(places(effect))) for name in specs(effect)]
         self.log = np.array([e.spec.log for e in self.entries])
-        #: Which numbers say how something acts, not how strongly: they have no zero to be scaled from.
+        #: Which numbers say how something acts, not how strongly: they have no zero to be scaled
+        #: from.
         self.shapes = np.array(
             [e.spec.log or (e.owner >= 0 and e.spec.value != 0) for e in self.entries], bool
         )
@@ -148,7 +156,9 @@ class Layout:
     def boxes(
         self, joints: Sequence[Reference], inputs: Sequence[Reference] = ()
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input channel."""
+        """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input
+        channel.
+        """
         rows = []
         for e in self.entries:
             effect = self.chain.effects[e.owner] if e.owner >= 0 else None
@@ -216,7 +226,9 @@ def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) ->
 
 
 def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:
-    """Fills {u} and {y}, the unit of the channel that the effect acts on, and {p}, that of its number."""
+    """Fills {u} and {y}, the unit of the channel that the effect acts on, and {p}, that of its
+    number.
+    """
     if not any(part in template for part in ("{u}", "{y}", "{p}")):
         return template
     if effect.location == "number":

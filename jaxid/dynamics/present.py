@@ -24,8 +24,10 @@ LEAST = 0.02
 
 
 def numbers_of(chain: Chain) -> tuple[Any, ...]:
-    """Entries (`parameter_vector.Entry`) of the mechanism's and its built-in effects' own numbers that may change during a run;
-    none where its states are coordinates that such a change would turn."""
+    """Entries (`parameter_vector.Entry`) of the mechanism's and its built-in effects' own numbers
+    that may change during a run; none where its states are coordinates that such a change would
+    turn.
+    """
     if chain.mechanism.hidden_states:
         return ()
     key = jax.tree.structure(chain)
@@ -37,8 +39,9 @@ def numbers_of(chain: Chain) -> tuple[Any, ...]:
 
 
 def at_time(chain: Chain, t: Float[Array, ""], h: Float[Array, ""]) -> Chain:
-    """The chain with its numbers as they are in a step of length `h` from `t`. A number that is searched by its logarithm stays
-    above 0."""
+    """The chain with its numbers as they are in a step of length `h` from `t`. A number that is
+    searched by its logarithm stays above 0.
+    """
     numbers = chain.numbers
     owner = lambda chain, i: chain.mechanism if i < 0 else chain.effects[i]
     before = jnp.stack(

@@ -1,15 +1,19 @@
-"""Rigid-body dynamics of a serial chain: recursive Newton-Euler, composite rigid body, torque regressor.
+"""Rigid-body dynamics of a serial chain: recursive Newton-Euler, composite rigid body, torque
+regressor.
 
-Every link carries a frame whose z axis is the axis of its own joint. Vectors are tuples of three arrays of equal shape, in the
-frame of the link at hand, and each recursion is one loop over the joints: `lax.scan` for JAX arrays, a plain loop for NumPy's.
-All arrays have the joint first and may have any number of batch axes behind it ([n], or [n samples]); the arithmetic is
-elementwise, so that a batch runs as vector code. (Written out joint by joint, XLA recomputes shared terms without limit.)
+Every link carries a frame whose z axis is the axis of its own joint. Vectors are tuples of three
+arrays of equal shape, in the frame of the link at hand, and each recursion is one loop over the
+joints: `lax.scan` for JAX arrays, a plain loop for NumPy's. All arrays have the joint first and may
+have any number of batch axes behind it ([n], or [n samples]); the arithmetic is elementwise, so
+that a batch runs as vector code. (Written out joint by joint, XLA recomputes shared terms without
+limit.)
 
-The inertia of a link is ten numbers that the torque is linear in, about the ORIGIN of its frame and in its axes:
-Ixx Ixy Ixz Iyy Iyz Izz mx my mz m.
+The inertia of a link is ten numbers that the torque is linear in, about the ORIGIN of its frame and
+in its axes: Ixx Ixy Ixz Iyy Iyz Izz mx my mz m.
 
-Sources: Luh, Walker, Paul 1980 (Newton-Euler); Featherstone, Rigid Body Dynamics Algorithms, 2008 (composite rigid body);
-Kane's virtual power for the regressor: the torque of joint k is the sum over links of their partial velocity times wrench.
+Sources: Luh, Walker, Paul 1980 (Newton-Euler); Featherstone, Rigid Body Dynamics Algorithms, 2008
+(composite rigid body); Kane's virtual power for the regressor: the torque of joint k is the sum
+over links of their partial velocity times wrench.
 """
 
 from __future__ import annotations
@@ -30,7 +34,9 @@ Vector = tuple[Any, Any, Any]
 
 
 class Placements(NamedTuple):
-    """Frame of each link in the frame before it: columns x, y, z of the rotation and the origin p, components [n ...]."""
+    """Frame of each link in the frame before it: columns x, y, z of the rotation and the origin p,
+    components [n ...].
+    """
 
     x: Vector
     y: Vector
@@ -94,7 +100,9 @@ def _rows(a: Any, like: Any) -> tuple[Any, ...]:
 
 
 class _Split(NamedTuple):
-    """Rates of revolute and of prismatic joints, each zero for the other kind; None where a chain has no such joint."""
+    """Rates of revolute and of prismatic joints, each zero for the other kind; None where a chain
+    has no such joint.
+    """
 
     revolute: Any
     prismatic: Any
@@ -117,7 +125,9 @@ def _pick(prismatic: Sequence[bool], like: Any) -> Any:
 def _motion(
     E: Placements, w: Vector, wd: Vector, a: Vector, qd: _Split, qdd: _Split
 ) -> tuple[Vector, Vector, Vector]:
-    """Angular velocity, angular acceleration and acceleration of the origin, from one link to the next."""
+    """Angular velocity, angular acceleration and acceleration of the origin, from one link to the
+    next.
+    """
     a = into(E, add(a, add(cross(wd, E.p), cross(w, cross(w, E.p)))))
     w, wd = into(E, w), into(E, wd)
     if qd.prismatic is not None:
@@ -143,7 +153,8 @@ def inverse_dynamics(
 ) -> Float[Any, "n ..."]:
     """Joint torque (N m; N at prismatic joints) of a motion, drive inertia and friction excluded.
 
-    `gravity` is the vector of free fall in the base frame, m/s^2, (0, 0, -9.81) for a robot that stands upright.
+    `gravity` is the vector of free fall in the base frame, m/s^2, (0, 0, -9.81) for a robot that
+    stands upright.
     """
 
     def outwards(carry, x):
@@ -209,12 +220,15 @@ def mass_matrix(
 
 
 def moved(E: Placements, inertia: Any) -> tuple[Any, ...]:
-    """Ten numbers of a body, from a link's frame to the frame before (Steiner, for a frame that need not be central)."""
+    """Ten numbers of a body, from a link's frame to the frame before (Steiner, for a frame that
+    need not be central).
+    """
     xx, xy, xz, yy, yz, zz, *h, m = inertia
     Ix, Iy, Iz = (out_of(E, row) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
     h = out_of(E, (h[0], h[1], h[2]))
     p = E.p
-    # R I R' row by row, and the parts of a moved origin: 2 (p.h) 1 - p h' - h p' + m ((p.p) 1 - p p')
+    # R I R' row by row, and the parts of a moved origin: 2 (p.h) 1 - p h' - h p' + m ((p.p) 1 - p
+    # p')
     g = add(h, scaled(m / 2, p))
     trace = 2 * inner(p, g)
 
@@ -234,10 +248,11 @@ def regressor(
     qd: Float[Any, "n ..."],
     qdd: Float[Any, "n ..."],
 ) -> Float[Any, "n n 10 ..."]:
-    """Y[k, j]: torque of joint k per inertial parameter of link j, so that tau_k = sum_j Y[k, j] inertia_j.
+    """Y[k, j]: torque of joint k per inertial parameter of link j, so that tau_k = sum_j Y[k, j]
+    inertia_j.
 
-    One loop over the links: each carries its motion and the partial velocities of all joints (angular `u`, linear `v`), and
-    projects the wrench of its ten unit inertias onto them.
+    One loop over the links: each carries its motion and the partial velocities of all joints
+    (angular `u`, linear `v`), and projects the wrench of its ten unit inertias onto them.
     """
     like = qdd + 0 * E.x[0]
     n = like.shape[0]
@@ -299,8 +314,9 @@ def poses(E: Placements) -> Placements:
 
 
 def pseudo_inertia(inertia: np.ndarray) -> np.ndarray:
-    """[... 10] as the matrices [... 4 4] that are positive definite exactly for bodies that can exist:
-    [[tr(I) / 2 - I, h], [h', m]] (Wensing, Kim, Slotine 2018)."""
+    """[... 10] as the matrices [... 4 4] that are positive definite exactly for bodies that can
+    exist: [[tr(I) / 2 - I, h], [h', m]] (Wensing, Kim, Slotine 2018).
+    """
     inertia = np.asarray(inertia, np.float64)
     xx, xy, xz, yy, yz, zz, hx, hy, hz, m = np.moveaxis(inertia, -1, 0)
     half = (xx + yy + zz) / 2
@@ -314,7 +330,9 @@ def pseudo_inertia(inertia: np.ndarray) -> np.ndarray:
 
 
 def about_origin(mass: Any, com: Any, central: Any) -> np.ndarray:
-    """Ten numbers from mass (kg), centre of mass [3] (m) and inertia about it (kg m^2: Ixx Ixy Ixz Iyy Iyz Izz)."""
+    """Ten numbers from mass (kg), centre of mass [3] (m) and inertia about it (kg m^2: Ixx Ixy Ixz
+    Iyy Iyz Izz).
+    """
     m, c = float(mass), np.asarray(com, np.float64)
     xx, xy, xz, yy, yz, zz = np.asarray(central, np.float64)
     x, y, z = c

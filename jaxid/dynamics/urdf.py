@@ -53,10 +53,12 @@ class _Robot:
 def read_urdf(
     path: str | Path, tip: str | None = None, root: str | None = None, text: str | None = None
 ) -> ArmTable:
-    """The chain from `root` (default: the link without a parent) to `tip` (default: the end of the only branch that moves).
+    """The chain from `root` (default: the link without a parent) to `tip` (default: the end of the
+    only branch that moves).
 
-    With `text` that is read, and the path only named in messages. Moving joints off the chain are locked at zero, their links
-    added to the chain's. Raises `UsageError` for what is not a chain of such joints, naming the joint or link.
+    With `text` that is read, and the path only named in messages. Moving joints off the chain are
+    locked at zero, their links added to the chain's. Raises `UsageError` for what is not a chain of
+    such joints, naming the joint or link.
     """
     robot = _read(Path(path), text)
     root = _root(robot, root, path)
@@ -108,7 +110,9 @@ def read_urdf(
 
 
 def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
-    """The links and joints of a URDF, and its root link. Raises `UsageError` for what is no tree."""
+    """The links and joints of a URDF, and its root link. Raises `UsageError` for what is no
+    tree.
+    """
     robot = _read(path, text)
     root = _root(robot, None, path)
     reached, edge = {root}, [root]
@@ -233,14 +237,18 @@ def _inertia(link: Any, path: Path, name: str, robot: _Robot) -> np.ndarray:
 
 
 def _tell(text: str, refuse: bool) -> None:
-    """Refuses what cannot be simulated; an inertia beyond the sum of the others is in many makers' files, and only said."""
+    """Refuses what cannot be simulated; an inertia beyond the sum of the others is in many makers'
+    files, and only said.
+    """
     if refuse:
         raise UsageError(f"{text}. Correct its <inertial>")
     warnings.warn(f"{text}; it is taken as it stands", DatasetWarning, stacklevel=4)
 
 
 def _impossible(m: float, I: np.ndarray) -> str:
-    """Why no body has this mass and this inertia about its centre of mass [3 3]; empty where one can."""
+    """Why no body has this mass and this inertia about its centre of mass [3 3]; empty where one
+    can.
+    """
     if m < 0:
         return f"a mass of {m:g} kg, and a mass is not negative"
     moments = np.linalg.eigvalsh(I)
@@ -383,7 +391,9 @@ def _chain_to(robot: _Robot, root: str, tip: str, path: Any) -> list[_Joint]:
 
 
 def _lumped(robot: _Robot, link: str, on_chain: set[str]) -> np.ndarray:
-    """Ten numbers of a link and of everything that hangs on it off the chain, in the link's frame."""
+    """Ten numbers of a link and of everything that hangs on it off the chain, in the link's
+    frame.
+    """
     total = robot.inertia[link].copy()
     for j in robot.children(link):
         if j.name not in on_chain:

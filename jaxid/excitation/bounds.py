@@ -1,7 +1,8 @@
-"""What an excitation may ask of a machine: joint range, speed, acceleration, and how large an input may be.
+"""What an excitation may ask of a machine: joint range, speed, acceleration, and how large an input
+may be.
 
-The limits that a user states (the same TOML file as for `jaxid record`) come first; what is not stated comes from the maker's
-tables where a model has one, else from a cautious rule.
+The limits that a user states (the same TOML file as for `jaxid record`) come first; what is not
+stated comes from the maker's tables where a model has one, else from a cautious rule.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from jaxid.errors import UsageError
 
 
 class Bounds(NamedTuple):
-    """Per joint [n]: `home` a pose to move about, range `lower` ... `upper` (rad or m), `speed`, `acceleration`, and the standard
-    deviation of the torque's noise, nan where unknown (N m or N). `source` says where they come from."""
+    """Per joint [n]: `home` a pose to move about, range `lower` ... `upper` (rad or m), `speed`,
+    `acceleration`, and the standard deviation of the torque's noise, nan where unknown (N m or N).
+    `source` says where they come from.
+    """
 
     home: np.ndarray
     lower: np.ndarray
@@ -59,7 +62,8 @@ KNOWN: dict[str, Known] = {
         "inside the ranges and speeds of the Franka Control Interface documentation, about its ready pose; 6 rad/s^2",
     ),
 }  # fmt: skip
-#: Where nothing is known: (half range, speed, acceleration) of a joint that turns and of one that slides.
+#: Where nothing is known: (half range, speed, acceleration) of a joint that turns and of one that
+#: slides.
 TURNS, SLIDES = (1.2, 3.0, 12.0), (0.15, 0.5, 3.0)
 
 
@@ -70,7 +74,8 @@ def slides_of(signature: Signature) -> np.ndarray:
 
 
 def bounds_of(model: str, signature: Signature, stated: Limits | None, table: Any = None) -> Bounds:
-    """Bounds of a model's joints; `table` an `ArmTable` with the maker's limits (from a URDF), if there is one.
+    """Bounds of a model's joints; `table` an `ArmTable` with the maker's limits (from a URDF), if
+    there is one.
 
     Raises `UsageError` for an empty range.
     """

@@ -1,8 +1,10 @@
-"""How near the links of an arm come to each other and to the plane that it stands on: links as capsules.
+"""How near the links of an arm come to each other and to the plane that it stands on: links as
+capsules.
 
-A link is the straight line from one joint's frame to the next, with a radius. Links that the chain joins closely (less than a
-fifth of its reach between them) cannot be told from neighbours by lines and are not compared. This is geometry of the table, not
-of the housings: look at the plotted path, and at the machine.
+A link is the straight line from one joint's frame to the next, with a radius. Links that the chain
+joins closely (less than a fifth of its reach between them) cannot be told from neighbours by lines
+and are not compared. This is geometry of the table, not of the housings: look at the plotted path,
+and at the machine.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ NEAR = 0.2
 
 
 class Links(NamedTuple):
-    """Which lines there are (from node i to node i + 1, node 0 the base) and which pairs of them are compared."""
+    """Which lines there are (from node i to node i + 1, node 0 the base) and which pairs of them
+    are compared.
+    """
 
     lines: tuple[int, ...]
     pairs: tuple[tuple[int, int], ...]
@@ -40,7 +44,9 @@ def links_of(arm: Any) -> Links:
 
 
 def nodes(arm: Any, q: Any) -> Any:
-    """Base and joint frames in the base frame, [time n + 1, 3], of motion [time n]; NumPy's or JAX arrays, as q is."""
+    """Base and joint frames in the base frame, [time n + 1, 3], of motion [time n]; NumPy's or JAX
+    arrays, as q is.
+    """
     p = frames(arm, arm.prismatic, q.T).p
     xp = np if isinstance(q, np.ndarray) else jnp
     points = xp.stack([xp.asarray(c) for c in p], -1).swapaxes(0, 1)
@@ -48,7 +54,9 @@ def nodes(arm: Any, q: Any) -> Any:
 
 
 def gaps(links: Links, node: Any) -> Any:
-    """Distance [time pairs] m of the two lines of each pair, radii not taken off, for nodes [time nodes 3]."""
+    """Distance [time pairs] m of the two lines of each pair, radii not taken off, for nodes [time
+    nodes 3].
+    """
     xp: Any = np if isinstance(node, np.ndarray) else jnp
     share = np.linspace(0.0, 1.0, POINTS)[:, None]
     out = []

@@ -1,4 +1,6 @@
-"""Design of experiments: motion or input that shows what a model's data are to determine; `jaxid excite`."""
+"""Design of experiments: motion or input that shows what a model's data are to determine; `jaxid
+excite`.
+"""
 
 from __future__ import annotations
 
@@ -69,12 +71,13 @@ def excite(
 ) -> Excitation:
     """An experiment for a model: `model` an id, the path of a URDF, or a mechanism.
 
-    An arm gets a periodic motion that starts and ends at rest, within its limits (`limits`, else those of the model), its links
-    (capsules of `radius` m) apart and above `floor` m; `friction` names the law whose columns are to be told apart (`model`: the
-    model's own). Any other model gets an input, at most `amplitude` in the input's unit, chosen by simulation with the values of
-    `parameters` (as in fit.json; else the model's). `criterion` is condition (the default for motions), d_optimal or, of a
-    serial arm, paper001 (its objective (18)). `gain` N m/A adds the currents to command. Raises `UsageError` for what does not
-    fit or cannot be kept.
+    An arm gets a periodic motion that starts and ends at rest, within its limits (`limits`, else
+    those of the model), its links (capsules of `radius` m) apart and above `floor` m; `friction`
+    names the law whose columns are to be told apart (`model`: the model's own). Any other model
+    gets an input, at most `amplitude` in the input's unit, chosen by simulation with the values of
+    `parameters` (as in fit.json; else the model's). `criterion` is condition (the default for
+    motions), d_optimal or, of a serial arm, paper001 (its objective (18)). `gain` N m/A adds the
+    currents to command. Raises `UsageError` for what does not fit or cannot be kept.
     """
     began = time.perf_counter()
     for value, least, name in (
@@ -147,7 +150,9 @@ def excite(
 
 
 def chain_of(path: str) -> bool:
-    """Whether the joints of a URDF, up to its tip, are one chain without mimics, as a serial arm has them."""
+    """Whether the joints of a URDF, up to its tip, are one chain without mimics, as a serial arm
+    has them.
+    """
     tree = robot_from(path, getattr(path, "tip", None)).tree.tree
     return not tree.couplings and all(up == k - 1 for k, up in enumerate(tree.parent))
 
@@ -429,7 +434,9 @@ def _input(
 def described(
     bench: Bench, u: np.ndarray, plan: dict[str, Any], criterion: str, gains: np.ndarray | None
 ) -> Excitation:
-    """A designed input [time nu] as what it does to the model of a bench, and what it shows of its parameters."""
+    """A designed input [time nu] as what it does to the model of a bench, and what it shows of its
+    parameters.
+    """
     chain, family, bounds, noise, start = (
         bench.chain,
         bench.family,

@@ -1,8 +1,10 @@
-"""The input that tells two fitted models apart: what to record next when a diagnosis leaves two hypotheses.
+"""The input that tells two fitted models apart: what to record next when a diagnosis leaves two
+hypotheses.
 
-A member of the family is worth the distance of the two simulations, in multiples of the noise, after the second model was
-re-tuned as far as the recorded data leave it free (to first order): d^2 = min over delta of |r + J delta|^2 + delta' H delta.
-Limits are those of the recorded runs unless others are stated: nothing is asked of the machine that it was not seen to do.
+A member of the family is worth the distance of the two simulations, in multiples of the noise,
+after the second model was re-tuned as far as the recorded data leave it free (to first order): d^2
+= min over delta of |r + J delta|^2 + delta' H delta. Limits are those of the recorded runs unless
+others are stated: nothing is asked of the machine that it was not seen to do.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from jaxid.excitation.inputs import Bench, choose, Family, settled
 from jaxid.excitation.result import Excitation
 
 
-#: Speeds seen in the recordings may be passed by this factor: they come from differences of noisy samples.
+#: Speeds seen in the recordings may be passed by this factor: they come from differences of noisy
+#: samples.
 ROOM = 1.1
 #: Hypotheses further apart than this (standard deviations) are told apart.
 TOLD = 3.0
@@ -35,7 +38,9 @@ HIGHEST = 0.1
 
 @dataclass(frozen=True)
 class Recorded:
-    """What the recorded runs were asked for and did: joints [n], inputs [nu] about `center`, and one command over time."""
+    """What the recorded runs were asked for and did: joints [n], inputs [nu] about `center`, and
+    one command over time.
+    """
 
     lower: np.ndarray
     upper: np.ndarray
@@ -49,8 +54,10 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Rivals:
-    """Two fitted models, `theta` [2 size] in one layout. What re-tuning may still move of the second: numbers `free`, by
-    `slope` each, of which the recorded data tell `information` [free free]."""
+    """Two fitted models, `theta` [2 size] in one layout. What re-tuning may still move of the
+    second: numbers `free`, by `slope` each, of which the recorded data tell `information` [free
+    free].
+    """
 
     names: tuple[str, str]
     layout: Layout
@@ -70,7 +77,9 @@ class Separation(Bench):
         self.rivals = rivals
 
     def run(self, u: np.ndarray, slopes: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs of the first model [members time ny]; difference and slopes of the second [members time ny 1 + free]."""
+        """Outputs of the first model [members time ny]; difference and slopes of the second
+        [members time ny 1 + free].
+        """
         r = self.rivals
         k = len(r.free)
         theta = np.repeat(r.theta[[0, 1]], [1, 1 + k], 0)
@@ -82,7 +91,9 @@ class Separation(Bench):
         )
 
     def distance(self, dy: np.ndarray) -> np.ndarray:
-        """Distance of the two models in multiples of the noise, [members]; nan where one of them diverges."""
+        """Distance of the two models in multiples of the noise, [members]; nan where one of them
+        diverges.
+        """
         F = self.fisher(dy)
         out = np.full(len(F), np.nan)
         for m, f in enumerate(F):
@@ -116,10 +127,11 @@ def separate(
 ) -> Excitation:
     """The input that best separates two models, as a dataset to play.
 
-    `duration_s` (default: as long as the recorded run, 10 s at most), `limits` and `amplitude` (in the inputs' units; default:
-    what the recorded runs reached). content["distance"] is how far apart the two are then, in multiples of the noise, after
-    re-tuning, content["distance_recorded"] the same for a recorded command. Raises `UsageError` where nothing drives the model,
-    joints are not measured, or no input keeps the limits.
+    `duration_s` (default: as long as the recorded run, 10 s at most), `limits` and `amplitude` (in
+    the inputs' units; default: what the recorded runs reached). content["distance"] is how far
+    apart the two are then, in multiples of the noise, after re-tuning, content["distance_recorded"]
+    the same for a recorded command. Raises `UsageError` where nothing drives the model, joints are
+    not measured, or no input keeps the limits.
     """
     if rivals is None:
         raise UsageError(

@@ -1,9 +1,11 @@
-"""Exciting input signals for models that are driven in open loop or by commands: chosen by the information that they bring.
+"""Exciting input signals for models that are driven in open loop or by commands: chosen by the
+information that they bring.
 
-A signal is, one after the other: rest, a multisine, rest, steps with holds, a slow ramp to either side (slow speeds and
-breakaway), rest. Its amplitudes and phases are found by a population whose members are simulated together with their derivatives
-by every parameter; a member is worth log det of the Fisher information of the parameters, or the condition number of that
-matrix, and nothing where it leaves the limits.
+A signal is, one after the other: rest, a multisine, rest, steps with holds, a slow ramp to either
+side (slow speeds and breakaway), rest. Its amplitudes and phases are found by a population whose
+members are simulated together with their derivatives by every parameter; a member is worth log det
+of the Fisher information of the parameters, or the condition number of that matrix, and nothing
+where it leaves the limits.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ EXCESS = 100.0  # what leaving a limit by its own size costs
 
 @dataclass(frozen=True)
 class Family:
-    """All signals of one kind: `size` numbers each to inputs `[time nu]`. `top` [nu] is the largest input."""
+    """All signals of one kind: `size` numbers each to inputs `[time nu]`. `top` [nu] is the largest
+    input.
+    """
 
     t: np.ndarray
     harmonics: int
@@ -138,7 +142,9 @@ def settled(chain: Chain, home: np.ndarray) -> np.ndarray:
 
 
 def largest_inputs(chain: Chain, bounds: Bounds) -> np.ndarray:
-    """Largest input [nu] by default: what a sine over the whole range at the speed limit needs; half the range for positions."""
+    """Largest input [nu] by default: what a sine over the whole range at the speed limit needs;
+    half the range for positions.
+    """
     half = (bounds.upper - bounds.lower) / 2
     if all(unit in ("rad", "m") for _, unit in chain.signature.inputs):
         return 0.9 * half
@@ -200,7 +206,9 @@ class Bench:
         return [self.layout.names[i] for i in self.free]
 
     def run(self, u: np.ndarray, slopes: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs [members time ny] and derivatives [members time ny parameters] by one unit of each parameter."""
+        """Outputs [members time ny] and derivatives [members time ny parameters] by one unit of
+        each parameter.
+        """
         k = len(self.free) if slopes else 1
         directions = np.zeros((k, len(self.layout)))
         if slopes:
@@ -211,8 +219,9 @@ class Bench:
     def simulated(
         self, u: np.ndarray, theta: np.ndarray, directions: np.ndarray, slopes: bool = True
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs and their derivatives along `directions`, both [members variants time ny], under inputs [members time nu] with
-        each of the parameter vectors `theta` [variants size]."""
+        """Outputs and their derivatives along `directions`, both [members variants time ny], under
+        inputs [members time nu] with each of the parameter vectors `theta` [variants size].
+        """
         t, count, k = self.family.t, len(u), len(theta)
         ny = len(self.chain.signature.outputs)
         experiments = [
@@ -291,7 +300,9 @@ class Bench:
 
 
 def determined(F: np.ndarray) -> tuple[float, int]:
-    """Condition number of the directions that an information matrix with unit diagonal shows, and how many it does not."""
+    """Condition number of the directions that an information matrix with unit diagonal shows, and
+    how many it does not.
+    """
     size = np.sqrt(np.diag(F))
     size = np.where(size > 0, size, 1.0)
     e = np.linalg.eigvalsh(F / size / size[:, None]).tolist()
@@ -306,7 +317,9 @@ def choose(
     seed: int,
     progress: Callable[[str, int, int, str], None] | None = None,
 ) -> tuple[np.ndarray, float]:
-    """The best signal [time nu] and what it reaches. Raises `UsageError` where no signal keeps the limits."""
+    """The best signal [time nu] and what it reaches. Raises `UsageError` where no signal keeps the
+    limits.
+    """
     rng, family = np.random.default_rng(seed), bench.family
 
     def rated(x: np.ndarray) -> np.ndarray:

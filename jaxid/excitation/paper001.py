@@ -1,4 +1,6 @@
-"""The excitation of paper 001, equation (18): its objective, its constraints and the sums of its coefficients."""
+"""The excitation of paper 001, equation (18): its objective, its constraints and the sums of its
+coefficients.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,9 @@ WEIGHTS_18 = (10.0, 5.0, 1.0, 1.0)
 
 
 def sums_18(a: Any, b: Any, omega: float) -> dict[str, Any]:
-    """The sums over the harmonics that paper 001 constrains, each [n]: three that are 0, and the bounds of position (about the
-    middle), speed and acceleration."""
+    """The sums over the harmonics that paper 001 constrains, each [n]: three that are 0, and the
+    bounds of position (about the middle), speed and acceleration.
+    """
     xp = np if isinstance(a, np.ndarray) else jnp
     w = omega * np.arange(1, len(a) + 1)[:, None]
     size = xp.sqrt(a * a + b * b + (0.0 if xp is np else 1e-24))
@@ -30,7 +33,9 @@ def sums_18(a: Any, b: Any, omega: float) -> dict[str, Any]:
 
 
 def terms_18(G: Any, groups: tuple[tuple[int, ...], ...]) -> list[Any]:
-    """Logarithms of the singular values, rising, of the columns of each term of (18), by the Gram matrix of all."""
+    """Logarithms of the singular values, rising, of the columns of each term of (18), by the Gram
+    matrix of all.
+    """
     xp = np if isinstance(G, np.ndarray) else jnp
     out = []
     for own in groups:
@@ -40,7 +45,9 @@ def terms_18(G: Any, groups: tuple[tuple[int, ...], ...]) -> list[Any]:
 
 
 def column_groups(names: Sequence[str], base: int) -> tuple[tuple[int, ...], ...]:
-    """Columns of the terms of paper 001's (18): all, inertia tensors (and drives), first moments (and masses), friction."""
+    """Columns of the terms of paper 001's (18): all, inertia tensors (and drives), first moments
+    (and masses), friction.
+    """
     kinds = [n.rstrip("0123456789") for n in names]
     tensors = tuple(i for i in range(base) if kinds[i].startswith("I"))
     moments = tuple(i for i in range(base) if not kinds[i].startswith("I"))

@@ -1,4 +1,6 @@
-"""What the design of an experiment returns: commands, what they reach of every limit, and excitation.json."""
+"""What the design of an experiment returns: commands, what they reach of every limit, and
+excitation.json.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,9 @@ BANDS = (0.01, 0.03, 0.1, 0.3, 1.0)
 
 @dataclass(frozen=True)
 class Excitation:
-    """A designed experiment: `dataset` holds its one run as the model expects it, `commands` (channel -> [time]) what is to be
-    played; `content` is excitation.json."""
+    """A designed experiment: `dataset` holds its one run as the model expects it, `commands`
+    (channel -> [time]) what is to be played; `content` is excitation.json.
+    """
 
     dataset: Dataset
     commands: dict[str, np.ndarray]
@@ -44,7 +47,9 @@ class Excitation:
         return self.content
 
     def save(self, folder: str | Path) -> Path:
-        """Writes the dataset folder with excitation.json, trajectory.csv, plot, and for a UR what it plays."""
+        """Writes the dataset folder with excitation.json, trajectory.csv, plot, and for a UR what
+        it plays.
+        """
         from jaxid.excitation.write import write
 
         return write(self, Path(folder))

@@ -1,13 +1,17 @@
-"""Exciting motion for arms: periodic Fourier trajectories, optimised by gradient through the torque regressor.
+"""Exciting motion for arms: periodic Fourier trajectories, optimised by gradient through the torque
+regressor.
 
-q_j(t) = c_j + sum_l a_lj / (w l) sin(w l t) - b_lj / (w l) cos(w l t)       (Swevers et al. 1997; paper 001, equation (17))
+q_j(t) = c_j + sum_l a_lj / (w l) sin(w l t) - b_lj / (w l) cos(w l t)       (Swevers et al. 1997;
+paper 001, equation (17))
 
-with sum_l a_l = 0 and sum_l l b_l = 0, so that it starts and ends at rest without acceleration. Any numbers become a trajectory
-within all limits: the constraints are projected out, and each joint is scaled to the limit that it meets first. What is minimised
-is the condition number of the noise-weighted columns of what can be identified, or minus log det of their Gram matrix, or
-(`paper001`) the objective (18) of paper 001: 10 cond of all columns + 5 cond of those of inertia tensors + cond of those of first
-moments + cond of those of friction. With that one the paper's constraints hold, too: the motion begins at its middle, which is
-the home pose (sum_l b_l / l = 0), and it is the sums of its amplitudes, sqrt(a_l^2 + b_l^2) times 1 / (w l), 1 and w l, that are
+with sum_l a_l = 0 and sum_l l b_l = 0, so that it starts and ends at rest without acceleration. Any
+numbers become a trajectory within all limits: the constraints are projected out, and each joint is
+scaled to the limit that it meets first. What is minimised is the condition number of the
+noise-weighted columns of what can be identified, or minus log det of their Gram matrix, or
+(`paper001`) the objective (18) of paper 001: 10 cond of all columns + 5 cond of those of inertia
+tensors + cond of those of first moments + cond of those of friction. With that one the paper's
+constraints hold, too: the motion begins at its middle, which is the home pose (sum_l b_l / l = 0),
+and it is the sums of its amplitudes, sqrt(a_l^2 + b_l^2) times 1 / (w l), 1 and w l, that are
 within the limits, not the peaks.
 """
 
@@ -75,7 +79,9 @@ def series(a: Any, b: Any, middle: Any, omega: float, t: Any) -> tuple[Any, Any,
 
 
 class Task(eqx.Module):
-    """Abstract: what a trajectory is to make identifiable. `columns` gives torque per number, [time n p]."""
+    """Abstract: what a trajectory is to make identifiable. `columns` gives torque per number, [time
+    n p].
+    """
 
     def columns(self, q: Array, qd: Array, qdd: Array) -> Float[Array, "time n p"]:
         raise NotImplementedError
@@ -108,7 +114,9 @@ class ArmTask(Task):
 
 
 class ChainTask(Task):
-    """The free numbers of any rigid model, those that depend on others left out; the torque is linearised at its values."""
+    """The free numbers of any rigid model, those that depend on others left out; the torque is
+    linearised at its values.
+    """
 
     theta: np.ndarray
     scale: np.ndarray
@@ -191,7 +199,9 @@ def spectrum(W: Float[Array, "time n p"], weight: Any) -> Float[Array, " p"]:
 
 
 def goodness(shape: Shape, task: Task, setting: Setting) -> tuple[Array, Array]:
-    """(what is descended on, what is minimised) of one trajectory: log of the condition number, or minus mean log eigenvalue."""
+    """(what is descended on, what is minimised) of one trajectory: log of the condition number, or
+    minus mean log eigenvalue.
+    """
     period = 2 * np.pi / setting.omega
     t = jnp.arange(setting.grid) * (period / setting.grid)
     a, b, middle = feasible(shape, setting, t)
@@ -218,7 +228,9 @@ def goodness(shape: Shape, task: Task, setting: Setting) -> tuple[Array, Array]:
 
 
 def tightness(q: Array, setting: Setting) -> Array:
-    """How much links come too near to each other or to the floor, with 3 cm to spare; 0: nowhere."""
+    """How much links come too near to each other or to the floor, with 3 cm to spare; 0:
+    nowhere.
+    """
     if setting.arm is None:
         return jnp.zeros(())
     node = nodes(setting.arm, q)
@@ -269,7 +281,8 @@ def optimise(
 ) -> list[tuple[float, Fourier]]:
     """Trajectories, best first, each with the value that was minimised.
 
-    Sixteen times as many random trajectories as `starts` are tried; the best of them descend together.
+    Sixteen times as many random trajectories as `starts` are tried; the best of them descend
+    together.
     """
     moments: Any = ()
     n, rng = len(setting.bounds.home), np.random.default_rng(seed)
@@ -327,7 +340,9 @@ def optimise(
 
 
 def geometry_of(mechanism: Any) -> tuple[Any, Links]:
-    """(arm, links) for the distances between links; (None, nothing) where a model has no frames in space."""
+    """(arm, links) for the distances between links; (None, nothing) where a model has no frames in
+    space.
+    """
     if not hasattr(mechanism, "frames"):
         return None, Links((), ())
     return mechanism, links_of(mechanism)

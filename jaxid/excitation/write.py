@@ -1,4 +1,6 @@
-"""Writes a designed experiment: the dataset folder, excitation.json, trajectory.csv, a plot, and what a UR plays."""
+"""Writes a designed experiment: the dataset folder, excitation.json, trajectory.csv, a plot, and
+what a UR plays.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,9 @@ UR_RATES = (125, 500)
 
 
 def write(made: Excitation, folder: Path) -> Path:
-    """All files of an excitation; an earlier one in the same folder is replaced, at once. Raises `UsageError` where other files
-    lie, and `NotSaved` where they cannot be written."""
+    """All files of an excitation; an earlier one in the same folder is replaced, at once. Raises
+    `UsageError` where other files lie, and `NotSaved` where they cannot be written.
+    """
     settle(folder)
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out {folder}: a file has this name; choose another folder")
@@ -77,7 +80,9 @@ def _csv(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 
 def urscript(made: Excitation) -> str:
-    """A program for PolyScope that moves to the beginning and plays the path by servoj at 125 Hz."""
+    """A program for PolyScope that moves to the beginning and plays the path by servoj at 125
+    Hz.
+    """
     assert made.fourier is not None
     step = 1 / UR_RATES[0]
     t = np.arange(round(made.t[-1] / step) + 1) * step

@@ -1,4 +1,6 @@
-"""Searches that hand out candidates and take their losses, alone or side by side: what they ask for together fills the cores."""
+"""Searches that hand out candidates and take their losses, alone or side by side: what they ask for
+together fills the cores.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def answered(searching: Searching[Result], problem: AbstractProblem) -> Result:
 def answered_together(
     searches: Sequence[Searching[Result]], problems: Sequence[AbstractProblem]
 ) -> list[Result]:
-    """Several searches taken to their ends side by side; what those on one problem hand out is evaluated together."""
+    """Several searches taken to their ends side by side; what those on one problem hand out is
+    evaluated together.
+    """
     results: dict[int, Result] = {}
     asked: dict[int, np.ndarray] = {}
 
@@ -60,6 +64,8 @@ def answered_together(
 
 
 def _shifts(group: list[int], candidates: int) -> list[list[int]]:
-    """Searches on one problem, in two halves where each fills the cores: one is evaluated while the other thinks."""
+    """Searches on one problem, in two halves where each fills the cores: one is evaluated while the
+    other thinks.
+    """
     half = len(group) // 2
     return [group[:half], group[half:]] if half and candidates >= 8 * CANDIDATES else [group]

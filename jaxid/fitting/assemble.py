@@ -66,7 +66,9 @@ def estimates(
 def named_estimates(
     binding: Binding, found: dict[int, Estimate]
 ) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
-    """Estimates of the model's own parameters by id, and of added effects by effect and location."""
+    """Estimates of the model's own parameters by id, and of added effects by effect and
+    location.
+    """
     builtin = {kind.name for kind, _ in binding.chain.mechanism.builtin}
     own: dict[str, Estimate] = {}
     added: dict[tuple[str, str], dict[str, Estimate]] = {}
@@ -98,7 +100,9 @@ def assemble(
     notes: Sequence[str] = (),
     known: Covariance | None = None,
 ) -> Fit:
-    """A `Fit` from a minimum: uncertainty (`known`, where it was worked out before), scores, traces, notes."""
+    """A `Fit` from a minimum: uncertainty (`known`, where it was worked out before), scores,
+    traces, notes.
+    """
     binding = bench.binding
     theta = problem.theta(result.z)
     notes = [
@@ -249,7 +253,9 @@ def assemble(
 
 
 def origin_of(binding: Binding, added: Sequence[EffectEstimate]) -> dict:
-    """Where a robot comes from, and which of its own laws the model leaves out; nothing for another model."""
+    """Where a robot comes from, and which of its own laws the model leaves out; nothing for another
+    model.
+    """
     mechanism, spec = binding.chain.mechanism, binding.dataset.model
     if not is_robot(mechanism):
         return {}

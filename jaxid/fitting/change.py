@@ -1,12 +1,15 @@
-"""When the bodies of a robot on a free base change, by its angular momentum: a target is caught, a load is let go.
+"""When the bodies of a robot on a free base change, by its angular momentum: a target is caught, a
+load is let go.
 
-At a moment s the last body changes and the whole gains the momentum that was brought: L(theta_0) is constant before s, L(theta_1)
-after it, at values of their own. For each s both sides together are least squares, linear about (theta_0, theta_1):
+At a moment s the last body changes and the whole gains the momentum that was brought: L(theta_0) is
+constant before s, L(theta_1) after it, at values of their own. For each s both sides together are
+least squares, linear about (theta_0, theta_1):
 
     SS(s) = min over d theta_0, d theta_1, c_0, c_1 of  sum_{t < s} |L(theta_0) - c_0|^2 + sum_{t >= s} |L(theta_1) - c_1|^2
 
-Its smallest value gives s, a fit with each side filtered by itself the numbers, and so in turn until s stays. What is caught
-jumps in speed, which a low-pass smears over about a period of its cutoff: finer than a quarter of that no moment is claimed.
+Its smallest value gives s, a fit with each side filtered by itself the numbers, and so in turn
+until s stays. What is caught jumps in speed, which a low-pass smears over about a period of its
+cutoff: finer than a quarter of that no moment is claimed.
 """
 
 from __future__ import annotations
@@ -39,19 +42,23 @@ from jaxid.robots.bodies import BODY
 
 #: Rounds of finding the moment and fitting both sides of it.
 ROUNDS = 5
-#: A change that nobody asked for is spoken of where chance would show it so rarely, and where it is this share of the gap.
+#: A change that nobody asked for is spoken of where chance would show it so rarely, and where it is
+#: this share of the gap.
 CHANCE, SHARE = 1e-6, 0.5
 #: Step of a difference, as a share of a typical change of the number.
 DIFFERENCE = 1e-3
-#: Half the width of an interval of 95 % in standard deviations, and the chi-square that it stands for.
+#: Half the width of an interval of 95 % in standard deviations, and the chi-square that it stands
+#: for.
 HALF, DROP = 1.96, 3.84
 
 
 @dataclass
 class Series:
-    """Momentum along the measured motion of all fit runs, at every sample between a run's first row and its last.
+    """Momentum along the measured motion of all fit runs, at every sample between a run's first row
+    and its last.
 
-    `t` [n], `run` [n], `x` [n 2 nq]; `rows` those that count as independent; `level` [3] their noise.
+    `t` [n], `run` [n], `x` [n 2 nq]; `rows` those that count as independent; `level` [3] their
+    noise.
     """
 
     binding: Binding
@@ -97,8 +104,10 @@ class Series:
         return 1 / (4 * float(self.residual.cutoff_hz or np.inf))
 
     def carried(self, theta: np.ndarray, numbers: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """L over its noise [n 3] and its derivative by some numbers of the layout [n 3 numbers], nothing changing in time; by
-        central differences, good to about 1e-9 and without a program of their own."""
+        """L over its noise [n 3] and its derivative by some numbers of the layout [n 3 numbers],
+        nothing changing in time; by central differences, good to about 1e-9 and without a program
+        of their own.
+        """
         J = np.zeros((len(self.t), 3, len(numbers)))
         for k, i in enumerate(numbers):
             h = np.zeros(theta.size)
@@ -127,7 +136,9 @@ class Series:
         return tuple(noise_of(chain, [self.x], self.binding.readings[: chain.nq], rate, cutoff))
 
     def moments(self, unknown: int) -> np.ndarray:
-        """Times of rows between which a change may be looked for: what is unknown is told on both sides of it in one run."""
+        """Times of rows between which a change may be looked for: what is unknown is told on both
+        sides of it in one run.
+        """
         least = max(6, unknown) * self.every
         inside = [t[least:-least] for t in (self.t[self.run == r] for r in np.unique(self.run))]
         return np.unique(np.concatenate(inside))[:: self.every]
@@ -178,7 +189,9 @@ class Series:
         ]
 
     def gained(self, L0: np.ndarray, L1: np.ndarray, s: float) -> np.ndarray:
-        """Angular momentum that the whole gains at s, [3], N m s, in the run that shows most of both of its sides."""
+        """Angular momentum that the whole gains at s, [3], N m s, in the run that shows most of
+        both of its sides.
+        """
         clear = 4 * self.resolution
         pairs = [(a & (self.t < s - clear), b & (self.t > s + clear)) for a, b in self._split(s)]
         a, b = max(pairs, key=lambda p: min(p[0].sum(), p[1].sum()))
@@ -187,7 +200,9 @@ class Series:
 
 @dataclass(frozen=True)
 class Sides:
-    """L [n 3] before and after, its derivatives by the numbers that both sides share (J0, J1) and by those that change (J1s)."""
+    """L [n 3] before and after, its derivatives by the numbers that both sides share (J0, J1) and
+    by those that change (J1s).
+    """
 
     L0: np.ndarray
     L1: np.ndarray
@@ -203,7 +218,9 @@ def scatter(L: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Change:
-    """What changes: `sizes` and `times` of the layout, the numbers `own` that they act on, and those fitted on both sides."""
+    """What changes: `sizes` and `times` of the layout, the numbers `own` that they act on, and
+    those fitted on both sides.
+    """
 
     own: list[int]
     sizes: list[int]
@@ -344,8 +361,9 @@ def unexplained(binding: Binding, change: Change, left: float) -> str:
 
 
 def within(binding: Binding, change: Change) -> Binding:
-    """The binding whose sizes leave every number within its own bounds; a centre of mass, which may be that of something large,
-    within the robot's reach."""
+    """The binding whose sizes leave every number within its own bounds; a centre of mass, which may
+    be that of something large, within the robot's reach.
+    """
     lower, upper = binding.lower.copy(), binding.upper.copy()
     for i, size in zip(change.own, change.sizes, strict=True):
         name = binding.layout.names[i]
@@ -392,8 +410,10 @@ def said(
 
 
 def suspected(series: Series, own: list[int], theta: np.ndarray) -> tuple[float, float] | None:
-    """(moment, share of what is left that a change then explains), where the momentum of numbers `own` at `theta` is that of
-    other bodies, or another one, from some moment on; None where nothing speaks for it."""
+    """(moment, share of what is left that a change then explains), where the momentum of numbers
+    `own` at `theta` is that of other bodies, or another one, from some moment on; None where
+    nothing speaks for it.
+    """
     moments = series.moments(2 * len(own))
     if not len(moments):
         return None

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Run:
-    """One fitter with one seed. `seconds` and the times of the history are without compiling; `parameters` in their units."""
+    """One fitter with one seed. `seconds` and the times of the history are without compiling;
+    `parameters` in their units.
+    """
 
     fitter: str
     seed: int
@@ -35,7 +37,9 @@ class Run:
     history: np.ndarray  # [points 3]: evaluations, seconds, best loss so far
 
     def reached(self, target: float) -> tuple[float, float]:
-        """Evaluations and seconds until the loss was at most the target; infinite if it never was."""
+        """Evaluations and seconds until the loss was at most the target; infinite if it never
+        was.
+        """
         hit = np.flatnonzero(self.history[:, 2] <= target)
         if hit.size:
             return float(self.history[hit[0], 0]), float(self.history[hit[0], 1])
@@ -44,8 +48,9 @@ class Run:
 
 @dataclass(frozen=True)
 class Typical:
-    """Median of a number over all runs of a fitter, with its 95 % interval by order statistics; a run that never reached the
-    target counts as infinite."""
+    """Median of a number over all runs of a fitter, with its 95 % interval by order statistics; a
+    run that never reached the target counts as infinite.
+    """
 
     median: float
     lower: float
@@ -93,7 +98,9 @@ class Summary:
 
 @dataclass(frozen=True)
 class Known:
-    """The best known value of a parameter, with its standard deviation there (None where the data do not determine it)."""
+    """The best known value of a parameter, with its standard deviation there (None where the data
+    do not determine it).
+    """
 
     value: float
     std: float | None
@@ -115,8 +122,8 @@ class Known:
 class Comparison:
     """Every fitter, every seed, on the same compiled loss with the same budget.
 
-    The target is the best known loss times 1 + `tolerance`; the best known loss is the lowest of all runs and of a descent from
-    the best of them and from the start values that the data suggest.
+    The target is the best known loss times 1 + `tolerance`; the best known loss is the lowest of
+    all runs and of a descent from the best of them and from the start values that the data suggest.
     """
 
     model: str
@@ -142,7 +149,9 @@ class Comparison:
 
     @property
     def common_time(self) -> float:
-        """The time at which fitters are compared: as given, else the median of what the runs took."""
+        """The time at which fitters are compared: as given, else the median of what the runs
+        took.
+        """
         return (
             self.limit_s
             if self.limit_s is not None
@@ -231,7 +240,9 @@ class Comparison:
         }
 
     def save(self, folder: str | Path) -> Path:
-        """Writes comparison.json, runs.parquet and report.html, all or none; returns the folder. Raises `NotSaved`."""
+        """Writes comparison.json, runs.parquet and report.html, all or none; returns the folder.
+        Raises `NotSaved`.
+        """
         from jaxid.storage.result_files import save
 
         return save(self, Path(folder)).parent
@@ -254,8 +265,9 @@ class Comparison:
         return write_comparison(self, Path(path))
 
     def plot(self, by: str = "evaluations", ax: Axes | None = None) -> Axes:
-        """Draws the convergence of every fitter (median and band from the 10th to the 90th percentile of its seeds) over
-        `evaluations` or `seconds`, on new axes or the given ones."""
+        """Draws the convergence of every fitter (median and band from the 10th to the 90th
+        percentile of its seeds) over `evaluations` or `seconds`, on new axes or the given ones.
+        """
         from jaxid.report.compared import draw_convergence
         from jaxid.report.figures import legend, new_axes
 
@@ -311,7 +323,9 @@ def wilson(successes: int, runs: int) -> tuple[float, float]:
 
 
 def typical(values: np.ndarray) -> Typical:
-    """Median and its interval by order statistics: at least 95 % where there are 6 values or more, else all that there is."""
+    """Median and its interval by order statistics: at least 95 % where there are 6 values or more,
+    else all that there is.
+    """
     from scipy.stats import binom
 
     x = np.sort(values)
@@ -326,7 +340,9 @@ def typical(values: np.ndarray) -> Typical:
 
 
 def along(run: Run, at: np.ndarray, column: int) -> np.ndarray:
-    """Best loss of a run after so many evaluations (column 0) or seconds (1); infinite before its first."""
+    """Best loss of a run after so many evaluations (column 0) or seconds (1); infinite before its
+    first.
+    """
     x, loss = run.history[:, column], run.history[:, 2]
     index = np.searchsorted(x, at, side="right") - 1
     return np.where(index < 0, np.inf, loss[np.maximum(index, 0)])

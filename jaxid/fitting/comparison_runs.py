@@ -1,4 +1,6 @@
-"""Runs of a comparison: every fitter and every seed on one problem, one after the other so that their times are honest."""
+"""Runs of a comparison: every fitter and every seed on one problem, one after the other so that
+their times are honest.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +49,9 @@ def run_comparison(
     seed: int,
     progress: Progress | None,
 ) -> Comparison:
-    """The whole of `jaxid.compare`; `fitters` have their labels. On Ctrl-C `Interrupted` carries the comparison of the runs that
-    were finished."""
+    """The whole of `jaxid.compare`; `fitters` have their labels. On Ctrl-C `Interrupted` carries
+    the comparison of the runs that were finished.
+    """
     began = time.perf_counter()
     effects = tuple(catalogue.enrolled(e) for e in effects)
     if loss not in LOSSES:
@@ -162,7 +165,9 @@ def one_run(
 
 
 def random_start(problem: Problem, guess: np.ndarray, seed: int) -> np.ndarray:
-    """Parameters anywhere in the sampling box; unknown starts of the runs as the data suggest them."""
+    """Parameters anywhere in the sampling box; unknown starts of the runs as the data suggest
+    them.
+    """
     lower, upper = sampling_box(problem, guess)
     z = lower + (upper - lower) * np.random.default_rng(seed).uniform(size=problem.size)
     z[problem.free.size :] = guess[problem.free.size :]
@@ -172,7 +177,9 @@ def random_start(problem: Problem, guess: np.ndarray, seed: int) -> np.ndarray:
 def best_known(
     binding: Binding, problem: Problem, guesses: Sequence[np.ndarray], found: Sequence[Minimum]
 ) -> tuple[float, dict[str, Known]]:
-    """The lowest loss that runs or descents from the best of them and from the guesses reach, and the parameters there."""
+    """The lowest loss that runs or descents from the best of them and from the guesses reach, and
+    the parameters there.
+    """
     ends = sorted((m for m in found if not m.failed), key=lambda m: m.loss)[:3]
     paths = descend([(problem, z) for z in [*(m.z for m in ends), *guesses]], 40, 1e-10)
     candidates = np.array([*(m.z for m in ends), *(p.z for p in paths)])

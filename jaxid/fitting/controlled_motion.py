@@ -20,7 +20,8 @@ def simulate_closed_loop(
     theta: np.ndarray,
     noise: np.ndarray,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Positions [time nq] and inputs [time nq] of the model with numbers `theta` under the dataset's controller, per run.
+    """Positions [time nq] and inputs [time nq] of the model with numbers `theta` under the
+    dataset's controller, per run.
 
     `noise` [ny]. Starts that nobody states are fitted to the first tenth of each run.
     """

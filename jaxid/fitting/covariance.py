@@ -1,14 +1,17 @@
-"""How well the data determine the parameters: covariance, directions that they do not determine, parameters at a bound.
+"""How well the data determine the parameters: covariance, directions that they do not determine,
+parameters at a bound.
 
-White residuals: cov = s^2 (J'J)^-1. Coloured ones (any model error, any disturbance with a memory): the sandwich
-(J'J)^-1 S (J'J)^-1 with S the covariance of the scores J'r, the wider of two: that of stationary noise with a memory
-(`jaxid.fitting.noise_model`), and the long-run covariance of the scores themselves (Newey and West 1987, Bartlett weights; the
-bandwidth covers the residual's own correlation time), which also holds for a model error that follows the motion. Ordinary
+White residuals: cov = s^2 (J'J)^-1. Coloured ones (any model error, any disturbance with a memory):
+the sandwich (J'J)^-1 S (J'J)^-1 with S the covariance of the scores J'r, the wider of two: that of
+stationary noise with a memory (`jaxid.fitting.noise_model`), and the long-run covariance of the
+scores themselves (Newey and West 1987, Bartlett weights; the bandwidth covers the residual's own
+correlation time), which also holds for a model error that follows the motion. Ordinary
 least-squares intervals are too narrow there by large factors.
 
-All numbers have one covariance: of a normal distribution about the minimum that is cut off at the bounds
-(`jaxid.numerics.truncated`), in units in which sums and ratios are straight lines. A direction that the data leave open is as
-wide as the bounds. What is pushed against a bound has its mean square from there, and frees the others by as much.
+All numbers have one covariance: of a normal distribution about the minimum that is cut off at the
+bounds (`jaxid.numerics.truncated`), in units in which sums and ratios are straight lines. A
+direction that the data leave open is as wide as the bounds. What is pushed against a bound has its
+mean square from there, and frees the others by as much.
 """
 
 from __future__ import annotations
@@ -30,14 +33,17 @@ from jaxid.numerics.truncated import positive, pushed, within_bounds
 from jaxid.problem.problem import Problem, rows
 
 
-#: A direction of the scaled Gauss-Newton matrix with an eigenvalue below this share of the largest is not determined.
+#: A direction of the scaled Gauss-Newton matrix with an eigenvalue below this share of the largest
+#: is not determined.
 NULL = 1e-12
 
 
 @dataclass(frozen=True)
 class Covariance:
-    """`std` per entry of z (nan where not determined), correlation groups as positions in z. With few independent samples a
-    standard deviation is stated so wide that 1.96 of them still hold 95 % (Student's t)."""
+    """`std` per entry of z (nan where not determined), correlation groups as positions in z. With
+    few independent samples a standard deviation is stated so wide that 1.96 of them still hold 95 %
+    (Student's t).
+    """
 
     matrix: np.ndarray
     std: np.ndarray
@@ -146,8 +152,10 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
 
 
 def _room(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far z [n] may go down and up to its bounds, as a straight line goes in the numbers themselves: what trades for each
-    other keeps a sum or a ratio of these, and no sum of logarithms."""
+    """How far z [n] may go down and up to its bounds, as a straight line goes in the numbers
+    themselves: what trades for each other keeps a sum or a ratio of these, and no sum of
+    logarithms.
+    """
     down, up = problem.lower - z, problem.upper - z
     log = np.zeros(z.size, bool)
     log[: problem.free.size] = problem.log
@@ -157,14 +165,18 @@ def _room(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _known_by_bounds(problem: Problem, z: np.ndarray) -> np.ndarray:
-    """What bounds alone tell of each number [n], as a precision: no more than that it lies within them."""
+    """What bounds alone tell of each number [n], as a precision: no more than that it lies within
+    them.
+    """
     down, up = _room(problem, z)
     width = up - down
     return np.where(np.isfinite(width) & (width > 0), 1 / np.maximum(width, 1e-150) ** 2, 0.0)
 
 
 def _within_bounds(problem: Problem, z: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Mean squares and products of what z is off by, [n n]: of a normal distribution about z, cut off at the bounds."""
+    """Mean squares and products of what z is off by, [n n]: of a normal distribution about z, cut
+    off at the bounds.
+    """
     down, up = _room(problem, z)
     bounded = np.arange(z.size) < problem.free.size
     lower = np.where(bounded, np.minimum(down, 0.0), -np.inf)
@@ -192,7 +204,9 @@ def _held(scaled: np.ndarray, scale: np.ndarray, inside: np.ndarray) -> np.ndarr
 
 
 def _inverse(H: np.ndarray) -> np.ndarray:
-    """The inverse of a positive semidefinite matrix; a direction of nothing has what rounding would make of it."""
+    """The inverse of a positive semidefinite matrix; a direction of nothing has what rounding would
+    make of it.
+    """
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     values, vectors = np.linalg.eigh(H / scale / scale[:, None])
     least = len(H) * np.finfo(float).eps * values[-1]
@@ -202,9 +216,11 @@ def _inverse(H: np.ndarray) -> np.ndarray:
 def _beside_its_start(
     J: np.ndarray, columns: np.ndarray, free: int, at_bound: np.ndarray
 ) -> np.ndarray:
-    """A window's Jacobian [samples channels size] with what its own start could do as well taken out of the parameters' columns
-    (Frisch and Waugh 1933). The covariance of the parameters stays the same, but no longer needs the inverse of a matrix in which
-    a window that forgets its start has two all but equal columns; that of the starts is the one with the parameters known."""
+    """A window's Jacobian [samples channels size] with what its own start could do as well taken
+    out of the parameters' columns (Frisch and Waugh 1933). The covariance of the parameters stays
+    the same, but no longer needs the inverse of a matrix in which a window that forgets its start
+    has two all but equal columns; that of the starts is the one with the parameters known.
+    """
     flat = J.reshape(-1, J.shape[-1]).copy()
     own = (columns >= free) & ~at_bound[columns]
     size = np.linalg.norm(flat, axis=0)
@@ -220,7 +236,9 @@ def _beside_its_start(
 def null_directions(
     scaled: np.ndarray, kept: np.ndarray
 ) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
-    """Which variables take part in no undetermined direction; and groups tied together (correlation above 0.999)."""
+    """Which variables take part in no undetermined direction; and groups tied together (correlation
+    above 0.999).
+    """
     index = np.flatnonzero(kept)
     identifiable = np.ones(len(kept), bool)
     groups: list[tuple[int, ...]] = []
@@ -252,7 +270,9 @@ def _pseudo_inverse(a: np.ndarray) -> np.ndarray:
 
 
 def whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
-    """Ljung-Box test at 0.1 %, and the residual's memory in samples (first lag whose correlation is lost in the noise)."""
+    """Ljung-Box test at 0.1 %, and the residual's memory in samples (first lag whose correlation is
+    lost in the noise).
+    """
     from scipy.special import chdtri
 
     statistic, total, memory = 0.0, 0, 1
@@ -274,7 +294,9 @@ def whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
 
 
 def long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) -> np.ndarray:
-    """Long-run covariance of the summed scores: Bartlett weights over four times the residual's memory."""
+    """Long-run covariance of the summed scores: Bartlett weights over four times the residual's
+    memory.
+    """
     from scipy.fft import rfft
 
     S = np.zeros((n, n))

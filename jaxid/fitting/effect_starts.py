@@ -31,7 +31,9 @@ def probes(binding: Binding, effect: Effect, place: str, theta: np.ndarray) -> l
 def read_off(
     binding: Binding, p: Problem, z: np.ndarray, effect: Effect, place: str
 ) -> list[np.ndarray]:
-    """Parameter vectors with an effect as the missing force of a problem of torques shows it; none where it is not read off."""
+    """Parameter vectors with an effect as the missing force of a problem of torques shows it; none
+    where it is not read off.
+    """
     b, read = binding, getattr(effect, "read_off", None)
     if read is None:
         return []
@@ -61,8 +63,10 @@ def read_off(
 def probe_starts(
     bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 4
 ) -> list[np.ndarray]:
-    """Starts for added effects: the best of their probes, and what the torque residual makes of them all (free of the free run's
-    local minima). At the neutral value many effects have no derivative."""
+    """Starts for added effects: the best of their probes, and what the torque residual makes of
+    them all (free of the free run's local minima). At the neutral value many effects have no
+    derivative.
+    """
     b, added, found = bench.binding, [], []
     for effect in b.chain.effects:
         for place in b.chain.places(effect):

@@ -1,4 +1,6 @@
-"""How a fit has ended: whether its end is a minimum, and whether a search from somewhere else ends lower."""
+"""How a fit has ended: whether its end is a minimum, and whether a search from somewhere else ends
+lower.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,11 @@ from jaxid.problem.objective import AbstractProblem
 from jaxid.problem.problem import Problem
 
 
-#: A loss is lower, or could be, where its sum of squares is so by more than this share of a residual's variance: the numbers then
-#: lie about a third of a standard deviation apart.
+#: A loss is lower, or could be, where its sum of squares is so by more than this share of a
+#: residual's variance: the numbers then lie about a third of a standard deviation apart.
 MATERIAL = 0.1
-#: A number at a bound wants beyond it where the sum of squares would fall by more than so many variances.
+#: A number at a bound wants beyond it where the sum of squares would fall by more than so many
+#: variances.
 PUSHES = 4.0
 #: Looks from elsewhere without a budget, and iterations of each; with one as many as it allows.
 LOOKS, STEPS = 2, 40
@@ -42,7 +45,9 @@ class Ending(NamedTuple):
 
 
 def gain(problem: AbstractProblem, before: float, after: float) -> float:
-    """By how many variances of a residual the sum of squares is lower; for other losses a share of a thousandth counts as one."""
+    """By how many variances of a residual the sum of squares is lower; for other losses a share of
+    a thousandth counts as one.
+    """
     if problem.loss_name != "sum_of_squares":
         return 1000 * (before - after) / max(before, 1e-300)
     return float(np.sum(problem.data.count)) * (before - after) / max(1.0, after)
@@ -55,9 +60,10 @@ def looked_again(
     budget: int | None,
     progress: Progress | None = None,
 ) -> list[Minimum]:
-    """The ends after a second look at each: a descent from a point beside it, and on from there while that ends lower. Where a
-    search diverged or ran out of iterations, what the budget leaves goes into new starts. Evaluations count; a look ends where it
-    is clearly on the way to what is known already, or to something higher, and costs no more than the search did.
+    """The ends after a second look at each: a descent from a point beside it, and on from there
+    while that ends lower. Where a search diverged or ran out of iterations, what the budget leaves
+    goes into new starts. Evaluations count; a look ends where it is clearly on the way to what is
+    known already, or to something higher, and costs no more than the search did.
 
     A population stays where it ended: if a descent ends lower, it has stalled.
     """
@@ -132,7 +138,9 @@ def looked_again(
 
 
 def _allowed(problem: AbstractProblem, found: Minimum, budget: int | None) -> int | None:
-    """The budget of a search and of the look at its end: where it has converged, no more than twice what it took."""
+    """The budget of a search and of the look at its end: where it has converged, no more than twice
+    what it took.
+    """
     if not found.converged:
         return budget
     most = found.evaluations + max(found.evaluations, LEAST * (1 + problem.size))
@@ -140,8 +148,9 @@ def _allowed(problem: AbstractProblem, found: Minimum, budget: int | None) -> in
 
 
 def _known(ends: Sequence[Minimum]) -> Callable[[int, Path], bool]:
-    """Whether a look is clearly on its way to the end of its search, or to a higher one: for the second time in a row the model
-    of its loss promises no lower one."""
+    """Whether a look is clearly on its way to the end of its search, or to a higher one: for the
+    second time in a row the model of its loss promises no lower one.
+    """
     streak = [0] * len(ends)
 
     def known(i: int, path: Path) -> bool:
@@ -183,8 +192,10 @@ def _log(
 def _elsewhere(
     problem: AbstractProblem, found: Minimum, rng: np.random.Generator, number: int
 ) -> np.ndarray:
-    """A point beside the end, about a factor of two away in logarithms and half of itself in other numbers, at a bound inside of
-    it; the end itself where a search ran out of iterations, and any point for one that has diverged."""
+    """A point beside the end, about a factor of two away in logarithms and half of itself in other
+    numbers, at a bound inside of it; the end itself where a search ran out of iterations, and any
+    point for one that has diverged.
+    """
     z, lower, upper = found.z, problem.lower, problem.upper
     if found.failed:
         return lower + (upper - lower) * rng.uniform(size=z.size)
@@ -207,7 +218,9 @@ def _elsewhere(
 def ending(
     problem: Problem, found: Minimum, cov: Covariance, traces: Sequence[Trace] = ()
 ) -> Ending:
-    """How a search has ended that gave finite numbers; `traces` are free runs on the data that were fitted."""
+    """How a search has ended that gave finite numbers; `traces` are free runs on the data that were
+    fitted.
+    """
     still = [t for t in traces if _stands_still(t)]
     own = np.arange(problem.size) < problem.free.size
     if still:
@@ -285,7 +298,9 @@ def _stands_still(t: Trace) -> bool:
 
 
 def _bends(problem: Problem, found: Minimum, i: int) -> bool:
-    """Whether the bound at which a number stands is one that data were thought to reach: zero is where physics ends."""
+    """Whether the bound at which a number stands is one that data were thought to reach: zero is
+    where physics ends.
+    """
     if i >= problem.free.size:
         return True
     value = float(problem.theta(found.z)[problem.free[i]])

@@ -1,7 +1,8 @@
 """Fitters: one interface for gradient methods and populations, on the same loss of a problem.
 
-A least-squares method writes `minimise`. A population writes `init`, `ask`, `tell`, `spread`; the loop, the bounds, candidates
-that diverge, best-so-far, history, restarts and the stopping rules live here once.
+A least-squares method writes `minimise`. A population writes `init`, `ask`, `tell`, `spread`; the
+loop, the bounds, candidates that diverge, best-so-far, history, restarts and the stopping rules
+live here once.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ Progress = Callable[[str, int, int, str], None]
 class Minimum:
     """What a fitter returns: a failure is a value with a sentence, never an exception.
 
-    An evaluation is one loss; a residual with its Jacobian counts as 1 + size of them. `seconds` goes with `history`, without
-    the time that compiling took.
+    An evaluation is one loss; a residual with its Jacobian counts as 1 + size of them. `seconds`
+    goes with `history`, without the time that compiling took.
     """
 
     z: np.ndarray
@@ -51,15 +52,18 @@ class Minimum:
 
 
 class AbstractFitter(eqx.Module):
-    """Abstract: `minimise` a problem from some starts. Class attributes of a final class: `name`, `source`."""
+    """Abstract: `minimise` a problem from some starts. Class attributes of a final class: `name`,
+    `source`.
+    """
 
     name: eqx.AbstractClassVar[str]
     source: eqx.AbstractClassVar[str]
     linearises: ClassVar[bool] = False  # works on weighted residuals and their Jacobians
 
     def nearby(self, tolerance: float = 0.0) -> AbstractFitter:
-        """The same for who begins next to a minimum, without what looks for another one; which is found to within `tolerance` of
-        the loss where that is more than the fitter's own."""
+        """The same for who begins next to a minimum, without what looks for another one; which is
+        found to within `tolerance` of the loss where that is more than the fitter's own.
+        """
         return self
 
     @abc.abstractmethod
@@ -72,8 +76,10 @@ class AbstractFitter(eqx.Module):
         progress: Progress | None = None,
         seconds: float | None = None,
     ) -> Minimum:
-        """The best z found. `starts` are guesses, best first; `budget` bounds the number of loss evaluations, `seconds` the
-        time without compiling. A fitter that knows no limit of time leaves the last argument out."""
+        """The best z found. `starts` are guesses, best first; `budget` bounds the number of loss
+        evaluations, `seconds` the time without compiling. A fitter that knows no limit of time
+        leaves the last argument out.
+        """
 
     def minimise_each(
         self,
@@ -81,14 +87,18 @@ class AbstractFitter(eqx.Module):
         budget: int | None = None,
         progress: Progress | None = None,
     ) -> list[Minimum]:
-        """`minimise` of each (problem, starts, key), with the same results. A fitter that can take several side by side does."""
+        """`minimise` of each (problem, starts, key), with the same results. A fitter that can take
+        several side by side does.
+        """
         return [
             self.minimise(problem, starts, key, budget, progress) for problem, starts, key in jobs
         ]
 
 
 class Log:
-    """Course of one search: evaluations, best loss so far, and the clock, which stands still while programs are compiled."""
+    """Course of one search: evaluations, best loss so far, and the clock, which stands still while
+    programs are compiled.
+    """
 
     def __init__(
         self,
@@ -128,7 +138,9 @@ class Log:
 
     @contextmanager
     def shared(self, share: float) -> Iterator[None]:
-        """Leaves a part of the search this share of what is left of budget and time, and what comes after it the rest."""
+        """Leaves a part of the search this share of what is left of budget and time, and what comes
+        after it the rest.
+        """
         whole = self.budget, self.limit
         if self.budget is not None:
             self.budget = self.evaluations + int(share * self.left)
@@ -140,7 +152,9 @@ class Log:
             self.budget, self.limit = whole
 
     def add(self, evaluations: int, loss: float, at: float | None = None) -> None:
-        """`loss` is the best of so many more evaluations, finished at `at` seconds (default: now)."""
+        """`loss` is the best of so many more evaluations, finished at `at` seconds (default:
+        now).
+        """
         self.evaluations += evaluations
         self.best = min(self.best, loss) if np.isfinite(loss) else self.best
         self.history.append((self.evaluations, self.best if np.isfinite(self.best) else PENALTY))
@@ -169,8 +183,10 @@ class Log:
 
 
 def sampling_box(problem: AbstractProblem, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where random starts and first populations are drawn: the bounds, narrowed to a plausible neighbourhood of the guess
-    where they span more than two decades (or, for a linear scale, more than 20 times the guess or a typical change)."""
+    """Where random starts and first populations are drawn: the bounds, narrowed to a plausible
+    neighbourhood of the guess where they span more than two decades (or, for a linear scale, more
+    than 20 times the guess or a typical change).
+    """
     lower, upper = problem.lower.copy(), problem.upper.copy()
     log = np.zeros(problem.size, bool)
     log[: problem.free.size] = problem.log

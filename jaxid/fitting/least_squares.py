@@ -21,7 +21,9 @@ Expansion = Callable[[Sequence[tuple[AbstractProblem, np.ndarray]], float], list
 def guesses(
     problem: AbstractProblem, starts: Sequence[np.ndarray], restarts: int, key
 ) -> list[np.ndarray]:
-    """The starts within the bounds, and random ones; unknown starts of runs stay as the first guess has them."""
+    """The starts within the bounds, and random ones; unknown starts of runs stay as the first guess
+    has them.
+    """
     given = [problem_clip(problem, z) for z in starts]
     if not restarts:
         return given
@@ -42,11 +44,13 @@ def search(
     tolerance: float,
     logs: Sequence[Log] | None = None,
 ) -> tuple[list[Path], int]:
-    """The best path of each group of (problem, start), all groups in one batch, and the number of linearisations.
+    """The best path of each group of (problem, start), all groups in one batch, and the number of
+    linearisations.
 
-    Starts first descend on growing shares of the records: a long oscillation has one basin per cycle that is gained or lost,
-    and a short look finds the right one. The first start of a group also goes straight to the whole, and alone if the budget
-    does not cover more. `logs` has the log of each group.
+    Starts first descend on growing shares of the records: a long oscillation has one basin per
+    cycle that is gained or lost, and a short look finds the right one. The first start of a group
+    also goes straight to the whole, and alone if the budget does not cover more. `logs` has the log
+    of each group.
     """
     current = [list(g) for g in groups]
     tried = 0
@@ -82,16 +86,17 @@ def search(
     return best, tried
 
 
-#: Stages of a race, as of `STAGES`, with the number of groups that take the whole stage; those whose cost is within WITHIN of the
-#: best do so in any case.
+#: Stages of a race, as of `STAGES`, with the number of groups that take the whole stage; those
+#: whose cost is within WITHIN of the best do so in any case.
 HEATS = ((0.1, 5, 2, None), (0.4, 6, 2, None), (1.0, 5, 1, 8), (1.0, None, 1, 4))
 
 
 WITHIN = 1.5
 
 
-#: A start that after so many steps is so many times (cost) behind another one of its group is given up, and so is a group so far
-#: behind one that leaves no more than AT_NOISE (mean square over the noise).
+#: A start that after so many steps is so many times (cost) behind another one of its group is given
+#: up, and so is a group so far behind one that leaves no more than AT_NOISE (mean square over the
+#: noise).
 PATIENCE, HOPELESS, AT_NOISE = 3, 100.0, 2.0
 
 
@@ -101,9 +106,11 @@ def race(
     tolerance: float,
     sure: Sequence[int] = (),
 ) -> list[Path]:
-    """A path of each group of (problem, start) on the same data, as by `search` but for a choice among the groups: those that are
-    clearly behind after the first steps stay where they are, and only the front ones, and those that are `sure`, descend to the
-    end. Where one explains the data, only those go on with it that could yet do so."""
+    """A path of each group of (problem, start) on the same data, as by `search` but for a choice
+    among the groups: those that are clearly behind after the first steps stay where they are, and
+    only the front ones, and those that are `sure`, descend to the end. Where one explains the data,
+    only those go on with it that could yet do so.
+    """
     current = [list(g) for g in groups]
     paths: list[Path] = []
     for heat, (share, steps, keep, front) in enumerate(HEATS):
@@ -164,8 +171,9 @@ def race(
 
 Curvature = Callable[["Path", np.ndarray, Linear], np.ndarray]
 
-#: A step that lowers a sum of squares over the noise by less than this many variances moves no number by more than about a
-#: thirtieth of its standard deviation. So many in a row, and the rest of a valley is of no account either.
+#: A step that lowers a sum of squares over the noise by less than this many variances moves no
+#: number by more than about a thirtieth of its standard deviation. So many in a row, and the rest
+#: of a valley is of no account either.
 SLIGHT, IN_A_ROW = 1e-3, 3
 
 
@@ -207,13 +215,16 @@ def descend(
     enough: Callable[[int, Path], bool] | None = None,
     material: bool = False,
 ) -> list[Path]:
-    """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of all is one batch.
+    """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of
+    all is one batch.
 
-    `expansion` gives twice the loss with gradient and curvature, by default `linearise` for sums of squares and `expand` for
-    other losses; `curvature` may put another matrix in the place of that of an accepted trial. A `log`, of all jobs or of each,
-    counts evaluations (a share of the records as that share of one) and ends the descent when the budget is used up. Paths that
-    are `hopeless` after the first few steps are given up, and a path (its number, itself) of which `enough` is known at any.
-    With `material` a path also ends where its steps gain nothing beside the noise.
+    `expansion` gives twice the loss with gradient and curvature, by default `linearise` for sums of
+    squares and `expand` for other losses; `curvature` may put another matrix in the place of that
+    of an accepted trial. A `log`, of all jobs or of each, counts evaluations (a share of the
+    records as that share of one) and ends the descent when the budget is used up. Paths that are
+    `hopeless` after the first few steps are given up, and a path (its number, itself) of which
+    `enough` is known at any. With `material` a path also ends where its steps gain nothing beside
+    the noise.
     """
     if expansion is None:
         expansion = linearise if all(p.loss_name == "sum_of_squares" for p, _ in jobs) else expand
@@ -331,8 +342,9 @@ def accept(
 
 
 def _shorter(slope: float, rise: float) -> float:
-    """By how much to shorten a step that led uphill: to the minimum of the parabola through both ends, by its slope at the first,
-    within reason."""
+    """By how much to shorten a step that led uphill: to the minimum of the parabola through both
+    ends, by its slope at the first, within reason.
+    """
     return float(np.clip(-slope / (2 * max(rise - slope, 1e-300)), 0.02, 0.5))
 
 
@@ -341,7 +353,9 @@ def _scale(hessian: np.ndarray) -> np.ndarray:
 
 
 def _typical(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
-    """How far a first step may go: a factor of e, or the size of the variable, and never more than half its range."""
+    """How far a first step may go: a factor of e, or the size of the variable, and never more than
+    half its range.
+    """
     log = np.zeros(problem.size, bool)
     log[: problem.free.size] = problem.log
     return np.minimum(
@@ -359,8 +373,9 @@ FAR = 1e150
 def next_trial(path: Path) -> np.ndarray:
     """The next trial: the model's minimum within radius and bounds.
 
-    Variables that come to a bound are held there one after the other, which is no minimum where many do: of smaller radii, down
-    to one at which none does, that is taken which lowers the model most.
+    Variables that come to a bound are held there one after the other, which is no minimum where
+    many do: of smaller radii, down to one at which none does, that is taken which lowers the model
+    most.
     """
     assert path.gradient is not None and path.hessian is not None
     z, g, H = path.z, path.gradient, path.hessian
@@ -378,7 +393,9 @@ def next_trial(path: Path) -> np.ndarray:
 
 
 def model_gain(path: Path) -> float:
-    """By how much the sum of squares is lower where the quadratic model of a path is least within the bounds."""
+    """By how much the sum of squares is lower where the quadratic model of a path is least within
+    the bounds.
+    """
     assert path.gradient is not None and path.hessian is not None
     dz = _bounded(path, FAR)[0]
     return -float(2 * path.gradient @ dz + dz @ path.hessian @ dz)

@@ -1,5 +1,5 @@
-"""Free runs that say little: those that diverge, that turn over and forget how they began, and long decays. What is compared in
-their place, and why, in a sentence.
+"""Free runs that say little: those that diverge, that turn over and forget how they began, and long
+decays. What is compared in their place, and why, in a sentence.
 
 A difference at the start of a chaotic run grows exponentially: beyond a few of its time constants the loss has a minimum at every
 corner and its curvature none of the meaning that a standard deviation needs. Windows with a start each (multiple shooting, Bock
@@ -22,12 +22,15 @@ from jaxid.problem.residual import InverseDynamics, MultipleShooting, Residual
 from jaxid.wording import percent
 
 
-#: Free runs in which a difference at the start (rad, m) grows by more than this forget how they began.
+#: Free runs in which a difference at the start (rad, m) grows by more than this forget how they
+#: began.
 SENSITIVE, DIFFERENCE = 50.0, 1e-7
-#: A free run follows what was measured with an error of so much of the signal's standard deviation; beyond the other it does not,
-#: and a search that ended there is not trusted to have found the best one.
+#: A free run follows what was measured with an error of so much of the signal's standard deviation;
+#: beyond the other it does not, and a search that ended there is not trusted to have found the best
+#: one.
 FOLLOWS, ASTRAY = 0.05, 0.3
-#: Joints from which on torques are asked at once where a free run does not follow: fewer joints' runs are compared over windows.
+#: Joints from which on torques are asked at once where a free run does not follow: fewer joints'
+#: runs are compared over windows.
 AN_ARM = 3
 #: Mean square over the noise that a free run which has nothing wrong with it may leave.
 AT_NOISE = 2.0
@@ -45,7 +48,8 @@ LOST = (
     "for an arm recorded under position control: the torque that the measured motion needs is compared instead (inverse_dynamics)"
 )
 
-#: (residual, None for the free run; numbers to begin with, None for guesses; evaluations spent before) -> fit
+#: (residual, None for the free run; numbers to begin with, None for guesses; evaluations spent
+#: before) -> fit
 Fitting = Callable[[Residual | None, np.ndarray | None, int], Fit]
 
 
@@ -61,7 +65,9 @@ def by_torque(binding: Binding) -> bool:
 
 
 def by_windows(binding: Binding, fitter: AbstractFitter | None = None) -> bool:
-    """Whether runs can be compared over windows, and a fitter can find the many starts that these bring."""
+    """Whether runs can be compared over windows, and a fitter can find the many starts that these
+    bring.
+    """
     chain = binding.chain
     led = (
         getattr(chain.mechanism, "drive_law", None) is not None
@@ -79,8 +85,10 @@ def by_windows(binding: Binding, fitter: AbstractFitter | None = None) -> bool:
 
 
 def growth(bench: Bench, theta: np.ndarray) -> float:
-    """How much a small difference of the joints' positions at the start of a free run has grown where it is largest, over the
-    runs that are fitted and those that choose; 0 where joints are not measured, or have inner states."""
+    """How much a small difference of the joints' positions at the start of a free run has grown
+    where it is largest, over the runs that are fitted and those that choose; 0 where joints are not
+    measured, or have inner states.
+    """
     b = bench.binding
     names = [n for n, _ in b.chain.signature.outputs]
     seen = [names.index(j) for j in b.chain.signature.joints if j in names]
@@ -104,7 +112,9 @@ def growth(bench: Bench, theta: np.ndarray) -> float:
 
 
 def decays(binding: Binding) -> bool:
-    """Whether every run that is fitted is a free swing of several amplitudes: nothing drives it, and it turns often."""
+    """Whether every run that is fitted is a free swing of several amplitudes: nothing drives it,
+    and it turns often.
+    """
     runs = binding.experiments("fit")
     if not runs or not all(
         e.name in binding.motions and not np.ptp(e.u, axis=0).any() for e in runs
@@ -125,8 +135,10 @@ def _moving(binding: Binding, name: str) -> np.ndarray:
 
 
 def believed(bench: Bench, fit: Fit, fitter: AbstractFitter, fitted: Fitting) -> Fit:
-    """A free run's fit, or what takes its place: the torque equation or windows where it diverges; windows where it forgets its
-    start or is a long decay that the model does not follow; a free run from where windows ended, if that ends lower."""
+    """A free run's fit, or what takes its place: the torque equation or windows where it diverges;
+    windows where it forgets its start or is a long decay that the model does not follow; a free run
+    from where windows ended, if that ends lower.
+    """
     binding = bench.binding
     diverged = fit.failed and not fit.parameters
     if diverged and by_torque(binding):

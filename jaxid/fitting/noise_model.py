@@ -1,8 +1,10 @@
-"""The noise in residuals as a stationary process with a memory, with what the fit took from it given back.
+"""The noise in residuals as a stationary process with a memory, with what the fit took from it
+given back.
 
-A fit bends p parameters towards the slow part of noise with a memory, so that the residuals' own correlations are too small,
-by half in a record of a few memories. Their expectation is known for each autocovariance of the noise (of M R M, with M the
-projection off the Jacobian), which is solved for it; an autoregression (Yule and Walker) carries it to all lags.
+A fit bends p parameters towards the slow part of noise with a memory, so that the residuals' own
+correlations are too small, by half in a record of a few memories. Their expectation is known for
+each autocovariance of the noise (of M R M, with M the projection off the Jacobian), which is solved
+for it; an autoregression (Yule and Walker) carries it to all lags.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from jaxid.simulation.sample_buffers import LONG
 #: The longest autoregression tried.
 ORDER = 8
 ROUNDS = 40
-#: What a fit takes away of a disturbance may be most of it: its variance may be so many times what is left, and no more.
+#: What a fit takes away of a disturbance may be most of it: its variance may be so many times what
+#: is left, and no more.
 LARGEST = 10.0
 
 
@@ -65,8 +68,9 @@ class Autoregression:
 
 @dataclass(frozen=True)
 class Part:
-    """Residual r [samples columns] of one record and its Jacobian J [samples columns p] by all parameters, 0 where nothing is
-    measured."""
+    """Residual r [samples columns] of one record and its Jacobian J [samples columns p] by all
+    parameters, 0 where nothing is measured.
+    """
 
     r: np.ndarray
     J: np.ndarray
@@ -121,7 +125,9 @@ def autoregressions(parts: Sequence[Part], inverse: np.ndarray) -> list[Autoregr
 
 
 def student(parts: Sequence[Part], noise: Sequence[Autoregression], parameters: int) -> float:
-    """By how much the ends of a 95 % interval lie further out than a normal distribution's, for want of independent samples."""
+    """By how much the ends of a 95 % interval lie further out than a normal distribution's, for
+    want of independent samples.
+    """
     from scipy.special import ndtri, stdtrit
 
     worth = sum(
@@ -148,7 +154,9 @@ def _order(products: np.ndarray, count: int) -> int:
 
 
 def _solved(products: np.ndarray, order: int) -> tuple[np.ndarray, float]:
-    """Coefficients and variance of the innovations by least squares from mean products of lagged samples."""
+    """Coefficients and variance of the innovations by least squares from mean products of lagged
+    samples.
+    """
     ar = np.linalg.lstsq(
         products[1 : order + 1, 1 : order + 1], products[0, 1 : order + 1], rcond=1e-12
     )[0]
@@ -160,7 +168,9 @@ def _solved(products: np.ndarray, order: int) -> tuple[np.ndarray, float]:
 
 
 def _fitted(products: np.ndarray, order: int, count: int) -> Autoregression:
-    """The stationary one next to it: no root of its polynomial comes nearer to the unit circle than one part in `count`."""
+    """The stationary one next to it: no root of its polynomial comes nearer to the unit circle than
+    one part in `count`.
+    """
     ar, error = _solved(products, order)
     roots = np.roots(np.concatenate([[1.0], -ar]))
     size = np.abs(roots)
@@ -172,8 +182,10 @@ def _fitted(products: np.ndarray, order: int, count: int) -> Autoregression:
 
 
 def _no_larger(noise: Autoregression, variance: float) -> Autoregression:
-    """The same with less noise, where its variance is more than this: a smooth residual of short windows fits roots at the unit
-    circle, whose stationary variance has nothing to do with what was seen."""
+    """The same with less noise, where its variance is more than this: a smooth residual of short
+    windows fits roots at the unit circle, whose stationary variance has nothing to do with what was
+    seen.
+    """
     own = float(noise.covariance(1)[0])
     return (
         noise
@@ -211,7 +223,9 @@ def transform_length(n: int) -> int:
 
 
 def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The Toeplitz matrix of an autocovariance times x [samples columns]; for memory's sake column by column if long."""
+    """The Toeplitz matrix of an autocovariance times x [samples columns]; for memory's sake column
+    by column if long.
+    """
     from scipy.fft import irfft, rfft
 
     n = len(x)

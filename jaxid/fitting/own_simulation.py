@@ -1,4 +1,6 @@
-"""What a residual simulates itself, where that is not the free run: windows, or the loop that was closed when it was recorded."""
+"""What a residual simulates itself, where that is not the free run: windows, or the loop that was
+closed when it was recorded.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,9 @@ if TYPE_CHECKING:
 def own_simulation(
     bench: Bench, residual: Residual, split: str, problem: Problem, z: np.ndarray
 ) -> tuple[Problem, np.ndarray]:
-    """A split as the residual simulates it, at the numbers of `problem` at z, and its own z; starts that nobody states are fitted
-    to each window, or to the first tenth of each run."""
+    """A split as the residual simulates it, at the numbers of `problem` at z, and its own z; starts
+    that nobody states are fitted to each window, or to the first tenth of each run.
+    """
     if split == "fit":
         return problem, z
     own = bench.problem(residual, split, [], problem.theta(z))
@@ -37,8 +40,9 @@ def own_simulation(
 def by_run(
     problem: Problem, z: np.ndarray, experiments: Sequence[Experiment]
 ) -> list[np.ndarray] | None:
-    """What a problem simulates of each of the runs [samples outputs], windows one after the other; None where it does not cover
-    them sample by sample."""
+    """What a problem simulates of each of the runs [samples outputs], windows one after the other;
+    None where it does not cover them sample by sample.
+    """
     out: list[list[np.ndarray]] = [[] for _ in experiments]
     for number, prediction in zip(problem.records, problem.predictions(z), strict=True):
         at = problem.runs.record(number).experiment

@@ -19,9 +19,10 @@ def per_joint(
     free: Any = (),
     before: np.ndarray | None = None,
 ) -> tuple[dict[str, Any], ...]:
-    """Each joint's error (root mean square) with the file as it stands (simulated with the numbers `before`, by default its own)
-    and re-tuned, on every split that was scored: of the free run, or of the torque where a `residual` without simulation is
-    given."""
+    """Each joint's error (root mean square) with the file as it stands (simulated with the numbers
+    `before`, by default its own) and re-tuned, on every split that was scored: of the free run, or
+    of the torque where a `residual` without simulation is given.
+    """
     binding = bench.binding
     theta, text = as_it_stands(binding)
     theta = theta if before is None else before
@@ -55,6 +56,8 @@ def per_joint(
 def with_effects(
     retuned: tuple[dict[str, Any], ...], final: tuple[dict[str, Any], ...]
 ) -> tuple[dict[str, Any], ...]:
-    """Rows of the re-tuned model beside those of the one with effects, which stand under `with_effects`."""
+    """Rows of the re-tuned model beside those of the one with effects, which stand under
+    `with_effects`.
+    """
     after = {(r["joint"], r["split"]): r["retuned"] for r in final}
     return tuple(r | {"with_effects": after.get((r["joint"], r["split"]))} for r in retuned)

@@ -22,9 +22,10 @@ from jaxid.problem.problem import PENALTY
 
 
 class Course(NamedTuple):
-    """A population search between generations: the method's own state, the best candidate that each slot has had, the loss of the
-    best start (infinite without one), and the lowest loss that the search found itself at its last gain, with the generations
-    since. A start is no gain: beside a good one all that a population finds is worse for long, and it is on its way all the same.
+    """A population search between generations: the method's own state, the best candidate that each
+    slot has had, the loss of the best start (infinite without one), and the lowest loss that the
+    search found itself at its last gain, with the generations since. A start is no gain: beside a
+    good one all that a population finds is worse for long, and it is on its way all the same.
     """
 
     state: Any
@@ -72,8 +73,8 @@ COLLAPSED = 1e-9
 SAME = 1e-6
 
 
-#: Simulated steps of a generation above which its blocks of candidates run on all cores, one call a generation; below, a
-#: second of generations is one program.
+#: Simulated steps of a generation above which its blocks of candidates run on all cores, one call a
+#: generation; below, a second of generations is one program.
 LARGE = 30_000
 
 
@@ -82,12 +83,14 @@ CHUNK = 256
 
 
 class AbstractPopulation(AbstractFitter):
-    """Abstract: a population method in four pure functions over the search vectors z; bounds are kept by the base.
+    """Abstract: a population method in four pure functions over the search vectors z; bounds are
+    kept by the base.
 
-    `popsize` and `generations` are fields of every final class. A search ends when its own candidates have not gained a relative
-    `tolerance` for `stall` generations (0: never) or the population has collapsed to one point, and starts anew at most
-    `restarts` times, until two in a row end in the same minimum. It has converged if the population has contracted to a loss
-    below that of every start.
+    `popsize` and `generations` are fields of every final class. A search ends when its own
+    candidates have not gained a relative `tolerance` for `stall` generations (0: never) or the
+    population has collapsed to one point, and starts anew at most `restarts` times, until two in a
+    row end in the same minimum. It has converged if the population has contracted to a loss below
+    that of every start.
     """
 
     popsize: eqx.AbstractVar[int]
@@ -144,8 +147,9 @@ class AbstractPopulation(AbstractFitter):
     guided: ClassVar[bool] = False
 
     def informed(self, problem: AbstractProblem, state: Any, log: Log) -> Any:
-        """State with what a guided method wants to know of the problem before it asks, such as a Gauss-Newton step; its
-        evaluations are added to the log."""
+        """State with what a guided method wants to know of the problem before it asks, such as a
+        Gauss-Newton step; its evaluations are added to the log.
+        """
         return state
 
     @property
@@ -170,8 +174,9 @@ class AbstractPopulation(AbstractFitter):
         )
 
     def minimise_each(self, jobs, budget=None, progress=None):
-        """`minimise` of each (problem, starts, key), with the same results; searches on one problem evaluate their generations
-        together, which fills all cores."""
+        """`minimise` of each (problem, starts, key), with the same results; searches on one problem
+        evaluate their generations together, which fills all cores.
+        """
         searches = [
             self._minimising(p, starts, key, Log(p, self.name, budget, None, progress))
             for p, starts, key in jobs
@@ -219,8 +224,10 @@ class AbstractPopulation(AbstractFitter):
         course: Course | None = None,
         most: int | None = None,
     ) -> Searching[Ended]:
-        """One run of the method until a stopping rule holds. With a `course` it goes on from there; `most` generations, if that
-        is less than the method's own. Every evaluation is counted in the log. `answered` takes it to its end."""
+        """One run of the method until a stopping rule holds. With a `course` it goes on from there;
+        `most` generations, if that is less than the method's own. Every evaluation is counted in
+        the log. `answered` takes it to its end.
+        """
         now = (yield from self._begin(problem, starts, key, log)) if course is None else course
         wanted = self.generations if most is None else min(self.generations, most)
         generations = int(min(wanted, log.left // self.cost(problem)))
@@ -248,8 +255,9 @@ class AbstractPopulation(AbstractFitter):
     def _begin(
         self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log
     ) -> Searching[Course]:
-        """First population: the starts, and random points of the sampling box; without starts, of the bounds. With less budget
-        than that, the rest of it is not evaluated."""
+        """First population: the starts, and random points of the sampling box; without starts, of
+        the bounds. With less budget than that, the rest of it is not evaluated.
+        """
         low, high = sampling_box(problem, starts[0]) if starts else (problem.lower, problem.upper)
         guesses = np.clip(
             np.reshape(starts[: max(1, self.popsize // 4)], (-1, low.size)),
@@ -276,7 +284,9 @@ class AbstractPopulation(AbstractFitter):
         losses: np.ndarray,
         starts: int = 0,
     ) -> Course:
-        """A course that begins with this evaluated population, of which so many at the front are starts."""
+        """A course that begins with this evaluated population, of which so many at the front are
+        starts.
+        """
         with float64():
             program = problem.compiled(
                 (*self._settings, "init"), self.init, key, points, losses, own=False
@@ -300,7 +310,9 @@ class AbstractPopulation(AbstractFitter):
         count: int,
         log: Log,
     ) -> tuple[Course, float, int, int]:
-        """At most `count` generations as one program: (course, spread, generations done, how many to ask for next)."""
+        """At most `count` generations as one program: (course, spread, generations done, how many
+        to ask for next).
+        """
         with float64():
             args = (
                 course,
@@ -348,7 +360,9 @@ UNIMPROVED = "never improved on its start"
 
 
 def _ended(course: Course, contracted: bool, why: str) -> Ended:
-    """A search that ended by a rule of its own; it converged where the population contracted to what it found itself."""
+    """A search that ended by a rule of its own; it converged where the population contracted to
+    what it found itself.
+    """
     if not course.improved:
         return Ended(course, False, f"{UNIMPROVED} ({why})", True)
     return Ended(
@@ -415,7 +429,9 @@ def _selection(fitter: AbstractPopulation) -> Callable[..., tuple[Course, Array]
 def _advance(
     fitter: AbstractPopulation, losses: Callable[[Array, Any], Array]
 ) -> Callable[..., tuple]:
-    """`count` generations as one program, fewer if a stopping rule holds: (course, best loss of each, how many, spread)."""
+    """`count` generations as one program, fewer if a stopping rule holds: (course, best loss of
+    each, how many, spread).
+    """
     propose, select = _proposal(fitter), _selection(fitter)
 
     def advance(course: Course, key, first, count, lower, upper, data):
@@ -443,7 +459,9 @@ _GOLDEN = 0.6180339887498949
 
 
 def reflected(key: PRNGKeyArray, z: Array, lower: Array, upper: Array) -> Array:
-    """What lies outside the bounds goes to a random place inside; nan too. One random number a candidate."""
+    """What lies outside the bounds goes to a random place inside; nan too. One random number a
+    candidate.
+    """
     draw = jax.random.uniform(key, (z.shape[0], 1)) + _GOLDEN * jnp.arange(z.shape[1])
     inside = (z >= lower) & (z <= upper)
     return jnp.where(

@@ -20,7 +20,9 @@ from jaxid.simulation import sample_buffers as samples
 
 
 class Begun(NamedTuple):
-    """Starts of runs [runs 2 nq], and per run how much its first moments tell about the unknown part of its start (J'J)."""
+    """Starts of runs [runs 2 nq], and per run how much its first moments tell about the unknown
+    part of its start (J'J).
+    """
 
     starts: np.ndarray
     information: list[np.ndarray]
@@ -28,12 +30,12 @@ class Begun(NamedTuple):
 
 @dataclass
 class Bench:
-    """Runs of a binding made ready, one set per split and residual, with the same step. `differences`: where its problems take
-    their Jacobians from (see `Problem`).
+    """Runs of a binding made ready, one set per split and residual, with the same step.
+    `differences`: where its problems take their Jacobians from (see `Problem`).
 
-    `defects` (residual, split) -> what finer steps would add to the simulation, at the samples [samples columns]: taken off the
-    targets of its problems, so that a search on coarse steps ends where one on fine steps would. `together`: one program of all
-    effects runs every lane.
+    `defects` (residual, split) -> what finer steps would add to the simulation, at the samples
+    [samples columns]: taken off the targets of its problems, so that a search on coarse steps ends
+    where one on fine steps would. `together`: one program of all effects runs every lane.
     """
 
     binding: Binding
@@ -88,7 +90,9 @@ class Bench:
         return self._runs[key]
 
     def forget_long(self, kept: Residual) -> None:
-        """Lets go of the torques of long runs, which only start values were made of, where another residual is fitted."""
+        """Lets go of the torques of long runs, which only start values were made of, where another
+        residual is fitted.
+        """
         if not kept.torques:
             gone = [
                 key
@@ -98,7 +102,9 @@ class Bench:
             self._forgotten += sum(self._runs.pop(key).engine.compile_time_s for key in gone)
 
     def compile_ahead(self, residual: Residual, theta: np.ndarray, free: Sequence[int]) -> None:
-        """Begins to compile what a descent of one or two fits needs whose numbers equal theta but in `free`."""
+        """Begins to compile what a descent of one or two fits needs whose numbers equal theta but
+        in `free`.
+        """
         name = "outputs" if self.differences else "tangents"
         self.runs(residual, "fit").engine.compile_ahead(name, theta, free)
 
@@ -157,11 +163,15 @@ class Bench:
         self._targets.clear()
 
     def doubt(self, numbers: Mapping[str, float]) -> None:
-        """Sets by how much numbers are in doubt beside the noise: what another simulator of the same file makes of them."""
+        """Sets by how much numbers are in doubt beside the noise: what another simulator of the
+        same file makes of them.
+        """
         self.binding = replace(self.binding, doubts={**numbers, **self.binding.doubts})
 
     def begun(self, split: str, thetas: Sequence[np.ndarray]) -> list[Begun]:
-        """How the free runs of a split begin with each of several parameter vectors; what was estimated before is kept."""
+        """How the free runs of a split begin with each of several parameter vectors; what was
+        estimated before is kept.
+        """
         new = {
             theta.tobytes(): theta
             for theta in thetas
@@ -183,8 +193,9 @@ class Bench:
 
 
 def default_residual(binding: Binding) -> Residual:
-    """The free run: it says most about a simulator, and a drift that a wrong law causes is what it is asked to show. A
-    dataset of frequency responses alone is compared by them."""
+    """The free run: it says most about a simulator, and a drift that a wrong law causes is what it
+    is asked to show. A dataset of frequency responses alone is compared by them.
+    """
     return OutputError() if binding.dataset.experiments else FrequencyResponseError()
 
 
@@ -195,8 +206,10 @@ def start_values(
     runs: Sequence[int] | None = None,
     residual: Residual | None = None,
 ) -> list[np.ndarray]:
-    """Guesses of every number of the model, best first: what inverse dynamics finds (of some of the fit runs alone, where `runs`
-    are given), what was stated or is the default. Torques tell a `residual` of momentum nothing: none may have been recorded."""
+    """Guesses of every number of the model, best first: what inverse dynamics finds (of some of the
+    fit runs alone, where `runs` are given), what was stated or is the default. Torques tell a
+    `residual` of momentum nothing: none may have been recorded.
+    """
     b = bench.binding
     if isinstance(residual, Momentum):
         return [b.theta]
@@ -221,13 +234,16 @@ def start_values(
 
 
 def estimate_starts(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> np.ndarray:
-    """Starts of the free runs of a split that is not fitted, from their first moments only; [thetas runs 2 nq]."""
+    """Starts of the free runs of a split that is not fitted, from their first moments only; [thetas
+    runs 2 nq].
+    """
     return np.array([b.starts for b in bench.begun(split, thetas)])
 
 
 def _begun(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> list[Begun]:
-    """The start is fitted on the longest of some nested first stretches that the model follows to within twice the noise: with a
-    fine encoder a wrong friction law would else bend the start within a tenth of a second.
+    """The start is fitted on the longest of some nested first stretches that the model follows to
+    within twice the noise: with a fine encoder a wrong friction law would else bend the start
+    within a tenth of a second.
     """
     runs = bench.runs(OutputError(), split)
     jobs, groups = [], []

@@ -1,7 +1,9 @@
-"""Intervals that do not rest on a parabola: profile likelihood and bootstrap, each all at once in batches of lanes.
+"""Intervals that do not rest on a parabola: profile likelihood and bootstrap, each all at once in
+batches of lanes.
 
-The covariance of `jaxid.fitting.covariance` is the first answer; a profile shows where it misleads (a bound, a bent valley, a
-parameter that the data do not determine), a bootstrap where residuals are neither white nor Gaussian.
+The covariance of `jaxid.fitting.covariance` is the first answer; a profile shows where it misleads
+(a bound, a bent valley, a parameter that the data do not determine), a bootstrap where residuals
+are neither white nor Gaussian.
 """
 
 from __future__ import annotations
@@ -31,10 +33,12 @@ STEPS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 
 @dataclass(frozen=True)
 class Profile:
-    """Rise of -2 log likelihood over its minimum along one parameter, all others fitted anew at each of its values.
+    """Rise of -2 log likelihood over its minimum along one parameter, all others fitted anew at
+    each of its values.
 
-    An end of the interval is None where the rise stays below the threshold up to the last value looked at: the data do not
-    bound the parameter on that side (`at_bound` tells whether that value is its bound).
+    An end of the interval is None where the rise stays below the threshold up to the last value
+    looked at: the data do not bound the parameter on that side (`at_bound` tells whether that value
+    is its bound).
     """
 
     name: str
@@ -46,7 +50,9 @@ class Profile:
     unit: str = ""
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draws the profile with its threshold and the ends of the interval, on new axes or the given ones."""
+        """Draws the profile with its threshold and the ends of the interval, on new axes or the
+        given ones.
+        """
         from jaxid.report import figures
 
         return figures.profile(self, ax)
@@ -57,10 +63,11 @@ def profile_likelihood(
 ) -> dict[str, Profile]:
     """Profiles of parameters (by name; default all) around the minimum z of a sum of squares.
 
-    Steps are fractions of the parameter's own standard deviation, so a parameter known to a millionth gets as good a profile
-    as one known to a half. All parameters and both sides are one batch at every step, each starting where the last ended. The
-    noise is that of the problem, or what the residuals at the minimum show if that is more, with their correlation counted: a
-    model that misses the data gets wider intervals.
+    Steps are fractions of the parameter's own standard deviation, so a parameter known to a
+    millionth gets as good a profile as one known to a half. All parameters and both sides are one
+    batch at every step, each starting where the last ended. The noise is that of the problem, or
+    what the residuals at the minimum show if that is more, with their correlation counted: a model
+    that misses the data gets wider intervals.
     """
     from scipy.stats import chi2
 
@@ -69,7 +76,8 @@ def profile_likelihood(
     cov = covariance(problem, z)
     lower, upper = problem.lower, problem.upper
     fallback = 0.02 * (upper - lower)
-    # The quadratic rise of one standard deviation, so that stated and profiled widths mean the same noise.
+    # The quadratic rise of one standard deviation, so that stated and profiled widths mean the same
+    # noise.
     base = descend([(problem, z)], 3, 1e-12)[0]
     z, curvature = base.z, base.hessian
     assert curvature is not None
@@ -149,7 +157,9 @@ class Track:
         return not self.ended and self.rise[-1] <= 1.5 * threshold
 
     def job(self, step: float) -> tuple[Problem, np.ndarray]:
-        """The problem with the parameter held a step further out, and where the others went so far as its start."""
+        """The problem with the parameter held a step further out, and where the others went so far
+        as its start.
+        """
         p, k = self.problem, self.k
         bound = p.lower[k] if self.side < 0 else p.upper[k]
         value = self.values[0] + self.side * step * self.std
@@ -183,7 +193,9 @@ class Track:
         )
 
     def crossing(self, threshold: float) -> float | None:
-        """Where the rise passes the threshold: linear in its square root, which is a line for a parabola."""
+        """Where the rise passes the threshold: linear in its square root, which is a line for a
+        parabola.
+        """
         root, goal = np.sqrt(self.rise), np.sqrt(threshold)
         above = np.flatnonzero(root >= goal)
         if not above.size:
@@ -197,7 +209,9 @@ class Track:
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """Refits of resampled recordings: `samples` [replicas parameters] in the parameters' units, one column a name."""
+    """Refits of resampled recordings: `samples` [replicas parameters] in the parameters' units, one
+    column a name.
+    """
 
     names: tuple[str, ...]
     samples: np.ndarray
@@ -219,9 +233,10 @@ class Bootstrap:
 def bootstrap(problem: Problem, z: np.ndarray, replicas: int = 200, seed: int = 0) -> Bootstrap:
     """Bootstrap of the residuals at the minimum z of a sum of squares, all refits as one batch.
 
-    Coloured residuals are taken for stationary noise with a memory (`jaxid.fitting.noise_model`): its innovations are resampled
-    and run through it anew (the sieve of Bühlmann 1997), scaled up where a record holds few independent ones. White residuals are
-    resampled themselves. All columns of a sample stay together.
+    Coloured residuals are taken for stationary noise with a memory (`jaxid.fitting.noise_model`):
+    its innovations are resampled and run through it anew (the sieve of Bühlmann 1997), scaled up
+    where a record holds few independent ones. White residuals are resampled themselves. All columns
+    of a sample stay together.
     """
     parts = list(rows([(problem, z)]))
     cov = covariance(problem, z)

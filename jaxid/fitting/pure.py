@@ -31,8 +31,8 @@ def make_problem(
 ) -> Problem:
     """The problem that `jaxid.fit` would solve, as pure functions for any optimiser or sampler.
 
-    `split` says which runs it looks at, `solver` (a solver of diffrax, or `Diffrax`) simulates in place of jaxid's own
-    stepping. Raises `UsageError` for arguments that do not fit.
+    `split` says which runs it looks at, `solver` (a solver of diffrax, or `Diffrax`) simulates in
+    place of jaxid's own stepping. Raises `UsageError` for arguments that do not fit.
     """
 
     if loss not in LOSSES:

@@ -1,11 +1,12 @@
 """A fit while data arrive: `jaxid fit --window N`, `--forgetting L`.
 
-The runs to fit come in blocks (`in_blocks`). With a window each recursion fits the last N blocks anew. Without one it fits the
-new block alone, beside what the blocks before it say of the parameters, which is carried on as R and e of |R (theta - mean) +
-e|^2 and counts `forgetting` times less with every block (the square-root information filter: Bierman, Factorization Methods for
-Discrete Sequential Estimation, 1977). Either way a recursion costs the same, however long the recording. Of a model that is
-linear in its parameters that is recursive least squares, exactly; of another one earlier blocks are known by their slopes where
-they were fitted.
+The runs to fit come in blocks (`in_blocks`). With a window each recursion fits the last N blocks
+anew. Without one it fits the new block alone, beside what the blocks before it say of the
+parameters, which is carried on as R and e of |R (theta - mean) + e|^2 and counts `forgetting` times
+less with every block (the square-root information filter: Bierman, Factorization Methods for
+Discrete Sequential Estimation, 1977). Either way a recursion costs the same, however long the
+recording. Of a model that is linear in its parameters that is recursive least squares, exactly; of
+another one earlier blocks are known by their slopes where they were fitted.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ GENERATIONS = 5
 
 @dataclass(frozen=True)
 class Recursion:
-    """How a fit goes along its blocks: `window` blocks at a time, or all of them at `forgetting`; `block_s` seconds long."""
+    """How a fit goes along its blocks: `window` blocks at a time, or all of them at `forgetting`;
+    `block_s` seconds long.
+    """
 
     window: int | None = None
     forgetting: float = 1.0
@@ -65,8 +68,9 @@ class Recursion:
 
 @dataclass(frozen=True)
 class Step:
-    """One recursion: the last time of its block (s, of the run it is from), its loss, and the numbers with their standard
-    deviations (None where they are not determined)."""
+    """One recursion: the last time of its block (s, of the run it is from), its loss, and the
+    numbers with their standard deviations (None where they are not determined).
+    """
 
     block: str
     t: float
@@ -81,8 +85,10 @@ class Step:
 
 
 def in_blocks(dataset: Dataset, block_s: float | None = None) -> Dataset:
-    """The dataset with its fit runs cut in time into blocks of `block_s` seconds; without, into about `BLOCKS` where there are
-    fewer runs than that. Other splits stay. A block begins in motion, and what remembers begins anew in it."""
+    """The dataset with its fit runs cut in time into blocks of `block_s` seconds; without, into
+    about `BLOCKS` where there are fewer runs than that. Other splits stay. A block begins in
+    motion, and what remembers begins anew in it.
+    """
     dataset = dataset.with_splits()
     fit = dataset.split("fit")
     if not fit or (block_s is None and len(fit) >= BLOCKS):
@@ -104,8 +110,9 @@ def in_blocks(dataset: Dataset, block_s: float | None = None) -> Dataset:
 
 
 def absorbed(known: Known, problem: Problem, z: np.ndarray, forgetting: float = 1.0) -> Known:
-    """What the data of a problem, linearised at z, and what was known before say together, times `forgetting`. Unknown starts of
-    its runs are eliminated, not carried on."""
+    """What the data of a problem, linearised at z, and what was known before say together, times
+    `forgetting`. Unknown starts of its runs are eliminated, not carried on.
+    """
     n, size = problem.free.size, problem.size
     values = problem.theta(z)[problem.free]
     R: Any = np.zeros((0, size + 1))
@@ -138,8 +145,10 @@ def fit_recursively(
     progress: Progress | None,
     recursion: Recursion,
 ) -> Fit:
-    """The whole of `jaxid.fit` with a window or forgetting; `binding` is on a dataset in blocks. The result is the last
-    recursion's, with all of them under `recursion`. `budget` bounds the first recursion, which searches the whole space."""
+    """The whole of `jaxid.fit` with a window or forgetting; `binding` is on a dataset in blocks.
+    The result is the last recursion's, with all of them under `recursion`. `budget` bounds the
+    first recursion, which searches the whole space.
+    """
     began = time.perf_counter()
     residual = residual or default_residual(binding)
     if recursion.window is None and loss != "sum_of_squares":
@@ -229,7 +238,9 @@ def followed(
     key: Any,
     budget: int | None,
 ) -> Iterator[Minimum]:
-    """The best of each problem in turn: `sequential.follow` of a population, else a search from where the last one ended."""
+    """The best of each problem in turn: `sequential.follow` of a population, else a search from
+    where the last one ended.
+    """
     first = next(problems)
     starts = [first.z(g) for g in guesses]
 

@@ -16,7 +16,9 @@ from jaxid.numerics.precision import float64
 
 
 class Recursion(NamedTuple):
-    """State of the recursion: estimate, its matrix P, and how long the last link's parameters have stood still."""
+    """State of the recursion: estimate, its matrix P, and how long the last link's parameters have
+    stood still.
+    """
 
     theta: Float[Array, " p"]
     P: Float[Array, "p p"]
@@ -25,7 +27,9 @@ class Recursion(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """Convergence: no watched parameter moves by more than `change` a sample for more than `samples` of them."""
+    """Convergence: no watched parameter moves by more than `change` a sample for more than
+    `samples` of them.
+    """
 
     change: float = 0.005
     samples: int = 300
@@ -40,9 +44,11 @@ def ridge_rls(
     watched: Any = slice(None),
     change: float = Rule().change,
 ) -> Recursion:
-    """One sample (pure; jit and scan it). `noise_var` [n] (N m)^2; `forgetting` in (0, 1], 1 forgets nothing.
+    """One sample (pure; jit and scan it). `noise_var` [n] (N m)^2; `forgetting` in (0, 1], 1
+    forgets nothing.
 
-    With X + Y P Y' = L L' and V = P Y' L'^-1, K (tau - Y theta) = V L^-1 (tau - Y theta) and K Y P = V V', so P stays symmetric.
+    With X + Y P Y' = L L' and V = P Y' L'^-1, K (tau - Y theta) = V L^-1 (tau - Y theta) and K Y P
+    = V V', so P stays symmetric.
     """
     P = state.P / forgetting
     PY = P @ Y.T
@@ -54,7 +60,9 @@ def ridge_rls(
 
 
 def _whitened(S: Float[Array, "n n"], *rows: Sequence[Array]) -> list[list[Array]]:
-    """L^-1 times lists of n rows, with S = L L', written out: in one sample's time calls of LAPACK would be dear."""
+    """L^-1 times lists of n rows, with S = L L', written out: in one sample's time calls of LAPACK
+    would be dear.
+    """
     n, L = S.shape[0], {}
     for i in range(n):
         for j in range(i + 1):
@@ -94,8 +102,10 @@ def replay_stretches(
     watched: tuple[int, ...] = (),
     rule: Rule = Rule(),
 ) -> tuple[np.ndarray, np.ndarray, int | None]:
-    """The recursion over recorded rows, stretches of Y [time n p] and torque [time n] in their order: estimate [p], P [p p], and
-    the number of samples after which the rule was first met for the `watched` parameters (None: never, or none watched)."""
+    """The recursion over recorded rows, stretches of Y [time n p] and torque [time n] in their
+    order: estimate [p], P [p p], and the number of samples after which the rule was first met for
+    the `watched` parameters (None: never, or none watched).
+    """
     refuse_forgetting(forgetting)
     full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
     with float64():

@@ -1,4 +1,6 @@
-"""A robot's file run in MuJoCo on a recording: the round trip of `jaxid export`, and the comparison of two simulators."""
+"""A robot's file run in MuJoCo on a recording: the round trip of `jaxid export`, and the comparison
+of two simulators.
+"""
 
 from __future__ import annotations
 
@@ -24,15 +26,18 @@ from jaxid.serialise import SCHEMA
 from jaxid.simulation.mujoco_run import Driven, MujocoRobot
 
 
-#: Of the effects that say what a quantity is, those that no robot has by itself where its file does not say so.
+#: Of the effects that say what a quantity is, those that no robot has by itself where its file does
+#: not say so.
 LATE = ("input_delay", "actuator_lag", "quadratic_drag")
 
 
 @dataclass(frozen=True)
 class Replay:
-    """`rows`: for each run and joint the rms error in MuJoCo and in the other (`other`: "jaxid", or "against"), the rms between
-    both, and of a file that `jaxid export` patched the error of the original one in MuJoCo (`before`). `runs`: for each run `t`
-    and the joints' positions in MuJoCo and (`NAME_jaxid`, `NAME_against`) the other."""
+    """`rows`: for each run and joint the rms error in MuJoCo and in the other (`other`: "jaxid", or
+    "against"), the rms between both, and of a file that `jaxid export` patched the error of the
+    original one in MuJoCo (`before`). `runs`: for each run `t` and the joints' positions in MuJoCo
+    and (`NAME_jaxid`, `NAME_against`) the other.
+    """
 
     dataset: str
     robot: str
@@ -71,7 +76,9 @@ class Replay:
 
 @dataclass(frozen=True)
 class _Source:
-    """What a patched file was exported from: the result's numbers, the original file, the rows that are not exact."""
+    """What a patched file was exported from: the result's numbers, the original file, the rows that
+    are not exact.
+    """
 
     content: Mapping[str, Any]
     original: Path | None
@@ -146,8 +153,9 @@ def _source(robot: Path) -> _Source | None:
 def _by_jaxid(
     raw: Dataset, data: Dataset, robot: Path, tree: Tree, source: _Source | None, notes: list[str]
 ) -> tuple[Any, Any]:
-    """(positions by run, starts) of jaxid's free run; (None, None) where it has none, with a note that says why. `raw` is the
-    dataset as it came, `data` the same under the joints' names."""
+    """(positions by run, starts) of jaxid's free run; (None, None) where it has none, with a note
+    that says why. `raw` is the dataset as it came, `data` the same under the joints' names.
+    """
     from jaxid.models import Robot
 
     result = source.content.get("result", {}) if source is not None else {}
@@ -207,7 +215,9 @@ def _by_its_model(
 
 
 def _content(source: _Source, data: Dataset, joints: tuple[str, ...]) -> dict[str, Any]:
-    """The result's numbers for a model with all of its own laws: those that it did without are 0."""
+    """The result's numbers for a model with all of its own laws: those that it did without are
+    0.
+    """
     result, robot = source.content["result"], source.content.get("robot", {})
     kept = data.model.without if data.model is not None else ()
     effects = [
@@ -225,7 +235,9 @@ def _own_actuators(tree: Tree, joints: tuple[str, ...]) -> bool:
 
 
 def measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.ndarray:
-    """The stated start, else positions of the first sample and speeds of the first samples, 0 where the run begins at rest."""
+    """The stated start, else positions of the first sample and speeds of the first samples, 0 where
+    the run begins at rest.
+    """
     columns = [[c.name for c in data.outputs].index(j) for j in joints]
     y = e.y[:, columns]
     n = min(len(e.t), 5)
@@ -386,7 +398,9 @@ def _compared(
 
 
 def _verdict(rows: list[dict[str, Any]], source: _Source | None, other: str) -> list[str]:
-    """Joints at which the simulators differ by more than the other is off, and what could not be carried over there."""
+    """Joints at which the simulators differ by more than the other is off, and what could not be
+    carried over there.
+    """
     out = []
     for joint in dict.fromkeys(r["joint"] for r in rows):
         own = [r for r in rows if r["joint"] == joint and r["difference"] is not None]

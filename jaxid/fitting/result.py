@@ -1,4 +1,6 @@
-"""What a fit and a diagnosis return: plain data that prints, saves itself as JSON and draws its report."""
+"""What a fit and a diagnosis return: plain data that prints, saves itself as JSON and draws its
+report.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimate:
-    """One fitted parameter. `std` is None and `identifiable` False where the data do not determine it."""
+    """One fitted parameter. `std` is None and `identifiable` False where the data do not determine
+    it.
+    """
 
     value: float
     std: float | None
@@ -41,10 +45,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Covariance:
-    """Mean squares and products of what the fitted numbers `names` are off by, [n n], positive semidefinite.
+    """Mean squares and products of what the fitted numbers `names` are off by, [n n], positive
+    semidefinite.
 
-    One-sided where a number stands at its bound. As wide as the bounds where the data do not determine one, whose estimate then
-    has no standard deviation.
+    One-sided where a number stands at its bound. As wide as the bounds where the data do not
+    determine one, whose estimate then has no standard deviation.
     """
 
     names: tuple[str, ...]
@@ -74,7 +79,9 @@ class EffectEstimate:
 
 
 def with_origin(fit: Fit) -> dict[str, Any]:
-    """What a result's JSON needs beside the numbers to carry them back: the robot's file, and how the numbers depend."""
+    """What a result's JSON needs beside the numbers to carry them back: the robot's file, and how
+    the numbers depend.
+    """
     out: dict[str, Any] = {"robot": fit.robot} if fit.robot else {}
     return out if fit.covariance is None else out | {"covariance": fit.covariance.to_dict()}
 
@@ -114,7 +121,9 @@ class Trace:
     windows: bool = False  # simulated in short windows, each with its own start
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draws measured minus simulated over time, with the band of the noise, on new axes or the given ones."""
+        """Draws measured minus simulated over time, with the band of the noise, on new axes or the
+        given ones.
+        """
         from jaxid.report import figures
 
         return figures.trace(self, ax)
@@ -122,7 +131,9 @@ class Trace:
 
 @dataclass(frozen=True)
 class Fit(Exportable):
-    """The result of every fitter: parameters with uncertainty, scores on fit and validation data, and what it cost."""
+    """The result of every fitter: parameters with uncertainty, scores on fit and validation data,
+    and what it cost.
+    """
 
     model: str
     effects: tuple[EffectEstimate, ...]
@@ -152,7 +163,8 @@ class Fit(Exportable):
         default_factory=lambda: np.zeros(0)
     )  # every number of the model, in the order of its layout
     stalled: bool = False  # ended by a rule of the fitter's own, without having converged
-    # What the scores are of: free_run | windows | closed_loop | inverse_dynamics | frequency_response
+    # What the scores are of: free_run | windows | closed_loop | inverse_dynamics |
+    # frequency_response
     simulation: str = "free_run"
     free_run: dict[str, dict[str, Score]] = field(
         default_factory=dict
@@ -177,7 +189,9 @@ class Fit(Exportable):
 
     @property
     def state(self) -> str:
-        """`converged`, `stalled`, `failed`, or `budget`: a limit of evaluations, iterations or time ended it."""
+        """`converged`, `stalled`, `failed`, or `budget`: a limit of evaluations, iterations or time
+        ended it.
+        """
         return (
             "failed"
             if self.failed
@@ -189,7 +203,9 @@ class Fit(Exportable):
         )
 
     def to_frame(self) -> pandas.DataFrame:
-        """A row for each fitted number, those of added effects as `dead_zone.width@tau`. Raises `UsageError` without pandas."""
+        """A row for each fitted number, those of added effects as `dead_zone.width@tau`. Raises
+        `UsageError` without pandas.
+        """
         return frames.of_fit(self)
 
     def to_dict(self) -> dict[str, Any]:
@@ -241,7 +257,9 @@ class Fit(Exportable):
         return write_fit(self, Path(path))
 
     def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:
-        """Draws a channel (default: the first) as measured and as simulated, on data that were not fitted where there are any."""
+        """Draws a channel (default: the first) as measured and as simulated, on data that were not
+        fitted where there are any.
+        """
         from jaxid.report import figures
 
         return figures.fit(self, channel, ax)

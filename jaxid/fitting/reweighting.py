@@ -1,10 +1,12 @@
-"""Several channels of very different resolution: weighed by what the model leaves of each, not by its sensor's noise.
+"""Several channels of very different resolution: weighed by what the model leaves of each, not by
+its sensor's noise.
 
-An encoder's step is not the model's error. Where a model error far above all noises exists, the fine channel would pin every
-number and the coarse one say nothing. With a standard deviation of its own for each channel, never below its noise, the
-likelihood is greatest where sum of n_c log s_c is least, s_c the root mean square that the model leaves; least squares with the
-weights 1 / s_c of the last round, again and again, goes there (iteratively reweighted; Seber and Wild, Nonlinear Regression,
-1989, ch. 11).
+An encoder's step is not the model's error. Where a model error far above all noises exists, the
+fine channel would pin every number and the coarse one say nothing. With a standard deviation of its
+own for each channel, never below its noise, the likelihood is greatest where sum of n_c log s_c is
+least, s_c the root mean square that the model leaves; least squares with the weights 1 / s_c of the
+last round, again and again, goes there (iteratively reweighted; Seber and Wild, Nonlinear
+Regression, 1989, ch. 11).
 """
 
 from __future__ import annotations
@@ -21,16 +23,19 @@ from jaxid.problem.problem import Problem
 
 #: A descent to the end is begun with at least so many linearisations.
 LEAST = 4
-#: Channels whose errors, in their own noise, differ by less than this weigh alike; torques, of whose noise that of the motion is
-#: no part, where their errors are that small.
+#: Channels whose errors, in their own noise, differ by less than this weigh alike; torques, of
+#: whose noise that of the motion is no part, where their errors are that small.
 UNEVEN = 3.0
-#: Rounds at most; they end where no channel's weight moves by more than this share. The loss of a round is found to within ROUGH
-#: of it, which moves no weight by as much: only the last weights are worth a minimum.
+#: Rounds at most; they end where no channel's weight moves by more than this share. The loss of a
+#: round is found to within ROUGH of it, which moves no weight by as much: only the last weights are
+#: worth a minimum.
 ROUNDS, SETTLED, ROUGH = 6, 0.03, 1e-4
 
 
 class Reweighed(NamedTuple):
-    """A problem whose channels are weighed by what the model leaves, its minimum, and a sentence."""
+    """A problem whose channels are weighed by what the model leaves, its minimum, and a
+    sentence.
+    """
 
     problem: Problem
     found: Minimum
@@ -46,8 +51,10 @@ def reweighed(
     budget: int | None = None,
     progress: Progress | None = None,
 ) -> Reweighed | None:
-    """The fit with channels weighed by what it leaves of them; None where they weigh alike by their noise already, or where that
-    ends no better. `starts` are guesses beside the end of the first fit. Evaluations count in the budget."""
+    """The fit with channels weighed by what it leaves of them; None where they weigh alike by their
+    noise already, or where that ends no better. `starts` are guesses beside the end of the first
+    fit. Evaluations count in the budget.
+    """
     noise = problem.runs.noise
     if found.failed or noise.size < 2 or problem.loss_name != "sum_of_squares":
         return None
@@ -88,14 +95,18 @@ def reweighed(
 
 
 def weighed_by(problem: Problem, factors: np.ndarray) -> Problem:
-    """The same problem with every residual column [columns] multiplied by a factor; its loss counts samples by it."""
+    """The same problem with every residual column [columns] multiplied by a factor; its loss counts
+    samples by it.
+    """
     twin = problem.part(range(problem.pieces), [1.0] * problem.pieces)
     twin.weights = problem.runs.weights * factors
     return twin
 
 
 def _errors(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Root mean square of each channel's residual in its noise, at least 1, and its number of samples."""
+    """Root mean square of each channel's residual in its noise, at least 1, and its number of
+    samples.
+    """
     r = np.concatenate(problem.residuals(z))
     w = (
         np.concatenate([problem.weights[problem.runs.record(k).samples] for k in problem.records])

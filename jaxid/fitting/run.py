@@ -85,10 +85,12 @@ def fit_seeds(
     begin: np.ndarray | None = None,
     reweigh: bool = False,
 ) -> list[Fit]:
-    """A fit of each seed, the same as each alone. What does not depend on the seed is done once, and fitters take all seeds in
-    the same batches where they can; each fit states its share of the time. `benches` keeps runs from call to call.
-    `known` is told of a fit before it is refined. `begin`: numbers to begin with in place of guesses. `reweigh`: several
-    channels are weighed by what the model leaves of them where their noises differ much from that."""
+    """A fit of each seed, the same as each alone. What does not depend on the seed is done once,
+    and fitters take all seeds in the same batches where they can; each fit states its share of the
+    time. `benches` keeps runs from call to call. `known` is told of a fit before it is refined.
+    `begin`: numbers to begin with in place of guesses. `reweigh`: several channels are weighed by
+    what the model leaves of them where their noises differ much from that.
+    """
     began = time.perf_counter()
     residual = residual or default_residual(binding)
     simulated = not residual.torques and bool(binding.dataset.split("fit"))
@@ -113,7 +115,8 @@ def fit_seeds(
 
     while level:
         bench, finer = benches.of(step), {}
-        # Cores compile side by side: what descents run while start values are found, what is asked of their end while they run.
+        # Cores compile side by side: what descents run while start values are found, what is asked
+        # of their end while they run.
         engine = bench.runs(residual, "fit").engine if simulated else None
         if engine and fitter.linearises:
             engine.compile_ahead("tangents", binding.theta, binding.free)

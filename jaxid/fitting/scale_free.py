@@ -1,8 +1,9 @@
-"""Torque equations that hold no scale: drive and load are made of free numbers alone, so that all of them at zero fit perfectly.
+"""Torque equations that hold no scale: drive and load are made of free numbers alone, so that all
+of them at zero fit perfectly.
 
-With drive(u) = gain u and M qdd + friction both made of numbers that are sought, the residual is homogeneous of degree one in
-these (Euler): halved numbers halve it, whatever was recorded. A search then ends at zero, or at the lower
-bounds on its way there.
+With drive(u) = gain u and M qdd + friction both made of numbers that are sought, the residual is
+homogeneous of degree one in these (Euler): halved numbers halve it, whatever was recorded. A search
+then ends at zero, or at the lower bounds on its way there.
 """
 
 from __future__ import annotations
@@ -13,12 +14,15 @@ from jaxid.errors import UsageError
 from jaxid.problem.problem import Problem, rows
 
 
-#: Euler's relation holds to this share of the residual; of a recording that holds noise it does by no accident.
+#: Euler's relation holds to this share of the residual; of a recording that holds noise it does by
+#: no accident.
 EXACT = 1e-6
 
 
 def shrinking(problem: Problem, z: np.ndarray) -> tuple[str, ...]:
-    """The numbers that shrink the residual in proportion as they shrink together; none where a scale is held."""
+    """The numbers that shrink the residual in proportion as they shrink together; none where a
+    scale is held.
+    """
     r, J = _whole(problem, z)
     size = float(np.linalg.norm(r))
     if not np.isfinite(J).all() or not 0 < size < np.inf or not r.size > problem.size:

@@ -21,8 +21,9 @@ from jaxid.wording import listed, times
 def free_runs(
     bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray
 ) -> list[list[np.ndarray]]:
-    """Free runs of several parameter vectors: per theta and experiment the outputs at the samples [samples ny], with what the
-    bench takes off its targets."""
+    """Free runs of several parameter vectors: per theta and experiment the outputs at the samples
+    [samples ny], with what the bench takes off its targets.
+    """
     runs = bench.runs(OutputError(), split)
     n = len(runs.records)
     theta = np.repeat(np.array(thetas), n, 0)
@@ -35,7 +36,9 @@ def free_runs(
 
 
 def scored(e: Experiment, split: str) -> np.ndarray:
-    """Which samples of a run count in its score: those that estimated the start of a run that was not fitted do not."""
+    """Which samples of a run count in its score: those that estimated the start of a run that was
+    not fitted do not.
+    """
     from jaxid.problem.residual import head_samples
 
     keep = np.ones(len(e.t), bool)
@@ -69,13 +72,15 @@ def score(y: np.ndarray, error: np.ndarray, unit: str) -> Score:
     )
 
 
-#: On data that were not fitted a channel is lost where its error is more than its own standard deviation, so many times its
-#: noise, and so many times what it is on those that were.
+#: On data that were not fitted a channel is lost where its error is more than its own standard
+#: deviation, so many times its noise, and so many times what it is on those that were.
 LOST, ABOVE_NOISE, ABOVE_FIT = 1.0, 3.0, 3.0
 
 
 def lost(table: Mapping[str, Mapping[str, Score]], noise: Mapping[str, float]) -> tuple[str, ...]:
-    """A sentence where the numbers of a fit predict data that were not fitted worse than a constant would; `noise` by channel."""
+    """A sentence where the numbers of a fit predict data that were not fitted worse than a constant
+    would; `noise` by channel.
+    """
     fit: Mapping[str, Score] = table.get("fit", {})
     found: dict[str, tuple[float, str]] = {}
     for split in ("validation", "report"):
@@ -97,7 +102,8 @@ def lost(table: Mapping[str, Mapping[str, Score]], noise: Mapping[str, float]) -
 def response_scores(
     bench: Bench, residual: FrequencyResponseError, split: str, problem: Problem, z: np.ndarray
 ) -> dict[str, Score]:
-    """Distance of the modelled from the measured response over the lines of a split, |error| as a root mean square.
+    """Distance of the modelled from the measured response over the lines of a split, |error| as a
+    root mean square.
 
     Empty where the records of the split show no line: their inputs hold nothing in the band.
     """
@@ -128,8 +134,9 @@ def torque_scores(
     theta: np.ndarray,
     free: Sequence[int] | np.ndarray,
 ) -> dict[str, Score]:
-    """The same for inverse dynamics: filtered torque against what the model needs for the measured motion. Of momentum: what is
-    left of it, beside what the joints alone carry."""
+    """The same for inverse dynamics: filtered torque against what the model needs for the measured
+    motion. Of momentum: what is left of it, beside what the joints alone carry.
+    """
     problem = bench.problem(residual, split, free, theta)
     runs = problem.runs
     out = {}
@@ -151,8 +158,9 @@ def make_traces(
     predictions: dict[str, Sequence[np.ndarray]],
     windows: bool = False,
 ) -> list[Trace]:
-    """Traces of a split, one per experiment and channel; `predictions` label -> outputs per experiment, of `windows` or of
-    whole runs."""
+    """Traces of a split, one per experiment and channel; `predictions` label -> outputs per
+    experiment, of `windows` or of whole runs.
+    """
     out = []
     _, iy = samples.columns(binding.dataset, binding.chain)
     for k, e in enumerate(binding.experiments(split)):

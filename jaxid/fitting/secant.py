@@ -1,8 +1,9 @@
-"""Levenberg and Marquardt on secants: a few simulations a step, where slopes by all numbers are many.
+"""Levenberg and Marquardt on secants: a few simulations a step, where slopes by all numbers are
+many.
 
-Slopes that are known at the start, of the same numbers in another model, are corrected by what every trial shows (Broyden 1965,
-in the metric of the columns; Madsen, Nielsen and Tingleff 2004, section 3.5). What one block of lanes has room for beside the
-trials takes the oldest slopes anew.
+Slopes that are known at the start, of the same numbers in another model, are corrected by what
+every trial shows (Broyden 1965, in the metric of the columns; Madsen, Nielsen and Tingleff 2004,
+section 3.5). What one block of lanes has room for beside the trials takes the oldest slopes anew.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ NEVER = 10**6
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Residuals over the noise at z [samples], their slopes [samples size], and how many steps ago each of these was taken."""
+    """Residuals over the noise at z [samples], their slopes [samples size], and how many steps ago
+    each of these was taken.
+    """
 
     names: list[str]
     z: np.ndarray
@@ -50,8 +53,9 @@ class Slopes:
         )
 
     def of(self, p: Problem, z: np.ndarray, r: np.ndarray) -> Slopes:
-        """The same of a problem on the same records at z, where its residuals are r; those of numbers that are not here are to be
-        taken."""
+        """The same of a problem on the same records at z, where its residuals are r; those of
+        numbers that are not here are to be taken.
+        """
         own = {name: k for k, name in enumerate(self.names)}
         here = [k for k, name in enumerate(p.names) if name in own]
         there = [own[p.names[k]] for k in here]
@@ -60,7 +64,9 @@ class Slopes:
         return Slopes(p.names, z, r, J, age)
 
     def renewed(self, columns: Sequence[int], ahead: Sequence[np.ndarray], h: np.ndarray) -> Slopes:
-        """With the slopes of some numbers by the residuals of steps `h` [size] ahead; where one diverges they stay."""
+        """With the slopes of some numbers by the residuals of steps `h` [size] ahead; where one
+        diverges they stay.
+        """
         J, age = self.J.copy(), self.age.copy()
         age[list(columns)] = 0
         for c, r in zip(columns, ahead, strict=True):
@@ -96,7 +102,9 @@ def residuals(p: Problem, points: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def linear(p: Problem, z: np.ndarray, r: np.ndarray, J: np.ndarray) -> Linear:
-    """Sum of squares with gradient and curvature, of residuals with these slopes and of what is known without the data."""
+    """Sum of squares with gradient and curvature, of residuals with these slopes and of what is
+    known without the data.
+    """
     with np.errstate(all="ignore"):
         known, K = p.known_before(z)
         return Linear(
@@ -111,8 +119,9 @@ def descend_on_secants(
     iterations: int,
     tolerance: float,
 ) -> tuple[Path, Slopes, int]:
-    """A descent from the best of some z, its slopes at the end, and how many free runs were simulated. `known`: slopes of some of
-    the numbers on the same records."""
+    """A descent from the best of some z, its slopes at the end, and how many free runs were
+    simulated. `known`: slopes of some of the numbers on the same records.
+    """
     points = [problem_clip(p, z) for z in starts]
     if known is None:
         at = Slopes.taken(p, points[0])
@@ -171,7 +180,9 @@ def _new(path: Path, trial: np.ndarray, new: Linear) -> np.ndarray:
 def _renewed(
     p: Problem, at: Slopes, room: int, beside: Sequence[np.ndarray] = ()
 ) -> tuple[Slopes, list[np.ndarray]]:
-    """Slopes with the `room` oldest taken anew, and the residuals at other points, all in one batch."""
+    """Slopes with the `room` oldest taken anew, and the residuals at other points, all in one
+    batch.
+    """
     order = np.argsort(-at.age, kind="stable")[:room]
     columns = [int(c) for c in order if at.age[c] > 0]
     side = p.steps(at.z)

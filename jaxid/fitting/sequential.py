@@ -3,9 +3,10 @@
     for step in follow(RecursiveDE(), stretches(problem, window=3), start, key):
         print(step.z)
 
-Data come in pieces: the records of a problem (an experiment each, or a window each under `multiple_shooting`) in their order.
-The problem of step k holds the pieces up to k: all of them (growing), the last `window` (sliding), or all of them weighted by
-`forgetting` to the power of their age. Growing data cannot follow a change of the system; the other two can.
+Data come in pieces: the records of a problem (an experiment each, or a window each under
+`multiple_shooting`) in their order. The problem of step k holds the pieces up to k: all of them
+(growing), the last `window` (sliding), or all of them weighted by `forgetting` to the power of
+their age. Growing data cannot follow a change of the system; the other two can.
 """
 
 from __future__ import annotations
@@ -55,11 +56,11 @@ def follow(
     generations: int = 5,
     budget: int | None = None,
 ) -> Iterator[Minimum]:
-    """The best of each problem in turn: a whole search for the first, of at most `budget` evaluations, then `generations` from
-    the population at hand.
+    """The best of each problem in turn: a whole search for the first, of at most `budget`
+    evaluations, then `generations` from the population at hand.
 
-    The population is evaluated anew on each problem, which counts. Entries of z are carried over by name; one that is new
-    (the start of another run) begins at its guess.
+    The population is evaluated anew on each problem, which counts. Entries of z are carried over by
+    name; one that is new (the start of another run) begins at its guess.
     """
     course: Course | None = None
     names: list[str] = []
@@ -82,7 +83,9 @@ def follow(
 
 
 def carried(points: np.ndarray, names: Sequence[str], problem: AbstractProblem) -> np.ndarray:
-    """A population of one problem as one of another: entries of the same name, else the middle of the bounds."""
+    """A population of one problem as one of another: entries of the same name, else the middle of
+    the bounds.
+    """
     middle = (problem.lower + problem.upper) / 2
     columns = [
         points[:, names.index(n)] if n in names else np.full(len(points), m)

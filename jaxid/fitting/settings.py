@@ -1,4 +1,6 @@
-"""A fitter with its settings as a text, `de(popsize=20, F=0.5)`: the same on the command line, in a study file and in Python."""
+"""A fitter with its settings as a text, `de(popsize=20, F=0.5)`: the same on the command line, in a
+study file and in Python.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def _about(field: dataclasses.Field) -> Setting:
 
 
 def split_outside_brackets(text: str) -> tuple[str, ...]:
-    """The parts of a list written with commas, of which those in brackets or quotes belong to a part."""
+    """The parts of a list written with commas, of which those in brackets or quotes belong to a
+    part.
+    """
     parts, depth, quote = [""], 0, ""
     for character in text:
         if quote:
@@ -93,8 +97,9 @@ def parsed(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def configured(kind: type, values: dict[str, Any], text: str, named: Callable[[str], Any]) -> Any:
-    """The fitter of a class with its settings; `named` makes one of the text of another inside of it. Raises `UsageError` for a
-    value that does not fit."""
+    """The fitter of a class with its settings; `named` makes one of the text of another inside of
+    it. Raises `UsageError` for a value that does not fit.
+    """
     name, fields = kind.name, {f.name: f for f in dataclasses.fields(kind)}  # pyright: ignore[reportAttributeAccessIssue]
     for key in values:
         if key not in fields:

@@ -27,8 +27,9 @@ from jaxid.simulation.animation import Motion, motion
 def simulate_dataset(
     content: Mapping[str, Any] | None, dataset: Dataset, model: object, solver: Any = None
 ) -> Simulation:
-    """See `jaxid.simulate`; without content with the numbers of the model itself. A run without a stated start estimates it from
-    its first samples, which leave the rmse."""
+    """See `jaxid.simulate`; without content with the numbers of the model itself. A run without a
+    stated start estimates it from its first samples, which leave the rmse.
+    """
     content = own_numbers(resolve_model(model, dataset)) if content is None else content
     effects = content.get("effects", [])
     parameters = content.get("parameters", {})
@@ -108,7 +109,9 @@ def simulate_dataset(
 
 
 def own_numbers(chain: Chain) -> dict[str, Any]:
-    """The numbers that a chain holds, as the content of a fit.json; constants are left to the dataset."""
+    """The numbers that a chain holds, as the content of a fit.json; constants are left to the
+    dataset.
+    """
     layout = Layout(chain)
     numbers = zip(layout.entries, layout.values, strict=True)
     return {

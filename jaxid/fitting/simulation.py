@@ -13,7 +13,9 @@ from jaxid.serialise import model_digest, SCHEMA
 
 @dataclass(frozen=True)
 class Simulation:
-    """Free runs of a model on a dataset's inputs: per experiment `t` and the outputs, and the rmse per channel."""
+    """Free runs of a model on a dataset's inputs: per experiment `t` and the outputs, and the rmse
+    per channel.
+    """
 
     model: str
     runs: tuple[dict[str, np.ndarray], ...]

@@ -23,10 +23,12 @@ SHOWN = 0.01
 
 @dataclass(frozen=True)
 class Stated:
-    """One number as it is stated and as it was fitted, or what two of them come to where the data tell only that.
+    """One number as it is stated and as it was fitted, or what two of them come to where the data
+    tell only that.
 
-    `deviation` is in standard deviations, None where the data do not refute the number by itself and do not determine it;
-    `beside` what it is with the other stated numbers as they are, where it is refuted.
+    `deviation` is in standard deviations, None where the data do not refute the number by itself
+    and do not determine it; `beside` what it is with the other stated numbers as they are, where it
+    is refuted.
     """
 
     joint: str
@@ -51,7 +53,9 @@ class Stated:
 def stated_numbers(
     binding: Binding, found: Mapping[int, Estimate], covariance: Covariance | None = None
 ) -> tuple[Stated, ...]:
-    """The fitted numbers (by position in the layout) for which the dataset states a value, those that are furthest off first."""
+    """The fitted numbers (by position in the layout) for which the dataset states a value, those
+    that are furthest off first.
+    """
     spec, out = binding.dataset.model, {}
     for name, prior in spec.parameters.items() if spec is not None else ():
         i = binding.layout.index(name)
@@ -78,11 +82,13 @@ def judged(
     covariance: Covariance | None,
     plain: bool = False,
 ) -> tuple[Stated, ...]:
-    """The rows (by position in the layout), judged all together: only what the smallest change takes is refuted.
+    """The rows (by position in the layout), judged all together: only what the smallest change
+    takes is refuted.
 
-    Where another number might be changed in place of one, what the two come to is judged, in a row of its own. `names` are those
-    of the layout, `covariance` that of the fitted numbers; without one they count as independent. With `plain` a number is called
-    by its name alone, else by its joint or link, too.
+    Where another number might be changed in place of one, what the two come to is judged, in a row
+    of its own. `names` are those of the layout, `covariance` that of the fitted numbers; without
+    one they count as independent. With `plain` a number is called by its name alone, else by its
+    joint or link, too.
     """
     at, known = _known(names, found, covariance)
     stated = np.full(len(at), np.nan)
@@ -144,7 +150,9 @@ def _known(
 def _refuted(
     row: Stated, called: str, estimate: Estimate, change: Change, k: int, plain: bool
 ) -> Stated:
-    """A row of a number that is wrong by itself; what it is with the others as stated, where that is not what was fitted."""
+    """A row of a number that is wrong by itself; what it is with the others as stated, where that
+    is not what was fitted.
+    """
     value, std, deviation = float(change.value[k]), float(change.std[k]), change.deviation[k]
     own = "" if estimate.unit in ("", "1") else f" {estimate.unit}"
     off = f"{number(abs(deviation), 2)} standard deviations"
@@ -191,7 +199,9 @@ def _together(
     stated: np.ndarray,
     change: Change,
 ) -> Stated:
-    """What two numbers come to, of which either may be wrong: of ratio, product, sum and difference what the data tell best."""
+    """What two numbers come to, of which either may be wrong: of ratio, product, sum and difference
+    what the data tell best.
+    """
     k, m = at
     row = rows[0]
     told = map(int, np.flatnonzero(np.isfinite(stated)))
@@ -218,7 +228,9 @@ def _together(
 
 
 def _forms(value: np.ndarray, stated: np.ndarray, alike: bool) -> list[_Form]:
-    """Ways in which two numbers (values [2], as stated [2]) may go together; sums only of what has the same unit."""
+    """Ways in which two numbers (values [2], as stated [2]) may go together; sums only of what has
+    the same unit.
+    """
     (a, b), (c, d) = map(float, value), map(float, stated)
     out = []
     if b and d:

@@ -1,4 +1,6 @@
-"""A patched robot's file tried in MuJoCo on the recording that a result is of, before it is written."""
+"""A patched robot's file tried in MuJoCo on the recording that a result is of, before it is
+written.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,9 @@ LONGEST = 120.0
 
 
 class OnRecording:
-    """Called with the files of a patch: how far the patched robot's free run in MuJoCo is from a recording, rms by joint in its
-    unit; None where there is no such run."""
+    """Called with the files of a patch: how far the patched robot's free run in MuJoCo is from a
+    recording, rms by joint in its unit; None where there is no such run.
+    """
 
     def __init__(self, dataset: Dataset):
         self.dataset = shortened(dataset)
@@ -75,8 +78,9 @@ def shortened(dataset: Dataset) -> Dataset:
 def recording_of(
     content: Mapping[str, Any], beside: Path | None, stated: str | Path | None = None
 ) -> OnRecording | None:
-    """The recording that a result is of: in the `stated` folder, else that of the same content in the folder of the robot's file
-    or near the result's. None where there is none, or where the result is of one that was mended before it was used.
+    """The recording that a result is of: in the `stated` folder, else that of the same content in
+    the folder of the robot's file or near the result's. None where there is none, or where the
+    result is of one that was mended before it was used.
 
     Raises `DatasetError` for a stated folder that holds no dataset.
     """

@@ -14,8 +14,9 @@ def channel_map(
 ) -> dict[str, dict]:
     """`[channels]` of a dataset: as recorded, or as a model needs them.
 
-    With a model, torques are currents times a stated gain (N m/A), which stays visible as `scale`; `joint` picks one joint of
-    several for a model with one. Raises `UsageError` where the model cannot be served.
+    With a model, torques are currents times a stated gain (N m/A), which stays visible as `scale`;
+    `joint` picks one joint of several for a model with one. Raises `UsageError` where the model
+    cannot be served.
     """
     columns = [c for c in columns if c.role != "clock"]
     have = {c.name: c for c in columns}
@@ -38,7 +39,8 @@ def channel_map(
             chosen[name] = entry
             used.add(column)
         else:
-            # What the model does not need stays auxiliary; a column that is needed under another name is not listed twice.
+            # What the model does not need stays auxiliary; a column that is needed under another
+            # name is not listed twice.
             rest = {
                 c.name: _channel(c) | {"role": "auxiliary"}
                 for c in columns
@@ -57,7 +59,9 @@ def _channel(c: Column) -> dict[str, Any]:
 def _serve(
     name: str, unit: str, role: str, have: Mapping[str, Column], joint: int | None, gain
 ) -> tuple[Any, str | None]:
-    """The channel entry for one name of a model's signature and its column; or a sentence and None."""
+    """The channel entry for one name of a model's signature and its column; or a sentence and
+    None.
+    """
     stem, number = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
     # `q_cmd` of a model is q3_cmd of joint 3.
     base, _, tail = stem.partition("_")

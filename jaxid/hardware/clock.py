@@ -1,9 +1,9 @@
 """Several devices, one clock: how one device's time runs against another's, with uncertainty.
 
-Two cases. Devices on the same computer: each sample arrives at the host a little late, never early, so the earliest arrivals
-show the true relation (lower envelope: Moon, Skelly, Towsley, "Estimation and removal of clock skew from network delay
-measurements", INFOCOM 1999). A file from elsewhere: only the signals themselves tell, so one is shifted and stretched until it
-follows the other.
+Two cases. Devices on the same computer: each sample arrives at the host a little late, never early,
+so the earliest arrivals show the true relation (lower envelope: Moon, Skelly, Towsley, "Estimation
+and removal of clock skew from network delay measurements", INFOCOM 1999). A file from elsewhere:
+only the signals themselves tell, so one is shifted and stretched until it follows the other.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class ClockMap:
-    """`main = offset + (1 + drift) * other`: s, and s per s; each with one standard deviation. `text` says how it was found."""
+    """`main = offset + (1 + drift) * other`: s, and s per s; each with one standard deviation.
+    `text` says how it was found.
+    """
 
     offset: float
     drift: float
@@ -54,8 +56,9 @@ class ClockMap:
 def from_arrivals(device: np.ndarray, host: np.ndarray, blocks: int = 16) -> ClockMap:
     """The host's time as a function of the device's, from arrival times.
 
-    A line through the earliest arrivals of each of `blocks` stretches of time, the standard deviations from their scatter.
-    The shortest delay of the line itself adds to the offset and cannot be seen. Raises `ValueError` for fewer than 4 samples.
+    A line through the earliest arrivals of each of `blocks` stretches of time, the standard
+    deviations from their scatter. The shortest delay of the line itself adds to the offset and
+    cannot be seen. Raises `ValueError` for fewer than 4 samples.
     """
     device, host = np.asarray(device, float), np.asarray(host, float)
     if len(device) < 4 or np.ptp(device) <= 0:
@@ -73,7 +76,8 @@ def from_arrivals(device: np.ndarray, host: np.ndarray, blocks: int = 16) -> Clo
     scatter = y[first] - level - slope * x[first]
     sigma = float(np.sqrt(np.sum(scatter**2) / max(len(first) - 2, 1)))
     spread = float(np.sqrt(np.sum((x[first] - x[first].mean()) ** 2)))
-    # A mean line passes above the earliest arrivals by their scatter; the envelope touches the lowest of them.
+    # A mean line passes above the earliest arrivals by their scatter; the envelope touches the
+    # lowest of them.
     level += float(np.min(y - level - slope * x))
     drift_std = sigma / spread
     offset_std = float(np.hypot(sigma / np.sqrt(len(first)), drift_std * abs(center)))
@@ -96,9 +100,10 @@ def from_signals(
 ) -> ClockMap:
     """The main clock as a function of another's, from one motion that both recorded.
 
-    `derivative` times the main signal `x` is differentiated before it is compared (2: an angle against an accelerometer).
-    Gain and bias between the signals are free. `search_s` bounds the offset that is looked for (default: all that overlaps by
-    half). Raises `ValueError` where the signals do not resemble each other (correlation below 0.5).
+    `derivative` times the main signal `x` is differentiated before it is compared (2: an angle
+    against an accelerometer). Gain and bias between the signals are free. `search_s` bounds the
+    offset that is looked for (default: all that overlaps by half). Raises `ValueError` where the
+    signals do not resemble each other (correlation below 0.5).
     """
     from scipy.interpolate import CubicSpline
     from scipy.optimize import least_squares
@@ -144,7 +149,8 @@ def from_signals(
         raise ValueError(
             f"the signals do not resemble each other (correlation {np.sqrt(max(likeness, 0)):.2f})"
         )
-    # Neighbouring residuals are alike; the count of independent ones follows from their correlation.
+    # Neighbouring residuals are alike; the count of independent ones follows from their
+    # correlation.
     r = fit.fun - fit.fun.mean()
     alike = float(np.clip(np.sum(r[1:] * r[:-1]) / max(np.sum(r**2), 1e-300), 0.0, 0.99))
     variance = float(np.mean(r**2)) * (1 + alike) / (1 - alike)
@@ -161,7 +167,9 @@ def from_signals(
 
 
 def _smooth(t: np.ndarray, x: np.ndarray, step: float, derivative: int) -> np.ndarray:
-    """`x` or a derivative of it below a quarter of the common Nyquist frequency, so that both signals carry the same band."""
+    """`x` or a derivative of it below a quarter of the common Nyquist frequency, so that both
+    signals carry the same band.
+    """
     from jaxid.data.signals import differentiate, zero_phase
 
     cutoff = min(0.125 / step, 0.2 / float(np.median(np.diff(t))))
@@ -174,12 +182,13 @@ def _smooth(t: np.ndarray, x: np.ndarray, step: float, derivative: int) -> np.nd
 def within_tick(
     tick: np.ndarray, resolution: float, sent: np.ndarray, received: np.ndarray
 ) -> tuple[np.ndarray, ClockMap, float, ClockMap]:
-    """Device times finer than the device counts, the host's clock against it, the times' standard deviation, and the host time
-    at which something is sent so that it arrives at a device time.
+    """Device times finer than the device counts, the host's clock against it, the times' standard
+    deviation, and the host time at which something is sent so that it arrives at a device time.
 
-    A sample was taken while its counter read `tick` (s, steps of `resolution`), a little after the question was `sent` and before
-    the answer was `received` (host s). How long after is the same every time but for jitter, so a line through either host time
-    tells the device's time between two counts; the one that jitters less is taken. No time leaves its tick.
+    A sample was taken while its counter read `tick` (s, steps of `resolution`), a little after the
+    question was `sent` and before the answer was `received` (host s). How long after is the same
+    every time but for jitter, so a line through either host time tells the device's time between
+    two counts; the one that jitters less is taken. No time leaves its tick.
     """
     center = float(tick.mean())
     best, asked = None, None
@@ -201,7 +210,8 @@ def within_tick(
             best = (high - low, float(slope), float(level), host, rest, word, int(keep.sum()))
     assert best is not None and asked is not None
     width, slope, level, host, rest, word, count = best
-    # Rounding down to a tick alone spreads the rest evenly over one resolution; what exceeds it is jitter.
+    # Rounding down to a tick alone spreads the rest evenly over one resolution; what exceeds it is
+    # jitter.
     spread = width / 0.8 / np.sqrt(12)
     floor = resolution / np.sqrt(12)
     blur = float(np.clip(np.sqrt(max(spread**2 - floor**2, 0.0)), 0.05 * resolution, floor))

@@ -14,7 +14,9 @@ from jaxid.hardware.trajectory import Trajectory
 
 
 class Sample(NamedTuple):
-    """One row: host time (s, monotonic), device time (s), one number for each column of the stream."""
+    """One row: host time (s, monotonic), device time (s), one number for each column of the
+    stream.
+    """
 
     host: float
     device: float
@@ -32,8 +34,9 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A path as it will be sent: `table [rows joints]` every `step` s, clamped to `lower`, `upper` and `largest_step` from
-    `start` on. `marks` (row, name) become events."""
+    """A path as it will be sent: `table [rows joints]` every `step` s, clamped to `lower`, `upper`
+    and `largest_step` from `start` on. `marks` (row, name) become events.
+    """
 
     kind: str
     table: np.ndarray
@@ -63,7 +66,9 @@ class Plan:
 
 @dataclass
 class News:
-    """What came from a device since the last look: samples, commands with their own times, and the driver's messages."""
+    """What came from a device since the last look: samples, commands with their own times, and the
+    driver's messages.
+    """
 
     samples: list[Sample] = field(default_factory=list)
     commands: list[Sample] = field(default_factory=list)
@@ -71,8 +76,9 @@ class News:
 
 
 class Device(Protocol):
-    """A robot or servo that can be recorded, and moved. Every method may raise `HardwareError` or, before anything moves,
-    `UsageError`."""
+    """A robot or servo that can be recorded, and moved. Every method may raise `HardwareError` or,
+    before anything moves, `UsageError`.
+    """
 
     name: str
     joints: int
@@ -84,7 +90,9 @@ class Device(Protocol):
         ...
 
     def streams(self) -> list[Stream]:
-        """Its samples, and its commands where they are recorded by themselves (clock `COMMANDS`)."""
+        """Its samples, and its commands where they are recorded by themselves (clock
+        `COMMANDS`).
+        """
         ...
 
     def limits(self) -> Limits:
@@ -112,11 +120,15 @@ class Device(Protocol):
         ...
 
     def load(self, plan: Plan) -> None:
-        """Hands the path over to the driver while samples go on; messages `want` and, in the end, `loaded` follow."""
+        """Hands the path over to the driver while samples go on; messages `want` and, in the end,
+        `loaded` follow.
+        """
         ...
 
     def arm(self, plan: Plan, data_age: float) -> None:
-        """Takes control, with watchdogs that stop after `data_age` s of silence; the message `armed` follows."""
+        """Takes control, with watchdogs that stop after `data_age` s of silence; the message
+        `armed` follows.
+        """
         ...
 
     def play(self, plan: Plan) -> None:
@@ -144,7 +156,9 @@ def still(kind: str, center: np.ndarray) -> np.ndarray:
 
 
 def approach(start: np.ndarray, end: np.ndarray, limits: Limits, step: float) -> np.ndarray:
-    """A straight way in joint space `[rows joints]` at rest at both ends, at no more than a third of the limits."""
+    """A straight way in joint space `[rows joints]` at rest at both ends, at no more than a third
+    of the limits.
+    """
     distance = np.abs(end - start)
     if distance.max() < 1e-6:
         return np.zeros((0, len(start)))

@@ -1,4 +1,6 @@
-"""From the rows of a recording to a dataset folder: clocks, gaps, channels. Nothing is smoothed over, and nothing is lost."""
+"""From the rows of a recording to a dataset folder: clocks, gaps, channels. Nothing is smoothed
+over, and nothing is lost.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +33,11 @@ from jaxid.hardware.sensor import SensorSpec
 
 @dataclass(frozen=True)
 class Recording:
-    """What was recorded: `complete` is False where it ended before its time, `end_reason` says why. `lost` and `duplicated`
-    count samples of the main device; `gaps` (t0, t1, samples missing); `notes` are sentences for a person. Of a dry run
-    nothing is there but its length and what it found, in `end_reason`."""
+    """What was recorded: `complete` is False where it ended before its time, `end_reason` says why.
+    `lost` and `duplicated` count samples of the main device; `gaps` (t0, t1, samples missing);
+    `notes` are sentences for a person. Of a dry run nothing is there but its length and what it
+    found, in `end_reason`.
+    """
 
     folder: Path
     file: str
@@ -70,10 +74,11 @@ class Recording:
 
 
 def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Recording:
-    """Makes a run of the dataset beside it from a recording folder `run_N.recording`, then removes it.
+    """Makes a run of the dataset beside it from a recording folder `run_N.recording`, then removes
+    it.
 
-    `end_reason` None is for a recording whose process died: what is known of its end is taken from its events. Raises
-    `UsageError` where there is nothing to finish.
+    `end_reason` None is for a recording whose process died: what is known of its end is taken from
+    its events. Raises `UsageError` where there is nothing to finish.
     """
     folder = Path(folder)
     try:
@@ -193,7 +198,9 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
 
 @dataclass(frozen=True)
 class _Timed:
-    """The main stream's own time: `keep` which rows, `t` from 0, `zero` device time of t = 0, `host` the host against it."""
+    """The main stream's own time: `keep` which rows, `t` from 0, `zero` device time of t = 0,
+    `host` the host against it.
+    """
 
     keep: np.ndarray
     t: np.ndarray
@@ -244,7 +251,8 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
             f"the device sends {1 / median:.1f} samples a second where {1 / period:.1f} were asked for"
         )
         period = median
-    # A device that sends by itself has lost what is not there; one that is asked may have been asked late.
+    # A device that sends by itself has lost what is not there; one that is asked may have been
+    # asked late.
     polled = bool(stream.info.get("tick_s"))
     missing = (
         np.maximum(np.round(step / period).astype(int) - 1, 0)
@@ -279,7 +287,9 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
 
 
 def _blurred(column: Column, table: Mapping[str, np.ndarray], timed: _Timed) -> Column:
-    """An angle's noise: of its resolution and of what it turns while its time is in doubt, or what the samples show if more."""
+    """An angle's noise: of its resolution and of what it turns while its time is in doubt, or what
+    the samples show if more.
+    """
     from jaxid.data.noise import sensor_noise
 
     rate = table.get("qd" + column.name[1:]) if column.name.rstrip("0123456789") == "q" else None
@@ -299,10 +309,11 @@ def _rising(t: np.ndarray) -> np.ndarray:
 def _told(
     table: dict[str, np.ndarray], stream: Stream, rows: Rows, timed: _Timed
 ) -> dict[str, np.ndarray]:
-    """The commands at their own times; the table's become the mean of what was told from each row to the next.
+    """The commands at their own times; the table's become the mean of what was told from each row
+    to the next.
 
-    A held mean drives a mechanism like the commands it is the mean of, wherever between two rows they came, also where answers
-    were lost.
+    A held mean drives a mechanism like the commands it is the mean of, wherever between two rows
+    they came, also where answers were lost.
     """
     at = timed.asked.inverse(rows.host) - timed.zero
     if (
@@ -327,7 +338,9 @@ def _told(
 def _onto(
     table: dict[str, np.ndarray], stream: Stream, rows: dict[str, np.ndarray], notes: list[str]
 ) -> np.ndarray:
-    """Adds a sensor's channels at the main times by linear interpolation; returns where it has data."""
+    """Adds a sensor's channels at the main times by linear interpolation; returns where it has
+    data.
+    """
     t, at = table["t"], rows["t"]
     order = np.flatnonzero(_rising(at))
     at = at[order]
@@ -403,7 +416,9 @@ def _sha256(path: Path) -> str:
 
 
 def _write(out: Path, number: str, table, extra, columns, entry, about, report) -> None:
-    """Each file appears whole or not at all; `dataset.toml` comes last, so that it never names a file that is not there."""
+    """Each file appears whole or not at all; `dataset.toml` comes last, so that it never names a
+    file that is not there.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
     import tomlkit
@@ -450,7 +465,8 @@ def _write(out: Path, number: str, table, extra, columns, entry, about, report) 
         about.get("model"), columns, about.get("joint"), about.get("gain")
     )
     for name, channel in content["channels"].items():
-        # An output that never moves would make the whole dataset unreadable, and a robot is rarely moved in all joints.
+        # An output that never moves would make the whole dataset unreadable, and a robot is rarely
+        # moved in all joints.
         if about.get("model") is None and channel["role"] == "output" and np.ptp(table[name]) == 0:
             channel["role"] = "auxiliary"
     content["experiments"] = [entry]

@@ -1,7 +1,8 @@
-"""What a device may be told and may do: checked for a whole path before any motion, clamped at every command, compared with
-every measurement.
+"""What a device may be told and may do: checked for a whole path before any motion, clamped at
+every command, compared with every measurement.
 
-This is not a safety function: it protects against mistakes in a trajectory, not people. Keep the emergency stop in reach.
+This is not a safety function: it protects against mistakes in a trajectory, not people. Keep the
+emergency stop in reach.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ class Refused(ValueError):
 
 
 class Clamp:
-    """The last gate before the wire: every command leaves it finite, inside its bounds and one small step from the last one.
+    """The last gate before the wire: every command leaves it finite, inside its bounds and one
+    small step from the last one.
 
-    `lower`, `upper`, `step` hold one number a joint, in the unit of the command. The first command may be one step away
-    from `start`. `count` says how often a command had to be changed.
+    `lower`, `upper`, `step` hold one number a joint, in the unit of the command. The first command
+    may be one step away from `start`. `count` says how often a command had to be changed.
     """
 
     def __init__(

@@ -1,7 +1,9 @@
-"""Between the process that records and the process that moves a device: messages, a heartbeat, and what ends a motion.
+"""Between the process that records and the process that moves a device: messages, a heartbeat, and
+what ends a motion.
 
-The client libraries of devices may abort, crash or hang their process (a malformed packet ends one that uses ur_rtde), so each
-lives in a process of its own. The tie is a heartbeat: a driver whose supervisor is silent, stopped or dead stops its device.
+The client libraries of devices may abort, crash or hang their process (a malformed packet ends one
+that uses ur_rtde), so each lives in a process of its own. The tie is a heartbeat: a driver whose
+supervisor is silent, stopped or dead stops its device.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from jaxid.hardware.errors import HardwareError
 HEARTBEAT_S = 0.1
 #: How long a driver that has let go of its device waits for its last words to be taken (s).
 FAREWELL_S = 1.0
-#: Bytes that an end keeps for one that does not read: minutes of samples, for a line is not what ends a motion, silence is.
+#: Bytes that an end keeps for one that does not read: minutes of samples, for a line is not what
+#: ends a motion, silence is.
 UNREAD = 64 << 20
 
 
@@ -33,7 +36,9 @@ class Closed(EOFError):
 
 
 class Link:
-    """One end of a line of JSON messages, `{"kind": …}` each. Neither sending nor reading waits for the other end."""
+    """One end of a line of JSON messages, `{"kind": …}` each. Neither sending nor reading waits for
+    the other end.
+    """
 
     def __init__(self, line: socket.socket):
         self.line = line
@@ -46,14 +51,18 @@ class Link:
         return self.line.fileno()
 
     def send(self, kind: str, **content: Any) -> None:
-        """What the line does not take now goes with a later call. Raises `Closed` where the other end is gone."""
+        """What the line does not take now goes with a later call. Raises `Closed` where the other
+        end is gone.
+        """
         self._unsent += json.dumps({"kind": kind, **content}).encode() + b"\n"
         self._flush()
         if len(self._unsent) > UNREAD:
             raise Closed(f"the other end has left {len(self._unsent) >> 20} MiB unread")
 
     def finish(self, timeout: float) -> None:
-        """Waits at most `timeout` s until everything is sent; raises `Closed` where the other end is gone."""
+        """Waits at most `timeout` s until everything is sent; raises `Closed` where the other end
+        is gone.
+        """
         until = time.monotonic() + timeout
         while self._unsent and (left := until - time.monotonic()) > 0:
             select.select([], [self.line], [], left)
@@ -71,7 +80,9 @@ class Link:
             raise Closed(error.strerror or str(error)) from None
 
     def messages(self, timeout: float = 0.0) -> list[dict[str, Any]]:
-        """All that arrived, after waiting at most `timeout` s for a first one; raises `Closed` once all was read."""
+        """All that arrived, after waiting at most `timeout` s for a first one; raises `Closed` once
+        all was read.
+        """
         until = time.monotonic() + timeout
         ready = bool(self._waiting)
         while not ready:
@@ -125,7 +136,9 @@ def busy(seconds: float) -> str:
 
 
 class Leash:
-    """In the driver: waits, and raises `Stop` as soon as the supervisor says so, is silent or is gone."""
+    """In the driver: waits, and raises `Stop` as soon as the supervisor says so, is silent or is
+    gone.
+    """
 
     def __init__(self, link: Link, longest_s: float = HEARTBEAT_S):
         self.link, self.longest_s = link, longest_s
@@ -137,7 +150,9 @@ class Leash:
         self.tight, self._heard = tight, time.monotonic()
 
     def wait(self, until: float) -> None:
-        """Returns at `until` (monotonic s), never later than needed to notice; looks at the line at least once."""
+        """Returns at `until` (monotonic s), never later than needed to notice; looks at the line at
+        least once.
+        """
         while True:
             began = time.monotonic()
             deadline = min(until, self._heard + self.longest_s) if self.tight else until
@@ -175,9 +190,11 @@ class Leash:
 
 
 class Driver:
-    """In the recording process: a driver module in a process of its own, told what to do through a `Link`.
+    """In the recording process: a driver module in a process of its own, told what to do through a
+    `Link`.
 
-    `module` is run with the number of its end of the line. Its output goes to a file whose end is quoted when it dies.
+    `module` is run with the number of its end of the line. Its output goes to a file whose end is
+    quoted when it dies.
     """
 
     def __init__(self, module: str, name: str):
@@ -185,7 +202,8 @@ class Driver:
         here, there = socket.socketpair()
         self._output = tempfile.TemporaryFile()
         code = f"from {module} import main; main({there.fileno()})"
-        # A session of its own: a Ctrl-C in the terminal reaches the recording process only, which then ends the motion.
+        # A session of its own: a Ctrl-C in the terminal reaches the recording process only, which
+        # then ends the motion.
         self.process = subprocess.Popen(
             [sys.executable, "-c", code],
             pass_fds=(there.fileno(),),
@@ -202,7 +220,9 @@ class Driver:
         return self.link.fileno()
 
     def send(self, kind: str, **content: Any) -> None:
-        """Raises `HardwareError` with what is known of its end where the driver is gone and has left no word."""
+        """Raises `HardwareError` with what is known of its end where the driver is gone and has
+        left no word.
+        """
         try:
             self.link.send(kind, **content)
         except Closed:
@@ -214,8 +234,9 @@ class Driver:
             # What it said before its end says why: `messages` gives it.
 
     def messages(self, timeout: float = 0.0) -> list[dict[str, Any]]:
-        """What the driver said. A reason to end (`stopping`, `failed`, its death) is raised as `HardwareError`, after all that it
-        said before."""
+        """What the driver said. A reason to end (`stopping`, `failed`, its death) is raised as
+        `HardwareError`, after all that it said before.
+        """
         try:
             self.inbox += self.link.messages(0.0 if self.inbox else timeout)
         except Closed:
@@ -230,7 +251,9 @@ class Driver:
         return out
 
     def ask(self, kind: str, answer: str, timeout: float, **content: Any) -> dict[str, Any]:
-        """Sends an order and waits for its answer; other messages stay for `messages`. Raises `HardwareError`."""
+        """Sends an order and waits for its answer; other messages stay for `messages`. Raises
+        `HardwareError`.
+        """
         self.send(kind, **content)
         until, kept = time.monotonic() + timeout, []
         try:
@@ -269,7 +292,9 @@ class Driver:
         return f" ({lines[-1].strip()[:200]})" if lines else ""
 
     def stop(self, reason: str, timeout: float) -> bool:
-        """Tells the driver to stop its device and end; whether it confirmed. One that does not within `timeout` is killed."""
+        """Tells the driver to stop its device and end; whether it confirmed. One that does not
+        within `timeout` is killed.
+        """
         try:
             self.link.send("stop", reason=reason)
             until = time.monotonic() + timeout
@@ -297,7 +322,9 @@ class Driver:
 
 
 def in_driver(fd: int) -> Link:
-    """The driver's end of the line; signals of the terminal are the recording process's business."""
+    """The driver's end of the line; signals of the terminal are the recording process's
+    business.
+    """
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -307,8 +334,9 @@ def in_driver(fd: int) -> Link:
 def farewell(
     link: Link, error: BaseException | None = None, prefix: str = "", **content: Any
 ) -> None:
-    """The last words of a driver: why it stops, or without an `error` that it has stopped. Where nobody is left to hear them they
-    stand in its output."""
+    """The last words of a driver: why it stops, or without an `error` that it has stopped. Where
+    nobody is left to hear them they stand in its output.
+    """
     if error is None:
         kind = "stopped"
     elif isinstance(error, Stop):

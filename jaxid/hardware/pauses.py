@@ -12,14 +12,18 @@ RECENT_S = 1.0
 
 
 class Pauses:
-    """The longest pause of the last second or so. Call `lap` at every change of what the loop does."""
+    """The longest pause of the last second or so. Call `lap` at every change of what the loop
+    does.
+    """
 
     def __init__(self):
         self._at = time.monotonic()
         self._worst, self._ended, self._doing = 0.0, self._at, ""
 
     def lap(self, planned: float = 0.0, doing: str = "") -> None:
-        """What passed since the last lap beyond `planned` s was a pause; `doing` names work of others, nothing our own."""
+        """What passed since the last lap beyond `planned` s was a pause; `doing` names work of
+        others, nothing our own.
+        """
         now = time.monotonic()
         pause = now - self._at - planned
         if pause > self._worst or now - self._ended > RECENT_S:
@@ -36,7 +40,9 @@ class Pauses:
 
 
 def waited(process: int) -> float:
-    """For how long (s) the threads of a process were ready and got no processor, so far; 0 where the system does not tell."""
+    """For how long (s) the threads of a process were ready and got no processor, so far; 0 where
+    the system does not tell.
+    """
     total = 0.0
     for thread in Path(f"/proc/{process}/task").glob("*"):
         try:
@@ -47,7 +53,9 @@ def waited(process: int) -> float:
 
 
 def kept_from_running(silence: float, kept: float) -> str:
-    """What is known of why a driver was silent for so long, of which its threads were `kept` waiting for a processor."""
+    """What is known of why a driver was silent for so long, of which its threads were `kept`
+    waiting for a processor.
+    """
     if kept > 0.5 * silence:
         return f": {busy(min(kept, silence))}"
     return "; it hangs, or this computer was too busy to run it"

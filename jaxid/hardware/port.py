@@ -12,8 +12,9 @@ from jaxid.extras import needed
 
 
 def opened(port: str, baud: int) -> Any:
-    """pyserial's `Serial` at `baud` bits a second, empty, not waiting for bytes, and locked: whoever opens it likewise is refused
-    before anything on the line changes, for two readers take each other's bytes.
+    """pyserial's `Serial` at `baud` bits a second, empty, not waiting for bytes, and locked:
+    whoever opens it likewise is refused before anything on the line changes, for two readers take
+    each other's bytes.
 
     Raises `UsageError` that says what is in the way.
     """

@@ -1,4 +1,6 @@
-"""Before a recording: everything that can be refused while nothing moves and nothing is written, and what is noted down of it."""
+"""Before a recording: everything that can be refused while nothing moves and nothing is written,
+and what is noted down of it.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,9 @@ def refuse_path(play: Trajectory, bounds: Limits, device: Device) -> None:
 
 
 def refuse_size(out: Path, streams: Sequence[Stream], seconds: float) -> None:
-    """The rows as they come, and once more as the tables that they become, have to find room on the disk."""
+    """The rows as they come, and once more as the tables that they become, have to find room on the
+    disk.
+    """
     rates = [(0.0 if s.period is None else 1 / s.period, 24 + 8 * len(s.columns)) for s in streams]
     need = 2 * seconds * sum(rate * size for rate, size in rates)
     free = shutil.disk_usage(next(p for p in out.resolve().parents if p.is_dir())).free

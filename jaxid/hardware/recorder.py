@@ -1,7 +1,9 @@
-"""Append-only recording: rows go to disk as they come, so that a crash costs at most the last fraction of a second.
+"""Append-only recording: rows go to disk as they come, so that a crash costs at most the last
+fraction of a second.
 
-A recording in progress is a folder `run_N.recording` with `about.json` (what the rows mean), one `STREAM.rows` per device
-(fixed-size rows, each with its own checksum) and `events.jsonl`. `jaxid.hardware.dataset.finish` makes a dataset of it.
+A recording in progress is a folder `run_N.recording` with `about.json` (what the rows mean), one
+`STREAM.rows` per device (fixed-size rows, each with its own checksum) and `events.jsonl`.
+`jaxid.hardware.dataset.finish` makes a dataset of it.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ _HEAD = struct.Struct("<II")  # checksum of what follows, number of the row
 
 @dataclass(frozen=True)
 class Column:
-    """One recorded signal: its name by the dataset's convention, role and SI unit, and how the device counts it."""
+    """One recorded signal: its name by the dataset's convention, role and SI unit, and how the
+    device counts it.
+    """
 
     name: str
     unit: str
@@ -45,7 +49,9 @@ class Column:
 
 @dataclass(frozen=True)
 class Stream:
-    """Rows of one device with one clock. `clock` says what the device's time is; `period` s is the expected step."""
+    """Rows of one device with one clock. `clock` says what the device's time is; `period` s is the
+    expected step.
+    """
 
     name: str
     columns: tuple[Column, ...]
@@ -61,8 +67,8 @@ class Stream:
 class Recorder:
     """Writes the rows of several streams; a thread brings them to disk every `flush_s`.
 
-    A row is host time (s, monotonic), device time (s), then the stream's columns. Use it as a context; `event` notes what
-    happened. Raises `OSError` where the folder cannot be written.
+    A row is host time (s, monotonic), device time (s), then the stream's columns. Use it as a
+    context; `event` notes what happened. Raises `OSError` where the folder cannot be written.
     """
 
     def __init__(
@@ -95,7 +101,9 @@ class Recorder:
         self._thread.start()
 
     def append(self, stream: int, host: float, device: float, values: Sequence[float]) -> None:
-        """One row; raises the `OSError` that a write met (a full disk), so that nobody records into nothing."""
+        """One row; raises the `OSError` that a write met (a full disk), so that nobody records into
+        nothing.
+        """
         if self.fault is not None:
             raise self.fault
         payload = self._rows[stream].pack(host, device, *values)
@@ -158,7 +166,9 @@ def _write_synced(path: Path, content: bytes) -> None:
 
 @dataclass(frozen=True)
 class Rows:
-    """What of a stream is on disk: `host [rows]`, `device [rows]`, `values [rows columns]`; `damaged` rows were left out."""
+    """What of a stream is on disk: `host [rows]`, `device [rows]`, `values [rows columns]`;
+    `damaged` rows were left out.
+    """
 
     host: np.ndarray
     device: np.ndarray

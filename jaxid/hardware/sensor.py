@@ -1,4 +1,6 @@
-"""An auxiliary sensor beside the main device: lines of numbers on a serial port, or a file that another logger wrote."""
+"""An auxiliary sensor beside the main device: lines of numbers on a serial port, or a file that
+another logger wrote.
+"""
 
 from __future__ import annotations
 
@@ -54,9 +56,10 @@ class _Match(_Strict):
 class SensorSpec(_Strict):
     """A sensor as its TOML file describes it.
 
-    With `port`, lines of `columns` separated by commas arrive at `baud`; `time` names the sensor's own clock (without one, the
-    arrival time counts, which adds the unknown delay of the line). With `file`, a CSV or Parquet file is added afterwards, and
-    `match` says which of its columns follows which channel of the main device (`derivative` 2: an accelerometer and an angle).
+    With `port`, lines of `columns` separated by commas arrive at `baud`; `time` names the sensor's
+    own clock (without one, the arrival time counts, which adds the unknown delay of the line). With
+    `file`, a CSV or Parquet file is added afterwards, and `match` says which of its columns follows
+    which channel of the main device (`derivative` 2: an accelerometer and an angle).
     """
 
     name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
@@ -150,7 +153,9 @@ class SensorSpec(_Strict):
         return out
 
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times (s, sensor clock) and SI values `[rows channels]` of a `file`. Raises `UsageError`."""
+        """Times (s, sensor clock) and SI values `[rows channels]` of a `file`. Raises
+        `UsageError`.
+        """
         from jaxid.data.table import read_table
 
         assert self.file is not None and self.time is not None
@@ -183,7 +188,9 @@ class SensorSpec(_Strict):
 
 @dataclass
 class SerialSensor:
-    """A sensor on a serial port, read line by line; a line that is not the stated numbers is counted and left out."""
+    """A sensor on a serial port, read line by line; a line that is not the stated numbers is
+    counted and left out.
+    """
 
     spec: SensorSpec
     malformed: int = 0

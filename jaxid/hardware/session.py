@@ -1,4 +1,6 @@
-"""Recording a device, and playing a path on it: one loop that watches everything and lets go of the motion when in doubt."""
+"""Recording a device, and playing a path on it: one loop that watches everything and lets go of the
+motion when in doubt.
+"""
 
 from __future__ import annotations
 
@@ -75,14 +77,17 @@ def record(
     append: bool = False,
     progress: Callable[[str, int, int, str], None] | None = None,
 ) -> Recording:
-    """Records `seconds` of a device into a dataset folder; with `play` a path is moved and recorded to its end.
+    """Records `seconds` of a device into a dataset folder; with `play` a path is moved and recorded
+    to its end.
 
-    Nothing moves without `live`: the path, the device and the way to the path's start are then only checked. Limits
-    are the device's own, tightened by `limits`. `model`, `joint` and `gain` (N m/A) say which model the dataset is meant for (see
-    `channel_map`); `constants` what is known of this run. `append` adds a run to a folder that an earlier recording made.
+    Nothing moves without `live`: the path, the device and the way to the path's start are then only
+    checked. Limits are the device's own, tightened by `limits`. `model`, `joint` and `gain` (N m/A)
+    say which model the dataset is meant for (see `channel_map`); `constants` what is known of this
+    run. `append` adds a run to a folder that an earlier recording made.
 
-    Raises `UsageError` before anything moved or was written, `HardwareError` for what ended a recording early: all rows up to
-    then are in the folder, marked as not complete. So they are after Ctrl-C.
+    Raises `UsageError` before anything moved or was written, `HardwareError` for what ended a
+    recording early: all rows up to then are in the folder, marked as not complete. So they are
+    after Ctrl-C.
     """
     out = Path(out)
     gains = (
@@ -189,7 +194,9 @@ def record(
 
 
 def recover(folder: str | os.PathLike[str]) -> list[Recording]:
-    """Finishes every recording in a folder whose process died before it could. Raises `UsageError` where there is none."""
+    """Finishes every recording in a folder whose process died before it could. Raises `UsageError`
+    where there is none.
+    """
     folder = Path(folder)
     left = (
         [folder]
@@ -237,8 +244,9 @@ def _run(
     bounds: Limits,
     progress,
 ) -> str:
-    """Until the time is over or the path played; returns why it ended, raises what ended it early, with the pause of this
-    computer that it may have come from."""
+    """Until the time is over or the path played; returns why it ended, raises what ended it early,
+    with the pause of this computer that it may have come from.
+    """
     watch.pauses = Pauses()
     try:
         return _watched(device, sensors, own, recorder, watch, plan, seconds, bounds, progress)
@@ -329,7 +337,9 @@ def _watched(
 
 
 def _judge(device: Device, bounds: Limits, sample: Sample, watch: _Watch) -> None:
-    """Ends the recording where the device says so or a measurement is beyond a limit. What is only watched may do as it likes."""
+    """Ends the recording where the device says so or a measurement is beyond a limit. What is only
+    watched may do as it likes.
+    """
     why = device.alarm(sample.values, watch.phase == "playing")
     if why is None and watch.moving:
         why = bounds.violation(*device.measured(sample.values))

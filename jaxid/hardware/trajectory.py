@@ -1,4 +1,6 @@
-"""A path to play: commands at times. Read from a file or from the folder that `jaxid excite` writes, or made here."""
+"""A path to play: commands at times. Read from a file or from the folder that `jaxid excite`
+writes, or made here.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,11 @@ JUMP = "correct the row if it is a jump, else give the path more time"
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Commands `values [time joints]` at `t [time]` s (from 0, rising): `kind` position (rad), velocity (rad/s) or current (A).
+    """Commands `values [time joints]` at `t [time]` s (from 0, rising): `kind` position (rad),
+    velocity (rad/s) or current (A).
 
-    Positions and velocities are linear in between, currents are held. Raises `UsageError` for what is no such path.
+    Positions and velocities are linear in between, currents are held. Raises `UsageError` for what
+    is no such path.
     """
 
     t: np.ndarray
@@ -74,9 +78,11 @@ class Trajectory:
     def read(
         cls, path: str | os.PathLike[str], joints: int = 1, kind: str = "position"
     ) -> Trajectory:
-        """From CSV or Parquet with a column `t` and one command a joint, or from a dataset folder (its first run).
+        """From CSV or Parquet with a column `t` and one command a joint, or from a dataset folder
+        (its first run).
 
-        Columns are `q1_cmd …` or `q1 …` (`qd`, `current` for the other kinds; no number where there is one joint), in SI.
+        Columns are `q1_cmd …` or `q1 …` (`qd`, `current` for the other kinds; no number where there
+        is one joint), in SI.
         """
         path = Path(path)
         columns, t = _columns(path)
@@ -110,11 +116,11 @@ class Trajectory:
         seed: int = 0,
         rate: float = 500.0,
     ) -> Trajectory:
-        """A sum of sines in a band (Hz), faded in and out over a second (less where it is short), with `rest` s of stillness
-        at both ends.
+        """A sum of sines in a band (Hz), faded in and out over a second (less where it is short),
+        with `rest` s of stillness at both ends.
 
-        `amplitude` is the largest excursion from `center` of each joint. For excitation without a model; `jaxid excite`
-        optimises one for a model.
+        `amplitude` is the largest excursion from `center` of each joint. For excitation without a
+        model; `jaxid excite` optimises one for a model.
         """
         sizes = np.atleast_1d(np.asarray(amplitude, float))
         centers = np.broadcast_to(np.asarray(center, float), sizes.shape)
@@ -151,8 +157,8 @@ class Trajectory:
         return np.stack([np.interp(times, self.t, v) for v in self.values.T], axis=1)
 
     def check(self, limits: Limits, step: float) -> list[str]:
-        """Every way in which the path, played with a command every `step` s, breaks a limit, as a sentence with its row and a
-        remedy: the worst place of each joint and quantity.
+        """Every way in which the path, played with a command every `step` s, breaks a limit, as a
+        sentence with its row and a remedy: the worst place of each joint and quantity.
 
         Values and speeds are those of the rows, accelerations and steps those of the commands.
         """
@@ -173,7 +179,8 @@ class Trajectory:
         if self.kind == "position":
             speeds = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
             bend = np.diff(change, axis=0) / step**2
-            # The last step is shorter than the others in the file and shows a rate that nothing follows.
+            # The last step is shorter than the others in the file and shows a rate that nothing
+            # follows.
             checks += [
                 ("q", self.t, self.values, limits.lower, limits.upper, unit, "keep the path inside")
             ]
@@ -213,7 +220,9 @@ class Trajectory:
         return [text for c in checks for text in self._worst(*c)]
 
     def not_in_seconds(self) -> str:
-        """A sentence where the time is hardly in seconds (of a path that was sampled, rows that lie far apart), or nothing."""
+        """A sentence where the time is hardly in seconds (of a path that was sampled, rows that lie
+        far apart), or nothing.
+        """
         step = float(np.median(np.diff(self.t)))
         if len(self.t) <= SAMPLED or step < SPARSE_S:
             return ""

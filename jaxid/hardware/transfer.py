@@ -1,7 +1,7 @@
 """A path on its way to a driver: in pieces, the next one when the driver asks for it.
 
-However long a path is, no end of the line has to take more of it at once than it can hold, so samples, heartbeats and watchdogs
-go on meanwhile; and nothing is armed before all of it is there.
+However long a path is, no end of the line has to take more of it at once than it can hold, so
+samples, heartbeats and watchdogs go on meanwhile; and nothing is armed before all of it is there.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ PIECE = 24_000  # bytes; what a line holds unread is several times as much
 
 
 class Sender:
-    """In the recording process: announces `table [rows joints]`, then answers each `want` of the driver.
+    """In the recording process: announces `table [rows joints]`, then answers each `want` of the
+    driver.
 
     `send(kind, **content)` speaks to the driver.
     """
@@ -36,15 +37,18 @@ class Sender:
 
 
 class Table:
-    """In the driver: the rows of a path as they come. `take` a `path` or `rows`, and it says what to answer."""
+    """In the driver: the rows of a path as they come. `take` a `path` or `rows`, and it says what
+    to answer.
+    """
 
     def __init__(self):
         self.rows = self.joints = 0
         self._values = array("d")
 
     def take(self, order: Mapping[str, Any]) -> tuple[str, dict[str, int]]:
-        """The kind and content of the answer: `want` the rows from `at` on, or `loaded`. Raises `ValueError` for other rows than
-        those that were asked for."""
+        """The kind and content of the answer: `want` the rows from `at` on, or `loaded`. Raises
+        `ValueError` for other rows than those that were asked for.
+        """
         if order["kind"] == "path":
             self.rows, self.joints, self._values = (
                 int(order["rows"]),

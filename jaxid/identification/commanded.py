@@ -1,4 +1,6 @@
-"""The commanded motion in the place of the measured one: it is smooth, and as good where the drives follow it."""
+"""The commanded motion in the place of the measured one: it is smooth, and as good where the drives
+follow it.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ from jaxid.errors import UsageError
 
 
 def commanded(dataset: Dataset) -> Dataset:
-    """The dataset with every output NAME read from its commanded channel NAME_cmd (paper 001, equation 7).
+    """The dataset with every output NAME read from its commanded channel NAME_cmd (paper 001,
+    equation 7).
 
     Raises `UsageError` where a run lacks one.
     """

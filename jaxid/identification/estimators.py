@@ -1,8 +1,10 @@
-"""Estimators of the torque equation W theta = tau, and the exponents of friction by variable projection.
+"""Estimators of the torque equation W theta = tau, and the exponents of friction by variable
+projection.
 
-`ls` ordinary; `wls` each joint of each run weighted by its own residual (Gautier 1997); `tls` total least squares, columns that
-hold noise of the motion in errors, exact ones not (Van Huffel and Vandewalle 1991); `iv` instruments from the commanded motion;
-`constrained` inertial parameters of bodies that can exist, friction that brakes.
+`ls` ordinary; `wls` each joint of each run weighted by its own residual (Gautier 1997); `tls` total
+least squares, columns that hold noise of the motion in errors, exact ones not (Van Huffel and
+Vandewalle 1991); `iv` instruments from the commanded motion; `constrained` inertial parameters of
+bodies that can exist, friction that brakes.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from jaxid.fitting.covariance import long_run, null_directions, whiteness
 
 #: A column shorter than this share of the longest shows nothing but rounding.
 SEEN = 1e-6
-#: Directions of the scaled columns weaker than this share of the strongest are not determined by the data.
+#: Directions of the scaled columns weaker than this share of the strongest are not determined by
+#: the data.
 WEAK = 1e-6
 EXPONENT = (0.1, 1.5)
 
@@ -64,8 +67,9 @@ def least_squares(W: np.ndarray, b: np.ndarray, prior: np.ndarray) -> np.ndarray
 
 @dataclass(frozen=True)
 class Triangles:
-    """The rows of all runs, each joint's brought down to a triangle: as good as all of them for whatever takes only sums of
-    their products, at any weights of the joints."""
+    """The rows of all runs, each joint's brought down to a triangle: as good as all of them for
+    whatever takes only sums of their products, at any weights of the joints.
+    """
 
     of: tuple[np.ndarray, ...]  # per run [n k p + 1]: Q' [W tau] of each joint
     counts: tuple[int, ...]  # rows of a joint, per run
@@ -98,8 +102,10 @@ class Triangles:
 def weighted(
     blocks: Blocks, prior: np.ndarray, rounds: int = 8, spread: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Weighted least squares and its weights, repeated until the weights stand still. `spread`: standard deviations [p] with
-    which the prior is known; rows then count as many as are independent."""
+    """Weighted least squares and its weights, repeated until the weights stand still. `spread`:
+    standard deviations [p] with which the prior is known; rows then count as many as are
+    independent.
+    """
     rows = Triangles.made(blocks)
     weights = [np.ones(W.shape[1]) for W, _ in blocks]
     known = np.zeros((0, len(prior))) if spread is None else np.diag(1 / spread)
@@ -123,7 +129,9 @@ def weighted(
 
 
 def _independent(blocks: Blocks, theta: np.ndarray) -> list[np.ndarray]:
-    """Root of the share of the rows of each joint of each run that are independent, by what theta leaves of them."""
+    """Root of the share of the rows of each joint of each run that are independent, by what theta
+    leaves of them.
+    """
     out = []
     for W, tau in blocks:
         left = tau - W @ theta
@@ -133,10 +141,12 @@ def _independent(blocks: Blocks, theta: np.ndarray) -> list[np.ndarray]:
 
 
 def total(W: np.ndarray, b: np.ndarray, noise: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Mixed total least squares; `noise` [columns + 1] is one standard deviation of each column's error and, last, of b's.
+    """Mixed total least squares; `noise` [columns + 1] is one standard deviation of each column's
+    error and, last, of b's.
 
-    Columns without error are eliminated exactly; the rest, each in units of its error, by the smallest singular vector. Where
-    that vector does not hold b (the columns depend on each other more than b on them) plain least squares is returned.
+    Columns without error are eliminated exactly; the rest, each in units of its error, by the
+    smallest singular vector. Where that vector does not hold b (the columns depend on each other
+    more than b on them) plain least squares is returned.
     """
     theta = least_squares(W, b, prior)
     exact = noise[:-1] <= 1e-6 * np.linalg.norm(W, axis=0) / np.sqrt(len(W))
@@ -173,11 +183,13 @@ def estimate(
 ) -> Estimate:
     """Covariance at theta; `by` are instruments, `spread` [p] what is known beforehand.
 
-    Rows that follow each other hold the same noise, so each joint counts with the long-run variance of its own residual, over
-    the freedom that the parameters leave it. Where the sandwich of Newey and West (1987) is wider, its standard deviations
-    count; alone it is too narrow here, for tens of parameters take much of the slow part of a short record's residual.
+    Rows that follow each other hold the same noise, so each joint counts with the long-run variance
+    of its own residual, over the freedom that the parameters leave it. Where the sandwich of Newey
+    and West (1987) is wider, its standard deviations count; alone it is too narrow here, for tens
+    of parameters take much of the slow part of a short record's residual.
 
-    `slopes` per run [samples n k]: derivatives of the torque by k nonlinear parameters, which follow theta in the covariance.
+    `slopes` per run [samples n k]: derivatives of the torque by k nonlinear parameters, which
+    follow theta in the covariance.
     """
     if slopes is not None:
         wider = lambda W, D: np.concatenate([W, D], 2)
@@ -248,7 +260,9 @@ def estimate(
 
 
 def _correlation_time(r: np.ndarray, memory: int) -> float:
-    """How many rows share one piece of noise: 1 + 2 sum of the autocorrelation up to the first lag where it is lost."""
+    """How many rows share one piece of noise: 1 + 2 sum of the autocorrelation up to the first lag
+    where it is lost.
+    """
     r = r - r.mean()
     power = float(r @ r)
     if power <= 0:
@@ -268,9 +282,11 @@ def project_exponents(
     start: np.ndarray,
     positive: bool = False,
 ) -> np.ndarray:
-    """Exponents of friction by variable projection (Golub and Pereyra 1973): for each trial all linear parameters are solved
-    for, so that only the exponents are searched. `fixed` columns do not depend on them, `moving(exponents)` do; `positive`
-    keeps the levels of the latter from being negative."""
+    """Exponents of friction by variable projection (Golub and Pereyra 1973): for each trial all
+    linear parameters are solved for, so that only the exponents are searched. `fixed` columns do
+    not depend on them, `moving(exponents)` do; `positive` keeps the levels of the latter from being
+    negative.
+    """
     from scipy.optimize import least_squares as search, nnls
 
     size = np.linalg.norm(fixed, axis=0)
@@ -316,15 +332,19 @@ def _of_pseudo(P: np.ndarray) -> np.ndarray:
 
 
 def consistent_bodies(x: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Inertial parameters [links 10] of log-Cholesky numbers [links 10], zero at the prior's bodies (Rucker, Wensing 2022).
+    """Inertial parameters [links 10] of log-Cholesky numbers [links 10], zero at the prior's bodies
+    (Rucker, Wensing 2022).
 
-    Pseudo-inertia C U U' C' with C that of the prior and U upper triangular with an exponential diagonal: any x is a body.
+    Pseudo-inertia C U U' C' with C that of the prior and U upper triangular with an exponential
+    diagonal: any x is a body.
     """
     return Bodies(prior)(x)[0]
 
 
 class Bodies:
-    """x -> (inertial parameters [links 10], their slopes [links 10 10] by x); see `consistent_bodies`."""
+    """x -> (inertial parameters [links 10], their slopes [links 10 10] by x); see
+    `consistent_bodies`.
+    """
 
     def __init__(self, prior: np.ndarray):
         self.C = np.linalg.cholesky(pseudo_inertia(prior))
@@ -360,9 +380,9 @@ def constrained(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(theta, standard parameters [links 11]): least squares over bodies that can exist.
 
-    `prior` [links 11] holds bodies that can exist, from which directions that no motion determines are taken: `strength` pulls
-    each log-Cholesky number to it with that share of one row of unit residual. `levels` marks columns behind the base ones that
-    may not be negative.
+    `prior` [links 11] holds bodies that can exist, from which directions that no motion determines
+    are taken: `strength` pulls each log-Cholesky number to it with that share of one row of unit
+    residual. `levels` marks columns behind the base ones that may not be negative.
     """
     from scipy.optimize import least_squares as search
 

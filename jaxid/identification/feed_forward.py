@@ -1,12 +1,13 @@
-"""What a controller adds so that an arm feels weightless: gravity and joint torque from an identification (with its payload).
+"""What a controller adds so that an arm feels weightless: gravity and joint torque from an
+identification (with its payload).
 
     forward = FeedForward.of(identification)        # or of its JSON file
     tau = forward.gravity(q)                        # manual guidance: hold the arm and its load
     tau = forward(q, qd, qdd)                       # the whole torque of a motion, friction included
     forward.save("feed_forward.json")
 
-The base parameters are written as one set of standard parameters that makes the same torque (the smallest); these numbers alone
-mean nothing. Paper 001 guides a UR10 by hand with such a term.
+The base parameters are written as one set of standard parameters that makes the same torque (the
+smallest); these numbers alone mean nothing. Paper 001 guides a UR10 by hand with such a term.
 """
 
 from __future__ import annotations
@@ -42,8 +43,10 @@ class _Geometry:
 
 @dataclass(frozen=True)
 class FeedForward:
-    """Torque of an identified arm. `phi` [11 n] standard parameters, `levels` [k n] of the friction `law`, `exponent` [n];
-    `geometry` as in an `ArmTable`, with gravity. Joint positions are [samples n] or [n], in rad (m)."""
+    """Torque of an identified arm. `phi` [11 n] standard parameters, `levels` [k n] of the friction
+    `law`, `exponent` [n]; `geometry` as in an `ArmTable`, with gravity. Joint positions are
+    [samples n] or [n], in rad (m).
+    """
 
     geometry: dict[str, Any]
     phi: np.ndarray
@@ -53,8 +56,10 @@ class FeedForward:
 
     @classmethod
     def of(cls, identification: Any, arm: Any = None) -> FeedForward:
-        """From an `Identification`, its dictionary or its JSON file; `arm` where the model is not one of the library by that
-        name (a `serial_arm`). Raises `UsageError` for anything else, and for an arm of another size."""
+        """From an `Identification`, its dictionary or its JSON file; `arm` where the model is not
+        one of the library by that name (a `serial_arm`). Raises `UsageError` for anything else, and
+        for an arm of another size.
+        """
         from jaxid import catalogue
         from jaxid.identification.payload import read_reference
 

@@ -1,4 +1,6 @@
-"""Derivatives of a periodic motion that keep its harmonics: the measured positions as a Fourier series of whole periods."""
+"""Derivatives of a periodic motion that keep its harmonics: the measured positions as a Fourier
+series of whole periods.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +9,19 @@ import numpy as np
 from jaxid.errors import UsageError
 
 
-#: A series that leaves so many times what the readings scatter by themselves is not of whole periods.
+#: A series that leaves so many times what the readings scatter by themselves is not of whole
+#: periods.
 LEFT = 3.0
 
 
 def harmonic_motion(
     t: np.ndarray, q: np.ndarray, highest_hz: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(q, qd, qdd) [time n] by the harmonics up to `highest_hz` of a record that holds whole periods, by least squares; no
-    harmonic is damped, as a low-pass would.
+    """(q, qd, qdd) [time n] by the harmonics up to `highest_hz` of a record that holds whole
+    periods, by least squares; no harmonic is damped, as a low-pass would.
 
-    Raises `UsageError` for a record that such a series does not follow: it holds no whole periods, or has more harmonics.
+    Raises `UsageError` for a record that such a series does not follow: it holds no whole periods,
+    or has more harmonics.
     """
     span = float(t[-1] - t[0])
     count = int(span * highest_hz)

@@ -1,8 +1,10 @@
-"""Recursive least squares on the torque of a serial arm, sample by sample: paper 001, equations (8) to (11).
+"""Recursive least squares on the torque of a serial arm, sample by sample: paper 001, equations (8)
+to (11).
 
-With K = P Y' (X + Y P Y')^-1, theta <- theta + K (tau - Y theta), P <- P - K Y P, and X the variance of the torque noise (the
-paper's xi, which it calls a forgetting factor but never divides P by), the result is ridge regression: it minimises
-sum |tau - Y theta|^2 / X + |theta - prior|^2 / P0. A true forgetting factor is an option.
+With K = P Y' (X + Y P Y')^-1, theta <- theta + K (tau - Y theta), P <- P - K Y P, and X the
+variance of the torque noise (the paper's xi, which it calls a forgetting factor but never divides P
+by), the result is ridge regression: it minimises sum |tau - Y theta|^2 / X + |theta - prior|^2 /
+P0. A true forgetting factor is an option.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ from jaxid.numerics.precision import float64
 
 
 def watched_of(base: Any, n: int) -> tuple[int, ...]:
-    """Positions of the last link's base parameters; those that stand alone, where an arm has such (the paper's rule)."""
+    """Positions of the last link's base parameters; those that stand alone, where an arm has such
+    (the paper's rule).
+    """
     names = base.names
     found = [
         i for i in range(len(names)) if names[i].endswith(str(n)) and not names[i].startswith("Ia")
@@ -46,8 +50,10 @@ def regressor_row(
 
 @functools.cache
 def _program(structure, shapes, kept: tuple[int, ...], watched: tuple[int, ...]):
-    """The compiled update of arms of one structure: (numbers, packed state, sample) -> packed state. All numbers of the arm and
-    the settings come in one array, and so do the state and the sample: few arguments, little overhead."""
+    """The compiled update of arms of one structure: (numbers, packed state, sample) -> packed
+    state. All numbers of the arm and the settings come in one array, and so do the state and the
+    sample: few arguments, little overhead.
+    """
 
     def update(numbers, packed, sample):
         leaves, at = [], 0
@@ -81,11 +87,13 @@ def _unpacked(packed: Any) -> Recursion:
 
 
 class OnlineIdentification:
-    """Streams samples into the recursion: `update(q, qd, qdd, tau)` after each, `theta`, `std`, `converged`, `payload()`.
+    """Streams samples into the recursion: `update(q, qd, qdd, tau)` after each, `theta`, `std`,
+    `converged`, `payload()`.
 
-    `prior` [p] is the estimate to begin with (base parameters, then F_c, F_v, offset by joint: `names`), usually that of the
-    unloaded arm; `prior_var` its variance (one number or [p], the paper's P0 = 10), `noise_var` the torque noise's (one number
-    or [n], the paper's xi = 100). Motion may be the commanded one, as in the paper.
+    `prior` [p] is the estimate to begin with (base parameters, then F_c, F_v, offset by joint:
+    `names`), usually that of the unloaded arm; `prior_var` its variance (one number or [p], the
+    paper's P0 = 10), `noise_var` the torque noise's (one number or [n], the paper's xi = 100).
+    Motion may be the commanded one, as in the paper.
     """
 
     def __init__(
@@ -136,14 +144,18 @@ class OnlineIdentification:
         self._sample = np.zeros((4, n))
 
     def update(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, tau: np.ndarray) -> None:
-        """One sample: joint motion [n] (rad, m and their rates) and torque [n]. Nothing recompiles after the first."""
+        """One sample: joint motion [n] (rad, m and their rates) and torque [n]. Nothing recompiles
+        after the first.
+        """
         self._sample = np.array((q, qd, qdd, tau), np.float64)
         with float64():
             self._state = self._update(self._numbers, self._state, self._sample)
 
     def rehearse(self) -> None:
-        """The last sample's update once more, its result thrown away. A computer that has slept until a sample comes takes up
-        to twice as long for its update; a loop with a deadline rehearses just before (`benchmarks/ur10_speed.py`)."""
+        """The last sample's update once more, its result thrown away. A computer that has slept
+        until a sample comes takes up to twice as long for its update; a loop with a deadline
+        rehearses just before (`benchmarks/ur10_speed.py`).
+        """
         with float64():
             self._update(self._numbers, self._state, self._sample).block_until_ready()
 
@@ -153,7 +165,9 @@ class OnlineIdentification:
         return _unpacked(np.asarray(self._state))
 
     def check(self) -> bool:
-        """Whether the rule has been met; remembers at which sample it first was. Waits for the last update."""
+        """Whether the rule has been met; remembers at which sample it first was. Waits for the last
+        update.
+        """
         if self.converged_at is None and int(self.state.still) > self.rule.samples:
             self.converged_at = int(self.state.seen)
         return self.converged_at is not None
@@ -164,11 +178,15 @@ class OnlineIdentification:
 
     @property
     def covariance(self) -> np.ndarray:
-        """P: the covariance of theta if the noise is white with `noise_var` and the prior's variance is `prior_var`."""
+        """P: the covariance of theta if the noise is white with `noise_var` and the prior's
+        variance is `prior_var`.
+        """
         return np.asarray(self.state.P)
 
     def payload(self, gain_std: float = 0.0) -> Payload:
-        """The load that the estimate has more than its prior, by all rows and by those of the paper."""
+        """The load that the estimate has more than its prior, by all rows and by those of the
+        paper.
+        """
         p = len(self.base.kept)
         return payload_of(
             self.theta[:p] - self.prior[:p], self.covariance[:p, :p], self.base, gain_std

@@ -1,4 +1,5 @@
-"""The payload as in paper 001 and by the two algorithms that it compares with; all begin with the unloaded arm's identification.
+"""The payload as in paper 001 and by the two algorithms that it compares with; all begin with the
+unloaded arm's identification.
 
 - `paper001`: equations (7) to (16) as printed. The recursion K = P Y' (X + Y P Y')^-1 over the recorded rows, not filtered,
   from the unloaded arm's parameters (base parameters, F_c, F_v, offset; its exponents kept) with xi = 100, P0 = 10; converged
@@ -35,7 +36,9 @@ AT_REST = 0.01
 def unloaded(
     before: Mapping[str, Any] | None, method: str, base: BaseParameters, n: int
 ) -> tuple[Law, np.ndarray, np.ndarray]:
-    """Friction law, exponents [n] and parameters of the unloaded arm's identification. Raises `UsageError` without one."""
+    """Friction law, exponents [n] and parameters of the unloaded arm's identification. Raises
+    `UsageError` without one.
+    """
     if before is None:
         raise UsageError(
             f"method {method} finds a payload from the unloaded arm's parameters: give its identification as a reference "
@@ -81,8 +84,10 @@ def by_algorithm(
     spread: np.ndarray,
     gain_std: float,
 ) -> Payload:
-    """The payload by Algorithm 1 or 2 from the fit runs; `theta` are the unloaded arm's parameters, `spread` their covariance,
-    which counts. Raises `UsageError` where Algorithm 2 finds no poses at rest."""
+    """The payload by Algorithm 1 or 2 from the fit runs; `theta` are the unloaded arm's parameters,
+    `spread` their covariance, which counts. Raises `UsageError` where Algorithm 2 finds no poses at
+    rest.
+    """
     fit = [r for r in runs if r.split == "fit"]
     n = fit[0].tau.shape[1]
     own = slice(11 * (n - 1) + (6 if method == "algorithm2" else 0), 11 * (n - 1) + 10)

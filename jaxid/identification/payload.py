@@ -1,6 +1,8 @@
-"""The payload of an arm from two identifications, with and without it: base parameters differ by what the load adds to them.
+"""The payload of an arm from two identifications, with and without it: base parameters differ by
+what the load adds to them.
 
-A body at the last link adds K_L phi_L to the base parameters, with K_L the last link's ten columns of the regrouping. Two ways:
+A body at the last link adds K_L phi_L to the base parameters, with K_L the last link's ten columns
+of the regrouping. Two ways:
 
 - all rows: generalised least squares of the whole difference with the covariance of both identifications, then the nearest body
   that can exist (positive definite pseudo-inertia) in the metric of that covariance;
@@ -34,8 +36,9 @@ NO_MASS = 1e-12
 
 
 def usual_gain_std(chain: Chain) -> float:
-    """Relative standard deviation of the drive gains where nobody states one: the usual one where torques are made of currents,
-    none where torques were recorded."""
+    """Relative standard deviation of the drive gains where nobody states one: the usual one where
+    torques are made of currents, none where torques were recorded.
+    """
     return 0.0 if records_torque(chain) else USUAL_GAIN_STD
 
 
@@ -46,8 +49,10 @@ def centre(first: np.ndarray, mass: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Payload:
-    """Load in the last link's frame: `phi` ten inertial parameters about its origin with `covariance` (least squares, all rows),
-    `body` the nearest that can exist, `published` by the rows of paper 001 (None for another kind of arm)."""
+    """Load in the last link's frame: `phi` ten inertial parameters about its origin with
+    `covariance` (least squares, all rows), `body` the nearest that can exist, `published` by the
+    rows of paper 001 (None for another kind of arm).
+    """
 
     phi: np.ndarray
     covariance: np.ndarray
@@ -65,7 +70,9 @@ class Payload:
 
     @property
     def exact_gains(self) -> str:
-        """What the interval leaves out, in words; nothing where it counts the error of the drive gains."""
+        """What the interval leaves out, in words; nothing where it counts the error of the drive
+        gains.
+        """
         if self.gain_std > 0:
             return ""
         with_gains = replace(self, gain_std=USUAL_GAIN_STD).mass[1]
@@ -76,7 +83,9 @@ class Payload:
 
     @property
     def counted_gains(self) -> str:
-        """What share of the gains the interval holds, in words; nothing where it takes them as exact."""
+        """What share of the gains the interval holds, in words; nothing where it takes them as
+        exact.
+        """
         if not self.gain_std > 0:
             return ""
         return (
@@ -136,7 +145,9 @@ class Payload:
 
 
 def read_reference(reference: Any) -> dict[str, Any]:
-    """Names, values and covariance of an identification, from itself, its dictionary or its JSON file."""
+    """Names, values and covariance of an identification, from itself, its dictionary or its JSON
+    file.
+    """
     if hasattr(reference, "to_dict"):
         reference = reference.to_dict()
     if isinstance(reference, str | Path):
@@ -205,7 +216,9 @@ def payload_of(
 
 
 def nearest_body(phi: np.ndarray, metric: np.ndarray) -> np.ndarray:
-    """Ten numbers of the body that can exist nearest to phi, (phi - body)' metric (phi - body) least."""
+    """Ten numbers of the body that can exist nearest to phi, (phi - body)' metric (phi - body)
+    least.
+    """
     if np.linalg.eigvalsh(pseudo_inertia(phi)).min() > 0:
         return phi
     from scipy.optimize import least_squares
@@ -224,7 +237,9 @@ def nearest_body(phi: np.ndarray, metric: np.ndarray) -> np.ndarray:
 
 
 def published_rows(difference: np.ndarray, base: BaseParameters) -> np.ndarray | None:
-    """Equations (12) to (16) of paper 001: (Ixx … m) about the last origin from 13 rows; None where an arm lacks them."""
+    """Equations (12) to (16) of paper 001: (Ixx … m) about the last origin from 13 rows; None where
+    an arm lacks them.
+    """
     rows = dict(zip(base.names, range(len(base.names)), strict=True))
     needed = (
         "mx2",

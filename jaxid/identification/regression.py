@@ -1,7 +1,9 @@
-"""The torque equation of a serial arm as rows: measured motion in, filtered columns and filtered torque out.
+"""The torque equation of a serial arm as rows: measured motion in, filtered columns and filtered
+torque out.
 
-tau = Y_b pi + friction, with pi the base parameters. Positions are filtered without phase and differentiated; the columns are
-built from that motion and pass the same low-pass as the torque (both sides alike, so the filter does not bias the estimate).
+tau = Y_b pi + friction, with pi the base parameters. Positions are filtered without phase and
+differentiated; the columns are built from that motion and pass the same low-pass as the torque
+(both sides alike, so the filter does not bias the estimate).
 """
 
 from __future__ import annotations
@@ -25,14 +27,18 @@ from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation.sample_buffers import columns
 
 
-#: sign(qd) is tanh(qd / REST) here: at rest, measured velocity is noise and friction may take any value.
+#: sign(qd) is tanh(qd / REST) here: at rest, measured velocity is noise and friction may take any
+#: value.
 REST = 0.01
-#: So many rows of the torque equation are made at once: on the way to one there are five times its numbers.
+#: So many rows of the torque equation are made at once: on the way to one there are five times its
+#: numbers.
 MADE = 1 << 11
 
 
 class Law(NamedTuple):
-    """A friction law linear in its levels: parameter ids (and how their unit goes with speed) and the columns they multiply."""
+    """A friction law linear in its levels: parameter ids (and how their unit goes with speed) and
+    the columns they multiply.
+    """
 
     name: str
     parameters: tuple[tuple[str, str], ...]
@@ -63,7 +69,9 @@ def power(qd: Any, exponent: np.ndarray) -> Any:
 
 
 def friction_columns(law: Law, qd: Any, exponent: np.ndarray) -> Any:
-    """Values [samples k n] of the k columns of a law at each joint's velocity [samples n], NumPy's or JAX."""
+    """Values [samples k n] of the k columns of a law at each joint's velocity [samples n], NumPy's
+    or JAX.
+    """
     xp: Any = np if isinstance(qd, np.ndarray) else jnp
     dry = xp.tanh(qd / REST)
     if law.name == "power":
@@ -78,8 +86,8 @@ def friction_columns(law: Law, qd: Any, exponent: np.ndarray) -> Any:
 class Run:
     """One experiment: its motion and its torque, filtered and not, in the samples that count.
 
-    Of the columns of inertia, hundreds of numbers a sample, only the rows that are solved (`Y`) are kept; whatever needs others
-    makes them again, a stretch of samples at a time.
+    Of the columns of inertia, hundreds of numbers a sample, only the rows that are solved (`Y`) are
+    kept; whatever needs others makes them again, a stretch of samples at a time.
     """
 
     name: str
@@ -113,7 +121,9 @@ class Run:
     def stretches(
         self, rows: Callable[[slice], np.ndarray], every: int = 1
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Rows [samples ...] stretch by stretch: (which of the samples that count, filtered, unfiltered), `every`-th of them."""
+        """Rows [samples ...] stretch by stretch: (which of the samples that count, filtered,
+        unfiltered), `every`-th of them.
+        """
         ends = self.kept.start
         for samples, smooth, raw in zero_phase_stretches(
             self.times, rows, self.cutoff_hz, STRETCH >> 2
@@ -221,8 +231,9 @@ def _with_inertia(
 
 
 def full_rows(run: Run, law: Law, exponent: np.ndarray) -> np.ndarray:
-    """W [rows n base + k n] of the rows of a run that are solved: inertia, then the law's columns, parameter by parameter over
-    the joints."""
+    """W [rows n base + k n] of the rows of a run that are solved: inertia, then the law's columns,
+    parameter by parameter over the joints.
+    """
     F = lambda at: friction_columns(law, run.qd[at], exponent)
     return _joined(run.Y, run.solved(F))
 
@@ -250,7 +261,8 @@ def _joined(Y: np.ndarray, F: np.ndarray) -> np.ndarray:
 def torques(
     run: Run, laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Torque of each (law, theta, exponent) at the samples that count, filtered and not, each [samples n].
+    """Torque of each (law, theta, exponent) at the samples that count, filtered and not, each
+    [samples n].
 
     It is linear in the columns, so it is filtered in their place.
     """
@@ -269,7 +281,9 @@ def torques(
 
 
 def exponent_slopes(run: Run, law: Law, theta: np.ndarray, exponent: np.ndarray) -> np.ndarray:
-    """Derivative of the torque by each joint's exponent at the rows that are solved, [rows n n], filtered."""
+    """Derivative of the torque by each joint's exponent at the rows that are solved, [rows n n],
+    filtered.
+    """
     n = run.qd.shape[1]
     p = len(theta) - len(law.parameters) * n
     slope = lambda qd: theta[p + n : p + 2 * n] * power(qd, exponent) * np.log(qd**2 + 1e-6) / 2
@@ -290,7 +304,9 @@ def names_of(base: BaseParameters, law: Law, n: int) -> list[str]:
 def instruments(
     dataset: Dataset, e: Experiment, chain: Chain, base: BaseParameters, run: Run
 ) -> Run:
-    """The same run along the commanded motion `q1_cmd …`, which holds no noise of the measurement."""
+    """The same run along the commanded motion `q1_cmd …`, which holds no noise of the
+    measurement.
+    """
     joints = chain.signature.joints
     commands = [f"{j}_cmd" for j in joints]
     missing = [c for c in commands if c not in e.auxiliary]

@@ -1,4 +1,6 @@
-"""What an identification found: base parameters, friction, payload, their uncertainty, and how well torque is predicted."""
+"""What an identification found: base parameters, friction, payload, their uncertainty, and how well
+torque is predicted.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from jaxid.serialise import SCHEMA
 
 @dataclass(frozen=True)
 class RunScore:
-    """How well one experiment's torque is predicted, N m: over all joints and joint by joint, filtered and as recorded."""
+    """How well one experiment's torque is predicted, N m: over all joints and joint by joint,
+    filtered and as recorded.
+    """
 
     file: str
     split: str
@@ -54,7 +58,9 @@ class LawTrial:
 
 @dataclass(frozen=True)
 class Identification(Exportable):
-    """Result of `jaxid.identify`. `theta` and `covariance` follow `names`: base parameters, then friction by joint."""
+    """Result of `jaxid.identify`. `theta` and `covariance` follow `names`: base parameters, then
+    friction by joint.
+    """
 
     model: str
     method: str
@@ -109,7 +115,9 @@ class Identification(Exportable):
         )
 
     def exponent_std(self) -> np.ndarray:
-        """Standard deviations of the exponents, which follow the other parameters in the covariance."""
+        """Standard deviations of the exponents, which follow the other parameters in the
+        covariance.
+        """
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[len(self.names) :]
 
     def friction(self) -> list[dict[str, Any]]:

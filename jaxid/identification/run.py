@@ -1,4 +1,6 @@
-"""Inverse-dynamics identification of a serial arm: base parameters, friction, payload; `jaxid identify`."""
+"""Inverse-dynamics identification of a serial arm: base parameters, friction, payload; `jaxid
+identify`.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,8 @@ from jaxid.robots.origin import origin_on
 
 MOTIONS = ("measured", "commanded", "fourier")
 METHODS = ("ls", "wls", "iv", "rls", "tls", "constrained", *PAPER)
-#: Variance of a parameter that nothing is known of, in units of the square of what one unit of noise in every row makes of it.
+#: Variance of a parameter that nothing is known of, in units of the square of what one unit of
+#: noise in every row makes of it.
 UNKNOWN = 1e10
 #: Sampling rate for which paper 001 states its stopping rule.
 PAPER_HZ = 125.0
@@ -72,16 +75,19 @@ def identify(
 ) -> Identification:
     """Base parameters and friction of a serial arm from recorded motion and torque.
 
-    `method` is ls, wls, iv, rls (wls sample by sample; with a reference it also says after which time the payload has
-    converged), tls, constrained, or one of paper 001's: paper001 (its recursion as printed), algorithm1, algorithm2, which find
-    the payload of a `reference` (see `jaxid.identification.paper001`); `friction` linear, power, stribeck, or auto: the
-    simplest that no richer law beats on every held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at
-    `motion_hz` (twice that) before they are differentiated. `reference`, the identification of the unloaded arm (or its JSON),
-    gives the payload; `gain_std` is the relative standard deviation of the drive gains, which moves payload and torque alike
-    (None: 0.05 where torques are made of currents, else 0).
-    Decisive findings of `jaxid.check` are applied unless `as_recorded`. `motion` is measured, commanded (channels `q1_cmd` …),
-    or fourier: the measured one as the Fourier series of runs that hold whole periods, whose derivatives keep every harmonic up
-    to `motion_hz`. Raises `UsageError` for a model that is no serial arm and data that lack its channels.
+    `method` is ls, wls, iv, rls (wls sample by sample; with a reference it also says after which
+    time the payload has converged), tls, constrained, or one of paper 001's: paper001 (its
+    recursion as printed), algorithm1, algorithm2, which find the payload of a `reference` (see
+    `jaxid.identification.paper001`); `friction` linear, power, stribeck, or auto: the simplest that
+    no richer law beats on every held-out run. Torque and columns are low-passed at `cutoff_hz`,
+    positions at `motion_hz` (twice that) before they are differentiated. `reference`, the
+    identification of the unloaded arm (or its JSON), gives the payload; `gain_std` is the relative
+    standard deviation of the drive gains, which moves payload and torque alike (None: 0.05 where
+    torques are made of currents, else 0). Decisive findings of `jaxid.check` are applied unless
+    `as_recorded`. `motion` is measured, commanded (channels `q1_cmd` …), or fourier: the measured
+    one as the Fourier series of runs that hold whole periods, whose derivatives keep every harmonic
+    up to `motion_hz`. Raises `UsageError` for a model that is no serial arm and data that lack its
+    channels.
     """
     began = time.perf_counter()
     if method not in METHODS:
@@ -252,8 +258,10 @@ def _solve(
     kept: np.ndarray | None = None,
     trust: float | None = None,
 ):
-    """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of one law; `kept` exponents
-    are not searched. `trust`: to within how many times their size the model's own numbers are known (see `spread_of`)."""
+    """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of
+    one law; `kept` exponents are not searched. `trust`: to within how many times their size the
+    model's own numbers are known (see `spread_of`).
+    """
     arm: Any = chain.mechanism
     n = len(arm.prismatic)
     fit = [r for r in runs if r.split == "fit"]
@@ -340,8 +348,9 @@ def recursive(
     weights: Sequence[np.ndarray],
     prior: np.ndarray,
 ) -> np.ndarray:
-    """Weighted least squares sample by sample: the recursion over all rows of the fit runs, one run after the other, from the
-    model's own values, of which next to nothing is trusted."""
+    """Weighted least squares sample by sample: the recursion over all rows of the fit runs, one run
+    after the other, from the model's own values, of which next to nothing is trusted.
+    """
     from jaxid.fitting.recursive_least_squares import replay_stretches
 
     size = np.zeros(len(prior))
@@ -372,8 +381,10 @@ def converged_after(
     base: BaseParameters,
     weights: Sequence[np.ndarray],
 ) -> float | None:
-    """Seconds of the first fit run after which the paper's stopping rule holds for the last link's parameters, from the unloaded
-    arm's parameters with the paper's P0 = 10; None: never within the run."""
+    """Seconds of the first fit run after which the paper's stopping rule holds for the last link's
+    parameters, from the unloaded arm's parameters with the paper's P0 = 10; None: never within the
+    run.
+    """
     from jaxid.fitting.recursive_least_squares import replay_stretches, Rule
     from jaxid.identification.online import watched_of
 
@@ -390,7 +401,8 @@ def converged_after(
         float,
     )
     step = float(np.median(np.diff(first.t)))
-    # Rows between those that say something new hold the same noise: each counts with that much more variance.
+    # Rows between those that say something new hold the same noise: each counts with that much more
+    # variance.
     noise = np.asarray(weights[0]) ** -2.0 * spacing(first)
     rule = Rule(samples=round(Rule().samples / PAPER_HZ / step))
     _, _, met = replay_stretches(
@@ -427,8 +439,10 @@ def _exponents(
 
 
 def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) -> np.ndarray:
-    """One standard deviation of each column's error and of the torque's: what lies above the cutoff, as if it were white.
-    Friction columns count as exact: what they hold above the cutoff are reversals."""
+    """One standard deviation of each column's error and of the torque's: what lies above the
+    cutoff, as if it were white. Friction columns count as exact: what they hold above the cutoff
+    are reversals.
+    """
     p = fit[0].Y.shape[2]
     square, count = np.zeros(size + 1), 0
     for r, w in zip(fit, weights, strict=True):
@@ -442,7 +456,9 @@ def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) 
 def _scored(
     runs: Sequence[Run], laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]
 ) -> tuple[list[list[RunScore]], list]:
-    """Scores of each law on each run, and of each run the filtered torque of each law [samples n]."""
+    """Scores of each law on each run, and of each run the filtered torque of each law [samples
+    n].
+    """
     scores: list[list[RunScore]] = [[] for _ in laws]
     predicted = []
     for run in runs:

@@ -1,4 +1,6 @@
-"""The numbers of an arm's own file, or of its dataset, beside those that were identified: which are wrong, and by how much."""
+"""The numbers of an arm's own file, or of its dataset, beside those that were identified: which are
+wrong, and by how much.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,9 @@ def answered(
     runs: Sequence[Run],
     result: Any,
 ) -> dict[str, Any]:
-    """What a file states, or else the dataset under [model.parameters] and [model.constants], beside what was identified: fields
-    of an identification."""
+    """What a file states, or else the dataset under [model.parameters] and [model.constants],
+    beside what was identified: fields of an identification.
+    """
     if getattr(arm, "friction", ()):
         return beside_the_file(arm, base, law, runs, result)
     known = dict(spec.constants) if spec is not None else {}
@@ -49,8 +52,9 @@ def answered(
 def _answer(
     name: str, value: float, known: dict[str, float], base: BaseParameters, result: Any
 ) -> dict[str, Any]:
-    """One stated number beside what was identified of it: of a body's, the base parameter that it leads, where nothing regroups
-    with it that is not stated, too."""
+    """One stated number beside what was identified of it: of a body's, the base parameter that it
+    leads, where nothing regroups with it that is not stated, too.
+    """
     members = {name: 1.0}
     if name in base.names:
         row = base.K[base.names.index(name)]
@@ -96,7 +100,8 @@ def beside_the_file(
 ) -> dict[str, Any]:
     """Fields `stated`, `per_joint` and `answers` of an identification whose arm comes from a file.
 
-    A base parameter's stated value is the file's own combination. Torque errors are relative, of the filtered torque.
+    A base parameter's stated value is the file's own combination. Torque errors are relative, of
+    the filtered torque.
     """
     n = len(arm.prismatic)
     split = lambda name: (

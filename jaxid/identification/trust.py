@@ -1,4 +1,6 @@
-"""How well an arm's file is known beforehand, where short recordings leave open what others show."""
+"""How well an arm's file is known beforehand, where short recordings leave open what others
+show.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,10 @@ POWERS = {"F_c": 0, "offset": 0, "F_s": 0, "F_v": 1, "F_3": 3}
 
 
 def spread_of(base: BaseParameters, prior: np.ndarray, law: Law, fit: Sequence[Run]) -> np.ndarray:
-    """Standard deviations [p] of a file that is wrong by as much as it says: of inertial parameters the root mean square of
-    those of their kind (masses, first moments, inertias), of friction what makes a torque as large as the measured one."""
+    """Standard deviations [p] of a file that is wrong by as much as it says: of inertial parameters
+    the root mean square of those of their kind (masses, first moments, inertias), of friction what
+    makes a torque as large as the measured one.
+    """
     kinds = np.array([_kind(name) for name in base.names])
     own = prior[: len(kinds)]
     typical = {k: np.sqrt(np.mean(own[kinds == k] ** 2)) for k in set(kinds.tolist())}
@@ -42,9 +46,10 @@ def _kind(name: str) -> str:
 def nearer_the_file(
     solve: Callable[[float], Any], error: Callable[[Any], np.ndarray], free: Any, better: float
 ) -> tuple[Any, float] | None:
-    """The solution near the file's numbers that predicts the validation runs best, and how near; None where the `free` one
-    predicts one of them about as well: `error` of a solution [runs]. Few short recordings leave combinations of numbers open that
-    others show."""
+    """The solution near the file's numbers that predicts the validation runs best, and how near;
+    None where the `free` one predicts one of them about as well: `error` of a solution [runs]. Few
+    short recordings leave combinations of numbers open that others show.
+    """
     plain = error(free)
     if not len(plain):
         return None

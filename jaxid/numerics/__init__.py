@@ -1,1 +1,3 @@
-"""What XLA needs and no mechanics: elementary functions, small matrices, batched loops, exported programs."""
+"""What XLA needs and no mechanics: elementary functions, small matrices, batched loops, exported
+programs.
+"""

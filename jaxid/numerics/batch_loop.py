@@ -1,10 +1,13 @@
-"""Many lanes of one program side by side, like `jax.vmap`, with the loop over time laid out for vector code.
+"""Many lanes of one program side by side, like `jax.vmap`, with the loop over time laid out for
+vector code.
 
-`jax.vmap` puts the lanes first: a state [nq] becomes an array [lanes nq], and what picks, stacks and sums its few elements
-becomes scalar code. Measured on the two-link arm with dry friction, 32 lanes: 205 ns a lane-step, against 111 as it is done here;
-its Runge-Kutta step alone 170 against 46. `over_lanes` evaluates what is marked as a loop over time element by element:
-every element of a small array is a vector [lanes] of its own, and picking, stacking and summing happen while tracing. The
-arithmetic is the same, number by number. A version of JAX that writes its programs in another form is served by `jax.vmap`.
+`jax.vmap` puts the lanes first: a state [nq] becomes an array [lanes nq], and what picks, stacks
+and sums its few elements becomes scalar code. Measured on the two-link arm with dry friction, 32
+lanes: 205 ns a lane-step, against 111 as it is done here; its Runge-Kutta step alone 170 against
+46. `over_lanes` evaluates what is marked as a loop over time element by element: every element of a
+small array is a vector [lanes] of its own, and picking, stacking and summing happen while tracing.
+The arithmetic is the same, number by number. A version of JAX that writes its programs in another
+form is served by `jax.vmap`.
 """
 
 from __future__ import annotations
@@ -42,9 +45,10 @@ if TYPE_CHECKING:
 
 #: Arrays of more elements (per lane) stay whole.
 SMALL = 36
-#: A step of more operations on elements is taken apart only where that makes no more than so many times as many of them, as of
-#: one that is written element by element. Else it is mapped as `jax.vmap` does it: compiling the matrices of an arm of six joints
-#: one element after the other takes minutes. (Measured on the tracker with its whole library, 31000 operations: no longer to
+#: A step of more operations on elements is taken apart only where that makes no more than so many
+#: times as many of them, as of one that is written element by element. Else it is mapped as
+#: `jax.vmap` does it: compiling the matrices of an arm of six joints one element after the other
+#: takes minutes. (Measured on the tracker with its whole library, 31000 operations: no longer to
 #: compile, and 0.7 in place of 1.9 microseconds a lane-step.)
 LARGEST_STEP, MOST_TIMES = 6000, 2.5
 
@@ -55,7 +59,9 @@ _NAME = "loop_over_time"
 
 
 def loop_over_time(loop: Callable[[], Any]) -> Any:
-    """loop(), marked: `over_lanes` evaluates it element by element. The loop is a `lax.while_loop` around one `lax.scan`."""
+    """loop(), marked: `over_lanes` evaluates it element by element. The loop is a `lax.while_loop`
+    around one `lax.scan`.
+    """
     named = lambda: loop()
     named.__name__ = _NAME
     return jax.jit(named)()
@@ -64,9 +70,12 @@ def loop_over_time(loop: Callable[[], Any]) -> Any:
 def over_lanes(
     function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0
 ) -> Callable[..., Any]:
-    """`jax.vmap(function, in_axes)` for axes that are 0 or None, each of a whole argument; every output has the lanes first.
+    """`jax.vmap(function, in_axes)` for axes that are 0 or None, each of a whole argument; every
+    output has the lanes first.
 
-    Where the program has a form that is not known here, it is `jax.vmap` itself, and a `RuntimeWarning` says so once."""
+    Where the program has a form that is not known here, it is `jax.vmap` itself, and a
+    `RuntimeWarning` says so once.
+    """
 
     def mapped(*args: Any) -> Any:
         try:
@@ -120,8 +129,9 @@ def _note(reason: str) -> None:
 
 
 class Value(NamedTuple):
-    """What a variable of one lane holds for all of them: an array, [lanes ...] if batched, or (object array) its elements, each a
-    vector [lanes] or a number that all lanes share."""
+    """What a variable of one lane holds for all of them: an array, [lanes ...] if batched, or
+    (object array) its elements, each a vector [lanes] or a number that all lanes share.
+    """
 
     content: Any
     batched: bool
@@ -134,7 +144,9 @@ class Value(NamedTuple):
         )
 
     def checked(self, eqn: JaxprEqn, stated: Any) -> None:
-        """Raises `UnknownForm` where a value is not of the shape and type that the program states."""
+        """Raises `UnknownForm` where a value is not of the shape and type that the program
+        states.
+        """
         shape = np.shape(self.content)[self.batched and not self.parted :]
         some = self.content.flat[0] if self.parted and self.content.size else self.content
         if shape != stated.shape or (some.dtype not in (stated.dtype, object)):
@@ -226,8 +238,9 @@ def _dependent(jaxpr: Jaxpr, batched: Sequence[bool]) -> list[bool]:
 def _settled(
     jaxpr: Jaxpr, consts: list[bool], carry: list[bool], rest: Sequence[bool] = ()
 ) -> list[bool]:
-    """Which parts of a loop's state depend on the lane: what does at the beginning, and what is made of it. `rest` are a step's
-    other arguments; what a step gives besides the state comes last."""
+    """Which parts of a loop's state depend on the lane: what does at the beginning, and what is
+    made of it. `rest` are a step's other arguments; what a step gives besides the state comes last.
+    """
     while True:
         after = [
             a or b for a, b in zip(carry, _dependent(jaxpr, [*consts, *carry, *rest]), strict=False)
@@ -273,8 +286,9 @@ class _State(NamedTuple):
 
 
 class _Lanes:
-    """Evaluates programs of one lane for many: as `jax.vmap` does it at level 0; taken apart at level 1, in a loop over time, and
-    at level 2, in its steps."""
+    """Evaluates programs of one lane for many: as `jax.vmap` does it at level 0; taken apart at
+    level 1, in a loop over time, and at level 2, in its steps.
+    """
 
     def __init__(self, lanes: int, level: int = 0):
         self.lanes, self.level = lanes, level
@@ -298,7 +312,9 @@ class _Lanes:
         return [read(v) for v in closed.jaxpr.outvars]
 
     def _stored(self, v: Value) -> Value:
-        """XLA works a cheap value out once for each of its readers: what took many operations is stored."""
+        """XLA works a cheap value out once for each of its readers: what took many operations is
+        stored.
+        """
         stored = {
             id(e): fence(e)
             for e in v.content.ravel()

@@ -5,15 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 
-#: A direction of the scaled columns in which the data say less than this share of what they say elsewhere stays where it was.
+#: A direction of the scaled columns in which the data say less than this share of what they say
+#: elsewhere stays where it was.
 WEAK = 1e-9
 
 
 def within_box(
     H: np.ndarray, b: np.ndarray, start: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The minimum of x'Hx / 2 - b'x in a box, and which numbers a bound holds: the primal method of active sets (Nocedal and
-    Wright, Numerical Optimization, 2006, 16.5), from a start, which directions that H leaves open keep."""
+    """The minimum of x'Hx / 2 - b'x in a box, and which numbers a bound holds: the primal method of
+    active sets (Nocedal and Wright, Numerical Optimization, 2006, 16.5), from a start, which
+    directions that H leaves open keep.
+    """
     x, held = np.clip(start, lower, upper), np.zeros(len(start), bool)
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     for _ in range(10 + 3 * len(x)):
@@ -43,7 +46,9 @@ def scaled(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _within(H: np.ndarray, b: np.ndarray, theta: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Numbers that are free, the others held; directions that the data leave open stay where theta has them."""
+    """Numbers that are free, the others held; directions that the data leave open stay where theta
+    has them.
+    """
     F = H[np.ix_(free, free)]
     rest = b[free] - H[np.ix_(free, ~free)] @ theta[~free] - F @ theta[free]
     S, size = scaled(F)

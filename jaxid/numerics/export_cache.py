@@ -1,9 +1,10 @@
 """Traced programs kept on disk beside the compiled ones.
 
-The compilation cache saves compiling, not tracing: a chain with all its effects takes a second to trace in every new process, and
-a fifth of that to read back. Kept is what `jax.export` serialises. A program is found again by all that its trace depends on:
-sources of this package (by size and time), structure, constants, shapes and versions. Where that is not known for sure, as with a
-model of the user's own, the program is traced as ever.
+The compilation cache saves compiling, not tracing: a chain with all its effects takes a second to
+trace in every new process, and a fifth of that to read back. Kept is what `jax.export` serialises.
+A program is found again by all that its trace depends on: sources of this package (by size and
+time), structure, constants, shapes and versions. Where that is not known for sure, as with a model
+of the user's own, the program is traced as ever.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ from jaxid.numerics.program_cache import CacheFolder, TRACED
 
 
 class Traced:
-    """A jitted function of arrays (and pytrees of them); its trace is kept under `key` (None: is not kept)."""
+    """A jitted function of arrays (and pytrees of them); its trace is kept under `key` (None: is
+    not kept).
+    """
 
     def __init__(self, function: Callable[..., Any], key: str | None):
         self._plain, self._key = jax.jit(function), key
@@ -93,7 +96,9 @@ def _folder() -> CacheFolder:
 
 
 def _kind(leaves: Sequence[Any], tree: Any) -> tuple:
-    """What a trace is kept by: structure and shapes of its arguments, and what it is to run on, which an export is bound to."""
+    """What a trace is kept by: structure and shapes of its arguments, and what it is to run on,
+    which an export is bound to.
+    """
     return (
         tree,
         tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves),
@@ -102,7 +107,9 @@ def _kind(leaves: Sequence[Any], tree: Any) -> tuple:
 
 
 def _platform(leaves: Sequence[Any]) -> str:
-    """Where JAX runs a program with such arguments: where they were put on purpose, or on the default device."""
+    """Where JAX runs a program with such arguments: where they were put on purpose, or on the
+    default device.
+    """
     placed = (
         a for a in leaves if isinstance(a, jax.Array) and not isinstance(a, Tracer) and a.committed
     )
@@ -112,10 +119,11 @@ def _platform(leaves: Sequence[Any]) -> str:
 
 
 def key_of(function: Callable[..., Any], pytree: Any, *more: Any) -> str | None:
-    """All that a program of a module's function and of a pytree of modules depends on, but for what it is called with.
+    """All that a program of a module's function and of a pytree of modules depends on, but for what
+    it is called with.
 
-    None where it cannot be told: code from outside of this package (it may depend on any other file), closures, static fields
-    without a text that lasts.
+    None where it cannot be told: code from outside of this package (it may depend on any other
+    file), closures, static fields without a text that lasts.
     """
     modules = {function.__module__, *(type(part).__module__ for part in _parts(pytree))}
     plain = getattr(sys.modules.get(function.__module__), function.__name__, None) is function

@@ -1,8 +1,8 @@
 """Arithmetic that XLA's CPU compiler turns into vector code.
 
-Measured: float64 `sin` and `cos` are one scalar library call an element and are copied into every consumer; batched `@`
-of small matrices is not fused; a cheap value with many readers is recomputed in each. Inside a simulation step use
-these instead.
+Measured: float64 `sin` and `cos` are one scalar library call an element and are copied into every
+consumer; batched `@` of small matrices is not fused; a cheap value with many readers is recomputed
+in each. Inside a simulation step use these instead.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from jaxid.numerics.reverse import reversible
 
 
 def fence(x: Float[Array, ...]) -> Float[Array, ...]:
-    """x unchanged, but computed once however many readers it has (a division is not copied into consumers)."""
+    """x unchanged, but computed once however many readers it has (a division is not copied into
+    consumers).
+    """
     return x if reversible() else _fenced(x)
 
 
@@ -37,8 +39,10 @@ def dot(a: Float[Array, "n m"], x: Float[Array, ...]) -> Float[Array, ...]:
 
 
 def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Inverse of a small matrix whose leading minors are positive (a mass matrix, 1 + compliance times slopes): closed form up
-    to two rows, Gauss-Jordan elimination beyond, in a loop and without pivots, which batched LAPACK calls cannot match."""
+    """Inverse of a small matrix whose leading minors are positive (a mass matrix, 1 + compliance
+    times slopes): closed form up to two rows, Gauss-Jordan elimination beyond, in a loop and
+    without pivots, which batched LAPACK calls cannot match.
+    """
     if a.shape[-1] == 1:
         return 1 / a
     if a.shape[-1] == 2:
@@ -55,7 +59,8 @@ def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     )[0][:, n:]
 
 
-# Minimax coefficients of sin(r)/r and cos(r) on |r| <= pi/4 (the classical ones of fdlibm's kernel functions).
+# Minimax coefficients of sin(r)/r and cos(r) on |r| <= pi/4 (the classical ones of fdlibm's kernel
+# functions).
 _SIN = (
     1.58969099521155010221e-10,
     -2.50507602534068634195e-08,
@@ -78,7 +83,9 @@ _PI_2 = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 
 @jax.custom_jvp
 def sincos(x: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """(sin x, cos x) by arithmetic alone; absolute error below 3e-16 for |x| < 1e5. Call it once on a whole vector."""
+    """(sin x, cos x) by arithmetic alone; absolute error below 3e-16 for |x| < 1e5. Call it once on
+    a whole vector.
+    """
     k = jnp.round(x * (2 / jnp.pi))
     r = ((x - k * _PI_2[0]) - k * _PI_2[1]) - k * _PI_2[2]
     z = r * r

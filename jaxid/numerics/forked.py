@@ -1,4 +1,6 @@
-"""JAX in a process that was forked: its threads stay behind in the parent, and whatever waits for them waits for ever."""
+"""JAX in a process that was forked: its threads stay behind in the parent, and whatever waits for
+them waits for ever.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Programs that are kept for the next model of their structure: of all kinds together those used last.
+"""Programs that are kept for the next model of their structure: of all kinds together those used
+last.
 
-A compiled program of a robot takes some ten megabytes. A process that looks at one robot after the other would keep what no other
-will ever use; one that is needed again is made anew, from the folder of compiled programs where there is one.
+A compiled program of a robot takes some ten megabytes. A process that looks at one robot after the
+other would keep what no other will ever use; one that is needed again is made anew, from the folder
+of compiled programs where there is one.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
-#: So many are kept. A compiled one of the flexible link takes about 500 regions of memory, of which Linux gives a process 65530.
+#: So many are kept. A compiled one of the flexible link takes about 500 regions of memory, of which
+#: Linux gives a process 65530.
 MOST = 64
 _KEPT: OrderedDict[tuple[str, Hashable], Any] = OrderedDict()
 _LOCK = RLock()

@@ -1,7 +1,8 @@
 """Factorisations of small matrices in batches, as loops of arithmetic.
 
-The batched LAPACK calls of XLA share their work out on the thread pool they run on: two of them at once can wait for each other
-for ever on a machine with two cores. These do not, and for some ten rows they are faster too.
+The batched LAPACK calls of XLA share their work out on the thread pool they run on: two of them at
+once can wait for each other for ever on a machine with two cores. These do not, and for some ten
+rows they are faster too.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ def _solve_jvp(primals, tangents):
 
 
 def whitening(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """W with W a W' = 1 and W lower triangular: the inverse of the Cholesky factor of a positive definite matrix."""
+    """W with W a W' = 1 and W lower triangular: the inverse of the Cholesky factor of a positive
+    definite matrix.
+    """
     n = a.shape[0]
 
     def eliminate(rows: Array, k: Array) -> tuple[Array, None]:
@@ -55,7 +58,9 @@ def whitening(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 def _tournament(n: int) -> np.ndarray:
-    """Who sits where after a round in which neighbours 0-1, 2-3, ... met (n even): n - 1 rounds bring each pair together once."""
+    """Who sits where after a round in which neighbours 0-1, 2-3, ... met (n even): n - 1 rounds
+    bring each pair together once.
+    """
     seats = np.arange(n)
     if n > 2:
         seats[2], seats[4::2] = 1, np.arange(2, n - 2, 2)
@@ -65,8 +70,9 @@ def _tournament(n: int) -> np.ndarray:
 
 @jax.custom_jvp
 def eigh(a: Float[Array, "n n"]) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
-    """Eigenvalues of a symmetric matrix, rising, and its eigenvectors (columns), by Jacobi rotations of n / 2 pairs at a time
-    (Brent and Luk 1985); derivatives need distinct eigenvalues."""
+    """Eigenvalues of a symmetric matrix, rising, and its eigenvectors (columns), by Jacobi
+    rotations of n / 2 pairs at a time (Brent and Luk 1985); derivatives need distinct eigenvalues.
+    """
     n = a.shape[0]
     if n == 1:
         return a[0], jnp.ones_like(a)

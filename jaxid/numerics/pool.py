@@ -18,7 +18,9 @@ T = TypeVar("T")
 
 
 def default_device() -> Any:
-    """The device that the caller chose with `jax.default_device` or JAX's own setting; None: JAX chooses."""
+    """The device that the caller chose with `jax.default_device` or JAX's own setting; None: JAX
+    chooses.
+    """
     return jax.config.values["jax_default_device"]
 
 
@@ -29,8 +31,9 @@ def default_platform() -> str:
 
 
 class Pool:
-    """Threads, one per core or so many; jobs run in float64, with the default device and NumPy's warnings as they are set where
-    they are handed in."""
+    """Threads, one per core or so many; jobs run in float64, with the default device and NumPy's
+    warnings as they are set where they are handed in.
+    """
 
     def __init__(self, name: str, size: int | None = None):
         self._threads = ThreadPoolExecutor(
@@ -46,7 +49,9 @@ class Pool:
         return (b.result() for b in begun)
 
     def ahead(self, jobs: Sequence[Callable[[], T]]) -> Iterator[T]:
-        """The same, no more than a few ahead of what is taken: what was need not be kept; a single job runs here."""
+        """The same, no more than a few ahead of what is taken: what was need not be kept; a single
+        job runs here.
+        """
         if len(jobs) < 2:
             yield from (job() for job in jobs)
             return

@@ -12,8 +12,8 @@ from jaxid.numerics.versions import check_jax
 def float64() -> AbstractContextManager:
     """Context in which JAX computes in float64; outside, the user's precision stands.
 
-    Every computation passes here, so it is also where one that would never end, in a forked process, is refused. Raises
-    `UsageError` for a JAX that is too old.
+    Every computation passes here, so it is also where one that would never end, in a forked
+    process, is refused. Raises `UsageError` for a JAX that is too old.
     """
     check_jax()
     forked.begin_to_compute()

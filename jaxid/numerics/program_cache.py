@@ -1,7 +1,9 @@
-"""The folder of traced and compiled programs: nothing that was damaged, half written or put there by others is ever read.
+"""The folder of traced and compiled programs: nothing that was damaged, half written or put there
+by others is ever read.
 
-A file begins with the hash of its name and content, and is exchanged in one step, so that several processes may write it and be
-killed meanwhile. What does not match its hash is removed before anybody reads it, and made anew.
+A file begins with the hash of its name and content, and is exchanged in one step, so that several
+processes may write it and be killed meanwhile. What does not match its hash is removed before
+anybody reads it, and made anew.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from typing import Any
 from jaxid.wording import complain
 
 
-#: When a program is written, those are removed that nobody read for so long (s), and what a killed process left half written.
+#: When a program is written, those are removed that nobody read for so long (s), and what a killed
+#: process left half written.
 UNUSED_S, HALF_WRITTEN_S = 60 * 24 * 3600.0, 24 * 3600.0
 #: What a file begins with, before the hash.
 MARK = b"jaxid program 1\n"
@@ -80,7 +83,9 @@ class CacheFolder:
             )
 
     def write(self, name: str, content: bytes) -> None:
-        """All of it or nothing, also where several processes write it at once; nothing where the disk takes no more."""
+        """All of it or nothing, also where several processes write it at once; nothing where the
+        disk takes no more.
+        """
         with contextlib.suppress(OSError):
             self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
             if not _is_own_folder(self.path):
@@ -126,7 +131,8 @@ def _say_once(kind: str, message: str) -> None:
 
 
 def own_folder(path: Path) -> Path | None:
-    """The folder in which the folders of programs lie, made if missing; None where it cannot be written or is another user's.
+    """The folder in which the folders of programs lie, made if missing; None where it cannot be
+    written or is another user's.
 
     One that holds other things too keeps its permissions: the folders in it are private anyway.
     """
@@ -142,7 +148,9 @@ def own_folder(path: Path) -> Path | None:
 
 
 def _is_own_folder(path: Path, close: bool = True) -> bool:
-    """Whether a folder is this user's; `close`: has it closed to all others. Says what to type where it is another user's."""
+    """Whether a folder is this user's; `close`: has it closed to all others. Says what to type
+    where it is another user's.
+    """
     try:
         status = path.stat()
         if not _is_own(status):
@@ -178,7 +186,9 @@ _wanted: Path | None = None  # the folder that `runtime.prepare` chose
 
 
 class _Compiled:
-    """What JAX takes for its persistent cache of compiled programs (`get` and `put` of bytes under a key)."""
+    """What JAX takes for its persistent cache of compiled programs (`get` and `put` of bytes under
+    a key).
+    """
 
     def __init__(self, folder: Path):
         self._path, self._folder = folder, CacheFolder(folder / COMPILED)
@@ -197,10 +207,11 @@ def want(folder: Path) -> None:
 
 
 def keep_compiled() -> None:
-    """Has JAX read and write its compiled programs by way of `CacheFolder` where a folder is wanted.
+    """Has JAX read and write its compiled programs by way of `CacheFolder` where a folder is
+    wanted.
 
-    JAX has no public place for that. Where a version of it has none at all, compiled programs are not kept: its own cache would
-    read whatever lies there.
+    JAX has no public place for that. Where a version of it has none at all, compiled programs are
+    not kept: its own cache would read whatever lies there.
     """
     global _wanted
     if _wanted is None:

@@ -1,6 +1,7 @@
 """What the equations of a traced program of JAX mean, in every form that its versions give them.
 
-JAX keeps that form private and changes it. It is read here alone, and checked: what is not as it is known raises `UnknownForm`.
+JAX keeps that form private and changes it. It is read here alone, and checked: what is not as it is
+known raises `UnknownForm`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ class UnknownForm(Exception):
     """An equation says in another form than the known ones what it does."""
 
 
-#: What a primitive that is done element by element is told; anything else that it is told has to be empty.
+#: What a primitive that is done element by element is told; anything else that it is told has to be
+#: empty.
 TOLD = {
     "broadcast_in_dim": "shape broadcast_dimensions",
     "reshape": "new_sizes",
@@ -97,7 +99,9 @@ def scan_counts(eqn: JaxprEqn) -> tuple[int, int]:
 
 
 def while_counts(eqn: JaxprEqn) -> tuple[int, int]:
-    """How many of a loop's arguments are constants of its condition, and how many of its body; the others are its state."""
+    """How many of a loop's arguments are constants of its condition, and how many of its body; the
+    others are its state.
+    """
     p = eqn.params
     if p.keys() != {"cond_jaxpr", "cond_nconsts", "body_jaxpr", "body_nconsts"}:
         raise UnknownForm(f"while is told {', '.join(sorted(p))}")

@@ -1,8 +1,10 @@
-"""Programs that reverse-mode differentiation can pass: `jax.grad` knows no loop whose length is found while it runs.
+"""Programs that reverse-mode differentiation can pass: `jax.grad` knows no loop whose length is
+found while it runs.
 
-The stepping asks `reversible()` while it is traced. Inside, loops over time have the static length of the output, and the
-sticking solve has the derivative of what it solves instead of that of its iterations; the numbers are the same to rounding.
-Everything else keeps its loops that end early, which forward tangents pass and which cost less.
+The stepping asks `reversible()` while it is traced. Inside, loops over time have the static length
+of the output, and the sticking solve has the derivative of what it solves instead of that of its
+iterations; the numbers are the same to rounding. Everything else keeps its loops that end early,
+which forward tangents pass and which cost less.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Jobs that take minutes, side by side: what they tell is told in the caller's thread, and Ctrl-C there reaches them all."""
+"""Jobs that take minutes, side by side: what they tell is told in the caller's thread, and Ctrl-C
+there reaches them all.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,10 @@ def side_by_side(
 ) -> list[Future[T]]:
     """Jobs that are done, in their order, no more than `workers` at a time (None: one per core).
 
-    Each is called with a function by which it tells how far it is; what it tells reaches `tell` in the caller's thread. What
-    interrupts the caller, or fails in `tell` or in a job, is raised in the others as `KeyboardInterrupt` where they next tell
-    something; those that have not begun are cancelled, all that had begun are waited for.
+    Each is called with a function by which it tells how far it is; what it tells reaches `tell` in
+    the caller's thread. What interrupts the caller, or fails in `tell` or in a job, is raised in
+    the others as `KeyboardInterrupt` where they next tell something; those that have not begun are
+    cancelled, all that had begun are waited for.
     """
     told: SimpleQueue[tuple[Any, ...] | Future[T]] = SimpleQueue()
     stopped = Event()

@@ -1,7 +1,9 @@
-"""Whether estimates allow the numbers that somebody stated: all together, by the smallest change that the data ask for.
+"""Whether estimates allow the numbers that somebody stated: all together, by the smallest change
+that the data ask for.
 
-Numbers that hang together are not refuted one by one. Where data tell only a ratio or a sum, many values of each are as good as
-the estimate; a stated set is refuted where none of its points is, and then by as few of its numbers as possible.
+Numbers that hang together are not refuted one by one. Where data tell only a ratio or a sum, many
+values of each are as good as the estimate; a stated set is refuted where none of its points is, and
+then by as few of its numbers as possible.
 """
 
 from __future__ import annotations
@@ -12,14 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 
-#: A stated number is refuted beyond so many standard deviations; several together where chance takes them as far as rarely.
+#: A stated number is refuted beyond so many standard deviations; several together where chance
+#: takes them as far as rarely.
 REFUTED = 3.0
-#: A direction of the correlations that holds less than this share of the largest is known exactly, up to rounding.
+#: A direction of the correlations that holds less than this share of the largest is known exactly,
+#: up to rounding.
 ROUNDING = 1e-13
 
 
 def apart(found: float, stated: float, std: float | None) -> float | None:
-    """How far a number lies from where it is stated, in standard deviations; None where that is no number."""
+    """How far a number lies from where it is stated, in standard deviations; None where that is no
+    number.
+    """
     if std is None or not std > 0:
         return None
     deviation = (found - stated) / std
@@ -36,8 +42,10 @@ class Known:
     upper: np.ndarray
 
     def beside(self, held: Sequence[int], at: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """All numbers [n] where those that are `held` stand `at` [held], their covariance, and how far that is from the estimate
-        (squared, in standard deviations). One that would leave its bounds stays at them."""
+        """All numbers [n] where those that are `held` stand `at` [held], their covariance, and how
+        far that is from the estimate (squared, in standard deviations). One that would leave its
+        bounds stays at them.
+        """
         held, at = list(held), np.asarray(at, float)
         while True:
             value, covariance, far = self._held(held, at)
@@ -53,7 +61,9 @@ class Known:
         return np.clip(value, self.lower, self.upper), covariance, far
 
     def usable(self) -> tuple[Known, np.ndarray]:
-        """The same, where what is no number says nothing, and which [n] have an estimate with a standard deviation."""
+        """The same, where what is no number says nothing, and which [n] have an estimate with a
+        standard deviation.
+        """
         variance = np.diag(self.covariance)
         sure = np.isfinite(self.value) & np.isfinite(variance) & (variance > 0)
         both = np.outer(sure, sure) & np.isfinite(self.covariance)
@@ -77,9 +87,10 @@ class Known:
 class Change:
     """The smallest change of stated numbers that data allow.
 
-    `refuted` says which of them it changes (positions), `instead` which others might be changed in place of one, `value` [n] and
-    `covariance` [n n] of all numbers with the rest as stated. `deviation` is how far what is refuted lies from where it is
-    stated, in standard deviations: beside the rest as stated, by itself, or as unlikely as all are together, what is most.
+    `refuted` says which of them it changes (positions), `instead` which others might be changed in
+    place of one, `value` [n] and `covariance` [n n] of all numbers with the rest as stated.
+    `deviation` is how far what is refuted lies from where it is stated, in standard deviations:
+    beside the rest as stated, by itself, or as unlikely as all are together, what is most.
     """
 
     refuted: tuple[int, ...]
@@ -97,8 +108,9 @@ class Change:
 def smallest_change(known: Known, stated: np.ndarray) -> Change:
     """What estimates say of `stated` numbers [n] (nan where nothing is stated): see `Change`.
 
-    Numbers are let go one after the other, each time the one without which the rest comes nearest, until chance takes the rest as
-    far from the estimate as it is; then each is tried in its place again.
+    Numbers are let go one after the other, each time the one without which the rest comes nearest,
+    until chance takes the rest as far from the estimate as it is; then each is tried in its place
+    again.
     """
     known, sure = known.usable()
     kept = [int(k) for k in np.flatnonzero(np.isfinite(stated) & sure)]
@@ -143,7 +155,9 @@ def _deviation(known: Known, kept: Sequence[int], stated: np.ndarray) -> float:
 
 
 def _allowed(known: Known, kept: Sequence[int], stated: np.ndarray) -> bool:
-    """Whether chance takes these numbers from the estimate to where they are stated: together, alone, and beside each other."""
+    """Whether chance takes these numbers from the estimate to where they are stated: together,
+    alone, and beside each other.
+    """
     from scipy.special import chdtrc
 
     if not kept:
@@ -158,7 +172,9 @@ def _allowed(known: Known, kept: Sequence[int], stated: np.ndarray) -> bool:
 
 
 def _gains(known: Known, kept: Sequence[int], stated: np.ndarray) -> np.ndarray:
-    """By how much nearer the rest comes without each of them, squared standard deviations; bounds left aside."""
+    """By how much nearer the rest comes without each of them, squared standard deviations; bounds
+    left aside.
+    """
     kept = list(kept)
     inverse = inverted(known.covariance[np.ix_(kept, kept)])
     pull = inverse @ (stated[kept] - known.value[kept])
@@ -181,7 +197,9 @@ def _worst(known: Known, kept: Sequence[int], stated: np.ndarray) -> int:
 
 
 def inverted(covariance: np.ndarray) -> np.ndarray:
-    """The inverse of a covariance, in units of its diagonal; what rounding left of a direction counts as that."""
+    """The inverse of a covariance, in units of its diagonal; what rounding left of a direction
+    counts as that.
+    """
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / size / size[:, None])
     least = ROUNDING * max(values[-1], 1e-300)

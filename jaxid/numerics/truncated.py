@@ -1,8 +1,9 @@
 """What is left of a normal distribution inside a box: the posterior of numbers that have bounds.
 
-A normal distribution that is cut off at bounds is no normal one. Its first two moments are taken by expectation propagation
-(Minka 2001; of boxes Cunningham, Hennig, Lacoste-Julien 2011): each bounded number takes up a rank-one term that narrows it, so
-that the covariance stays positive semidefinite whatever the bounds are.
+A normal distribution that is cut off at bounds is no normal one. Its first two moments are taken by
+expectation propagation (Minka 2001; of boxes Cunningham, Hennig, Lacoste-Julien 2011): each bounded
+number takes up a rank-one term that narrows it, so that the covariance stays positive semidefinite
+whatever the bounds are.
 """
 
 from __future__ import annotations
@@ -14,14 +15,18 @@ import numpy as np
 
 #: A bound that lies so many standard deviations away cuts nothing off.
 FAR = 8.0
-#: Sweeps over the bounded numbers, and the change of a mean, in standard deviations, that ends them.
+#: Sweeps over the bounded numbers, and the change of a mean, in standard deviations, that ends
+#: them.
 SWEEPS, SETTLED = 200, 1e-6
-#: Nodes of the quadrature, and the logarithm of the density, below its largest, from which it is nothing.
+#: Nodes of the quadrature, and the logarithm of the density, below its largest, from which it is
+#: nothing.
 NODES, NOTHING = 64, 40.0
 
 
 def moments_within(a: float, b: float) -> tuple[float, float]:
-    """Mean and variance of a standard normal variable between a and b (infinite where there is no bound)."""
+    """Mean and variance of a standard normal variable between a and b (infinite where there is no
+    bound).
+    """
     nodes, weights = _quadrature()
     nearest = min(max(0.0, a), b)
     reach = np.sqrt(nearest**2 + 2 * NOTHING)
@@ -34,8 +39,9 @@ def moments_within(a: float, b: float) -> tuple[float, float]:
 
 
 def square_beyond(push: float) -> float:
-    """Mean square of a standard normal variable that is cut off below 0 and pushed against that bound by so much, the slope of
-    minus the logarithm of its density there; 1 without a push."""
+    """Mean square of a standard normal variable that is cut off below 0 and pushed against that
+    bound by so much, the slope of minus the logarithm of its density there; 1 without a push.
+    """
     nodes, weights = _quadrature()
     reach = float(np.sqrt(2 * NOTHING))
     if push > 0:
@@ -46,8 +52,10 @@ def square_beyond(push: float) -> float:
 
 
 def pushed(covariance: np.ndarray, at: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """A covariance [n n] where numbers `at` stand at a bound, each with a slope `push` of minus the logarithm of the density
-    there: their own mean squares from the bound, and with them what trades for them."""
+    """A covariance [n n] where numbers `at` stand at a bound, each with a slope `push` of minus the
+    logarithm of the density there: their own mean squares from the bound, and with them what trades
+    for them.
+    """
     out = covariance.copy()
     for k, slope in zip(at, push, strict=True):
         own = out[k, k]
@@ -65,7 +73,8 @@ def _quadrature() -> tuple[np.ndarray, np.ndarray]:
 def within_bounds(
     covariance: np.ndarray, mean: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [n] and covariance [n n] of a normal distribution between `lower` and `upper` [n] (infinite where there is none).
+    """Mean [n] and covariance [n n] of a normal distribution between `lower` and `upper` [n]
+    (infinite where there is none).
 
     The covariance is positive semidefinite if the given one is, and nowhere wider.
     """
@@ -101,7 +110,9 @@ def positive(matrix: np.ndarray) -> np.ndarray:
 
 
 def _terms(C: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Precision and precision times mean [n] of the term that each bounded number takes up, about a mean of 0."""
+    """Precision and precision times mean [n] of the term that each bounded number takes up, about a
+    mean of 0.
+    """
     n = len(C)
     precision, shift = np.zeros(n), np.zeros(n)
     S, mean = C.copy(), np.zeros(n)
@@ -128,7 +139,9 @@ def _take_up(
     low: float,
     high: float,
 ) -> None:
-    """The term of number k anew, beside those of all others; changes S, mean, precision and shift in place."""
+    """The term of number k anew, beside those of all others; changes S, mean, precision and shift
+    in place.
+    """
     own = S[k, k]
     rest = 1 / own - precision[k]
     if not own > 0 or not rest > 0:

@@ -1,4 +1,6 @@
-"""Whether JAX has a version that jaxid was run with (`docs/versions.md`). JAX is not imported for it."""
+"""Whether JAX has a version that jaxid was run with (`docs/versions.md`). JAX is not imported for
+it.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,12 @@ from jaxid.errors import UsageError
 
 @functools.cache
 def check_jax() -> None:
-    """Raises `UsageError` for a JAX that is older than the versions jaxid was run with; warns of a newer one, once.
+    """Raises `UsageError` for a JAX that is older than the versions jaxid was run with; warns of a
+    newer one, once.
 
-    The bounds are those of the installed package; where it is not installed, nothing is known and nothing said."""
+    The bounds are those of the installed package; where it is not installed, nothing is known and
+    nothing said.
+    """
     try:
         found = version("jax")
         requirements = requires("jaxid") or []
@@ -44,7 +49,9 @@ def bounds_of(package: str, requirements: Sequence[str]) -> tuple[str | None, st
 
 
 def release(version: str) -> tuple[int, ...]:
-    """The numbers of a version, without what marks a release before or after it, nor zeros at its end."""
+    """The numbers of a version, without what marks a release before or after it, nor zeros at its
+    end.
+    """
     digits = re.split(r"[^\d.]", version)[0].strip(".")
     numbers = [int(part) for part in digits.split(".")]
     while numbers and numbers[-1] == 0:

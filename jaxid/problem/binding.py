@@ -1,4 +1,6 @@
-"""A model bound to a dataset: which channels it uses, what its numbers start from, between which bounds, and the noise."""
+"""A model bound to a dataset: which channels it uses, what its numbers start from, between which
+bounds, and the noise.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ from jaxid.problem.typical import typical_magnitudes
 from jaxid.robots import match as robots
 
 
-#: The effect whose strength is read off the recording: it is noise, which no residual shows the size of.
+#: The effect whose strength is read off the recording: it is noise, which no residual shows the
+#: size of.
 JITTER = "timestamp_jitter"
 
 
@@ -76,7 +79,9 @@ class Binding:
 
     @property
     def gains(self) -> set[int]:
-        """Fitted numbers of a drive law that make the torque itself: no equation of torques can tell them."""
+        """Fitted numbers of a drive law that make the torque itself: no equation of torques can
+        tell them.
+        """
         known = self.chain.mechanism.known()
         return {
             i
@@ -105,8 +110,9 @@ class Binding:
         )
 
     def by_windows(self, window: Window | None) -> Binding:
-        """With the noise of runs that begin anew in each window: what repeats differ by has not added up since they began. `self`
-        without windows or repeats."""
+        """With the noise of runs that begin anew in each window: what repeats differ by has not
+        added up since they began. `self` without windows or repeats.
+        """
         if window is None or all(n.source != "repeatability" for n in self.noise.values()):
             return self
         noise = noise_floor(self.dataset, window=window)
@@ -117,7 +123,9 @@ class Binding:
         )
 
     def with_stamps(self, stamps: Mapping[str, Stamps]) -> Binding:
-        """The spreads of time stamps as numbers of the model that no fit determines; output channel -> its stamps."""
+        """The spreads of time stamps as numbers of the model that no fit determines; output channel
+        -> its stamps.
+        """
         theta, read = self.theta.copy(), dict(self.read)
         for channel, found in stamps.items():
             (i,) = self.layout.of_effect(JITTER, channel)
@@ -126,8 +134,9 @@ class Binding:
 
 
 def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) -> Chain:
-    """The chain that a dataset and a user mean: by id, by the path of a URDF or of a model of the user's own, as a mechanism, or
-    as a chain; None takes the dataset's."""
+    """The chain that a dataset and a user mean: by id, by the path of a URDF or of a model of the
+    user's own, as a mechanism, or as a chain; None takes the dataset's.
+    """
     model, dataset = robots.prepared(model, dataset)
     spec = dataset.model
     if model is None:
@@ -171,7 +180,9 @@ def foreseen(work: str, model: object, dataset: Dataset, candidates: int = 0) ->
 
 
 def _check_drive(chain: Chain) -> None:
-    """Without a law of its own each input is the torque of the joint of its number, and there is one for each."""
+    """Without a law of its own each input is the torque of the joint of its number, and there is
+    one for each.
+    """
     nu, nq = len(chain.signature.inputs), chain.nq
     if nu not in (0, nq) and type(chain.mechanism).drive is Mechanism.drive:
         counted = f"{nu} input{'s' * (nu > 1)}, {nq} joint{'s' * (nq > 1)}"
@@ -182,7 +193,9 @@ def _check_drive(chain: Chain) -> None:
 
 
 def _check_gains(chain: Chain, spec: ModelSpec | None) -> None:
-    """A command in another unit than its joint's torque needs its drive gain stated, in the dataset or in the chain."""
+    """A command in another unit than its joint's torque needs its drive gain stated, in the dataset
+    or in the chain.
+    """
     stated = {*spec.constants, *spec.parameters} if spec is not None else set()
     layout = Layout(chain)
     missing = []
@@ -223,7 +236,9 @@ def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
 
 
 def _remedy(mechanism: Mechanism, dataset: Dataset) -> str:
-    """What to do about channels that a model lacks: some of them may be there under another role."""
+    """What to do about channels that a model lacks: some of them may be there under another
+    role.
+    """
     beside = {c.name for c in dataset.channels if c.role == "auxiliary"}
     wanted = {"input": mechanism.signatures[0].inputs, "output": mechanism.signatures[0].outputs}
     for role, channels in wanted.items():
@@ -247,8 +262,9 @@ def _check_units(model: str, dataset: Dataset, needed: Iterable[tuple[str, str]]
 def parse_effect(
     text: str | Effect | type[Effect], chain: Chain
 ) -> tuple[type[Effect], str | None]:
-    """`dead_zone@tau`, or `dead_zone` where it has one place. One that the model comprises only where a fit holds some of its
-    numbers, which it then fits (at all places, where none is named)."""
+    """`dead_zone@tau`, or `dead_zone` where it has one place. One that the model comprises only
+    where a fit holds some of its numbers, which it then fits (at all places, where none is named).
+    """
     name, _, place = catalogue.enrolled(text).partition("@")
     kind = catalogue.effect_class(name, chain.mechanism)
     places = chain.offers(kind)
@@ -285,8 +301,9 @@ def bind(
 ) -> Binding:
     """Binds a model to a dataset.
 
-    `effects` are added and fitted, `candidates` are put into the chain at their neutral value and stay there. The spread of
-    time stamps is read off the recording where that shows it (`time_stamps`), and readings count by it.
+    `effects` are added and fitted, `candidates` are put into the chain at their neutral value and
+    stay there. The spread of time stamps is read off the recording where that shows it
+    (`time_stamps`), and readings count by it.
     """
     model, dataset = robots.prepared(model, dataset)
     dataset = dataset.with_splits() if splits else dataset
@@ -408,7 +425,9 @@ def bind(
 def _held_friction(
     chain: Chain, layout: Layout, free: list[int], fixed: set[int], theta: np.ndarray
 ) -> list[str]:
-    """What is to be said of numbers of the model's own friction that a fit leaves as they are, effect by effect."""
+    """What is to be said of numbers of the model's own friction that a fit leaves as they are,
+    effect by effect.
+    """
     said = []
     for k, effect in enumerate(chain.effects):
         if not isinstance(effect, JointEffect):
@@ -434,8 +453,9 @@ def _held_friction(
 def _stated_scales(
     layout: Layout, priors: Mapping[str, ParameterPrior], lower: np.ndarray, upper: np.ndarray
 ) -> tuple[dict[int, tuple[float, float]], tuple[str, ...]]:
-    """Search scales as stated, set in the layout; the Gaussian priors, and sentences about both. Bounds that nobody states make
-    room for a prior."""
+    """Search scales as stated, set in the layout; the Gaussian priors, and sentences about both.
+    Bounds that nobody states make room for a prior.
+    """
     known, said, alike = {}, [], {}
     layout.log = layout.log.copy()
     for name, prior in priors.items():

@@ -1,7 +1,9 @@
-"""Simulation of a model under the controller of the recording, and the residual that compares it with the record.
+"""Simulation of a model under the controller of the recording, and the residual that compares it
+with the record.
 
-A recording of a real drive is closed-loop: what disturbs the motion comes back through the controller as torque. A simulation
-under the same law and reference is free of that noise: its output error is unbiased, and its motion serves as instruments.
+A recording of a real drive is closed-loop: what disturbs the motion comes back through the
+controller as torque. A simulation under the same law and reference is free of that noise: its
+output error is unbiased, and its motion serves as instruments.
 """
 
 from __future__ import annotations
@@ -42,10 +44,12 @@ SIGNALS = ("outputs", "inputs", "both")
 
 
 def closed_loop_lane(law: Law, signals: str = "outputs") -> Lane:
-    """A lane that simulates a chain under a controller; its columns are the outputs, the model's inputs, or both.
+    """A lane that simulates a chain under a controller; its columns are the outputs, the model's
+    inputs, or both.
 
-    The reference, its rate, the disturbance and the controller's sampling instants are data, in `Samples.x` (`reference_data`).
-    Equal laws give the same lane, so that they share compiled programs.
+    The reference, its rate, the disturbance and the controller's sampling instants are data, in
+    `Samples.x` (`reference_data`). Equal laws give the same lane, so that they share compiled
+    programs.
     """
     return _lane(law, signals)
 
@@ -89,8 +93,10 @@ def _lane(law: Law, signals: str) -> Lane:
 def reference_data(
     law: Law, experiments: Sequence[Experiment], samples: Samples, positions: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """What the controller is told at every step of the buffers, [n 3 nq + 1]: reference, its rate, disturbance, and 1 where
-    the controller samples. The rate is the difference to the controller's previous sample."""
+    """What the controller is told at every step of the buffers, [n 3 nq + 1]: reference, its rate,
+    disturbance, and 1 where the controller samples. The rate is the difference to the controller's
+    previous sample.
+    """
     n = len(law.kp)
     out = np.zeros((len(samples.t), 3 * n + 1))
     for e, p in zip(experiments, positions, strict=True):
@@ -126,11 +132,12 @@ def _auxiliary(e: Experiment, name: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ClosedLoopOutputError(Residual):
-    """The simulation under the recording's controller against the record; beyond the contract's four residuals.
+    """The simulation under the recording's controller against the record; beyond the contract's
+    four residuals.
 
-    `signals` says which record: the measured `outputs` (default), the model's `inputs` (the drive torque that the simulated loop
-    asks for), or `both`. Needs `[controller]` and the reference; effects that shift the command in time (`input_delay`,
-    `input_hold`) are not simulated here.
+    `signals` says which record: the measured `outputs` (default), the model's `inputs` (the drive
+    torque that the simulated loop asks for), or `both`. Needs `[controller]` and the reference;
+    effects that shift the command in time (`input_delay`, `input_hold`) are not simulated here.
     """
 
     name: ClassVar[str] = "closed_loop"
@@ -197,7 +204,9 @@ class ClosedLoopOutputError(Residual):
 
 
 def input_noise(experiments: Sequence[Experiment], inputs: Sequence[int]) -> np.ndarray:
-    """White noise of the recorded inputs (third differences), at least a thousandth of their span, [inputs]."""
+    """White noise of the recorded inputs (third differences), at least a thousandth of their span,
+    [inputs].
+    """
     out = []
     for i in inputs:
         series = [e.u[:, i] for e in experiments]

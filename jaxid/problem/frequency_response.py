@@ -1,9 +1,10 @@
 """Frequency responses: of a model, and as a residual.
 
-A response is compared in one of two ways. `linear`: that of the model linearised at rest (smooth friction counts, dry friction
-and dead zones do not exist in it). `simulated`: the model is run on the record's own input and its output goes through the
-estimator that the data went through, so that dry friction bends both alike; with short or weak pulses a linear response is
-wrong by half (paper 002's pulse: the elastic modulus 38 % off).
+A response is compared in one of two ways. `linear`: that of the model linearised at rest (smooth
+friction counts, dry friction and dead zones do not exist in it). `simulated`: the model is run on
+the record's own input and its output goes through the estimator that the data went through, so that
+dry friction bends both alike; with short or weak pulses a linear response is wrong by half (paper
+002's pulse: the elastic modulus 38 % off).
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ from jaxid.simulation.transfer import transfer
 
 @dataclass(frozen=True)
 class Lines:
-    """One measured response, repeats merged: rising omega, response, and the standard deviation of its parts, [lines]."""
+    """One measured response, repeats merged: rising omega, response, and the standard deviation of
+    its parts, [lines].
+    """
 
     omega: np.ndarray
     response: np.ndarray
@@ -44,8 +47,9 @@ class Lines:
 
 
 def merged(measured: Measured) -> Lines:
-    """Median over repeats, weights from their scatter (both robust to outliers); without repeats 2 % of the gain, in the
-    zeros of the response of a tenth of its median."""
+    """Median over repeats, weights from their scatter (both robust to outliers); without repeats 2
+    % of the gain, in the zeros of the response of a tenth of its median.
+    """
     order = np.argsort(measured.omega, kind="stable")
     omega, response = measured.omega[order], np.asarray(measured.response, complex)[order]
     first = np.append(True, np.diff(omega) > 1e-9 * omega[1:])
@@ -58,7 +62,8 @@ def merged(measured: Measured) -> Lines:
             for g, m in zip(groups, middle, strict=True)
         ]
         share = np.array([np.median(np.abs(p)) for p in parts]) / np.maximum(np.abs(middle), 1e-300)
-        # A line's own scatter is known from few repeats: pooled with its neighbours', in shares of the gain.
+        # A line's own scatter is known from few repeats: pooled with its neighbours', in shares of
+        # the gain.
         pooled = np.array([np.median(share[max(0, k - 5) : k + 6]) for k in range(share.size)])
         few = counts / np.maximum(counts - 0.8, 0.2)  # the median leaves less scatter about it
         std = 1.4826 * few * np.maximum(pooled, 1e-3) * np.abs(middle) * 1.2533 / np.sqrt(counts)
@@ -76,8 +81,9 @@ def merged(measured: Measured) -> Lines:
 def estimate(
     t: np.ndarray, u: np.ndarray, y: np.ndarray, band_hz: tuple[float, float], least_input: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(bins, U, Y) of a record [time] in a band: discrete Fourier transforms without window, and only bins in which the input
-    has `least_input` of its largest amplitude. Y / U is the response."""
+    """(bins, U, Y) of a record [time] in a band: discrete Fourier transforms without window, and
+    only bins in which the input has `least_input` of its largest amplitude. Y / U is the response.
+    """
     U, Y = np.fft.rfft(u), np.fft.rfft(y)
     f = np.fft.rfftfreq(t.size, float(np.median(np.diff(t))))
     size = np.abs(U)
@@ -106,7 +112,9 @@ def _of_lines(
     magnitude: bool,
     body: Mechanism | None = None,
 ) -> Array:
-    """Linear response at the lines of a record, [length 1]; `samples.x` holds omega, output and input of each line."""
+    """Linear response at the lines of a record, [length 1]; `samples.x` holds omega, output and
+    input of each line.
+    """
     x = samples.x[jnp.minimum(begin + 2 * jnp.arange(length // 2), last)]
     re, im = transfer(chain, jnp.where(x[:, 0] > 0, x[:, 0], 1.0), body=body)  # rows without a line
     pick = lambda a: a[jnp.arange(length // 2), x[:, 1].astype(int), x[:, 2].astype(int)]
@@ -136,8 +144,8 @@ def record_lane(
     pieces: int,
     room: int,
 ) -> Lane:
-    """Columns: the response to `output`, then the simulated outputs `timed`; records of `count` samples, `pieces` steps each, and
-    at most `room` / 2 lines in any of them.
+    """Columns: the response to `output`, then the simulated outputs `timed`; records of `count`
+    samples, `pieces` steps each, and at most `room` / 2 lines in any of them.
 
     `samples.x` holds, per line, omega, output, input, the bin, and 1 / U.
     """
@@ -183,11 +191,13 @@ def record_lane(
 class FrequencyResponseError(Residual):
     """Measured against modelled frequency response.
 
-    Experiments of kind "frequency_response" are compared with the linear response. From records the response is estimated:
-    `output` (default: the last output) over the model's only input, in `band_hz`, from records of equal length and sampling;
-    `linear` compares it with the linear response, else with that of the simulated record. `timed` outputs are compared in time
-    besides; with measured responses in the dataset those are the lines, and the records are compared in time. `magnitude` takes
-    gains alone (paper 002's loss); else real and imaginary part, which a wrong sign cannot pass.
+    Experiments of kind "frequency_response" are compared with the linear response. From records the
+    response is estimated: `output` (default: the last output) over the model's only input, in
+    `band_hz`, from records of equal length and sampling; `linear` compares it with the linear
+    response, else with that of the simulated record. `timed` outputs are compared in time besides;
+    with measured responses in the dataset those are the lines, and the records are compared in
+    time. `magnitude` takes gains alone (paper 002's loss); else real and imaginary part, which a
+    wrong sign cannot pass.
     """
 
     name: ClassVar[str] = "frequency_response"

@@ -1,4 +1,6 @@
-"""Residuals, Jacobians and losses of records so long that not even one lane's prediction should be in memory as a whole."""
+"""Residuals, Jacobians and losses of records so long that not even one lane's prediction should be
+in memory as a whole.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ def rows_by_windows(
 ) -> Iterator[Rows]:
     """`Problem.rows` of long records: the lanes of some records side by side, window by window.
 
-    `whole(jobs, lanes)` does it where windows cannot be taken; without `pieces` the rows of a record are put together again.
+    `whole(jobs, lanes)` does it where windows cannot be taken; without `pieces` the rows of a
+    record are put together again.
     """
     engine, differences = jobs[0][0].runs.engine, jobs[0][0].differences
     for keys in _batches(lanes, TOGETHER):
@@ -38,7 +41,9 @@ def rows_by_windows(
 
 
 def _batches(lanes: Any, most: int) -> Iterator[dict[Key, list[int]]]:
-    """Records of jobs with their lanes, in order, not more than so many lanes at a time if it can be helped."""
+    """Records of jobs with their lanes, in order, not more than so many lanes at a time if it can
+    be helped.
+    """
     every: dict[Key, list[int]] = {}
     for k, (job, row, *_) in enumerate(lanes.of):
         every.setdefault((job, row), []).append(k)
@@ -95,7 +100,9 @@ def _linear(
     columns: list[int],
     differences: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Prediction of a record in one window, and its derivative along each of its columns, weighted [columns samples outputs]."""
+    """Prediction of a record in one window, and its derivative along each of its columns, weighted
+    [columns samples outputs].
+    """
     J = np.zeros((len(columns), *w.shape))
     base = out[0][own[0]][places]
     for k in own:

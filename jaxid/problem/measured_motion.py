@@ -15,7 +15,9 @@ from jaxid.simulation.sample_buffers import columns
 
 @dataclass(frozen=True)
 class Motion:
-    """Smoothed measured motion of one run at its samples, for references, start states and inverse dynamics."""
+    """Smoothed measured motion of one run at its samples, for references, start states and inverse
+    dynamics.
+    """
 
     q: np.ndarray
     qd: np.ndarray
@@ -24,7 +26,9 @@ class Motion:
 
 
 def motion(dataset: Dataset, experiment: Experiment, chain: Chain, noise: np.ndarray) -> Motion:
-    """Smoothed joint motion of a run in which every joint is read; the cutoff lies where the content of a reading ends."""
+    """Smoothed joint motion of a run in which every joint is read; the cutoff lies where the
+    content of a reading ends.
+    """
     from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 
     _, iy = columns(dataset, chain)
@@ -43,8 +47,9 @@ def references(
     driven: np.ndarray,
     inertia_torque: np.ndarray,
 ) -> list[Reference]:
-    """Typical magnitudes per joint, of a drive with torques `driven` [samples nq]; where that has no columns, or does nothing,
-    the torque that moves the inertia stands in for it."""
+    """Typical magnitudes per joint, of a drive with torques `driven` [samples nq]; where that has
+    no columns, or does nothing, the torque that moves the inertia stands in for it.
+    """
     out = []
     nq = motions[0].q.shape[1]
     for j in range(nq):

@@ -1,12 +1,15 @@
-"""Angular momentum as a residual: what a robot on a free base keeps, whatever its drives do; neither torque nor acceleration.
+"""Angular momentum as a residual: what a robot on a free base keeps, whatever its drives do;
+neither torque nor acceleration.
 
-About the centre of mass of all and in the world's axes the angular momentum L(q, qd) is the same at all times, zero or not. With
-(p_roll, p_pitch, p_yaw) the rows of the base's angles in M_R qd (`robots.floating`) and a_i the axes of these angles in the
-world, p_i = a_i . L. The residual is L at the measured motion less its mean over the run, N m s, so that the momentum itself
-need not be known. It is homogeneous in all inertias: what is known of the base gives the scale.
+About the centre of mass of all and in the world's axes the angular momentum L(q, qd) is the same at
+all times, zero or not. With (p_roll, p_pitch, p_yaw) the rows of the base's angles in M_R qd
+(`robots.floating`) and a_i the axes of these angles in the world, p_i = a_i . L. The residual is L
+at the measured motion less its mean over the run, N m s, so that the momentum itself need not be
+known. It is homogeneous in all inertias: what is known of the base gives the scale.
 
-Where numbers change at a moment (`step_change`: a target is caught) each side of it is a run of its own, with its own filter and
-mean: what is caught brings momentum, and its speed jumps. Which moment that is, `jaxid.fitting.change` finds.
+Where numbers change at a moment (`step_change`: a target is caught) each side of it is a run of its
+own, with its own filter and mean: what is caught brings momentum, and its speed jumps. Which moment
+that is, `jaxid.fitting.change` finds.
 """
 
 from __future__ import annotations
@@ -56,7 +59,9 @@ LOOKS = 50
 
 
 def momentum(robot: Any, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Float[Array, " 3"]:
-    """Angular momentum of a robot on a free base about the centre of mass of all, in the world, N m s."""
+    """Angular momentum of a robot on a free base about the centre of mass of all, in the world, N m
+    s.
+    """
     roll, pitch, yaw = robot.momenta(q, qd)[-3:]
     (sp, cp), (sy, cy) = sincos(q[-2]), sincos(q[-1])
     along = (roll + sp * yaw) / cp
@@ -96,14 +101,18 @@ def momentum_lane(
 def filtered(
     dataset: Dataset, e: Experiment, chain: Chain, cutoff: float
 ) -> tuple[np.ndarray, int, str]:
-    """Positions, speeds and accelerations of a run [time 3 nq], how many samples its ends spoil, and a sentence."""
+    """Positions, speeds and accelerations of a run [time 3 nq], how many samples its ends spoil,
+    and a sentence.
+    """
     _, iy = recorded.columns(dataset, chain)
     q, qd, qdd, said = joint_motion(chain, e.t, e.motion()[:, iy], [cutoff] * chain.nq)
     return np.concatenate([q, qd, qdd], 1), filter_ends(e.t, cutoff), said
 
 
 def sides(e: Experiment, moment: float | None, cutoff: float | None) -> list[Experiment]:
-    """The run before and after a moment; the longer one alone where the other is too short to be filtered."""
+    """The run before and after a moment; the longer one alone where the other is too short to be
+    filtered.
+    """
     if moment is None:
         return [e]
     k, least = int(np.searchsorted(e.t, moment)), SHORTEST / (cutoff or np.inf)
@@ -114,9 +123,11 @@ def sides(e: Experiment, moment: float | None, cutoff: float | None) -> list[Exp
 
 @dataclass(frozen=True)
 class Momentum(InverseDynamics):
-    """Angular momentum of a robot on a free base: positions filtered without phase at `cutoff_hz` (by default where their content
-    ends), differentiated once. At a `moment`, s, its numbers change: each side is taken by itself, the later one with noise
-    `later` [3], N m s, where that is another one."""
+    """Angular momentum of a robot on a free base: positions filtered without phase at `cutoff_hz`
+    (by default where their content ends), differentiated once. At a `moment`, s, its numbers
+    change: each side is taken by itself, the later one with noise `later` [3], N m s, where that is
+    another one.
+    """
 
     name: ClassVar[str] = "momentum"
     simulation: ClassVar[Simulation] = "momentum"
@@ -224,7 +235,9 @@ def of_a_body(layout: Layout, i: int) -> bool:
 def noise_of(
     chain: Chain, measured: Sequence[np.ndarray], sigma: np.ndarray, rate: float, cutoff: float
 ) -> np.ndarray:
-    """Standard deviation of each component [3] for readings with noise `sigma` [nq], white, low-passed and differentiated."""
+    """Standard deviation of each component [3] for readings with noise `sigma` [nq], white,
+    low-passed and differentiated.
+    """
     nq = chain.nq
     speeds = sigma * 2 * np.pi * np.sqrt(2 * cutoff**3 / (3 * rate))
     with float64():
@@ -238,8 +251,9 @@ def noise_of(
 
 
 def of_the_joints(problem: Any, theta: np.ndarray) -> np.ndarray:
-    """Momentum that the motion of the joints alone carries at the rows of a problem [rows 3]: what theirs and the base's turning
-    have to balance, for the size of an error."""
+    """Momentum that the motion of the joints alone carries at the rows of a problem [rows 3]: what
+    theirs and the base's turning have to balance, for the size of an error.
+    """
     runs, nq = problem.runs, problem.runs.layout.chain.nq
     records = [runs.record(r) for r in problem.records]
     most, out = max(len(r.samples) for r in records), []

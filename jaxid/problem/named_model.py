@@ -10,8 +10,10 @@ from jaxid.dynamics.urdf_table import arm_table
 
 
 def named_model(text: str, stated: ModelSpec | None) -> Any:
-    """A mechanism by its name, with what a dataset states of one of that name: the links of an arm, the file of a model of the
-    user's own. Raises `UsageError` for an unknown name and for a file that holds no model."""
+    """A mechanism by its name, with what a dataset states of one of that name: the links of an arm,
+    the file of a model of the user's own. Raises `UsageError` for an unknown name and for a file
+    that holds no model.
+    """
     if text.endswith(".urdf"):
         return catalogue.model_class("serial_arm").from_urdf(text)
     if stated is None or text != stated.name:

@@ -1,5 +1,6 @@
-"""Objectives: a loss over a box of search vectors, with residuals and Jacobian. What every fitter, gradient or population, works
-on; `jaxid.problem.problem.Problem` makes one of a model and its runs, `FunctionProblem` of any JAX function.
+"""Objectives: a loss over a box of search vectors, with residuals and Jacobian. What every fitter,
+gradient or population, works on; `jaxid.problem.problem.Problem` makes one of a model and its runs,
+`FunctionProblem` of any JAX function.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from jaxid.numerics.precision import float64
 #: Loss of a candidate that diverges: finite, above anything that a simulation can give.
 PENALTY = 1e30
 
-#: Blocks of candidates run side by side, one per core; which thread runs a block changes nothing in its result.
+#: Blocks of candidates run side by side, one per core; which thread runs a block changes nothing in
+#: its result.
 _POOL = Pool("losses")
 _COMPILING = threading.Lock()
 #: Programs that depend on no problem.
@@ -44,8 +46,10 @@ CANDIDATES = 64
 
 
 class Loss(NamedTuple):
-    """A loss from residuals: what is summed over the samples of a column, of the error e in its unit and of r = e / noise; and
-    (sums [pop columns], samples [columns], sum of squares of the measured signal [columns]) -> loss [pop]."""
+    """A loss from residuals: what is summed over the samples of a column, of the error e in its
+    unit and of r = e / noise; and (sums [pop columns], samples [columns], sum of squares of the
+    measured signal [columns]) -> loss [pop].
+    """
 
     summed: Callable[[Array, Array], Array]
     total: Callable[[Array, Any, Any], Array]
@@ -67,8 +71,9 @@ LOSSES: dict[str, Loss] = {
 
 
 class Rows(NamedTuple):
-    """Residual and Jacobian of one record of one job: r [samples columns], J [samples columns len(z_columns)], and the
-    weights in them, 1 / noise [samples columns]."""
+    """Residual and Jacobian of one record of one job: r [samples columns], J [samples columns
+    len(z_columns)], and the weights in them, 1 / noise [samples columns].
+    """
 
     job: int
     record: int
@@ -81,14 +86,18 @@ class Rows(NamedTuple):
 def rows(
     jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0, pieces: bool = False
 ) -> Iterator[Rows]:
-    """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of each record only. `pieces`: a
-    long record may come in several, one after the other, so that its Jacobian is never in memory as a whole."""
+    """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of
+    each record only. `pieces`: a long record may come in several, one after the other, so that its
+    Jacobian is never in memory as a whole.
+    """
     return type(jobs[0][0]).rows(jobs, share, pieces)
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Sum of squares at z with gradient and Gauss-Newton matrix (of half the sum), and the number of residuals."""
+    """Sum of squares at z with gradient and Gauss-Newton matrix (of half the sum), and the number
+    of residuals.
+    """
 
     cost: float
     gradient: np.ndarray
@@ -97,11 +106,13 @@ class Linear:
 
 
 class AbstractProblem(abc.ABC):
-    """Abstract: a loss over a box of search vectors z, with residuals and Jacobian where it is made of residuals.
+    """Abstract: a loss over a box of search vectors z, with residuals and Jacobian where it is made
+    of residuals.
 
-    A final class sets `lower`, `upper` and `scale` [size] (a typical change), `free` (positions of the parameters; z may go on
-    with unknown starts), `log` (which of them are searched by their logarithm), `loss_name`, `programs` (compiled programs,
-    shared by problems of the same structure), and `work`, the simulated steps of one evaluation.
+    A final class sets `lower`, `upper` and `scale` [size] (a typical change), `free` (positions of
+    the parameters; z may go on with unknown starts), `log` (which of them are searched by their
+    logarithm), `loss_name`, `programs` (compiled programs, shared by problems of the same
+    structure), and `work`, the simulated steps of one evaluation.
     """
 
     lower: np.ndarray
@@ -135,27 +146,37 @@ class AbstractProblem(abc.ABC):
     @property
     @abc.abstractmethod
     def data(self) -> Any:
-        """Everything the loss reads, as arguments of its program: nothing recompiles because a number changed."""
+        """Everything the loss reads, as arguments of its program: nothing recompiles because a
+        number changed.
+        """
 
     @property
     @abc.abstractmethod
     def pure(self) -> Losses:
-        """(z [pop size], data) -> losses [pop]: traceable, holds no data; a candidate that diverges gets PENALTY."""
+        """(z [pop size], data) -> losses [pop]: traceable, holds no data; a candidate that diverges
+        gets PENALTY.
+        """
 
     @abc.abstractmethod
     def residual_function(self) -> tuple[Callable[[Array, Any], Array], Any]:
-        """(z [size], data) -> residuals over their noise [n], traceable and differentiable, and the data."""
+        """(z [size], data) -> residuals over their noise [n], traceable and differentiable, and the
+        data.
+        """
 
     @property
     @abc.abstractmethod
     def compile_time_s(self) -> float:
-        """Seconds spent so far on compiling programs of this problem and of those that share them."""
+        """Seconds spent so far on compiling programs of this problem and of those that share
+        them.
+        """
 
     @abc.abstractmethod
     def add_compile_time(self, seconds: float) -> None: ...
 
     def known_before(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual [k] and Jacobian [k size] of what is known of the parameters without the data: none here."""
+        """Residual [k] and Jacobian [k size] of what is known of the parameters without the data:
+        none here.
+        """
         return np.zeros(0), np.zeros((0, self.size))
 
     @property
@@ -176,8 +197,9 @@ class AbstractProblem(abc.ABC):
     def rows(
         cls, jobs: Sequence[tuple[Any, np.ndarray]], share: float = 1.0, pieces: bool = False
     ) -> Iterator[Rows]:
-        """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of each record only;
-        `pieces`: records may come in several."""
+        """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part
+        of each record only; `pieces`: records may come in several.
+        """
 
     def pure_losses(self, z: Float[Array, "pop size"], data: Any) -> Float[Array, " pop"]:
         """Loss of each candidate, traceable; a candidate that diverges gets PENALTY."""
@@ -186,11 +208,11 @@ class AbstractProblem(abc.ABC):
     def compiled(
         self, name: Any, function: Callable, *args: Any, own: bool = True, count: bool = True
     ) -> Any:
-        """The executable of a function for arguments of these shapes, compiled once for all problems of this structure, or for
-        all problems if it does not depend on them (`own` False).
+        """The executable of a function for arguments of these shapes, compiled once for all
+        problems of this structure, or for all problems if it does not depend on them (`own` False).
 
-        `name` tells functions apart. Call it and its executable in float64. The time counts as spent on compiling unless somebody
-        else does something useful in it (`count` False).
+        `name` tells functions apart. Call it and its executable in float64. The time counts as
+        spent on compiling unless somebody else does something useful in it (`count` False).
         """
         programs = self.programs if own else _PROGRAMS
         key = self._kind(name, *args)
@@ -214,11 +236,15 @@ class AbstractProblem(abc.ABC):
         )
 
     def losses(self, z: np.ndarray) -> np.ndarray:
-        """Loss of each row of z [pop size], on all cores; the same program and numbers for every fitter."""
+        """Loss of each row of z [pop size], on all cores; the same program and numbers for every
+        fitter.
+        """
         return self.begun(z)()
 
     def begun(self, z: np.ndarray) -> Callable[[], np.ndarray]:
-        """`losses` begun on all cores; the answer waits for its end. A single block is left to who asks for the answer."""
+        """`losses` begun on all cores; the answer waits for its end. A single block is left to who
+        asks for the answer.
+        """
         z = np.atleast_2d(np.asarray(z, np.float64))
         data = self.data
         program = self._losses()
@@ -263,11 +289,13 @@ class AbstractProblem(abc.ABC):
 
 
 class FunctionProblem(AbstractProblem):
-    """Any residual in JAX as a problem: `residual(z [size])` gives r [samples] or [samples columns].
+    """Any residual in JAX as a problem: `residual(z [size])` gives r [samples] or [samples
+    columns].
 
-    The residual counts as divided by its noise. `norm` [columns] is the sum of squares of the measured signal, for the loss
-    `sum_of_norms`. `log` says which entries of z are logarithms (it only matters for where random starts are drawn). `piece`
-    [samples] numbers the pieces in which the data come, from 0.
+    The residual counts as divided by its noise. `norm` [columns] is the sum of squares of the
+    measured signal, for the loss `sum_of_norms`. `log` says which entries of z are logarithms (it
+    only matters for where random starts are drawn). `piece` [samples] numbers the pieces in which
+    the data come, from 0.
     """
 
     def __init__(
@@ -378,7 +406,9 @@ class FunctionProblem(AbstractProblem):
 
 
 class Weighted(NamedTuple):
-    """Sum of the squared weights and sum of squares of the measured signal, per column; weights per sample."""
+    """Sum of the squared weights and sum of squares of the measured signal, per column; weights per
+    sample.
+    """
 
     count: Any
     norm: Any
@@ -388,7 +418,9 @@ class Weighted(NamedTuple):
 def linearise(
     jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0
 ) -> list[Linear]:
-    """Sum of squares, gradient and Gauss-Newton matrix of many (problem, z), in one batch of lanes."""
+    """Sum of squares, gradient and Gauss-Newton matrix of many (problem, z), in one batch of
+    lanes.
+    """
     out = [[0.0, np.zeros(p.size), np.zeros((p.size, p.size)), 0] for p, _ in jobs]
     with np.errstate(all="ignore"):
         for part in rows(jobs, share, pieces=True):
@@ -412,8 +444,10 @@ def linearise(
 
 
 def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0) -> list[Linear]:
-    """`linearise` for any loss: twice the loss, its gradient, and the curvature of the reweighted least-squares problem that has
-    the same gradient (Lawson's reweighting: e^2 / |e| for absolute values, |e_c|^2 / |e|_c for the norm of a channel)."""
+    """`linearise` for any loss: twice the loss, its gradient, and the curvature of the reweighted
+    least-squares problem that has the same gradient (Lawson's reweighting: e^2 / |e| for absolute
+    values, |e_c|^2 / |e|_c for the norm of a channel).
+    """
     if all(p.loss_name == "sum_of_squares" for p, _ in jobs):
         means = lambda at, n: Linear(
             2 * at.cost / n, 2 * at.gradient / n, 2 * at.hessian / n, at.count
@@ -431,7 +465,8 @@ def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.
                 seen = part.w[:, c] > 0
                 w = part.w[seen, c]
                 e, J = part.r[seen, c] / w, part.J[seen, c] / w[:, None]
-                # A residual within a twentieth of the noise counts as that large: the weight stays finite.
+                # A residual within a twentieth of the noise counts as that large: the weight stays
+                # finite.
                 weight = 1 / np.maximum(np.abs(e), 0.05 / w) if absolute else np.ones_like(e)
                 pull = np.sign(e) if absolute else e
                 cost[part.job][c] += np.sum(np.abs(e)) if absolute else e @ e

@@ -1,7 +1,8 @@
 """A model and its runs as numbers: what every fitter, gradient or population, works on.
 
-z = (free parameters in their search scale, unknown starts). `loss(z)` is one compiled number; `linearise` gives what a
-least-squares method needs for many (problem, z) at once, all in the same batch of lanes.
+z = (free parameters in their search scale, unknown starts). `loss(z)` is one compiled number;
+`linearise` gives what a least-squares method needs for many (problem, z) at once, all in the same
+batch of lanes.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ from jaxid.problem.residual import Runs
 from jaxid.simulation.sample_buffers import Samples
 
 
-#: Step of forward and of central differences, in typical changes of a number (logarithms: in factors of e); 0 is for tangents.
+#: Step of forward and of central differences, in typical changes of a number (logarithms: in
+#: factors of e); 0 is for tangents.
 STEPS = (0.0, 1e-6, 1e-5)
 
 
@@ -62,8 +64,10 @@ class Data(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What is known of the free parameters without the data: R (values - mean) + e are residuals more. R [free free], with
-    1 / standard deviation on its diagonal for priors of single numbers; rows of zeros say nothing."""
+    """What is known of the free parameters without the data: R (values - mean) + e are residuals
+    more. R [free free], with 1 / standard deviation on its diagonal for priors of single numbers;
+    rows of zeros say nothing.
+    """
 
     mean: np.ndarray
     R: np.ndarray
@@ -77,11 +81,13 @@ class Known(NamedTuple):
 class Problem(AbstractProblem):
     """Free numbers of a model on some runs.
 
-    `base` holds every number of the layout, `free` the positions of those that are fitted between `lower` and `upper`
-    (both over the whole layout, like `scale`, a typical change). `records` selects records of the runs, by default all that
-    the residual made. With `differences` the Jacobian is made of forward (1) or central (2) differences and not of tangents (0):
-    it is good to about 1e-6 or 1e-9, and needs no program but the one that simulates, which compiles faster. `priors` has mean
-    and standard deviation of numbers of the layout: each is one more residual of a sum of squares.
+    `base` holds every number of the layout, `free` the positions of those that are fitted between
+    `lower` and `upper` (both over the whole layout, like `scale`, a typical change). `records`
+    selects records of the runs, by default all that the residual made. With `differences` the
+    Jacobian is made of forward (1) or central (2) differences and not of tangents (0): it is good
+    to about 1e-6 or 1e-9, and needs no program but the one that simulates, which compiles faster.
+    `priors` has mean and standard deviation of numbers of the layout: each is one more residual of
+    a sum of squares.
     """
 
     def __init__(
@@ -145,8 +151,10 @@ class Problem(AbstractProblem):
         self._pure: Any = None
 
     def _start_reach(self) -> np.ndarray:
-        """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run; the largest
-        speed where that is read, and the whole travel (at least half a turn) where nothing else is."""
+        """How far an unknown start may lie from its guess: a fifth of the travel, the travel per
+        tenth of the run; the largest speed where that is read, and the whole travel (at least half
+        a turn) where nothing else is.
+        """
         out, chain = [], self.runs.layout.chain
         own, linear = (
             joint_readings(chain),
@@ -229,7 +237,9 @@ class Problem(AbstractProblem):
         ]
 
     def steps(self, z: np.ndarray) -> dict[int, np.ndarray]:
-        """Steps within the bounds to either side of z, by side; for forward differences one, to where there is room."""
+        """Steps within the bounds to either side of z, by side; for forward differences one, to
+        where there is room.
+        """
         h = STEPS[self.differences] * self.scale
         if self.differences == 2:
             return {1: np.minimum(h, self.upper - z), -1: -np.minimum(h, z - self.lower)}
@@ -324,8 +334,9 @@ class Problem(AbstractProblem):
     def rows(
         cls, jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0, pieces: bool = False
     ) -> Iterator[Rows]:
-        """A record's residual depends on the parameters and on its own start only, so the lanes of a record carry just those
-        tangents. All jobs are on the same runs."""
+        """A record's residual depends on the parameters and on its own start only, so the lanes of
+        a record carry just those tangents. All jobs are on the same runs.
+        """
         lanes = lanes_of(jobs)
         if not jobs[0][0].runs.engine.long:
             return rows_of_records(jobs, lanes, share)
@@ -369,14 +380,17 @@ class Problem(AbstractProblem):
         return twin
 
     def with_targets(self, targets: np.ndarray) -> Problem:
-        """The same problem with other measurements (the shape of `runs.targets`) in its residual and Jacobian. `losses` goes on
-        to compare with the recorded ones."""
+        """The same problem with other measurements (the shape of `runs.targets`) in its residual
+        and Jacobian. `losses` goes on to compare with the recorded ones.
+        """
         twin = copy.copy(self)
         twin.targets, twin._pure = targets, None
         return twin
 
     def _scales(self) -> tuple[np.ndarray, np.ndarray]:
-        """Per residual column: the number of samples (by their weight), and the sum of squares of the measured signal."""
+        """Per residual column: the number of samples (by their weight), and the sum of squares of
+        the measured signal.
+        """
         count, norm = 0.0, 0.0
         for r in self.records:
             record = self.runs.record(r)
@@ -409,8 +423,8 @@ def sums(
 ) -> Float[Array, "pop columns"]:
     """What a loss sums, per candidate and residual column. Pure.
 
-    Blocks of candidates, of like size, on one record each: what depends neither on the candidate nor on the step is worked out
-    once.
+    Blocks of candidates, of like size, on one record each: what depends neither on the candidate
+    nor on the step is worked out once.
     """
     pop, R, nfree = z.shape[0], data.where.shape[0], data.log.shape[0]
     part = z[:, :nfree]

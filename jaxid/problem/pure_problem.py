@@ -1,4 +1,6 @@
-"""A model on a dataset as pure functions of a search vector: what optimistix, pyPESTO, blackjax or a user's own loop works on."""
+"""A model on a dataset as pure functions of a search vector: what optimistix, pyPESTO, blackjax or
+a user's own loop works on.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +28,14 @@ Vector = Float[Array, " size"]
 
 
 class Problem(eqx.Module):
-    """Free numbers of a model and what they make of the recorded runs. Made by `jaxid.make_problem`; frozen, and a pytree: every
-    number and every array of the data is a leaf.
+    """Free numbers of a model and what they make of the recorded runs. Made by
+    `jaxid.make_problem`; frozen, and a pytree: every number and every array of the data is a leaf.
 
-    z [size] holds the free parameters, those that may span decades by their logarithm, then the starts of runs that are not
-    known; `lower`, `upper`, `z0` [size] are its bounds and start. `residual`, `loss` and `log_density` pass `jax.jit`,
-    `jax.vmap`, `jax.jacfwd` and `jax.grad`. They compute in float64: where JAX is not allowed to
-    (`jax.config.update("jax_enable_x64", True)`) they raise `UsageError`, which says so.
+    z [size] holds the free parameters, those that may span decades by their logarithm, then the
+    starts of runs that are not known; `lower`, `upper`, `z0` [size] are its bounds and start.
+    `residual`, `loss` and `log_density` pass `jax.jit`, `jax.vmap`, `jax.jacfwd` and `jax.grad`.
+    They compute in float64: where JAX is not allowed to (`jax.config.update("jax_enable_x64",
+    True)`) they raise `UsageError`, which says so.
     """
 
     lower: np.ndarray
@@ -59,24 +62,30 @@ class Problem(eqx.Module):
     def __hash__(self) -> int:
         return id(self)
 
-    # Plain bound methods, hashed by this problem: those of equinox hash arrays, which `jax.jit(problem.loss)` cannot.
+    # Plain bound methods, hashed by this problem: those of equinox hash arrays, which
+    # `jax.jit(problem.loss)` cannot.
 
     @property
     def residual(self) -> Callable[..., Float[Array, " n"]]:
-        """residual(z, args=None) -> [n]: (simulated - measured) / noise, sample by sample; a mean square of 1 is the noise."""
+        """residual(z, args=None) -> [n]: (simulated - measured) / noise, sample by sample; a mean
+        square of 1 is the noise.
+        """
         return types.MethodType(_residual, self)
 
     @property
     def loss(self) -> Callable[..., Float[Array, ""]]:
-        """loss(z, args=None) -> []: by default the mean square of the residual, each Gaussian prior one more square; huge where
-        the simulation diverges."""
+        """loss(z, args=None) -> []: by default the mean square of the residual, each Gaussian prior
+        one more square; huge where the simulation diverges.
+        """
         return types.MethodType(_loss, self)
 
     @property
     def log_density(self) -> Callable[..., Float[Array, ""]]:
-        """log_density(z, args=None) -> []: log-likelihood under Gaussian noise, and Gaussian priors of parameters where the
-        dataset states them (with |d parameter / d z|, so that a sampler of z meets them in the parameter's unit); -inf beyond
-        the bounds, between which z is flat otherwise."""
+        """log_density(z, args=None) -> []: log-likelihood under Gaussian noise, and Gaussian priors
+        of parameters where the dataset states them (with |d parameter / d z|, so that a sampler of
+        z meets them in the parameter's unit); -inf beyond the bounds, between which z is flat
+        otherwise.
+        """
         return types.MethodType(_log_density, self)
 
     def to_physical(self, z: Vector) -> dict[str, Array]:
@@ -85,7 +94,9 @@ class Problem(eqx.Module):
         return {name: values[i] for i, name in enumerate(self.names)}
 
     def from_physical(self, values: Mapping[str, Any] | None = None, **more: Any) -> Array:
-        """The z of these numbers; those that are left out are at z0. Raises `UsageError` for a name that is no free number."""
+        """The z of these numbers; those that are left out are at z0. Raises `UsageError` for a name
+        that is no free number.
+        """
         given = {**(values or {}), **more}
         for name in given:
             if name not in self.names:
@@ -101,7 +112,9 @@ class Problem(eqx.Module):
 
 
 def pure(problem: Runnable, z0: np.ndarray, priors: np.ndarray | None = None) -> Problem:
-    """A problem of compiled lanes as one of pure functions; `priors` [free 2]: mean and standard deviation, nan where none."""
+    """A problem of compiled lanes as one of pure functions; `priors` [free 2]: mean and standard
+    deviation, nan where none.
+    """
     runs, engine = problem.runs, problem.runs.engine
     rows, weights, targets = [], [], []
     for row, number in enumerate(problem.records):
@@ -231,7 +244,9 @@ def _loss(problem: Problem, z: Vector, args: Any = None) -> Float[Array, ""]:
 
 
 def _beside_priors(problem: Problem, z: Vector) -> Float[Array, " free"]:
-    """How many standard deviations each free parameter is from the mean of its prior; 0 where it has none."""
+    """How many standard deviations each free parameter is from the mean of its prior; 0 where it
+    has none.
+    """
     mean, std = problem._prior.T
     there = ~jnp.isnan(mean)
     values = _physical(problem, jnp.asarray(z))[: mean.shape[0]]

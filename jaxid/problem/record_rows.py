@@ -16,12 +16,15 @@ if TYPE_CHECKING:
     from jaxid.problem.problem import Problem
 
 
-#: By differences (none: tangents; forward; central) the points that are simulated for a column: at it, ahead, behind.
+#: By differences (none: tangents; forward; central) the points that are simulated for a column: at
+#: it, ahead, behind.
 SIDES = ((0,), (1,), (1, -1))
 
 
 class _Part(NamedTuple):
-    """What the lanes of a job and record say: the prediction, its derivative along each column of z (weighted), the columns."""
+    """What the lanes of a job and record say: the prediction, its derivative along each column of z
+    (weighted), the columns.
+    """
 
     base: np.ndarray
     J: np.ndarray  # [columns samples outputs], each in one piece of memory
@@ -52,8 +55,9 @@ class Lanes(NamedTuple):
 
 
 def lanes_of(jobs: Sequence[tuple[Problem, np.ndarray]]) -> Lanes:
-    """The lanes of a record: with tangents one for each column of z, else the point itself and one or two beside it for each
-    column."""
+    """The lanes of a record: with tangents one for each column of z, else the point itself and one
+    or two beside it for each column.
+    """
     runs, differences = jobs[0][0].runs, jobs[0][0].differences
     size, nx = len(runs.layout), 2 * runs.layout.chain.nq
     lanes: list[tuple[int, int, int, int, int]] = []
@@ -139,7 +143,9 @@ def rows_of_records(
 
 
 def _seen(runs: Runs, number: int, share: float) -> tuple[slice | np.ndarray, slice | np.ndarray]:
-    """Samples of the first part of a record, and their places in a lane; as slices where there is no gap."""
+    """Samples of the first part of a record, and their places in a lane; as slices where there is
+    no gap.
+    """
     r = runs.record(number)
     at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
     if at.size and at[-1] - at[0] == at.size - 1:

@@ -1,5 +1,5 @@
-"""Residuals: what a fit makes small. Each turns runs into records of one lane program, divided by the noise, so that a mean
-square of 1.0 means "down to the noise".
+"""Residuals: what a fit makes small. Each turns runs into records of one lane program, divided by
+the noise, so that a mean square of 1.0 means "down to the noise".
 
 - `OutputError`: the free run over the whole experiment against the measured outputs.
 - `MultipleShooting`: the same over short windows, each with its own unknown start (an integrating joint drifts; after a
@@ -47,8 +47,8 @@ WINDOW_PAST = 1000
 class Runs:
     """Some experiments made ready for one residual: records on a compiled engine.
 
-    `heads` are, per experiment, records of its first moments, longest first, from which a run that is not fitted estimates its
-    start.
+    `heads` are, per experiment, records of its first moments, longest first, from which a run that
+    is not fitted estimates its start.
     """
 
     experiments: tuple[Experiment, ...]
@@ -74,14 +74,17 @@ class Runs:
         return self.engine.records[number]
 
     def before(self, k: int) -> np.ndarray:
-        """Buffer positions of the samples before the k-th experiment by which its start is told, where it was cut from a longer
-        one."""
+        """Buffer positions of the samples before the k-th experiment by which its start is told,
+        where it was cut from a longer one.
+        """
         first = self.record(self.records[k]).samples[0]
         known = self.record(self.heads[k][0]).samples
         return known[known < first]
 
     def residual(self, number: int, prediction: np.ndarray) -> np.ndarray:
-        """Weighted residual [samples columns] of one record from a lane's prediction [length columns]."""
+        """Weighted residual [samples columns] of one record from a lane's prediction [length
+        columns].
+        """
         at = self.record(number).samples
         return self.weights[at] * (self.sample_prediction(number, prediction) - self.targets[at])
 
@@ -94,8 +97,8 @@ class Runs:
 class Residual(abc.ABC):
     """Abstract: how experiments become records.
 
-    `simulation` says what its runs are, and everything that fits, scores and diagnoses asks that alone; a residual of one's own
-    that states it takes part like the others.
+    `simulation` says what its runs are, and everything that fits, scores and diagnoses asks that
+    alone; a residual of one's own that states it takes part like the others.
     """
 
     name: ClassVar[str]
@@ -113,7 +116,9 @@ class Residual(abc.ABC):
 
     @property
     def torques(self) -> bool:
-        """Whether forces or momenta along the measured motion are compared: nothing is simulated, no start is unknown."""
+        """Whether forces or momenta along the measured motion are compared: nothing is simulated,
+        no start is unknown.
+        """
         return self.simulation in ("inverse_dynamics", "momentum")
 
     @property
@@ -136,8 +141,9 @@ class Residual(abc.ABC):
         step: float = recorded.STEP,
         shape: tuple[int, int] = (0, 0),
     ) -> Runs:
-        """`noise` [ny] per output; `motions` the smoothed measured motion per experiment, where the model has one; `shape` the
-        least size of the buffers and of a lane's output."""
+        """`noise` [ny] per output; `motions` the smoothed measured motion per experiment, where the
+        model has one; `shape` the least size of the buffers and of a lane's output.
+        """
 
 
 def run_up(e: Experiment) -> int:
@@ -150,8 +156,9 @@ def run_up(e: Experiment) -> int:
 class OutputError(Residual):
     """Free run of the whole experiment.
 
-    Where it was cut from a longer one, effects follow the measured motion in what is known before it; the run starts a little
-    before the cut, and its samples up to there tell how: a start from the first ones after the cut alone would drift away.
+    Where it was cut from a longer one, effects follow the measured motion in what is known before
+    it; the run starts a little before the cut, and its samples up to there tell how: a start from
+    the first ones after the cut alone would drift away.
     """
 
     name: ClassVar[str] = "output_error"
@@ -215,7 +222,9 @@ class OutputError(Residual):
 
 @dataclass(frozen=True)
 class MultipleShooting(Residual):
-    """Free runs over windows of `window_s` seconds, each start estimated; windows are not forced to meet."""
+    """Free runs over windows of `window_s` seconds, each start estimated; windows are not forced to
+    meet.
+    """
 
     name: ClassVar[str] = "multiple_shooting"
     simulation: ClassVar[Simulation] = "windows"
@@ -271,9 +280,10 @@ class MultipleShooting(Residual):
 class InverseDynamics(Residual):
     """Torque residual of the measured motion.
 
-    With `cutoff_hz` the residual is low-passed there and taken at a few samples of that period (both sides of the equation pass
-    the same filter, which keeps the estimate unbiased by it); positions are filtered without phase at twice that and
-    differentiated. With `decimate` it is taken at every so many-th sample, and `cutoff_hz` is that of the positions.
+    With `cutoff_hz` the residual is low-passed there and taken at a few samples of that period
+    (both sides of the equation pass the same filter, which keeps the estimate unbiased by it);
+    positions are filtered without phase at twice that and differentiated. With `decimate` it is
+    taken at every so many-th sample, and `cutoff_hz` is that of the positions.
     """
 
     name: ClassVar[str] = "inverse_dynamics"
@@ -333,15 +343,18 @@ def _states(motions: Sequence[Motion] | None) -> list[np.ndarray] | None:
 
 
 def default_window(e: Experiment) -> float:
-    """Window length, s: an eighth of the run, at least 50 samples: long against the joint's time constant (a short window
-    cannot see a wrong friction law), short against the drift of a free run."""
+    """Window length, s: an eighth of the run, at least 50 samples: long against the joint's time
+    constant (a short window cannot see a wrong friction law), short against the drift of a free
+    run.
+    """
     step = float(np.median(np.diff(e.t)))
     return max(float(e.t[-1] - e.t[0]) / 8, 50 * step)
 
 
 def head_samples(e: Experiment) -> int:
-    """How many samples a run that is not fitted may use to estimate its start: 20, and at least 0.1 s, or as stated; of a short
-    run a third at most, so that the rest can be judged."""
+    """How many samples a run that is not fitted may use to estimate its start: 20, and at least 0.1
+    s, or as stated; of a short run a third at most, so that the rest can be judged.
+    """
     if e.initial_window_s is not None:
         return max(4, int(np.searchsorted(e.t, e.t[0] + e.initial_window_s, side="right")))
     return min(
@@ -350,9 +363,10 @@ def head_samples(e: Experiment) -> int:
 
 
 def standing(e: Experiment) -> int:
-    """The sample at which the last of the readings that stand on one value over the first moments of a run takes its first step,
-    0 where none does. A joint at rest anywhere within an encoder's step reads the same, however often: only the steps that follow
-    say where it stands."""
+    """The sample at which the last of the readings that stand on one value over the first moments
+    of a run takes its first step, 0 where none does. A joint at rest anywhere within an encoder's
+    step reads the same, however often: only the steps that follow say where it stands.
+    """
     n = head_samples(e)
     moved = e.y != e.y[0]
     still = moved.any(0) & ~moved[:n].any(0)
@@ -385,8 +399,9 @@ def record_of(
     chain: Chain,
     burn: int,
 ) -> Record:
-    """Samples a ... b of an experiment as a record; its start from the statement of the experiment or its first samples. Up to
-    `burn` samples before it effects follow the measured motion."""
+    """Samples a ... b of an experiment as a record; its start from the statement of the experiment
+    or its first samples. Up to `burn` samples before it effects follow the measured motion.
+    """
     nq = chain.nq
     free = np.ones(2 * nq, bool)
     _, iy = recorded.columns(dataset, chain)
@@ -431,8 +446,9 @@ RESIDUALS: dict[str, type[Residual]] = {
 def resolve_residual(
     residual: Residual | str | None, cutoff_hz: float | None = None
 ) -> Residual | None:
-    """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics` and `momentum`. Raises `UsageError` for one that does
-    not exist."""
+    """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics` and `momentum`. Raises
+    `UsageError` for one that does not exist.
+    """
     if residual is not None or cutoff_hz is not None:
         for module in ("closed_loop", "frequency_response", "momentum"):  # which enter their own
             import_module(f"jaxid.problem.{module}")

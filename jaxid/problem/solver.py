@@ -13,8 +13,10 @@ from jaxid.problem.residual import Residual
 
 
 def with_solver(binding: Binding, solver: Any, residual: Residual | None) -> Binding:
-    """The binding whose free runs and windows are simulated by a solver of diffrax; None, "own": by jaxid's own stepping. Raises
-    `UsageError` for dry friction that sticks, and for residuals that are something else."""
+    """The binding whose free runs and windows are simulated by a solver of diffrax; None, "own": by
+    jaxid's own stepping. Raises `UsageError` for dry friction that sticks, and for residuals that
+    are something else.
+    """
     if solver is None or solver == "own":
         return binding
     import diffrax

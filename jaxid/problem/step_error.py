@@ -10,8 +10,8 @@ from jaxid.problem.problem import Problem
 from jaxid.problem.residual import Runs
 
 
-#: Halving the step must not move the simulation by more than this share of what separates it from the data, or by more
-#: than this share of the noise.
+#: Halving the step must not move the simulation by more than this share of what separates it from
+#: the data, or by more than this share of the noise.
 STEP_SHARE = 0.02
 
 
@@ -25,7 +25,9 @@ def finer_predictions(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.n
 
 
 def defects(problem: Problem, z: np.ndarray, finer: Runs) -> np.ndarray:
-    """What finer steps would add to the simulation at z, at the samples [samples columns]; 0 for what is no number."""
+    """What finer steps would add to the simulation at z, at the samples [samples columns]; 0 for
+    what is no number.
+    """
     out = np.zeros_like(problem.targets)
     both = zip(
         problem.records, finer_predictions(problem, z, finer), problem.predictions(z), strict=True
@@ -43,9 +45,12 @@ def _counted(runs: Runs, records: Sequence[int], values: Sequence[np.ndarray]) -
 
 
 def step_error(problem: Problem, z: np.ndarray, finer: Runs) -> float:
-    """How much the simulation at z moves with finer steps, over the larger of noise and gap (rms, worst column)."""
+    """How much the simulation at z moves with finer steps, over the larger of noise and gap (rms,
+    worst column).
+    """
     records = problem.records
-    # Column by column: lines of a response and samples in time share a record, and other rows of it where the step is finer.
+    # Column by column: lines of a response and samples in time share a record, and other rows of it
+    # where the step is finer.
     coarse = _counted(problem.runs, records, problem.predictions(z))
     halved = _counted(finer, records, finer_predictions(problem, z, finer))
     target = _counted(

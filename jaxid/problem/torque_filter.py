@@ -1,4 +1,6 @@
-"""The settings of inverse dynamics: filtered motion, decimation, and the noise of the torque residual."""
+"""The settings of inverse dynamics: filtered motion, decimation, and the noise of the torque
+residual.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,11 @@ from jaxid.simulation.sample_buffers import bucket, columns
 
 #: Fewest rows of the torque equation for each number of a model that decimation may leave.
 ROWS = 30
-#: Positions are smoothed at so many times the cutoff of the torque before they are differentiated, and rows come at so many.
+#: Positions are smoothed at so many times the cutoff of the torque before they are differentiated,
+#: and rows come at so many.
 MOTION, ROWS_PER_CUTOFF = 2.0, 2.5
-#: Torques say something up to so many times the frequencies of the motion, and up to this at least (Hz).
+#: Torques say something up to so many times the frequencies of the motion, and up to this at least
+#: (Hz).
 HARMONICS, LOWEST = 4.0, 5.0
 
 
@@ -53,13 +57,16 @@ def torque_setting(
     cutoff_hz: float | None,
     decimate: int | None,
 ) -> TorqueSetting:
-    """Filter and decimation of runs at equal steps. With `cutoff_hz`, the torque of model and drive up to there, positions up to
-    `MOTION` times that before they are differentiated, and rows as often as the filter leaves something new; so, too, where the
-    motion lies (`moving_band`), for runs whose clock is uneven, for beyond the motion is what the clock adds. Else positions up
-    to a tenth of the sampling rate (or where the content of noisy ones ends), and 2.5 times fewer rows than that allows: torques
-    up to a sixth of it. At least `ROWS` rows for each number of the model. With `decimate` given torques pass the low-pass that
-    this takes (1: none), positions one at `cutoff_hz`. Noise of the residual: that of the drive's torque at high frequency (1 N m
-    for a free motion)."""
+    """Filter and decimation of runs at equal steps. With `cutoff_hz`, the torque of model and drive
+    up to there, positions up to `MOTION` times that before they are differentiated, and rows as
+    often as the filter leaves something new; so, too, where the motion lies (`moving_band`), for
+    runs whose clock is uneven, for beyond the motion is what the clock adds. Else positions up to a
+    tenth of the sampling rate (or where the content of noisy ones ends), and 2.5 times fewer rows
+    than that allows: torques up to a sixth of it. At least `ROWS` rows for each number of the
+    model. With `decimate` given torques pass the low-pass that this takes (1: none), positions one
+    at `cutoff_hz`. Noise of the residual: that of the drive's torque at high frequency (1 N m for a
+    free motion).
+    """
     from jaxid.data.signals import even_grid, filter_ends
     from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 
@@ -136,8 +143,10 @@ def check_motion(chain: Chain) -> None:
 
 
 def evenly(e: Experiment) -> Experiment:
-    """The run at equal steps, by splines, where its steps differ by more than rounding: a filter over samples would else take
-    crowded samples for long times. A run with equal steps is returned as it is."""
+    """The run at equal steps, by splines, where its steps differ by more than rounding: a filter
+    over samples would else take crowded samples for long times. A run with equal steps is returned
+    as it is.
+    """
     from jaxid.data.signals import even_grid, spline
 
     if (grid := even_grid(e.t)) is None:
@@ -166,9 +175,10 @@ def evenly(e: Experiment) -> Experiment:
 def moving_band(
     chain: Chain, runs: Sequence[Experiment], iy: Sequence[int], sigma: np.ndarray
 ) -> float:
-    """Frequency (Hz) in which torques of runs at equal steps say something: `HARMONICS` times the one below which the speed of
-    every joint lies, at least `LOWEST`, at most a tenth of the sampling frequency. `iy` are the columns of the chain's outputs,
-    `sigma` their noise."""
+    """Frequency (Hz) in which torques of runs at equal steps say something: `HARMONICS` times the
+    one below which the speed of every joint lies, at least `LOWEST`, at most a tenth of the
+    sampling frequency. `iy` are the columns of the chain's outputs, `sigma` their noise.
+    """
     from jaxid.data.signals import speed_content
     from jaxid.dynamics.joint_readings import joint_readings
 
@@ -192,7 +202,9 @@ def moving_band(
 
 
 def own_numbers(chain: Chain) -> int:
-    """How many numbers of the nominal model a fit determines; candidates of a diagnosis do not count."""
+    """How many numbers of the nominal model a fit determines; candidates of a diagnosis do not
+    count.
+    """
     builtin = {kind.name for kind, _ in chain.mechanism.builtin}
     held = chain.mechanism.held()
     own = [
@@ -208,9 +220,11 @@ MOMENT = 1e-9
 def drive_torque(
     layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray
 ) -> np.ndarray:
-    """Joint torque (N m, N) that the drive makes of recorded inputs u [time nu], each in the unit of its channel, in a measured
-    motion (q, qd, ...) [time 2 nq or more], with the numbers theta (None: those of the layout), [time nq]. Whatever compares
-    recorded inputs with torques takes them from here."""
+    """Joint torque (N m, N) that the drive makes of recorded inputs u [time nu], each in the unit
+    of its channel, in a measured motion (q, qd, ...) [time 2 nq or more], with the numbers theta
+    (None: those of the layout), [time nq]. Whatever compares recorded inputs with torques takes
+    them from here.
+    """
     chain, nq = layout.chain, layout.chain.nq
     if chain.direct and not chain.signature.beside:
         model = chain if theta is None else layout.model(theta)
@@ -233,7 +247,9 @@ def _driven(chain: Chain, u: Any, q: Any, qd: Any) -> Any:
 
 
 def _torque(chain: Chain, body: Any, u: Any, q: Any, qd: Any) -> Any:
-    """Of a law that which it makes of a goal that has been there for long; of other inputs what the drive is known to make."""
+    """Of a law that which it makes of a goal that has been there for long; of other inputs what the
+    drive is known to make.
+    """
     if getattr(chain.mechanism, "drive_law", None) is None:
         return driven(chain, body, u, q, qd)
     command = Command(jnp.zeros(()), jnp.asarray(MOMENT), u, u, lambda delay: u)
@@ -243,7 +259,9 @@ def _torque(chain: Chain, body: Any, u: Any, q: Any, qd: Any) -> Any:
 
 
 def decimated_torque_lane(taps: np.ndarray) -> Lane:
-    """`torque_lane` followed by a zero-phase low-pass over time; equal filters share one lane, hence one program."""
+    """`torque_lane` followed by a zero-phase low-pass over time; equal filters share one lane,
+    hence one program.
+    """
     return _decimated(tuple(float(x) for x in taps))
 
 
@@ -264,7 +282,9 @@ def _decimated(taps: tuple[float, ...]) -> Lane:
 
 
 def measured_torque(dataset: Dataset, runs, theta: np.ndarray) -> np.ndarray:
-    """The drive's joint torque, with the numbers theta, at the residual's samples, through the same low-pass, [samples nq]."""
+    """The drive's joint torque, with the numbers theta, at the residual's samples, through the same
+    low-pass, [samples nq].
+    """
     taps = getattr(runs.engine.lane, "taps", np.ones(1))
     iu, _ = columns(dataset, runs.layout.chain)
     out = []

@@ -1,4 +1,6 @@
-"""Typical magnitudes of a recording: what joints and inputs do in it, by which bounds, scales and probes are sized."""
+"""Typical magnitudes of a recording: what joints and inputs do in it, by which bounds, scales and
+probes are sized.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +40,9 @@ def _inertia_program(layout: Layout) -> Traced:
 def typical_magnitudes(
     dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
 ) -> tuple[list[Reference], list[Reference]]:
-    """Of each joint, in N m and rad (N, m), and of each input channel, in its own unit, in the recordings to fit, or in all where
-    none is."""
+    """Of each joint, in N m and rad (N, m), and of each input channel, in its own unit, in the
+    recordings to fit, or in all where none is.
+    """
     fit = dataset.split("fit") or dataset.experiments
     chain, nq = layout.chain, layout.chain.nq
     iu, _ = samples.columns(dataset, chain)

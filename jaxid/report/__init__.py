@@ -1,4 +1,6 @@
-"""Report pages: one self-contained HTML file without scripts. One section is one module and its template."""
+"""Report pages: one self-contained HTML file without scripts. One section is one module and its
+template.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ if TYPE_CHECKING:
 
 
 def diagnosis_page(diagnosis: Diagnosis) -> str:
-    """The page of a diagnosis. Like every page it carries the name and the SHA-256 of its JSON file in `meta` tags."""
+    """The page of a diagnosis. Like every page it carries the name and the SHA-256 of its JSON file
+    in `meta` tags.
+    """
     sections = [
         checked.before(diagnosis.data),
         answer.section(diagnosis),
@@ -126,7 +130,9 @@ def reproduction_page(result: Reproduction) -> str:
 
 
 def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
-    """Writes the page of a diagnosis (whole or not at all) and returns its path; raises `NotSaved`."""
+    """Writes the page of a diagnosis (whole or not at all) and returns its path; raises
+    `NotSaved`.
+    """
     return write_page(diagnosis_page(diagnosis), path)
 
 
@@ -136,12 +142,16 @@ def write_fit(fit: Fit, path: str | Path) -> Path:
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> Path:
-    """Writes the page of a comparison (whole or not at all) and returns its path; raises `NotSaved`."""
+    """Writes the page of a comparison (whole or not at all) and returns its path; raises
+    `NotSaved`.
+    """
     return write_page(comparison_page(comparison), path)
 
 
 def write_identification(result: Identification, path: str | Path) -> Path:
-    """Writes the page of an identification (whole or not at all) and returns its path; raises `NotSaved`."""
+    """Writes the page of an identification (whole or not at all) and returns its path; raises
+    `NotSaved`.
+    """
     return write_page(identification_page(result), path)
 
 

@@ -1,4 +1,6 @@
-"""The missing force as means over parts of a variable, with intervals, and the law that was fitted on top."""
+"""The missing force as means over parts of a variable, with intervals, and the law that was fitted
+on top.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,16 @@ if TYPE_CHECKING:
 
 #: Parts of an axis, and visits that a part needs for a mean with an interval.
 PARTS, VISITS = 24, 3
-#: Share of the greatest speed below which a joint counts as standing still: what sticks holds any force.
+#: Share of the greatest speed below which a joint counts as standing still: what sticks holds any
+#: force.
 STILL = 0.03
 
 
 @dataclass(frozen=True)
 class Means:
-    """Means over the parts of an axis: middle of each part, mean, and half its 95 % interval from one visit to the next (nan
-    where there are too few to tell)."""
+    """Means over the parts of an axis: middle of each part, mean, and half its 95 % interval from
+    one visit to the next (nan where there are too few to tell).
+    """
 
     x: np.ndarray
     mean: np.ndarray
@@ -34,8 +38,9 @@ class Means:
 
 
 def means(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], edges: np.ndarray) -> Means:
-    """Of runs (x, y, whether a sample counts; each [time]). Samples of one visit to a part are one observation: neighbours in
-    time say the same."""
+    """Of runs (x, y, whether a sample counts; each [time]). Samples of one visit to a part are one
+    observation: neighbours in time say the same.
+    """
     found: list[list[float]] = [[] for _ in edges[1:]]
     for x, y, keep in runs:
         part = np.where(keep & np.isfinite(y), np.digitize(x, edges) - 1, -1)
@@ -58,12 +63,16 @@ def moving(force: MissingForce) -> np.ndarray:
 
 
 def directions(field: str) -> list[tuple[str, int]]:
-    """In which directions of motion the force is looked at apart: against anything but the speed itself both may cancel."""
+    """In which directions of motion the force is looked at apart: against anything but the speed
+    itself both may cancel.
+    """
     return [("", 0)] if field == "qd" else [("forwards", 1), ("backwards", -1)]
 
 
 def supplied(forces: Sequence[MissingForce], field: str, sign: int = 0) -> Means:
-    """What the named effects supply, as means over a field of the motion; in one direction of motion, or in both (0)."""
+    """What the named effects supply, as means over a field of the motion; in one direction of
+    motion, or in both (0).
+    """
     runs = []
     for f in forces:
         keep = moving(f) & ((sign == 0) | (np.sign(f.qd) == sign))
@@ -78,7 +87,9 @@ def edges_of(forces: Sequence[MissingForce], field: str) -> np.ndarray:
 
 
 def draw(axes: Axes, forces: Sequence[MissingForce], field: str, which: str, law: bool) -> None:
-    """Means of `before` or `after` against a field of the motion; `law`: what the named effects supply as a line on top."""
+    """Means of `before` or `after` against a field of the motion; `law`: what the named effects
+    supply as a line on top.
+    """
     edges = edges_of(forces, field)
     if not len(edges):
         return

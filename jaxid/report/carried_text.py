@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 
 def export_text(exported: Exported, folder: Any = "") -> str:
-    """What went where, a line for each row, and the files, which stand in `folder` where they were written."""
+    """What went where, a line for each row, and the files, which stand in `folder` where they were
+    written.
+    """
     head = ("effect or number", "at", "field", "value", "how")
     rows = [
         (

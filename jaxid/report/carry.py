@@ -34,7 +34,9 @@ def section(result: Any, file: str) -> Section | None:
 
 
 def changes(result: Any, to: str) -> list[tuple[str, str, str, str]]:
-    """What the patched file says otherwise: number, field, value, and what is to be said; none where the file is not at hand."""
+    """What the patched file says otherwise: number, field, value, and what is to be said; none
+    where the file is not at hand.
+    """
     from jaxid.errors import UsageError
 
     try:

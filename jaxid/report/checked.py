@@ -1,4 +1,6 @@
-"""What a recording says about itself: the page of `jaxid check`, and the part of every other page that says it."""
+"""What a recording says about itself: the page of `jaxid check`, and the part of every other page
+that says it.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def before(findings: Sequence[DataFinding]) -> Section | None:
 
 
 def asked(findings: Sequence[DataFinding]) -> Section | None:
-    """Questions about a recording, after an answer; None where there are none, or where they stand with what was found."""
+    """Questions about a recording, after an answer; None where there are none, or where they stand
+    with what was found.
+    """
     if not findings or before(findings):
         return None
     return _section(findings, "Questions about the recording", "", "", ())

@@ -1,4 +1,6 @@
-"""Single plots for notebooks: each draws on the Axes it is given, or on new ones, and returns them; none calls `show`."""
+"""Single plots for notebooks: each draws on the Axes it is given, or on new ones, and returns them;
+none calls `show`.
+"""
 
 from __future__ import annotations
 

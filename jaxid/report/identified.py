@@ -1,4 +1,6 @@
-"""The page of an identification: how well torque is predicted, friction, base parameters, payload."""
+"""The page of an identification: how well torque is predicted, friction, base parameters,
+payload.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def headline(result: Identification) -> str:
 
 
 def not_predicted(result: Identification) -> str:
-    """A sentence where the model of a loaded arm predicts a run worse than none would; it has a blank before it."""
+    """A sentence where the model of a loaded arm predicts a run worse than none would; it has a
+    blank before it.
+    """
     worst = max(result.experiments, key=lambda e: e.relative_error)
     if worst.relative_error < 1:
         return ""
@@ -84,7 +88,9 @@ def friction_rows(result: Identification) -> list[tuple[str, str, list[str]]]:
 
 
 def beside_head(result: Identification) -> tuple[str, ...]:
-    """Heads of the columns that a file or a dataset adds to the base parameters: none where nothing is stated."""
+    """Heads of the columns that a file or a dataset adds to the base parameters: none where nothing
+    is stated.
+    """
     return ("stated", "apart, in its std") if _stated(result) else ()
 
 
@@ -101,7 +107,9 @@ def _beside(row: dict[str, Any] | None) -> tuple[str, str]:
 
 
 def base_rows(result: Identification) -> list[tuple[str, ...]]:
-    """Leading parameter, value, what is stated of it and how far that is (where anything is), unit, combination, remark."""
+    """Leading parameter, value, what is stated of it and how far that is (where anything is), unit,
+    combination, remark.
+    """
     std, stated = result.std(), _stated(result)
     return [
         (

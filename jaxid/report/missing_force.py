@@ -1,4 +1,6 @@
-"""The force that the model lacks: against velocity, position, load and time, its spectrum, and by regime."""
+"""The force that the model lacks: against velocity, position, load and time, its spectrum, and by
+regime.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,9 @@ def supplied(force: MissingForce) -> float:
 
 
 def law_sentence(forces: Sequence[MissingForce], variable: str) -> str:
-    """The two ends of what the named effects supply over the variable that they are a law of; "" where nothing is supplied."""
+    """The two ends of what the named effects supply over the variable that they are a law of; ""
+    where nothing is supplied.
+    """
     first = forces[0]
     field = FIELDS.get(variable, "")
     unit = {"q": first.q_unit, "qd": first.qd_unit, "load": first.unit}.get(field)
@@ -78,8 +82,10 @@ def law_sentence(forces: Sequence[MissingForce], variable: str) -> str:
 
 
 def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
-    """All recordings of one joint: the force as means against speed, position and load (first that which shows a law of this
-    `variable` best), without and with the named effects; over time and as a spectrum that of the longest recording."""
+    """All recordings of one joint: the force as means against speed, position and load (first that
+    which shows a law of this `variable` best), without and with the named effects; over time and as
+    a spectrum that of the longest recording.
+    """
     longest = max(forces, key=lambda f: len(f.t))
     unit = longest.unit
     against = [
@@ -140,7 +146,9 @@ def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
 
 
 def layout(figure, kinds: Sequence[str], count: int):
-    """Axes [kind][field] of the means, one over time, one of the spectrum; on phones a field is a row, before beside after."""
+    """Axes [kind][field] of the means, one over time, one of the spectrum; on phones a field is a
+    row, before beside after.
+    """
     if plot.narrow(figure):
         rows = figure.add_gridspec(count + 2, 1)
         by_field = [
@@ -176,7 +184,9 @@ def legend(axes, added: bool, both: bool) -> list:
 
 
 def draw_noise(axes, x: np.ndarray, floor: np.ndarray, parts: int = PARTS) -> None:
-    """A band of two standard deviations of what noise alone would show, over equal parts of the axis."""
+    """A band of two standard deviations of what noise alone would show, over equal parts of the
+    axis.
+    """
     edges = np.linspace(np.min(x), np.max(x), parts + 1)
     part = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, parts - 1)
     count = np.bincount(part, minlength=parts)
@@ -200,7 +210,9 @@ def draw_spectrum(axes, force: MissingForce) -> None:
 
 
 def spectrum(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (Hz) and amplitude density (unit/√Hz) by Welch's method, on samples interpolated to even steps."""
+    """Frequencies (Hz) and amplitude density (unit/√Hz) by Welch's method, on samples interpolated
+    to even steps.
+    """
     t, series = np.asarray(t, float), plot.series(series)
     good = np.isfinite(series)
     t, series = t[good], series[good]
@@ -220,7 +232,8 @@ def spectrum(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     frequency, power = frequency[positive], power[positive]
     if len(frequency) < 2:
         return np.zeros(0), np.zeros(0)
-    # Bins of equal width on the logarithmic axis: even ones would crowd its right end and starve its left.
+    # Bins of equal width on the logarithmic axis: even ones would crowd its right end and starve
+    # its left.
     bins = np.digitize(frequency, np.geomspace(frequency[0], frequency[-1], 120))
     count = np.bincount(bins)
     filled = count > 0
@@ -229,8 +242,9 @@ def spectrum(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def regime_picture(regimes: Sequence[Regime]):
-    """How strong the missing force is in each regime of each joint, against the whole recording; where no named effect tells it
-    apart from the noise, beside what a perfect model would show."""
+    """How strong the missing force is in each regime of each joint, against the whole recording;
+    where no named effect tells it apart from the noise, beside what a perfect model would show.
+    """
     guessed = any(r.supplied is None for r in regimes)
     labels = [
         (plot.label(r.joint, 20), plot.label(wording.regime_words(r.regime), 30)) for r in regimes

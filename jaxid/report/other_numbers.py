@@ -24,7 +24,9 @@ FEW = 3
 
 
 def refuted_numbers(diagnosis: Diagnosis) -> list[Stated]:
-    """Stated numbers that the data refute where no effect is missing, worst first; none for another verdict."""
+    """Stated numbers that the data refute where no effect is missing, worst first; none for another
+    verdict.
+    """
     if diagnosis.which.verdict != "none":
         return []
     refuted = [s for s in diagnosis.final.stated if s.refuted]
@@ -44,7 +46,9 @@ def other_numbers(diagnosis: Diagnosis) -> str:
 
 
 def first_of_all(diagnosis: Diagnosis, verdict: str) -> str:
-    """The verdict in plain words; stated numbers that the data refute come before what is not missing."""
+    """The verdict in plain words; stated numbers that the data refute come before what is not
+    missing.
+    """
     other = other_numbers(diagnosis)
     return f"{other} No effect is missing beside that." if other else verdict
 

@@ -39,7 +39,9 @@ _environment.filters.update(
 
 
 def render(title: str, sections: Iterable[Section | None], result: str, content: bytes) -> str:
-    """The whole page; sections that are None are left out. `result`: name of the file it belongs to, with its content."""
+    """The whole page; sections that are None are left out. `result`: name of the file it belongs
+    to, with its content.
+    """
     digest = hashlib.sha256(content).hexdigest()
     return _environment.get_template("page.html").render(
         title=title, style=_style(), body=_body(sections), result=result, digest=digest

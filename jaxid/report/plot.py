@@ -1,4 +1,6 @@
-"""Drawing: inline SVG from matplotlib's figures, without pyplot and without leaving its settings changed."""
+"""Drawing: inline SVG from matplotlib's figures, without pyplot and without leaving its settings
+changed.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
 )
 GREY, PALE = "#8c8c8c", "#dddddd"
 
-#: Inches that a picture is wide on screens and on paper, and on phones: letters of 9 points are then at least 9 pixels high.
+#: Inches that a picture is wide on screens and on paper, and on phones: letters of 9 points are
+#: then at least 9 pixels high.
 WIDE, NARROW = 9.2, 4.4
 LETTER = 0.075  # inches that a letter of 9 points takes, roughly
 
@@ -62,8 +65,10 @@ def svg(
     draw: Callable[[Figure], object],
     narrow_height: float | None = None,
 ) -> Markup:
-    """What `draw` draws on a figure of this size (inches), as two SVG elements of which a page shows one: for screens and paper,
-    and for phones (`NARROW` and `narrow_height` inches; by default as high as the other). The same bytes for the same data."""
+    """What `draw` draws on a figure of this size (inches), as two SVG elements of which a page
+    shows one: for screens and paper, and for phones (`NARROW` and `narrow_height` inches; by
+    default as high as the other). The same bytes for the same data.
+    """
     phone = element(f"{name}-narrow", (NARROW, narrow_height or size[1]), draw)
     return Markup(element(name, size, draw) + phone.replace("<svg ", '<svg class="narrow" ', 1))
 
@@ -143,7 +148,9 @@ def _shorter(path: re.Match[str]) -> str:
 
 
 def drawable(value: float) -> float:
-    """A length for a bar: a model that diverged has a gap that no axis can hold (its label still tells)."""
+    """A length for a bar: a model that diverged has a gap that no axis can hold (its label still
+    tells).
+    """
     return float(np.clip(np.nan_to_num(value, nan=0.0), -LARGEST, LARGEST))
 
 
@@ -164,7 +171,9 @@ def with_unit(name: str, unit: str) -> str:
 
 
 def thin(t: np.ndarray, y: np.ndarray, points: int = POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """At most about `points` samples that keep the lowest and highest of every stretch; samples not finite are gaps."""
+    """At most about `points` samples that keep the lowest and highest of every stretch; samples not
+    finite are gaps.
+    """
     t, y = np.asarray(t, float), np.asarray(y, float)
     n = len(y)
     if n <= points:
@@ -200,7 +209,9 @@ def dots(
 
 
 def limits(*series: np.ndarray, quantile: float = 0.002) -> tuple[float, float] | None:
-    """Axis limits that leave out the outermost fifth of a percent at each side, so that one spike hides nothing."""
+    """Axis limits that leave out the outermost fifth of a percent at each side, so that one spike
+    hides nothing.
+    """
     values = np.concatenate([np.ravel(s) for s in series]) if series else np.zeros(0)
     values = values[np.isfinite(values)]
     if not len(values):

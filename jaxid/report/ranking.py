@@ -42,7 +42,9 @@ def section(which: Which) -> Section | None:
 
 
 def rounds(rows: list[tuple[Ranked, str]]) -> dict[tuple[str, ...], list[tuple[Ranked, str]]]:
-    """Rows by what each was tried beside; drawn are those of a round in which several were tried, or one was named."""
+    """Rows by what each was tried beside; drawn are those of a round in which several were tried,
+    or one was named.
+    """
     groups: dict[tuple[str, ...], list[tuple[Ranked, str]]] = {}
     for row in rows:
         groups.setdefault(tuple(sorted(row[0].beside)), []).append(row)

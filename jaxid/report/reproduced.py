@@ -1,4 +1,6 @@
-"""The page of a paper that was done again: claims first, then each experiment with its tables and pictures."""
+"""The page of a paper that was done again: claims first, then each experiment with its tables and
+pictures.
+"""
 
 from __future__ import annotations
 

@@ -53,7 +53,9 @@ PLACES = 3
 
 
 def at_places(effects: Sequence[EffectEstimate]) -> str:
-    """`dead zone at tau1 and tau2 and backlash at q1`: every effect once, with its places, or how many they are."""
+    """`dead zone at tau1 and tau2 and backlash at q1`: every effect once, with its places, or how
+    many they are.
+    """
     places = by_effect((e.effect, one_line(e.location)) for e in effects)
     named = lambda at: listed(at) if len(at) <= PLACES else f"{len(at)} places"
     return listed(
@@ -93,8 +95,9 @@ def measured(how_far: HowFar) -> bool:
 
 
 def stated_sentences(stated: Sequence[Stated], named: Sequence[EffectEstimate] = ()) -> list[str]:
-    """Numbers that were stated and that the data refute, worst first: each in a sentence, or all in one where they are many. One
-    that is told as an effect that is missing is not told again."""
+    """Numbers that were stated and that the data refute, worst first: each in a sentence, or all in
+    one where they are many. One that is told as an effect that is missing is not told again.
+    """
     told = {(e.location, p.value) for e in named for p in e.parameters.values()}
     refuted = [s for s in stated if s.refuted and (s.joint, s.fitted) not in told]
     refuted.sort(key=lambda s: -abs(s.deviation or 0.0))
@@ -159,7 +162,9 @@ def to_check(which: Which) -> list[str]:
 
 
 def lacks(which: Which, said: Callable[[Sequence[EffectEstimate]], str], same: str = "") -> str:
-    """What the model lacks, and what may be the `same`; what is not to be believed as it stands is no more than possible."""
+    """What the model lacks, and what may be the `same`; what is not to be believed as it stands is
+    no more than possible.
+    """
     sure, perhaps = (
         [e for e in which.effects if (str(e) in which.doubts) == doubted]
         for doubted in (False, True)
@@ -254,7 +259,9 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
 
 
 def telling(how_far: HowFar) -> list[str]:
-    """Channels, those first in which most happens: the error that goes or stays, against the noise."""
+    """Channels, those first in which most happens: the error that goes or stays, against the
+    noise.
+    """
     size = lambda g: (
         max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / max(g.noise, 1e-300)
     )
@@ -335,8 +342,9 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
 
 
 def joint_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[tuple[str, ...]]]:
-    """Head and rows of each joint's error with the file as it stands, re-tuned and with the effects, of the last split alone: the
-    first table of every robot's result."""
+    """Head and rows of each joint's error with the file as it stands, re-tuned and with the
+    effects, of the last split alone: the first table of every robot's result.
+    """
     last = [r for r in rows if r["split"] == rows[-1]["split"]]
     effects = any(
         r.get("with_effects") is not None and r["with_effects"] != r["retuned"] for r in last
@@ -411,7 +419,9 @@ def fit_text(fit: Fit) -> str:
 
 
 def recursion_table(fit: Fit, most: int = 10, columns: int = 4) -> str:
-    """The first numbers over the recursions of a fit along its data; of many recursions some, first and last among them."""
+    """The first numbers over the recursions of a fit along its data; of many recursions some, first
+    and last among them.
+    """
     names, count = list(fit.recursion[0].parameters)[:columns], len(fit.recursion)
     shown = sorted(
         {round(k * (count - 1) / max(1, min(most, count) - 1)) for k in range(min(most, count))}

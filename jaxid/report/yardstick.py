@@ -1,5 +1,6 @@
-"""The first table of a robot's result: each joint's error with its file as it stands, re-tuned and with the effects; then what
-differs from the file."""
+"""The first table of a robot's result: each joint's error with its file as it stands, re-tuned and
+with the effects; then what differs from the file.
+"""
 
 from __future__ import annotations
 

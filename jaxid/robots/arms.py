@@ -1,4 +1,6 @@
-"""A limb of a robot as the serial arm that `jaxid identify` works on, with its law's torque where none was recorded."""
+"""A limb of a robot as the serial arm that `jaxid identify` works on, with its law's torque where
+none was recorded.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from jaxid.robots.tree import Tree, turned
 
 
 def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
-    """(serial arm, dataset with q1 … and tau1 …) of a robot's recording; other models and their datasets as they are.
+    """(serial arm, dataset with q1 … and tau1 …) of a robot's recording; other models and their
+    datasets as they are.
 
     Raises `UsageError` where the recorded joints are no chain, naming what to choose.
     """

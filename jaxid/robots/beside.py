@@ -1,4 +1,6 @@
-"""What is recorded beside the goals and torques of joints: the goals' own rates, and how the base moves."""
+"""What is recorded beside the goals and torques of joints: the goals' own rates, and how the base
+moves.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,8 @@ def left_out(dataset: Dataset, names: Sequence[str]) -> Dataset:
 
 
 def with_rates(dataset: Dataset, tree: Tree) -> Dataset:
-    """The dataset with the channels that [controller] reference_velocity names as inputs, where goals drive.
+    """The dataset with the channels that [controller] reference_velocity names as inputs, where
+    goals drive.
 
     Raises `UsageError` for one that is not recorded.
     """
@@ -87,7 +90,9 @@ def with_rates(dataset: Dataset, tree: Tree) -> Dataset:
 
 
 def rates_of(stated: object, joints: Sequence[str]) -> tuple[str, ...]:
-    """Channels of the goals' rates: a name with `*` for the joint's, a list in the order of the joints, or a table by joint."""
+    """Channels of the goals' rates: a name with `*` for the joint's, a list in the order of the
+    joints, or a table by joint.
+    """
     if isinstance(stated, Mapping) and set(joints) <= set(stated):
         return tuple(str(stated[j]) for j in joints)
     if isinstance(stated, Sequence) and not isinstance(stated, str) and len(stated) == len(joints):
@@ -112,9 +117,11 @@ def rides(dataset: Dataset) -> bool:
 
 
 def with_base(dataset: Dataset, tree: Tree) -> Dataset:
-    """The dataset with the motion of a prescribed base as inputs: its angles as recorded, 0 where they are not, and their rates
-    and accelerations through a low-pass without phase. Raises `UsageError` for a channel that is no angle, and where the file
-    has a joint of the name that such an input gets."""
+    """The dataset with the motion of a prescribed base as inputs: its angles as recorded, 0 where
+    they are not, and their rates and accelerations through a low-pass without phase. Raises
+    `UsageError` for a channel that is no angle, and where the file has a joint of the name that
+    such an input gets.
+    """
     kind = dataset.model.base.get("kind", "fixed") if dataset.model is not None else "fixed"
     recorded = base_channels(dataset, tree)
     if not recorded or rides(dataset) or kind == "free":
@@ -170,7 +177,9 @@ def _reader(dataset: Dataset, inputs: set[str]) -> Callable[[Experiment, str], n
 
 
 def _motion(t: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Angle, rate and acceleration, [3 time], through a low-pass above which the angle has no content."""
+    """Angle, rate and acceleration, [3 time], through a low-pass above which the angle has no
+    content.
+    """
     noise = max(
         float(np.std(np.diff(angle, 3))) / np.sqrt(20.0), FINE * float(np.ptp(angle)), 1e-12
     )

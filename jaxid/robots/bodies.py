@@ -1,8 +1,9 @@
-"""Bodies that can exist: mass, centre of mass and lengths of gyration in place of ten numbers that may contradict each other.
+"""Bodies that can exist: mass, centre of mass and lengths of gyration in place of ten numbers that
+may contradict each other.
 
-The mass of a body lies about its centre with the covariance G G' (m^2), G lower triangular with a diagonal >= 0: any such
-numbers are a body, and every body has such numbers (its pseudo-inertia, Wensing, Kim, Slotine 2018, is
-m [[G G' + c c', c], [c', 1]]).
+The mass of a body lies about its centre with the covariance G G' (m^2), G lower triangular with a
+diagonal >= 0: any such numbers are a body, and every body has such numbers (its pseudo-inertia,
+Wensing, Kim, Slotine 2018, is m [[G G' + c c', c], [c', 1]]).
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ DIGITS = 1e-6
 
 
 def ten_numbers(body: Float[Array, "10 n"], anchor: np.ndarray) -> Float[Array, "n 10"]:
-    """Ixx Ixy Ixz Iyy Iyz Izz mx my mz m about `anchor` [n 3], a point in the frame of the bodies' `BODY` numbers."""
+    """Ixx Ixy Ixz Iyy Iyz Izz mx my mz m about `anchor` [n 3], a point in the frame of the bodies'
+    `BODY` numbers.
+    """
     m, cx, cy, cz, xx, yx, yy, zx, zy, zz = body
     x, y, z = cx - anchor[:, 0], cy - anchor[:, 1], cz - anchor[:, 2]
     sxx, syy, szz = xx * xx + x * x, yx * yx + yy * yy + y * y, zx * zx + zy * zy + zz * zz + z * z
@@ -40,8 +43,9 @@ def ten_numbers(body: Float[Array, "10 n"], anchor: np.ndarray) -> Float[Array, 
 
 
 def body_of(inertia: np.ndarray, anchor: np.ndarray) -> tuple[np.ndarray, float]:
-    """`BODY` numbers of the nearest body to ten numbers about `anchor`, and the least second moment that was stated (kg m^2),
-    negative where no body has them."""
+    """`BODY` numbers of the nearest body to ten numbers about `anchor`, and the least second moment
+    that was stated (kg m^2), negative where no body has them.
+    """
     xx, xy, xz, yy, yz, zz, hx, hy, hz, m = inertia
     if m <= 0:
         return np.array([0.0, *anchor, *np.zeros(6)]), -float(np.abs(inertia).max())

@@ -1,4 +1,6 @@
-"""Channels of a robot: joints by name, their goals and torques, and the motion of a base that is carried along."""
+"""Channels of a robot: joints by name, their goals and torques, and the motion of a base that is
+carried along.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +37,9 @@ RIDE = tuple(
 def signature_of(
     tree: Tree, driven: bool, rates: tuple[str, ...] = (), rides: bool = False
 ) -> Signature:
-    """Channels of a robot: goals or torques in, then the goals' rates and the motion of the base, joint positions out, by the
-    joints' names."""
+    """Channels of a robot: goals or torques in, then the goals' rates and the motion of the base,
+    joint positions out, by the joints' names.
+    """
     joints = tree.leading
     driven_joints = tree.driven
     slides = tuple(tree.slides[tree.joints.index(j)] for j in joints)

@@ -38,12 +38,15 @@ OTHER = (
     "disturbance",
 )
 SPREAD = 0.1
-#: A number of the law lies within so many standard deviations of what is stated, and is no less than this share of it.
+#: A number of the law lies within so many standard deviations of what is stated, and is no less
+#: than this share of it.
 WITHIN, LEAST = 5.0, 0.01
 
 
 class Fitted(NamedTuple):
-    """A number of a law that is fitted: bounds, and mean and standard deviation of its prior (`std` 0: none)."""
+    """A number of a law that is fitted: bounds, and mean and standard deviation of its prior (`std`
+    0: none).
+    """
 
     name: str
     lower: float
@@ -59,9 +62,10 @@ class Fitted(NamedTuple):
 
 @dataclass(frozen=True)
 class Law:
-    """A drive law of n joints. `period` s, 0 where it is continuous; `control` limits of the goal; `lag` s of the torque; `rates`
-    channels of the goals' rates; `fit`
-    names of the numbers that are fitted and `spread` the relative standard deviation of their priors."""
+    """A drive law of n joints. `period` s, 0 where it is continuous; `control` limits of the goal;
+    `lag` s of the torque; `rates` channels of the goals' rates; `fit` names of the numbers that are
+    fitted and `spread` the relative standard deviation of their priors.
+    """
 
     origin: str
     kind: str
@@ -114,9 +118,11 @@ class Law:
         rate: np.ndarray | None = None,
         held: bool = True,
     ) -> np.ndarray:
-        """Torque that the law asks for along a recording (t [time]; goal, q and the goal's recorded rate [time n]).
+        """Torque that the law asks for along a recording (t [time]; goal, q and the goal's recorded
+        rate [time n]).
 
-        What is `held` between samples jumps at each: the torque is the mean of both sides, so that a low-pass finds it in phase.
+        What is `held` between samples jumps at each: the torque is the mean of both sides, so that
+        a low-pass finds it in phase.
         """
         if self.kind == "pid":
             raise UsageError(
@@ -164,7 +170,9 @@ class Law:
         )
 
     def fitted(self, joints: Sequence[str]) -> tuple[Fitted, ...]:
-        """What is fitted: a stated number has a Gaussian prior of its spread, one that is stated as 0 none."""
+        """What is fitted: a stated number has a Gaussian prior of its spread, one that is stated as
+        0 none.
+        """
         out = []
         for name in self.fit:
             field = {"kv": "kd", "saturation": "highest"}.get(name, name)
@@ -182,7 +190,9 @@ class Law:
         return tuple(out)
 
     def _room(self, name: str) -> float:
-        """Upper bound of a number that is stated as 0: damping that stops a joint within seconds, an integral within 0.01 s."""
+        """Upper bound of a number that is stated as 0: damping that stops a joint within seconds,
+        an integral within 0.01 s.
+        """
         kp = max(map(abs, self.kp)) or 1.0
         return {"delay": LONGEST_DELAY_S, "kd": kp, "kv": kp, "ki": 100 * kp, "kp": 1e4}.get(
             name, 1e4
@@ -207,14 +217,18 @@ class Law:
 
 
 def _at(t: np.ndarray, when: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Series x [time n] between its samples at times `when` [time n], as at the first one before it."""
+    """Series x [time n] between its samples at times `when` [time n], as at the first one before
+    it.
+    """
     return np.stack([np.interp(w, t, column) for w, column in zip(when.T, x.T, strict=True)], 1)
 
 
 def stated_law(controller: Controller, joints: Sequence[str], period: float) -> Law:
-    """The law that a dataset states, for these joints; `period` s between the samples of the recording.
+    """The law that a dataset states, for these joints; `period` s between the samples of the
+    recording.
 
-    Raises `UsageError` for an unknown kind or setting, a gain that is missing, and a joint or number that does not exist.
+    Raises `UsageError` for an unknown kind or setting, a gain that is missing, and a joint or
+    number that does not exist.
     """
     kind, settings = controller.kind, dict(controller.settings)
     if kind not in NEEDED:
@@ -281,7 +295,9 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
 
 
 def _spread(stated: Any, can: Sequence[str]) -> dict[str, float]:
-    """The relative standard deviation of each number of a law; a plain number is that of all of them."""
+    """The relative standard deviation of each number of a law; a plain number is that of all of
+    them.
+    """
     spread: dict[str, Any] = (
         dict(stated) if isinstance(stated, Mapping) else {name: stated for name in can}
     )
@@ -350,7 +366,9 @@ def per_joint(
 
 
 def file_law(tree: Tree) -> Law:
-    """The law of the file's position actuators. Raises `UsageError` naming a joint that has none."""
+    """The law of the file's position actuators. Raises `UsageError` naming a joint that has
+    none.
+    """
     joints = tree.leading
     lacking = [j for j in joints if j not in tree.actuators or tree.actuators[j].kind != "position"]
     if lacking:

@@ -1,10 +1,13 @@
-"""Rigid-body dynamics of a tree of joints: recursive Newton-Euler and composite rigid bodies, level by level.
+"""Rigid-body dynamics of a tree of joints: recursive Newton-Euler and composite rigid bodies, level
+by level.
 
-Nodes of equal depth are one vector. A node stands in the slot of its parent; where a body carries several, the others take slots
-of their own, so that a level is the level above it routed by a matrix of zeros and ones (by nothing, where limbs part at the base
-alone). Each recursion is one `lax.scan` over the levels; places without a node hold a massless body on a rigid joint.
+Nodes of equal depth are one vector. A node stands in the slot of its parent; where a body carries
+several, the others take slots of their own, so that a level is the level above it routed by a
+matrix of zeros and ones (by nothing, where limbs part at the base alone). Each recursion is one
+`lax.scan` over the levels; places without a node hold a massless body on a rigid joint.
 
-Sources: Luh, Walker, Paul 1980; Featherstone, Rigid Body Dynamics Algorithms, 2008 (composite rigid body, chapter 6).
+Sources: Luh, Walker, Paul 1980; Featherstone, Rigid Body Dynamics Algorithms, 2008 (composite rigid
+body, chapter 6).
 """
 
 from __future__ import annotations
@@ -34,8 +37,9 @@ from jaxid.numerics.fast_math import dot, inverse, sincos
 
 
 class Plan(NamedTuple):
-    """Where the nodes of a tree stand: `at` [n] = level * slots + slot; `source` [levels * slots] the node there, or n;
-    `route` [levels slots slots] or None."""
+    """Where the nodes of a tree stand: `at` [n] = level * slots + slot; `source` [levels * slots]
+    the node there, or n; `route` [levels slots slots] or None.
+    """
 
     levels: int
     slots: int
@@ -73,7 +77,9 @@ def plan(parent: tuple[int, ...]) -> Plan:
 
 
 def spread(plan: Plan, values: Any) -> Any:
-    """Numbers of the nodes [... n] at their places [... levels slots], zero where there is no node."""
+    """Numbers of the nodes [... n] at their places [... levels slots], zero where there is no
+    node.
+    """
     if not plan.dense:
         xp: Any = np if isinstance(values, np.ndarray) else jnp
         values = xp.concatenate([values, 0 * values[..., :1]], -1)[..., plan.source]
@@ -87,8 +93,10 @@ def gathered(plan: Plan, places: Any) -> Any:
 
 
 class Body(NamedTuple):
-    """What does not depend on the state, all at the places [levels slots]: frames at the reference as three matrices by rows
-    with R(q) = R0 + sin(q) R1 + (1 - cos(q)) R2, origins, axes split by kind, inertia (ten), the route."""
+    """What does not depend on the state, all at the places [levels slots]: frames at the reference
+    as three matrices by rows with R(q) = R0 + sin(q) R1 + (1 - cos(q)) R2, origins, axes split by
+    kind, inertia (ten), the route.
+    """
 
     R0: tuple[Vector, Vector, Vector]
     R1: tuple[Vector, Vector, Vector]
@@ -107,7 +115,9 @@ def body(
     place: Float[Array, "6 n"],
     inertia: Float[Array, "n 10"],
 ) -> Body:
-    """`place`: x y z roll pitch yaw of each node in its parent's frame; `axis` [n 3]; `inertia` about the node's origin."""
+    """`place`: x y z roll pitch yaw of each node in its parent's frame; `axis` [n 3]; `inertia`
+    about the node's origin.
+    """
     (sr, cr), (sp, cp), (sy, cy) = (sincos(place[k]) for k in (3, 4, 5))
     rows = (
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
@@ -166,7 +176,9 @@ def _summed(route: Any, parts: Any) -> Any:
 
 
 class Base(NamedTuple):
-    """Motion of the base in its own frame: angular velocity and acceleration, acceleration of its origin minus gravity."""
+    """Motion of the base in its own frame: angular velocity and acceleration, acceleration of its
+    origin minus gravity.
+    """
 
     w: Vector
     wd: Vector
@@ -188,7 +200,9 @@ def inverse_dynamics(
     qd: Float[Array, " n"],
     qdd: Float[Array, " n"],
 ) -> Float[Array, " n"]:
-    """Force or torque at every joint for a motion; armature, damping, friction and springs excluded."""
+    """Force or torque at every joint for a motion; armature, damping, friction and springs
+    excluded.
+    """
     v, a = spread(plan, qd), spread(plan, qdd)
 
     def outwards(carry, x):
@@ -265,8 +279,8 @@ def mass_matrix(plan: Plan, body: Body, E: Placements) -> Float[Array, "n n"]:
     return upper + upper.T - upper * np.eye(n)
 
 
-#: A joint that a law holds so tightly that it swings by more than sqrt(2) rad in a step is taken to be so much heavier; twice as
-#: tightly held, the step would run away from it.
+#: A joint that a law holds so tightly that it swings by more than sqrt(2) rad in a step is taken to
+#: be so much heavier; twice as tightly held, the step would run away from it.
 LIGHTEST = 0.5
 
 
@@ -279,8 +293,10 @@ def middle_step(
     slope: Any,
     stiffness: Any,
 ) -> tuple[Free, Any, Any]:
-    """`Mechanism.damped` of a rigid mechanism with these `matrices` of (q, qd), by its forces in the middle of the step alone:
-    second order, and one evaluation where the scheme of Runge and Kutta takes four."""
+    """`Mechanism.damped` of a rigid mechanism with these `matrices` of (q, qd), by its forces in
+    the middle of the step alone: second order, and one evaluation where the scheme of Runge and
+    Kutta takes four.
+    """
     q, v = x
     M, bias = matrices(q + h / 2 * v, qd)
     D, push = (
@@ -320,8 +336,9 @@ def turn(roll: Any, pitch: Any, yaw: Any) -> tuple[tuple[Any, ...], ...]:
 
 
 def falling(angles: Any, gravity: Float[Array, " 3"], tilt: Any = None) -> tuple[Any, ...]:
-    """`gravity`, a vector of free fall in the world, in the frame of a base turned by its roll, pitch and yaw, and by a `tilt`
-    (angle, axis) further."""
+    """`gravity`, a vector of free fall in the world, in the frame of a base turned by its roll,
+    pitch and yaw, and by a `tilt` (angle, axis) further.
+    """
     R = turn(*angles)
     fall: Any = tuple(sum(R[i][k] * gravity[i] for i in range(3)) for k in range(3))
     if tilt is not None:  # v cos - (axis x v) sin + axis (axis . v) (1 - cos)
@@ -343,7 +360,9 @@ def angular_velocity(angles: Float[Array, " 3"], rates: Float[Array, " 3"]) -> F
 
 
 def tour(parent: tuple[int, ...]) -> list[int]:
-    """Nodes in the order of a walk out along every limb and back; -1, the base, begins and ends it."""
+    """Nodes in the order of a walk out along every limb and back; -1, the base, begins and ends
+    it.
+    """
     walk: list[int] = [-1]
 
     def visit(node: int) -> None:

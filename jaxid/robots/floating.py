@@ -1,13 +1,15 @@
 """A base that floats freely: its freedom as joints of the tree, its momentum conserved.
 
-Between the world and the base stand six joints without mass: three slides, then hinges Rz(yaw) Ry(pitch) Rx(roll). Nothing acts
-there, so linear momentum is conserved: the slides are eliminated exactly, and what is left has the three angles beside the
-joints. A uniform gravity accelerates all of it alike and shows nowhere. With M and b of all nodes, T the slides, R the rest:
+Between the world and the base stand six joints without mass: three slides, then hinges Rz(yaw)
+Ry(pitch) Rx(roll). Nothing acts there, so linear momentum is conserved: the slides are eliminated
+exactly, and what is left has the three angles beside the joints. A uniform gravity accelerates all
+of it alike and shows nowhere. With M and b of all nodes, T the slides, R the rest:
 
     M_R = M_RR - M_RT M_TT^-1 M_TR,    b_R = b_R - M_RT M_TT^-1 b_T,    M_TT = mass of all times the unit matrix
 
-Source: Dubowsky and Papadopoulos, The kinematics, dynamics, and control of free-flying and free-floating space robotic systems,
-IEEE Trans. Robotics and Automation 9 (1993). The angles are singular at pitch = +-pi/2.
+Source: Dubowsky and Papadopoulos, The kinematics, dynamics, and control of free-flying and
+free-floating space robotic systems, IEEE Trans. Robotics and Automation 9 (1993). The angles are
+singular at pitch = +-pi/2.
 """
 
 from __future__ import annotations
@@ -38,9 +40,11 @@ def wanted(dataset: Dataset) -> bool:
 
 
 def floating(tree: Tree) -> Tree:
-    """The tree on a base that floats; the base's angles are those of the frame of its body in the world.
+    """The tree on a base that floats; the base's angles are those of the frame of its body in the
+    world.
 
-    Raises `UsageError` for a base without mass, and for a file with several bodies that are free to move.
+    Raises `UsageError` for a base without mass, and for a file with several bodies that are free to
+    move.
     """
     if tree.floats:
         return tree
@@ -102,12 +106,16 @@ def without_slides(M: Any, bias: Any) -> tuple[Any, Any]:
 
 
 def balanced(force: Callable[[Any], Any], a: Any, body: Any) -> Any:
-    """Forces at all nodes of accelerations `a`, the base's slides accelerated so that none is left there; `force` is affine."""
+    """Forces at all nodes of accelerations `a`, the base's slides accelerated so that none is left
+    there; `force` is affine.
+    """
     return force(a.at[:3].set(-force(a)[:3] / jnp.sum(body.inertia[9])))
 
 
 def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
-    """Raises `UsageError` where a recording does not show how a free base turns, or shows it where the angles are singular."""
+    """Raises `UsageError` where a recording does not show how a free base turns, or shows it where
+    the angles are singular.
+    """
     outputs = [c.name for c in dataset.outputs]
     if lacking := [a for a in ANGLES if a not in outputs]:
         raise UsageError(

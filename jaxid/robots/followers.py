@@ -1,7 +1,8 @@
-"""Joints that a file couples, where a recording shows another one of them than the one that leads in the file.
+"""Joints that a file couples, where a recording shows another one of them than the one that leads
+in the file.
 
-A coupling q_follower = offset + ratio q_leader is turned about: whichever of the coupled joints is recorded leads. Numbers of
-drives go over by virtual work: torque_lead = ratio torque_follower.
+A coupling q_follower = offset + ratio q_leader is turned about: whichever of the coupled joints is
+recorded leads. Numbers of drives go over by virtual work: torque_lead = ratio torque_follower.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ DRIVES = ("_cmd", "_tau")
 
 
 def led(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
-    """(tree in which recorded joints lead those that the file couples to them, what is to be said of it)."""
+    """(tree in which recorded joints lead those that the file couples to them, what is to be said
+    of it).
+    """
     outputs = {c.name for c in dataset.outputs}
     names = {c.name for c in dataset.channels}
     shown = lambda joint: joint in outputs or f"{joint}_qd" in outputs
@@ -45,7 +48,9 @@ def _equation(c: Coupling) -> str:
 
 
 def led_by(tree: Tree, lead: str) -> Tree:
-    """The tree in which a follower leads the joints that it is coupled to. Its own ratio must not be 0."""
+    """The tree in which a follower leads the joints that it is coupled to. Its own ratio must not
+    be 0.
+    """
     own = next(c for c in tree.couplings if c.follower == lead)
     back = Coupling(own.leader, lead, -own.offset / own.ratio, 1 / own.ratio)
     couplings = []
@@ -62,7 +67,9 @@ def led_by(tree: Tree, lead: str) -> Tree:
 
 
 def _with_drives(tree: Tree) -> Tree:
-    """The tree whose leading joints have the drives of joints that follow them, where they have none."""
+    """The tree whose leading joints have the drives of joints that follow them, where they have
+    none.
+    """
     actuators = dict(tree.actuators)
     for c in tree.couplings:
         if c.follower in actuators and c.leader not in actuators and c.ratio != 0:
@@ -87,8 +94,9 @@ def _seen_from_leader(drive: Actuator, c: Coupling) -> Actuator:
 
 
 def drives_led(dataset: Dataset, tree: Tree) -> Dataset:
-    """The dataset with goals and torques that were recorded of followers as those of the joints that lead them, where those have
-    none."""
+    """The dataset with goals and torques that were recorded of followers as those of the joints
+    that lead them, where those have none.
+    """
     tree, _ = led(tree, dataset)
     outputs = {c.name for c in dataset.outputs}
     for c in tree.couplings:

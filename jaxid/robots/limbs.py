@@ -1,4 +1,6 @@
-"""Limbs on a base that does not move are robots of their own, with their own part of a recording."""
+"""Limbs on a base that does not move are robots of their own, with their own part of a
+recording.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A robot and a recording: channels by the joints' names, joints that were not recorded, and what drives the others."""
+"""A robot and a recording: channels by the joints' names, joints that were not recorded, and what
+drives the others.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ from jaxid.robots.tree import Tree
 
 #: Constant under which a dataset states where a joint that it does not record was held.
 POSE = "pose@"
-#: What is recorded of a joint beside its position, by the ending of the channel's name; a numbered channel has the word in front.
+#: What is recorded of a joint beside its position, by the ending of the channel's name; a numbered
+#: channel has the word in front.
 KINDS = {"_cmd": "goal", "_tau": "torque", "_qd": "speed"}
 
 
@@ -72,7 +75,9 @@ def is_robot(model: object) -> bool:
 
 
 def forms_of(channel: str, joint: str) -> dict[str, str]:
-    """Names that channels of a joint may have where its position is `channel`, and what they are under the joint's name."""
+    """Names that channels of a joint may have where its position is `channel`, and what they are
+    under the joint's name.
+    """
     forms = {channel: joint, **{channel + end: joint + end for end in KINDS}}
     if re.fullmatch(r"q\d*", channel):
         number = channel[1:]
@@ -87,10 +92,12 @@ def forms_of(channel: str, joint: str) -> dict[str, str]:
 def of_the_file(
     joints: Mapping[str, str], tree: Tree, have: set[str]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Channel -> joint of the file, whose names may be written a little differently (`arm/Shoulder-Pan`, `shoulder_pan.pos`); and
-    those that the file lacks while all joints that it has are recorded.
+    """Channel -> joint of the file, whose names may be written a little differently
+    (`arm/Shoulder-Pan`, `shoulder_pan.pos`); and those that the file lacks while all joints that it
+    has are recorded.
 
-    Raises `UsageError` for a joint that it lacks while another one is not recorded: that may be a slip.
+    Raises `UsageError` for a joint that it lacks while another one is not recorded: that may be a
+    slip.
     """
     found, gone = {}, {}
     for channel, joint in joints.items():
@@ -113,7 +120,8 @@ def of_the_file(
 
 
 def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None) -> Dataset:
-    """The dataset with its channels under the joints' names: as [model.joints] says, else q1 … in the order of the file.
+    """The dataset with its channels under the joints' names: as [model.joints] says, else q1 … in
+    the order of the file.
 
     Raises `UsageError` for a joint that the robot lacks.
     """
@@ -172,7 +180,9 @@ def _renamed(e: Experiment, new: Any) -> Experiment:
 
 
 def driving(dataset: Dataset, tree: Tree) -> Dataset:
-    """The dataset with its goals as inputs where they alone can drive: no torque is an input, and the goals are auxiliary."""
+    """The dataset with its goals as inputs where they alone can drive: no torque is an input, and
+    the goals are auxiliary.
+    """
     inputs = {c.name for c in dataset.inputs}
     goals = [
         c
@@ -202,7 +212,9 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
 
 
 def for_a_robot(dataset: Dataset) -> Dataset:
-    """The dataset without the numbers that it states of a model that is no robot, which is not the one that was asked for."""
+    """The dataset without the numbers that it states of a model that is no robot, which is not the
+    one that was asked for.
+    """
     spec = dataset.model
     if spec is None or spec.name in (None, "robot"):
         return dataset
@@ -223,7 +235,9 @@ def for_a_robot(dataset: Dataset) -> Dataset:
 
 
 def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
-    """(model, dataset) where either may mean a robot: its `Robot`, and the dataset under the joints' names. Else as they are."""
+    """(model, dataset) where either may mean a robot: its `Robot`, and the dataset under the
+    joints' names. Else as they are.
+    """
     spec = dataset.model
     tip = getattr(model, "tip", None)  # of a path that the command line was given with one
     if isinstance(model, str) and model.lower().endswith((".xml", ".mjcf")):
@@ -255,8 +269,9 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
 
 
 def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
-    """The `Robot` of a URDF where a serial arm of numbered joints would not do: the recording names joints, goals drive, or the
-    tree branches; else the path."""
+    """The `Robot` of a URDF where a serial arm of numbered joints would not do: the recording names
+    joints, goals drive, or the tree branches; else the path.
+    """
     try:
         robot = robot_from(path)
     except UsageError:
@@ -273,7 +288,8 @@ def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
 def matched(robot: Any, dataset: Dataset) -> Chain:
     """The chain of a robot on a dataset whose channels go by its joints' names.
 
-    Raises `UsageError` where no joint is recorded, goals and torques are both inputs, or some joints lack theirs.
+    Raises `UsageError` where no joint is recorded, goals and torques are both inputs, or some
+    joints lack theirs.
     """
     tree: Tree = robot.tree.tree
     tree, notes = recorded(tree, dataset)
@@ -380,7 +396,9 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
 
 
 def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:
-    """Raises `UsageError` where a joint that is recorded, or follows one that is, hangs on what a tree cannot express."""
+    """Raises `UsageError` where a joint that is recorded, or follows one that is, hangs on what a
+    tree cannot express.
+    """
     moves = {*measured, *(c.follower for c in tree.couplings if c.leader in measured)}
     for tie in tree.ties:
         hanging = [j for j in (*measured, *tie.joints) if j in tie.joints and j in moves]

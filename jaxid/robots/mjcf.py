@@ -1,8 +1,10 @@
-"""Robots from MJCF files, as MuJoCo compiles them: defaults, classes, angles and frames are its own.
+"""Robots from MJCF files, as MuJoCo compiles them: defaults, classes, angles and frames are its
+own.
 
-A file is a stranger's input. It is parsed without entities; what it includes must lie beside it and be of sensible size; meshes,
-textures and everything else that is drawn are dropped before compiling, so that none is ever read. What a tree of hinge and slide
-joints cannot express is refused by name.
+A file is a stranger's input. It is parsed without entities; what it includes must lie beside it and
+be of sensible size; meshes, textures and everything else that is drawn are dropped before
+compiling, so that none is ever read. What a tree of hinge and slide joints cannot express is
+refused by name.
 """
 
 from __future__ import annotations
@@ -23,9 +25,11 @@ from jaxid.robots.tree import Actuator, Coupling, Tree, turned
 
 
 def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
-    """The tree of a robot in an MJCF file; with `text` that is read, and the path only names it (and its includes' folder).
+    """The tree of a robot in an MJCF file; with `text` that is read, and the path only names it
+    (and its includes' folder).
 
-    A free joint at the root is left out: the base is fixed where the file puts it. Raises `UsageError` naming the element.
+    A free joint at the root is left out: the base is fixed where the file puts it. Raises
+    `UsageError` naming the element.
     """
     path = Path(path)
     spec, tendons = compilable(path, expanded(path, text))
@@ -218,7 +222,9 @@ class _Reader:
         self.ties.add(f"ball joint {name!r}", self.ties.behind(j))
 
     def couplings(self) -> tuple[tuple[Coupling, ...], dict[str, float]]:
-        """(joints that follow another one, joints that an equality holds); what is neither is a tie."""
+        """(joints that follow another one, joints that an equality holds); what is neither is a
+        tie.
+        """
         m, mj = self.m, self.mj
         out, fixed = [], {}
         for e in range(m.neq):
@@ -303,7 +309,9 @@ class _Reader:
         return out
 
     def actuator(self, a: int, j: int) -> Actuator:
-        """The law of one actuator at its joint. `other` where it is none of motor, position and velocity."""
+        """The law of one actuator at its joint. `other` where it is none of motor, position and
+        velocity.
+        """
         m, mj = self.m, self.mj
         g, endless = float(m.actuator_gear[a, 0]), (-np.inf, np.inf)
         gain, bias = m.actuator_gainprm[a], m.actuator_biasprm[a]

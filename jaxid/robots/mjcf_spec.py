@@ -1,4 +1,6 @@
-"""What of an MJCF file is compiled: bodies, joints and drives, and neither tendons nor what is drawn, touched or sensed."""
+"""What of an MJCF file is compiled: bodies, joints and drives, and neither tendons nor what is
+drawn, touched or sensed.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +41,9 @@ def library() -> Any:
 
 
 def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
-    """(spec without what is drawn and without tendons, those tendons that act). Refused where a body's inertia would come from
-    what is drawn, or cannot be."""
+    """(spec without what is drawn and without tendons, those tendons that act). Refused where a
+    body's inertia would come from what is drawn, or cannot be.
+    """
     mujoco = library()
     try:
         spec = mujoco.MjSpec.from_string(text)
@@ -105,7 +108,9 @@ def _written_by_mujoco(path: Path) -> str:
 
 
 def _silent(spec: Any) -> list[Any]:
-    """Bodies without a stated inertia that a joint of the robot carries, and that geometry gives mass."""
+    """Bodies without a stated inertia that a joint of the robot carries, and that geometry gives
+    mass.
+    """
     return [
         b
         for b in spec.bodies
@@ -128,7 +133,9 @@ def _moves(body: Any) -> bool:
 
 
 def _loose(body: Any) -> bool:
-    """Whether a body moves as a whole with all that it is joined to, like a box on a table: no joint but a free one is there."""
+    """Whether a body moves as a whole with all that it is joined to, like a box on a table: no
+    joint but a free one is there.
+    """
     free = library().mjtJoint.mjJNT_FREE
     up = _up(body)
     if not up or not _moves(body):

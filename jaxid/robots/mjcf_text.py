@@ -1,4 +1,6 @@
-"""The text of an MJCF file with its includes, which lie beside it: a stranger's input, read without entities and up to a size."""
+"""The text of an MJCF file with its includes, which lie beside it: a stranger's input, read without
+entities and up to a size.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ LARGEST, DEEPEST = 4_000_000, 8
 
 
 def expanded(path: Path, text: str | None = None) -> str:
-    """The MJCF with its includes in place. Raises `UsageError` for what is no MJCF, lies outside its folder, or is too large."""
+    """The MJCF with its includes in place. Raises `UsageError` for what is no MJCF, lies outside
+    its folder, or is too large.
+    """
     root = _parsed(path, text)
     if root.tag not in ("mujoco", "mujocoinclude"):
         raise UsageError(

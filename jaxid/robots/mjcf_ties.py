@@ -1,6 +1,8 @@
-"""What an MJCF file lets act among several joints and a tree of single joints cannot express: tendons, loops, curved couplings.
+"""What an MJCF file lets act among several joints and a tree of single joints cannot express:
+tendons, loops, curved couplings.
 
-The joints that such a tie acts on are named with it. They are held together, or the robot is refused: see `jaxid.robots.match`.
+The joints that such a tie acts on are named with it. They are held together, or the robot is
+refused: see `jaxid.robots.match`.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ PUSHES = ("stiffness", "damping", "frictionloss", "armature")
 
 @dataclass(frozen=True)
 class Tendon:
-    """A tendon that acts: the joints that it runs over, and the bodies (through sites and geoms), by name."""
+    """A tendon that acts: the joints that it runs over, and the bodies (through sites and geoms),
+    by name.
+    """
 
     name: str
     joints: tuple[str, ...]
@@ -78,7 +82,9 @@ def without_tendons(mujoco: Any, spec: Any) -> None:
 
 
 class Ties:
-    """Collects ties of a compiled model, whose tendons are given. `joint` names a joint by its number."""
+    """Collects ties of a compiled model, whose tendons are given. `joint` names a joint by its
+    number.
+    """
 
     def __init__(self, mujoco: Any, model: Any, joint: Any):
         self.mj, self.m, self.joint = mujoco, model, joint
@@ -88,7 +94,9 @@ class Ties:
         self.found.append(Tie(what, tuple(dict.fromkeys(joints))))
 
     def above(self, body: int) -> list[int]:
-        """Numbers of the joints that carry a body, from the base on; a free joint counts among them."""
+        """Numbers of the joints that carry a body, from the base on; a free joint counts among
+        them.
+        """
         m, out = self.m, []
         while body > 0:
             first = int(m.body_jntadr[body])
@@ -98,7 +106,9 @@ class Ties:
         return out
 
     def between(self, bodies: Sequence[int]) -> list[str]:
-        """Names of the joints that move some bodies against each other: those that do not carry all of them."""
+        """Names of the joints that move some bodies against each other: those that do not carry all
+        of them.
+        """
         paths = [self.above(b) for b in bodies]
         common = set(paths[0]).intersection(*paths[1:])
         numbers = sorted({j for path in paths for j in path} - common)
@@ -134,8 +144,9 @@ class Ties:
 
 
 def resolved(couplings: Sequence[Coupling]) -> tuple[tuple[Coupling, ...], list[Coupling]]:
-    """(couplings to joints that lead, those that have no such leader): what follows a follower follows its leader; a joint that
-    follows two, or itself round a circle, follows none."""
+    """(couplings to joints that lead, those that have no such leader): what follows a follower
+    follows its leader; a joint that follows two, or itself round a circle, follows none.
+    """
     names = [c.follower for c in couplings]
     by_name = {c.follower: c for c in couplings if names.count(c.follower) == 1}
     out, left = [], []

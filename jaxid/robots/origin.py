@@ -1,4 +1,6 @@
-"""Where the robot of a result comes from: its file, the joints that moved, and the law that drove them."""
+"""Where the robot of a result comes from: its file, the joints that moved, and the law that drove
+them.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,9 @@ LAW = ("kp", "kd", "ki", "gain", "lowest", "highest", "offset", "delay", "lag")
 
 
 def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
-    """The file of a `Robot` with its SHA-256 ("" where it lies no more), its joints and where others were held, its drive:
-    `{"file", "sha256", "joints", "held", "base", "drive": {"origin", "kind", "period", …, "joints": {NAME: {"kp": …}}} or None}`.
+    """The file of a `Robot` with its SHA-256 ("" where it lies no more), its joints and where
+    others were held, its drive: `{"file", "sha256", "joints", "held", "base", "drive": {"origin",
+    "kind", "period", …, "joints": {NAME: {"kp": …}}} or None}`.
     """
     tree: Tree = mechanism.tree.tree
     path = (geometry.path if geometry is not None else "") or tree.file
@@ -51,7 +54,9 @@ def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
 
 
 def origin_on(model: object, dataset: Dataset) -> dict[str, Any]:
-    """The same for a model and a dataset that are not brought together yet; nothing where the model is no robot."""
+    """The same for a model and a dataset that are not brought together yet; nothing where the model
+    is no robot.
+    """
     robot, data = prepared(model, dataset)
     if not is_robot(robot):
         return {}

@@ -1,8 +1,9 @@
 """What the steps of the simulator that a robot's file is of make of its numbers.
 
-MuJoCo's steps are of first order: velocity first, then position by the new velocity. In a step of h seconds, damping d that is
-taken at its end acts like an inertia h d / 2 more, and at its beginning like as much less; a command that jumps acts h / 2 early.
-A motion simulated without such steps tells an inertia with that share, and a delay without it. Runge and Kutta's steps have none.
+MuJoCo's steps are of first order: velocity first, then position by the new velocity. In a step of h
+seconds, damping d that is taken at its end acts like an inertia h d / 2 more, and at its beginning
+like as much less; a command that jumps acts h / 2 early. A motion simulated without such steps
+tells an inertia with that share, and a delay without it. Runge and Kutta's steps have none.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ SIGNS = {"EULER": (1.0, -1.0), "IMPLICIT": (1.0, 1.0), "IMPLICITFAST": (1.0, 1.0
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of `step` s by an `integrator` that is not exact; `damping` and `drive`: 1 where it takes a joint's damping, and that
-    of its drive, at the end of a step, -1 at its beginning."""
+    """Steps of `step` s by an `integrator` that is not exact; `damping` and `drive`: 1 where it
+    takes a joint's damping, and that of its drive, at the end of a step, -1 at its beginning.
+    """
 
     step: float
     integrator: str
@@ -51,8 +53,9 @@ def steps_of(mj: Any, model: Any) -> Steps | None:
 
 
 def nearest(stated: float, found: float, added: float) -> float:
-    """What a file would have to state for what was `found`, where steps add something between nothing and `added` to it: as near
-    to what is `stated` as that allows."""
+    """What a file would have to state for what was `found`, where steps add something between
+    nothing and `added` to it: as near to what is `stated` as that allows.
+    """
     low, high = sorted((found - added, found))
     if stated < low:
         return low

@@ -1,7 +1,8 @@
 """A robot before any data: a tree of hinge and slide joints with the numbers that its file states.
 
-A node is one joint and the body behind it. Its frame has the axes of that body and its origin on the joint, at zero position;
-a body with several joints is a chain of nodes of which the last carries it.
+A node is one joint and the body behind it. Its frame has the axes of that body and its origin on
+the joint, at zero position; a body with several joints is a chain of nodes of which the last
+carries it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from jaxid.errors import nearest, UsageError
 from jaxid.robots.steps import Steps
 
 
-#: Nodes of a base that floats, from the world to the base: three slides, then Rz(yaw) Ry(pitch) Rx(roll).
+#: Nodes of a base that floats, from the world to the base: three slides, then Rz(yaw) Ry(pitch)
+#: Rx(roll).
 FLOATS = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 
 
@@ -34,7 +36,9 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Tie:
-    """What acts among several joints and a tree cannot express: `what` it is, and the `joints` that it acts on."""
+    """What acts among several joints and a tree cannot express: `what` it is, and the `joints` that
+    it acts on.
+    """
 
     what: str
     joints: tuple[str, ...]
@@ -42,9 +46,11 @@ class Tie:
 
 @dataclass(frozen=True)
 class Actuator:
-    """What a file states of a joint's drive, at the joint: torque = gear (gain u + bias - kp q' - kd qd'), clipped to `force`.
+    """What a file states of a joint's drive, at the joint: torque = gear (gain u + bias - kp q' -
+    kd qd'), clipped to `force`.
 
-    `kind` is motor (u is a torque), position (u is a goal) or velocity; `control` clips u. `lag` s, `delay` s.
+    `kind` is motor (u is a torque), position (u is a goal) or velocity; `control` clips u. `lag` s,
+    `delay` s.
     """
 
     name: str
@@ -61,16 +67,18 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Tree:
-    """`parent` -1 is the base; `place` [n 4 4] the node's frame in its parent's at the joint's `reference`; `axis` [n 3] in it.
+    """`parent` -1 is the base; `place` [n 4 4] the node's frame in its parent's at the joint's
+    `reference`; `axis` [n 3] in it.
 
-    `inertia` [n 10] is about the node's origin, `anchor` [n 3] that origin in the frame of the body as the file has it (`links`,
-    "" for a node between two joints of one body). `damping` [n 3]: f = d1 v + d2 v |v| + d3 v^3. Limits are infinite where
-    unknown. `held`: where joints of the file that do not move here stand. `impossible`:
-    links with an inertia that no body has, and what is wrong with it. `trunk`: ten numbers of the base itself about the
-    base's frame, `carrier` that link's name, and `root` [16], row by row, its pose in it where it is free to move in the file.
-    `floats`: the first six nodes are the base's own freedom (see `robots.floating`). `steps`: those of the simulator that the
-    file is of, where they add to its numbers. `ties` must have all of their joints held before anything is simulated (see
-    `robots.match`).
+    `inertia` [n 10] is about the node's origin, `anchor` [n 3] that origin in the frame of the body
+    as the file has it (`links`, "" for a node between two joints of one body). `damping` [n 3]: f =
+    d1 v + d2 v |v| + d3 v^3. Limits are infinite where unknown. `held`: where joints of the file
+    that do not move here stand. `impossible`: links with an inertia that no body has, and what is
+    wrong with it. `trunk`: ten numbers of the base itself about the base's frame, `carrier` that
+    link's name, and `root` [16], row by row, its pose in it where it is free to move in the file.
+    `floats`: the first six nodes are the base's own freedom (see `robots.floating`). `steps`: those
+    of the simulator that the file is of, where they add to its numbers. `ties` must have all of
+    their joints held before anything is simulated (see `robots.match`).
     """
 
     file: str
@@ -117,7 +125,9 @@ class Tree:
 
     @property
     def leading(self) -> tuple[str, ...]:
-        """Joints that move by themselves, in the order of the file; behind them the angles of a base that floats."""
+        """Joints that move by themselves, in the order of the file; behind them the angles of a
+        base that floats.
+        """
         own = tuple(j for j in self.joints[6 * self.floats :] if j not in self.followers)
         return (*own, *FLOATS[:2:-1]) if self.floats else own
 
@@ -162,7 +172,9 @@ class Tree:
         }
 
     def locked(self, pose: Mapping[str, float]) -> Tree:
-        """The same with these joints (and what follows them) held; their bodies belong to what carries them."""
+        """The same with these joints (and what follows them) held; their bodies belong to what
+        carries them.
+        """
         held = {self.joint(name): float(value) for name, value in pose.items()}
         for c in self.couplings:
             if c.leader in pose:
@@ -233,7 +245,9 @@ class Tree:
         return tuple(reversed(out))
 
     def swung(self) -> np.ndarray:
-        """Inertia about each joint's axis of all that hangs on it at the reference (mass where it slides), [n]."""
+        """Inertia about each joint's axis of all that hangs on it at the reference (mass where it
+        slides), [n].
+        """
         total, out = self.inertia.copy(), np.zeros(self.n)
         for k in reversed(range(self.n)):
             xx, xy, xz, yy, yz, zz = total[k, :6]
@@ -246,7 +260,9 @@ class Tree:
         return out
 
     def size(self, node: int) -> float:
-        """Length of a link, m: to the next joints, or twice as far as its centre of mass; at least 0.02."""
+        """Length of a link, m: to the next joints, or twice as far as its centre of mass; at least
+        0.02.
+        """
         ends = [
             float(np.linalg.norm(self.place[k][:3, 3]))
             for k, up in enumerate(self.parent)
@@ -257,8 +273,10 @@ class Tree:
         return max(0.02, 2 * com, *ends)
 
     def free_moments(self) -> set[str]:
-        """Numbers com_x@LINK … of first moments that gravity shows: across the axis of a hinge, and not where that stands upright
-        on the base. A base that floats falls with the rest: nothing shows."""
+        """Numbers com_x@LINK … of first moments that gravity shows: across the axis of a hinge, and
+        not where that stands upright on the base. A base that floats falls with the rest: nothing
+        shows.
+        """
         out: set[str] = set()
         if self.floats:
             return out
@@ -275,14 +293,17 @@ class Tree:
         return out
 
     def neutral(self, joint: str) -> float:
-        """Where a joint that nobody moves is held: the first pose of the file, else its reference."""
+        """Where a joint that nobody moves is held: the first pose of the file, else its
+        reference.
+        """
         k = self.joint(joint)
         pose: Mapping[str, float] = next(iter(self.poses.values()), {})
         return float(pose.get(joint, np.clip(self.reference[k], self.lower[k], self.upper[k])))
 
     def limbs(self) -> tuple[tuple[str, ...], ...]:
-        """Leading joints by limb: what hangs on the base at one joint; couplings join limbs. On a fixed base limbs do not move
-        each other."""
+        """Leading joints by limb: what hangs on the base at one joint; couplings join limbs. On a
+        fixed base limbs do not move each other.
+        """
         root = list(range(self.n))
         for k, up in enumerate(self.parent):
             root[k] = root[up] if up >= 0 else k

@@ -1,4 +1,6 @@
-"""Robots from URDF files: every branch, with mimic joints, limits and dissipation. Frames and axes are those of the file."""
+"""Robots from URDF files: every branch, with mimic joints, limits and dissipation. Frames and axes
+are those of the file.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,10 @@ from jaxid.robots.tree import Coupling, Tree, turned
 
 
 def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
-    """The tree of a URDF; with `text` that is read, and the path only names it. Bodies behind fixed joints belong to what carries
-    them. An inertia that no body can have is named in `impossible` and kept. Raises `UsageError` naming the joint or link."""
+    """The tree of a URDF; with `text` that is read, and the path only names it. Bodies behind fixed
+    joints belong to what carries them. An inertia that no body can have is named in `impossible`
+    and kept. Raises `UsageError` naming the joint or link.
+    """
     path = Path(path)
     robot, base = read_links(path, text)
     nodes: list[tuple[Any, int, np.ndarray]] = []  # joint, parent node, its frame there
@@ -95,8 +99,9 @@ def _massless(
     bodies: list[np.ndarray],
     couplings: tuple[Coupling, ...],
 ) -> list[Any]:
-    """Joints that move nothing of mass, neither by themselves nor by what follows them or what they follow (fingers without
-    <inertial>, wheels for show)."""
+    """Joints that move nothing of mass, neither by themselves nor by what follows them or what they
+    follow (fingers without <inertial>, wheels for show).
+    """
     alone = {
         j.name
         for k, j in enumerate(joints)

@@ -1,4 +1,6 @@
-"""What a robot's file, or a dataset, states beside what the data say; and the model with the numbers of the file."""
+"""What a robot's file, or a dataset, states beside what the data say; and the model with the
+numbers of the file.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,9 @@ ALWAYS = ("mass", "com_x", "com_y", "com_z", "kp", "kd", "lowest", "highest")
 
 
 def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
-    """Rows of the table by place in the layout: numbers that a file or the dataset states and that were fitted, each by itself;
-    `found` by place in the layout."""
+    """Rows of the table by place in the layout: numbers that a file or the dataset states and that
+    were fitted, each by itself; `found` by place in the layout.
+    """
     mechanism = binding.chain.mechanism
     held = getattr(mechanism, "tree", None)
     tree: Tree | None = None if held is None else held.tree
@@ -41,7 +44,8 @@ def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
         if added:
             off = nearest(value, estimate.value, added) - value
         deviation = apart(value + off, value, std)
-        # Of a number that is another one the file has to state what its simulator's steps do not add by themselves.
+        # Of a number that is another one the file has to state what its simulator's steps do not
+        # add by themselves.
         refuted = deviation is not None and abs(deviation) > REFUTED
         fitted = estimate.value - added if added and refuted else estimate.value
         more = f"; the file's own steps add {added:.2g} to it" if added else ""
@@ -83,7 +87,9 @@ def _added_by_steps(binding: Any, found: Mapping[int, Any], tree: Tree, joint: s
 
 
 def _states(tree: Tree, kind: str, value: float) -> bool:
-    """Whether the file says this number: a URDF has no armature, and a zero in it is no statement."""
+    """Whether the file says this number: a URDF has no armature, and a zero in it is no
+    statement.
+    """
     return (
         kind in ALWAYS
         or value != 0
@@ -99,7 +105,9 @@ def _link(tree: Tree | None, joint: str) -> str:
 
 
 def sentences(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """What differs from the file, most certain first: one sentence for the first moment of a link, one for each other number."""
+    """What differs from the file, most certain first: one sentence for the first moment of a link,
+    one for each other number.
+    """
     out: list[tuple[float, str]] = []
     wrong = [r for r in rows if r["deviation"] is not None and abs(r["deviation"]) > REFUTED]
     links = dict.fromkeys(r["link"] for r in wrong if r["parameter"].startswith("com_"))

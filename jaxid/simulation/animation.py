@@ -74,8 +74,9 @@ class Motion:
         return ax
 
     def animate(self, seconds: float | None = None, frames: int = 80) -> Any:
-        """An animation in real time (or over `seconds`), as matplotlib's FuncAnimation: `.to_jshtml()` shows it in a notebook,
-        with a picture for each of the `frames`."""
+        """An animation in real time (or over `seconds`), as matplotlib's FuncAnimation:
+        `.to_jshtml()` shows it in a notebook, with a picture for each of the `frames`.
+        """
         from matplotlib import pyplot
         from matplotlib.animation import FuncAnimation
 
@@ -108,7 +109,9 @@ class Motion:
 
 
 def plane(outline: Float[np.ndarray, "frames points d"]) -> Float[np.ndarray, "frames points 2"]:
-    """Points in space seen from the front, slightly from above and from the side; points in a plane as they are."""
+    """Points in space seen from the front, slightly from above and from the side; points in a plane
+    as they are.
+    """
     if outline.shape[-1] == 2:
         return outline
     turn, tilt = np.deg2rad(35.0), np.deg2rad(20.0)
@@ -120,7 +123,9 @@ def plane(outline: Float[np.ndarray, "frames points d"]) -> Float[np.ndarray, "f
 def motion(
     model: Chain, dataset: Dataset, experiment: Experiment, start: np.ndarray, noise: np.ndarray
 ) -> Motion | None:
-    """How a model with its numbers in place moves on an experiment's inputs from `start` (q, qd); None without an outline."""
+    """How a model with its numbers in place moves on an experiment's inputs from `start` (q, qd);
+    None without an outline.
+    """
     if (
         model.mechanism.outline(
             model.mechanism.start(jnp.zeros(model.nq), jnp.zeros(model.nq)), model.signature

@@ -1,8 +1,9 @@
 """Simulation of many candidates: lanes of one compiled program.
 
-A lane is one candidate on one record, with one tangent direction. Candidates, parameters and records share ONE flat batch
-axis in blocks of one size: the program never recompiles because a number changed, a lane's result does not depend on its
-neighbours (bitwise), and a lane that diverges costs the others nothing.
+A lane is one candidate on one record, with one tangent direction. Candidates, parameters and
+records share ONE flat batch axis in blocks of one size: the program never recompiles because a
+number changed, a lane's result does not depend on its neighbours (bitwise), and a lane that
+diverges costs the others nothing.
 """
 
 from __future__ import annotations
@@ -33,14 +34,16 @@ from jaxid.simulation.windows import windowed, Windows
 
 T = TypeVar("T")
 
-#: Lanes of one block: enough for vector code, few enough that a call of a few of them does not wait for many that nobody asked.
+#: Lanes of one block: enough for vector code, few enough that a call of a few of them does not wait
+#: for many that nobody asked.
 LANES = 16
 
-#: A call that does not come again takes the program of all effects, up to so many steps, where it would need several that hold
-#: several families each: compiling those takes longer.
+#: A call that does not come again takes the program of all effects, up to so many steps, where it
+#: would need several that hold several families each: compiling those takes longer.
 ONCE = 4_000_000
 
-#: Blocks of lanes run side by side, one per core; which thread runs a block changes nothing in its result.
+#: Blocks of lanes run side by side, one per core; which thread runs a block changes nothing in its
+#: result.
 _POOL = Pool("lanes")
 
 #: Programs that several groups of lanes need for the first time are compiled side by side.
@@ -48,13 +51,17 @@ _COMPILERS = Pool("compile")
 
 
 def in_float64(program: Callable, *args: Any) -> Any:
-    """What a program answers in float64: the setting belongs to a thread, so each that calls one sets it."""
+    """What a program answers in float64: the setting belongs to a thread, so each that calls one
+    sets it.
+    """
     with float64():
         return program(*args)
 
 
 class Programs(NamedTuple):
-    """The functions of one kind of model: pure prediction of one lane, and jitted outputs and tangents of many."""
+    """The functions of one kind of model: pure prediction of one lane, and jitted outputs and
+    tangents of many.
+    """
 
     predict: Callable[..., Array]
     outputs: Traced
@@ -68,7 +75,9 @@ class Programs(NamedTuple):
 
     @contextmanager
     def first_call(self, name: str) -> Iterator[None]:
-        """Around a call that may be the first of a program, and so compiles it: others wait for its end."""
+        """Around a call that may be the first of a program, and so compiles it: others wait for its
+        end.
+        """
         with self.making.setdefault(name, Lock()):
             yield
             self.ready.add(name)
@@ -79,7 +88,9 @@ class Programs(NamedTuple):
 
 
 def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
-    """Programs shared by all engines of the same structure: numbers, data and lengths up to the bucket are arguments."""
+    """Programs shared by all engines of the same structure: numbers, data and lengths up to the
+    bucket are arguments.
+    """
     form = layout.form
     return shared(
         "lanes",
@@ -107,8 +118,9 @@ def _programs(form: Form, lane: Lane, length: int, reach: int, burn: bool) -> Pr
 
 
 def families(layout: Layout) -> dict[str, np.ndarray]:
-    """Family of effects -> positions of its numbers, for effects that are no part of the mechanism by default. A family is the
-    module that defines its effects."""
+    """Family of effects -> positions of its numbers, for effects that are no part of the mechanism
+    by default. A family is the module that defines its effects.
+    """
     builtin = {kind.name for kind, _ in layout.chain.mechanism.builtin}
     out: dict[str, list[int]] = {}
     for i, e in enumerate(layout.entries):
@@ -118,7 +130,9 @@ def families(layout: Layout) -> dict[str, np.ndarray]:
 
 
 def restricted(layout: Layout, kept: frozenset[str]) -> tuple[Layout, np.ndarray]:
-    """The layout without the families that are not kept, and the positions of its numbers in the whole."""
+    """The layout without the families that are not kept, and the positions of its numbers in the
+    whole.
+    """
     own = families(layout)
     gone = {
         layout.entries[i].owner for name, index in own.items() if name not in kept for i in index
@@ -128,10 +142,12 @@ def restricted(layout: Layout, kept: frozenset[str]) -> tuple[Layout, np.ndarray
 
 
 class Engine:
-    """Compiled predictions of a layout on records, with tangents and without, for any number of lanes.
+    """Compiled predictions of a layout on records, with tangents and without, for any number of
+    lanes.
 
-    An effect at its neutral value is the identity, bitwise. So a lane runs in the program of the mechanism and of those families
-    of effects that are at work in it, and a chain that holds the whole library at its neutral values costs what it uses.
+    An effect at its neutral value is the identity, bitwise. So a lane runs in the program of the
+    mechanism and of those families of effects that are at work in it, and a chain that holds the
+    whole library at its neutral values costs what it uses.
     """
 
     def __init__(
@@ -145,9 +161,11 @@ class Engine:
         whole: bool = False,
         burn: bool = False,
     ):
-        """`overrides` [records size]: numbers that a record's experiment states itself, nan elsewhere. `length` is the least
-        size of a lane's output, so that engines on other records share one program. `whole` runs every lane in the program of
-        all effects, also those that do nothing; `burn` takes the program for records with a lead even if none has one."""
+        """`overrides` [records size]: numbers that a record's experiment states itself, nan
+        elsewhere. `length` is the least size of a lane's output, so that engines on other records
+        share one program. `whole` runs every lane in the program of all effects, also those that do
+        nothing; `burn` takes the program for records with a lead even if none has one.
+        """
         self.layout, self.records, self.overrides, self.lane = (
             layout,
             list(records),
@@ -181,7 +199,9 @@ class Engine:
         self._always = layout.chain.mechanism.hidden_states or not set(own) <= set(optional)
 
     def keep_together(self) -> None:
-        """From now on every lane runs in the program of all effects: one compilation, where few effects are asked."""
+        """From now on every lane runs in the program of all effects: one compilation, where few
+        effects are asked.
+        """
         self._families = {}
 
     def theta_of(self, theta: np.ndarray, record: np.ndarray) -> np.ndarray:
@@ -197,8 +217,9 @@ class Engine:
         share: float = 1.0,
         once: bool = False,
     ) -> np.ndarray:
-        """Predictions [lanes length ny]; theta [lanes size], start [lanes 2 nq], record [lanes]; only the first `share`. `once`:
-        such a call does not come again."""
+        """Predictions [lanes length ny]; theta [lanes size], start [lanes 2 nq], record [lanes];
+        only the first `share`. `once`: such a call does not come again.
+        """
         if self.long and (own := self.windows(theta, start, record, share)):
             return own.together(self.length)
         return self._call(
@@ -239,8 +260,10 @@ class Engine:
         record: np.ndarray,
         share: float = 1.0,
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """(lanes, predictions, derivatives) of some lanes at a time, lanes of one record and candidate one after the other:
-        thousands of lanes need not be in memory at once. The arrays may be longer than `lanes`."""
+        """(lanes, predictions, derivatives) of some lanes at a time, lanes of one record and
+        candidate one after the other: thousands of lanes need not be in memory at once. The arrays
+        may be longer than `lanes`.
+        """
         dtheta = np.where(np.isnan(self.overrides[record]), dtheta, 0.0)
         numbers = self.theta_of(theta, record), dtheta
         for lanes, (y, dy) in self._blocks("tangents", numbers, (start, dstart), record, share):
@@ -254,7 +277,8 @@ class Engine:
         share: float = 1.0,
         along: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> Windows | None:
-        """The lanes of `outputs`, or with `along` (dtheta, dstart) of `tangents`, window by window, all in one program.
+        """The lanes of `outputs`, or with `along` (dtheta, dstart) of `tangents`, window by window,
+        all in one program.
 
         None where records are short, or where their series is made of the whole.
         """
@@ -278,8 +302,10 @@ class Engine:
         return Windows(self, programs, index, numbers, states, where, steps)
 
     def _at_work(self, busy: np.ndarray) -> dict[frozenset[str], np.ndarray]:
-        """Families at work -> lanes, of which numbers at work [lanes size]. An effect at its neutral value is the identity, so
-        that a lane predicts the same in each of these programs, but for rounding where XLA fuses them differently."""
+        """Families at work -> lanes, of which numbers at work [lanes size]. An effect at its
+        neutral value is the identity, so that a lane predicts the same in each of these programs,
+        but for rounding where XLA fuses them differently.
+        """
         names = list(self._families)
         table = (
             np.array([np.any(busy[:, index], 1) for index in self._families.values()], bool)
@@ -296,7 +322,9 @@ class Engine:
     def _merged(
         self, groups: dict[frozenset[str], np.ndarray], steps: np.ndarray
     ) -> dict[frozenset[str], np.ndarray]:
-        """The lanes of a call that does not come again, by the programs in which they run: see `ONCE`."""
+        """The lanes of a call that does not come again, by the programs in which they run: see
+        `ONCE`.
+        """
         mixed = [kept for kept in groups if len(kept) > 1]
         lanes = (
             np.sort(np.concatenate([groups[kept] for kept in mixed]))
@@ -320,7 +348,9 @@ class Engine:
         return programs_for(small, *self._kind, burns), index
 
     def _could_work(self, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Which numbers can be off their neutral values [size] where they equal theta but in `free`."""
+        """Which numbers can be off their neutral values [size] where they equal theta but in
+        `free`.
+        """
         could = (theta != self._neutral) | np.any(~np.isnan(self.overrides), 0)
         could[np.asarray(free, int)] = True
         return could
@@ -331,14 +361,17 @@ class Engine:
     def bounds(
         self, theta: np.ndarray, free: np.ndarray, record: Sequence[int]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """`where` [records 4] and `steps` [records] for lanes of the program that `predictor` makes of theta and `free`."""
+        """`where` [records 4] and `steps` [records] for lanes of the program that `predictor` makes
+        of theta and `free`.
+        """
         busy = np.broadcast_to(self._could_work(theta, free), (len(record), len(theta)))
         where = self._where(busy, np.asarray(record, int))
         return where, self.steps[record] + where[:, 3]
 
     def _where(self, busy: np.ndarray, record: np.ndarray) -> np.ndarray:
-        """`where` of lanes whose numbers are at work where `busy` [lanes size]: nothing follows the measured motion before a
-        record if nothing would remember it."""
+        """`where` of lanes whose numbers are at work where `busy` [lanes size]: nothing follows the
+        measured motion before a record if nothing would remember it.
+        """
         where = self.where[record]
         if self._burn and not self._always:
             where[~np.any(busy[:, self._memory], 1), 3] = 0
@@ -347,11 +380,12 @@ class Engine:
     def predictor(
         self, theta: np.ndarray, free: np.ndarray
     ) -> tuple[Callable[..., Array], dict[Any, Any]]:
-        """How one lane runs whose numbers equal theta but in `free`, and the compiled losses made of it.
+        """How one lane runs whose numbers equal theta but in `free`, and the compiled losses made
+        of it.
 
-        (values of the free numbers, which of them the record leaves open, all numbers fixed on the record, start, where,
-        samples, steps) -> prediction. Only effects that can then be at work take part, and what the fixed numbers determine
-        does not depend on the candidate.
+        (values of the free numbers, which of them the record leaves open, all numbers fixed on the
+        record, start, where, samples, steps) -> prediction. Only effects that can then be at work
+        take part, and what the fixed numbers determine does not depend on the candidate.
         """
         programs, index = self._programs_of(self._families_of(self._could_work(theta, free)))
         place = {int(i): k for k, i in enumerate(free)}
@@ -367,8 +401,9 @@ class Engine:
         return predict, programs.losses.setdefault((tuple(index), tuple(place)), {})
 
     def free_layout(self, theta: np.ndarray, free: np.ndarray) -> tuple[Layout, np.ndarray]:
-        """The layout of the effects that can be at work where numbers equal theta but in `free`, and the positions of its numbers
-        in the whole."""
+        """The layout of the effects that can be at work where numbers equal theta but in `free`,
+        and the positions of its numbers in the whole.
+        """
         kept = self._families_of(self._could_work(theta, free))
         self._programs_of(kept)
         return self._restricted[kept][:2]
@@ -378,7 +413,9 @@ class Engine:
         return self._burn and layout.chain.has_states()
 
     def read_ahead(self) -> None:
-        """Begins to read the programs that predict each family of effects by itself, where they lie on disk."""
+        """Begins to read the programs that predict each family of effects by itself, where they lie
+        on disk.
+        """
         for family in self._families:
             self._begin("outputs", frozenset([family]), also_compile=False)
 
@@ -387,8 +424,9 @@ class Engine:
         self._begin(name, self._families_of(self._could_work(theta, free)), also_compile=True)
 
     def _begin(self, name: str, kept: frozenset[str], also_compile: bool) -> None:
-        """Has a program made ready by another thread, which runs it for no step; one that does not lie on disk only where
-        `also_compile`. Long records have programs of their own."""
+        """Has a program made ready by another thread, which runs it for no step; one that does not
+        lie on disk only where `also_compile`. Long records have programs of their own.
+        """
         if self.long:
             return
         programs, index = self._programs_of(kept)
@@ -423,7 +461,9 @@ class Engine:
     def _blocks(
         self, name: str, numbers, states, record: np.ndarray, share: float, once: bool = False
     ) -> Iterator[tuple[np.ndarray, tuple]]:
-        """(lanes, their outputs and padding) block by block, a few blocks ahead of who takes them."""
+        """(lanes, their outputs and padding) block by block, a few blocks ahead of who takes
+        them.
+        """
         busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
         where = self._where(busy, record)
         steps = np.ceil(self.steps[record] * share).astype(np.int32) + where[:, 3]

@@ -1,4 +1,6 @@
-"""Runs simulated by a solver of diffrax instead of jaxid's own stepping: a check by other means, on the user's own data."""
+"""Runs simulated by a solver of diffrax instead of jaxid's own stepping: a check by other means, on
+the user's own data.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,12 @@ from jaxid.simulation.rollout import Lane, simulate_lane
 
 @dataclass(frozen=True)
 class Diffrax:
-    """A solver of diffrax with its tolerances. Each step of a run (none is longer than 2.5 ms) is solved anew with its input,
-    which jumps between them, by as many steps as the tolerances take; sensors and recordings are as in jaxid's own stepping.
+    """A solver of diffrax with its tolerances. Each step of a run (none is longer than 2.5 ms) is
+    solved anew with its input, which jumps between them, by as many steps as the tolerances take;
+    sensors and recordings are as in jaxid's own stepping.
 
-    `adjoint` None: forward mode in fits, `DirectAdjoint` in `make_problem`, which passes both modes. A solver without an error
-    estimate takes `steps` equal ones; others at most `steps`.
+    `adjoint` None: forward mode in fits, `DirectAdjoint` in `make_problem`, which passes both
+    modes. A solver without an error estimate takes `steps` equal ones; others at most `steps`.
     """
 
     solver: Any
@@ -83,7 +86,9 @@ def diffrax_lane(solver: Diffrax) -> Lane:
 def solved_step(
     solver: Diffrax, chain: Chain, body: Mechanism, carry: Carry, command: Command
 ) -> tuple[Carry, Any]:
-    """`Chain.step` by a solver: state at the end of a step, and what the sensors record at its beginning."""
+    """`Chain.step` by a solver: state at the end of a step, and what the sensors record at its
+    beginning.
+    """
     import diffrax
 
     moving = tuple(

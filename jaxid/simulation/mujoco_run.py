@@ -1,4 +1,6 @@
-"""A robot's file in MuJoCo, driven along a recording: contacts, drawings and a free base are left out."""
+"""A robot's file in MuJoCo, driven along a recording: contacts, drawings and a free base are left
+out.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,8 @@ from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Tree
 
 
-#: Armature of a joint that is held, kg m^2. With 1e9 MuJoCo's solver of contacts and friction loses its digits, and dry friction
-#: elsewhere creeps by other amounts.
+#: Armature of a joint that is held, kg m^2. With 1e9 MuJoCo's solver of contacts and friction loses
+#: its digits, and dry friction elsewhere creeps by other amounts.
 HELD = 1e6
 #: Longest time step of a file that states none (a URDF), s.
 STEP = 1e-3
@@ -27,8 +29,10 @@ MOST_STEPS = 50_000_000
 
 @dataclass(frozen=True)
 class Driven:
-    """What moves the joints: goals through the file's actuators, goals through a `law`, torques, or nothing ("goal", "law",
-    "torque", "free"). Torques go through motors in the units that those of `reference` have."""
+    """What moves the joints: goals through the file's actuators, goals through a `law`, torques, or
+    nothing ("goal", "law", "torque", "free"). Torques go through motors in the units that those of
+    `reference` have.
+    """
 
     kind: str
     law: Law | None
@@ -36,8 +40,10 @@ class Driven:
 
 
 class MujocoRobot:
-    """The compiled model of a file, with joints `held` and gravity as given; a continuous pd `law` of some joints becomes
-    actuators in the place of the file's own, so that MuJoCo integrates it like those. Raises `UsageError`."""
+    """The compiled model of a file, with joints `held` and gravity as given; a continuous pd `law`
+    of some joints becomes actuators in the place of the file's own, so that MuJoCo integrates it
+    like those. Raises `UsageError`.
+    """
 
     def __init__(
         self,
@@ -83,7 +89,9 @@ class MujocoRobot:
         return spec
 
     def _of_tree(self, tree: Tree, law: Law | None) -> Any:
-        """A URDF as jaxid reads it: MuJoCo's own import drops what is fixed to the root, limits and drives."""
+        """A URDF as jaxid reads it: MuJoCo's own import drops what is fixed to the root, limits and
+        drives.
+        """
         mj = self.mj
         spec = mj.MjSpec()
         spec.compiler.degree = False
@@ -177,7 +185,9 @@ class MujocoRobot:
         q: np.ndarray,
         qd: np.ndarray,
     ) -> np.ndarray:
-        """Positions [time joints] at times t under inputs u [time joints], held or linear between samples, from (q, qd)."""
+        """Positions [time joints] at times t under inputs u [time joints], held or linear between
+        samples, from (q, qd).
+        """
         mj, m = self.mj, self.model
         d = mj.MjData(m)
         at, dof = map(np.array, zip(*(self.address(j) for j in joints), strict=True))

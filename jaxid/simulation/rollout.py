@@ -23,14 +23,17 @@ from jaxid.simulation.sample_buffers import BLOCK, bucket, Record, Samples
 EVEN = -1
 
 
-#: (chain, samples, where, start, steps, length, reach, burn) -> prediction at every step of a record.
+#: (chain, samples, where, start, steps, length, reach, burn) -> prediction at every step of a
+#: record.
 Lane = Callable[..., Array]
 #: (chain, body, carry, command) -> carry, outputs: one step, as `Chain.step`.
 Advance = Callable[[Chain, Mechanism, Carry, Command], tuple[Carry, Array]]
 
 
 def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int) -> Command:
-    """Command of buffer step k of the run that occupies first ... last; `reach` as of `reach_of`."""
+    """Command of buffer step k of the run that occupies first ... last; `reach` as of
+    `reach_of`.
+    """
     mean = (samples.t[last] - samples.t[first]) / jnp.maximum(last - first, 1)
     now, h = (
         (samples.t[first] + (k - first) * mean, mean)
@@ -62,7 +65,9 @@ def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int
         return low
 
     def integral(t: Array) -> Array:
-        """Integral of the stated input from the run's beginning to times t [nu]; before the run the first input holds."""
+        """Integral of the stated input from the run's beginning to times t [nu]; before the run the
+        first input holds.
+        """
         low = step_of(t)
         channel = jnp.arange(t.shape[0])
         begin = samples.t[first] + (low - first) * mean if reach == EVEN else samples.t[low]
@@ -87,12 +92,14 @@ def simulate_lane(
 ) -> Float[Array, "length ny"]:
     """Outputs of one model on one record from its first step on.
 
-    `where` holds that step, the bounds of its run, and a lead, which only a program with `burn` knows: for so many steps before
-    the record the joints follow the measured motion, so that effects, springs and beams bring their states to its beginning;
-    then they start from `start`, and sensors as if outputs had run straight up to it. `steps` counts those of the lead, too; what
-    comes after them is no prediction. The loop runs over blocks, their count is data: one program serves every length. `body` is
-    the mechanism with its effects, prepared, where that has been done; of outputs that are not `wanted` zeros are returned.
-    `advance` takes a step in place of the chain's own.
+    `where` holds that step, the bounds of its run, and a lead, which only a program with `burn`
+    knows: for so many steps before the record the joints follow the measured motion, so that
+    effects, springs and beams bring their states to its beginning; then they start from `start`,
+    and sensors as if outputs had run straight up to it. `steps` counts those of the lead, too; what
+    comes after them is no prediction. The loop runs over blocks, their count is data: one program
+    serves every length. `body` is the mechanism with its effects, prepared, where that has been
+    done; of outputs that are not `wanted` zeros are returned. `advance` takes a step in place of
+    the chain's own.
     """
     nq = chain.nq
     offset, _, last, lead = where
@@ -167,8 +174,10 @@ def simulate_window(
     reach: int,
     burn: bool,
 ) -> tuple[Any, Float[Array, "size ny"]]:
-    """The steps `at` ... `at + size` of what `simulate_lane` does (those of the lead count), and the state that they leave, from
-    the state that the window before them left; `steps` of them are wanted. No record effects."""
+    """The steps `at` ... `at + size` of what `simulate_lane` does (those of the lead count), and
+    the state that they leave, from the state that the window before them left; `steps` of them are
+    wanted. No record effects.
+    """
     _, initial, step = _stepping(chain, samples, where, start, reach, burn)
     return _window(step, initial, at, carry, steps, size, len(chain.signature.outputs))
 
@@ -222,7 +231,9 @@ def torque_lane(
     reach: int,
     burn: bool,
 ) -> Float[Array, "length nq"]:
-    """Minus the missing torque of the measured motion, M qdd + bias + friction - drive(u), at every sample of one run."""
+    """Minus the missing torque of the measured motion, M qdd + bias + friction - drive(u), at every
+    sample of one run.
+    """
     z, step = _torques(chain, samples, where, reach)
     return over_time(step, z, steps, length, chain.nq)
 
@@ -246,8 +257,9 @@ def _torques(chain: Chain, samples: Samples, where: Array, reach: int) -> tuple[
 
 
 def _about(command: Command, samples: Samples, before: Array) -> Command:
-    """The command as a mean over a step about its moment, not from it on: what a law makes of a goal is then in phase with the
-    motion. `before` is the step before it."""
+    """The command as a mean over a step about its moment, not from it on: what a law makes of a
+    goal is then in phase with the motion. `before` is the step before it.
+    """
     half = command.h / 2
     mean = lambda a, now: (a[before] + now) / 2
     return command._replace(
@@ -260,8 +272,10 @@ def _about(command: Command, samples: Samples, before: Array) -> Command:
 def over_time(
     step: Callable, carry: Any, steps: Array, length: int, width: int, marked: bool = True
 ) -> Array:
-    """What `step(carry, k) -> carry, y [width]` gives at each of so many steps, [length width]; after them it is no result.
-    `marked`: lanes are laid out for vector code, which a step with a solver of its own inside is not for."""
+    """What `step(carry, k) -> carry, y [width]` gives at each of so many steps, [length width];
+    after them it is no result. `marked`: lanes are laid out for vector code, which a step with a
+    solver of its own inside is not for.
+    """
     if reversible():
         return _over_static_time(step, carry, steps, length)
     loop = _blocks(step, carry, steps, length, width)
@@ -291,8 +305,9 @@ WINDOWED: dict[Lane, tuple[Callable, Callable]] = {
 
 
 def _over_static_time(step: Callable, carry: Any, steps: Array, length: int) -> Array:
-    """The same in reverse: all of `length`, the state standing still after the last step. Only the states between blocks are
-    kept, what lies between them is worked out again on the way back."""
+    """The same in reverse: all of `length`, the state standing still after the last step. Only the
+    states between blocks are kept, what lies between them is worked out again on the way back.
+    """
 
     def held(carry: Any, k: Array) -> tuple[Any, Array]:
         new, y = step(carry, k)
@@ -306,8 +321,9 @@ def _over_static_time(step: Callable, carry: Any, steps: Array, length: int) -> 
 
 
 def reach_of(samples: Samples, record: Record) -> int:
-    """EVEN where a run has equal steps to rounding, 0 where to one percent, else how many steps the longest delay may reach
-    back, as a power of two."""
+    """EVEN where a run has equal steps to rounding, 0 where to one percent, else how many steps the
+    longest delay may reach back, as a power of two.
+    """
     t, h = (np.asarray(a)[record.first : record.last] for a in (samples.t, samples.h))
     if not h.size or np.ptp(h) <= 1e-6 * np.median(h):
         return EVEN

@@ -1,8 +1,9 @@
 """Recorded runs as the arrays that a simulation walks through.
 
-Simulation happens at the data's own times: each sampling interval is divided into equal steps no longer than `step`, so
-irregular sampling and finer steps are data, not another program. All runs lie behind one another in one buffer; a record
-(a whole run or a window of one) is an offset and a count.
+Simulation happens at the data's own times: each sampling interval is divided into equal steps no
+longer than `step`, so irregular sampling and finer steps are data, not another program. All runs
+lie behind one another in one buffer; a record (a whole run or a window of one) is an offset and a
+count.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ ENDLESS, APART = 1e6, 100
 
 
 class Samples(NamedTuple):
-    """Buffers over all steps of all runs. `w` is 1 / noise at a sample and 0 between; `x` the smoothed measured motion."""
+    """Buffers over all steps of all runs. `w` is 1 / noise at a sample and 0 between; `x` the
+    smoothed measured motion.
+    """
 
     t: Any  # [n]
     h: Any  # [n]
@@ -43,7 +46,9 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """A stretch of one run: steps offset ... offset + count of the buffer, run bounds first ... last, start state."""
+    """A stretch of one run: steps offset ... offset + count of the buffer, run bounds first ...
+    last, start state.
+    """
 
     experiment: int
     offset: int
@@ -58,8 +63,9 @@ class Record:
 
 
 def bucket(n: int, smallest: int = 1024) -> int:
-    """n rounded up to a power of two, so that runs of other lengths meet the same compiled program; of long ones, whose padding
-    would take much memory, to a multiple of LONG."""
+    """n rounded up to a power of two, so that runs of other lengths meet the same compiled program;
+    of long ones, whose padding would take much memory, to a multiple of LONG.
+    """
     return max(smallest, 1 << (int(n) - 1).bit_length()) if n <= LONG else -(-int(n) // LONG) * LONG
 
 
@@ -99,7 +105,9 @@ def step_count(e: Experiment, step: float) -> int:
 
 
 def divided_alike(experiments: Sequence[Experiment], step: float, other: float) -> bool:
-    """Whether two steps divide every sampling interval into the same number: the simulations are then the same."""
+    """Whether two steps divide every sampling interval into the same number: the simulations are
+    then the same.
+    """
     return all(np.array_equal(pieces(e, step), pieces(e, other)) for e in experiments)
 
 
@@ -114,8 +122,9 @@ def build(
 ) -> tuple[Samples, list[np.ndarray]]:
     """Buffers for these runs, and per run the positions of its samples.
 
-    `noise` is one standard deviation per output [ny]; `measured` the smoothed motion of each run at its samples
-    [time k]; `size` the least size of the buffers, so that other runs share one program.
+    `noise` is one standard deviation per output [ny]; `measured` the smoothed motion of each run at
+    its samples [time k]; `size` the least size of the buffers, so that other runs share one
+    program.
     """
     iu, iy = columns(dataset, chain)
     linear = np.array([dataset.inputs[i].hold == "linear" for i in iu], bool)

@@ -22,8 +22,10 @@ def transfer(
     q0: Float[Array, " nq"] | None = None,
     body: Mechanism | None = None,
 ) -> tuple[Float[Array, "lines ny nu"], Float[Array, "lines ny nu"]]:
-    """Real and imaginary part of outputs / inputs at omega (rad/s), linearised at rest in q0 (default 0). Traceable. `body` is
-    the chain's mechanism with its effects, prepared, where that has been done."""
+    """Real and imaginary part of outputs / inputs at omega (rad/s), linearised at rest in q0
+    (default 0). Traceable. `body` is the chain's mechanism with its effects, prepared, where that
+    has been done.
+    """
     body = chain.body().prepare(None) if body is None else body
     q0 = jnp.zeros(chain.nq) if q0 is None else q0
     still = jnp.zeros_like(q0)

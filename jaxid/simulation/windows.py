@@ -1,7 +1,8 @@
-"""Long records window by window: what lanes predict is taken a stretch of steps at a time, and only their states stay.
+"""Long records window by window: what lanes predict is taken a stretch of steps at a time, and only
+their states stay.
 
-A record of millions of samples would need gigabytes for every lane's prediction and derivative; of a window they need megabytes.
-The arithmetic is that of the whole record, step by step.
+A record of millions of samples would need gigabytes for every lane's prediction and derivative; of
+a window they need megabytes. The arithmetic is that of the whole record, step by step.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ _POOL = Pool("windows")
 
 
 class WindowPrograms(NamedTuple):
-    """What a window of many lanes is computed by: predictions, those with derivatives, and the state with which a lane begins."""
+    """What a window of many lanes is computed by: predictions, those with derivatives, and the
+    state with which a lane begins.
+    """
 
     outputs: Callable[..., Any]
     tangents: Callable[..., Any]
@@ -75,8 +78,10 @@ class _Block(NamedTuple):
 
 
 class Windows:
-    """Lanes in windows of WINDOW steps; iterating gives (position of the first step in each lane's record [lanes], predictions
-    [lanes WINDOW ny], with tangents also derivatives). What lies before or behind a lane's record is no prediction."""
+    """Lanes in windows of WINDOW steps; iterating gives (position of the first step in each lane's
+    record [lanes], predictions [lanes WINDOW ny], with tangents also derivatives). What lies before
+    or behind a lane's record is no prediction.
+    """
 
     def __init__(
         self,

@@ -1,5 +1,7 @@
-"""Files that belong together take the place of older ones all at once: whoever opens the folder, at any moment and after any end
-of this process, finds the old files or the new ones, never some of each."""
+"""Files that belong together take the place of older ones all at once: whoever opens the folder, at
+any moment and after any end of this process, finds the old files or the new ones, never some of
+each.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +22,17 @@ STAGE, CURRENT = ".jaxid-exchange", "current"
 def replace_files(
     folder: str | Path, files: Mapping[str, bytes], obsolete: Collection[str] = ()
 ) -> Path:
-    """Writes `files` (name -> content) into `folder`, made if missing, and removes the `obsolete` ones there, as one act; returns
-    the folder. No other file in it is touched.
+    """Writes `files` (name -> content) into `folder`, made if missing, and removes the `obsolete`
+    ones there, as one act; returns the folder. No other file in it is touched.
 
-    A rename exchanges one file alone. For several, old and new ones are laid side by side into a hidden folder, the names become
-    links that lead into it through one more link, and renaming that one is the exchange (as Kubernetes' atomic writer does it);
-    at last the links become plain files again. Where a process ends on the way, the links go on showing the old or the new files
-    until `settle`. A file system without links, as on Windows, exchanges one file after the other.
+    A rename exchanges one file alone. For several, old and new ones are laid side by side into a
+    hidden folder, the names become links that lead into it through one more link, and renaming that
+    one is the exchange (as Kubernetes' atomic writer does it); at last the links become plain files
+    again. Where a process ends on the way, the links go on showing the old or the new files until
+    `settle`. A file system without links, as on Windows, exchanges one file after the other.
 
-    Raises `NotSaved`, with the path, the reason and the bytes that are needed; the older files are then as they were.
+    Raises `NotSaved`, with the path, the reason and the bytes that are needed; the older files are
+    then as they were.
     """
     folder = Path(folder)
     stage = folder / STAGE
@@ -63,7 +67,9 @@ def replace_files(
 
 
 def settle(folder: str | Path) -> None:
-    """Ends an exchange that was cut off: its links become the files they show. Does nothing where there is none."""
+    """Ends an exchange that was cut off: its links become the files they show. Does nothing where
+    there is none.
+    """
     folder = Path(folder)
     if os.path.lexists(folder / STAGE):
         with suppress(OSError), _locked(folder):
@@ -133,7 +139,9 @@ def _free(folder: Path) -> int | None:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """One process at a time, where the system has such locks; the end of a process opens its lock."""
+    """One process at a time, where the system has such locks; the end of a process opens its
+    lock.
+    """
     try:
         import fcntl
 

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 
 def frame(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> pandas.DataFrame:
-    """Rows as a data frame with these columns. Raises `UsageError` where pandas is not installed."""
+    """Rows as a data frame with these columns. Raises `UsageError` where pandas is not
+    installed.
+    """
     try:
         import pandas
     except ImportError as error:

@@ -18,8 +18,10 @@ _listener: ContextVar[Callable[[Any], None] | None] = ContextVar("listener", def
 
 @contextmanager
 def listening(heard: Callable[[Any], None]) -> Iterator[None]:
-    """Inside, `heard` is called with what `jaxid.fit`, `jaxid.diagnose` and `jaxid.compare` know before their end: a `Fit` that
-    is to be refined, a `Diagnosis` that says where the gap lies, a `Comparison` of the runs that are finished."""
+    """Inside, `heard` is called with what `jaxid.fit`, `jaxid.diagnose` and `jaxid.compare` know
+    before their end: a `Fit` that is to be refined, a `Diagnosis` that says where the gap lies, a
+    `Comparison` of the runs that are finished.
+    """
     token = _listener.set(heard)
     try:
         yield
@@ -28,8 +30,9 @@ def listening(heard: Callable[[Any], None]) -> Iterator[None]:
 
 
 class Interim:
-    """Passes interim results on to whoever listens, the first after so many seconds, later ones as `SHARE` allows; `silent` ones
-    to nobody."""
+    """Passes interim results on to whoever listens, the first after so many seconds, later ones as
+    `SHARE` allows; `silent` ones to nobody.
+    """
 
     def __init__(self, silent: bool = False, after: float = 0.0):
         self._heard = None if silent else _listener.get()
@@ -54,7 +57,9 @@ class Interim:
             self._heard(result)
 
     def latest(self) -> Any:
-        """What was passed on last, which takes no time; where nothing was, what is known now; None if nothing is."""
+        """What was passed on last, which takes no time; where nothing was, what is known now; None
+        if nothing is.
+        """
         if self._told is not None or self._make is None:
             return self._told
         return self._make()

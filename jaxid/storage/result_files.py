@@ -1,4 +1,6 @@
-"""The files of a result, its JSON, page and tables, which go into a folder together; and those of a run that was stopped."""
+"""The files of a result, its JSON, page and tables, which go into a folder together; and those of a
+run that was stopped.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,9 @@ FILES = {"reproduction": "result"}
 
 
 def save(result: Any, folder: Path) -> Path:
-    """Puts all files of a result into a folder at once, in the place of an older one of its kind; returns the path of the JSON.
-    What a stopped run had left there goes. A page that belongs to a result of another kind is kept under the name of that one.
+    """Puts all files of a result into a folder at once, in the place of an older one of its kind;
+    returns the path of the JSON. What a stopped run had left there goes. A page that belongs to a
+    result of another kind is kept under the name of that one.
 
     Raises `NotSaved`; the older result is then as it was.
     """
@@ -39,8 +42,9 @@ def save(result: Any, folder: Path) -> Path:
 
 
 def save_partial(result: Any, folder: Path, page: bool) -> Path:
-    """Puts what is known before the end into `partial/` inside the folder of the result, with its `page` or, as drawing takes
-    seconds, without; returns the path of the JSON. Raises `NotSaved`."""
+    """Puts what is known before the end into `partial/` inside the folder of the result, with its
+    `page` or, as drawing takes seconds, without; returns the path of the JSON. Raises `NotSaved`.
+    """
     name, place = json_name(kind_of(result)), folder / PARTIAL
     files = {name: json_bytes(result), **_tables(result)}
     if page and (text := page_of(result)):
@@ -50,7 +54,9 @@ def save_partial(result: Any, folder: Path, page: bool) -> Path:
 
 
 def drop_partial(folder: Path) -> None:
-    """Removes what stopped runs left in `partial/`, and that folder where nothing else lies in it."""
+    """Removes what stopped runs left in `partial/`, and that folder where nothing else lies in
+    it.
+    """
     place = folder / PARTIAL
     with suppress(OSError):
         settle(place)
@@ -60,7 +66,9 @@ def drop_partial(folder: Path) -> None:
 
 
 def kind_of(result: Any) -> str:
-    """`fit`, `diagnosis`, `comparison`, `identification`, `check`, `reproduction` or `simulation`."""
+    """`fit`, `diagnosis`, `comparison`, `identification`, `check`, `reproduction` or
+    `simulation`.
+    """
     return result.to_dict()["kind"]
 
 
@@ -110,7 +118,9 @@ def _written(place: Path) -> list[str]:
 
 
 def _kept_page(folder: Path, name: str) -> dict[str, bytes]:
-    """The page there is, where it belongs to another JSON than `name` that still lies beside it: under the name of that one."""
+    """The page there is, where it belongs to another JSON than `name` that still lies beside it:
+    under the name of that one.
+    """
     with suppress(OSError):
         page = (folder / PAGE).read_bytes()
         about = result_of(page)

@@ -1,4 +1,6 @@
-"""Files that people or jaxid wrote as text: results, limits, settings. Recordings are read elsewhere."""
+"""Files that people or jaxid wrote as text: results, limits, settings. Recordings are read
+elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ class TooLarge(ValueError):
 
 
 def read_small(path: str | os.PathLike[str]) -> bytes:
-    """The content of a file of at most `LARGEST_BYTES`, which may be a pipe. Raises `OSError`; `TooLarge` for a larger one."""
+    """The content of a file of at most `LARGEST_BYTES`, which may be a pipe. Raises `OSError`;
+    `TooLarge` for a larger one.
+    """
     with Path(path).open("rb") as stream:
         content = stream.read(LARGEST_BYTES + 1)
     if len(content) > LARGEST_BYTES:

@@ -1,4 +1,6 @@
-"""Ctrl-C, SIGTERM (a batch system, a caller's time-out) and SIGHUP (a closed terminal) end work alike, and at once."""
+"""Ctrl-C, SIGTERM (a batch system, a caller's time-out) and SIGHUP (a closed terminal) end work
+alike, and at once.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,8 @@ from typing import Any
 
 
 INTERRUPTED = 130
-#: Seconds from a signal to the end of the process: compiled code does not hear of it, a compilation can take minutes, and so can
-#: what is made of what was finished.
+#: Seconds from a signal to the end of the process: compiled code does not hear of it, a compilation
+#: can take minutes, and so can what is made of what was finished.
 PATIENCE_S = 1.0
 
 
@@ -24,8 +26,10 @@ def ending() -> list[int]:
 
 @contextmanager
 def stoppable(last_words: Callable[[], None]) -> Iterator[None]:
-    """Inside, the first signal raises `KeyboardInterrupt`. Where what is inside has not ended in time all the same, and at a
-    second signal, the process ends after its `last_words`. Everything worth keeping must be on the disk by then."""
+    """Inside, the first signal raises `KeyboardInterrupt`. Where what is inside has not ended in
+    time all the same, and at a second signal, the process ends after its `last_words`. Everything
+    worth keeping must be on the disk by then.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

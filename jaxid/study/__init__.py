@@ -1,7 +1,9 @@
-"""Studies: many fits and diagnoses from one file, on one computer or a cluster, that survive kills, crashes and full disks.
+"""Studies: many fits and diagnoses from one file, on one computer or a cluster, that survive kills,
+crashes and full disks.
 
-The coordinator (`run_study`) hands batches of tasks to the workers of a dask cluster and alone writes the store. A worker passes
-them to a solver process of its own and watches it from outside. See docs/batch.md.
+The coordinator (`run_study`) hands batches of tasks to the workers of a dask cluster and alone
+writes the store. A worker passes them to a solver process of its own and watches it from outside.
+See docs/batch.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Whether the models, effects and fitters of a study exist and fit its data: asked before anything runs."""
+"""Whether the models, effects and fitters of a study exist and fit its data: asked before anything
+runs.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Where a study's tasks run: threads of this process with a solver process each, or a running dask cluster."""
+"""Where a study's tasks run: threads of this process with a solver process each, or a running dask
+cluster.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ CLOSE_S = 2.0
 
 
 class Cluster:
-    """A dask client, and a session of solvers on its workers; `hopeless` says why no worker will come where there is none."""
+    """A dask client, and a session of solvers on its workers; `hopeless` says why no worker will
+    come where there is none.
+    """
 
     def __init__(
         self,
@@ -48,7 +52,9 @@ class Cluster:
 
 
 def distributed_() -> Any:
-    """dask.distributed. Where this is its first import it keeps to itself in which order its parts closed, or failed to."""
+    """dask.distributed. Where this is its first import it keeps to itself in which order its parts
+    closed, or failed to.
+    """
     config = needed("dask.config")
     with config.set({"logging": {"distributed": "critical", "distributed.client": "critical"}}):
         return needed("distributed")
@@ -82,7 +88,9 @@ def dask_cluster(**settings: Any) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def local_cluster(workers: int, threads: int = 1) -> Iterator[Cluster]:
-    """Workers in this process, each thread with a solver process of its own; nothing listens on any network."""
+    """Workers in this process, each thread with a solver process of its own; nothing listens on any
+    network.
+    """
     with dask_cluster(n_workers=workers, threads_per_worker=threads) as parts:
         client = distributed_().Client(parts, set_as_default=False)
         cluster = Cluster(client, lambda function, session: function(session))
@@ -95,7 +103,9 @@ def local_cluster(workers: int, threads: int = 1) -> Iterator[Cluster]:
 
 
 def close_client(client: Any, seconds: float) -> None:
-    """Closes a client; where a crowded computer is too slow for that, its destructor would try again for a minute."""
+    """Closes a client; where a crowded computer is too slow for that, its destructor would try
+    again for a minute.
+    """
     with contextlib.suppress(TimeoutError):
         client.close(timeout=seconds)
     client.status = "closed"

@@ -1,7 +1,8 @@
 """The one process that hands out tasks and writes the store.
 
-Tasks go in batches to the workers of a dask cluster: at most two batches a thread, so that none waits for the coordinator. Tasks
-that run in the same compiled programs stay on the same worker and form batches of about a second.
+Tasks go in batches to the workers of a dask cluster: at most two batches a thread, so that none
+waits for the coordinator. Tasks that run in the same compiled programs stay on the same worker and
+form batches of about a second.
 """
 
 from __future__ import annotations
@@ -27,18 +28,20 @@ from jaxid.study.plan import Task
 from jaxid.study.store import Store, StoreError
 
 
-#: How long a batch should take, the share of that for each thread of the cluster (the coordinator needs some 5 ms a batch, and
-#: should have half its time left), and its largest size.
+#: How long a batch should take, the share of that for each thread of the cluster (the coordinator
+#: needs some 5 ms a batch, and should have half its time left), and its largest size.
 BATCH_S, BATCH_THREAD_S, BATCH_MOST = 1.0, 0.01, 128
-#: Below so many seconds a task, batches are filled up with tasks of other groups: sending them one by one would cost more.
+#: Below so many seconds a task, batches are filled up with tasks of other groups: sending them one
+#: by one would cost more.
 QUICK_S = 0.02
 #: A task that was at work when its process died so many times is `crashed`.
 DEATHS = 2
 #: Solvers that die before they are ready, in a row, until the study gives up.
 STARTS = 4
 RENEW_S, WORKERS_S = 5.0, 1.0
-#: After the first Ctrl-C running batches may finish for so long; then their processes are ended, and what they had finished may
-#: arrive. Both count from the signal, so that a crowded computer leaves in time too.
+#: After the first Ctrl-C running batches may finish for so long; then their processes are ended,
+#: and what they had finished may arrive. Both count from the signal, so that a crowded computer
+#: leaves in time too.
 GRACE_S, ARRIVE_S = 0.7, 0.35
 #: How long the parts of a cluster may take to close after Ctrl-C, when everything is saved.
 HURRY_S = 0.3
@@ -71,8 +74,9 @@ class Batch:
 
 
 class Stop:
-    """Ctrl-C, SIGTERM or SIGHUP: `count` of them, the first at `since`. Also where a shell had a background job ignore Ctrl-C:
-    what is sent to it is meant."""
+    """Ctrl-C, SIGTERM or SIGHUP: `count` of them, the first at `since`. Also where a shell had a
+    background job ignore Ctrl-C: what is sent to it is meant.
+    """
 
     def __init__(self):
         self.count = 0
@@ -95,7 +99,9 @@ class Stop:
 
 
 class Coordinator:
-    """Runs tasks on a cluster and saves their outcomes. `done`, `failed`, `running` and `outcomes` tell how far it is."""
+    """Runs tasks on a cluster and saves their outcomes. `done`, `failed`, `running` and `outcomes`
+    tell how far it is.
+    """
 
     def __init__(
         self,
@@ -141,7 +147,9 @@ class Coordinator:
         return len(self.suspects) + sum(len(self.groups[name].waiting) for name in self.open)
 
     def run(self, stop: Stop, heard: Heard = lambda coordinator: None) -> bool:
-        """Works until every task has an outcome (True) or is told to stop (False); what was finished is saved either way."""
+        """Works until every task has an outcome (True) or is told to stop (False); what was
+        finished is saved either way.
+        """
         try:
             while self.waiting or self.batches:
                 if stop.count:
@@ -258,7 +266,9 @@ class Coordinator:
     # ---- taking in
 
     def _collect(self, wait_s: float) -> None:
-        """Takes in every batch that has come back, waiting for the first; saves their outcomes in one transaction."""
+        """Takes in every batch that has come back, waiting for the first; saves their outcomes in
+        one transaction.
+        """
         keys = []
         with contextlib.suppress(queue.Empty):
             keys.append(self.arrived.get(timeout=wait_s))
@@ -302,7 +312,9 @@ class Coordinator:
             self._resize(batch, (answer["seconds"] - compiling) / finished)
 
     def _resize(self, batch: Batch, seconds: float) -> None:
-        """The size of the group's next batches: as many as keep the pace, with some patience for one that was slow by chance."""
+        """The size of the group's next batches: as many as keep the pace, with some patience for
+        one that was slow by chance.
+        """
         self.seconds = max(1e-6, (seconds + self.seconds) / 2)
         group = self.groups[batch.group]
         slower = group.seconds is not None and seconds > group.seconds
@@ -336,7 +348,9 @@ class Coordinator:
             self.suspects.append(task)
 
     def _lost(self, batch: Batch, future: Any) -> None:
-        """The cluster lost the batch: its worker died more often than the scheduler allows, or the scheduler is gone."""
+        """The cluster lost the batch: its worker died more often than the scheduler allows, or the
+        scheduler is gone.
+        """
         if self.client.status not in ("running", "newly-created") or future.status == "cancelled":
             raise StudyFailed(GONE)
         error = future.exception()
@@ -370,7 +384,9 @@ class Coordinator:
         self.unsaved.clear()
 
     def _finish(self, stop: Stop) -> None:
-        """Gives running batches a moment, takes in what came back, leaves the rest for the next time."""
+        """Gives running batches a moment, takes in what came back, leaves the rest for the next
+        time.
+        """
         self.cluster.drain()
         self._wait(stop.since + GRACE_S, lambda: stop.count < 2)
         self.cluster.close()

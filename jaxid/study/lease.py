@@ -17,7 +17,9 @@ LEASE_S = 60.0
 
 
 def machine() -> str:
-    """This machine since its last start, and, in a container, this one: a process id means nothing elsewhere."""
+    """This machine since its last start, and, in a container, this one: a process id means nothing
+    elsewhere.
+    """
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
@@ -35,7 +37,9 @@ def process_start(pid: int) -> float:
 
 
 def alive(held: Sequence[Any]) -> bool:
-    """Whether the holder of a lease (host, pid, started, renewed) lives: here by its process, elsewhere by its last word."""
+    """Whether the holder of a lease (host, pid, started, renewed) lives: here by its process,
+    elsewhere by its last word.
+    """
     host, pid, started, renewed = held[:4]
     if host == machine():
         return abs(process_start(pid) - started) < 1.0

@@ -11,13 +11,16 @@ from jaxid.study.plan import Task
 from jaxid.study.rows import Row
 
 
-#: A result of these counts as failed; `crashed` killed its process twice, `timeout` took longer than allowed.
+#: A result of these counts as failed; `crashed` killed its process twice, `timeout` took longer
+#: than allowed.
 FAILURES = ("failed", "crashed", "timeout")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished task. `result` is the content of its fit.json or diagnosis.json; empty where there is none."""
+    """A finished task. `result` is the content of its fit.json or diagnosis.json; empty where there
+    is none.
+    """
 
     key: str
     status: str  # converged | stopped | failed | crashed | timeout
@@ -38,7 +41,9 @@ class Outcome:
         return self.status in FAILURES
 
     def row(self, task: Task, arrays: str = "") -> Row:
-        """For the store; the task's own settings go with it, so that a store can be read without its study."""
+        """For the store; the task's own settings go with it, so that a store can be read without
+        its study.
+        """
         body = {name: getattr(self, name) for name in FIELDS} | {
             "task": {k: v for k, v in task.settings.items() if v is not None}
         }

@@ -90,8 +90,9 @@ def _spread(runs) -> float:
 
 
 def problem_row(runs) -> tuple[str, list[tuple[str, str]]]:
-    """The best loss of a problem, and of each parameter the middle and the range from the 10th to the 90th percentile of the runs
-    that reached it."""
+    """The best loss of a problem, and of each parameter the middle and the range from the 10th to
+    the 90th percentile of the runs that reached it.
+    """
     from jaxid.study.tables import best_loss, excess, TOLERANCE
 
     best = best_loss(runs)

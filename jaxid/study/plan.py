@@ -1,7 +1,9 @@
-"""A study file and the tasks it stands for: the product of datasets, models, effects, fitters and seeds.
+"""A study file and the tasks it stands for: the product of datasets, models, effects, fitters and
+seeds.
 
-A task is known by the hash of everything its result depends on: the bytes of the dataset, the settings, the version of jaxid.
-So a study that is started again goes on where it stopped, and one that was changed runs only what changed.
+A task is known by the hash of everything its result depends on: the bytes of the dataset, the
+settings, the version of jaxid. So a study that is started again goes on where it stopped, and one
+that was changed runs only what changed.
 """
 
 from __future__ import annotations
@@ -111,7 +113,9 @@ class RunsEntry(_Strict):
 
 @dataclass(frozen=True)
 class Task:
-    """One fit or diagnosis. `dataset` is a folder, `label` and `system` what dataset and model are called in tables."""
+    """One fit or diagnosis. `dataset` is a folder, `label` and `system` what dataset and model are
+    called in tables.
+    """
 
     command: str
     dataset: str
@@ -169,7 +173,9 @@ class Runs:
 
 @dataclass(frozen=True)
 class Study:
-    """A study file that was read: what it is called, where its results go, its tasks by key in their order."""
+    """A study file that was read: what it is called, where its results go, its tasks by key in
+    their order.
+    """
 
     path: Path
     name: str
@@ -206,8 +212,8 @@ def jaxid_version() -> str:
 def read_study(path: str | Path) -> Study:
     """Reads a study file and the fingerprints of its data; no JAX is loaded.
 
-    Raises `StudyError` with every mistake at once, each with its place and what to do. Whether models, effects and fitters exist
-    and fit the data is asked by `jaxid.study.check.check_study`.
+    Raises `StudyError` with every mistake at once, each with its place and what to do. Whether
+    models, effects and fitters exist and fit the data is asked by `jaxid.study.check.check_study`.
     """
     study, problems = parse_study(path)
     if problems:
@@ -216,7 +222,9 @@ def read_study(path: str | Path) -> Study:
 
 
 def parse_study(path: str | Path) -> tuple[Study, list[Problem]]:
-    """The study as far as it could be read, so that all it names can be looked at, and its faults."""
+    """The study as far as it could be read, so that all it names can be looked at, and its
+    faults.
+    """
     path = Path(path)
     text, raw = _toml(path)
     places = Places(path.name, text)
@@ -368,7 +376,9 @@ def _tasks(entry: RunsEntry, key: tuple[str | int, ...], folders: _Folders) -> I
 
 
 class _Folders:
-    """Datasets and files of models of a study, each read once: (folder, sha256, label, its model), (path or id, sha256)."""
+    """Datasets and files of models of a study, each read once: (folder, sha256, label, its model),
+    (path or id, sha256).
+    """
 
     def __init__(self, folder: Path, places: Places, document: Document):
         self.folder, self.places, self.document = folder, places, document
@@ -425,7 +435,8 @@ class _Folders:
 
 
 def fingerprint(folder: Path) -> tuple[str, str, str]:
-    """(`dataset_sha256` as a loaded dataset has it, its name, its model) without reading any sample.
+    """(`dataset_sha256` as a loaded dataset has it, its name, its model) without reading any
+    sample.
 
     Files outside the folder and what is no plain file are left out; loading refuses them.
     """

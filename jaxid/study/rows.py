@@ -19,7 +19,9 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Row:
-    """One finished task: `body` is its outcome as JSON, `arrays` the file that holds its history, or empty."""
+    """One finished task: `body` is its outcome as JSON, `arrays` the file that holds its history,
+    or empty.
+    """
 
     key: str
     status: str
@@ -44,7 +46,9 @@ def sound(fields: Sequence[Any]) -> Row | None:
 
 
 def read_damaged(path: Path) -> Iterator[Row]:
-    """Every sound row of a file whose structure is damaged: pages that cannot be read are stepped over."""
+    """Every sound row of a file whose structure is damaged: pages that cannot be read are stepped
+    over.
+    """
     try:
         db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
     except sqlite3.Error:

@@ -21,7 +21,9 @@ from jaxid.study.supervisor import SOLVER
 
 @dataclass(frozen=True)
 class Status:
-    """How far a study is. `done` are tasks with a result, `failed` those that ended without one, `running` those handed out."""
+    """How far a study is. `done` are tasks with a result, `failed` those that ended without one,
+    `running` those handed out.
+    """
 
     total: int
     done: int
@@ -73,7 +75,9 @@ def status_of(study: Study, outcomes: dict[str, Outcome], running: int) -> Statu
 
 
 def study_status(path: str | Path) -> tuple[Study, dict[str, Outcome], Status]:
-    """How far a study is, also while another process runs it and before anything has run; changes nothing."""
+    """How far a study is, also while another process runs it and before anything has run; changes
+    nothing.
+    """
     study = read_study(path)
     if not (study.store / "study.sqlite").exists():
         return study, {}, status_of(study, {}, 0)
@@ -104,13 +108,14 @@ def run_study(
 ) -> StudyResult:
     """Runs what of a study has no result yet, and writes its tables and report when all is there.
 
-    `workers` are processes on this computer (default: one a core); `scheduler` is the address of a dask cluster instead;
-    `cluster` is "local" (this computer) or "slurm": `workers` jobs of one core, on the network `interface`; `retry` runs failed
-    tasks again; `heard` is called a few times a second; `solver` is what computes, behind the name of the Python, and
-    `check` whether models and data are looked at first. Ctrl-C, SIGTERM and SIGHUP save what was finished: `interrupted`.
+    `workers` are processes on this computer (default: one a core); `scheduler` is the address of a
+    dask cluster instead; `cluster` is "local" (this computer) or "slurm": `workers` jobs of one
+    core, on the network `interface`; `retry` runs failed tasks again; `heard` is called a few times
+    a second; `solver` is what computes, behind the name of the Python, and `check` whether models
+    and data are looked at first. Ctrl-C, SIGTERM and SIGHUP save what was finished: `interrupted`.
 
-    Raises `StudyError` for a study with mistakes, `StoreError` where the store cannot be used or another process runs it,
-    `StudyFailed` where no task can be run at all.
+    Raises `StudyError` for a study with mistakes, `StoreError` where the store cannot be used or
+    another process runs it, `StudyFailed` where no task can be run at all.
     """
     from jaxid.study.tables import write_tables
 
@@ -166,7 +171,9 @@ def run_study(
 
 
 def _read(path: str | Path, check: bool) -> Study:
-    """The study; where it has faults, `check` adds those of the names in it, so that they are told all at once."""
+    """The study; where it has faults, `check` adds those of the names in it, so that they are told
+    all at once.
+    """
     try:
         return read_study(path)
     except StudyError:

@@ -1,4 +1,6 @@
-"""Workers that SLURM starts: TLS with a certificate of this study alone, on the network that is named."""
+"""Workers that SLURM starts: TLS with a certificate of this study alone, on the network that is
+named.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from jaxid.study.cluster import close_client, CLOSE_S, Cluster, dask_cluster, di
 
 #: Folders of certificates in a store begin so.
 PRIVATE = "tls-"
-#: A worker that hears nothing of its scheduler for so long ends; SLURM is asked so often whether its job is still there (s).
+#: A worker that hears nothing of its scheduler for so long ends; SLURM is asked so often whether
+#: its job is still there (s).
 DEATH_S, ASK_S = 60, 30.0
 
 SCRIPT = """#!/bin/sh
@@ -37,7 +40,9 @@ exec {command}
 
 
 def address_of(interface: str | None) -> str:
-    """The IPv4 address of this machine on a network interface. Raises `UsageError` with those that there are."""
+    """The IPv4 address of this machine on a network interface. Raises `UsageError` with those that
+    there are.
+    """
     interfaces = needed("psutil").net_if_addrs()
     found = {}
     for name, addresses in interfaces.items():
@@ -56,10 +61,12 @@ def address_of(interface: str | None) -> str:
 
 @contextlib.contextmanager
 def slurm_cluster(store: Path, workers: int | None, interface: str | None) -> Iterator[Cluster]:
-    """A scheduler in this process and `workers` jobs of one core each, by `sbatch`, which takes partition, account, time and
-    memory from its usual variables (SBATCH_PARTITION, …). The store has to be on a disk that the nodes share.
+    """A scheduler in this process and `workers` jobs of one core each, by `sbatch`, which takes
+    partition, account, time and memory from its usual variables (SBATCH_PARTITION, …). The store
+    has to be on a disk that the nodes share.
 
-    Raises `UsageError` where there is no SLURM, no such network, or no library that makes certificates.
+    Raises `UsageError` where there is no SLURM, no such network, or no library that makes
+    certificates.
     """
     if shutil.which("sbatch") is None:
         raise UsageError(
@@ -97,7 +104,9 @@ def slurm_cluster(store: Path, workers: int | None, interface: str | None) -> It
 
 
 def _certificate(folder: Path) -> tuple[Any, dict[str, Path]]:
-    """dask's settings for TLS with a new certificate, which every party has to show, and its files (0600) for the workers."""
+    """dask's settings for TLS with a new certificate, which every party has to show, and its files
+    (0600) for the workers.
+    """
     needed("cryptography")
     security = distributed_().Security.temporary()
     files = {}
@@ -112,7 +121,9 @@ def _certificate(folder: Path) -> tuple[Any, dict[str, Path]]:
 
 
 def _worker(scheduler: str, interface: str, files: dict[str, Path]) -> list[str]:
-    """How a worker is started: its message port on the interface alone and by TLS, its HTTP port on loopback, without pages."""
+    """How a worker is started: its message port on the interface alone and by TLS, its HTTP port on
+    loopback, without pages.
+    """
     options: dict[str, Any] = {
         "--nthreads": 1,
         "--nworkers": 1,

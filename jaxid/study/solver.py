@@ -1,8 +1,10 @@
-"""The process that computes: `python -m jaxid.study.solver`, spawned and watched by `jaxid.study.supervisor`.
+"""The process that computes: `python -m jaxid.study.solver`, spawned and watched by
+`jaxid.study.supervisor`.
 
-It reads batches of tasks as lines of JSON from its standard input and answers in lines of JSON; nothing is pickled, and what
-anything prints goes to standard error. It keeps compiled programs from batch to batch, and it ends when its input is closed:
-no process is left behind when the one that started it is killed.
+It reads batches of tasks as lines of JSON from its standard input and answers in lines of JSON;
+nothing is pickled, and what anything prints goes to standard error. It keeps compiled programs from
+batch to batch, and it ends when its input is closed: no process is left behind when the one that
+started it is killed.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 
-#: tasks of one batch -> messages: {"begin": [key, ...]} before tasks are worked on, {"done": key, ...} for each when finished.
+#: tasks of one batch -> messages: {"begin": [key, ...]} before tasks are worked on, {"done": key,
+#: ...} for each when finished.
 Work = Callable[[list[dict[str, Any]]], Iterable[dict[str, Any]]]
 
 

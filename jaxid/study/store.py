@@ -1,8 +1,9 @@
 """The store of a study: one SQLite file that survives kills, full disks and flipped bits.
 
-One process writes it, the holder of the lease. A result is acknowledged once its transaction is on the disk; every row carries
-a checksum, so that a flipped bit is found and its task computed again. Histories of searches go into files beside it, which
-appear whole (rename) before the rows that name them.
+One process writes it, the holder of the lease. A result is acknowledged once its transaction is on
+the disk; every row carries a checksum, so that a flipped bit is found and its task computed again.
+Histories of searches go into files beside it, which appear whole (rename) before the rows that name
+them.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ BUSY_S = 20.0
 
 
 class StoreError(UsageError):
-    """The store cannot be read or written; what is in it is unharmed, and the message says what to do."""
+    """The store cannot be read or written; what is in it is unharmed, and the message says what to
+    do.
+    """
 
 
 class NotBegun(StoreError):
@@ -129,7 +132,8 @@ class Store:
                 "another `store`"
             )
         if self.writable:
-            # No shared memory (WAL needs it), so that a store may lie on a network file system; EXTRA also syncs the folder.
+            # No shared memory (WAL needs it), so that a store may lie on a network file system;
+            # EXTRA also syncs the folder.
             self.db.execute("PRAGMA journal_mode = DELETE")
             self.db.execute("PRAGMA synchronous = EXTRA")
             if version < SCHEMA:
@@ -153,7 +157,9 @@ class Store:
             self.db.execute(f"PRAGMA user_version = {SCHEMA}")
 
     def _salvage(self, reason: object) -> None:
-        """Puts a file whose structure is damaged aside and starts a new one with every row that can still be read."""
+        """Puts a file whose structure is damaged aside and starts a new one with every row that can
+        still be read.
+        """
         aside = next(
             p
             for n in range(1, 10_000)
@@ -181,7 +187,9 @@ class Store:
     # ---- one writer
 
     def acquire(self) -> int:
-        """Takes the lease, or says who holds it. Then puts away what is damaged, and returns how many results that were."""
+        """Takes the lease, or says who holds it. Then puts away what is damaged, and returns how
+        many results that were.
+        """
         try:
             (state,) = self.db.execute("PRAGMA integrity_check(1)").fetchone()
         except sqlite3.Error as error:
@@ -211,7 +219,9 @@ class Store:
         self.owner = owner
 
     def _verify(self) -> int:
-        """Moves rows whose checksum does not hold into the table `damaged`; their tasks run again."""
+        """Moves rows whose checksum does not hold into the table `damaged`; their tasks run
+        again.
+        """
         bad = [number for number, row in self._rows() if row is None]
         if bad:
             with self._transaction():
@@ -236,7 +246,9 @@ class Store:
         )
 
     def save(self, rows: Sequence[Row], running: int = 0) -> None:
-        """Saves finished tasks, all or none; when it returns they are on the disk. A task that has a result keeps it."""
+        """Saves finished tasks, all or none; when it returns they are on the disk. A task that has
+        a result keeps it.
+        """
         with self._transaction(len(rows)):
             if not self.db.execute(*self._renewal(running)).rowcount:
                 raise LeaseLost(
@@ -248,7 +260,9 @@ class Store:
             )
 
     def save_arrays(self, name: str, arrays: Mapping[str, Any]) -> str:
-        """Writes a file of arrays, whole or not at all; returns its name, for the rows that refer to it."""
+        """Writes a file of arrays, whole or not at all; returns its name, for the rows that refer
+        to it.
+        """
         import numpy as np
 
         buffer = io.BytesIO()
@@ -268,7 +282,9 @@ class Store:
         return path.name
 
     def sweep(self) -> None:
-        """Removes files of arrays that no row names: what a kill between rename and commit left. The lease is held."""
+        """Removes files of arrays that no row names: what a kill between rename and commit left.
+        The lease is held.
+        """
         used = {name for (name,) in self.db.execute("SELECT DISTINCT arrays FROM results")}
         for path in (self.folder / "arrays").glob("*"):
             if path.name not in used:
@@ -307,7 +323,9 @@ class Store:
         return held[4] if held is not None and alive(held) else 0
 
     def arrays(self, row: Row) -> dict[str, Any]:
-        """The history of a task [points 2]: evaluations and best loss so far; empty where it has none or its file is gone."""
+        """The history of a task [points 2]: evaluations and best loss so far; empty where it has
+        none or its file is gone.
+        """
         import numpy as np
 
         path = self.folder / "arrays" / row.arrays
@@ -361,7 +379,9 @@ class Store:
 
 
 class _Transaction:
-    """BEGIN IMMEDIATE … COMMIT; on any error everything is rolled back and SQLite's word becomes a sentence."""
+    """BEGIN IMMEDIATE … COMMIT; on any error everything is rolled back and SQLite's word becomes a
+    sentence.
+    """
 
     def __init__(self, store: Store, unsaved: int):
         self.store, self.unsaved = store, unsaved

@@ -1,7 +1,9 @@
-"""What runs in a worker of the cluster: it hands batches to a solver process of its own and watches it from outside.
+"""What runs in a worker of the cluster: it hands batches to a solver process of its own and watches
+it from outside.
 
-A solver that dies or exceeds its time costs only the tasks it was working on; the worker of the cluster lives on. Each thread of
-a worker has its solver, which keeps its compiled programs from batch to batch.
+A solver that dies or exceeds its time costs only the tasks it was working on; the worker of the
+cluster lives on. Each thread of a worker has its solver, which keeps its compiled programs from
+batch to batch.
 """
 
 from __future__ import annotations
@@ -117,11 +119,13 @@ class Solver:
 
 
 def run_batch(session: str, command: Sequence[str], batch: str) -> str:
-    """Works on the tasks of a batch (a JSON list) and returns {"host", "seconds", "outcomes"} as JSON, with an outcome for each.
+    """Works on the tasks of a batch (a JSON list) and returns {"host", "seconds", "outcomes"} as
+    JSON, with an outcome for each.
 
-    An outcome is what the solver said of a task; or {"key", "died": how, "log", "alone": whether only this task can be to blame,
-    "late": whether it was stopped at its time limit}; or {"key", "left": true} for one that was not begun.
-    Where the solver did not even start, "failed_to_start" says how.
+    An outcome is what the solver said of a task; or {"key", "died": how, "log", "alone": whether
+    only this task can be to blame, "late": whether it was stopped at its time limit}; or {"key",
+    "left": true} for one that was not begun. Where the solver did not even start, "failed_to_start"
+    says how.
     """
     began = time.monotonic()
     tasks = json.loads(batch)

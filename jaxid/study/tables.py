@@ -1,4 +1,6 @@
-"""What a study leaves behind when it is complete: runs.parquet, runs.csv, report.html; and the figures that they share."""
+"""What a study leaves behind when it is complete: runs.parquet, runs.csv, report.html; and the
+figures that they share.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,9 @@ class Problem:
 
 @dataclass(frozen=True)
 class Ranking:
-    """How one fitter did over all problems of a study. A rank counts from 1 within a problem, by the median loss."""
+    """How one fitter did over all problems of a study. A rank counts from 1 within a problem, by
+    the median loss.
+    """
 
     fitter: str
     runs: int
@@ -104,7 +108,9 @@ def best_loss(runs: Sequence[tuple[Task, Outcome]]) -> float:
 
 
 def excess(outcome: Outcome, best: float) -> float:
-    """How far a run's loss lies above the best, as a share of it; infinite for a run that failed."""
+    """How far a run's loss lies above the best, as a share of it; infinite for a run that
+    failed.
+    """
     if outcome.failed or outcome.loss is None or not np.isfinite(best):
         return np.inf
     return max(0.0, (outcome.loss - best) / max(abs(best), 1e-12))
@@ -169,7 +175,9 @@ def _below(a: float, b: float) -> bool:
 
 
 def verdicts(result: StudyResult) -> list[tuple[Problem, Counter[str], Counter[str]]]:
-    """Of each problem that was diagnosed: how often each verdict came, and each set of named effects."""
+    """Of each problem that was diagnosed: how often each verdict came, and each set of named
+    effects.
+    """
     out: dict[Problem, tuple[Counter[str], Counter[str]]] = {}
     for key, o in result.outcomes.items():
         task = result.study.tasks[key]
@@ -182,7 +190,9 @@ def verdicts(result: StudyResult) -> list[tuple[Problem, Counter[str], Counter[s
 
 
 def failures(result: StudyResult) -> list[tuple[str, str, int, str, str]]:
-    """(status, reason, how many, which tasks, the end of the first one's log), most frequent first."""
+    """(status, reason, how many, which tasks, the end of the first one's log), most frequent
+    first.
+    """
     found: dict[tuple[str, str], list[str]] = defaultdict(list)
     logs: dict[tuple[str, str], str] = {}
     for key, o in result.outcomes.items():
@@ -203,7 +213,9 @@ def _some(names: Sequence[str], most: int = 3) -> str:
 
 
 def table_rows(result: StudyResult) -> tuple[list[dict[str, Any]], list[str]]:
-    """A row a task in the study's order, and the names of all parameters. A diagnosis states the effects that it names."""
+    """A row a task in the study's order, and the names of all parameters. A diagnosis states the
+    effects that it names.
+    """
     rows, names = [], {}
     for key, o in result.outcomes.items():
         task = result.study.tasks[key]
@@ -267,8 +279,9 @@ def _encodable(value: Any) -> Any:
 
 
 def csv_text(rows: list[dict[str, Any]], names: Sequence[str]) -> str:
-    """The table for a spreadsheet: text without control characters, and with a ' before what would be read as a formula. Numbers
-    are written so that they are read back to the last bit."""
+    """The table for a spreadsheet: text without control characters, and with a ' before what would
+    be read as a formula. Numbers are written so that they are read back to the last bit.
+    """
     buffer = io.StringIO()
     writer = csv.writer(buffer)
     columns = [*COLUMNS, *names]

@@ -1,4 +1,6 @@
-"""What a solver process does with a batch: fits and diagnoses, with data, models and programs kept from batch to batch."""
+"""What a solver process does with a batch: fits and diagnoses, with data, models and programs kept
+from batch to batch.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Effects between the command and the joint torque. Where an effect needs a joint's motion, input i drives joint i."""
+"""Effects between the command and the joint torque. Where an effect needs a joint's motion, input i
+drives joint i.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +83,8 @@ class Saturation(InputEffect):
         {"limit": 0.95 * TORQUE},
         {"limit": 0.8 * TORQUE},
         {"limit": 0.5 * TORQUE},
-        # A servo that hardly follows is re-tuned to one that stands still, which milder limits move no more.
+        # A servo that hardly follows is re-tuned to one that stands still, which milder limits move
+        # no more.
         {"limit": 0.2 * TORQUE},
         {"limit": 0.07 * TORQUE},
     )
@@ -257,7 +260,9 @@ class BackEmf(InputEffect):
 
 
 class TorqueRipple(JointEffect):
-    """Torque that repeats with position, at least once within the travel: cogging, torque ripple, gear eccentricity."""
+    """Torque that repeats with position, at least once within the travel: cogging, torque ripple,
+    gear eccentricity.
+    """
 
     name: ClassVar[str] = "torque_ripple"
     equation: ClassVar[str] = "f = sine sin(order q) + cosine cos(order q)"
@@ -299,7 +304,9 @@ class TorqueRipple(JointEffect):
 
     @staticmethod
     def read_off(q, qd, force):
-        """The order whose sine and cosine explain most of the missing force, up to 64 periods on the travel."""
+        """The order whose sine and cosine explain most of the missing force, up to 64 periods on
+        the travel.
+        """
         travel = float(np.ptp(q))
         if travel <= 0:
             return {}

@@ -12,10 +12,11 @@ from jaxid.dynamics.parameter import param, Quantity, TORQUE
 
 
 class ActuatorCurve(InputEffect):
-    """A monotone curve of three straight pieces, odd in the command: any static law of a drive, to that accuracy.
+    """A monotone curve of three straight pieces, odd in the command: any static law of a drive, to
+    that accuracy.
 
-    It comprises a wrong scale, a dead zone and a limit as far as three pieces can, and is asked last: a diagnosis tries it where
-    the simpler laws do not explain the gap.
+    It comprises a wrong scale, a dead zone and a limit as far as three pieces can, and is asked
+    last: a diagnosis tries it where the simpler laws do not explain the gap.
     """
 
     name: ClassVar[str] = "actuator_curve"

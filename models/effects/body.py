@@ -32,8 +32,9 @@ class Tiltable(Protocol):
     """A mechanism in gravity whose base may stand askew."""
 
     def tilted(self, angle: Float[Array, " nq"]) -> Mechanism:
-        """The same on a base turned by angle[0] about the first joint's axis; an arm in space, which has two `tilts`, by angle[0]
-        about the world's x and by angle[1] about its y."""
+        """The same on a base turned by angle[0] about the first joint's axis; an arm in space,
+        which has two `tilts`, by angle[0] about the world's x and by angle[1] about its y.
+        """
         ...
 
 
@@ -150,7 +151,9 @@ class SpringTorque(JointEffect):
 
 
 class FlexibleMode(JointEffect):
-    """A mass that swings on the joint by a spring: a flexible link or frame, seen from the motor."""
+    """A mass that swings on the joint by a spring: a flexible link or frame, seen from the
+    motor.
+    """
 
     name: ClassVar[str] = "flexible_mode"
     resembles: ClassVar[tuple[str, ...]] = ("joint_elasticity",)
@@ -196,7 +199,8 @@ class FlexibleMode(JointEffect):
         wd = w * jnp.sqrt(jnp.maximum(1 - self.damping_ratio**2, 1e-6))
         fall = jnp.exp(-decay * s.h)
         turn_s, turn_c = sincos(wd * s.h)
-        # The mass under a joint at constant speed qd: e'' + 2 decay e' + w^2 e = 0 with e' = qd - p'.
+        # The mass under a joint at constant speed qd: e'' + 2 decay e' + w^2 e = 0 with e' = qd -
+        # p'.
         r0 = s.qd - p0
         e1 = fall * (e0 * turn_c + (r0 + decay * e0) / wd * turn_s)
         r1 = fall * (r0 * turn_c - (decay * r0 + w * w * e0) / wd * turn_s)
@@ -272,7 +276,9 @@ class Payload(BodyEffect):
 
 
 class PlacedPayload(Payload):
-    """The same on a robot of a file, which does not say where a link ends: where the mass sits is a number as well."""
+    """The same on a robot of a file, which does not say where a link ends: where the mass sits is a
+    number as well.
+    """
 
     equation: ClassVar[str] = (
         "a point mass (dx, dy, dz) beyond the end of the joint's link: inertia and gravity together"
@@ -326,7 +332,9 @@ class GravityOffset(BodyEffect):
 
 
 class GeometricStiffening(BodyEffect):
-    """A turning beam that its own centrifugal tension stiffens; on a flexible link with its nonlinear terms."""
+    """A turning beam that its own centrifugal tension stiffens; on a flexible link with its
+    nonlinear terms.
+    """
 
     name: ClassVar[str] = "geometric_stiffening"
     stage: ClassVar[int] = -1
@@ -359,7 +367,9 @@ class GeometricStiffening(BodyEffect):
 
 
 class BaseMotion(BodyEffect):
-    """A base that gives way under an arm which the model bolts to the ground; on a space manipulator."""
+    """A base that gives way under an arm which the model bolts to the ground; on a space
+    manipulator.
+    """
 
     name: ClassVar[str] = "base_motion"
     stage: ClassVar[int] = -1

@@ -1,4 +1,6 @@
-"""Friction at the joint. Each effect returns (smooth opposing torque, dry level minus, plus, state)."""
+"""Friction at the joint. Each effect returns (smooth opposing torque, dry level minus, plus,
+state).
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,9 @@ class CoulombFriction(JointEffect):
 
 
 class AsymmetricFriction(JointEffect):
-    """Viscous and dry friction that differ by direction; the means of both directions stay with the symmetric laws."""
+    """Viscous and dry friction that differ by direction; the means of both directions stay with the
+    symmetric laws.
+    """
 
     name: ClassVar[str] = "asymmetric_friction"
     equation: ClassVar[str] = (
@@ -180,8 +184,9 @@ class StribeckFriction(JointEffect):
 
 
 class LoadDependentFriction(JointEffect):
-    """Dry friction that grows with the torque that passes the gear: the drive's, that which goes on to what hangs on the joint
-    (gravity and inertia forces, without friction and rotor), or both, in a proportion that the data tell.
+    """Dry friction that grows with the torque that passes the gear: the drive's, that which goes on
+    to what hangs on the joint (gravity and inertia forces, without friction and rotor), or both, in
+    a proportion that the data tell.
 
     While it holds a load both are the same; they part with friction, and with what the rotor takes.
     """
@@ -275,8 +280,9 @@ class QuadraticDrag(JointEffect):
 class LuGreFriction(JointEffect):
     """Bristle friction: dry friction that builds up over a distance, with presliding before it.
 
-    The bristle is followed exactly at the step's middle speed and enters the step implicitly, so it may be as stiff as it likes.
-    It gives over a small distance, and its own damping is over in milliseconds: what is softer is a spring or play.
+    The bristle is followed exactly at the step's middle speed and enters the step implicitly, so it
+    may be as stiff as it likes. It gives over a small distance, and its own damping is over in
+    milliseconds: what is softer is a spring or play.
     """
 
     name: ClassVar[str] = "lugre_friction"
@@ -385,10 +391,12 @@ class PositionDependentFriction(JointEffect):
 
 
 class TemperatureDependentFriction(JointEffect):
-    """Viscous friction that changes with the work of the last seconds to minutes, as a joint warms up; a run starts cold.
+    """Viscous friction that changes with the work of the last seconds to minutes, as a joint warms
+    up; a run starts cold.
 
-    No recorded temperature is read: the warmth is a state of the joint, the mean of qd^2 (what viscous friction turns into heat)
-    over its time constant. What follows the speed within a second warms nothing: it is another law of the speed, a cubic one.
+    No recorded temperature is read: the warmth is a state of the joint, the mean of qd^2 (what
+    viscous friction turns into heat) over its time constant. What follows the speed within a second
+    warms nothing: it is another law of the speed, a cubic one.
     """
 
     name: ClassVar[str] = "temperature_dependent_friction"
@@ -444,9 +452,11 @@ def _but_the_last(mechanism, signature):
 
 
 class CoupledFriction(JointEffect):
-    """Friction in a gear that two joints share: it opposes the sum of their speeds and acts on both alike.
+    """Friction in a gear that two joints share: it opposes the sum of their speeds and acts on both
+    alike.
 
-    It belongs to a joint and the next one. Its dry part is smoothed over `speed`, since between joints none can stick alone.
+    It belongs to a joint and the next one. Its dry part is smoothed over `speed`, since between
+    joints none can stick alone.
     """
 
     name: ClassVar[str] = "coupled_friction"

@@ -17,7 +17,8 @@ REST = 1e-3
 
 def power_law(qd, exponent):
     """|qd|^exponent sign(qd), rounded off below `REST`; exactly qd at exponent 1, every derivative finite everywhere."""
-    # log of the squared speed: NaN-free at rest for any exponent, and its derivative by the exponent too
+    # log of the squared speed: NaN-free at rest for any exponent, and its derivative by the
+    # exponent too
     return qd * jnp.exp((exponent - 1) / 2 * jnp.log(qd * qd + REST * REST))
 
 

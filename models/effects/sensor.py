@@ -72,7 +72,9 @@ class SensorScale(OutputEffect):
 
 
 class SensorLag(OutputEffect):
-    """A sensor or its filter of first order, exact for a signal that runs straight from step to step, also before the run."""
+    """A sensor or its filter of first order, exact for a signal that runs straight from step to
+    step, also before the run.
+    """
 
     name: ClassVar[str] = "sensor_lag"
     equation: ClassVar[str] = "lag dy'/dt = y - y'"
@@ -116,7 +118,8 @@ class SensorLag(OutputEffect):
 
 
 class SensorDelay(RecordEffect):
-    """A sensor or logger that is late; before the run the signal ran straight, with the speed that it begins with.
+    """A sensor or logger that is late; before the run the signal ran straight, with the speed that
+    it begins with.
 
     Taken from the simulated series by cubic interpolation, at any delay and sampling.
     """
@@ -159,8 +162,9 @@ class SensorDelay(RecordEffect):
 class TimestampJitter(RecordEffect):
     """Time stamps that scatter around the true instants.
 
-    What it does to a reading's mean is second order; mostly it is noise that grows with speed, of standard deviation
-    `spread` |dy/dt|. A fit and a diagnosis read the spread off the recording itself where that shows it (`time_stamps`).
+    What it does to a reading's mean is second order; mostly it is noise that grows with speed, of
+    standard deviation `spread` |dy/dt|. A fit and a diagnosis read the spread off the recording
+    itself where that shows it (`time_stamps`).
     """
 
     name: ClassVar[str] = "timestamp_jitter"
@@ -197,7 +201,9 @@ def interpolated(
     at: Float[Array, " n"],
     rate: Float[Array, ""],
 ) -> Float[Array, " n"]:
-    """A series at other times through the four samples around each (Lagrange); straight, with this rate, before it begins."""
+    """A series at other times through the four samples around each (Lagrange); straight, with this
+    rate, before it begins.
+    """
     k = jnp.clip(jnp.searchsorted(t, at, side="right") - 2, 0, t.shape[0] - 4)
     return jnp.where(
         at <= t[0],
@@ -209,8 +215,9 @@ def interpolated(
 def shifted(
     y: Float[Array, " time"], steps: Float[Array, ""], rise: Float[Array, ""]
 ) -> Float[Array, " time"]:
-    """The same for a series by equal steps that is late by so many of them, and rose by `rise` in each before it began: four
-    slices instead of a search for each sample."""
+    """The same for a series by equal steps that is late by so many of them, and rose by `rise` in
+    each before it began: four slices instead of a search for each sample.
+    """
     whole = jnp.floor(steps)
     part = 1 - (steps - whole)  # from the second of the four samples
     before, after = (

@@ -12,11 +12,12 @@ from jaxid.dynamics.parameter import DURATION, NUMBER, param, Quantity
 
 
 class StepChange(NumberEffect):
-    """A number that jumps at one moment of every run: a target that is captured, a load that is dropped, a part that breaks.
+    """A number that jumps at one moment of every run: a target that is captured, a load that is
+    dropped, a part that breaks.
 
-    Position and speed of the joints go on without a jump: what is picked up moves as the joint does. By the momentum of a robot
-    on a free base speeds may jump, for each side of the moment is taken by itself. It is asked last by a diagnosis, for its
-    moment has to be searched.
+    Position and speed of the joints go on without a jump: what is picked up moves as the joint
+    does. By the momentum of a robot on a free base speeds may jump, for each side of the moment is
+    taken by itself. It is asked last by a diagnosis, for its moment has to be searched.
     """
 
     name: ClassVar[str] = "step_change"

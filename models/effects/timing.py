@@ -1,4 +1,6 @@
-"""When a command takes effect: its hold between samples, and its delay. Cheap to simulate by themselves, and asked first."""
+"""When a command takes effect: its hold between samples, and its delay. Cheap to simulate by
+themselves, and asked first.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ class InputDelay(InputEffect):
 
 
 class InputHold(InputEffect):
-    """How the command runs between its samples: as stated, or the other of zero-order hold and linear interpolation."""
+    """How the command runs between its samples: as stated, or the other of zero-order hold and
+    linear interpolation.
+    """
 
     name: ClassVar[str] = "input_hold"
     stage: ClassVar[int] = 0

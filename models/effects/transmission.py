@@ -1,4 +1,6 @@
-"""Effects between motor and joint. Drive, friction and the joint encoder are on the motor's side of a spring or play."""
+"""Effects between motor and joint. Drive, friction and the joint encoder are on the motor's side of
+a spring or play.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ from jaxid.dynamics.parameter import ANGLE, param, Quantity, TORQUE
 class JointElasticity(BodyEffect):
     """A motor that drives its joint through a spring; the encoder sees the motor.
 
-    The motor's inertia is a share of the inertia that the drive sees (at q = 0), taken from the mechanism: without compliance
-    the joint is rigid again and nothing has changed.
+    The motor's inertia is a share of the inertia that the drive sees (at q = 0), taken from the
+    mechanism: without compliance the joint is rigid again and nothing has changed.
     """
 
     name: ClassVar[str] = "joint_elasticity"
@@ -79,8 +81,8 @@ class JointElasticity(BodyEffect):
 class Backlash(BodyEffect):
     """Play between motor and joint; the encoder sees the motor.
 
-    In the gap the motor turns alone. Contact is a spring of `contact_compliance`, damped (half the critical damping once
-    pressed by a twentieth of the play), which pushes and never pulls.
+    In the gap the motor turns alone. Contact is a spring of `contact_compliance`, damped (half the
+    critical damping once pressed by a twentieth of the play), which pushes and never pulls.
     """
 
     name: ClassVar[str] = "backlash"
@@ -137,7 +139,9 @@ class Backlash(BodyEffect):
 
 
 class Hysteresis(JointEffect):
-    """A torque that remembers the way: belts, cables, harmonic drives. It gives way elastically when the motion turns back."""
+    """A torque that remembers the way: belts, cables, harmonic drives. It gives way elastically
+    when the motion turns back.
+    """
 
     name: ClassVar[str] = "hysteresis"
     equation: ClassVar[str] = (

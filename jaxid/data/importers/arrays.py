@@ -1,6 +1,8 @@
-"""Arrays that other programs write: MAT, npz and npy, JSON and JSON lines, TDMS, Parquet, PyTorch; read by their own libraries.
+"""Arrays that other programs write: MAT, npz and npy, JSON and JSON lines, TDMS, Parquet, PyTorch;
+read by their own libraries.
 
-Each reader gives name -> array; what lies inside structs, groups and objects has their names before it: `log.q`, `data[0].q`.
+Each reader gives name -> array; what lies inside structs, groups and objects has their names before
+it: `log.q`, `data[0].q`.
 """
 
 from __future__ import annotations
@@ -66,7 +68,9 @@ def kind_of(path: Path, content: bytes) -> str:
 
 
 def read_arrays(kind: str, path: Path) -> Arrays:
-    """The arrays of a file. Raises `DatasetError` that says what was recognised where it cannot be read."""
+    """The arrays of a file. Raises `DatasetError` that says what was recognised where it cannot be
+    read.
+    """
     try:
         return READERS[kind](path)
     except (OSError, ValueError, KeyError, TypeError, NotImplementedError, EOFError) as error:
@@ -130,7 +134,9 @@ def _flat(name: str, value: Any, out: Arrays) -> None:
 
 
 def _records(rows: list[Any]) -> dict[str, list[Any]] | None:
-    """Objects of the same keys whose values are single numbers, texts or short lists, as columns; None for anything else."""
+    """Objects of the same keys whose values are single numbers, texts or short lists, as columns;
+    None for anything else.
+    """
     keys = list(rows[0])
     if len(rows) < 2 or any(set(r) != set(keys) for r in rows):
         return None
@@ -176,7 +182,9 @@ def _json(path: Path) -> Arrays:
 
 
 def _joined(rows: list[Any]) -> Any:
-    """Objects a line: where some lines lack keys, only the lines that have the most common keys count."""
+    """Objects a line: where some lines lack keys, only the lines that have the most common keys
+    count.
+    """
     sets = [frozenset(r) for r in rows]
     usual = max(dict.fromkeys(sets), key=sets.count)
     kept = [r for r in rows if frozenset(r) == usual]

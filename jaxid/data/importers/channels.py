@@ -1,4 +1,6 @@
-"""Which channels the columns of a file could be: names by convention, joints by number, roles. A proposal to correct."""
+"""Which channels the columns of a file could be: names by convention, joints by number, roles. A
+proposal to correct.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ _LINEAR = {"position": "position", "velocity": "velocity", "acceleration": "acce
 
 @dataclass(frozen=True)
 class Proposed:
-    """One channel: what is written behind `--channel`, in parts; `unit` is empty where nothing states it."""
+    """One channel: what is written behind `--channel`, in parts; `unit` is empty where nothing
+    states it.
+    """
 
     name: str
     column: str
@@ -57,7 +61,8 @@ def channels_of(
 ) -> list[Proposed]:
     """A channel for every one of `columns`, those of several joints together as one pattern.
 
-    `everything` are all names that a pattern would match. Some channel is an output, for a dataset needs one.
+    `everything` are all names that a pattern would match. Some channel is an output, for a dataset
+    needs one.
     """
     groups: dict[tuple[str, bool], list[str]] = {}
     meanings = {c: meaning_of(re.sub(r"(\[\d+\])+$", "", c), units.get(c, "")) for c in columns}
@@ -121,7 +126,9 @@ def _base(meaning: Meaning) -> str:
 
 
 def _pattern(names: Sequence[str]) -> str:
-    """The names with `*` where they differ, cut at the ends of words; empty where nothing is in common."""
+    """The names with `*` where they differ, cut at the ends of words; empty where nothing is in
+    common.
+    """
     start = os.path.commonprefix(list(names))
     end = os.path.commonprefix([n[len(start) :][::-1] for n in names])[::-1]
     middles = [n[len(start) : len(n) - len(end)] for n in names]

@@ -27,7 +27,9 @@ class Asked:
 
 
 def command_with(asked: Asked, form: str, channels: Sequence[str], rate: float | None) -> str:
-    """`jaxid import …` of these files with `form`, the options of how the text is written, and `channels`."""
+    """`jaxid import …` of these files with `form`, the options of how the text is written, and
+    `channels`.
+    """
     parts = [
         f"jaxid import {asked.sources[0].kind}",
         *(shlex.quote(str(s.path)) for s in asked.sources),
@@ -43,7 +45,9 @@ def command_with(asked: Asked, form: str, channels: Sequence[str], rate: float |
 
 
 def full_command(asked: Asked, clock: Clock, channels: Sequence[str]) -> str:
-    """The command with what was recognised: the form of the text, and the unit of the time or the rate that made it."""
+    """The command with what was recognised: the form of the text, and the unit of the time or the
+    rate that made it.
+    """
     source = asked.sources[0]
     form = source.options
     if not clock.column or not has_column(source, clock.column):

@@ -1,4 +1,6 @@
-"""Other people's recordings as datasets. `import_emps` reads the EMPS benchmark as its authors publish it."""
+"""Other people's recordings as datasets. `import_emps` reads the EMPS benchmark as its authors
+publish it.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,16 @@ def import_emps(
     format: str = "parquet",
     overwrite: bool = False,
 ) -> Path:
-    """Writes a dataset folder from `DATA_EMPS.mat` and, if given, `DATA_EMPS_PULSES.mat`; returns the folder.
+    """Writes a dataset folder from `DATA_EMPS.mat` and, if given, `DATA_EMPS_PULSES.mat`; returns
+    the folder.
 
-    The force is the drive input `vir` (V) times the drive gain `gtau` (N/V). A file with `pulses_N` becomes the
-    validation run; its pulses are contained in `vir` already and are kept as an auxiliary channel in V.
-    Source: Janot, Gautier, Brunot, "Data Set and Reference Models of EMPS", 2019.
+    The force is the drive input `vir` (V) times the drive gain `gtau` (N/V). A file with `pulses_N`
+    becomes the validation run; its pulses are contained in `vir` already and are kept as an
+    auxiliary channel in V. Source: Janot, Gautier, Brunot, "Data Set and Reference Models of EMPS",
+    2019.
 
-    Raises `DatasetError` for a file that is not such a MAT file, and where the folder cannot be written.
+    Raises `DatasetError` for a file that is not such a MAT file, and where the folder cannot be
+    written.
     """
     paths = [Path(files)] if isinstance(files, str | os.PathLike) else [Path(f) for f in files]
     problems: list[Problem] = []

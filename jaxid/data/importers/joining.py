@@ -16,7 +16,9 @@ from jaxid.errors import nearest, UsageError
 
 @dataclass(frozen=True)
 class Joined:
-    """A file whose columns are taken too: `series` under their own names, `names`: name on the command line -> own name."""
+    """A file whose columns are taken too: `series` under their own names, `names`: name on the
+    command line -> own name.
+    """
 
     source: Source
     series: Arrays
@@ -32,7 +34,8 @@ class Clock:
 
 
 def joined_files(sources: Sequence[Source]) -> list[Joined]:
-    """Each file with the names of its columns: `file.column`, and `column` alone where only one of the files has it.
+    """Each file with the names of its columns: `file.column`, and `column` alone where only one of
+    the files has it.
 
     Raises `UsageError` for two files of one name, whose columns could not be told apart.
     """
@@ -52,7 +55,9 @@ def joined_files(sources: Sequence[Source]) -> list[Joined]:
 
 
 def names_once(series: Arrays, joined: Sequence[Joined]) -> list[str]:
-    """Every column of all files under one name: its own, or `file.column` where another file has that too."""
+    """Every column of all files under one name: its own, or `file.column` where another file has
+    that too.
+    """
     names = list(series)
     for join in joined:
         taken = {own for name, own in join.names.items() if name == own and name not in series}
@@ -73,7 +78,8 @@ def join_columns(
     columns: dict[str, np.ndarray],
     notes: list[str],
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """The times and columns with those of the other file (`wanted`: channel -> its column), as they stood at the times t.
+    """The times and columns with those of the other file (`wanted`: channel -> its column), as they
+    stood at the times t.
 
     Rows outside of the other file are left out, and said.
     """

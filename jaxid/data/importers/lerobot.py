@@ -1,5 +1,6 @@
-"""LeRobot data sets (v2.1: a file an episode; v3: files of many): names of joints kept, a unit a joint, normalised values refused
-without the calibration that says what they stand for."""
+"""LeRobot data sets (v2.1: a file an episode; v3: files of many): names of joints kept, a unit a
+joint, normalised values refused without the calibration that says what they stand for.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +34,9 @@ class Scale:
 
 @dataclass(frozen=True)
 class Episodes:
-    """A data set: names of the joints, `state`, `action [time joints]`, `t [time]` s, episode [time]."""
+    """A data set: names of the joints, `state`, `action [time joints]`, `t [time]` s, episode
+    [time].
+    """
 
     path: Path
     names: tuple[str, ...]
@@ -53,10 +56,12 @@ def import_lerobot(
     ranges: Sequence[str] = (),
     overwrite: bool = False,
 ) -> Path:
-    """A LeRobot data set (folder with meta/info.json and data/), one run an episode: states are q1 …, actions q1_cmd ….
+    """A LeRobot data set (folder with meta/info.json and data/), one run an episode: states are q1
+    …, actions q1_cmd ….
 
-    `unit` is that of states and actions, which the files do not say: one for all (rad, deg), or `NAME=UNIT` for a joint. Values
-    that the recorder normalised to -100..100 or 0..100 need `calibration` (its JSON file) or `ranges`, `NAME=LO:HI` in the unit.
+    `unit` is that of states and actions, which the files do not say: one for all (rad, deg), or
+    `NAME=UNIT` for a joint. Values that the recorder normalised to -100..100 or 0..100 need
+    `calibration` (its JSON file) or `ranges`, `NAME=LO:HI` in the unit.
     """
     sets = [_read(p) for p in paths_of(files)]
     if any(s.names != sets[0].names for s in sets):
@@ -77,7 +82,8 @@ def import_lerobot(
     kept: list[tuple[str, Scale]] = []
     notes: list[str] = []
     refusals: list[str] = []
-    # The recorder normalises all joints or none (grippers always): one that shows it tells of those whose motion ends within.
+    # The recorder normalises all joints or none (grippers always): one that shows it tells of those
+    # whose motion ends within.
     arm = [j for j, n in enumerate(names) if "gripper" not in n.lower()]
     shown = any(_normalised(sets, j) for j in arm)
     if everywhere == "deg" and not shown and not scales and all(_within(sets, j) for j in arm):
@@ -130,7 +136,9 @@ def _written(
     overwrite: bool,
     notes: list[str],
 ) -> Path:
-    """The folder: joints in the order of the file, grippers without a unit behind them as auxiliary channels."""
+    """The folder: joints in the order of the file, grippers without a unit behind them as auxiliary
+    channels.
+    """
     joints: dict[str, str] = {}
     channels: dict[str, tuple[int, np.ndarray | None, Scale]] = {}
     roles: dict[str, tuple[str | None, str]] = {}
@@ -202,7 +210,9 @@ def _read(path: Path) -> Episodes:
 
 
 def _names(info: Any, feature: str, count: int) -> tuple[str, ...]:
-    """Names of a feature's elements without what they measure (`pan.pos`), from lists and mappings in one another."""
+    """Names of a feature's elements without what they measure (`pan.pos`), from lists and mappings
+    in one another.
+    """
     found = ((info.get("features") or {}).get(feature) or {}).get("names")
     names = [n.removesuffix(".pos").removeprefix("main_") for n in _leaves(found)]
     return (
@@ -228,7 +238,9 @@ def _leaves(names: Any) -> list[str]:
 
 
 def _normalised(sets: Sequence[Episodes], j: int) -> str:
-    """How the values of a joint show that they were normalised: they end at exactly 100 and never go beyond."""
+    """How the values of a joint show that they were normalised: they end at exactly 100 and never
+    go beyond.
+    """
     values = np.concatenate([a[:, j] for s in sets for a in (s.state, s.action)])
     low, high = float(values.min()), float(values.max())
     touches = lambda end, at: abs(end - at) < 1e-3
@@ -239,7 +251,9 @@ def _normalised(sets: Sequence[Episodes], j: int) -> str:
 
 
 def _share_of_closing(sets: Sequence[Episodes], j: int, name: str) -> bool:
-    """Whether a joint of a hand never leaves 0..1: then it is as likely a share of its closing as an angle."""
+    """Whether a joint of a hand never leaves 0..1: then it is as likely a share of its closing as
+    an angle.
+    """
     if not re.search(r"gripper|hand|finger|thumb|claw", name, re.IGNORECASE):
         return False
     values = np.concatenate([a[:, j] for s in sets for a in (s.state, s.action)])
@@ -304,7 +318,9 @@ def _ranged(
 
 
 def _from_zero(name: str) -> bool:
-    """Whether the recorder normalises a joint to 0..100: it does so for grippers, and takes -100..100 for all others."""
+    """Whether the recorder normalises a joint to 0..100: it does so for grippers, and takes
+    -100..100 for all others.
+    """
     return "gripper" in name.lower()
 
 
@@ -317,7 +333,9 @@ def _between(low: float, high: float, from_zero: bool, unit: str) -> Scale:
 
 
 def _calibrated(path: Path, names: Sequence[str], sets: Sequence[Episodes]) -> dict[str, Scale]:
-    """Scales from the recorder's calibration: the ends of each motor's range in counts, 4096 a turn, zero in their middle."""
+    """Scales from the recorder's calibration: the ends of each motor's range in counts, 4096 a
+    turn, zero in their middle.
+    """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         motors = {

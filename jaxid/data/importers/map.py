@@ -1,4 +1,5 @@
-"""Any table or arrays as a dataset, by a map of channels: `NAME=COLUMN:UNIT:ROLE`, `t=COLUMN:UNIT`, `'q*=positions[*]:rad'`.
+"""Any table or arrays as a dataset, by a map of channels: `NAME=COLUMN:UNIT:ROLE`, `t=COLUMN:UNIT`,
+`'q*=positions[*]:rad'`.
 
 What was recognised of a file comes back as the command that says it.
 """
@@ -67,11 +68,13 @@ def import_table(
     stated: Stated = Stated(),
     overwrite: bool = False,
 ) -> Imported:
-    """Files of one layout as a dataset folder, one run or more a file. See the module for `channels`.
+    """Files of one layout as a dataset folder, one run or more a file. See the module for
+    `channels`.
 
-    `join` are files whose columns are taken too, each row's last value at the times of the first; `rows` (half-open, from 0) are
-    chosen before anything is judged; `rate` (Hz) makes the times of files that have none. Raises `DatasetError` or `UsageError`
-    that say what was recognised and what to type.
+    `join` are files whose columns are taken too, each row's last value at the times of the first;
+    `rows` (half-open, from 0) are chosen before anything is judged; `rate` (Hz) makes the times of
+    files that have none. Raises `DatasetError` or `UsageError` that say what was recognised and
+    what to type.
     """
     wanted = [parse_channel(c) for c in channels]
     sources = [read_source(p, stated) for p in paths_of(files)]
@@ -142,7 +145,9 @@ def _read(
     rate: float | None,
     joints: dict[str, int],
 ) -> tuple[list[Wanted], np.ndarray, dict[str, np.ndarray], list[str]]:
-    """The channels that were found (patterns as one a joint), t [time] s, channel -> [time], and notes."""
+    """The channels that were found (patterns as one a joint), t [time] s, channel -> [time], and
+    notes.
+    """
     notes: list[str] = []
     flat = series_of(source.columns, None)
     column = (
@@ -186,7 +191,9 @@ def _expanded(
     joined: Sequence[Joined],
     joints: dict[str, int],
 ) -> list[Wanted]:
-    """Channels with the columns they are read from, patterns as one a joint; units that the file states are filled in."""
+    """Channels with the columns they are read from, patterns as one a joint; units that the file
+    states are filled in.
+    """
     problems: list[Problem] = []
     found: list[Wanted] = []
     units = {

@@ -19,7 +19,8 @@ from jaxid.data.table import Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND
 
 
-#: Names that a column of times has, and the unit behind them: `t`, `Time`, `__time`, `stamp_ns`, `log.t_ms`, `X_Value`.
+#: Names that a column of times has, and the unit behind them: `t`, `Time`, `__time`, `stamp_ns`,
+#: `log.t_ms`, `X_Value`.
 _TIME = re.compile(
     r"(?:.*[./])?_*(?:t|time|timestamp|time_?stamp|stamp|zeit|temps|x_value|clock)s?(?:_?(s|ms|us|ns|sec|seconds))?",
     re.I,
@@ -28,7 +29,9 @@ _SHOWN = 40  # columns and channels that are listed
 
 
 def proposal(asked: Asked) -> str:
-    """The columns of the files, and a command with all channels that they could be, which runs as it is printed."""
+    """The columns of the files, and a command with all channels that they could be, which runs as
+    it is printed.
+    """
     source = asked.sources[0]
     part = parts_of(source)[0]  # of several recordings, all of which are read by the same names
     series = series_of(part.columns, None)
@@ -68,7 +71,9 @@ def proposal(asked: Asked) -> str:
 
 
 def _listed(names: Sequence[str], units: Mapping[str, str]) -> str:
-    """The columns with the units that the file states; of more than are shown, how many, and how to see them."""
+    """The columns with the units that the file states; of more than are shown, how many, and how to
+    see them.
+    """
     shown = [f"{n} ({units[n]})" if units.get(n) else n for n in names[:_SHOWN]]
     left = len(names) - len(shown)
     more = (

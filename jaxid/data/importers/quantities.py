@@ -1,4 +1,6 @@
-"""What the name of a recorded column says: the quantity, whether it is a goal, its unit. English, German, and ROS's words."""
+"""What the name of a recorded column says: the quantity, whether it is a goal, its unit. English,
+German, and ROS's words.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,9 @@ _SUFFIXES = {
 
 @dataclass(frozen=True)
 class Meaning:
-    """Of one column; `quantity` is empty where its name and unit do not say it, `unit` where nothing states it."""
+    """Of one column; `quantity` is empty where its name and unit do not say it, `unit` where
+    nothing states it.
+    """
 
     quantity: str
     goal: bool
@@ -77,7 +81,9 @@ class Meaning:
 
 
 def meaning_of(name: str, unit: str) -> Meaning:
-    """What a column is by its `name` and the `unit` that the file states (empty where it does not)."""
+    """What a column is by its `name` and the `unit` that the file states (empty where it does
+    not).
+    """
     unit = unit or _unit_behind(name)
     words = [part for word in words_of(name) for part in _parts(word)]
     if _ERROR & set(words):

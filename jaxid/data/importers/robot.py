@@ -1,7 +1,7 @@
 """Recordings of robots made with other tools: ur_rtde's files, ROS 2 bags, MCAP, LeRobot, any CSV.
 
-What is repeated is dropped and counted, what is missing is counted, and nothing is filled in: a run is split where too much is
-missing. Times are those of the device where the file has them.
+What is repeated is dropped and counted, what is missing is counted, and nothing is filled in: a run
+is split where too much is missing. Times are those of the device where the file has them.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ from jaxid.errors import DatasetError, Problem
 def import_ur_rtde_csv(
     files: Paths, out: str | os.PathLike[str], *, overwrite: bool = False
 ) -> Path:
-    """Files of `startFileRecording` of ur_rtde, or of Universal Robots' own RTDE client; one run a file.
+    """Files of `startFileRecording` of ur_rtde, or of Universal Robots' own RTDE client; one run a
+    file.
 
-    `actual_q_0` becomes q1, `actual_current_0` current1 (the input), and so on; other columns are left out. The controller's
-    `timestamp` is the time. These files repeat and lack samples without saying so: both are counted here.
+    `actual_q_0` becomes q1, `actual_current_0` current1 (the input), and so on; other columns are
+    left out. The controller's `timestamp` is the time. These files repeat and lack samples without
+    saying so: both are counted here.
     """
     runs = [run for p in paths_of(files) for run in _ur_rtde(p)]
     return save_runs(runs, out, "ur_rtde", _ROBOT, overwrite=overwrite, resolution={"q": 1e-6})
@@ -42,9 +44,11 @@ def import_rosbag(
     command_joints: Sequence[str] = (),
     overwrite: bool = False,
 ) -> Path:
-    """Joint states of ROS 2 bags (folders), one run a bag; needs the package `rosbags`. See `ros.import_ros`.
+    """Joint states of ROS 2 bags (folders), one run a bag; needs the package `rosbags`. See
+    `ros.import_ros`.
 
-    `effort` becomes tau1 …, in N m as ROS has it; drivers that put a current there need the unit corrected in dataset.toml.
+    `effort` becomes tau1 …, in N m as ROS has it; drivers that put a current there need the unit
+    corrected in dataset.toml.
     """
     return import_ros(
         files,
@@ -66,9 +70,11 @@ def import_mcap(
     command_joints: Sequence[str] = (),
     overwrite: bool = False,
 ) -> Path:
-    """Joint states of MCAP files, as ROS 2 messages or JSON with `name`, `position`, `velocity`, `effort`; one run a file.
+    """Joint states of MCAP files, as ROS 2 messages or JSON with `name`, `position`, `velocity`,
+    `effort`; one run a file.
 
-    Needs the package `mcap`, and `rosbags` for ROS 2 messages. See `jaxid.data.importers.ros.import_ros`.
+    Needs the package `mcap`, and `rosbags` for ROS 2 messages. See
+    `jaxid.data.importers.ros.import_ros`.
     """
     return import_ros(
         files,
@@ -88,9 +94,11 @@ def import_csv(
     channels: Sequence[str] = (),
     overwrite: bool = False,
 ) -> Path:
-    """Any table by a map of channels `NAME=COLUMN:UNIT:ROLE`, and `t=COLUMN:UNIT` the time; see `map.import_table`.
+    """Any table by a map of channels `NAME=COLUMN:UNIT:ROLE`, and `t=COLUMN:UNIT` the time; see
+    `map.import_table`.
 
-    ROLE (input, output, auxiliary) may lack for names by convention: q, position … are outputs; tau, force, …_cmd inputs.
+    ROLE (input, output, auxiliary) may lack for names by convention: q, position … are outputs;
+    tau, force, …_cmd inputs.
     """
     return import_table(files, out, channels=channels, overwrite=overwrite).folder
 

@@ -1,5 +1,6 @@
-"""Joint states and commands from ROS 2 bags and MCAP files: one topic of states, and one of commands where it is named. Topics
-are never mixed."""
+"""Joint states and commands from ROS 2 bags and MCAP files: one topic of states, and one of
+commands where it is named. Topics are never mixed.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +40,9 @@ _QUADRUPED = tuple(
 
 @dataclass(frozen=True)
 class Rows:
-    """Values of joints over time: `t [time]`, the joints' names, quantity (q, qd, tau …) -> [time joints]."""
+    """Values of joints over time: `t [time]`, the joints' names, quantity (q, qd, tau …) -> [time
+    joints].
+    """
 
     t: np.ndarray
     joints: tuple[str, ...]
@@ -58,8 +61,9 @@ def import_ros(
 ) -> Path:
     """A dataset folder from bags (`kind` "rosbag") or MCAP files ("mcap"), one run a file.
 
-    `topic` is that of the states where there are several; `command_topic` adds goals as q1_cmd …, `TOPIC:effort` says what a
-    Float64MultiArray holds and `command_joints` whose. Raises `DatasetError` or `UsageError` that list what there is.
+    `topic` is that of the states where there are several; `command_topic` adds goals as q1_cmd …,
+    `TOPIC:effort` says what a Float64MultiArray holds and `command_joints` whose. Raises
+    `DatasetError` or `UsageError` that list what there is.
     """
     opened = [(open_bag if kind == "rosbag" else open_mcap)(p) for p in paths_of(files)]
     runs: list[Run] = []
@@ -107,7 +111,9 @@ def import_ros(
 
 
 def _finger(name: str, q: np.ndarray) -> bool:
-    """Whether a joint is named like a finger and never leaves the opening of a gripper in m: no angle then, perhaps."""
+    """Whether a joint is named like a finger and never leaves the opening of a gripper in m: no
+    angle then, perhaps.
+    """
     return (
         re.search(r"finger|gripper|claw", name, re.IGNORECASE) is not None
         and float(np.abs(q).max()) <= _OPENING
@@ -195,7 +201,9 @@ def _joints_of(recording: Recording, topic: str) -> list[str]:
 
 
 def _joint_values(kind: str, m: Message) -> tuple[list[str], Mapping[str, Sequence[float]]]:
-    """Names of a message's joints and what it says of them: q, qd, tau, kp, kd; empty lists where it says nothing."""
+    """Names of a message's joints and what it says of them: q, qd, tau, kp, kd; empty lists where
+    it says nothing.
+    """
     if kind in ("LowState", "LowCmd"):
         motors = m.get("motor_state" if kind == "LowState" else "motor_cmd")
         names = (
@@ -234,7 +242,9 @@ def _list_of(values: Any) -> Sequence[float]:
 
 
 def _states(recording: Recording, topic: str, notes: list[str]) -> Rows:
-    """The joints that stand together in one message; several publishers on the topic are told apart by their joints."""
+    """The joints that stand together in one message; several publishers on the topic are told apart
+    by their joints.
+    """
     kind = recording.topics[topic][0]
     rows = sorted(
         ((m.t, *_joint_values(kind, m)) for m in recording.read(topic)), key=lambda r: r[0]
@@ -293,7 +303,9 @@ def _states(recording: Recording, topic: str, notes: list[str]) -> Rows:
 
 
 def _one_publisher(recording: Recording, topic: str, t: np.ndarray, q: np.ndarray) -> None:
-    """Refuses two publishers of the same joints: every other sample then belongs to another motion, smooth by itself."""
+    """Refuses two publishers of the same joints: every other sample then belongs to another motion,
+    smooth by itself.
+    """
     if len(q) < 40:
         return
     one = np.median(np.abs(np.diff(q, axis=0)), axis=0)

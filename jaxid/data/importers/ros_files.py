@@ -1,6 +1,7 @@
 """ROS 2 bags and MCAP files as topics of messages, read by their own libraries.
 
-Definitions of messages come with the recording (MCAP, bags of ROS 2 Iron and later), else from what ROS 2 itself has.
+Definitions of messages come with the recording (MCAP, bags of ROS 2 Iron and later), else from what
+ROS 2 itself has.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ COMMANDS = (
 
 @dataclass(frozen=True)
 class Message:
-    """One message: seconds by its own stamp, or by when it was logged where it has none, and its fields by name."""
+    """One message: seconds by its own stamp, or by when it was logged where it has none, and its
+    fields by name.
+    """
 
     t: float
     get: Callable[[str], Any]
@@ -37,7 +40,9 @@ class Message:
 
 @dataclass
 class Recording:
-    """A file's topics (name -> type without its package, count of messages), and how to read one of them."""
+    """A file's topics (name -> type without its package, count of messages), and how to read one of
+    them.
+    """
 
     path: Path
     topics: dict[str, tuple[str, int]]
@@ -46,7 +51,9 @@ class Recording:
     start: int | None = None  # ns: the first stamp, from which seconds count
 
     def seconds(self, stamp: int) -> float:
-        """Seconds since the first stamp that was asked for; float64 keeps a clock that counts from 1970 to 0.2 us only."""
+        """Seconds since the first stamp that was asked for; float64 keeps a clock that counts from
+        1970 to 0.2 us only.
+        """
         if self.start is None:
             self.start = stamp
         return (stamp - self.start) * 1e-9

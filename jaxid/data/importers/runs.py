@@ -1,6 +1,8 @@
-"""What all importers share: recordings as runs, what is repeated or missing in them counted, and the dataset they become.
+"""What all importers share: recordings as runs, what is repeated or missing in them counted, and
+the dataset they become.
 
-Nothing is filled in and no run is dropped: a time that starts again begins a new run, a run is split where too much is missing.
+Nothing is filled in and no run is dropped: a time that starts again begins a new run, a run is
+split where too much is missing.
 """
 
 from __future__ import annotations
@@ -35,9 +37,11 @@ class Run:
 
 
 def runs_of(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: str) -> list[Run]:
-    """The runs of a recording whose time may start again; rows that are merely out of order are sorted, both said.
+    """The runs of a recording whose time may start again; rows that are merely out of order are
+    sorted, both said.
 
-    Raises `DatasetError` for rows that are out of order and cannot be sorted: two recordings mixed row by row.
+    Raises `DatasetError` for rows that are out of order and cannot be sorted: two recordings mixed
+    row by row.
     """
     back = np.flatnonzero(np.diff(t) < 0) + 1
     edges = [0, *back.tolist(), len(t)]
@@ -108,9 +112,11 @@ def save_runs(
     joints: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
 ) -> Path:
-    """Writes the dataset folder. `roles`: channel, or its name without the joint -> role (None: by convention) and unit;
-    `joints`: channel of a position -> the joint's own name. A sample that is NaN was not read (`valid` in
-    `dataset.toml`); every note is warned of and stands in the description."""
+    """Writes the dataset folder. `roles`: channel, or its name without the joint -> role (None: by
+    convention) and unit; `joints`: channel of a position -> the joint's own name. A sample that is
+    NaN was not read (`valid` in `dataset.toml`); every note is warned of and stands in the
+    description.
+    """
     names = [c for c in runs[0].columns if all(c in r.columns for r in runs)]
     notes = [*notes, *(n for r in runs for n in r.notes)]
     if left := sorted({c for r in runs for c in r.columns} - set(names)):
@@ -188,7 +194,9 @@ def role_of(name: str) -> str:
 
 
 def held(t: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """What was last given (`values [n ...]` at times `own [n]`) at each of the times t; NaN before the first."""
+    """What was last given (`values [n ...]` at times `own [n]`) at each of the times t; NaN before
+    the first.
+    """
     at = np.searchsorted(own, t, side="right") - 1
     out = np.array(values[np.maximum(at, 0)], float)
     out[at < 0] = np.nan

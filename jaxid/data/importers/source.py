@@ -1,4 +1,6 @@
-"""A file of a recording as named columns, whatever its kind: where a column is, its numbers, and its times."""
+"""A file of a recording as named columns, whatever its kind: where a column is, its numbers, and
+its times.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ _STEPS = ("dt", "Ts", "ts", "period", "sample_time", "interval")
 
 @dataclass
 class Source:
-    """What one file holds: column -> cells [time] (or arrays of two axes), units that it states, and how it was read."""
+    """What one file holds: column -> cells [time] (or arrays of two axes), units that it states,
+    and how it was read.
+    """
 
     path: Path
     kind: str
@@ -106,7 +110,9 @@ def parts_of(source: Source) -> list[Source]:
 
 
 def series_of(columns: Arrays, length: int | None) -> Arrays:
-    """Every column of one axis; an array of two axes as one column a row of its shorter axis (`length` decides): `q[0]` …"""
+    """Every column of one axis; an array of two axes as one column a row of its shorter axis
+    (`length` decides): `q[0]` …
+    """
     out: Arrays = {}
     for name, values in columns.items():
         array = np.asarray(values) if not isinstance(values, list) else None
@@ -128,7 +134,9 @@ def series_of(columns: Arrays, length: int | None) -> Arrays:
 
 
 def find_column(source: Source, columns: Arrays, column: str) -> str | None:
-    """A column by its name, by its number from 1, or by the end of its path where that is unique."""
+    """A column by its name, by its number from 1, or by the end of its path where that is
+    unique.
+    """
     if column in source.twice:
         numbers = source.twice[column]
         message = f"column {column!r} stands twice (columns {' and '.join(map(str, numbers))}, which differ)"
@@ -191,9 +199,11 @@ def numbers_of(
     length: int,
     notes: list[str] | None = None,
 ) -> np.ndarray:
-    """A column as numbers at the chosen rows; raises `DatasetError` with the first cell that is none.
+    """A column as numbers at the chosen rows; raises `DatasetError` with the first cell that is
+    none.
 
-    With `notes`, blank cells are NaN, which a note counts; without, they are at fault like any other.
+    With `notes`, blank cells are NaN, which a note counts; without, they are at fault like any
+    other.
     """
     table = Table(source.path.name, {column: cells}, len(cells), source.rows)
     numbers = table.numbers(column)

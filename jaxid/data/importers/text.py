@@ -1,7 +1,8 @@
-"""Tables that instruments and scripts write as text: separator, decimal sign, preamble, header, units and comments recognised.
+"""Tables that instruments and scripts write as text: separator, decimal sign, preamble, header,
+units and comments recognised.
 
-The rows that hold the data are looked for from the end of the file, where nothing else stands; what is above them is then the
-header, the units and the preamble.
+The rows that hold the data are looked for from the end of the file, where nothing else stands; what
+is above them is then the header, the units and the preamble.
 """
 
 from __future__ import annotations
@@ -36,8 +37,9 @@ _TORN = re.compile(
 
 @dataclass(frozen=True)
 class Form:
-    """How a file writes its table. Rows count from 1, as an editor shows them; `header` and `units` are None where there is none,
-    `comment` begins rows that are passed over."""
+    """How a file writes its table. Rows count from 1, as an editor shows them; `header` and `units`
+    are None where there is none, `comment` begins rows that are passed over.
+    """
 
     separator: str
     decimal: str
@@ -155,8 +157,10 @@ def recognise(lines: Sequence[str], stated: Stated = Stated()) -> Form | None:
 
 
 def _numeric(body: Sequence[str], form: Form) -> list[bool]:
-    """Which columns of the rows at the end hold numbers, dates or lists; empty where the rows differ in their count of
-    fields, or where what is left of numbers shows that another sign separates them."""
+    """Which columns of the rows at the end hold numbers, dates or lists; empty where the rows
+    differ in their count of fields, or where what is left of numbers shows that another sign
+    separates them.
+    """
     rows = [_fields(line, form) for line in body]
     width = max((len(r) for r in rows), key=[len(r) for r in rows].count, default=0)
     usual = [r for r in rows if len(r) == width]
@@ -235,8 +239,9 @@ def _with_header(lines: Sequence[str], width: int, form: Form) -> Form:
 
 
 def _stacked(lines: Sequence[str], form: Form, header: list[str]) -> list[str]:
-    """Names that stand in several rows over each other (pandas' levels, merged cells): those above are joined before the lowest
-    ones as long as these are not unique or left open."""
+    """Names that stand in several rows over each other (pandas' levels, merged cells): those above
+    are joined before the lowest ones as long as these are not unique or left open.
+    """
     names = list(header)
     for row in range((form.header or 1) - 1, 0, -1):
         if all(names) and len(set(names)) == len(names):
@@ -287,7 +292,9 @@ def _known(unit: str) -> bool:
 
 
 def decoded(path: Path, content: bytes) -> str:
-    """The text of a file, by its mark, as UTF-8, or as instruments write it. Raises `DatasetError` for binary data."""
+    """The text of a file, by its mark, as UTF-8, or as instruments write it. Raises `DatasetError`
+    for binary data.
+    """
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16", errors="replace")
     if b"\0" in content[:4096]:

@@ -1,4 +1,6 @@
-"""Tensors of a PyTorch file, without PyTorch: its archive holds a pickle, of which only what builds tensors is allowed."""
+"""Tensors of a PyTorch file, without PyTorch: its archive holds a pickle, of which only what builds
+tensors is allowed.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,9 @@ def _tensor(
 
 
 def read_tensors(path: Path) -> dict[str, Any]:
-    """name -> array, nested as in the file; one tensor alone is `data`. Raises `DatasetError` for any other content."""
+    """name -> array, nested as in the file; one tensor alone is `data`. Raises `DatasetError` for
+    any other content.
+    """
     remedy = "Write tensors alone: torch.save({'t': t, 'q': q}, 'log.pt'), or numpy.savez('log.npz', t=t.numpy(), q=q.numpy())"
     if not zipfile.is_zipfile(path):
         raise refused(

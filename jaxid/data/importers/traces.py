@@ -1,4 +1,6 @@
-"""Traces of controllers and drives as text: one block a variable, one below the other, each with its own times."""
+"""Traces of controllers and drives as text: one block a variable, one below the other, each with
+its own times.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,11 @@ _NAMED = re.compile(r"\s*\d+\.(?:Variable|Name)\s*([;,\t])\s*(.+?)[\s;,]*")
 
 
 def read_trace(path: Path, lines: Sequence[str]) -> dict[str, np.ndarray] | None:
-    """The times of all blocks together, `t [time]`, and each variable at them, NaN where its block has no sample.
+    """The times of all blocks together, `t [time]`, and each variable at them, NaN where its block
+    has no sample.
 
-    None for any other text. Raises `DatasetError` for a block without samples, or whose times do not rise.
+    None for any other text. Raises `DatasetError` for a block without samples, or whose times do
+    not rise.
     """
     blocks: dict[str, list[tuple[float, float]]] = {}
     separator, name = ";", ""
@@ -63,7 +67,9 @@ def words_of(columns: dict[str, np.ndarray]) -> str:
 
 
 def unit_of(times: np.ndarray) -> str:
-    """The unit in which a controller's step lies between microseconds and half a second: a guess to propose."""
+    """The unit in which a controller's step lies between microseconds and half a second: a guess to
+    propose.
+    """
     step = float(np.median(np.diff(times)))
     return next(
         (unit for unit, scale in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)) if step * scale < 0.5),

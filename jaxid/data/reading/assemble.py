@@ -1,4 +1,6 @@
-"""From a checked `dataset.toml` and its tables to a `Dataset`: units, roles, the fit to the model, then the samples."""
+"""From a checked `dataset.toml` and its tables to a `Dataset`: units, roles, the fit to the model,
+then the samples.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def assemble(
     sha256: Callable[[], str],
     open_text: Callable[[str, tuple[str | int, ...]], str | Problem] | None = None,
 ):
-    """The dataset, or `DatasetError` with every fault of the description, the model and the samples."""
+    """The dataset, or `DatasetError` with every fault of the description, the model and the
+    samples.
+    """
     problems = list(document.problems)
     document.model = as_robot_entry(document, open_text)
     problems += expanded_channels(document, places, open_table)
@@ -89,7 +93,9 @@ def assemble(
 
 
 def _of_chain(document: Document, readings: list[Reading], chain: tuple[str, ...]) -> list[Reading]:
-    """The channels as the model will have them: without joints that the recording names and the chain lacks."""
+    """The channels as the model will have them: without joints that the recording names and the
+    chain lacks.
+    """
     joints = {} if document.model is None else document.model.joints
     try:
         numbers = renumbered(joints, chain) if chain and joints else {}
@@ -157,7 +163,9 @@ def _readings(
 
 
 def _roles(document: Document, places: Places, *, known_model: bool) -> list[Problem]:
-    """What any dataset needs; where the model is known, it says itself which channels are lacking."""
+    """What any dataset needs; where the model is known, it says itself which channels are
+    lacking.
+    """
     problems = []
     roles = [c.role for c in document.channels.values()]
     free = document.model is not None and document.model.free
@@ -211,7 +219,9 @@ def _roles(document: Document, places: Places, *, known_model: bool) -> list[Pro
 
 
 def _references(document: Document, places: Places) -> list[Problem]:
-    """Names that one part of the file says of another: channels of a frequency response, names of experiments."""
+    """Names that one part of the file says of another: channels of a frequency response, names of
+    experiments.
+    """
     problems = []
     names: dict[str, int] = {}
     for index, entry in document.experiments.items():
@@ -312,7 +322,9 @@ def _known_names(document: Document, places: Places, problems: list[Problem], in
 def _fits_model(
     document: Document, readings: list[Reading], places: Places, info: Any
 ) -> list[Problem]:
-    """Whether the channels contain one signature of the model; the closest signature is the one to speak of."""
+    """Whether the channels contain one signature of the model; the closest signature is the one to
+    speak of.
+    """
     if "channels" not in document.sound or not readings or document.model is None:
         return []
     from jaxid.dynamics.joint_readings import with_speeds
@@ -401,7 +413,9 @@ def _samples(
 
 
 def _names(entries: dict[int, ExperimentEntry]) -> dict[int, str]:
-    """An experiment's name: as stated, or its file's stem with what `where` chose, made unique by a number."""
+    """An experiment's name: as stated, or its file's stem with what `where` chose, made unique by a
+    number.
+    """
     taken = {e.name for e in entries.values() if e.name is not None}
     names = {}
     for index, entry in entries.items():
@@ -421,14 +435,18 @@ def _names(entries: dict[int, ExperimentEntry]) -> dict[int, str]:
 
 
 def _still_outputs(harvests: list[Harvest]) -> list[Problem]:
-    """A run is refused where none of its outputs moves. A joint that is held while others move is sound."""
+    """A run is refused where none of its outputs moves. A joint that is held while others move is
+    sound.
+    """
     return [
         problem for harvest in harvests if not harvest.moving for problem in harvest.still.values()
     ]
 
 
 def _held_outputs(harvests: list[Harvest]) -> list[str]:
-    """Words about outputs that move in no run though others do: a joint that its brake holds, or a sensor that is stuck."""
+    """Words about outputs that move in no run though others do: a joint that its brake holds, or a
+    sensor that is stuck.
+    """
     moving = {name for h in harvests for name in h.moving}
     held = dict.fromkeys(name for h in harvests for name in h.still if name not in moving)
     return [

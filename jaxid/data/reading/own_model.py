@@ -1,4 +1,6 @@
-"""`[model] file`: a model of the user's own that lies in the dataset's folder, and that runs as Python code."""
+"""`[model] file`: a model of the user's own that lies in the dataset's folder, and that runs as
+Python code.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,10 @@ KEY = ("model", "file")
 def file_of(
     document: Document, places: Places, open_text: Any, problems: list[Problem]
 ) -> str | None:
-    """The path of the file, with the class that `name` states, as `jaxid.dynamics.model_file` takes it. It is read here, so that
-    the dataset's hash has it, and not run. A file outside of the folder joins the problems."""
+    """The path of the file, with the class that `name` states, as `jaxid.dynamics.model_file` takes
+    it. It is read here, so that the dataset's hash has it, and not run. A file outside of the
+    folder joins the problems.
+    """
     entry = document.model
     if entry is None or entry.file is None:
         return None
@@ -38,7 +42,9 @@ def file_of(
 
 
 def info_of_file(file: str | None, places: Places, problems: list[Problem]) -> Any:
-    """What is known of the model, for which its file is run; None where that failed, with the reason among the problems."""
+    """What is known of the model, for which its file is run; None where that failed, with the
+    reason among the problems.
+    """
     from jaxid import catalogue
 
     if file is None:
@@ -57,7 +63,9 @@ def info_of_file(file: str | None, places: Places, problems: list[Problem]) -> A
 
 
 def stated(entry: ModelEntry, geometry: Geometry | None, file: str | None, info: Any) -> ModelSpec:
-    """What the dataset says of its model; one by its file has the model's own `name`, where that is known."""
+    """What the dataset says of its model; one by its file has the model's own `name`, where that is
+    known.
+    """
     spec = replace(model_spec(entry), geometry=geometry, file=file)
     return spec if file is None or info is None else replace(spec, name=info.name)
 

@@ -66,7 +66,9 @@ def geometry_of(
 def _text(
     name: str, key: tuple[str, str], open_text: Any, needs: Problem, problems: list[Problem]
 ) -> str | None:
-    """The text of a file that `[model]` names; where there is none, `needs` or what is wrong with it joins the problems."""
+    """The text of a file that `[model]` names; where there is none, `needs` or what is wrong with
+    it joins the problems.
+    """
     text = needs if open_text is None else open_text(name, key)
     if isinstance(text, Problem):
         problems.append(text)
@@ -75,8 +77,9 @@ def _text(
 
 
 def as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
-    """The model; a `serial_arm` whose `urdf` is an MJCF, or whose goals are recorded under a stated law and no input is, is read
-    as a robot."""
+    """The model; a `serial_arm` whose `urdf` is an MJCF, or whose goals are recorded under a stated
+    law and no input is, is read as a robot.
+    """
     entry, roles = document.model, {c.role for c in document.channels.values()}
     goals = any(name.endswith("_cmd") for name in document.channels)
     if entry is None or entry.urdf is None:
@@ -120,7 +123,9 @@ def robot_geometry(
 
 
 def as_robot(dataset: Dataset, places: Places) -> Dataset:
-    """The dataset under the names of its robot's joints. Raises `DatasetError` where they do not go together."""
+    """The dataset under the names of its robot's joints. Raises `DatasetError` where they do not go
+    together.
+    """
     from jaxid.robots.match import prepared
 
     try:
@@ -139,5 +144,7 @@ def as_robot(dataset: Dataset, places: Places) -> Dataset:
 
 
 def joints_of(geometry: Geometry | None) -> tuple[str, ...]:
-    """The joints of an arm that a URDF states, in the order of its chain; none where it has no names."""
+    """The joints of an arm that a URDF states, in the order of its chain; none where it has no
+    names.
+    """
     return arm_table(geometry).joints if geometry is not None and geometry.urdf else ()

@@ -1,1 +1,3 @@
-"""Diagnosis of robots that goals drive through a law: proposed along the measured motion, decided by simulation."""
+"""Diagnosis of robots that goals drive through a law: proposed along the measured motion, decided
+by simulation.
+"""

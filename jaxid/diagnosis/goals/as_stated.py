@@ -1,8 +1,10 @@
-"""The shortest account: a robot's file as it stands, with one number or one effect changed and nothing re-tuned.
+"""The shortest account: a robot's file as it stands, with one number or one effect changed and
+nothing re-tuned.
 
-Numbers that are free to move take up what is missing: centres of mass an encoder that is off, dampings a late goal. Where
-MuJoCo's run of the file explains a recording but for one thing, that one is named before any number of the file is doubted. What
-MuJoCo makes of the file and jaxid does not is taken off the readings: the file is judged as its owner runs it.
+Numbers that are free to move take up what is missing: centres of mass an encoder that is off,
+dampings a late goal. Where MuJoCo's run of the file explains a recording but for one thing, that
+one is named before any number of the file is doubted. What MuJoCo makes of the file and jaxid does
+not is taken off the readings: the file is judged as its owner runs it.
 """
 
 from __future__ import annotations
@@ -31,8 +33,8 @@ from jaxid.problem.residual import OutputError
 from jaxid.wording import listed
 
 
-#: So many effects at one place, half as many at all of their places, half as many numbers, and as many by other weights, are
-#: simulated: where dry friction turns about, first order is rough.
+#: So many effects at one place, half as many at all of their places, half as many numbers, and as
+#: many by other weights, are simulated: where dry friction turns about, first order is rough.
 FIRST = 4
 TAKEN_OFF = (
     "the recording is compared with the file as MuJoCo runs it: what that and jaxid's run of the same file differ by is taken "
@@ -82,7 +84,9 @@ class Difference:
 def difference(
     bench: Bench, known: Mapping[str, Between], theta: np.ndarray | None = None
 ) -> Difference | None:
-    """None where MuJoCo has no run of some split; what is `known` already by split, and the numbers of jaxid's runs."""
+    """None where MuJoCo has no run of some split; what is `known` already by split, and the numbers
+    of jaxid's runs.
+    """
     b, found = bench.binding, dict(known)
     for split in ("fit", "validation", "report"):
         if b.experiments(split) and split not in found:
@@ -95,7 +99,9 @@ def difference(
 
 
 def _changed(b: Binding, of_fit: Between) -> np.ndarray:
-    """By how much of itself [n] the motion is not MuJoCo's: what two simulators make of it changes by as much."""
+    """By how much of itself [n] the motion is not MuJoCo's: what two simulators make of it changes
+    by as much.
+    """
     moved = np.std(
         np.concatenate([e.y[:, b.chain.joint_outputs] for e in b.experiments("fit")]), axis=0
     )
@@ -103,9 +109,11 @@ def _changed(b: Binding, of_fit: Between) -> np.ndarray:
 
 
 def by_its_steps(bench: Bench, study: LedStudy, plain: Difference) -> Difference | None:
-    """The same with what first-order steps of h do to any motion of the model: they add h / 2 of the dampings to the inertias and
-    see the motion h / 2 early. The first goes into the numbers, the second into the readings by their own speed; what is left
-    of the difference hardly depends on what the file lacks."""
+    """The same with what first-order steps of h do to any motion of the model: they add h / 2 of
+    the dampings to the inertias and see the motion h / 2 early. The first goes into the numbers,
+    the second into the readings by their own speed; what is left of the difference hardly depends
+    on what the file lacks.
+    """
     b, theta = bench.binding, plain.theta.copy()
     for name, more in study.inertia_taken_up(plain.by_split["fit"].apart, plain.theta).items():
         i = b.layout.index(name)
@@ -133,8 +141,9 @@ def by_its_steps(bench: Bench, study: LedStudy, plain: Difference) -> Difference
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What alone is different from the model as it stands: effects of one kind, or numbers of the model (`index`, in its layout);
-    with the values of both."""
+    """What alone is different from the model as it stands: effects of one kind, or numbers of the
+    model (`index`, in its layout); with the values of both.
+    """
 
     proposal: Proposal
     index: tuple[int, ...] = ()
@@ -145,8 +154,10 @@ class Change:
 
 
 def changes(binding: Binding, kinds: Sequence[type[Effect]], taken: Difference) -> list[Change]:
-    """Single changes of a model whose other numbers stand as they are, likeliest first: an effect at one of its places or at all
-    of them, a number of the model, one of all its joints, or the centre of mass of a link."""
+    """Single changes of a model whose other numbers stand as they are, likeliest first: an effect
+    at one of its places or at all of them, a number of the model, one of all its joints, or the
+    centre of mass of a link.
+    """
     runs = [
         _without(e, x)
         for e, x in zip(binding.experiments("fit"), taken.by_split["fit"].apart, strict=True)
@@ -257,7 +268,9 @@ class Alone:
     """Single changes by simulation: each fitted by itself, with all else as it stands."""
 
     def __init__(self, decider: Decider, plain: Binding, theta: np.ndarray):
-        """`plain`: the binding without candidates, whose free numbers stand as they are in theta."""
+        """`plain`: the binding without candidates, whose free numbers stand as they are in
+        theta.
+        """
         wide = decider.bench.binding
         self.decider, self.names, self.theta = decider, plain.layout.names, wide.theta.copy()
         self.stated = dict(zip(plain.layout.names, plain.theta, strict=True))
@@ -275,8 +288,10 @@ class Alone:
         )
 
     def enough(self, found: Sequence[Change]) -> list[Hypothesis]:
-        """Those that leave no more than the noise: the fewest numbers that leave next to nothing more than any, by the evidence
-        for each; a number of the model stands before an effect that the data do not tell from it."""
+        """Those that leave no more than the noise: the fewest numbers that leave next to nothing
+        more than any, by the evidence for each; a number of the model stands before an effect that
+        the data do not tell from it.
+        """
         wide, out = self.decider.bench.binding, []
         for change in found:
             theta = as_vector(wide, self.names, change.proposal)
@@ -309,8 +324,9 @@ class Alone:
         return any(i in self.own for c in h.effects for i in c.index)
 
     def searched(self, nominal: Hypothesis, enough: Sequence[Hypothesis]) -> Search:
-        """The first of those that are enough, with what passes for it; `nominal` is re-tuned without it, and is enough where it
-        is as likely by no more numbers."""
+        """The first of those that are enough, with what passes for it; `nominal` is re-tuned
+        without it, and is enough where it is as likely by no more numbers.
+        """
         tried = list(self.tried)
         chosen = self.decider.thinned(self.stands, enough[0], tried)
         if (
@@ -338,8 +354,9 @@ class Alone:
         )
 
     def told(self, h: Hypothesis) -> list[int]:
-        """Which numbers of what is changed (all of the file's where no effect is) the fit runs tell from what they were, by what
-        each costs (Schwarz 1978)."""
+        """Which numbers of what is changed (all of the file's where no effect is) the fit runs tell
+        from what they were, by what each costs (Schwarz 1978).
+        """
         p, H = h.path.problem, h.path.hessian
         changed = {i for c in h.effects for i in c.index} or self.own
         at = [k for k, i in enumerate(p.free) if i in changed]
@@ -352,8 +369,9 @@ class Alone:
         return [int(p.free[k]) for k, sure in zip(at, surely, strict=True) if sure]
 
     def numbers(self, h: Hypothesis) -> int:
-        """How many of them a change takes: a load on the axis of a joint is as well one of the link before it, whatever further
-        numbers describe either."""
+        """How many of them a change takes: a load on the axis of a joint is as well one of the link
+        before it, whatever further numbers describe either.
+        """
         return max(len(h.effects), len(self.told(h)))
 
     def evidence(self, h: Hypothesis) -> float:
@@ -366,7 +384,9 @@ class Alone:
         return [x for x in others if self.numbers(x) <= self.numbers(h)]
 
     def said(self, enough: Sequence[Hypothesis]) -> str:
-        """What other single changes do as much as the first: those that a verdict does not name by itself."""
+        """What other single changes do as much as the first: those that a verdict does not name by
+        itself.
+        """
         if self.instead is not None:
             either = " and ".join(map(str, self.instead.effects))
             return f"With all numbers as they stand {either} would account for the gap as well, by no fewer changes."
@@ -460,7 +480,9 @@ class AsStated:
         return {name: float(there - here) for name, there, here in pairs if there != here}
 
     def decided(self, decider: Decider, nominal: Hypothesis) -> Search:
-        """From the re-tuned model: the effect that alone is lacking, or none where numbers account for it."""
+        """From the re-tuned model: the effect that alone is lacking, or none where numbers account
+        for it.
+        """
         if self.alone is not None and self.lacks:
             return self.alone.searched(nominal, self.enough)
         found = decider.with_what_the_file_lacks(decider.decided(nominal, [], np.inf))

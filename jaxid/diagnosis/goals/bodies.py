@@ -23,7 +23,9 @@ UNSEEN = 1e-8
 
 
 def body_units(b: Binding, runs: Sequence[Run], kind: Any, theta: np.ndarray) -> list[Unit]:
-    """What changes the mechanism along some runs, to first order in each of its numbers, or in a mass times where it sits."""
+    """What changes the mechanism along some runs, to first order in each of its numbers, or in a
+    mass times where it sits.
+    """
     out, places = [], b.chain.places(kind)
     moments = getattr(kind, "moments", ())
     own = {f: s for f, s in specs(kind).items() if f not in moments}

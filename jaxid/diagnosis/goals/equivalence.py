@@ -1,5 +1,6 @@
-"""Which effects of a robot under goals look the same, and which its own numbers take up: to first order, from the columns that a
-diagnosis compares, without a simulation for each."""
+"""Which effects of a robot under goals look the same, and which its own numbers take up: to first
+order, from the columns that a diagnosis compares, without a simulation for each.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +19,10 @@ from jaxid.problem.binding import Binding
 def alike_under_goals(
     binding: Binding, library: Sequence[type[Effect]]
 ) -> tuple[dict[tuple[str, str], float], list[frozenset[tuple[str, str]]], list[str]]:
-    """(effect, place) -> the share of its change that re-tuning the model's numbers leaves; pairs that are alike; effects that
-    have a motion of their own and are not compared. `binding` has no candidates."""
+    """(effect, place) -> the share of its change that re-tuning the model's numbers leaves; pairs
+    that are alike; effects that have a motion of their own and are not compared. `binding` has no
+    candidates.
+    """
     kinds = [k for k in library if shown(k)]
     study = LedStudy(binding, kinds)
     rows, _ = study.rows_with_effects(study.theta)

@@ -1,8 +1,8 @@
 """How near a simulation can come: what two simulators make of the same file.
 
-A recording of a robot is compared with the file that states it, and what a file means is known only as well as two programs
-that read it agree: MuJoCo's dry friction creeps, its steps are of first order, jaxid's friction sticks. What lies below their
-difference is no gap of the model.
+A recording of a robot is compared with the file that states it, and what a file means is known only
+as well as two programs that read it agree: MuJoCo's dry friction creeps, its steps are of first
+order, jaxid's friction sticks. What lies below their difference is no gap of the model.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ def file_of(binding: Binding) -> Path | None:
 
 @dataclass(frozen=True)
 class Between:
-    """MuJoCo's free runs of the file as it stands in the runs of a split: what they differ by from jaxid's, [samples n] of each,
-    and the root mean square [n] of what they leave of the readings."""
+    """MuJoCo's free runs of the file as it stands in the runs of a split: what they differ by from
+    jaxid's, [samples n] of each, and the root mean square [n] of what they leave of the readings.
+    """
 
     apart: list[np.ndarray]
     left: np.ndarray
@@ -64,8 +65,9 @@ def _rms(series: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def seen_early(apart: Sequence[np.ndarray], speeds: Sequence[np.ndarray]) -> np.ndarray:
-    """Seconds [n] by which one simulator sees each joint's motion before the other, from what they differ by and how fast joints
-    are: steps of first order see a motion half a step early."""
+    """Seconds [n] by which one simulator sees each joint's motion before the other, from what they
+    differ by and how fast joints are: steps of first order see a motion half a step early.
+    """
     x, v = np.concatenate(apart), np.concatenate(speeds)
     return np.sum(v * x, 0) / np.maximum(np.sum(v * v, 0), 1e-300)
 
@@ -73,7 +75,9 @@ def seen_early(apart: Sequence[np.ndarray], speeds: Sequence[np.ndarray]) -> np.
 def between_simulators(
     bench: Bench, split: str = "fit", theta: np.ndarray | None = None
 ) -> Between | None:
-    """None where MuJoCo has no run of the file; `theta`: numbers of jaxid's run where not those of the file."""
+    """None where MuJoCo has no run of the file; `theta`: numbers of jaxid's run where not those of
+    the file.
+    """
     b = bench.binding
     path, runs = file_of(b), b.experiments(split)
     if path is None or not runs:
@@ -126,8 +130,10 @@ def _measured(e: Experiment, b: Binding) -> np.ndarray:
 def with_floor(
     binding: Binding, apart: np.ndarray | None, numbers: Mapping[str, float] | None = None
 ) -> Binding:
-    """The binding with noise that counts what two simulators of its file differ by, rms `apart` [ny], and with what this makes of
-    its `numbers` as a standard deviation of theirs: a number is known only as well as its meaning."""
+    """The binding with noise that counts what two simulators of its file differ by, rms `apart`
+    [ny], and with what this makes of its `numbers` as a standard deviation of theirs: a number is
+    known only as well as its meaning.
+    """
     if apart is None:
         return binding
     sigma, noise = np.hypot(binding.sigma, apart), {}
@@ -144,9 +150,10 @@ def with_floor(
 
 
 def not_this_file(binding: Binding, between: Between | None, apart: np.ndarray | None) -> str:
-    """Where jaxid's run of the file is further from MuJoCo's, whatever the numbers (`apart`, rms [n]), than MuJoCo's is from the
-    recording, and that is above the noise: what is left then is jaxid's own, and no model of it tells of the robot. Empty where
-    it tells."""
+    """Where jaxid's run of the file is further from MuJoCo's, whatever the numbers (`apart`, rms
+    [n]), than MuJoCo's is from the recording, and that is above the noise: what is left then is
+    jaxid's own, and no model of it tells of the robot. Empty where it tells.
+    """
     if between is None or apart is None:
         return ""
     ours, theirs = (float(np.mean((x / binding.sigma) ** 2)) for x in (apart, between.left))

@@ -1,4 +1,6 @@
-"""What a recording tells of the numbers of a drive law, and which of them it tells only together with dry friction."""
+"""What a recording tells of the numbers of a drive law, and which of them it tells only together
+with dry friction.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,9 @@ TOGETHER = 0.95
 
 
 def law_told(fit: Fit, joints: Sequence[str]) -> list[str]:
-    """A sentence for each number of the law that was fitted: its values with standard deviations, joint by joint, and whether
-    dry friction passes for it."""
+    """A sentence for each number of the law that was fitted: its values with standard deviations,
+    joint by joint, and whether dry friction passes for it.
+    """
     out = []
     for number in NUMBERS:
         own = [j for j in joints if f"{number}@{j}" in fit.parameters]

@@ -1,7 +1,8 @@
 """Limits of drives, read off the measured motion.
 
-Where a drive gives less than its law asks for, a model without that limit goes elsewhere whatever its numbers, and no first order
-about it is near. Along the measured motion the torque that the law asks for is known, and so is what the file's numbers take.
+Where a drive gives less than its law asks for, a model without that limit goes elsewhere whatever
+its numbers, and no first order about it is near. Along the measured motion the torque that the law
+asks for is known, and so is what the file's numbers take.
 """
 
 from __future__ import annotations
@@ -18,13 +19,16 @@ from jaxid.diagnosis.torque.library import Unit
 from jaxid.dynamics.effect import Effect
 
 
-#: Levels that are looked at between two of those that the torque stays below for a share of the time.
+#: Levels that are looked at between two of those that the torque stays below for a share of the
+#: time.
 BETWEEN = 9
 
 
 def limits_shown(study: Any) -> list[Unit]:
-    """Limits that leave little of the force that the file as it stands lacks at their joints, and less than the re-tuned model
-    does, the one that leaves least first; each with the level that does."""
+    """Limits that leave little of the force that the file as it stands lacks at their joints, and
+    less than the re-tuned model does, the one that leaves least first; each with the level that
+    does.
+    """
     found = [pair for kind in study.kinds if is_level(kind) for pair in _shown(study, kind)]
     return [unit for _, unit in sorted(found, key=lambda pair: pair[0])]
 

@@ -1,12 +1,14 @@
 """A free run under a drive law, to first order about the measured motion.
 
-Of a model that lacks the joint force m along a measured motion z = (q, qd, qdd), the free run q + x obeys
+Of a model that lacks the joint force m along a measured motion z = (q, qd, qdd), the free run q + x
+obeys
 
     M xdd + D xd + S x = m,      x = 0 where nothing is missing,
 
-with M, D, S the derivatives of that missing force: inertia; damping of the law, the friction and what the speed does; stiffness
-of the law and of gravity. The law holds x together, so what noise and a wrong model did before is forgotten, and every column of
-a torque equation becomes a column of the free run by one pass over time: no model is simulated.
+with M, D, S the derivatives of that missing force: inertia; damping of the law, the friction and
+what the speed does; stiffness of the law and of gravity. The law holds x together, so what noise
+and a wrong model did before is forgotten, and every column of a torque equation becomes a column of
+the free run by one pass over time: no model is simulated.
 """
 
 from __future__ import annotations
@@ -32,14 +34,18 @@ WIDTHS = (4, 16, 64, 256)
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """Matrices of the loop at every sample of a run, [time n n]: the step x[k + 1] = P m[k] + Q x[k] + R x[k - 1]."""
+    """Matrices of the loop at every sample of a run, [time n n]: the step x[k + 1] = P m[k] + Q
+    x[k] + R x[k - 1].
+    """
 
     P: np.ndarray
     Q: np.ndarray
     R: np.ndarray
 
     def free_run(self, force: np.ndarray) -> np.ndarray:
-        """Positions [time n k] that forces [time n k] make of it, from rest on the measured motion."""
+        """Positions [time n k] that forces [time n k] make of it, from rest on the measured
+        motion.
+        """
         n, k = force.shape[1:]
         out, done = np.empty_like(force), 0
         while done < k:
@@ -72,8 +78,10 @@ def loop_of(
     stiffness: np.ndarray,
     moves: np.ndarray,
 ) -> Loop:
-    """The loop of matrices [time n n] (`sticking`: slope of dry friction, `moves`: share of a force that it leaves, [time n]) at
-    steps h: by Newmark's constant mean acceleration; dry friction implicitly, so that a joint that sticks stays where it is."""
+    """The loop of matrices [time n n] (`sticking`: slope of dry friction, `moves`: share of a force
+    that it leaves, [time n]) at steps h: by Newmark's constant mean acceleration; dry friction
+    implicitly, so that a joint that sticks stays where it is.
+    """
     stick = np.eye(inertia.shape[1]) * sticking[:, None, :]
     A, half, quarter = inertia / h**2, damping / (2 * h), stiffness / 4
     inverse = np.linalg.inv(A + half + quarter + stick / h)
@@ -86,7 +94,9 @@ def loop_of(
 
 @dataclass(frozen=True, eq=False)
 class LoopRun(Run):
-    """A recording whose rows are those of the free run, once the model was linearised along it (`loop`)."""
+    """A recording whose rows are those of the free run, once the model was linearised along it
+    (`loop`).
+    """
 
     loop: Loop | None = None
 
@@ -115,7 +125,9 @@ class RawRun(Run):
 
 
 def refined(e: Experiment, times: int, linear: np.ndarray) -> Experiment:
-    """A run at so many times its rate: readings by splines, inputs as they are held (`linear` [inputs])."""
+    """A run at so many times its rate: readings by splines, inputs as they are held (`linear`
+    [inputs]).
+    """
     t = np.linspace(e.t[0], e.t[-1], times * (len(e.t) - 1) + 1)
     owner = np.minimum(np.arange(len(t)) // times, len(e.t) - 1)
     ramp = np.stack([np.interp(t, e.t, c) for c in e.u.T], 1) if e.u.size else e.u[owner]

@@ -1,4 +1,6 @@
-"""A robot under its drive law as columns: the force that its model lacks along a measured motion, and derivatives of that."""
+"""A robot under its drive law as columns: the force that its model lacks along a measured motion,
+and derivatives of that.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +20,23 @@ from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 
 
-#: Differences by which derivatives are taken: of positions (rad, m), as a share of the top speed, of numbers in their scale.
+#: Differences by which derivatives are taken: of positions (rad, m), as a share of the top speed,
+#: of numbers in their scale.
 MOVED, FASTER, CHANGED = 1e-5, 1e-4, 1e-4
 
 
 class LedPlant(AnyPlant):
-    """The missing force of a model that goals drive. Along the measured motion dry friction turns about within `eps`; a joint
-    that stands still is held by any force up to its dry friction, and nothing is missing there."""
+    """The missing force of a model that goals drive. Along the measured motion dry friction turns
+    about within `eps`; a joint that stands still is held by any force up to its dry friction, and
+    nothing is missing there.
+    """
 
     def balance(
         self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0
     ) -> tuple[np.ndarray, ...]:
-        """Force [time n] that the motion of a run, moved by so much, leaves to dry friction, and its levels (minus, plus)."""
+        """Force [time n] that the motion of a run, moved by so much, leaves to dry friction, and
+        its levels (minus, plus).
+        """
         series = [run.padded(x) for x in (run.u, run.q + q, run.qd + qd, run.qdd + qdd)]
         with float64():
             found = shared("balance", self.form, lambda: _balance(self.form))(
@@ -44,7 +51,9 @@ class LedPlant(AnyPlant):
     def taken(
         self, run: Run, left: np.ndarray, minus: np.ndarray, plus: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What is `left` to dry friction of these levels and what friction takes of it, [time n]."""
+        """What is `left` to dry friction of these levels and what friction takes of it, [time
+        n].
+        """
         way = np.tanh(run.qd / self.eps)
         room = 1 - np.abs(way)
         turned = np.where(way > 0, plus, minus) * way
@@ -60,7 +69,9 @@ class LedPlant(AnyPlant):
         return at + out @ theta[self.free], out
 
     def columns(self, run: Run, theta: np.ndarray) -> np.ndarray:
-        """Minus the derivatives of the missing force by the numbers that are fitted, [time n size]."""
+        """Minus the derivatives of the missing force by the numbers that are fitted, [time n
+        size].
+        """
         out, at = np.zeros((*run.q.shape, self.size)), self.missing(run, theta)
         for group in self._alone():
             own = [self.free[k] for k in group]
@@ -75,7 +86,9 @@ class LedPlant(AnyPlant):
         return out
 
     def _alone(self) -> list[list[int]]:
-        """Positions among the free numbers, those together that each act at their own joint alone."""
+        """Positions among the free numbers, those together that each act at their own joint
+        alone.
+        """
         b, groups = self.binding, {}
         for k, i in enumerate(self.free):
             e = b.layout.entries[i]
@@ -88,7 +101,9 @@ class LedPlant(AnyPlant):
     def slopes(
         self, run: Run, theta: np.ndarray, left: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Minus the derivatives of what is `left` to dry friction by accelerations, speeds and positions, each [time n n]."""
+        """Minus the derivatives of what is `left` to dry friction by accelerations, speeds and
+        positions, each [time n n].
+        """
         n = run.q.shape[1]
         top = np.maximum(np.percentile(np.abs(run.qd), 99, axis=0), 1e-6)
         made: list[np.ndarray] = []
@@ -104,8 +119,9 @@ class LedPlant(AnyPlant):
         return made[0], made[1], made[2]
 
     def loop(self, run: Run, theta: np.ndarray) -> tuple[Loop, np.ndarray]:
-        """The free run to first order about the measured motion, a joint that friction holds being moved by no force; and the
-        force [time n] that the model lacks there."""
+        """The free run to first order about the measured motion, a joint that friction holds being
+        moved by no force; and the force [time n] that the model lacks there.
+        """
         left, minus, plus = self.balance(run, theta)
         left, taken = self.taken(run, left, minus, plus)
         inertia, damping, stiffness = self.slopes(run, theta, left)
@@ -123,7 +139,9 @@ class LedPlant(AnyPlant):
 
 
 def _command(h: Any, u: Any, other: Any, k: Any) -> Command:
-    """What arrives at sample k of inputs u [time nu], which lie on straight lines between the samples."""
+    """What arrives at sample k of inputs u [time nu], which lie on straight lines between the
+    samples.
+    """
 
     def delayed(delay: Any) -> Any:
         at = jnp.clip(k - delay / h, 0.0, u.shape[0] - 1.0)
@@ -153,7 +171,9 @@ def _balance(form: Form) -> Any:
 
 
 class Drive:
-    """The law with effects on its way, without the mechanism: the joint torque along a measured motion."""
+    """The law with effects on its way, without the mechanism: the joint torque along a measured
+    motion.
+    """
 
     def __init__(self, plant: LedPlant, kinds: Sequence[Any]):
         chain = plant.binding.chain

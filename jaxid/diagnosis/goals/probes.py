@@ -10,12 +10,15 @@ from jaxid.dynamics.parameter import Bound, resolve, specs
 from jaxid.problem.binding import Binding
 
 
-#: A number that is neutral from here on is a limit; shares of the time in which the drive stays below those that are asked for.
+#: A number that is neutral from here on is a limit; shares of the time in which the drive stays
+#: below those that are asked for.
 ENDLESS, LEVELS = 1e9, (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 
 
 def is_level(kind: type[Effect]) -> bool:
-    """Whether an effect is a level beyond which a command does not go: it shows at levels that this motion reaches."""
+    """Whether an effect is a level beyond which a command does not go: it shows at levels that this
+    motion reaches.
+    """
     own = specs(kind)
     return len(own) == 1 and all(s.log and float(s.value) >= ENDLESS for s in own.values())
 
@@ -30,7 +33,9 @@ def probes_of(b: Binding, kind: type[Effect], place: int) -> list[dict[str, floa
     own = specs(kind)
 
     def within(field: str, value: Bound) -> float:
-        """A probe that the bounds allow: the numbers of a law that are not fitted here stay as they are probed."""
+        """A probe that the bounds allow: the numbers of a law that are not fitted here stay as they
+        are probed.
+        """
         if field not in own:
             return float(resolve(value, reference))
         lower, upper = resolve(own[field].lower, reference), resolve(own[field].upper, reference)
@@ -43,7 +48,9 @@ def probes_of(b: Binding, kind: type[Effect], place: int) -> list[dict[str, floa
 def scaled(
     kind: type[Effect], place: str, shape: dict[str, float], joint: int, made: list[np.ndarray]
 ) -> Unit:
-    """A unit whose number is the effect's first, or how much of it there is where that is not 0 where it does nothing."""
+    """A unit whose number is the effect's first, or how much of it there is where that is not 0
+    where it does nothing.
+    """
     field, value = next(iter(shape.items()))
     own = specs(kind)
     strong = own[field].value == 0

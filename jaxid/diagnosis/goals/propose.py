@@ -1,4 +1,6 @@
-"""What a robot under goals may lack, proposed along its measured motion: numbers of the model, sets of effects with theirs."""
+"""What a robot under goals may lack, proposed along its measured motion: numbers of the model, sets
+of effects with theirs.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import Binding
 
 
-#: So many sets are simulated: where dry friction turns about at other instants, first order ranks and does not decide.
+#: So many sets are simulated: where dry friction turns about at other instants, first order ranks
+#: and does not decide.
 FIRST = 3
 #: So often a search that finds nothing is begun anew, by the noise that its best set leaves.
 ROUNDS = 3
@@ -29,7 +32,9 @@ ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A set of units with the numbers of each, and the model's own (of the whole layout of the nominal model)."""
+    """A set of units with the numbers of each, and the model's own (of the whole layout of the
+    nominal model).
+    """
 
     units: tuple[Unit, ...]
     numbers: tuple[np.ndarray, ...]
@@ -37,8 +42,9 @@ class Proposal:
 
 
 def shown(kind: type[Effect]) -> bool:
-    """Whether an effect is a column along a measured motion under goals: it acts on the way from the goal to the joint, at the
-    joint or in the mechanism, and has no motion of its own."""
+    """Whether an effect is a column along a measured motion under goals: it acts on the way from
+    the goal to the joint, at the joint or in the mechanism, and has no motion of its own.
+    """
     if issubclass(kind, BodyEffect):
         return kind.name in ("payload", "gravity_offset")
     if kind.name == "input_hold":  # is settled before
@@ -47,14 +53,17 @@ def shown(kind: type[Effect]) -> bool:
 
 
 def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
-    """The nominal model, and sets of effects, the chosen one first; none where nothing predicts the held-out runs better."""
+    """The nominal model, and sets of effects, the chosen one first; none where nothing predicts the
+    held-out runs better.
+    """
     asked = Asked(study, study.theta, most)
     bare = _proposal(study, asked.chooser, asked.chooser.nominal)
     if asked.at_noise(asked.chooser.nominal):
         return bare, []
     chooser, chosen = asked.searched()
     if not chosen.units:
-        # Re-tuning for an effect that is missing can lead the numbers far away: now along the free run of what was stated.
+        # Re-tuning for an effect that is missing can lead the numbers far away: now along the free
+        # run of what was stated.
         chooser, chosen = Asked(study, study.binding.theta, most).searched()
     first = [chosen] if chosen.units else []
     limits = [
@@ -88,8 +97,9 @@ class Asked:
         )
 
     def searched(self) -> tuple[Chooser, Model]:
-        """What is chosen, by the noise that the best set leaves where nothing is by that of the re-tuned model: a large effect
-        that is missing makes the noise by which it is judged."""
+        """What is chosen, by the noise that the best set leaves where nothing is by that of the
+        re-tuned model: a large effect that is missing makes the noise by which it is judged.
+        """
         chooser = self.chooser
         chosen = chooser.run()
         for _ in range(ROUNDS):
@@ -102,7 +112,9 @@ class Asked:
 
 
 def _next(chooser: Chooser, chosen: Model) -> list[Model]:
-    """Of each effect alone the set that is worth most on the fit runs and no worse on the held-out ones, best first."""
+    """Of each effect alone the set that is worth most on the fit runs and no worse on the held-out
+    ones, best first.
+    """
     worth = lambda m: chooser.nominal.cost - m.cost - chooser.price(m.units)
     found: dict[str, Model] = {}
     for m in sorted(chooser.tried, key=worth, reverse=True):
@@ -135,8 +147,10 @@ def with_other_hold(dataset: Dataset) -> Dataset:
 
 
 def goes_the_other_way(stated: LedStudy, other: LedStudy) -> bool:
-    """Whether the re-tuned model follows goals better, in the fit and in the held-out runs, that go from sample to sample in the
-    other way than is stated: a log of a goal says when it was asked, not what the drive made of it in between."""
+    """Whether the re-tuned model follows goals better, in the fit and in the held-out runs, that go
+    from sample to sample in the other way than is stated: a log of a goal says when it was asked,
+    not what the drive made of it in between.
+    """
     if not stated.of("validation"):
         return False
     held: list[np.ndarray] = []
@@ -180,7 +194,9 @@ def kinds_of(sets: Sequence[Proposal]) -> list[str]:
 
 
 def as_vector(binding: Binding, nominal: Sequence[str], s: Proposal) -> np.ndarray:
-    """The numbers of a proposal in the layout of a binding; `nominal`: the names of the numbers that `s.theta` has."""
+    """The numbers of a proposal in the layout of a binding; `nominal`: the names of the numbers
+    that `s.theta` has.
+    """
     theta, layout = binding.theta.copy(), binding.layout
     for name, value in zip(nominal, s.theta, strict=True):
         theta[layout.index(name)] = value

@@ -1,4 +1,6 @@
-"""A robot that goals drive, diagnosed: proposed along the measured motion, decided by simulation under the law."""
+"""A robot that goals drive, diagnosed: proposed along the measured motion, decided by simulation
+under the law.
+"""
 
 from __future__ import annotations
 
@@ -94,8 +96,9 @@ def led(chain: Chain) -> bool:
 
 
 def stands(chain: Chain, dataset: Dataset) -> bool:
-    """Whether the numbers of a model stand until they are doubted: the dataset asks for none of its law, and knows none of the
-    others only so well."""
+    """Whether the numbers of a model stand until they are doubted: the dataset asks for none of its
+    law, and knows none of the others only so well.
+    """
     stated = dataset.model.parameters.values() if dataset.model is not None else ()
     return not chain.mechanism.known() and all(p.prior is None for p in stated)
 
@@ -118,8 +121,9 @@ def diagnose_led(
     progress: Progress | None,
     answer: Answer,
 ) -> Diagnosis:
-    """The diagnosis of a binding without candidates; `answer(binding with candidates, names of effects, search, step)` makes that
-    of a search on simulations in such steps."""
+    """The diagnosis of a binding without candidates; `answer(binding with candidates, names of
+    effects, search, step)` makes that of a search on simulations in such steps.
+    """
     began = time.perf_counter()
     say = progress or (lambda *_: None)
     say("along the motion", 0, 3, "rows")
@@ -184,7 +188,8 @@ def diagnose_led(
             found, which=replace(found.which, text=f"{found.which.text} {stated.said()}".strip())
         )
         notes.append(taken.said(plain))
-        # The readings have gone through the steps of the file's simulator already: delays are its own.
+        # The readings have gone through the steps of the file's simulator already: delays are its
+        # own.
         found = replace(
             found, final=replace(found.final, robot={**found.final.robot, "taken_off": True})
         )
@@ -202,7 +207,8 @@ def diagnose_led(
             step,
         )
         if found.which.verdict == "unknown" and limit.reached and between is not None:
-            # No effect is borne out, and what two simulators of the file as it stands differ by accounts for what is left.
+            # No effect is borne out, and what two simulators of the file as it stands differ by
+            # accounts for what is left.
             again = with_floor(plain, between.size, doubts)
             nothing = answer(
                 again, (), lambda bench, offer: road(bench, offer, with_sets([])), step

@@ -52,7 +52,9 @@ class Decider:
     def refit(
         self, effects: Sequence[Candidate], theta: np.ndarray, like: Path | None = None
     ) -> Hypothesis:
-        """A model with these effects fitted to the free runs from numbers theta; its runs begin as those of `like`."""
+        """A model with these effects fitted to the free runs from numbers theta; its runs begin as
+        those of `like`.
+        """
         told = (" and ".join(map(str, effects)) or "nominal model", in_lead(self.lead))
         if self.progress:
             self.progress("simulated", self.done, self.total, "; ".join(filter(None, told)))
@@ -75,7 +77,9 @@ class Decider:
         return self._judged(effects, path)
 
     def polished(self, h: Hypothesis) -> Hypothesis:
-        """The same from where its descent ended, with slopes of its own: those of another model lead only so far."""
+        """The same from where its descent ended, with slopes of its own: those of another model
+        lead only so far.
+        """
         path, _, spent = descend_on_secants(h.path.problem, [h.path.z], None, *NEAR)
         self.evaluations += spent
         return self._judged(h.effects, path)
@@ -89,7 +93,9 @@ class Decider:
         return found
 
     def settled(self, h: Hypothesis) -> Hypothesis:
-        """The same refitted to the fit and validation runs: once these have chosen, its numbers are those of all of them."""
+        """The same refitted to the fit and validation runs: once these have chosen, its numbers are
+        those of all of them.
+        """
         bench, own = self.bench, h.path.problem
         if not bench.binding.experiments("validation") or not np.isfinite(h.fit_loss):
             return h
@@ -100,9 +106,11 @@ class Decider:
         return Hypothesis(h.effects, p.theta(path.z), path, h.validation)
 
     def decided(self, nominal: Hypothesis, sets: Sequence[Proposal], limit: float) -> Search:
-        """Of the sets that were proposed the one that simulations bear out; its effects taken back where they are not missed.
-        `limit`: what each has to stay below on the fit runs (`with_their_difference`).
-        None is asked where the re-tuned model reaches the noise: what two simulators differ by is coloured, and is no effect."""
+        """Of the sets that were proposed the one that simulations bear out; its effects taken back
+        where they are not missed. `limit`: what each has to stay below on the fit runs
+        (`with_their_difference`). None is asked where the re-tuned model reaches the noise: what
+        two simulators differ by is coloured, and is no effect.
+        """
         if not sets or judge(Search(nominal, nominal)).name == "none":
             return Search(nominal, nominal)
         self.total = self.done + len(sets)
@@ -137,9 +145,11 @@ class Decider:
         )
 
     def with_what_the_file_lacks(self, search: Search) -> Search:
-        """A brake that the file leaves at nothing (`damping`, `frictionloss` of a joint) and that re-tuning made something of is
-        an effect that the file lacks: the model without it is the nominal one, and it is taken back where it is not missed. Where
-        more is left than the noise, it may stand for what is not known, and stays a number."""
+        """A brake that the file leaves at nothing (`damping`, `frictionloss` of a joint) and that
+        re-tuning made something of is an effect that the file lacks: the model without it is the
+        nominal one, and it is taken back where it is not missed. Where more is left than the noise,
+        it may stand for what is not known, and stays a number.
+        """
         b, chosen = self.bench.binding, search.chosen
         lacked = [
             c
@@ -169,8 +179,10 @@ class Decider:
         return search
 
     def with_their_difference(self, nominal: Hypothesis) -> float:
-        """What the re-tuned model would leave of the fit runs if it were simulated as the other simulator does, in part or in
-        full, to first order: an effect that leaves more stands for what a simulation makes of the file."""
+        """What the re-tuned model would leave of the fit runs if it were simulated as the other
+        simulator does, in part or in full, to first order: an effect that leaves more stands for
+        what a simulation makes of the file.
+        """
         at, p = self.slopes, nominal.path.problem
         if at is None or self.between is None or at.names != p.names:
             return np.inf
@@ -188,8 +200,9 @@ class Decider:
         return float(left @ left) / nominal.path.count
 
     def passes_for(self, h: Hypothesis) -> dict[str, float]:
-        """What the effects' numbers would be apart from what they are, to first order, if the model were simulated as the other
-        simulator does, by name."""
+        """What the effects' numbers would be apart from what they are, to first order, if the model
+        were simulated as the other simulator does, by name.
+        """
         p = h.path.problem
         if self.between is None or not h.effects:
             return {}
@@ -231,8 +244,9 @@ class Decider:
         return chosen
 
     def _surely(self, h: Hypothesis, c: Candidate) -> bool:
-        """Whether the fit runs alone would miss an effect by far more than it takes to be there, to second order about where the
-        fit stands: no simulation without it is needed to say so."""
+        """Whether the fit runs alone would miss an effect by far more than it takes to be there, to
+        second order about where the fit stands: no simulation without it is needed to say so.
+        """
         p, H, b = h.path.problem, h.path.hessian, self.bench.binding
         at = [k for k, i in enumerate(p.free) if i in c.index and not b.layout.log[i]]
         if H is None or not at:

@@ -27,8 +27,9 @@ from jaxid.simulation.sample_buffers import columns
 
 #: A shift of readings over which gravity's derivative is taken: what an encoder that is off does.
 OFF = 1e-4
-#: Damping of the descent to the nominal model (Marquardt's, a share of each number's own curvature): at first, by how much less
-#: and more it is after a step that led down and one that did not, and where it ends.
+#: Damping of the descent to the nominal model (Marquardt's, a share of each number's own
+#: curvature): at first, by how much less and more it is after a step that led down and one that did
+#: not, and where it ends.
 FIRST, EASIER, HARDER, LAST = 1e-2, 5.0, 4.0, 1e3
 #: A step that gains less of the logarithm of the likelihood is the last one.
 ENOUGH = 0.1
@@ -50,7 +51,8 @@ class LedStudy(Study):
     ):
         """`begin`: numbers that the re-tuning begins with, those of the binding by default."""
         self.begin = binding.theta if begin is None else begin
-        #: By run, what was worked out of it last and at which numbers: its free run to first order, and its rows.
+        #: By run, what was worked out of it last and at which numbers: its free run to first order,
+        #: and its rows.
         self._taken: dict[str, tuple[bytes, Run, np.ndarray, Run]] = {}
         self._made: dict[str, tuple[bytes, np.ndarray, np.ndarray]] = {}
         super().__init__(binding, kinds, cutoff_hz, None, False)
@@ -66,9 +68,11 @@ class LedStudy(Study):
     def taken_up(
         self, series: Sequence[np.ndarray], clocks: bool = True
     ) -> tuple[dict[str, float], np.ndarray]:
-        """What positions [samples n] in each of the fit runs change in the numbers that are fitted to them, by name, and the root
-        mean square [n] of what these leave of them; with `clocks` beside what rows know no better (delays within a sample, the
-        width of a reversal), which no simulation has."""
+        """What positions [samples n] in each of the fit runs change in the numbers that are fitted
+        to them, by name, and the root mean square [n] of what these leave of them; with `clocks`
+        beside what rows know no better (delays within a sample, the width of a reversal), which no
+        simulation has.
+        """
         rows = self.made(self.theta, [])
         numbers, left = self._fitted_to(
             series, rows, np.arange(rows.size if clocks else self.plant.size)
@@ -79,8 +83,9 @@ class LedStudy(Study):
         )
 
     def inertia_taken_up(self, series: Sequence[np.ndarray], theta: np.ndarray) -> dict[str, float]:
-        """What positions [samples n] in each of the fit runs change in the armatures that are fitted to them, beside clocks, of
-        the model with numbers theta."""
+        """What positions [samples n] in each of the fit runs change in the armatures that are
+        fitted to them, beside clocks, of the model with numbers theta.
+        """
         rows, n = self.made(theta, []), self.binding.chain.nq
         names = [self.binding.layout.names[i] for i in self.plant.free]
         own = [k for k, name in enumerate(names) if name.startswith("armature@")]
@@ -92,8 +97,9 @@ class LedStudy(Study):
     def _fitted_to(
         self, series: Sequence[np.ndarray], rows: Rows, at: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """How much more of the columns' numbers makes these positions of the fit runs, and what that leaves [rows n]: columns are
-        those of what readings are off by."""
+        """How much more of the columns' numbers makes these positions of the fit runs, and what
+        that leaves [rows n]: columns are those of what readings are off by.
+        """
         own, target = [], []
         for k, x in zip(self.of("fit"), series, strict=True):
             run = self.runs[k]
@@ -135,7 +141,8 @@ class LedStudy(Study):
         self.sampling = float(
             np.median(np.concatenate([np.diff(e.t) for e in b.dataset.experiments]))
         )
-        # A part of a recording is smoothed with what went before it, and the loop has settled when it begins.
+        # A part of a recording is smoothed with what went before it, and the loop has settled when
+        # it begins.
         known = [_settled(e) for e in b.dataset.experiments]
         fine = replace(b.dataset, experiments=tuple(refined(e.whole, times, every) for e in known))
         begins = {e.name: times * (0 if e.past is None else len(e.past.t)) for e in known}
@@ -166,8 +173,10 @@ class LedStudy(Study):
         return self.theta
 
     def _descended(self, theta: np.ndarray) -> np.ndarray:
-        """Levenberg and Marquardt: delay, damping and inertia stand in for each other, and first order jumps between them. Every
-        joint counts by what is left of it, which is the likelihood with its size unknown."""
+        """Levenberg and Marquardt: delay, damping and inertia stand in for each other, and first
+        order jumps between them. Every joint counts by what is left of it, which is the likelihood
+        with its size unknown.
+        """
         rows = self.made(theta, [])
         white = self._weights(rows, np.zeros(0, int), np.zeros(0))
         white = self._weights(rows, *self._solved(rows, white))
@@ -188,7 +197,9 @@ class LedStudy(Study):
         return here[1]
 
     def _judged(self, theta: np.ndarray, memory: np.ndarray) -> tuple[float, np.ndarray, Weights]:
-        """Minus the logarithm of the likelihood of the numbers at which the free runs were taken, these, and weights."""
+        """Minus the logarithm of the likelihood of the numbers at which the free runs were taken,
+        these, and weights.
+        """
         left = np.concatenate([self.runs[k].sampled(self.apart[k]) for k in self.of("fit")])  # type: ignore[attr-defined]
         size = np.maximum(np.sqrt(np.mean(left**2, 0)), 1e-12)
         loss = float(np.sum(len(left) / memory * np.log(size)))
@@ -199,7 +210,9 @@ class LedStudy(Study):
         return loss, theta, Weights(size, memory)
 
     def _damped(self, rows: Rows, white: Weights, damping: float) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and their numbers, those of the model pulled to where they are by a share of what the data say of each."""
+        """Columns and their numbers, those of the model pulled to where they are by a share of what
+        the data say of each.
+        """
         size, p = rows.rows[0].shape[2] - 1, self.plant.size
         g = gram(*self.some(rows, self.of("fit")), white, 1).total
         known, pull = self.known(size, rows.theta), damping * np.diag(g)[:p]
@@ -216,8 +229,10 @@ class LedStudy(Study):
     # ---- rows
 
     def linearise(self, theta: np.ndarray) -> None:
-        """Takes the free runs to first order at the numbers theta. What numbers and effects change is read along these free runs,
-        not along the measured motion: noise is not in it, and nothing is gained by making all forces small."""
+        """Takes the free runs to first order at the numbers theta. What numbers and effects change
+        is read along these free runs, not along the measured motion: noise is not in it, and
+        nothing is gained by making all forces small.
+        """
         now = theta.tobytes()
         for r in self.runs:
             if r.experiment.name not in self._taken or self._taken[r.experiment.name][0] != now:
@@ -273,7 +288,9 @@ class LedStudy(Study):
         )  # made anew along every free run: see `made`
 
     def free_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """The clocks of a goal and of its reading agree to within half a sample: what so much delay does says nothing."""
+        """The clocks of a goal and of its reading agree to within half a sample: what so much delay
+        does says nothing.
+        """
         low, high = super().free_bounds()
         return np.concatenate(
             [low[: -self.binding.chain.nq], -high[-self.binding.chain.nq :]]
@@ -303,7 +320,9 @@ class LedStudy(Study):
         return np.concatenate([x[:, :, None] * np.eye(x.shape[1]) for x in apart], 2)
 
     def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Weights]:
-        """Rows with every unit, and the weights that the re-tuned model leaves: a free run with every law at once is no model."""
+        """Rows with every unit, and the weights that the re-tuned model leaves: a free run with
+        every law at once is no model.
+        """
         self.linearise(theta)
         rows = self.made(theta, self.asked(self.kinds, theta))
         left = [
@@ -349,7 +368,9 @@ class LedStudy(Study):
         return [replace(u, columns=[p[i] for p in parts]) for i, u in enumerate(found)]
 
     def _driven(self, kind: type[Effect], theta: np.ndarray) -> list[Unit]:
-        """What an effect on the way from the goal to the torque changes, at each of its probes: one unit for each."""
+        """What an effect on the way from the goal to the torque changes, at each of its probes: one
+        unit for each.
+        """
         b, n = self.binding, self.binding.chain.nq
         drive = Drive(self.plant, [kind])
         base = drive.theta(theta)
@@ -388,7 +409,9 @@ class LedStudy(Study):
         return out
 
     def _off(self, theta: np.ndarray) -> list[Unit]:
-        """An encoder that is off within the loop: the law sees what it reads, gravity acts where the joint is."""
+        """An encoder that is off within the loop: the law sees what it reads, gravity acts where
+        the joint is.
+        """
         b, n = self.binding, self.binding.chain.nq
         out = []
         for j, place in enumerate(b.chain.signature.joints):
@@ -416,7 +439,9 @@ class LedStudy(Study):
 
 
 def _settled(e: Experiment) -> Experiment:
-    """A run with no more of its past than it is long itself: in that the loop forgets how it began."""
+    """A run with no more of its past than it is long itself: in that the loop forgets how it
+    began.
+    """
     if e.past is None or len(e.past.t) <= len(e.t):
         return e
     return replace(

@@ -1,8 +1,9 @@
 """Weighted normal equations, block by block: sums of products of columns and target.
 
-Every row of a joint has the same weight. The residual's own spectrum (an autoregression) must not weigh: what a model lacks is
-slow and large, so that it would count little, and the frequencies beyond the motion much, in which columns are the noise of
-readings; numbers would be drawn to nothing, which makes what is left slower still.
+Every row of a joint has the same weight. The residual's own spectrum (an autoregression) must not
+weigh: what a model lacks is slow and large, so that it would count little, and the frequencies
+beyond the motion much, in which columns are the noise of readings; numbers would be drawn to
+nothing, which makes what is left slower still.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ BLOCKS = 24
 
 @dataclass(frozen=True)
 class Weights:
-    """What is left of each joint's torque [n], N m, how many rows share one piece of it [n], and a root of the covariance of the
-    first columns' numbers from run to run [k r]."""
+    """What is left of each joint's torque [n], N m, how many rows share one piece of it [n], and a
+    root of the covariance of the first columns' numbers from run to run [k r].
+    """
 
     size: np.ndarray
     memory: np.ndarray
@@ -39,8 +41,9 @@ class Weights:
         return 1 / np.sqrt(1 + (unsure / self.size) ** 2)
 
     def __call__(self, x: np.ndarray, moves: np.ndarray, unsure: np.ndarray) -> np.ndarray:
-        """Rows [samples n k] in units of what is left, so that sums of squares count what is independent; those of joints that
-        stand still count for nothing."""
+        """Rows [samples n k] in units of what is left, so that sums of squares count what is
+        independent; those of joints that stand still count for nothing.
+        """
         return x * (self.share(unsure) * moves / self.size / np.sqrt(self.memory))[:, :, None]
 
     def count(self, moves: np.ndarray, unsure: np.ndarray) -> float:
@@ -51,7 +54,9 @@ class Weights:
 def weighted(
     residuals: Sequence[np.ndarray], moves: Sequence[np.ndarray], unsure: Sequence[np.ndarray]
 ) -> Weights:
-    """Of residuals [samples n] of several runs, which joints move in them [n], and to within what they are known [samples n]."""
+    """Of residuals [samples n] of several runs, which joints move in them [n], and to within what
+    they are known [samples n].
+    """
     n = residuals[0].shape[1]
     size, memory = np.ones(n), np.ones(n)
     for j in range(n):
@@ -80,8 +85,10 @@ def _memory(series: Sequence[np.ndarray]) -> float:
 
 @dataclass(frozen=True)
 class Gram:
-    """Sums of products of weighted columns and, last, the target: of blocks [blocks p + 1 p + 1], their runs; rows that are
-    independent; whether repeats tell the noise, so that sums of squares are chi-square."""
+    """Sums of products of weighted columns and, last, the target: of blocks [blocks p + 1 p + 1],
+    their runs; rows that are independent; whether repeats tell the noise, so that sums of squares
+    are chi-square.
+    """
 
     blocks: np.ndarray
     owner: np.ndarray
@@ -99,7 +106,9 @@ class Gram:
         return np.einsum("bij,i,j->b", self.blocks[:, full[:, None], full], v, v)
 
     def scores(self, at: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """Half the slope of each block's sum of squares by the numbers of the columns `at` [blocks at]."""
+        """Half the slope of each block's sum of squares by the numbers of the columns `at` [blocks
+        at].
+        """
         return self.blocks[:, at, -1] - self.blocks[:, at[:, None], at] @ theta
 
 
@@ -110,8 +119,9 @@ def gram(
     weights: Weights,
     blocks: int,
 ) -> Gram:
-    """Of rows [samples n p + 1] of some runs, known to within `unsure` [samples n], cut into about so many blocks of equal
-    length."""
+    """Of rows [samples n p + 1] of some runs, known to within `unsure` [samples n], cut into about
+    so many blocks of equal length.
+    """
     made = [weights(x, r.moves, u) for x, r, u in zip(rows, runs, unsure, strict=True)]
     length = max(1, sum(map(len, made)) // blocks)
     parts, owner = [], []
@@ -134,7 +144,9 @@ class Known:
 
 @dataclass(frozen=True)
 class Solution:
-    """Least squares of some columns: numbers, what is known of them, and what is left (priors included)."""
+    """Least squares of some columns: numbers, what is known of them, and what is left (priors
+    included).
+    """
 
     at: np.ndarray
     theta: np.ndarray
@@ -156,7 +168,9 @@ def solve(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> Solution:
-    """Numbers of the columns `at` of a sum of products g [p + 1 p + 1] with what is known beforehand [p], within bounds [p]."""
+    """Numbers of the columns `at` of a sum of products g [p + 1 p + 1] with what is known
+    beforehand [p], within bounds [p].
+    """
     at = np.asarray(at, int)
     H0, b0 = g[np.ix_(at, at)], g[at, -1]
     P = known.information[np.ix_(at, at)]
@@ -182,10 +196,13 @@ def _spread(H: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def better(before: np.ndarray, after: np.ndarray, g: Gram) -> tuple[float, float]:
-    """By how many standard errors the sums of squares of the blocks of g fall, in all and in the run where that is least.
+    """By how many standard errors the sums of squares of the blocks of g fall, in all and in the
+    run where that is least.
 
-    Where repeats tell the noise that is the root of the chi-square. Else blocks tell, by their logarithms: an effect that acts in
-    few blocks is seen in these, and no single block decides. What falls so but not in sum does not count."""
+    Where repeats tell the noise that is the root of the chi-square. Else blocks tell, by their
+    logarithms: an effect that acts in few blocks is seen in these, and no single block decides.
+    What falls so but not in sum does not count.
+    """
     gain = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
 
     def errors(inside: np.ndarray) -> float:

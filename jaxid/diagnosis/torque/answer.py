@@ -1,4 +1,6 @@
-"""The answer of a diagnosis by torque: which, how far and where, with the words of every other diagnosis."""
+"""The answer of a diagnosis by torque: which, how far and where, with the words of every other
+diagnosis.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,9 @@ class Answer:
         return self.rows.residual(run, self.at, self.numbers)
 
     def gap(self, which: Sequence[int], joint: int | None = None) -> float:
-        """Root mean square of what it leaves of some runs in multiples of the noise, over joints that move; nan for none."""
+        """Root mean square of what it leaves of some runs in multiples of the noise, over joints
+        that move; nan for none.
+        """
         total, count = 0.0, 0
         for k in which:
             inside = self.study.runs[k].moves.copy()
@@ -61,8 +65,9 @@ class Answer:
         return float(np.sqrt(total / count)) if count else float("nan")
 
     def rms(self, which: Sequence[int], joint: int) -> float:
-        """Root mean square of what it leaves at a joint, N m, each row counted by how well it is known: that over
-        `Study.typical` is the gap."""
+        """Root mean square of what it leaves at a joint, N m, each row counted by how well it is
+        known: that over `Study.typical` is the gap.
+        """
         return self.gap(which, joint) * self.study.typical(which, joint)
 
     def measured(self, run: int) -> np.ndarray:
@@ -165,8 +170,10 @@ def _unit(study: Study, unit: Unit, field: str) -> str:
 def _body(
     unit: Unit, values: np.ndarray, covariance: np.ndarray, gain_std: float = 0.0
 ) -> dict[str, Estimate]:
-    """Mass, centre of mass and inertia about the link's origin of a body, from its ten numbers. An error of the drive gains,
-    relative `gain_std`, is one of mass and inertia alike, and none of the centre."""
+    """Mass, centre of mass and inertia about the link's origin of a body, from its ten numbers. An
+    error of the drive gains, relative `gain_std`, is one of mass and inertia alike, and none of the
+    centre.
+    """
     m, inf = float(values[0]), float("inf")
     with_gains = covariance + gain_std**2 * np.diag(values**2)
     told = lambda v, var, spread: np.sqrt(max(var, 0.0)) < LIMITS.determined * spread

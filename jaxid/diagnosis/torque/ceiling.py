@@ -1,4 +1,6 @@
-"""What any law could close: bumps over each joint's position and speed, and what goes with its load, in the place of a law."""
+"""What any law could close: bumps over each joint's position and speed, and what goes with its
+load, in the place of a law.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from jaxid.diagnosis.torque.study import Rows, Study
 
 #: Bumps over the travel and over the speeds of a joint.
 POSITIONS, SPEEDS = 5, 7
-#: How firmly bumps are held at nothing, relative to what the data say: the value that predicts the validation runs best counts.
+#: How firmly bumps are held at nothing, relative to what the data say: the value that predicts the
+#: validation runs best counts.
 FIRM = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 
 
@@ -28,7 +31,9 @@ def ceiling(
     choose: Sequence[int],
     judge: Sequence[int],
 ) -> float:
-    """Share of the gap of `base` on the runs `judge` that free laws close, fitted to `fit`, as firm as suits `choose`."""
+    """Share of the gap of `base` on the runs `judge` that free laws close, fitted to `fit`, as firm
+    as suits `choose`.
+    """
     edges = _edges(study)
     load = [np.abs(study.plant.load(r, rows.theta).transmitted) for r in study.runs]
     needed = {*fit, *choose, *judge}

@@ -1,8 +1,10 @@
-"""Which effects: proposed by the runs that are fitted, accepted by runs that are held out, taken back where not needed.
+"""Which effects: proposed by the runs that are fitted, accepted by runs that are held out, taken
+back where not needed.
 
-One rule decides every step: of two sets of effects the smaller stands, unless the larger predicts the held-out runs better by
-several of its own standard errors (blocks against blocks), worse in none of them, and is worth its numbers on the fit runs too.
-Of what stands in the end the smallest set is taken that predicts them as well, to within one standard error.
+One rule decides every step: of two sets of effects the smaller stands, unless the larger predicts
+the held-out runs better by several of its own standard errors (blocks against blocks), worse in
+none of them, and is worth its numbers on the fit runs too. Of what stands in the end the smallest
+set is taken that predicts them as well, to within one standard error.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ LAWS = 3
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A set of units with its solution on the fit runs, and what it leaves of each block of the held-out ones."""
+    """A set of units with its solution on the fit runs, and what it leaves of each block of the
+    held-out ones.
+    """
 
     units: tuple[int, ...]
     solution: Solution
@@ -70,8 +74,10 @@ class Chooser:
         by_joint: Callable[[Solution], np.ndarray] | None = None,
         enough: Enough = lambda model: False,
     ):
-        """`size` numbers of the nominal model come first among the columns; `most` kinds of effects may be named. `by_joint`:
-        what a solution leaves of each block and joint of the held-out runs. Nothing is added to a model that is `enough`."""
+        """`size` numbers of the nominal model come first among the columns; `most` kinds of effects
+        may be named. `by_joint`: what a solution leaves of each block and joint of the held-out
+        runs. Nothing is added to a model that is `enough`.
+        """
         self.by_joint, self.enough = by_joint, enough
         self.units, self.size, self.fit, self.held, self.most = units, size, fit, held, most
         self.known, self.start, self.lower, self.upper = known, start, lower, upper
@@ -165,7 +171,9 @@ class Chooser:
         return {self.units[u].effect for u in units}
 
     def beside(self, units: Iterable[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Sums of products of all columns, and with the target, once a set is projected out; columns in units of their size."""
+        """Sums of products of all columns, and with the target, once a set is projected out;
+        columns in units of their size.
+        """
         at, p = self.at(units), len(self.fit.total) - 1
         H = self.fit.total[:p, :p] + self.known.information
         b = self.fit.total[:p, -1] + self.known.information @ self.known.mean
@@ -178,7 +186,9 @@ class Chooser:
         return H - H[:, at] @ inside[:, :-1], b - H[:, at] @ inside[:, -1], size
 
     def gains(self, units: Iterable[int]) -> np.ndarray:
-        """What each unit alone would explain of the fit runs beside a set, nothing where it has nothing of its own."""
+        """What each unit alone would explain of the fit runs beside a set, nothing where it has
+        nothing of its own.
+        """
         out, (H, b, _) = np.zeros(len(self.units)), self.beside(units)
         for k, own in enumerate(self.columns):
             if k not in units and np.any(np.diag(H)[own] > LIMITS.shows_itself):
@@ -186,7 +196,9 @@ class Chooser:
         return out
 
     def _best_shapes(self, units: Iterable[int]) -> dict[tuple[str, str], tuple[float, int]]:
-        """Of each effect at each place the shape that explains most, for places where it is not yet."""
+        """Of each effect at each place the shape that explains most, for places where it is not
+        yet.
+        """
         taken, out = {self.units[u].place for u in units}, {}
         for k, gain in enumerate(self.gains(units)):
             place = self.units[k].place
@@ -210,8 +222,9 @@ class Chooser:
         return [m for s in sets if (m := self._lively(s, chosen.units)) is not None]
 
     def _lively(self, units: Sequence[int], base: Sequence[int] = ()) -> Model | None:
-        """The model of a set, without those of its units that would act the wrong way round; None where none is left of what it
-        has beyond `base`."""
+        """The model of a set, without those of its units that would act the wrong way round; None
+        where none is left of what it has beyond `base`.
+        """
         while set(units) - set(base):
             if (found := self.model(units)) is not None:
                 return found
@@ -239,9 +252,10 @@ class Chooser:
         return chosen
 
     def _short(self, best: Model) -> Model:
-        """The smallest set that predicts the held-out runs as the best one does: at every joint within one standard error of
-        its loss, over blocks (Breiman et al. 1984). Paired with the best one a gain by a hair shows; on a further run it would
-        not."""
+        """The smallest set that predicts the held-out runs as the best one does: at every joint
+        within one standard error of its loss, over blocks (Breiman et al. 1984). Paired with the
+        best one a gain by a hair shows; on a further run it would not.
+        """
         if self.by_joint is None or len(best.units) < 2:
             return best
         losses = self.by_joint(best.solution)
@@ -259,7 +273,9 @@ class Chooser:
         return chosen
 
     def _exchanged(self, chosen: Model) -> Model:
-        """Every joint's laws exchanged for whatever set of up to `LAWS` of them explains more, joint by joint."""
+        """Every joint's laws exchanged for whatever set of up to `LAWS` of them explains more,
+        joint by joint.
+        """
         joints = sorted({u.joints[0] for u in self.units if len(u.joints) == 1})
         for j in joints:
             sets = self._laws_of(chosen, j)
@@ -270,7 +286,9 @@ class Chooser:
         return chosen
 
     def _laws_of(self, chosen: Model, joint: int) -> list[tuple[int, ...]]:
-        """The sets of laws at a joint that explain most of the fit runs for their size, beside what stands elsewhere."""
+        """The sets of laws at a joint that explain most of the fit runs for their size, beside what
+        stands elsewhere.
+        """
         here = lambda u: self.units[u].joints == (joint,)
         others = tuple(u for u in chosen.units if not here(u))
         kinds, room = self._kinds(others), self.most

@@ -1,7 +1,9 @@
-"""The force of a joint effect along a measured motion, by the effect's own equation: one column for each of its strengths.
+"""The force of a joint effect along a measured motion, by the effect's own equation: one column for
+each of its strengths.
 
-An effect is linear in its strengths (levels, coefficients, stiffnesses), which are zero where it is neutral; what remains are
-numbers that shape it (a Stribeck speed, an exponent), which lie on a grid.
+An effect is linear in its strengths (levels, coefficients, stiffnesses), which are zero where it is
+neutral; what remains are numbers that shape it (a Stribeck speed, an exponent), which lie on a
+grid.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ GRID, BEYOND = 7, 2.0
 
 
 class Load(NamedTuple):
-    """Torque [time n] at the gears along a motion: what the drive makes, and what goes on to the links."""
+    """Torque [time n] at the gears along a motion: what the drive makes, and what goes on to the
+    links.
+    """
 
     drive: np.ndarray
     transmitted: np.ndarray
@@ -36,8 +40,9 @@ def unloaded(run: Run) -> Load:
 
 
 def force(effect: JointEffect, run: Run, load: Load, turn: np.ndarray) -> np.ndarray:
-    """Opposing force [time n] of an effect whose numbers are [n], under a load; sign(qd) goes over smoothly within the speeds
-    `turn` [n]."""
+    """Opposing force [time n] of an effect whose numbers are [n], under a load; sign(qd) goes over
+    smoothly within the speeds `turn` [n].
+    """
     series = [run.padded(x) for x in (run.q, run.qd, *load)]
     with float64():
         return np.asarray(_force(effect, run.step, turn, *series))[: len(run.q)]
@@ -75,8 +80,9 @@ def with_numbers(effect: JointEffect, numbers: Mapping[str, Any], n: int) -> Joi
 
 @lru_cache(maxsize=256)
 def strengths(kind: type[JointEffect], n: int, room: int) -> tuple[str, ...]:
-    """Names of the numbers in which the force of an effect is linear, each by itself, tried on a motion of n joints and so many
-    samples: that of the runs, so that one program serves."""
+    """Names of the numbers in which the force of an effect is linear, each by itself, tried on a
+    motion of n joints and so many samples: that of the runs, so that one program serves.
+    """
     effect = neutral(kind)
     t = np.linspace(0.0, 0.15 * room, room)[:, None] * np.linspace(1.0, 0.7, n)
     q, qd = np.sin(t) + 0.3 * np.sin(0.3 * t), np.cos(t) + 0.09 * np.cos(0.3 * t)
@@ -109,8 +115,9 @@ def strengths(kind: type[JointEffect], n: int, room: int) -> tuple[str, ...]:
 def shapes(
     kind: type[JointEffect], reference: Reference, linear: Sequence[str]
 ) -> list[dict[str, float]]:
-    """The grid of the numbers that shape an effect at a joint with these typical magnitudes, from its probes; `linear`: its
-    strengths."""
+    """The grid of the numbers that shape an effect at a joint with these typical magnitudes, from
+    its probes; `linear`: its strengths.
+    """
     own = specs(kind)
     resolved = [
         {k: resolve(v, reference) for k, v in p.items() if k not in linear} for p in kind.probes
@@ -133,7 +140,9 @@ def at_every_joint(
     load: Sequence[Load],
     turn: np.ndarray,
 ) -> list[dict[str, list[np.ndarray]]]:
-    """For each point of the joints' grids and each strength: its force along each run, [time n] for each."""
+    """For each point of the joints' grids and each strength: its force along each run, [time n] for
+    each.
+    """
     n, effect, out = len(turn), neutral(kind), []
     for k in range(max(map(len, grids))):
         point = [g[min(k, len(g) - 1)] for g in grids]

@@ -1,4 +1,6 @@
-"""Every effect that the torque of a measured motion can show, as columns: one unit is one effect at one place with one shape."""
+"""Every effect that the torque of a measured motion can show, as columns: one unit is one effect at
+one place with one shape.
+"""
 
 from __future__ import annotations
 
@@ -32,18 +34,22 @@ from jaxid.problem.binding import Binding
 
 #: Effects on the way from the command to the joint that a torque shows all the same.
 DRIVES = ("torque_scale", "input_delay")
-#: What a body at a link adds: a mass, then its first moments and inertia about the origin of the link's frame.
+#: What a body at a link adds: a mass, then its first moments and inertia about the origin of the
+#: link's frame.
 BODY = ("mass", "mx", "my", "mz", *INERTIA[:6])
 #: What a field of a unit begins with that is a mass times where it sits.
 MOMENT = "mass "
-#: Tilt (rad) over which the derivative of gravity is taken, and inertia (kg m^2, kg) over which that of a load.
+#: Tilt (rad) over which the derivative of gravity is taken, and inertia (kg m^2, kg) over which
+#: that of a load.
 TILT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """An effect at a place: rows of its columns [samples n k] in each run, one for each of `fields`. `least`, `most`: bounds of
-    each; `spread`: what is known of its size beforehand, infinite where nothing is; `hidden`: numbers that only make room."""
+    """An effect at a place: rows of its columns [samples n k] in each run, one for each of
+    `fields`. `least`, `most`: bounds of each; `spread`: what is known of its size beforehand,
+    infinite where nothing is; `hidden`: numbers that only make room.
+    """
 
     effect: str
     location: str
@@ -81,8 +87,10 @@ def units(
     payloads: bool,
     beside: Sequence[Beside] | None = None,
 ) -> list[Unit]:
-    """All units of these effects, along what the model takes with the numbers theta and beside what is known of each run's gears;
-    `payloads`: whether bodies at the links of an arm can be told from the arm's own, because its own are known."""
+    """All units of these effects, along what the model takes with the numbers theta and beside what
+    is known of each run's gears; `payloads`: whether bodies at the links of an arm can be told from
+    the arm's own, because its own are known.
+    """
     load = [plant.load(r, theta, None if beside is None else beside[k]) for k, r in enumerate(runs)]
     out: list[Unit] = []
     for kind in kinds:
@@ -156,8 +164,9 @@ def _rotor(
     load: Sequence[Load],
     turn: np.ndarray,
 ) -> dict[str, list[np.ndarray]]:
-    """Room [time n] of each run for what of an inertia is the rotor's, which a motion alone does not tell from the link's; none
-    where a law looks at the drive alone."""
+    """Room [time n] of each run for what of an inertia is the rotor's, which a motion alone does
+    not tell from the link's; none where a law looks at the drive alone.
+    """
     one = [[g[min(k, len(g) - 1)]] for g in grids]
 
     def at(inertia: float) -> list[np.ndarray]:
@@ -175,7 +184,9 @@ def _rotor(
 def _shared(
     plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[Load]
 ) -> list[Unit]:
-    """A gear that a joint shares with the next: its friction, and the inertia of what turns with both."""
+    """A gear that a joint shares with the next: its friction, and the inertia of what turns with
+    both.
+    """
     b = plant.binding
     linear, out = strengths(kind, b.chain.nq, runs[0].room), []
     for place in places:
@@ -195,7 +206,9 @@ def _shared(
 def _driven(
     plant: Plant, kind: type[Effect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray
 ) -> list[Unit]:
-    """What a drive makes of its command, seen from the torque that the model needs: the measured one would explain itself."""
+    """What a drive makes of its command, seen from the torque that the model needs: the measured
+    one would explain itself.
+    """
     b, n = plant.binding, plant.binding.chain.nq
     names = [name for name, _ in b.chain.signature.inputs]
     rigid = [plant.rigid(r, theta) for r in runs]

@@ -22,15 +22,18 @@ from jaxid.problem.torque_filter import drive_torque
 
 
 class Beside(NamedTuple):
-    """What is known to stand between the drive and the links of a run beside the model's rotors: friction [time n], and inertia
-    [n] that the model has in its links."""
+    """What is known to stand between the drive and the links of a run beside the model's rotors:
+    friction [time n], and inertia [n] that the model has in its links.
+    """
 
     friction: np.ndarray
     rotor: np.ndarray
 
 
 class Plant(abc.ABC):
-    """Abstract: the numbers of a model that a fit determines, and the torque equation linear in them."""
+    """Abstract: the numbers of a model that a fit determines, and the torque equation linear in
+    them.
+    """
 
     def __init__(self, binding: Binding, turn: np.ndarray):
         self.binding, self.turn = binding, turn
@@ -46,8 +49,9 @@ class Plant(abc.ABC):
 
     @abc.abstractmethod
     def linearised(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Target [time n] and columns [time n size] at the numbers theta (of the whole layout): columns times the free numbers
-        meet the target where nothing is missing."""
+        """Target [time n] and columns [time n size] at the numbers theta (of the whole layout):
+        columns times the free numbers meet the target where nothing is missing.
+        """
 
     @abc.abstractmethod
     def rigid(self, run: Run, theta: np.ndarray) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""What was found on another recording, as what is known beforehand: "fitted on A, what is different in B"."""
+"""What was found on another recording, as what is known beforehand: "fitted on A, what is different
+in B".
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from jaxid.storage.small_files import read_small
 WANTED = "a reference is the fit.json, identification.json or diagnosis.json of another recording of the same model"
 
 
-#: Smallest eigenvalue that correlations are taken to have: in directions that were not determined a covariance may say nothing.
+#: Smallest eigenvalue that correlations are taken to have: in directions that were not determined a
+#: covariance may say nothing.
 CLOSE = 1e-4
 
 
@@ -39,7 +42,9 @@ class Reference:
 
     @classmethod
     def read(cls, given: Any) -> Reference:
-        """From a result, its dictionary, or its JSON file. Raises `UsageError` for anything else."""
+        """From a result, its dictionary, or its JSON file. Raises `UsageError` for anything
+        else.
+        """
         content = given.to_dict() if hasattr(given, "to_dict") else given
         if isinstance(content, str | Path):
             content = _loaded(content)
@@ -54,7 +59,9 @@ class Reference:
         raise UsageError(f"{WANTED}; this one is of kind {content.get('kind')!r}")
 
     def known(self, binding: Binding) -> Known:
-        """What it says of the numbers that a binding's fit determines. Raises `UsageError` where it says nothing of them."""
+        """What it says of the numbers that a binding's fit determines. Raises `UsageError` where it
+        says nothing of them.
+        """
         names = [binding.layout.names[i] for i in binding.free]
         shared = [n for n in names if n in self.names]
         if not shared:
@@ -77,7 +84,9 @@ class Reference:
         return Known(information, mean)
 
     def as_priors(self, chain: Chain, dataset: Dataset) -> Dataset:
-        """The dataset with the numbers stated as known, one by one, where nothing else is stated of them."""
+        """The dataset with the numbers stated as known, one by one, where nothing else is stated of
+        them.
+        """
         spec = dataset.model or ModelSpec(chain.mechanism.name)
         have, own = Layout(chain).names, dict(spec.parameters)
         for name, value, var in zip(self.names, self.values, np.diag(self.covariance), strict=True):

@@ -1,7 +1,8 @@
 """What repeats of a run differ by, in the numbers of the model: warmth, lubrication, another day.
 
-A run's rows scatter about the model by their own noise, and by what all numbers are off in that run alone: random effects (Laird
-and Ware 1982, whose EM steps these are). What a law explains beyond that, it explains in spite of it.
+A run's rows scatter about the model by their own noise, and by what all numbers are off in that run
+alone: random effects (Laird and Ware 1982, whose EM steps these are). What a law explains beyond
+that, it explains in spite of it.
 """
 
 from __future__ import annotations
@@ -19,15 +20,18 @@ if TYPE_CHECKING:
     from jaxid.diagnosis.torque.algebra import Solution, Weights
     from jaxid.diagnosis.torque.study import Rows, Study
 
-#: Where the likeliest covariance is looked for first: one share of each number, in units of what is left of a row.
+#: Where the likeliest covariance is looked for first: one share of each number, in units of what is
+#: left of a row.
 SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 100.0, 121)])
 #: Steps of expectation and maximisation from there.
 STEPS = 60
 
 
 def spread_between(study: Study, rows: Rows, weights: Weights, solution: Solution) -> np.ndarray:
-    """A root of the covariance of the nominal model's numbers from repeat to repeat [plant.size k]: the likeliest one for what
-    repeats that are not kept for the report differ by. No column where nothing is repeated, or repeats differ by their noise."""
+    """A root of the covariance of the nominal model's numbers from repeat to repeat [plant.size k]:
+    the likeliest one for what repeats that are not kept for the report differ by. No column where
+    nothing is repeated, or repeats differ by their noise.
+    """
     size = np.abs(solution.theta[: study.plant.size])
     parts = [
         one for group in _groups(study) for one in _apart(study, rows, weights, solution, group)
@@ -53,8 +57,9 @@ def spread_between(study: Study, rows: Rows, weights: Weights, solution: Solutio
 
 
 def shrunk(products: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Sums of products [p + 1 p + 1] of one run's rows, weighed by the covariance that numbers with this spread [k r] make of
-    them (Woodbury): columns of these numbers come first."""
+    """Sums of products [p + 1 p + 1] of one run's rows, weighed by the covariance that numbers with
+    this spread [k r] make of them (Woodbury): columns of these numbers come first.
+    """
     own = spread.T @ products[: len(spread)]
     return products - own.T @ np.linalg.solve(
         np.eye(len(own)) + own[:, : len(spread)] @ spread, own
@@ -62,7 +67,9 @@ def shrunk(products: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 
 def without(left: np.ndarray, columns: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """A residual [rows] without what its run's own numbers are likely to be off, columns [rows k]."""
+    """A residual [rows] without what its run's own numbers are likely to be off, columns [rows
+    k].
+    """
     O = columns[:, : len(spread)] @ spread
     return left - O @ np.linalg.solve(np.eye(O.shape[1]) + O.T @ O, O.T @ left)
 
@@ -75,8 +82,10 @@ def _groups(study: Study) -> list[list[int]]:
 
 @dataclass(frozen=True)
 class _Apart:
-    """Sums of products of the columns of the model's numbers [k k], with what the residual of a repeat is off the mean of all
-    [k], and of that with itself; how many of its rows are independent."""
+    """Sums of products of the columns of the model's numbers [k k], with what the residual of a
+    repeat is off the mean of all [k], and of that with itself; how many of its rows are
+    independent.
+    """
 
     products: np.ndarray
     target: np.ndarray
@@ -90,7 +99,9 @@ class _Apart:
         )
 
     def squares(self, spread: np.ndarray) -> tuple[float, float]:
-        """Sum of squares weighed by the covariance that numbers with this spread make, and the logarithm of its determinant."""
+        """Sum of squares weighed by the covariance that numbers with this spread make, and the
+        logarithm of its determinant.
+        """
         inside, b = (
             np.eye(spread.shape[1]) + spread.T @ self.products @ spread,
             spread.T @ self.target,

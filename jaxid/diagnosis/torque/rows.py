@@ -1,4 +1,6 @@
-"""Recordings as rows of the torque equation: motion on an even grid, everything through one low-pass, then decimated."""
+"""Recordings as rows of the torque equation: motion on an even grid, everything through one
+low-pass, then decimated.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,16 @@ from jaxid.simulation.sample_buffers import bucket, columns
 ROWS_PER_CUTOFF = 4.0
 #: Positions are smoothed at so many times the cutoff of the torque before they are differentiated.
 MOTION = 2.0
-#: Where a joint turns about, its dry friction counts as going over smoothly within this share of its top speed.
+#: Where a joint turns about, its dry friction counts as going over smoothly within this share of
+#: its top speed.
 TURN = 0.005
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One recording: motion and inputs at all samples of an even grid, and which samples become rows."""
+    """One recording: motion and inputs at all samples of an even grid, and which samples become
+    rows.
+    """
 
     experiment: Experiment
     q: np.ndarray  # [time n]
@@ -59,7 +64,9 @@ class Run:
         return float(t[-1] - t[0]) / (len(t) - 1)
 
     def still(self, turn: np.ndarray) -> np.ndarray:
-        """1 where a joint stands still or turns about [time n], to within what the filter of the motion resolves, else 0."""
+        """1 where a joint stands still or turns about [time n], to within what the filter of the
+        motion resolves, else 0.
+        """
         from scipy.ndimage import maximum_filter1d
 
         slow = np.abs(self.qd) < turn
@@ -76,7 +83,9 @@ class Run:
 
 
 def read_runs(binding: Binding, cutoff_hz: float | None) -> list[Run]:
-    """Every recording of a binding, fit runs first. Raises `UsageError` for a cutoff that a run's sampling does not allow."""
+    """Every recording of a binding, fit runs first. Raises `UsageError` for a cutoff that a run's
+    sampling does not allow.
+    """
     b = binding
     check_motion(b.chain)
     _, iy = columns(b.dataset, b.chain)

@@ -56,7 +56,9 @@ PASSES = 3
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a search found: the model with the effects, the one without, and which runs chose and judge."""
+    """What a search found: the model with the effects, the one without, and which runs chose and
+    judge.
+    """
 
     chooser: Chooser
     rows: Rows
@@ -138,7 +140,9 @@ def _searched(study: Study, most: int) -> Found:
 def _at_floor(
     study: Study, rows: Rows, chooser: Chooser, fit: Sequence[int], choose: Sequence[int]
 ) -> bool:
-    """Whether the re-tuned model reaches the noise, at every joint, on data that were and that were not fitted."""
+    """Whether the re-tuned model reaches the noise, at every joint, on data that were and that were
+    not fitted.
+    """
     answer = of_model(study, rows, chooser.nominal)
     gaps = [answer.gap(which, j) for which in (fit, choose) for j in range(len(study.noise))]
     return (
@@ -153,9 +157,11 @@ def _differs(found: Found) -> bool:
 
 
 def _difference(study: Study, found: Found, most: int) -> Found | None:
-    """What is different in the runs that were not fitted: effects that act in those alone, beside numbers that all runs share.
-    Found on the validation runs, judged on the report runs; None where nothing is, and where what is left of them with laws that
-    were found is not what those leave of the runs that were fitted: then they are no more than another motion."""
+    """What is different in the runs that were not fitted: effects that act in those alone, beside
+    numbers that all runs share. Found on the validation runs, judged on the report runs; None where
+    nothing is, and where what is left of them with laws that were found is not what those leave of
+    the runs that were fitted: then they are no more than another motion.
+    """
     if not found.judge:
         return None
     base = found.final
@@ -237,7 +243,8 @@ def _judged(study: Study, found: Found) -> Verdict:
     beside = (Remark(f"The model lacks {listed(_said(u) for u in base)}."),) if base else ()
     better = all(a < b for a, b in zip(after, before, strict=True))
     share = min(closed(b**2, a**2) for b, a in zip(before, after, strict=True))
-    # Where the question is what differs, what the model leaves of the runs that it was fitted to is what repeats would differ by.
+    # Where the question is what differs, what the model leaves of the runs that it was fitted to is
+    # what repeats would differ by.
     least = max(1.0, nominal.gap(found.fit)) if found.different else 1.0
     held = HeldOut(
         names, share, max(after), found.different, fitted=least if least > LIMITS.seen else 0.0

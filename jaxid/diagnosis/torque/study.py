@@ -23,11 +23,13 @@ from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
 
-#: Steps of Gauss and Newton where a model is not linear in its numbers, and the change of the loss at which they end.
+#: Steps of Gauss and Newton where a model is not linear in its numbers, and the change of the loss
+#: at which they end.
 STEPS, SETTLED = 12, 1e-6
 #: Dry friction may turn about within so much less speed than it is taken to.
 SHARPER = 4.0
-#: By so much of a step a torque that is held from one sample to the next comes later than one that is not.
+#: By so much of a step a torque that is held from one sample to the next comes later than one that
+#: is not.
 HELD = 0.5
 #: Samples of which the noise of the rows is made.
 SAMPLES = 4000
@@ -37,7 +39,9 @@ BY_TORQUE = ("load_dependent_friction", "gravity_offset", *DRIVES)
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of every run for one linearisation: nominal columns, then those of the units, then the target."""
+    """The rows of every run for one linearisation: nominal columns, then those of the units, then
+    the target.
+    """
 
     theta: np.ndarray  # of the whole layout, where the model was linearised
     units: list[Unit]
@@ -54,7 +58,9 @@ class Rows:
 
 
 class Study:
-    """Rows of a binding's recordings and everything that does not depend on which effects are chosen."""
+    """Rows of a binding's recordings and everything that does not depend on which effects are
+    chosen.
+    """
 
     def __init__(
         self,
@@ -95,8 +101,10 @@ class Study:
         return units(self.plant, kinds, self.runs, theta, self.payloads, self.beside)
 
     def _unasked(self, run: Run) -> np.ndarray:
-        """Columns of which nothing is asked [samples n 3n]: how else dry friction may turn about with a joint's motion, and that
-        a torque may be held from one sample to the next or not, in steps of it. What would pass for them says nothing."""
+        """Columns of which nothing is asked [samples n 3n]: how else dry friction may turn about
+        with a joint's motion, and that a torque may be held from one sample to the next or not, in
+        steps of it. What would pass for them says nothing.
+        """
         n, turn = run.q.shape[1], self.plant.turn
         apart = [
             np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn)
@@ -132,8 +140,10 @@ class Study:
         return self.binding.upper[self.plant.free]
 
     def known(self, size: int, theta: np.ndarray, found: Sequence[Unit] = ()) -> Known:
-        """What is known of all columns beforehand: stated priors, and how large effects may be. A reference counts where models
-        are compared; weights are those of numbers that are free to take in what differs."""
+        """What is known of all columns beforehand: stated priors, and how large effects may be. A
+        reference counts where models are compared; weights are those of numbers that are free to
+        take in what differs.
+        """
         p = self.plant.size
         information, mean = np.zeros((size, size)), np.zeros(size)
         mean[:p] = theta[self.plant.free]
@@ -242,8 +252,10 @@ class Study:
     # ---- effects
 
     def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Weights]:
-        """Rows with every unit, and the weights that the richest model of the fit runs leaves. Its numbers also tell the torques
-        that effects depend on; `chosen`: theta is that of a model with effects and tells them better."""
+        """Rows with every unit, and the weights that the richest model of the fit runs leaves. Its
+        numbers also tell the torques that effects depend on; `chosen`: theta is that of a model
+        with effects and tells them better.
+        """
         if self._plain is None or not self.plant.exact():
             self._plain = self._without_torque(theta)
         rows, weights, s = self._plain
@@ -337,8 +349,10 @@ class Study:
     # ---- noise
 
     def settle(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]] = ()) -> None:
-        """Sets to within what rows are known, their noise, and the friction, that of the numbers theta and of units with theirs:
-        a joint that stands still, or turns about, holds anything up to what is dry of it."""
+        """Sets to within what rows are known, their noise, and the friction, that of the numbers
+        theta and of units with theirs: a joint that stands still, or turns about, holds anything up
+        to what is dry of it.
+        """
         n = self.binding.chain.nq
         effects = [
             e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)
@@ -382,14 +396,17 @@ class Study:
         return np.abs(sum(both, np.zeros_like(run.q))) / 2
 
     def noise_of(self, run: int) -> np.ndarray:
-        """Standard deviation of each row of a run that a perfect model would leave, N m [samples n]."""
+        """Standard deviation of each row of a run that a perfect model would leave, N m [samples
+        n].
+        """
         return np.hypot(
             np.hypot(self.measured, self.unsure[run]), self.between[run] if self.between else 0.0
         )
 
     def typical(self, which: Sequence[int], joint: int) -> float:
-        """The noise of a joint's rows in some runs as one number, N m: mean of 1 / variance, so that where a joint turns about,
-        and little is known of its friction, counts little."""
+        """The noise of a joint's rows in some runs as one number, N m: mean of 1 / variance, so
+        that where a joint turns about, and little is known of its friction, counts little.
+        """
         known = np.concatenate([self.noise_of(k)[:, joint] for k in which])
         return float(1 / np.sqrt(np.mean(1 / known**2)))
 
@@ -399,7 +416,9 @@ class Study:
         )
 
     def _noise(self) -> np.ndarray:
-        """Standard deviation of the rows of each joint [n] that the noise of readings and torques makes of a perfect model."""
+        """Standard deviation of the rows of each joint [n] that the noise of readings and torques
+        makes of a perfect model.
+        """
         rng, b = np.random.default_rng(0), self.binding
         run = self._longest()
         e = run.experiment

@@ -27,7 +27,9 @@ class BusError(RuntimeError):
 
 
 class Bus:
-    """A port and the servos on it. `read` gives blocks of registers, or None with `lost` counted by reason."""
+    """A port and the servos on it. `read` gives blocks of registers, or None with `lost` counted by
+    reason.
+    """
 
     def __init__(self, port: str, baud: int, ids: Sequence[int], form: str):
         dynamixel_sdk = needed("dynamixel_sdk")
@@ -36,8 +38,9 @@ class Bus:
         self.ids, self.form, self._handler = list(ids), form, handler
 
         class Port(dynamixel_sdk.PortHandler):
-            """Opened for this process alone, and waiting for bytes in the kernel; the SDK shares a port with whoever opens it
-            too, and keeps a core busy asking for bytes."""
+            """Opened for this process alone, and waiting for bytes in the kernel; the SDK shares a
+            port with whoever opens it too, and keeps a core busy asking for bytes.
+            """
 
             def setupPort(self, cflag_baud: int) -> Literal[True]:
                 if self.is_open:
@@ -53,7 +56,9 @@ class Bus:
                 return super().readPort(length)
 
         class Packets(dynamixel_sdk.Protocol2PacketHandler):
-            """Leaves the checksum out of an answer; the SDK alone takes it for the content of one that has none."""
+            """Leaves the checksum out of an answer; the SDK alone takes it for the content of one
+            that has none.
+            """
 
             def rxPacket(self, port: Any, fast_option: bool) -> Any:
                 packet, result = super().rxPacket(port, fast_option)
@@ -124,7 +129,9 @@ class Bus:
     # ---- samples
 
     def read(self) -> list[bytes] | None:
-        """The block of every servo, all fresh from one question; None where any is missing or broken."""
+        """The block of every servo, all fresh from one question; None where any is missing or
+        broken.
+        """
         address, size = x.BLOCK.address, x.BLOCK.size
         if self.form == "bulk":
             asked = [
@@ -179,7 +186,9 @@ class Bus:
         self.settle()
 
     def settle(self) -> None:
-        """After a failure: waits until the line has been quiet, so that no late answer is taken for the next one."""
+        """After a failure: waits until the line has been quiet, so that no late answer is taken for
+        the next one.
+        """
         self.port.is_using = False
         until = time.monotonic() + 0.02
         quiet = time.monotonic() + 0.002
@@ -202,7 +211,9 @@ class Bus:
             raise BusError(f"a command could not be sent ({self._what(result, 0)})")
 
     def expect(self, answer_s: float) -> None:
-        """Sets the SDK's time-out after how long an answer takes (its own, 34 ms, is that of a slow adapter)."""
+        """Sets the SDK's time-out after how long an answer takes (its own, 34 ms, is that of a slow
+        adapter).
+        """
         latency_ms = min(
             16.0, max(4.0, 2e3 * answer_s)
         )  # the SDK waits twice as long, and 2 ms more

@@ -1,8 +1,8 @@
 """The driver process of Dynamixel servos: reads, and moves them, through ROBOTIS' own SDK. Run by
 `jaxid.hardware.dynamixel.servo.Dynamixel`.
 
-A cycle writes the command first and reads right after it. Every command is told with its own time, so that what a servo was
-told between two samples is known however late or lost the answers are.
+A cycle writes the command first and reads right after it. Every command is told with its own time,
+so that what a servo was told between two samples is known however late or lost the answers are.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from jaxid.hardware.transfer import Table
 
 
 def main(fd: int) -> None:
-    """Serves orders `open`, `begin`, `arm`, `play` and `quit` on this end of the line; after `begin` samples flow."""
+    """Serves orders `open`, `begin`, `arm`, `play` and `quit` on this end of the line; after
+    `begin` samples flow.
+    """
     link = in_driver(fd)
     leash = Leash(link)
     session: Session | None = None
@@ -148,7 +150,9 @@ class Session:
             deadline = max(deadline + self.period, time.monotonic())
 
     def _cycle(self) -> bool:
-        """One question; whether it gave a sample. While torque is on, the goal is written before it."""
+        """One question; whether it gave a sample. While torque is on, the goal is written before
+        it.
+        """
         if self.goal is not None and self.mode is not None:
             at = time.monotonic()
             self.bus.write(x.MODES[self.mode][1], self.goal)
@@ -226,7 +230,9 @@ class Session:
         action(*arguments)
 
     def _play(self, order: dict[str, Any]) -> dict[str, Any]:
-        """Plays the table (rounded to counts), a row a cycle; a late one delays the rest, so that nothing has to catch up."""
+        """Plays the table (rounded to counts), a row a cycle; a late one delays the rest, so that
+        nothing has to catch up.
+        """
         clamp = Clamp(order["lower"], order["upper"], order["largest_step"], order["start"])
         marks = {int(row): name for row, name in order.get("marks", [])}
         deadline = last = time.monotonic()
@@ -243,7 +249,8 @@ class Session:
             if self._cycle():
                 last = time.monotonic()
             elif (silence := time.monotonic() - last) > self.data_age:
-                # Made of one long cycle it is this process that did not run; many questions without an answer are the servo's.
+                # Made of one long cycle it is this process that did not run; many questions without
+                # an answer are the servo's.
                 why = (
                     f"; {busy(time.monotonic() - deadline)}"
                     if time.monotonic() - deadline > 0.5 * silence
@@ -262,7 +269,9 @@ class Session:
         return ", ".join(f"{n} {k}" for k, n in self.bus.lost.items() if n) or "none counted"
 
     def let_go(self) -> str:
-        """Goal zero at once, then torque off and everything as it was; says what could not be done."""
+        """Goal zero at once, then torque off and everything as it was; says what could not be
+        done.
+        """
         failed, mode = [], self.mode
         if mode is not None:
             if mode != "position":

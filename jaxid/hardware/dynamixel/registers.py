@@ -1,4 +1,6 @@
-"""Dynamixel X series: addresses, units and models. Source: ROBOTIS e-Manual, control tables of XM430-W350 and XL330-M288."""
+"""Dynamixel X series: addresses, units and models. Source: ROBOTIS e-Manual, control tables of
+XM430-W350 and XL330-M288.
+"""
 
 from __future__ import annotations
 

@@ -23,7 +23,8 @@ from jaxid.hardware.transfer import Sender
 
 
 FORMS = ("sync", "bulk", "fast")
-#: Without an answer from the driver for so long it is hung (s): its slowest step is a question that is never answered.
+#: Without an answer from the driver for so long it is hung (s): its slowest step is a question that
+#: is never answered.
 SILENT_S = 0.5
 OPEN_S = 8.0
 STOPPED_S = 1.0
@@ -32,9 +33,10 @@ STOPPED_S = 1.0
 class Dynamixel:
     """One or several servos on a serial port.
 
-    `mode` is the kind of command they shall take (current A, velocity rad/s, position rad), None only watches. q is 0 where the
-    position register reads `zero` (counts), or where the servo stands at the start with `zero="here"`. `form` of question: sync,
-    bulk or fast (fast sync read; firmware 46 or newer). The realtime tick of the first servo is the clock. A current stays a
+    `mode` is the kind of command they shall take (current A, velocity rad/s, position rad), None
+    only watches. q is 0 where the position register reads `zero` (counts), or where the servo
+    stands at the start with `zero="here"`. `form` of question: sync, bulk or fast (fast sync read;
+    firmware 46 or newer). The realtime tick of the first servo is the clock. A current stays a
     current: the torque constant belongs to a model.
     """
 

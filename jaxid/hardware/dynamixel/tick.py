@@ -1,7 +1,7 @@
 """A servo's millisecond counter as a clock: unwrapped, and the proof that an answer is fresh.
 
-Answers of the Dynamixel protocol carry no number, so a late one is taken for the answer to the next question. Its counter tells:
-a fresh answer was made between question and receipt.
+Answers of the Dynamixel protocol carry no number, so a late one is taken for the answer to the next
+question. Its counter tells: a fresh answer was made between question and receipt.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ TOLERANCE_S = 5e-4
 
 
 class TickClock:
-    """`fresh(tick, sent, received)` (counts, host s, host s) is the servo's time (s, unwrapped), or None for an answer that
-    repeats the last one, or was not made between question and receipt. Counts of both: `repeated`, `stale`."""
+    """`fresh(tick, sent, received)` (counts, host s, host s) is the servo's time (s, unwrapped), or
+    None for an answer that repeats the last one, or was not made between question and receipt.
+    Counts of both: `repeated`, `stale`.
+    """
 
     def __init__(self):
         self.repeated = self.stale = 0

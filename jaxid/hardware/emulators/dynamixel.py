@@ -1,7 +1,8 @@
 """Dynamixel servos on a pseudo terminal of this computer, paced like a wire, with faults to order.
 
-Runs in a process of its own (`jaxid emulate dynamixel`). A pseudo terminal knows no bit rate, so every packet takes the time it
-would take on the wire: ten bits a byte each way, the servo's return delay, and the delay of a USB adapter.
+Runs in a process of its own (`jaxid emulate dynamixel`). A pseudo terminal knows no bit rate, so
+every packet takes the time it would take on the wire: ten bits a byte each way, the servo's return
+delay, and the delay of a USB adapter.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from jaxid.hardware.emulators.protocol2 import Packets
 
 
 class Bus:
-    """See the module. `run` serves until `quit` is ordered, the port is unplugged, or the process is ended."""
+    """See the module. `run` serves until `quit` is ordered, the port is unplugged, or the process
+    is ended.
+    """
 
     def __init__(
         self,
@@ -129,7 +132,8 @@ class Bus:
             self.log("wrong baud")
             return
         for identity, instruction, body, size in self.packets.feed(block):
-            # The packet is whole on the wire when its last bit is; what the host wrote together goes one after the other.
+            # The packet is whole on the wire when its last bit is; what the host wrote together
+            # goes one after the other.
             self._free = max(self._free, now) + 10 * size / self.baud
             self._at(
                 self._free,
@@ -144,7 +148,8 @@ class Bus:
         return known.get(speed, self.baud) == self.baud
 
     def _handle(self, identity: int, instruction: int, body: bytes, when: float) -> None:
-        # The servo acts when the packet is whole on the wire, even where this process comes to it later.
+        # The servo acts when the packet is whole on the wire, even where this process comes to it
+        # later.
         for answer in self.bench.answer(identity, instruction, body, when):
             servo = self.bench.servos.get(answer[4])
             delay = 2e-6 * (servo.get(x.RETURN_DELAY) if servo is not None else 0)

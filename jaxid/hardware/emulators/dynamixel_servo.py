@@ -1,7 +1,8 @@
-"""The inside of emulated XM430-W350 servos: control tables, modes, limits, watchdog, and the joints they drive.
+"""The inside of emulated XM430-W350 servos: control tables, modes, limits, watchdog, and the joints
+they drive.
 
-Current mode is exact (a torque in proportion to the goal current, rounded as the register is); velocity and position modes are
-simple laws of our own, not the firmware's.
+Current mode is exact (a torque in proportion to the goal current, rounded as the register is);
+velocity and position modes are simple laws of our own, not the firmware's.
 """
 
 from __future__ import annotations
@@ -156,7 +157,9 @@ class Servo:
 
 
 class Bench:
-    """All servos of a bus and what they move. `answer` takes a packet and gives the bytes of the answers."""
+    """All servos of a bus and what they move. `answer` takes a packet and gives the bytes of the
+    answers.
+    """
 
     def __init__(
         self,
@@ -177,7 +180,9 @@ class Bench:
         self.now = clock()
 
     def advance(self, now: float | None = None) -> None:
-        """Moves everything on to a time, or to the present, in steps of the servos' own controllers."""
+        """Moves everything on to a time, or to the present, in steps of the servos' own
+        controllers.
+        """
         now = self.clock() if now is None else now
         while now - self.now > 1e-9:
             step = min(LOOP_S, now - self.now)
@@ -206,7 +211,9 @@ class Bench:
         servo.set(x.TORQUE_ENABLE, 0)
 
     def answer(self, identity: int, instruction: int, body: bytes, when: float) -> list[bytes]:
-        """Status packets for one instruction packet that arrived at `when`, in the order in which they go out."""
+        """Status packets for one instruction packet that arrived at `when`, in the order in which
+        they go out.
+        """
         self.advance(when)
         for s in self.servos.values():
             s.fed = self.now  # "communication is defined as all the instruction packets"
@@ -270,7 +277,9 @@ class Bench:
         return [self._status(s, *self._read(s, a, n)) for s, a, n in asked]
 
     def _together(self, asked) -> list[bytes]:
-        """The fast reads: one packet, in it error, id, data and a checksum a servo (the last is the packet's own)."""
+        """The fast reads: one packet, in it error, id, data and a checksum a servo (the last is the
+        packet's own).
+        """
         size = 1 + sum(n + 4 for _, _, n in asked)
         out = p2.HEADER + bytes([p2.BROADCAST]) + struct.pack("<HB", size, p2.STATUS)
         for s, a, n in asked:

@@ -1,4 +1,6 @@
-"""What the emulators share: orders on standard input, a log of everything that moves, and their end."""
+"""What the emulators share: orders on standard input, a log of everything that moves, and their
+end.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from jaxid.errors import nearest
 
 
 class Log:
-    """One JSON line for each thing that happened, with the time `at` (monotonic s); to a file, or nowhere."""
+    """One JSON line for each thing that happened, with the time `at` (monotonic s); to a file, or
+    nowhere.
+    """
 
     def __init__(self, path: str | os.PathLike[str] | None):
         self._file: TextIO | None = (
@@ -30,7 +34,8 @@ class Log:
 class Orders:
     """Lines on standard input, without waiting; each is answered by one line.
 
-    Where the input is a pipe, its end ends the emulator, so that none outlives the program that started it.
+    Where the input is a pipe, its end ends the emulator, so that none outlives the program that
+    started it.
     """
 
     def __init__(self, table: dict[str, Callable[[list[str]], None]], log: Log):
@@ -38,7 +43,8 @@ class Orders:
         self._buffer = b""
         self.open = True
         self._piped = False
-        # In the background of a terminal, reading what is typed there would suspend the emulator; ignored, it is an error.
+        # In the background of a terminal, reading what is typed there would suspend the emulator;
+        # ignored, it is an error.
         signal.signal(signal.SIGTTIN, signal.SIG_IGN)
         try:
             self._piped = stat.S_ISFIFO(os.fstat(sys.stdin.fileno()).st_mode)

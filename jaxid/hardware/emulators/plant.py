@@ -1,4 +1,6 @@
-"""What an emulator moves: joints simulated by jaxid's own models, with hidden parameters and effects, in real time."""
+"""What an emulator moves: joints simulated by jaxid's own models, with hidden parameters and
+effects, in real time.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from jaxid.errors import nearest, UsageError
 #: Longest step of a simulation (s).
 STEP = 5e-4
 COUPLED_STEP = 2e-3  # of a whole arm, which has to keep up with real time
-#: Effects that need the history of the command, which an emulator that lives in the present does not have.
+#: Effects that need the history of the command, which an emulator that lives in the present does
+#: not have.
 NEEDS_HISTORY = ("input_delay", "input_hold", "sensor_delay", "timestamp_jitter")
 
 
@@ -32,7 +35,9 @@ class Plant(Protocol):
 
 
 class Ideal:
-    """inertia qdd + viscous qd + gravity_torque sin q = torque, in plain Python: starts at once, for trying a connection."""
+    """inertia qdd + viscous qd + gravity_torque sin q = torque, in plain Python: starts at once,
+    for trying a connection.
+    """
 
     def __init__(
         self, inertia: Sequence[float], viscous: Sequence[float], gravity_torque: Sequence[float]
@@ -57,8 +62,9 @@ class Ideal:
 
 
 class Modelled:
-    """Joints stepped by `jaxid.dynamics.chain`: one model of one joint for each of them, or one model for all (such as `ur10`),
-    whose joints then know of each other."""
+    """Joints stepped by `jaxid.dynamics.chain`: one model of one joint for each of them, or one
+    model for all (such as `ur10`), whose joints then know of each other.
+    """
 
     def __init__(
         self,
@@ -66,8 +72,8 @@ class Modelled:
         parameters: Sequence[Mapping[str, float]],
         effects: Sequence[Mapping[str, Any]],
     ):
-        """`parameters` of each joint (of a model for all: `F_v` of joint 3 is its `F_v3`); an effect is `{"effect", "parameters",
-        "joint"}`, joint 1 … or None for all.
+        """`parameters` of each joint (of a model for all: `F_v` of joint 3 is its `F_v3`); an
+        effect is `{"effect", "parameters", "joint"}`, joint 1 … or None for all.
 
         Raises `UsageError` for unknown names and for models with another number of joints.
         """
@@ -164,8 +170,9 @@ def read_plant(
 ) -> tuple[Plant, dict[str, Any]]:
     """The plant a file describes, and the whole of the file.
 
-    `None` is a pendulum a joint with the `defaults`, `"ideal"` the same equation in plain Python. A file is TOML or JSON with
-    `model`, `parameters` (a number, or a list with one a joint; a fit's `{"value": …}` is read too) and `effects` as in fit.json.
+    `None` is a pendulum a joint with the `defaults`, `"ideal"` the same equation in plain Python. A
+    file is TOML or JSON with `model`, `parameters` (a number, or a list with one a joint; a fit's
+    `{"value": …}` is read too) and `effects` as in fit.json.
     """
     if path is None:
         return Modelled("pendulum", _by_joint(defaults, joints, "defaults"), []), {}

@@ -1,6 +1,8 @@
-"""Packets of the Dynamixel protocol 2.0, as the emulator needs them: framing, byte stuffing, checksum.
+"""Packets of the Dynamixel protocol 2.0, as the emulator needs them: framing, byte stuffing,
+checksum.
 
-Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The recording side does not use this: it uses ROBOTIS' own SDK.
+Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The recording side does not use this: it uses
+ROBOTIS' own SDK.
 """
 
 from __future__ import annotations
@@ -62,7 +64,9 @@ def packet(identity: int, body: bytes, stuff: bool = True) -> bytes:
 
 
 class Packets:
-    """Cuts a stream of bytes into (id, instruction, parameters); `broken` counts packets with a wrong checksum."""
+    """Cuts a stream of bytes into (id, instruction, parameters); `broken` counts packets with a
+    wrong checksum.
+    """
 
     def __init__(self):
         self._buffer = b""

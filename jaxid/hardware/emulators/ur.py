@@ -1,8 +1,9 @@
-"""A UR controller on this computer's loopback: RTDE, dashboard and script ports, and faults to order.
+"""A UR controller on this computer's loopback: RTDE, dashboard and script ports, and faults to
+order.
 
-Runs in a process of its own (`jaxid emulate ur10`): the constructors of ur_rtde hold Python's lock while they wait, so a server
-in the same process would never answer. The ports are those of a robot, because ur_rtde takes no others; several emulators need
-an address each (127.0.0.2, 127.0.0.3 …).
+Runs in a process of its own (`jaxid emulate ur10`): the constructors of ur_rtde hold Python's lock
+while they wait, so a server in the same process would never answer. The ports are those of a robot,
+because ur_rtde takes no others; several emulators need an address each (127.0.0.2, 127.0.0.3 …).
 """
 
 from __future__ import annotations
@@ -139,10 +140,12 @@ class Emulator:
         }
 
     def run(self) -> None:
-        """Serves; every step of the controller is made, late or not, so that no sample is ever missing at the source.
+        """Serves; every step of the controller is made, late or not, so that no sample is ever
+        missing at the source.
 
-        What clients wrote while this process was not run is taken step by step with the steps that it missed, as a controller
-        that is never late would have; taken at once, it would be a jump of the arm.
+        What clients wrote while this process was not run is taken step by step with the steps that
+        it missed, as a controller that is never late would have; taken at once, it would be a jump
+        of the arm.
         """
         began, made = time.monotonic(), 0
         while True:

@@ -1,7 +1,9 @@
-"""The inside of an emulated UR10: joints with drives, the control script of ur_rtde 1.6, and what RTDE shows of them.
+"""The inside of an emulated UR10: joints with drives, the control script of ur_rtde 1.6, and what
+RTDE shows of them.
 
-A kinematic command follower in front of a simple drive: it proves pacing, clamps, stops and recording. Speed scaling by the
-controller, path tolerance, force limits and the lag of a real controller need URSim or a robot.
+A kinematic command follower in front of a simple drive: it proves pacing, clamps, stops and
+recording. Speed scaling by the controller, path tolerance, force limits and the lag of a real
+controller need URSim or a robot.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ JOINTS = 6
 STEP = 0.002  # s, 500 Hz
 BANDWIDTH = 40.0  # rad/s, of the emulated joint controllers
 LOOKAHEAD, ACCELERATION = 0.03, 40.0  # s, rad/s^2: of what is asked of them
-#: Defaults of the plant: decoupled pendulums of about a UR10's size, gravity on the three joints that lift.
+#: Defaults of the plant: decoupled pendulums of about a UR10's size, gravity on the three joints
+#: that lift.
 PLANT: dict[str, tuple[float, ...]] = {
     "inertia": (2.5, 2.5, 1.2, 0.3, 0.3, 0.2),
     "gravity_torque": (0.0, 60.0, 25.0, 3.0, 0.0, 0.0),
@@ -98,7 +101,9 @@ RUNNING_BITS, IDLE_BITS = 3, 1  # robot_status_bits: powered on, and program run
 
 
 class Arm:
-    """The controller: call `tick` every `STEP` s; `inputs` takes what RTDE clients write, `values` what they read."""
+    """The controller: call `tick` every `STEP` s; `inputs` takes what RTDE clients write, `values`
+    what they read.
+    """
 
     def __init__(self, plant: Plant, settings: Mapping[str, Any], log: Log):
         self.plant, self.log = plant, log
@@ -217,7 +222,9 @@ class Arm:
         self.count += 1
 
     def _state(self) -> dict[str, Any]:
-        """What the sensors read at the beginning of a step; the current is the one that acts until the next."""
+        """What the sensors read at the beginning of a step; the current is the one that acts until
+        the next.
+        """
         noisy = lambda name, values: [
             v + self._noise[name] * self._random.gauss(0, 1) for v in values
         ]

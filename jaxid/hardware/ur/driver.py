@@ -1,4 +1,6 @@
-"""The driver process of a UR arm: motion through the real ur_rtde, and nothing else. Run by `jaxid.hardware.ur.robot.UR`."""
+"""The driver process of a UR arm: motion through the real ur_rtde, and nothing else. Run by
+`jaxid.hardware.ur.robot.UR`.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ _PROGRESS_S = 0.05
 
 
 def main(fd: int) -> None:
-    """Serves orders `path` and `rows`, `arm`, `play` and `quit` on this end of the line until it closes."""
+    """Serves orders `path` and `rows`, `arm`, `play` and `quit` on this end of the line until it
+    closes.
+    """
     link = in_driver(fd)
     leash = Leash(link)
     control: Any = None
@@ -69,7 +73,9 @@ def _idle(leash: Leash, control: Any) -> dict[str, Any]:
 def _play(
     link: Link, leash: Leash, control: Any, order: dict[str, Any], table: Table
 ) -> dict[str, Any]:
-    """Plays `table`, a row every `step` s; a late row delays the rest, so that no catching up can ever make a jump."""
+    """Plays `table`, a row every `step` s; a late row delays the rest, so that no catching up can
+    ever make a jump.
+    """
     step = order["step"]
     clamp = Clamp(order["lower"], order["upper"], order["largest_step"], order["start"])
     marks = {int(row): name for row, name in order.get("marks", [])}

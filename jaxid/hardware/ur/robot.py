@@ -35,7 +35,8 @@ VECTORS = {
 }
 SCALARS = ("speed_scaling", "target_speed_fraction", "runtime_state", "robot_mode", "safety_mode")
 OPTIONAL = ("actual_main_voltage", "actual_tool_accelerometer")
-#: From the data sheets of UR10 and UR10e: range of every joint, speeds of base, shoulder and the others.
+#: From the data sheets of UR10 and UR10e: range of every joint, speeds of base, shoulder and the
+#: others.
 LIMITS = Limits(
     lower=(-2 * math.pi,),
     upper=(2 * math.pi,),
@@ -54,16 +55,18 @@ SAFETY = {
     8: "a violation",
     9: "a fault",
 }
-#: Longest time from the order to stop until the driver confirms that it has begun, and until the arm has stopped (s).
+#: Longest time from the order to stop until the driver confirms that it has begun, and until the
+#: arm has stopped (s).
 ACKNOWLEDGE_S, STOPPED_S = 0.05, 2.0
 ARM_S = 10.0
 
 
 class UR:
-    """A UR10, or another six-joint UR, at an address. Motion needs the package ur_rtde (Python up to 3.12); recording does not.
+    """A UR10, or another six-joint UR, at an address. Motion needs the package ur_rtde (Python up
+    to 3.12); recording does not.
 
-    `rate` Hz: 500 (e-series) or 125 at most. Commands go out at `command_rate` through servoJ with `lookahead` s and `gain`.
-    The controller's time is the clock.
+    `rate` Hz: 500 (e-series) or 125 at most. Commands go out at `command_rate` through servoJ with
+    `lookahead` s and `gain`. The controller's time is the clock.
     """
 
     kinds: tuple[str, ...] = ("position",)
@@ -246,7 +249,9 @@ class UR:
         return {}
 
     def stop(self, reason: str) -> str:
-        """servoStop and end of the program by the driver; one that does not confirm is killed, and the dashboard asked."""
+        """servoStop and end of the program by the driver; one that does not confirm is killed, and
+        the dashboard asked.
+        """
         driver, self._driver, self._playing = self._driver, None, False
         if driver is None:
             return "nothing was moving"
@@ -277,7 +282,9 @@ def _numbered(stem: str, joint: int) -> str:
 
 
 def _confirmed(driver: Driver, reason: str) -> bool:
-    """Whether the driver begins to stop within `ACKNOWLEDGE_S` and has stopped within `STOPPED_S`."""
+    """Whether the driver begins to stop within `ACKNOWLEDGE_S` and has stopped within
+    `STOPPED_S`.
+    """
     try:
         driver.link.send("stop", reason=reason)
         began, acknowledged, arrived = time.monotonic(), False, driver.inbox

@@ -1,7 +1,8 @@
 """Real-Time Data Exchange with a Universal Robots controller: a reader that loses no packet.
 
-TCP keeps every packet until it is read, so nothing is lost here however late this process is; the controller's own `timestamp`
-is the clock. Protocol version 2: Universal Robots, "Real-Time Data Exchange (RTDE) Guide". Only the standard library is needed.
+TCP keeps every packet until it is read, so nothing is lost here however late this process is; the
+controller's own `timestamp` is the clock. Protocol version 2: Universal Robots, "Real-Time Data
+Exchange (RTDE) Guide". Only the standard library is needed.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = (ord(c) for c in "VvOSP
 class RTDEReader:
     """A connection to port 30004 that delivers every data package after `start`.
 
-    `variables` must exist on the controller, those in `optional` may lack; `names` and `sizes` then say what a row holds. Each
-    row of `read` is (host time, values). Raises `UsageError` where nobody listens or a variable is unknown, `HardwareError` for
-    whatever goes wrong later.
+    `variables` must exist on the controller, those in `optional` may lack; `names` and `sizes` then
+    say what a row holds. Each row of `read` is (host time, values). Raises `UsageError` where
+    nobody listens or a variable is unknown, `HardwareError` for whatever goes wrong later.
     """
 
     def __init__(
@@ -93,7 +94,9 @@ class RTDEReader:
         self._layout = struct.Struct(">" + "".join(TYPES[t] for t in types))
 
     def start(self) -> None:
-        """Lets the controller send; from now on `read` has to be called, for a controller cuts off who does not read."""
+        """Lets the controller send; from now on `read` has to be called, for a controller cuts off
+        who does not read.
+        """
         self._send(START)
         if self._answer(START) != b"\1":
             raise HardwareError(f"{self.where}: the controller refuses to send data")
@@ -113,7 +116,9 @@ class RTDEReader:
         return self.socket.fileno()
 
     def read(self) -> list[tuple[float, tuple[float, ...]]]:
-        """Every data package that has arrived; never waits. Rows that came before a fault are delivered before it is raised."""
+        """Every data package that has arrived; never waits. Rows that came before a fault are
+        delivered before it is raised.
+        """
         if self._fault is not None:
             raise self._fault
         rows: list[tuple[float, tuple[float, ...]]] = []

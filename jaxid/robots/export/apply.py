@@ -1,4 +1,6 @@
-"""From what a result says to the numbers of a robot after it: each effect and each fitted number, one after the other."""
+"""From what a result says to the numbers of a robot after it: each effect and each fitted number,
+one after the other.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,8 @@ JOINT = {
 }
 #: Numbers of models that are no robot's -> quantity of their joint.
 PLAIN = {"viscous": "damping", "coulomb": "frictionloss", "armature": "armature"}
-#: Effects that say what a quantity is (also where the model has it by itself): effect -> its number, quantity, number of a fit.
+#: Effects that say what a quantity is (also where the model has it by itself): effect -> its
+#: number, quantity, number of a fit.
 SET = {
     "viscous_friction": ("coefficient", "damping", "damping"),
     "coulomb_friction": ("level", "frictionloss", "frictionloss"),
@@ -54,7 +57,9 @@ SET = {
 
 
 def carried(sheet: Sheet, found: Outcome) -> Sheet:
-    """The sheet after everything that the result names. Each effect and each number has at least one `Change`."""
+    """The sheet after everything that the result names. Each effect and each number has at least
+    one `Change`.
+    """
     done = {
         f"{SET[e.effect][2]}@{sheet.joint(e.location)}" for e in found.effects if e.effect in SET
     }
@@ -129,7 +134,9 @@ def _joint_number(sheet: Sheet, effect: str, joint: str, quantity: str, number: 
 
 
 def _plain_number(sheet: Sheet, name: str, number: Number) -> None:
-    """A number of a model that is no robot: friction and armature have a field, others have none."""
+    """A number of a model that is no robot: friction and armature have a field, others have
+    none.
+    """
     stem = name.rstrip("0123456789")
     joints = list(sheet.after)
     place = int(name[len(stem) :]) - 1 if name != stem else 0
@@ -297,7 +304,9 @@ def _saturation(sheet: Sheet, effect: Named) -> None:
 
 
 def _payload(sheet: Sheet, effect: Named) -> None:
-    """A point mass where `Robot.loaded` has it: beyond the next joint, else the link's centre of mass."""
+    """A point mass where `Robot.loaded` has it: beyond the next joint, else the link's centre of
+    mass.
+    """
     joint, tree = sheet.joint(effect.location), sheet.tree
     if tree is None or not joint:
         return

@@ -1,4 +1,6 @@
-"""Targets that take a text of settings: a table of fields and a writer. What cannot be run here says so."""
+"""Targets that take a text of settings: a table of fields and a writer. What cannot be run here
+says so.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,9 @@ def written(
     tail: str = "",
     how: str = CODE,
 ) -> Written:
-    """Rows by the table of fields, the text that `writer` makes of the numbers that have one, and the code of the laws that have
-    none (`library` None: this framework runs no such code)."""
+    """Rows by the table of fields, the text that `writer` makes of the numbers that have one, and
+    the code of the laws that have none (`library` None: this framework runs no such code).
+    """
     out = Written(
         rows_of(
             sheet,

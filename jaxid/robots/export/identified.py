@@ -1,4 +1,6 @@
-"""An identification carried back: base parameters are combinations, so the nearest bodies that can exist are taken."""
+"""An identification carried back: base parameters are combinations, so the nearest bodies that can
+exist are taken.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,15 @@ from jaxid.robots.tree import Tree, turned
 TEN = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
 #: Rounds of projections, and the share of a base parameter's size at which they end.
 ROUNDS, CLOSE = 5000, 1e-8
-#: Speed over which the extra dry friction of the stribeck law fades, rad/s: see `identification.regression`.
+#: Speed over which the extra dry friction of the stribeck law fades, rad/s: see
+#: `identification.regression`.
 FADES = 0.1
 
 
 def identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
-    """The sheet of an identification. Raises `UsageError` where its parameters are not those of the file's joints."""
+    """The sheet of an identification. Raises `UsageError` where its parameters are not those of the
+    file's joints.
+    """
     own = found.robot.get("joints") or []
     if own and all(j in tree.joints for j in own):
         tree = tree.locked(
@@ -52,8 +57,10 @@ def identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
 
 
 def _chain(tree: Tree, names: list[str], path: Path | None) -> Tree:
-    """The tree with all joints held that were not identified: as in the identification, they stand at zero, and what hangs on
-    them belongs to the link that carries it. Raises `UsageError` where it is not plain which were."""
+    """The tree with all joints held that were not identified: as in the identification, they stand
+    at zero, and what hangs on them belongs to the link that carries it. Raises `UsageError` where
+    it is not plain which were.
+    """
     if len(names) == tree.n:
         return tree
     chain = _in_file(tree, names)
@@ -86,7 +93,9 @@ def _friction(rows: list[Any], tree: Tree) -> dict[str, Number]:
 
 
 def _effects(rows: list[Any], tree: Tree) -> tuple[Named, ...]:
-    """What of friction is an effect: an offset, extra dry friction at low speed, a power of the speed."""
+    """What of friction is an effect: an offset, extra dry friction at low speed, a power of the
+    speed.
+    """
     out = []
     for joint, row in zip(tree.joints, rows, strict=True):
         if "offset" in row:
@@ -188,10 +197,12 @@ def _bodies(sheet: Sheet, found: Outcome, tree: Tree) -> None:
 def nearest_bodies(
     phi: np.ndarray, K: np.ndarray, beta: np.ndarray, names: tuple[str, ...]
 ) -> tuple[np.ndarray, float]:
-    """(standard parameters near `phi` with K phi = beta whose bodies can exist, how far K phi is off: share of the largest).
+    """(standard parameters near `phi` with K phi = beta whose bodies can exist, how far K phi is
+    off: share of the largest).
 
-    Alternating projections with Dykstra's correction between the affine set and the cone of positive semidefinite pseudo-inertias
-    (Wensing, Kim, Slotine 2018), in the Frobenius norm of those with lengths counted by the robot's own.
+    Alternating projections with Dykstra's correction between the affine set and the cone of
+    positive semidefinite pseudo-inertias (Wensing, Kim, Slotine 2018), in the Frobenius norm of
+    those with lengths counted by the robot's own.
     """
     n = sum(name.startswith("m") and name[1:].isdigit() for name in names)
     place = {name: i for i, name in enumerate(names)}
@@ -203,7 +214,8 @@ def nearest_bodies(
     D = np.ones(len(names))
     D[link] = scale
     D[drives] = mass * length**2
-    # Coordinates in which the cone's projection is Euclidean: entries of the scaled pseudo-inertia, off its diagonal by sqrt 2.
+    # Coordinates in which the cone's projection is Euclidean: entries of the scaled pseudo-inertia,
+    # off its diagonal by sqrt 2.
     B = np.zeros((10, 10))
     for c in range(10):
         P = _pseudo(np.eye(10)[c])
@@ -249,7 +261,9 @@ def _vector(P: np.ndarray) -> np.ndarray:
 
 
 def _possible(v: np.ndarray, link: np.ndarray, drives: np.ndarray) -> np.ndarray:
-    """The nearest point whose pseudo-inertias have no negative eigenvalue and whose drives have no negative inertia."""
+    """The nearest point whose pseudo-inertias have no negative eigenvalue and whose drives have no
+    negative inertia.
+    """
     out = v.copy()
     P = np.zeros((len(link), 4, 4))
     P[:, _UPPER[0], _UPPER[1]] = P[:, _UPPER[1], _UPPER[0]] = v[link] / _TWICE

@@ -1,4 +1,6 @@
-"""Which of a result's numbers stay as the file has them: all but the smallest change that the data ask for."""
+"""Which of a result's numbers stay as the file has them: all but the smallest change that the data
+ask for.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,10 @@ from jaxid.wording import value_with_std
 
 
 def kept(found: Outcome) -> Outcome:
-    """The result with those of the file's numbers that its data do not refute as the file has them, and the others as they are
-    beside these, with the digits that they bear: what trades for a number that stays is moved along with it."""
+    """The result with those of the file's numbers that its data do not refute as the file has them,
+    and the others as they are beside these, with the digits that they bear: what trades for a
+    number that stays is moved along with it.
+    """
     stated = _stated(found)
     every = dict(found.parameters)
     for e in found.effects:
@@ -64,7 +68,9 @@ def _unexplained(found: Outcome) -> bool:
 
 
 def _known(found: Outcome, every: Mapping[str, Number]) -> tuple[list[str], Known]:
-    """(names, what is known of them): all that the covariance holds, else those with a standard deviation, as independent."""
+    """(names, what is known of them): all that the covariance holds, else those with a standard
+    deviation, as independent.
+    """
     size = np.diag(found.covariance) if found.covariance.size else np.zeros(0)
     held = [
         k

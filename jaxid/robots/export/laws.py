@@ -9,8 +9,10 @@ from jaxid.robots.export.sheet import Change
 
 
 class Law(NamedTuple):
-    """`port`: force (opposes positive motion), dry (level of dry friction, where it moves), command, torque (of the drive) or
-    reading; `text` an expression of the effect's numbers and of q, qd, load (drive torque), u or y; `state` one of `STATES`."""
+    """`port`: force (opposes positive motion), dry (level of dry friction, where it moves),
+    command, torque (of the drive) or reading; `text` an expression of the effect's numbers and of
+    q, qd, load (drive torque), u or y; `state` one of `STATES`.
+    """
 
     port: str
     text: str = ""
@@ -140,7 +142,9 @@ def described(effect: str) -> str:
 
 
 def code(changes: Iterable[Change], head: str, tail: str = "", library: str = "numpy") -> str:
-    """A Python module with the laws of these changes: tables FORCE, DRY, COMMAND, TORQUE, READING."""
+    """A Python module with the laws of these changes: tables FORCE, DRY, COMMAND, TORQUE,
+    READING.
+    """
     tables: dict[str, list[str]] = {port: [] for port in PORTS}
     states: dict[str, None] = {}
     for c in changes:

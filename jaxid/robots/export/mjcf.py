@@ -1,4 +1,6 @@
-"""MJCF: the user's own text with attributes of its joints, links and actuators changed, and the same as `apply(spec)`."""
+"""MJCF: the user's own text with attributes of its joints, links and actuators changed, and the
+same as `apply(spec)`.
+"""
 
 from __future__ import annotations
 
@@ -52,8 +54,10 @@ class Op:
 
 
 def write(sheet: Sheet, found: Outcome, path: Path | None, trial: Trial | None = None) -> Written:
-    """The patched file, `apply.py`, and `effects.py` for laws that no attribute says. What nothing asked for (how hard friction
-    is) is written only where the recording is nearer with it in MuJoCo, which `trial` says."""
+    """The patched file, `apply.py`, and `effects.py` for laws that no attribute says. What nothing
+    asked for (how hard friction is) is written only where the recording is nearer with it in
+    MuJoCo, which `trial` says.
+    """
     if path is None:
         return snippet(sheet, found)
     patch = lambda holding: _Patch(deepcopy(sheet), MjcfFile(path), holding).written()
@@ -163,7 +167,9 @@ class _Patch:
     def _joint(
         self, joint: str, was_: JointNumbers, now: JointNumbers
     ) -> dict[tuple[str, str], Field | None]:
-        """Attributes of the joint and its actuator; quantity -> the field that carries it, None where nothing does."""
+        """Attributes of the joint and its actuator; quantity -> the field that carries it, None
+        where nothing does.
+        """
         found = self.file.joint(joint)
         changed = {k for k in vars(now) if getattr(now, k) != getattr(was_, k)}
         fields: dict[tuple[str, str], Field | None] = {}
@@ -265,7 +271,9 @@ class _Patch:
     # ---- actuators
 
     def _stated_law(self, fields: dict[tuple[str, str], Field | None]) -> None:
-        """A law that the recording states goes into the file's position actuators, where those are of another law."""
+        """A law that the recording states goes into the file's position actuators, where those are
+        of another law.
+        """
         sheet, tree = self.sheet, self.sheet.tree
         if not sheet.driven or sheet.own_law or tree is None:
             return
@@ -397,8 +405,9 @@ class _Patch:
         return out
 
     def _limited(self, joint: str, now: JointNumbers) -> JointNumbers:
-        """The numbers with the file's limits where a law of the recording states none: what it does not say it does not
-        change."""
+        """The numbers with the file's limits where a law of the recording states none: what it does
+        not say it does not change.
+        """
         tree = self.sheet.tree
         if self.sheet.own_law or tree is None or joint not in tree.actuators:
             return now

@@ -1,4 +1,6 @@
-"""Python for MuJoCo: `apply(spec)`, the callback for laws without a field, and a text of attributes where no file is given."""
+"""Python for MuJoCo: `apply(spec)`, the callback for laws without a field, and a text of attributes
+where no file is given.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ PLAIN = {
 
 
 def spec_code(ops: Iterable[Any], file: str, version: str) -> str:
-    """A module whose `apply(spec)` makes the same changes on a `mujoco.MjSpec` of the unpatched file."""
+    """A module whose `apply(spec)` makes the same changes on a `mujoco.MjSpec` of the unpatched
+    file.
+    """
     shown = file.replace("\\", "/").replace('"', "'")
     lines = [
         f'"""What was found, for `mujoco.MjSpec` ({version}):',

@@ -12,7 +12,8 @@ from jaxid.robots.export.sheet import JointNumbers
 
 #: A limit that MuJoCo is given where there is none in one direction.
 ENDLESS = 1e9
-#: Shortest time step, in seconds, at which a delay still fits into the memory that is written for it.
+#: Shortest time step, in seconds, at which a delay still fits into the memory that is written for
+#: it.
 SHORTEST = 1e-4
 HISTORY = f"seconds; nsample is enough for time steps of {1e3 * SHORTEST:g} ms and longer"
 #: Attributes of <position> that <general> has not.
@@ -21,7 +22,9 @@ OWN_WORDS = ("kp", "kv", "dampratio", "timeconst", "inheritrange")
 
 @dataclass(frozen=True)
 class DriveWords:
-    """Attributes of actuator number `actuator` of a compiled `model`; `driven`: goals drive it, and not torques."""
+    """Attributes of actuator number `actuator` of a compiled `model`; `driven`: goals drive it, and
+    not torques.
+    """
 
     model: Any
     actuator: int
@@ -30,8 +33,9 @@ class DriveWords:
     def attributes(
         self, changed: set[str], now: JointNumbers, tag: str
     ) -> tuple[dict[str, Any], str]:
-        """(attributes, tag) of the element for the quantities that changed: its own words where it has them, else those of
-        <general>."""
+        """(attributes, tag) of the element for the quantities that changed: its own words where it
+        has them, else those of <general>.
+        """
         own = self.general(changed, now)
         plain = tag == "position" and now.torque + now.offset == 0
         before = tag
@@ -83,7 +87,8 @@ class DriveWords:
         return {"gainprm": now.kp / gear**2, "biasprm": bias}
 
     def _samples(self, delay: float) -> int:
-        """MuJoCo remembers commands by their number: with too few of them a delay is cut short wherever the file runs at a
-        shorter step."""
+        """MuJoCo remembers commands by their number: with too few of them a delay is cut short
+        wherever the file runs at a shorter step.
+        """
         step = min(float(self.model.opt.timestep), SHORTEST)
         return int(np.ceil(delay / step)) + 2

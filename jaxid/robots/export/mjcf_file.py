@@ -1,4 +1,6 @@
-"""An MJCF and what it includes, as texts that are edited: joints, bodies, actuators and the option by name."""
+"""An MJCF and what it includes, as texts that are edited: joints, bodies, actuators and the option
+by name.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ ACTUATORS = (
 
 
 class MjcfFile:
-    """`texts` by path relative to the file's folder, the file itself first; `model` as MuJoCo compiles it without what is drawn.
+    """`texts` by path relative to the file's folder, the file itself first; `model` as MuJoCo
+    compiles it without what is drawn.
 
     Raises `UsageError` for what jaxid's reader refuses, includes outside the folder among it.
     """

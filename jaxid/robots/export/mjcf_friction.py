@@ -23,8 +23,9 @@ UNTRIED = (
 def friction_field(
     joint: str, level: float, present: Mapping[str, str], hardened: bool
 ) -> tuple[Field, dict[str, str]]:
-    """The field of a joint's dry friction, and attributes beside it where it is to be `hardened`; `present` are those that the
-    element has."""
+    """The field of a joint's dry friction, and attributes beside it where it is to be `hardened`;
+    `present` are those that the element has.
+    """
     name = f"joint[{joint}]@frictionloss"
     stated = [k for k in HOLDS if k in present]
     if level == 0:

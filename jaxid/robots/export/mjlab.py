@@ -1,4 +1,6 @@
-"""mjlab: actuator settings of `EntityArticulationInfoCfg`; what they lack goes into the MJCF or the spec."""
+"""mjlab: actuator settings of `EntityArticulationInfoCfg`; what they lack goes into the MJCF or the
+spec.
+"""
 
 from __future__ import annotations
 

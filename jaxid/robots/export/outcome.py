@@ -1,4 +1,6 @@
-"""What a result says of a model's numbers, read from its JSON: a stranger's input, of which only what is known is taken."""
+"""What a result says of a model's numbers, read from its JSON: a stranger's input, of which only
+what is known is taken.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ class Named:
 
 @dataclass(frozen=True)
 class Outcome:
-    """`names` and `covariance` of the numbers, [n n], nan where unknown. `content` is the JSON itself."""
+    """`names` and `covariance` of the numbers, [n n], nan where unknown. `content` is the JSON
+    itself.
+    """
 
     kind: str
     model: str
@@ -95,7 +99,9 @@ class Outcome:
 
 
 def outcome(content: Any) -> Outcome:
-    """The numbers of a fit, a diagnosis or an identification. Raises `UsageError` for anything else and for a failed fit."""
+    """The numbers of a fit, a diagnosis or an identification. Raises `UsageError` for anything else
+    and for a failed fit.
+    """
     kind = content.get("kind") if isinstance(content, Mapping) else None
     if kind not in KINDS:
         raise UsageError(
@@ -208,7 +214,9 @@ def _covariance(entry: Any, names: Any) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
-    """What a result says of its robot, checked: its law's numbers are numbers, None where there is no limit."""
+    """What a result says of its robot, checked: its law's numbers are numbers, None where there is
+    no limit.
+    """
     if not robot:
         return {}
     drive = robot.get("drive")

@@ -1,7 +1,8 @@
-"""What the data leave open, as ranges for domain randomisation: mean, standard deviation, 95 % interval, correlations.
+"""What the data leave open, as ranges for domain randomisation: mean, standard deviation, 95 %
+interval, correlations.
 
-Together they are one distribution, that of the covariance of the result. Where a number stands at its bound, its interval and
-those of the numbers that trade for it go to one side.
+Together they are one distribution, that of the covariance of the result. Where a number stands at
+its bound, its interval and those of the numbers that trade for it go to one side.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ class Ranges:
 
 
 def ranges_of(found: Outcome, to: str) -> Ranges:
-    """The ranges of a result's numbers. Numbers that the data do not determine have none, and are listed."""
+    """The ranges of a result's numbers. Numbers that the data do not determine have none, and are
+    listed.
+    """
     numbers = {k: n for k, n in found.parameters.items()}
     if found.kind == "identification":
         numbers = _identified(found)
@@ -106,8 +109,8 @@ def _shared(found: Outcome, wanted: Iterable[str]) -> tuple[list[str], np.ndarra
 def _intervals(found: Outcome, numbers: Mapping[str, Number]) -> dict[str, tuple[float, float]]:
     """95 % of each number that has a standard deviation.
 
-    What stands at a bound has half of its own, by its root mean square from there; a number that trades for it moves with it to
-    one side, and by what is its own to both.
+    What stands at a bound has half of its own, by its root mean square from there; a number that
+    trades for it moves with it to one side, and by what is its own to both.
     """
     known = {name: n for name, n in numbers.items() if n.std is not None}
     down = {name: NORMAL_95 * (n.std or 0.0) for name, n in known.items()}

@@ -26,11 +26,12 @@ class Exportable:
         ranges: bool = False,
         out: str | Path | None = None,
     ) -> Exported:
-        """What was found, in the terms of mjcf, mjlab, isaaclab, urdf, sdf, drake, ros2_control or genesis: `.rows` say for each
-        effect and number which field carries it, `.files` are the texts, written into the folder `out` where one is given.
+        """What was found, in the terms of mjcf, mjlab, isaaclab, urdf, sdf, drake, ros2_control or
+        genesis: `.rows` say for each effect and number which field carries it, `.files` are the
+        texts, written into the folder `out` where one is given.
 
-        `robot` is the file to patch (default: the result's own), `ranges` adds those for domain randomisation. Raises
-        `UsageError` as `jaxid export` does.
+        `robot` is the file to patch (default: the result's own), `ranges` adds those for domain
+        randomisation. Raises `UsageError` as `jaxid export` does.
         """
         from jaxid.fitting.tried import recording_of
         from jaxid.robots.export.run import export

@@ -1,4 +1,6 @@
-"""ros2_control: gains of a controller. A controller has no friction and no inertia: those belong into the model."""
+"""ros2_control: gains of a controller. A controller has no friction and no inertia: those belong
+into the model.
+"""
 
 from __future__ import annotations
 

@@ -28,7 +28,9 @@ from jaxid.wording import listed, number
 
 @dataclass(frozen=True)
 class Exported:
-    """Rows (one at least for each effect and each fitted number), files (name -> text), ranges (None where not asked for)."""
+    """Rows (one at least for each effect and each fitted number), files (name -> text), ranges
+    (None where not asked for).
+    """
 
     to: str
     rows: tuple[Row, ...]
@@ -60,13 +62,15 @@ def export(
     beside: Path | None = None,
     trial: Trial | None = None,
 ) -> Exported:
-    """What a result (the content of its JSON) says, in the terms of a framework; nothing is written.
+    """What a result (the content of its JSON) says, in the terms of a framework; nothing is
+    written.
 
-    `robot` is the file to patch, else the one that the result is of, looked for as it was named and then in `beside`, the folder
-    of the result. `trial` runs a patch on the recording: see `target.Trial`.
+    `robot` is the file to patch, else the one that the result is of, looked for as it was named and
+    then in `beside`, the folder of the result. `trial` runs a patch on the recording: see
+    `target.Trial`.
 
-    Raises `UsageError` for an unknown framework, a content that is no result, and a file that is missing, has changed since, or
-    has not the joints of the result.
+    Raises `UsageError` for an unknown framework, a content that is no result, and a file that is
+    missing, has changed since, or has not the joints of the result.
     """
     if to not in TARGETS:
         raise UsageError(f"--to {to}: no such target{nearest(to, TARGETS)}")
@@ -190,7 +194,9 @@ def _sheet(found: Outcome, tree: Tree | None, path: Path | None) -> Sheet:
 
 
 def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
-    """The tree with the joints held that the result had held. Raises `UsageError` where its joints are others."""
+    """The tree with the joints held that the result had held. Raises `UsageError` where its joints
+    are others.
+    """
     own = found.robot.get("joints") or []
     if own:
         lacking = [j for j in own if j not in tree.joints]

@@ -16,15 +16,16 @@ from jaxid.storage.atomic_files import replace_files
 from jaxid.storage.small_files import read_small, TooLarge
 
 
-#: The rows, the ranges, and what the files were made from (with their SHA-256, for `jaxid replay` and the next export).
+#: The rows, the ranges, and what the files were made from (with their SHA-256, for `jaxid replay`
+#: and the next export).
 ROWS, RANGES, SOURCE = "export.json", "ranges.json", "source.json"
 
 
 def save(exported: Exported, folder: str | Path) -> Path:
     """Puts the files into a folder, made if missing, and returns the path of `export.json`.
 
-    Raises `UsageError` before anything is written where a file of that name stands there that jaxid did not write or that was
-    edited since, and `NotSaved`.
+    Raises `UsageError` before anything is written where a file of that name stands there that jaxid
+    did not write or that was edited since, and `NotSaved`.
     """
     folder = Path(folder)
     files = {name: text.encode() for name, text in exported.files.items()}

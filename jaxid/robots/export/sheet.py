@@ -1,4 +1,6 @@
-"""The numbers of a robot before and after a result, joint by joint and link by link, and which change made which of them."""
+"""The numbers of a robot before and after a result, joint by joint and link by link, and which
+change made which of them.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ SAME = 1e-12
 
 @dataclass(frozen=True)
 class JointNumbers:
-    """What holds at one joint, SI. `torque` is added to the joint always, `drive` multiplies a recorded torque."""
+    """What holds at one joint, SI. `torque` is added to the joint always, `drive` multiplies a
+    recorded torque.
+    """
 
     damping: float = 0.0
     quadratic: float = 0.0
@@ -43,7 +47,9 @@ class JointNumbers:
 
 @dataclass(frozen=True)
 class Body:
-    """Mass (kg), centre of mass (m) in the link's frame, inertia about it along the frame's axes [3 3]."""
+    """Mass (kg), centre of mass (m) in the link's frame, inertia about it along the frame's axes [3
+    3].
+    """
 
     mass: float
     com: np.ndarray
@@ -57,10 +63,11 @@ class Body:
 
 @dataclass(frozen=True)
 class Change:
-    """One effect, or one fitted number, and what of the robot it changed: `quantity` at `place` (a joint or a link).
+    """One effect, or one fitted number, and what of the robot it changed: `quantity` at `place` (a
+    joint or a link).
 
-    A quantity is a field of `JointNumbers`, `force` (both limits), `inertial`, `gravity`, or the effect's own name where no
-    such number says it; `value` is then a table of the effect's numbers.
+    A quantity is a field of `JointNumbers`, `force` (both limits), `inertial`, `gravity`, or the
+    effect's own name where no such number says it; `value` is then a table of the effect's numbers.
     """
 
     effect: str
@@ -75,8 +82,10 @@ class Change:
 
 @dataclass
 class Sheet:
-    """`tree` None where no file is known; `before` and `after` by joint. `bodies` are (before, after) of links, lumped as the
-    model has them. `gravity` likewise. `driven`: a goal drives, by a law of the file (`own_law`) or of the recording."""
+    """`tree` None where no file is known; `before` and `after` by joint. `bodies` are (before,
+    after) of links, lumped as the model has them. `gravity` likewise. `driven`: a goal drives, by a
+    law of the file (`own_law`) or of the recording.
+    """
 
     tree: Tree | None
     before: dict[str, JointNumbers]
@@ -121,7 +130,9 @@ class Sheet:
 
 
 def of_tree(tree: Tree | None, joints: Iterable[str], robot: Mapping[str, Any]) -> Sheet:
-    """What holds before: the file's numbers (those of mimic joints carried to the joint that leads them), and the law's."""
+    """What holds before: the file's numbers (those of mimic joints carried to the joint that leads
+    them), and the law's.
+    """
     drive = robot.get("drive")
     law: Mapping[str, Any] = drive["joints"] if drive else {}
     numbers: dict[str, JointNumbers] = {}
@@ -163,7 +174,9 @@ def _of_file(tree: Tree, joint: str) -> dict[str, float]:
 
 
 def body_before(tree: Tree, link: str) -> Body:
-    """The body of a link as the model starts with it: the nearest one that can exist, with what is fixed to it."""
+    """The body of a link as the model starts with it: the nearest one that can exist, with what is
+    fixed to it.
+    """
     k = tree.links.index(link)
     return from_numbers(dict(zip(BODY, body_of(tree.inertia[k], tree.anchor[k])[0], strict=True)))
 
@@ -192,8 +205,9 @@ def from_numbers(n: Mapping[str, float]) -> Body:
 
 
 def from_ten(ten: np.ndarray) -> tuple[Body, float]:
-    """The nearest body that can exist to ten numbers about the frame's origin, and how far off it is: the largest difference of
-    a number over the largest number."""
+    """The nearest body that can exist to ten numbers about the frame's origin, and how far off it
+    is: the largest difference of a number over the largest number.
+    """
     body = from_numbers(dict(zip(BODY, body_of(ten, np.zeros(3))[0], strict=True)))
     return body, float(np.abs(body.ten - ten).max() / max(float(np.abs(ten).max()), 1e-300))
 
@@ -201,5 +215,7 @@ def from_ten(ten: np.ndarray) -> tuple[Body, float]:
 def turned_gravity(
     g: np.ndarray, roll: float, pitch: float, yaw: float, back: tuple[float, float, float]
 ) -> np.ndarray:
-    """Gravity of a file whose base stands at angles `back`, so that it acts as on a base at (roll, pitch, yaw)."""
+    """Gravity of a file whose base stands at angles `back`, so that it acts as on a base at (roll,
+    pitch, yaw).
+    """
     return rotation(*back) @ rotation(roll, pitch, yaw).T @ g

@@ -1,4 +1,6 @@
-"""A result in the terms of a file whose simulator steps: what its steps add by themselves is not written a second time."""
+"""A result in the terms of a file whose simulator steps: what its steps add by themselves is not
+written a second time.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,9 @@ LATE = ("delay", "input_delay")
 
 
 def stepped(found: Outcome, sheet: Sheet) -> tuple[Outcome, tuple[str, ...]]:
-    """The result with its armatures less, and its delays more, what the steps of the file's simulator make of them; and what is
-    to be said of that. `sheet`: the robot before."""
+    """The result with its armatures less, and its delays more, what the steps of the file's
+    simulator make of them; and what is to be said of that. `sheet`: the robot before.
+    """
     steps = sheet.tree.steps if sheet.tree is not None else None
     if steps is None:
         return found, ()
@@ -53,8 +56,9 @@ def _stated(found: Outcome) -> dict[str, float]:
 
 
 def _in_file(stated: float, n: Number, added: float) -> float:
-    """What the file has to state: as near to what it states as `added` allows while the data do not refute that, else all of it
-    less."""
+    """What the file has to state: as near to what it states as `added` allows while the data do not
+    refute that, else all of it less.
+    """
     near = nearest(stated, n.value, added)
     refuted = n.std is None or abs(near - stated) > REFUTED * n.std
     return max(0.0, n.value - added) if refuted else near
@@ -69,7 +73,9 @@ def _added(steps: Steps, found: Outcome, joint: str, before: JointNumbers) -> fl
 
 
 def _later(steps: Steps, n: Number, stated: float | None = None) -> Number:
-    """A delay as the file has to state it; one that is stated stays where the data and the steps allow it."""
+    """A delay as the file has to state it; one that is stated stays where the data and the steps
+    allow it.
+    """
     if n.value <= 0:
         return n
     later = n.value + steps.delay

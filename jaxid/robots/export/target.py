@@ -13,16 +13,17 @@ from jaxid.robots.export.outcome import AS_STATED
 from jaxid.robots.export.sheet import Change, Sheet
 
 
-#: From the files of a patch (name -> text) and the name of the robot's among them to how far its run in a simulator is from the
-#: recording, rms by joint; None where it has no run.
+#: From the files of a patch (name -> text) and the name of the robot's among them to how far its
+#: run in a simulator is from the recording, rms by joint; None where it has no run.
 Trial = Callable[[Mapping[str, str], str], Mapping[str, float] | None]
 #: By so much of its own size at one joint a run has to be nearer to a recording than another.
 NEARER = 0.01
 
 
 def nearer(off: Mapping[str, float] | None, than: Mapping[str, float] | None) -> bool:
-    """Whether one run of a robot is nearer to the recording than another one: the likelihood of all joints together, with the
-    size of each one's noise unknown."""
+    """Whether one run of a robot is nearer to the recording than another one: the likelihood of all
+    joints together, with the size of each one's noise unknown.
+    """
     if off is None or than is None:
         return False
     gained = sum(
@@ -36,8 +37,9 @@ EXACT, APPROXIMATE, CODE, NONE = "exact", "approximate", "code", "none"
 
 @dataclass(frozen=True)
 class Row:
-    """One effect or number and the field that carries it: `how` is exact, approximate, code (no field; the code is in a file) or
-    none."""
+    """One effect or number and the field that carries it: `how` is exact, approximate, code (no
+    field; the code is in a file) or none.
+    """
 
     effect: str
     location: str
@@ -67,8 +69,10 @@ class Written:
 
 @dataclass(frozen=True)
 class Field:
-    """A field of a framework for a quantity: `name` with {joint} and {link} filled in, how well it says it, in which unit where
-    that is not SI's, and a `factor` from SI to it. `one`: the field has one limit for both directions."""
+    """A field of a framework for a quantity: `name` with {joint} and {link} filled in, how well it
+    says it, in which unit where that is not SI's, and a `factor` from SI to it. `one`: the field
+    has one limit for both directions.
+    """
 
     name: str
     how: str = EXACT
@@ -79,7 +83,9 @@ class Field:
 
 
 def value_of(sheet: Sheet, change: Change) -> Any:
-    """The number of a change as it stands in the end: both limits of a force, a vector of gravity, else one number."""
+    """The number of a change as it stands in the end: both limits of a force, a vector of gravity,
+    else one number.
+    """
     if change.quantity == "force":
         n = sheet.after[change.place]
         return [n.lowest, n.highest]
@@ -155,8 +161,10 @@ def joined(*notes: str) -> str:
 def coded(
     file: str, more: Mapping[str, str] | None = None, how: str = CODE
 ) -> Callable[[Change], Row]:
-    """Makes the rows of what has no field: `code` where `file` holds its law, else `none` with the reason. `more`: quantities
-    that are said elsewhere than in a field, with a sentence; `how` that counts."""
+    """Makes the rows of what has no field: `code` where `file` holds its law, else `none` with the
+    reason. `more`: quantities that are said elsewhere than in a field, with a sentence; `how` that
+    counts.
+    """
 
     def lacking(change: Change) -> Row:
         if more and change.quantity in more:

@@ -1,4 +1,6 @@
-"""Edits of an XML file as text: attributes of elements, with everything else (comments, order, spaces) left as it stands."""
+"""Edits of an XML file as text: attributes of elements, with everything else (comments, order,
+spaces) left as it stands.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ _ATTRIBUTE = re.compile(rb"""\s+([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 @dataclass
 class Element:
-    """A start tag at bytes [start, end) of the text; `close` is where its end tag begins, -1 where it has none."""
+    """A start tag at bytes [start, end) of the text; `close` is where its end tag begins, -1 where
+    it has none.
+    """
 
     name: str
     attributes: dict[str, str]
@@ -39,7 +43,9 @@ class Element:
 
 
 class XmlText:
-    """A text, its elements, and edits that are made all at once at the end. Texts that were parsed safely before only."""
+    """A text, its elements, and edits that are made all at once at the end. Texts that were parsed
+    safely before only.
+    """
 
     def __init__(self, text: str):
         self.text = text.encode()

@@ -1,7 +1,9 @@
-"""The four papers this library began with, done again: one module each, on twins written apart from the library.
+"""The four papers this library began with, done again: one module each, on twins written apart from
+the library.
 
-Nobody's recordings of the four rigs are published, so nothing here claims agreement with them. What is compared: which
-parameters come back, how the algorithms rank, and how large the published differences are beside the scatter of our own runs.
+Nobody's recordings of the four rigs are published, so nothing here claims agreement with them. What
+is compared: which parameters come back, how the algorithms rank, and how large the published
+differences are beside the scatter of our own runs.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ BUDGETS = ("small", "full")
 
 
 class Paper(NamedTuple):
-    """A paper; `module` has `study(size) -> Iterator[Part]`, in `parts` parts, and its `SIZES` by budget."""
+    """A paper; `module` has `study(size) -> Iterator[Part]`, in `parts` parts, and its `SIZES` by
+    budget.
+    """
 
     title: str
     doi: str
@@ -70,8 +74,9 @@ PAPERS = {
 def reproduce(paper: str, budget: str = "small", progress: Progress | None = None) -> Reproduction:
     """One paper, whole: its experiments on a twin, its claims beside our numbers.
 
-    `budget`: small (minutes on two cores) or full (the paper's settings throughout, more seeds). Raises `UsageError` for an
-    unknown paper or budget, and `Interrupted` with the parts that were finished.
+    `budget`: small (minutes on two cores) or full (the paper's settings throughout, more seeds).
+    Raises `UsageError` for an unknown paper or budget, and `Interrupted` with the parts that were
+    finished.
     """
     if paper not in PAPERS:
         raise UsageError(

@@ -1,4 +1,6 @@
-"""Paper 002: six numbers of a flexible link by DE, GA and PSO, in the paper's box searched linearly as it does."""
+"""Paper 002: six numbers of a flexible link by DE, GA and PSO, in the paper's box searched linearly
+as it does.
+"""
 
 from __future__ import annotations
 
@@ -82,8 +84,10 @@ PEAKS = {"triangular": 0.464, "rectangular": 0.241, "half sine": 0.368}
 
 
 def data(modes: int = 4, linear: bool = True) -> Dataset:
-    """A rectangular pulse, 2 s at 1 kHz; 250 lines of the linear response with 2 % noise in magnitude. `linear`: the box is
-    searched as it is, as in the paper, else by logarithm where it spans decades."""
+    """A rectangular pulse, 2 s at 1 kHz; 250 lines of the linear response with 2 % noise in
+    magnitude. `linear`: the box is searched as it is, as in the paper, else by logarithm where it
+    spans decades.
+    """
     rng = np.random.default_rng(0)
     t = np.arange(2000) * 1e-3
     u = pushed("rectangular", t)
@@ -154,8 +158,9 @@ def methods(size: int = 100, generations: int = 100) -> dict[str, AbstractFitter
 
 
 class Size(NamedTuple):
-    """How much is computed: the paper's population, generations and ten seeds but for more seeds in full; `step` (s) of the pulse
-    with dry friction."""
+    """How much is computed: the paper's population, generations and ten seeds but for more seeds in
+    full; `step` (s) of the pulse with dry friction.
+    """
 
     seeds: int
     step: float
@@ -363,7 +368,9 @@ def response(p: Problem, runs: Mapping[str, Searched]) -> Part:
 
 
 def modelled(p: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain at the lines and angle at the samples, from the columns of the residual: rows that count there have a weight."""
+    """Gain at the lines and angle at the samples, from the columns of the residual: rows that count
+    there have a weight.
+    """
     seen, weight = p.predictions(z)[0], p.weights[p.runs.record(p.records[0]).samples]
     return seen[weight[:, 0] > 0, 0], seen[weight[:, 1] > 0, 1]
 
@@ -472,7 +479,9 @@ def nrmse(error: np.ndarray, measured: np.ndarray) -> float:
 
 
 def bent(h: float) -> Part:
-    """Beyond the paper: a measured response of a hub with dry friction, compared with the model's linear one."""
+    """Beyond the paper: a measured response of a hub with dry friction, compared with the model's
+    linear one.
+    """
     t = np.arange(round(5 / h)) * h
     u = pushed("rectangular", t)
     y = twin.zero_order_hold(u, h, round(h / 1e-4), twin.DE["v"], twin.DE["tau_c"])

@@ -22,13 +22,15 @@ from jaxid.study.papers.twins.serial_arm import torques
 from jaxid.wording import listed, number
 
 
-#: Friction (Table VI; the negative F_c of joint 2 brakes backwards and is left out) and noise (Table II), N m.
+#: Friction (Table VI; the negative F_c of joint 2 brakes backwards and is left out) and noise
+#: (Table II), N m.
 LEVEL = np.array([10.0037, 0.0, 5.1803, 2.7800, 2.0115, 1.7533])
 VISCOUS = np.array([21.6084, 26.4096, 15.1400, 2.7746, 3.4578, 3.5335])
 EXPONENT = np.array([0.5758, 0.2723, 0.6093, 0.9995, 0.8031, 0.7209])
 OFFSET = np.array([-0.3426, 0.0582, 0.1780, 0.6453, 0.6725, 0.5685])
 NOISE = np.array([3.7817, 4.1789, 3.0339, 1.7334, 1.0670, 0.9896])
-#: Truth of the payload (Table VII) about the flange frame, and of the second one (its shape scaled).
+#: Truth of the payload (Table VII) about the flange frame, and of the second one (its shape
+#: scaled).
 MASS, SECOND = 3.5256, 3.223
 #: RMSE of friction models (Table VIII): linear and nonlinear, without payload.
 TABLE_8 = (
@@ -48,8 +50,9 @@ def load(mass: float = MASS) -> Float[np.ndarray, " 10"]:
 
 
 class Twin(NamedTuple):
-    """A motion [time 6] with its rates, its columns [time 6 58], and the torque without noise of the arm without and with a
-    load."""
+    """A motion [time 6] with its rates, its columns [time 6 58], and the torque without noise of
+    the arm without and with a load.
+    """
 
     t: np.ndarray
     motion: tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -60,7 +63,9 @@ class Twin(NamedTuple):
 
 
 def path(seed: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
-    """(17): five harmonics of 0.1 Hz about the upright pose, within 1.4 rad and 2 rad/s; its coefficients are lost."""
+    """(17): five harmonics of 0.1 Hz about the upright pose, within 1.4 rad and 2 rad/s; its
+    coefficients are lost.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(0, seconds, 1 / RATE)
     w = 2 * np.pi * 0.1 * np.arange(1, 6)
@@ -95,7 +100,9 @@ def arm_torque(
 
 
 def columns(motion: tuple[np.ndarray, ...], law: str = "power") -> Float[np.ndarray, "time 6 58"]:
-    """Base parameters, then F_c, F_v, offset by joint; the exponents are those identified without load, as in the paper."""
+    """Base parameters, then F_c, F_v, offset by joint; the exponents are those identified without
+    load, as in the paper.
+    """
     arm = UR10()
     W = np.zeros((len(motion[0]), 6, 58))
     W[:, :, :40] = torque_columns(arm, *motion)[:, :, list(arm.base().kept)]
@@ -138,8 +145,9 @@ def solve(W: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def as_printed(
     W: np.ndarray, loaded: np.ndarray, unloaded: np.ndarray, base: Any
 ) -> tuple[float, float, float | None]:
-    """Equations (7) to (16) with the paper's settings: mass after the whole motion, mass where the stop rule fires (else the
-    same), and that time in seconds."""
+    """Equations (7) to (16) with the paper's settings: mass after the whole motion, mass where the
+    stop rule fires (else the same), and that time in seconds.
+    """
     watched = watched_of(base, 6)
     settings: Any = {"noise_var": 100.0, "prior_var": 10.0, "watched": watched}
     theta, _, met = replay(W, loaded, unloaded, rule=Rule(), **settings)
@@ -161,13 +169,17 @@ def by_rows(difference: np.ndarray, base: Any) -> float:
 
 
 def same_trajectory(twin: Twin, difference: np.ndarray) -> float:
-    """Algorithm 1: torques with load less those without, on one trajectory, as the load's ten columns at the flange."""
+    """Algorithm 1: torques with load less those without, on one trajectory, as the load's ten
+    columns at the flange.
+    """
     Y = torque_columns(UR10(), *twin.motion).reshape(len(twin.t), 6, 6, 11)[:, :, 5, :10]
     return float(solve(Y, difference)[0][9])
 
 
 def static_poses(rng: np.random.Generator, poses: int = 30, seconds: float = 1.0) -> float:
-    """Algorithm 2: the gravity torque of 30 poses with and without load; friction at rest takes none, to its favour."""
+    """Algorithm 2: the gravity torque of 30 poses with and without load; friction at rest takes
+    none, to its favour.
+    """
     q = HOME + rng.uniform(-1.2, 1.2, (poses, 6))
     Y = torque_columns(UR10(), q, 0 * q, 0 * q).reshape(poses, 6, 6, 11)[:, :, 5]
     level = NOISE * np.sqrt(2 / (RATE * seconds))
@@ -193,7 +205,9 @@ def study(seeds: int) -> Iterator[Part]:
 
 
 def friction(twin: Twin) -> Part:
-    """Tables II and VIII: the torque predicted on another motion, by a linear and by the power law."""
+    """Tables II and VIII: the torque predicted on another motion, by a linear and by the power
+    law.
+    """
     rng, other = np.random.default_rng(0), made(8)
     rows, error = [], {}
     for law in ("linear", "power"):
@@ -411,7 +425,9 @@ def differenced(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def harmonics(
     t: np.ndarray, q: np.ndarray, count: int = 5
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A periodic motion by the harmonics of 0.1 Hz that it is made of, and their derivatives, which keep every one of them."""
+    """A periodic motion by the harmonics of 0.1 Hz that it is made of, and their derivatives, which
+    keep every one of them.
+    """
     w = 2 * np.pi * 0.1 * np.arange(1, count + 1)
     s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
     x = np.linalg.lstsq(np.column_stack([np.ones_like(t), s, c]), q, rcond=None)[0]

@@ -1,4 +1,6 @@
-"""What the reproduction of a paper found: claims with the paper's numbers and ours, tables, sentences and pictures."""
+"""What the reproduction of a paper found: claims with the paper's numbers and ours, tables,
+sentences and pictures.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ HOLDS, FAILS, PARTLY, UNKNOWN = "holds", "does not hold", "partly", "cannot be c
 
 
 class Claim(NamedTuple):
-    """A claim of a paper, its number (empty where it gives none), ours, and what follows; `why` where it cannot be checked."""
+    """A claim of a paper, its number (empty where it gives none), ours, and what follows; `why`
+    where it cannot be checked.
+    """
 
     claim: str
     paper: str
@@ -75,7 +79,9 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True)
 class Reproduction:
-    """A paper done again on a twin: `result.json` and the page. `parts` may be those that were finished when it was stopped."""
+    """A paper done again on a twin: `result.json` and the page. `parts` may be those that were
+    finished when it was stopped.
+    """
 
     paper: str
     title: str

@@ -1,4 +1,6 @@
-"""Many searches on one problem, and what they look like: the same loss and bounds for every method and seed."""
+"""Many searches on one problem, and what they look like: the same loss and bounds for every method
+and seed.
+"""
 
 from __future__ import annotations
 
@@ -51,8 +53,9 @@ def race(
     seeds: Sequence[int],
     budget: int | None = None,
 ) -> list[Searched]:
-    """Every method with every seed. Populations begin in the whole bounds, no start among their members; what needs a start gets
-    a random one there, the same for all with one seed."""
+    """Every method with every seed. Populations begin in the whole bounds, no start among their
+    members; what needs a start gets a random one there, the same for all with one seed.
+    """
     out = []
     for label, method in methods.items():
         began = time.perf_counter()
@@ -144,7 +147,9 @@ def lines(
     panels: Sequence[tuple[str, str, Mapping[str, tuple[np.ndarray, np.ndarray]]]],
     **axis: str,
 ) -> Picture:
-    """Panels (x label, y label, curves by label) side by side; a label has one colour, the first of all is drawn as measured."""
+    """Panels (x label, y label, curves by label) side by side; a label has one colour, the first of
+    all is drawn as measured.
+    """
     labels = list(dict.fromkeys(label for _, _, curves in panels for label in curves))
 
     def draw(figure: Figure) -> None:

@@ -1,4 +1,6 @@
-"""Paper 000: the last body of a space manipulator and the friction of its joints by recursive differential evolution (RDE)."""
+"""Paper 000: the last body of a space manipulator and the friction of its joints by recursive
+differential evolution (RDE).
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,10 @@ from jaxid.wording import listed, number
 
 
 class Size(NamedTuple):
-    """How much is computed: generations off-line, those of a search on the linear part and its noise seeds, seeds and evaluations
-    of a race, and blocks of data of which the load changes half-way."""
+    """How much is computed: generations off-line, those of a search on the linear part and its
+    noise seeds, seeds and evaluations of a race, and blocks of data of which the load changes
+    half-way.
+    """
 
     offline: int
     linear: int
@@ -341,7 +345,9 @@ def _reached(r: Searched, goal: float, seeds: int, cap: int) -> tuple[Any, ...]:
 
 
 def change(count: int, offline: int) -> Part:
-    """A load that is dropped in part while data arrive: windows and forgetting against growing data."""
+    """A load that is dropped in part while data arrive: windows and forgetting against growing
+    data.
+    """
     blocks = twin.cut(twin.path(4, count * BLOCK / 20.0), BLOCK)[:count]
     part = {k: v * (0.8 if k == "m2" else 0.6) for k, v in twin.BODY.items()}
     truths = [twin.BODY if k < count // 2 else part for k in range(count)]

@@ -1,4 +1,6 @@
-"""Paper 000's problems and recursions: torque errors of a plane arm, blocks of data, and methods that follow them."""
+"""Paper 000's problems and recursions: torque errors of a plane arm, blocks of data, and methods
+that follow them.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ BOUNDS = {
     "F_v": (0, 6),
 }
 UNITS = {"m2": "kg", "hx": "kg m", "hy": "kg m", "I2": "kg m²"}
-#: Samples off-line and of a recursion, and recursions: 8 of 5 generations of 1 s are the paper's 40 s.
+#: Samples off-line and of a recursion, and recursions: 8 of 5 generations of 1 s are the paper's 40
+#: s.
 FIRST, BLOCK, RECURSIONS, LOOPS = 100, 50, 8, 5
 NOISE = 0.01
 #: Of the rms torque: where a search without noise has arrived.
@@ -48,7 +51,9 @@ GOAL = 1e-3
 def problem_of(
     motions: Sequence[twin.Motion], torques: Sequence[np.ndarray], noise: float, seed: int = 0
 ) -> Problem:
-    """The torque error of the fixed-base model, a piece a motion. Torques without friction are those of a model without."""
+    """The torque error of the fixed-base model, a piece a motion. Torques without friction are
+    those of a model without.
+    """
     rng = np.random.default_rng(seed)
     size = np.sqrt(np.mean(np.concatenate(list(torques)) ** 2, 0))
     noisy = [tau + noise * size * rng.standard_normal(tau.shape) for tau in torques]
@@ -133,7 +138,9 @@ def torque_of(numbers: Mapping[str, float], motion: twin.Motion) -> np.ndarray:
 
 
 class Step(NamedTuple):
-    """One recursion: loss on its own data, numbers, evaluations, and seconds it took without compiling."""
+    """One recursion: loss on its own data, numbers, evaluations, and seconds it took without
+    compiling.
+    """
 
     loss: float
     numbers: dict[str, float]
@@ -185,7 +192,9 @@ def carried(
 
 
 def descended(p: Problem, window: int) -> list[Step]:
-    """Five steps of Levenberg and Marquardt a block, from where the block before ended; the first from random starts."""
+    """Five steps of Levenberg and Marquardt a block, from where the block before ended; the first
+    from random starts.
+    """
     out, z = [], None
     for own in stretches(p, FIRST // BLOCK, window):
         part: Any = own

@@ -1,4 +1,6 @@
-"""Paper 003: two inertias and two damping coefficients of a target tracker by a genetic algorithm and a particle swarm."""
+"""Paper 003: two inertias and two damping coefficients of a target tracker by a genetic algorithm
+and a particle swarm.
+"""
 
 from __future__ import annotations
 
@@ -70,8 +72,10 @@ def recorded(
 
 
 def data(*, linear: bool = False, whole: bool = False, **twins: Any) -> Dataset:
-    """Test A (base driven) and test B (barrel driven), 10 s at 100 Hz, 0.1 degree noise. `linear`: the bounds are searched as
-    they are; `whole`: with two runs of other levels that are not fitted; the rest goes to the twin."""
+    """Test A (base driven) and test B (barrel driven), 10 s at 100 Hz, 0.1 degree noise. `linear`:
+    the bounds are searched as they are; `whole`: with two runs of other levels that are not fitted;
+    the rest goes to the twin.
+    """
     t = np.arange(1001) * 0.01
     runs = [recorded(name, stepped(t, axis), t, axis, **twins) for axis, name in enumerate("AB")]
     if whole:
@@ -110,8 +114,9 @@ def problem(known: Dataset) -> Problem:
 
 
 class Size(NamedTuple):
-    """How much is computed; `generations` are 100 for each unknown in full, the default that the paper's settings name.
-    `candidates` of the diagnosis, None: all."""
+    """How much is computed; `generations` are 100 for each unknown in full, the default that the
+    paper's settings name. `candidates` of the diagnosis, None: all.
+    """
 
     generations: int
     candidates: tuple[str, ...] | None
@@ -136,7 +141,9 @@ def methods(generations: int) -> dict[str, AbstractFitter]:
 
 
 def study(size: Size) -> Iterator[Part]:
-    """Five parts: motors, comparison, overlay, what the numbers are worth, and the paper's contradiction."""
+    """Five parts: motors, comparison, overlay, what the numbers are worth, and the paper's
+    contradiction.
+    """
     yield motors()
     known = data(linear=True)
     p = problem(known)
@@ -383,7 +390,9 @@ def contradiction(candidates: tuple[str, ...] | None) -> Part:
 
 
 def curve_of(found: Any) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Torque over voltage as the first actuator curve that was named has it, through formula (6)."""
+    """Torque over voltage as the first actuator curve that was named has it, through formula
+    (6).
+    """
     for e in found.which.effects:
         if e.effect == "actuator_curve":
             from jaxid.models.effects import ActuatorCurve

@@ -1,4 +1,6 @@
-"""The flexible link of paper 002, written apart from the library: textbook beam elements, dense matrices, matrix exponential."""
+"""The flexible link of paper 002, written apart from the library: textbook beam elements, dense
+matrices, matrix exponential.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +102,9 @@ def full(E=DE["E"], I_m=DE["I_m"], alpha=DE["alpha"], beta=DE["beta"], *, n=4):
 def zero_order_hold(
     u: np.ndarray, h: float, parts: int, v: float, tau_c: float, *body: float
 ) -> np.ndarray:
-    """(phi, tip acceleration) by the matrix exponential of all states, with Coulomb friction projected at every fine step."""
+    """(phi, tip acceleration) by the matrix exponential of all states, with Coulomb friction
+    projected at every fine step.
+    """
     M, C, K = full(*body)
     C[0, 0] += v
     W = np.linalg.inv(M)

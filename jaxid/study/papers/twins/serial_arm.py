@@ -1,4 +1,6 @@
-"""Torques of an arm with turning joints, by the recursion of Newton and Euler, written apart from the library."""
+"""Torques of an arm with turning joints, by the recursion of Newton and Euler, written apart from
+the library.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,12 @@ def torques(
     drives: np.ndarray,
     motion: tuple[np.ndarray, ...],
 ) -> np.ndarray:
-    """Torques [time joints] of a motion (q, qd, qdd), each [time joints], on a base that stands upright.
+    """Torques [time joints] of a motion (q, qd, qdd), each [time joints], on a base that stands
+    upright.
 
-    `alpha`, `a`, `d` [joints] of the modified Denavit-Hartenberg table; `bodies` [joints 10] as xx, xy, xz, yy, yz, zz, hx, hy,
-    hz, m about the origins of the links; `drives` [joints] inertias that turn with the joints.
+    `alpha`, `a`, `d` [joints] of the modified Denavit-Hartenberg table; `bodies` [joints 10] as xx,
+    xy, xz, yy, yz, zz, hx, hy, hz, m about the origins of the links; `drives` [joints] inertias
+    that turn with the joints.
     """
     q, qd, qdd = motion
     count, joints = q.shape

@@ -1,5 +1,7 @@
-"""A plane two-joint arm on a base that stands or floats, written apart from the library: Lagrange's equations by matrices of
-bodies, and Stribeck friction. Paper 000's own equations are lost; these are the numbers that stand in for its tables."""
+"""A plane two-joint arm on a base that stands or floats, written apart from the library: Lagrange's
+equations by matrices of bodies, and Stribeck friction. Paper 000's own equations are lost; these
+are the numbers that stand in for its tables.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,9 @@ def torque(
     body: Mapping[str, float] = BODY,
     friction: Mapping[str, tuple[float, float]] | None = FRICTION,
 ) -> Float[np.ndarray, "time 2"]:
-    """Lagrange's equations of qd' M qd / 2, derivatives of M by central differences, and friction."""
+    """Lagrange's equations of qd' M qd / 2, derivatives of M by central differences, and
+    friction.
+    """
     _, q, qd, qdd = motion
     M, h = mass_matrix(q, base, body), 1e-6
     slopes = [

@@ -1,4 +1,6 @@
-"""The tracker of paper 003, written apart from the library: its equations (4, corrected), (5) and (6), integrated by SciPy."""
+"""The tracker of paper 003, written apart from the library: its equations (4, corrected), (5) and
+(6), integrated by SciPy.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def formula(volts: np.ndarray) -> np.ndarray:
 
 
 def table(volts: np.ndarray) -> np.ndarray:
-    """Torque by Table 1, straight between its points and beyond the last one along its last piece."""
+    """Torque by Table 1, straight between its points and beyond the last one along its last
+    piece.
+    """
     v, tau = np.array(TABLE).T
     beyond = np.maximum(np.abs(volts) - v[-1], 0) * (tau[-1] - tau[-2]) / (v[-1] - v[-2])
     return np.sign(volts) * (np.interp(np.abs(volts), v, tau) + beyond)
@@ -34,7 +38,9 @@ def run(
     motors=formula,
     rotor: float = 0.0,
 ) -> Float[np.ndarray, "time 2"]:
-    """theta, alpha under voltages that hold between samples, from rest at 0; `rotor` is the part of J_alpha that only tilts."""
+    """theta, alpha under voltages that hold between samples, from rest at 0; `rotor` is the part of
+    J_alpha that only tilts.
+    """
     k, J, own = M * L + 2 * MC * U, GA["J_alpha"], GA["J_alpha"] - rotor
 
     def field(time, x, T):
