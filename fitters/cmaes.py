@@ -67,16 +67,16 @@ class CMAES(AbstractPopulation):
         eye, zero = jnp.eye(dim), jnp.zeros(dim)
         start = population[jnp.argmin(losses)]
         return State(
-            start,
-            jnp.asarray(0.8),
-            eye,
-            eye,
-            jnp.ones(dim),
-            zero,
-            zero,
-            scale,
-            jnp.zeros((), jnp.int32),
-            population,
+            mean=start,
+            sigma=jnp.asarray(0.8),
+            C=eye,
+            basis=eye,
+            lengths=jnp.ones(dim),
+            path_sigma=zero,
+            path_C=zero,
+            scale=scale,
+            generation=jnp.zeros((), jnp.int32),
+            last=population,
         )
 
     def ask(self, key, state, lower, upper):
@@ -124,7 +124,16 @@ class CMAES(AbstractPopulation):
             generation % period == 0, decomposed, lambda _: (state.basis, state.lengths), None
         )
         return State(
-            mean, sigma, C, basis, lengths, path_sigma, path_C, state.scale, generation, candidates
+            mean=mean,
+            sigma=sigma,
+            C=C,
+            basis=basis,
+            lengths=lengths,
+            path_sigma=path_sigma,
+            path_C=path_C,
+            scale=state.scale,
+            generation=generation,
+            last=candidates,
         )
 
     def spread(self, state):

@@ -97,7 +97,16 @@ class LeastSquares(AbstractFitter):
         problem = of_runs(problem, self.name)
         at, blocks = linearised(problem, starts[0], self.name)
         theta = solve(problem, at, blocks, blocks)
-        return finish(problem, at, blocks, blocks, theta, self.name, "solved directly", 1)
+        return finish(
+            problem=problem,
+            at=at,
+            blocks=blocks,
+            instruments=blocks,
+            theta=theta,
+            name=self.name,
+            stopped="solved directly",
+            evaluations=1,
+        )
 
 
 class WeightedLeastSquares(AbstractFitter):
@@ -122,7 +131,16 @@ class WeightedLeastSquares(AbstractFitter):
             if change(old, theta) < self.tolerance:
                 stopped = "tolerance"
                 break
-        return finish(problem, at, blocks, blocks, theta, self.name, stopped, 1)
+        return finish(
+            problem=problem,
+            at=at,
+            blocks=blocks,
+            instruments=blocks,
+            theta=theta,
+            name=self.name,
+            stopped=stopped,
+            evaluations=1,
+        )
 
 
 class RecursiveLeastSquares(AbstractFitter):
@@ -168,7 +186,16 @@ class RecursiveLeastSquares(AbstractFitter):
                 [W * s[:, None, None] for W, s in zip(blocks.W, parts, strict=True)],
                 [x * s[:, None] for x, s in zip(blocks.b, parts, strict=True)],
             )
-        return finish(problem, at, blocks, blocks, theta, self.name, stopped, 1)
+        return finish(
+            problem=problem,
+            at=at,
+            blocks=blocks,
+            instruments=blocks,
+            theta=theta,
+            name=self.name,
+            stopped=stopped,
+            evaluations=1,
+        )
 
 
 class InstrumentalVariables(AbstractFitter):
@@ -229,7 +256,16 @@ class InstrumentalVariables(AbstractFitter):
             ):
                 stopped = f"the estimate moves by less than {STILL:g} of its standard deviation"
                 break
-        return finish(problem, at, blocks, instruments, theta, self.name, stopped, number + 2)
+        return finish(
+            problem=problem,
+            at=at,
+            blocks=blocks,
+            instruments=instruments,
+            theta=theta,
+            name=self.name,
+            stopped=stopped,
+            evaluations=number + 2,
+        )
 
 
 def change(old: np.ndarray, new: np.ndarray) -> float:

@@ -187,7 +187,14 @@ class AbstractOptimistix(AbstractFitter):
             options, tags = {"autodiff_mode": "fwd", "jac": "fwd"}, frozenset()
             began, known = time.perf_counter(), len(problem.programs)
             init, step, over = _programs(
-                problem, self, solver, fn, options, f_struct, aux_struct, tags
+                problem=problem,
+                fitter=self,
+                solver=solver,
+                fn=fn,
+                options=options,
+                f_struct=f_struct,
+                aux_struct=aux_struct,
+                tags=tags,
             )
             state = init(x, args)
             best, z, rejected = np.inf, start, 0

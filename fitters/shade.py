@@ -44,15 +44,15 @@ class Shade(AbstractPopulation):
     def init(self, key, population, losses):
         half = jnp.full(self.memory, 0.5)
         blank = State(
-            population,
-            losses,
-            population,
-            half,
-            half,
-            jnp.zeros((), jnp.int32),
-            jnp.zeros(self.popsize),
-            jnp.zeros(self.popsize),
-            key,
+            population=population,
+            losses=losses,
+            archive=population,
+            F_memory=half,
+            CR_memory=half,
+            slot=jnp.zeros((), jnp.int32),
+            F=jnp.zeros(self.popsize),
+            CR=jnp.zeros(self.popsize),
+            key=key,
         )
         return self._drawn(blank)
 

@@ -106,7 +106,17 @@ def fit(
         data = in_blocks(data, block_s)
     binding = bind(model, data, effects=effects, without=without)
     compared = resolve_residual(residual, cutoff_hz) if cutoff_hz is not None else residual
-    found = _fit(binding, fitter, compared, loss, seed, budget, progress, solver, along)
+    found = _fit(
+        binding=binding,
+        fitter=fitter,
+        residual=compared,
+        loss=loss,
+        seed=seed,
+        budget=budget,
+        progress=progress,
+        solver=solver,
+        along=along,
+    )
     return replace(found, data=checked.findings, wall_time_s=time.perf_counter() - began)
 
 
@@ -145,14 +155,14 @@ def _fit(
         from jaxid.fitting.recursion import fit_recursively
 
         return fit_recursively(
-            with_solver(binding, solver, resolved),
-            chosen,
-            resolved,
-            loss,
-            seed,
-            budget,
-            progress,
-            along,
+            binding=with_solver(binding, solver, resolved),
+            fitter=chosen,
+            residual=resolved,
+            loss=loss,
+            seed=seed,
+            budget=budget,
+            progress=progress,
+            recursion=along,
         )
     return fit_binding(
         with_solver(binding, solver, resolved), chosen, resolved, loss, seed, budget, progress
@@ -216,7 +226,15 @@ def diagnose(
         known = None if reference is None else Reference.read(reference)
         compared = resolve_residual(residual, cutoff_hz)
         found = run_diagnosis(
-            model, data, max_effects, effects, without, compared, seed, progress, known
+            model=model,
+            dataset=data,
+            max_effects=max_effects,
+            effects=effects,
+            without=without,
+            residual=compared,
+            seed=seed,
+            progress=progress,
+            reference=known,
         )
     except Interrupted as stop:
         partial = None if stop.partial is None else replace(stop.partial, data=checked.findings)
@@ -313,20 +331,20 @@ def compare(
 
     budget = BUDGET if budget is None and seconds is None else budget
     return run_comparison(
-        model,
-        dataset,
-        labelled(fitters, budget, seconds),
-        seeds,
-        budget,
-        seconds,
-        effects,
-        without,
-        resolve_residual(residual),
-        loss or "sum_of_squares",
-        starts,
-        tolerance,
-        seed,
-        progress,
+        model=model,
+        dataset=dataset,
+        fitters=labelled(fitters, budget, seconds),
+        seeds=seeds,
+        budget=budget,
+        seconds=seconds,
+        effects=effects,
+        without=without,
+        residual=resolve_residual(residual),
+        loss=loss or "sum_of_squares",
+        starts=starts,
+        tolerance=tolerance,
+        seed=seed,
+        progress=progress,
     )
 
 

@@ -208,17 +208,17 @@ def describe(name: str, model: Any = None) -> ModelInfo:
             number = "" if len(signature.joints) == 1 else str(j + 1)
             states += [joint, f"q{number}", *speed_names(signature.joints, j)]
     return ModelInfo(
-        kind.name,
-        text_of(kind),
-        kind.equations,
-        kind.source,
-        tuple(one.signatures),
-        tuple(parameters),
-        tuple(constants),
-        tuple(e.name for e, _ in kind.builtin),
-        tuple(dict.fromkeys(states)),
-        tuple(parameters.values()),
-        tuple(constants.values()),
+        name=kind.name,
+        text=text_of(kind),
+        equations=kind.equations,
+        source=kind.source,
+        signatures=tuple(one.signatures),
+        parameters=tuple(parameters),
+        constants=tuple(constants),
+        builtin_effects=tuple(e.name for e, _ in kind.builtin),
+        states=tuple(dict.fromkeys(states)),
+        parameter_info=tuple(parameters.values()),
+        constant_info=tuple(constants.values()),
     )
 
 
@@ -263,17 +263,17 @@ def describe_effect(name: str) -> EffectInfo:
             ParameterInfo(field, unit, spec.value, str(spec.lower), str(spec.upper), spec.meaning)
         )
     return EffectInfo(
-        name,
-        text_of(kind),
-        family,
-        port,
-        kind.equation,
-        kind.signature,
-        kind.excitation,
-        kind.source,
-        locations,
-        tuple(parameters),
-        tuple(own),
+        name=name,
+        text=text_of(kind),
+        family=family,
+        port=port,
+        equation=kind.equation,
+        signature=kind.signature,
+        what_to_record=kind.excitation,
+        source=kind.source,
+        locations=locations,
+        parameters=tuple(parameters),
+        settings=tuple(own),
     )
 
 

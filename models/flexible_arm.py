@@ -233,11 +233,27 @@ class FlexibleArm(Mechanism):
         h = jnp.zeros_like(p)
         for k, link in enumerate((first, second)):
             own_M, own_h = _inertia_forces(
-                link, turn, move, pull, e[k], z[k], dot(turn, pd), modal[k]
+                link=link,
+                turn=turn,
+                move=move,
+                pull=pull,
+                e=e[k],
+                z=z[k],
+                rate=dot(turn, pd),
+                own=modal[k],
             )
             M, h = M + own_M, h + own_h
             turn, move, pull, M, h = _carried(
-                link, turn, move, pull, e[k], z[k], pd, modal[k], M, h
+                link=link,
+                turn=turn,
+                move=move,
+                pull=pull,
+                e=e[k],
+                z=z[k],
+                pd=pd,
+                own=modal[k],
+                M=M,
+                h=h,
             )
             if k == 0:
                 angle = dot(link.slope, e[0]) + p[1]

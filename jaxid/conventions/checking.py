@@ -100,15 +100,15 @@ def run_check(
                 )
             give_back()
     return Checked(
-        dataset.name,
-        dataset.sha256,
-        tuple(found),
-        data,
-        name,
-        _usable(found, dataset),
-        tuple(notes),
-        time.perf_counter() - began,
-        digest,
+        dataset=dataset.name,
+        dataset_sha256=dataset.sha256,
+        findings=tuple(found),
+        mended=data,
+        model=name,
+        usable=_usable(found, dataset),
+        notes=tuple(notes),
+        wall_time_s=time.perf_counter() - began,
+        model_sha256=digest,
     )
 
 

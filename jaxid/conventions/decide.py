@@ -180,10 +180,10 @@ def _claimed(
         )
     )
     finding = DataFinding(
-        best.reading.kind,
-        best.reading.channels[0],
-        value,
-        _words(
+        kind=best.reading.kind,
+        channel=best.reading.channels[0],
+        value=value,
+        text=_words(
             best.reading,
             value,
             what,
@@ -191,11 +191,11 @@ def _claimed(
             _doubt(beyond, bool(others)),
             laws,
         ),
-        _line(binding, best.reading, mending),
-        interval,
-        recorded.worst / noise,
-        left.worst / noise,
-        decisive,
+        line=_line(binding, best.reading, mending),
+        interval_95=interval,
+        gap_before=recorded.worst / noise,
+        gap_if_mended=left.worst / noise,
+        decisive=decisive,
         same_as=tuple(a for a in alike if a != (best.reading.kind, best.reading.channels[0])),
         headline=_headline(best.reading, value, binding, what),
     )

@@ -186,19 +186,19 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
     )
     count, at = len(rows), (rows[:, None] + aside).ravel()
     return Motion(
-        q[at],
-        qd[at],
-        qdd[at],
-        t[rows] - t[0],
-        np.ones((count, chain.nq)),
-        np.full(count, e.split != "fit"),
-        number * BLOCKS + np.arange(count) * BLOCKS // count,
-        step,
-        (Source(t, smooth, t[at]),),
-        np.eye(nu),
-        np.zeros(nu),
-        np.zeros(nu),
-        each,
+        q=q[at],
+        qd=qd[at],
+        qdd=qdd[at],
+        since=t[rows] - t[0],
+        weight=np.ones((count, chain.nq)),
+        held=np.full(count, e.split != "fit"),
+        block=number * BLOCKS + np.arange(count) * BLOCKS // count,
+        step=step,
+        sources=(Source(t, smooth, t[at]),),
+        mix=np.eye(nu),
+        rows=np.zeros(nu),
+        drift=np.zeros(nu),
+        each=each,
     )
 
 

@@ -55,21 +55,30 @@ def contradictions(
             channel, mate = (position, speed) if told else (speed, position)
             found.append(
                 _shown(
-                    dataset,
-                    "sign",
-                    channel,
-                    mate,
-                    -1.0,
-                    "the opposite sign",
-                    ratio,
-                    told is not None,
+                    dataset=dataset,
+                    kind="sign",
+                    channel=channel,
+                    mate=mate,
+                    value=-1.0,
+                    what="the opposite sign",
+                    ratio=ratio,
+                    sure=told is not None,
                 )
             )
             m = turned if told else m
         if (factor := _factor(abs(ratio))) is not None:
             by_position, size, what = factor
             channel, mate = (position, speed) if by_position else (speed, position)
-            shown = _shown(dataset, "scale", channel, mate, size, what, ratio, what != FREE)
+            shown = _shown(
+                dataset=dataset,
+                kind="scale",
+                channel=channel,
+                mate=mate,
+                value=size,
+                what=what,
+                ratio=ratio,
+                sure=what != FREE,
+            )
             found.append(
                 shown if what != FREE else Shown(replace(shown.finding, decisive=False), Mending())
             )

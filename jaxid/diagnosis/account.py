@@ -51,7 +51,15 @@ def fit_of(
     problem = h.path.problem
     minimum = Minimum(h.path.z, h.fit_loss, h.path.converged, h.path.stopped, h.path.linearisations)
     return assemble(
-        bench, problem, minimum, residual, "lm", seed, compile_time, wall_time, known=h.covariance
+        bench=bench,
+        problem=problem,
+        result=minimum,
+        residual=residual,
+        fitter="lm",
+        seed=seed,
+        compile_time=compile_time,
+        wall_time=wall_time,
+        known=h.covariance,
     )
 
 

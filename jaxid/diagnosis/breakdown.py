@@ -76,7 +76,18 @@ def by_regime(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Shar
         m = b.motions[e.name]
         load = joint_load(b, e, m)
         none = np.zeros((0, len(e.t), b.chain.nq))
-        moved.append(Missing(e, np.ones(len(e.t), bool), m.q, m.qd, m.qdd, load, none, none))
+        moved.append(
+            Missing(
+                experiment=e,
+                keep=np.ones(len(e.t), bool),
+                q=m.q,
+                qd=m.qd,
+                qdd=m.qdd,
+                load=load,
+                force=none,
+                null=none,
+            )
+        )
     for j, joint in enumerate(b.chain.signature.joints):
         masks = [regimes(m, j) for m in moved]
         for name in dict.fromkeys(n for mask in masks for n in mask):

@@ -93,15 +93,15 @@ class Judge:
     def _claim(self, verdict: Verdict, named: tuple[Candidate, ...] = ()) -> Claim:
         final = self.end if named else self.nominal
         far = shrinking.measure(
-            self.bench,
-            self.residual,
-            self.before,
-            self.nominal.theta,
-            final.theta,
-            verdict.name,
-            self.note,
-            self.alike,
-            self.still,
+            bench=self.bench,
+            residual=self.residual,
+            before=self.before,
+            retuned=self.nominal.theta,
+            after=final.theta,
+            verdict=verdict.name,
+            note=self.note,
+            alike=self.alike,
+            still=self.still,
         )
         return Claim(verdict, named, final, far)
 

@@ -49,7 +49,17 @@ def measure(
         reason = (
             "what is kept for choosing and reporting stands still: there is no gap to measure on it"
         )
-        return HowFar(nothing, nothing, nothing, 1.0, None, None, reason, {}, reason)
+        return HowFar(
+            gap_before=nothing,
+            gap_retuned=nothing,
+            gap_after=nothing,
+            noise_floor=1.0,
+            shrinkage=None,
+            shrinkage_interval_95=None,
+            interval_reason=reason,
+            per_channel={},
+            text=reason,
+        )
     split = splits[0]
     stated = held_out(alike, split, [before, retuned, after], residual)
     runs = stated if alike is bench else [*stated[:2], *held_out(bench, split, [after], residual)]
@@ -107,19 +117,19 @@ def measure(
     text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
     by_runs = by_run(bench, split, [whole_runs(bench, residual, split, r) for r in runs])
     return HowFar(
-        gaps[0],
-        gaps[1],
-        gaps[2],
-        1.0,
-        shrinkage,
-        interval,
-        reason,
-        per_channel,
-        f"{text}. {note}".strip(),
-        by_runs,
-        by_regime(bench, split, runs),
-        made_of,
-        split,
+        gap_before=gaps[0],
+        gap_retuned=gaps[1],
+        gap_after=gaps[2],
+        noise_floor=1.0,
+        shrinkage=shrinkage,
+        shrinkage_interval_95=interval,
+        interval_reason=reason,
+        per_channel=per_channel,
+        text=f"{text}. {note}".strip(),
+        per_run=by_runs,
+        per_regime=by_regime(bench, split, runs),
+        interval_from=made_of,
+        split=split,
     )
 
 

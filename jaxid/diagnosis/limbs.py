@@ -153,20 +153,20 @@ def _how_far(parts: Sequence[Diagnosis], verdict: str) -> HowFar:
     split = fars[0].split
     text = f"gap on {split} data: {times(before)} times the noise before, {times(retuned)} after re-tuning the old parameters alone"
     return HowFar(
-        before,
-        retuned,
-        after,
-        1.0,
-        shrinkage,
-        None,
-        NO_INTERVAL if named else fars[0].interval_reason,
-        {k: v for f in fars for k, v in f.per_channel.items()},
-        text + (f", {times(after)} with the effects added" if named else ""),
-        _runs(fars, weights),
-        tuple(s for f in fars for s in f.per_regime),
-        "",
-        split,
-        tuple(r for f in fars for r in f.per_joint),
+        gap_before=before,
+        gap_retuned=retuned,
+        gap_after=after,
+        noise_floor=1.0,
+        shrinkage=shrinkage,
+        shrinkage_interval_95=None,
+        interval_reason=NO_INTERVAL if named else fars[0].interval_reason,
+        per_channel={k: v for f in fars for k, v in f.per_channel.items()},
+        text=text + (f", {times(after)} with the effects added" if named else ""),
+        per_run=_runs(fars, weights),
+        per_regime=tuple(s for f in fars for s in f.per_regime),
+        interval_from="",
+        split=split,
+        per_joint=tuple(r for f in fars for r in f.per_joint),
     )
 
 

@@ -90,14 +90,14 @@ def missing_forces(
         load = joint_load(b, e, m)
         out.append(
             Missing(
-                e,
-                keep,
-                m.q[keep],
-                m.qd[keep],
-                m.qdd[keep],
-                load[keep],
-                force[k],
-                np.array(nulls[k]),
+                experiment=e,
+                keep=keep,
+                q=m.q[keep],
+                qd=m.qd[keep],
+                qdd=m.qdd[keep],
+                load=load[keep],
+                force=force[k],
+                null=np.array(nulls[k]),
             )
         )
     return out

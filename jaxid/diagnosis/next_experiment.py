@@ -43,14 +43,14 @@ def rivals_of(bench: Bench, pair: tuple[Hypothesis, Hypothesis]) -> Rivals | Non
     iu, iy = columns(b.dataset, b.chain)
     joints = [iy[k] for k in b.chain.joint_outputs]
     return Rivals(
-        (words(first), words(second)),
-        layout,
-        np.array([h.theta[at] for h in pair]),
-        tuple(place[i] for i in free),
-        p.dtheta(second.path.z),
-        information,
-        b.sigma,
-        recorded(b.dataset.experiments, iu, joints),
+        names=(words(first), words(second)),
+        layout=layout,
+        theta=np.array([h.theta[at] for h in pair]),
+        free=tuple(place[i] for i in free),
+        slope=p.dtheta(second.path.z),
+        information=information,
+        noise=b.sigma,
+        recorded=recorded(b.dataset.experiments, iu, joints),
     )
 
 

@@ -107,7 +107,15 @@ def moved_to(path: Path, theta: np.ndarray) -> Path:
     p = path.problem
     lower, upper, scale = p.whole
     still = Problem(
-        p.runs, theta, [], lower, upper, p.records, p.loss_name, scale, p.differences
+        runs=p.runs,
+        base=theta,
+        free=[],
+        lower=lower,
+        upper=upper,
+        records=p.records,
+        loss=p.loss_name,
+        scale=scale,
+        differences=p.differences,
     ).with_targets(p.targets)
     starts = still.starts(descend([(still, still.z(theta, p.starts(path.z)))], 8, 1e-6)[0].z)
     end = descend([(p, p.z(theta, starts))], 0, 1e-6)[0]

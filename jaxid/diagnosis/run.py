@@ -126,7 +126,16 @@ def run_diagnosis(
     known, without = Interim(), tuple(without)
     try:
         return _run(
-            model, dataset, max_effects, asked, without, residual, seed, progress, known, reference
+            model=model,
+            dataset=dataset,
+            max_effects=max_effects,
+            asked=asked,
+            without=without,
+            residual=residual,
+            seed=seed,
+            progress=progress,
+            known=known,
+            reference=reference,
         )
     except Interrupted:
         raise
@@ -135,7 +144,15 @@ def run_diagnosis(
             raise
         torque = InverseDynamics()
         found = run_diagnosis(
-            model, dataset, max_effects, asked, without, torque, seed, progress, reference
+            model=model,
+            dataset=dataset,
+            max_effects=max_effects,
+            effects=asked,
+            without=without,
+            residual=torque,
+            seed=seed,
+            progress=progress,
+            reference=reference,
         )
         return dataclasses.replace(found, notes=(*found.notes, error.note))
     except KeyboardInterrupt as stop:  # what is finished is a result too
@@ -201,16 +218,16 @@ def _run(
         plain = bind(model, dataset, without=without)
         answer: Any = lambda wide, names, search, step: _diagnosed(
             Question(
-                wide,
-                OutputError(),
-                tuple(names),
-                max_effects,
-                seed,
-                progress,
-                known,
-                (),
-                search,
-                step,
+                binding=wide,
+                residual=OutputError(),
+                allowed=tuple(names),
+                max_effects=max_effects,
+                seed=seed,
+                progress=progress,
+                known=known,
+                still=(),
+                search=search,
+                step=step,
             )
         )[0]
         if dear(plain):
@@ -221,7 +238,15 @@ def _run(
             return dataclasses.replace(found, notes=(*found.notes, TOO_DEAR))
         if not standing_still(plain):
             return diagnose_led(
-                model, dataset, plain, without, library, max_effects, seed, progress, answer
+                model=model,
+                dataset=dataset,
+                binding=plain,
+                without=without,
+                library=library,
+                max_effects=max_effects,
+                seed=seed,
+                progress=progress,
+                answer=answer,
             )
     binding = bind(
         model,
@@ -257,7 +282,14 @@ def _run(
     # Stamps that scatter are noise, which neighbouring readings show or refute: no fit may take
     # something smooth for it.
     question = Question(
-        binding, own, allowed if stamps else others, max_effects, seed, progress, known, still
+        binding=binding,
+        residual=own,
+        allowed=allowed if stamps else others,
+        max_effects=max_effects,
+        seed=seed,
+        progress=progress,
+        known=known,
+        still=still,
     )
     found, grown = _diagnosed(question)
     verdict = found.which.verdict
@@ -397,34 +429,34 @@ def _diagnosed(
         verdict.name, estimates if named else (), confusable, ranking, verdict.text, against
     )
     advised = advice(
-        verdict.name,
-        [c.effect for c in named],
-        [c.effect for c in mates],
-        rivals,
-        looked.unseen,
-        judge.repeated,
-        question.still,
-        read_twice(binding.dataset),
+        verdict=verdict.name,
+        named=[c.effect for c in named],
+        mates=[c.effect for c in mates],
+        rivals=rivals,
+        unseen=looked.unseen,
+        repeated=judge.repeated,
+        still=question.still,
+        read_twice=read_twice(binding.dataset),
     )
     found = Diagnosis(
-        binding.chain.mechanism.name,
-        binding.dataset.name,
-        binding.dataset.sha256,
-        seed,
-        residual.name,
-        findings,
-        which,
-        how_far,
-        advised,
-        time.perf_counter() - began,
-        nominal_fit,
-        final_fit,
-        traces(bench, residual, nominal, final, named),
-        pictures,
-        rows,
-        (*binding.dataset.notes, *notes_of(binding, final_fit, compile_time)),
-        looked.unseen,
-        rivals,
+        model=binding.chain.mechanism.name,
+        dataset=binding.dataset.name,
+        dataset_sha256=binding.dataset.sha256,
+        seed=seed,
+        residual=residual.name,
+        where=findings,
+        which=which,
+        how_far=how_far,
+        next_experiment=advised,
+        wall_time_s=time.perf_counter() - began,
+        nominal=nominal_fit,
+        final=final_fit,
+        traces=traces(bench, residual, nominal, final, named),
+        missing_force=pictures,
+        regimes=rows,
+        notes=(*binding.dataset.notes, *notes_of(binding, final_fit, compile_time)),
+        unseen=looked.unseen,
+        rivals=rivals,
     )
     if stopped:
         raise Interrupted(found) from stopped
@@ -475,14 +507,14 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     def first() -> Fit:
         spent = time.perf_counter() - began
         return assemble(
-            bench,
-            problem,
-            minimum(nominal.z, nominal.loss),
-            residual,
-            fitter.name,
-            seed,
-            0.0,
-            spent,
+            bench=bench,
+            problem=problem,
+            result=minimum(nominal.z, nominal.loss),
+            residual=residual,
+            fitter=fitter.name,
+            seed=seed,
+            compile_time=0.0,
+            wall_time=spent,
         )
 
     searcher = Searcher(bench, residual, nominal, progress)
@@ -500,7 +532,16 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     found = minimum(path.z, search.nominal.fit_loss)
     return (
         bench,
-        assemble(bench, path.problem, found, residual, fitter.name, seed, compile_time, spent),
+        assemble(
+            bench=bench,
+            problem=path.problem,
+            result=found,
+            residual=residual,
+            fitter=fitter.name,
+            seed=seed,
+            compile_time=compile_time,
+            wall_time=spent,
+        ),
         search,
         compile_time,
     )
@@ -528,7 +569,14 @@ def _so_far(
     binding, residual = question.binding, question.residual
     before, note = shrinking.model_before(binding, search.nominal.theta)
     how_far = shrinking.measure(
-        bench, residual, before, search.nominal.theta, search.nominal.theta, "unknown", note, bench
+        bench=bench,
+        residual=residual,
+        before=before,
+        retuned=search.nominal.theta,
+        after=search.nominal.theta,
+        verdict="unknown",
+        note=note,
+        alike=bench,
     )
     findings, pictures, rows = where_it_lies(
         bench, search.nominal, search.nominal, "unknown", (), question.seed
@@ -536,20 +584,20 @@ def _so_far(
     ranking = tuple(ranked(search))
     text = f"Stopped before the effects of the library were compared: {len(ranking) or 'none'} had been."
     return Diagnosis(
-        binding.chain.mechanism.name,
-        binding.dataset.name,
-        binding.dataset.sha256,
-        question.seed,
-        residual.name,
-        findings,
-        Which("unknown", (), (), ranking, text),
-        how_far,
-        "Let the diagnosis run to its end.",
-        time.perf_counter() - began,
-        nominal,
-        nominal,
-        traces(bench, residual, search.nominal, search.nominal, ()),
-        pictures,
-        rows,
-        binding.dataset.notes,
+        model=binding.chain.mechanism.name,
+        dataset=binding.dataset.name,
+        dataset_sha256=binding.dataset.sha256,
+        seed=question.seed,
+        residual=residual.name,
+        where=findings,
+        which=Which("unknown", (), (), ranking, text),
+        how_far=how_far,
+        next_experiment="Let the diagnosis run to its end.",
+        wall_time_s=time.perf_counter() - began,
+        nominal=nominal,
+        final=nominal,
+        traces=traces(bench, residual, search.nominal, search.nominal, ()),
+        missing_force=pictures,
+        regimes=rows,
+        notes=binding.dataset.notes,
     )

@@ -288,14 +288,14 @@ class Looker:
                 )
             )
             probe = Probe(
-                c,
-                full,
-                step,
-                stirred,
-                min(distance, float(np.linalg.norm(tangent)) / WEAK),
-                absorbed,
-                far,
-                self._room(c, full),
+                candidate=c,
+                full=full,
+                step=step,
+                stirred=stirred,
+                left=min(distance, float(np.linalg.norm(tangent)) / WEAK),
+                absorbed=absorbed,
+                far=far,
+                most=self._room(c, full),
             )
             if c not in best or self._worst(probe) >= self._worst(best[c]):
                 best[c] = probe

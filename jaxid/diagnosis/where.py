@@ -197,7 +197,17 @@ def findings(
             limits = (span(cause) if cause else None) or _range(found, j, told_by, inside)
             place = locations.get(joint, joint)
             out.append(
-                Finding(channel, place, regime, window, float(share), above, text, told_by, limits)
+                Finding(
+                    channel=channel,
+                    location=place,
+                    regime=regime,
+                    window_s=window,
+                    share_of_gap=float(share),
+                    times_noise_floor=above,
+                    text=text,
+                    variable=told_by,
+                    range=limits,
+                )
             )
     return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
 
@@ -298,15 +308,15 @@ def output_findings(
             limits = span(cause) if cause else None
             out.append(
                 Finding(
-                    name,
-                    locations.get(name, name),
-                    "time_window",
-                    window,
-                    share,
-                    above,
-                    text,
-                    told_by,
-                    limits,
+                    channel=name,
+                    location=locations.get(name, name),
+                    regime="time_window",
+                    window_s=window,
+                    share_of_gap=share,
+                    times_noise_floor=above,
+                    text=text,
+                    variable=told_by,
+                    range=limits,
                 )
             )
     return sorted(out, key=lambda f: -f.times_noise_floor)[:3]
@@ -338,18 +348,18 @@ def pictures(
         for j, joint in enumerate(s.joints):
             out.append(
                 MissingForce(
-                    joint,
-                    s.unit("{F}"),
-                    s.unit("{X}"),
-                    s.unit("{X}/s"),
-                    m.experiment.name,
-                    m.experiment.t[m.keep],
-                    m.q[:, j],
-                    m.qd[:, j],
-                    m.load[:, j],
-                    m.force[:, j],
-                    a.force[:, j],
-                    floor_at(m, j),
+                    joint=joint,
+                    unit=s.unit("{F}"),
+                    q_unit=s.unit("{X}"),
+                    qd_unit=s.unit("{X}/s"),
+                    experiment=m.experiment.name,
+                    t=m.experiment.t[m.keep],
+                    q=m.q[:, j],
+                    qd=m.qd[:, j],
+                    load=m.load[:, j],
+                    before=m.force[:, j],
+                    after=a.force[:, j],
+                    floor=floor_at(m, j),
                 )
             )
     return out

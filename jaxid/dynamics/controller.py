@@ -185,21 +185,21 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
         )
     first = (dataset.split("fit") or dataset.experiments)[0]
     return Law(
-        kind,
-        number("kp"),
-        number("ki"),
-        number("kv" if kind == "cascade" else "kd"),
-        gain,
-        saturation,
-        number("offset"),
-        _word(settings, "velocity"),
-        "none"
+        kind=kind,
+        kp=number("kp"),
+        ki=number("ki"),
+        kd=number("kv" if kind == "cascade" else "kd"),
+        gain=gain,
+        saturation=saturation,
+        offset=number("offset"),
+        velocity=_word(settings, "velocity"),
+        reference_velocity="none"
         if kind == "cascade" and "reference_velocity" not in settings
         else _word(settings, "reference_velocity"),
-        _channels(dataset, settings, "reference", signature, True),
-        _channels(dataset, settings, "disturbance", signature, False),
-        float(period) if period is not None else float(np.median(np.diff(first.t))),
-        period is None,
+        references=_channels(dataset, settings, "reference", signature, True),
+        disturbances=_channels(dataset, settings, "disturbance", signature, False),
+        sample_time=float(period) if period is not None else float(np.median(np.diff(first.t))),
+        every_sample=period is None,
     )
 
 

@@ -151,7 +151,14 @@ def standard_dh(
         tool = np.array([[1, 0, 0, a[-1]], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
     shifted = lambda column: [0.0, *list(column)[:-1]]
     return modified_dh(
-        shifted(a), shifted(alpha), d, theta, prismatic, inertia, drive_inertia, tool
+        a=shifted(a),
+        alpha=shifted(alpha),
+        d=d,
+        theta=theta,
+        prismatic=prismatic,
+        inertia=inertia,
+        drive_inertia=drive_inertia,
+        tool=tool,
     )
 
 

@@ -137,14 +137,37 @@ def param(
     """
     if scale is None:
         scale = 0.1 * abs(value) if value else (upper * 0.1)
-    return _field(ParameterSpec(value, lower, upper, scale, unit, meaning, log, False, only))
+    return _field(
+        ParameterSpec(
+            value=value,
+            lower=lower,
+            upper=upper,
+            scale=scale,
+            unit=unit,
+            meaning=meaning,
+            log=log,
+            fixed=False,
+            only=only,
+        )
+    )
 
 
 def constant(value: float, *, unit: str, meaning: str = "") -> Any:
     """A field with a known number that is not fitted (geometry, gravity); a dataset may state it,
     for each run too.
     """
-    return _field(ParameterSpec(value, -np.inf, np.inf, 1.0, unit, meaning, False, True))
+    return _field(
+        ParameterSpec(
+            value=value,
+            lower=-np.inf,
+            upper=np.inf,
+            scale=1.0,
+            unit=unit,
+            meaning=meaning,
+            log=False,
+            fixed=True,
+        )
+    )
 
 
 class SettingSpec(NamedTuple):

@@ -301,15 +301,15 @@ def _joint(element: Any, path: Path) -> _Joint:
         for k in ("damping", "friction")
     ]
     return _Joint(
-        name,
-        kind,
-        ends[0],
-        ends[1],
-        _origin(element.find("origin"), path, f"joint {name!r}"),
-        axis / max(float(np.linalg.norm(axis)), 1e-300),
-        (lower, upper, rates[0], rates[1]),
-        (dissipation[0], dissipation[1]),
-        _mimic(element.find("mimic"), path, name),
+        name=name,
+        kind=kind,
+        parent=ends[0],
+        child=ends[1],
+        T=_origin(element.find("origin"), path, f"joint {name!r}"),
+        axis=axis / max(float(np.linalg.norm(axis)), 1e-300),
+        limits=(lower, upper, rates[0], rates[1]),
+        dynamics=(dissipation[0], dissipation[1]),
+        mimic=_mimic(element.find("mimic"), path, name),
     )
 
 

@@ -254,7 +254,16 @@ def _motion(
     if criterion == "paper001":
         weight, groups = 1 / noise, column_groups(names, inertial)
     setting = Setting(
-        bounds, weight, geometry, radius, floor, omega, links, criterion, GRID * harmonics, groups
+        bounds=bounds,
+        weight=weight,
+        arm=geometry,
+        radius=radius,
+        floor=floor,
+        omega=omega,
+        links=links,
+        criterion=criterion,
+        grid=GRID * harmonics,
+        groups=groups,
     )
     found = optimise(task, setting, harmonics, starts, plan["seed"], iterations, progress)
     fine = np.linspace(0, 2 * np.pi / omega, 200 * harmonics + 1)

@@ -220,14 +220,14 @@ def recorded(
     longest = max(range(len(u)), key=lambda k: len(u[k]))
     first = np.nanmedian(q[0][:5], 0)
     return Recorded(
-        np.nanmin(moved, 0),
-        np.nanmax(moved, 0),
-        np.nanmax(speed, 0),
-        first,
-        top,
-        center,
-        experiments[longest].t,
-        u[longest],
+        lower=np.nanmin(moved, 0),
+        upper=np.nanmax(moved, 0),
+        speed=np.nanmax(speed, 0),
+        home=first,
+        top=top,
+        center=center,
+        t=experiments[longest].t,
+        u=u[longest],
     )
 
 

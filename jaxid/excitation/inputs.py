@@ -234,16 +234,16 @@ class Bench:
         known = np.zeros(2 * nq, bool)
         records = [
             Record(
-                i,
-                int(p[0]),
-                int(p[-1] - p[0] + 1),
-                int(p[0]),
-                int(p[-1]),
-                0,
-                self.start,
-                np.zeros(nq),
-                known,
-                p,
+                experiment=i,
+                offset=int(p[0]),
+                count=int(p[-1] - p[0] + 1),
+                first=int(p[0]),
+                last=int(p[-1]),
+                lead=0,
+                q0=self.start,
+                qd0=np.zeros(nq),
+                free=known,
+                samples=p,
             )
             for i, p in enumerate(positions)
         ]

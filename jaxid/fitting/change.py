@@ -325,15 +325,15 @@ def fit_change(
     problem = bench.problem(cut, "fit", free, change.at(theta, s), loss=loss)
     notes = [] if result.failed else said(binding, change, series, sides, theta, s, std)
     fit = assemble(
-        bench,
-        problem,
-        replace(result, evaluations=spent),
-        cut,
-        label_of(fitter),
-        seed,
-        bench.compile_time(),
-        time.perf_counter() - began,
-        notes,
+        bench=bench,
+        problem=problem,
+        result=replace(result, evaluations=spent),
+        residual=cut,
+        fitter=label_of(fitter),
+        seed=seed,
+        compile_time=bench.compile_time(),
+        wall_time=time.perf_counter() - began,
+        notes=notes,
     )
     left = 0.0 if result.failed else mean_square(problem, result.z)
     if left <= AT_NOISE:

@@ -295,19 +295,19 @@ def summary(fitter: str, runs: tuple[Run, ...], target: float, common_time: floa
         sum(r.evaluations if np.isinf(e) else e for r, e in zip(runs, reached[:, 0], strict=True))
     )
     return Summary(
-        fitter,
-        len(runs),
-        won,
-        wilson(won, len(runs)),
-        in_time,
-        wilson(in_time, len(runs)),
-        typical(reached[:, 0]),
-        typical(reached[:, 1]),
-        spent / won if won else np.inf,
-        typical(np.array([r.loss for r in runs])),
-        float(np.median([r.evaluations for r in runs])),
-        float(np.median([r.seconds for r in runs])),
-        max(r.compile_time_s for r in runs),
+        fitter=fitter,
+        runs=len(runs),
+        successes=won,
+        success_interval_95=wilson(won, len(runs)),
+        in_time=in_time,
+        in_time_interval_95=wilson(in_time, len(runs)),
+        evaluations_to_target=typical(reached[:, 0]),
+        seconds_to_target=typical(reached[:, 1]),
+        expected_evaluations=spent / won if won else np.inf,
+        loss=typical(np.array([r.loss for r in runs])),
+        evaluations=float(np.median([r.evaluations for r in runs])),
+        seconds=float(np.median([r.seconds for r in runs])),
+        compile_time_s=max(r.compile_time_s for r in runs),
     )
 
 

@@ -86,22 +86,22 @@ def run_comparison(
             binding, problem, [guess, *(problem.z(t) for t in thetas[1:])], [m for _, m in runs]
         )
         return Comparison(
-            binding.chain.mechanism.name,
-            binding.dataset.name,
-            binding.dataset.sha256,
-            effects,
-            residual.name,
-            loss,
-            budget,
-            seconds,
-            starts,
-            tolerance,
-            lowest,
-            best,
-            tuple(r for r, _ in runs),
-            time.perf_counter() - began,
-            (*binding.dataset.notes, f"residual: {problem.runs.statement}"),
-            sha256_of(binding.chain.mechanism),
+            model=binding.chain.mechanism.name,
+            dataset=binding.dataset.name,
+            dataset_sha256=binding.dataset.sha256,
+            effects=effects,
+            residual=residual.name,
+            loss_name=loss,
+            budget=budget,
+            limit_s=seconds,
+            starts=starts,
+            tolerance=tolerance,
+            best_loss=lowest,
+            best=best,
+            runs=tuple(r for r, _ in runs),
+            wall_time_s=time.perf_counter() - began,
+            notes=(*binding.dataset.notes, f"residual: {problem.runs.statement}"),
+            model_sha256=sha256_of(binding.chain.mechanism),
         )
 
     known = Interim()
@@ -149,17 +149,17 @@ def one_run(
     parameters = {problem.runs.layout.names[i]: float(theta[i]) for i in problem.free}
     status = "failed" if found.failed else "converged" if found.converged else "stopped"
     run = Run(
-        label,
-        seed,
-        status,
-        found.stopped_because,
-        found.loss,
-        found.evaluations,
-        spent,
-        wall,
-        compiling,
-        parameters,
-        history,
+        fitter=label,
+        seed=seed,
+        status=status,
+        stopped_because=found.stopped_because,
+        loss=found.loss,
+        evaluations=found.evaluations,
+        seconds=spent,
+        wall_time_s=wall,
+        compile_time_s=compiling,
+        parameters=parameters,
+        history=history,
     )
     return run, found
 

@@ -147,7 +147,17 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         else f"residuals are coloured (memory {memory} samples): standard deviations count it"
     )
     return Covariance(
-        matrix, std, identifiable, at_bound, groups, white, statement, noise, widened, slope, H
+        matrix=matrix,
+        std=std,
+        identifiable=identifiable,
+        at_bound=at_bound,
+        groups=groups,
+        white=white,
+        statement=statement,
+        noise=noise,
+        widened=widened,
+        gradient=slope,
+        hessian=H,
     )
 
 

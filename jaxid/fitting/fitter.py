@@ -178,7 +178,14 @@ class Log:
             converged = stalled = False
             stopped = "the simulation diverges at every candidate; give other start values or narrower bounds"
         return Minimum(
-            z, loss, converged, stopped, self.evaluations, self.history, self.seconds, stalled
+            z=z,
+            loss=loss,
+            converged=converged,
+            stopped_because=stopped,
+            evaluations=self.evaluations,
+            history=self.history,
+            seconds=self.seconds,
+            stalled=stalled,
         )
 
 

@@ -133,7 +133,16 @@ class Bench:
         runs = self.runs(residual, split)
         priors = b.priors if "fit" in split.split("+") else None  # they count once
         p = Problem(
-            runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors
+            runs=runs,
+            base=theta,
+            free=free,
+            lower=b.lower,
+            upper=b.upper,
+            records=records,
+            loss=loss,
+            scale=b.scale,
+            differences=self.differences,
+            priors=priors,
         )
         key = (repr(residual), split)
         if key not in self._targets:

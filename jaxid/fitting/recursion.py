@@ -209,7 +209,15 @@ def fit_recursively(
             "what remembers the motion (delays, springs, sensors) begins anew in every block"
         )
     fit = assemble(
-        bench, problem, total, residual, label_of(fitter), seed, benches.compile_time(), 0.0, notes
+        bench=bench,
+        problem=problem,
+        result=total,
+        residual=residual,
+        fitter=label_of(fitter),
+        seed=seed,
+        compile_time=benches.compile_time(),
+        wall_time=0.0,
+        notes=notes,
     )
     return replace(fit, recursion=tuple(steps), wall_time_s=time.perf_counter() - began)
 

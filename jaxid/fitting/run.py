@@ -52,7 +52,17 @@ def fit_binding(
     def fitted(residual: Residual | None, begin: np.ndarray | None, spent: int) -> Fit:
         left = None if budget is None else max(1, budget - spent)
         return fit_seeds(
-            binding, fitter, residual, loss, [seed], left, progress, benches, known, begin, True
+            binding=binding,
+            fitter=fitter,
+            residual=residual,
+            loss=loss,
+            seeds=[seed],
+            budget=left,
+            progress=progress,
+            benches=benches,
+            known=known,
+            begin=begin,
+            reweigh=True,
         )[0]
 
     try:
@@ -109,7 +119,15 @@ def fit_seeds(
             spent = time.perf_counter() - began
             known.offer(
                 lambda: assemble(
-                    bench, problem, result, residual, label, seed, 0.0, spent, [*notes[seed], note]
+                    bench=bench,
+                    problem=problem,
+                    result=result,
+                    residual=residual,
+                    fitter=label,
+                    seed=seed,
+                    compile_time=0.0,
+                    wall_time=spent,
+                    notes=[*notes[seed], note],
                 )
             )
 

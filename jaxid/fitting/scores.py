@@ -168,15 +168,15 @@ def make_traces(
             series = {label: p[k][:, c] for label, p in predictions.items()}
             out.append(
                 Trace(
-                    e.name,
-                    split,
-                    name,
-                    unit,
-                    e.t,
-                    e.y[:, iy[c]],
-                    series,
-                    float(binding.sigma[c]),
-                    windows,
+                    experiment=e.name,
+                    split=split,
+                    channel=name,
+                    unit=unit,
+                    t=e.t,
+                    measured=e.y[:, iy[c]],
+                    simulated=series,
+                    noise=float(binding.sigma[c]),
+                    windows=windows,
                 )
             )
     return out

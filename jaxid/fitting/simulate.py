@@ -96,15 +96,15 @@ def simulate_dataset(
 
     order = [e.name for e in dataset.experiments]
     return Simulation(
-        binding.chain.mechanism.name,
-        tuple(runs[n] for n in order),
-        tuple(rmse[n] for n in order),
-        dict(binding.chain.signature.outputs),
-        (*dataset.notes, *solver_notes(binding)),
-        moving,
-        solver_name(binding),
-        tuple(np.asarray(starts[n]) for n in order),
-        sha256_of(binding.chain.mechanism),
+        model=binding.chain.mechanism.name,
+        runs=tuple(runs[n] for n in order),
+        rmse=tuple(rmse[n] for n in order),
+        units=dict(binding.chain.signature.outputs),
+        notes=(*dataset.notes, *solver_notes(binding)),
+        motion=moving,
+        solver=solver_name(binding),
+        starts=tuple(np.asarray(starts[n]) for n in order),
+        model_sha256=sha256_of(binding.chain.mechanism),
     )
 
 

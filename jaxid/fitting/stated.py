@@ -69,7 +69,15 @@ def stated_numbers(
         deviation = apart(estimate.value, prior.value, std)
         text = sentence_of(name, prior.value, estimate, deviation)
         out[i] = Stated(
-            joint, "", name, prior.value, estimate.value, std, deviation, text, estimate.unit
+            joint=joint,
+            link="",
+            parameter=name,
+            stated=prior.value,
+            fitted=estimate.value,
+            std=std,
+            deviation=deviation,
+            text=text,
+            unit=estimate.unit,
         )
     told = judged(out, binding.layout.names, found, covariance, plain=True)
     return tuple(sorted(told, key=lambda s: -abs(s.deviation or 0.0)))
@@ -224,7 +232,17 @@ def _together(
         text = f"{name} is {number(form.value)} ± {number(std, 2)} {row.unit}, stated {number(form.stated)} ({off}): {only}"
     unit = row.unit if form.name in ("sum", "difference") else ""
     signed = float(np.copysign(deviation, form.value - form.stated))
-    return Stated(row.joint, row.link, name, form.stated, form.value, std, signed, text, unit)
+    return Stated(
+        joint=row.joint,
+        link=row.link,
+        parameter=name,
+        stated=form.stated,
+        fitted=form.value,
+        std=std,
+        deviation=signed,
+        text=text,
+        unit=unit,
+    )
 
 
 def _forms(value: np.ndarray, stated: np.ndarray, alike: bool) -> list[_Form]:

@@ -179,20 +179,29 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
         **{k: v for k, v in about.items() if k not in ("streams", "sensor_files")},
         "devices": {s.name: {"clock": s.clock, **s.info} for s in streams},
     }
-    _write(out, number, table, extra, columns, entry, about, report)
+    _write(
+        out=out,
+        number=number,
+        table=table,
+        extra=extra,
+        columns=columns,
+        entry=entry,
+        about=about,
+        report=report,
+    )
     shutil.rmtree(folder)
     return Recording(
-        out,
-        entry["file"],
-        len(table["t"]),
-        float(table["t"][-1] - table["t"][0]),
-        timed.rate,
-        timed.lost,
-        timed.duplicated,
-        tuple(timed.gaps),
-        complete,
-        end_reason,
-        tuple(notes),
+        folder=out,
+        file=entry["file"],
+        rows=len(table["t"]),
+        seconds=float(table["t"][-1] - table["t"][0]),
+        rate=timed.rate,
+        lost=timed.lost,
+        duplicated=timed.duplicated,
+        gaps=tuple(timed.gaps),
+        complete=complete,
+        end_reason=end_reason,
+        notes=tuple(notes),
     )
 
 
@@ -272,17 +281,17 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
         )
     repeated = len(rows.device) - len(keep) - back
     return _Timed(
-        keep,
-        np.round(t - zero, 9),
-        zero,
-        host,
-        rate,
-        int(missing.sum()),
-        max(repeated, 0),
-        gaps,
-        notes,
-        blur,
-        asked or host,
+        keep=keep,
+        t=np.round(t - zero, 9),
+        zero=zero,
+        host=host,
+        rate=rate,
+        lost=int(missing.sum()),
+        duplicated=max(repeated, 0),
+        gaps=gaps,
+        notes=notes,
+        blur=blur,
+        asked=asked or host,
     )
 
 

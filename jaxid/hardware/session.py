@@ -135,10 +135,30 @@ def record(
             if not live:
                 text = dry_text(device, play, plan, watch.last)
                 return Recording(
-                    out, "", 0, plan.duration, 0.0, 0, 0, (), False, text, (), dry_run=True
+                    folder=out,
+                    file="",
+                    rows=0,
+                    seconds=plan.duration,
+                    rate=0.0,
+                    lost=0,
+                    duplicated=0,
+                    gaps=(),
+                    complete=False,
+                    end_reason=text,
+                    notes=(),
+                    dry_run=True,
                 )
         about = preflight.about(
-            device, out, split, model, joint, gains, constants, play, plan, bounds
+            device=device,
+            out=out,
+            split=split,
+            model=model,
+            joint=joint,
+            gains=gains,
+            constants=constants,
+            play=play,
+            plan=plan,
+            bounds=bounds,
         )
         about["sensor_files"] = [f.model_dump(exclude_none=True) for f in files]
         out.mkdir(parents=True, exist_ok=True)
@@ -148,7 +168,15 @@ def record(
         reason, complete = "the time was over", True
         try:
             reason = _run(
-                device, serial, len(own), recorder, watch, plan, seconds, bounds, progress
+                device=device,
+                sensors=serial,
+                own=len(own),
+                recorder=recorder,
+                watch=watch,
+                plan=plan,
+                seconds=seconds,
+                bounds=bounds,
+                progress=progress,
             )
         except BaseException as caught:
             error, complete = caught, False
@@ -249,7 +277,17 @@ def _run(
     """
     watch.pauses = Pauses()
     try:
-        return _watched(device, sensors, own, recorder, watch, plan, seconds, bounds, progress)
+        return _watched(
+            device=device,
+            sensors=sensors,
+            own=own,
+            recorder=recorder,
+            watch=watch,
+            plan=plan,
+            seconds=seconds,
+            bounds=bounds,
+            progress=progress,
+        )
     except HardwareError as error:
         watch.pauses.lap()
         allowed, text = bounds.data_age if watch.moving else SILENCE_S, str(error)

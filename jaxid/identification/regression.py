@@ -168,19 +168,19 @@ def read_run(
         )
     smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
     run = Run(
-        e.name,
-        e.split,
-        e.t[kept],
-        q,
-        qd,
-        qdd,
-        np.zeros((0, 0, 0)),
-        smooth,
-        tau[kept],
-        kept,
-        cutoff_hz,
-        e.t,
-        lambda _: tau,
+        name=e.name,
+        split=e.split,
+        t=e.t[kept],
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        Y=np.zeros((0, 0, 0)),
+        tau=smooth,
+        tau_raw=tau[kept],
+        kept=kept,
+        cutoff_hz=cutoff_hz,
+        times=e.t,
+        inertia=lambda _: tau,
         moves=moving(dataset, e.motion()[:, iy], iy),
     )
     return _with_inertia(run, chain, base, q, qd, qdd)

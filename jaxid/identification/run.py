@@ -290,7 +290,14 @@ def _solve(
             old, exponent = (
                 exponent,
                 _exponents(
-                    fit, law, blocks, weights, len(base.kept), n, exponent, method == "constrained"
+                    fit=fit,
+                    law=law,
+                    blocks=blocks,
+                    weights=weights,
+                    p=len(base.kept),
+                    n=n,
+                    start=exponent,
+                    positive=method == "constrained",
                 ),
             )
             blocks = blocks_of(fit, exponent)

@@ -174,7 +174,16 @@ class ClosedLoopOutputError(Residual):
         }[self.signals]
         samples = samples._replace(y=y, w=w, x=reference_data(law, experiments, samples, positions))
         records = [
-            record_of(i, e, positions[i], 0, len(e.t), dataset, chain, False)
+            record_of(
+                number=i,
+                e=e,
+                p=positions[i],
+                a=0,
+                b=len(e.t),
+                dataset=dataset,
+                chain=chain,
+                burn=False,
+            )
             for i, e in enumerate(experiments)
         ]
         engine = Engine(
@@ -192,14 +201,14 @@ class ClosedLoopOutputError(Residual):
         }
         channels, levels = columns[self.signals]
         return Runs(
-            tuple(experiments),
-            layout,
-            channels,
-            levels,
-            engine,
-            tuple(range(len(records))),
-            (),
-            f"simulation under the {law.text}, compared by {self.signals}",
+            experiments=tuple(experiments),
+            layout=layout,
+            channels=channels,
+            noise=levels,
+            engine=engine,
+            records=tuple(range(len(records))),
+            heads=(),
+            statement=f"simulation under the {law.text}, compared by {self.signals}",
         )
 
 

@@ -154,16 +154,16 @@ def record_lane(
         begin, _, last, _ = where
         body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
         y = simulate_lane(
-            chain,
-            samples,
-            where,
-            start,
-            steps,
-            length,
-            reach,
-            burn,
-            body,
-            timed if linear else None,
+            chain=chain,
+            samples=samples,
+            where=where,
+            start=start,
+            steps=steps,
+            length=length,
+            reach=reach,
+            burn=burn,
+            body=body,
+            wanted=timed if linear else None,
         )
         size = min(room, length)
         if linear:
@@ -250,16 +250,16 @@ class FrequencyResponseError(Residual):
             kept = rows[weight > 0]
             records.append(
                 Record(
-                    number,
-                    first,
-                    len(rows),
-                    first,
-                    int(rows[-1]),
-                    0,
-                    still,
-                    still,
-                    np.zeros(2 * chain.nq, bool),
-                    kept,
+                    experiment=number,
+                    offset=first,
+                    count=len(rows),
+                    first=first,
+                    last=int(rows[-1]),
+                    lead=0,
+                    q0=still,
+                    qd0=still,
+                    free=np.zeros(2 * chain.nq, bool),
+                    samples=kept,
                 )
             )
             first += len(rows)
@@ -269,14 +269,14 @@ class FrequencyResponseError(Residual):
         nu = len(inputs)
         zeros = np.zeros((size, nu))
         samples = Samples(
-            np.arange(size) * 1.0,
-            np.ones(size),
-            zeros,
-            zeros,
-            zeros,
-            pad(np.concatenate(y))[:, None],
-            pad(np.concatenate(w))[:, None],
-            pad(np.concatenate(x)),
+            t=np.arange(size) * 1.0,
+            h=np.ones(size),
+            u=zeros,
+            other=zeros,
+            total=zeros,
+            y=pad(np.concatenate(y))[:, None],
+            w=pad(np.concatenate(w))[:, None],
+            x=pad(np.concatenate(x)),
         )
         engine = Engine(
             layout,
@@ -289,14 +289,14 @@ class FrequencyResponseError(Residual):
         channel = _ratio(chain, *pairs.pop()) if len(pairs) == 1 else ("response", "SI")
         part = "gain of the" if self.magnitude else "complex"
         return Runs(
-            tuple(experiments),
-            layout,
-            (channel,),
-            np.array([float(np.median(1 / np.concatenate(w)[np.concatenate(w) > 0]))]),
-            engine,
-            tuple(range(len(records))),
-            (),
-            f"{part} linear frequency response ({'; '.join(dict.fromkeys(statements))})",
+            experiments=tuple(experiments),
+            layout=layout,
+            channels=(channel,),
+            noise=np.array([float(np.median(1 / np.concatenate(w)[np.concatenate(w) > 0]))]),
+            engine=engine,
+            records=tuple(range(len(records))),
+            heads=(),
+            statement=f"{part} linear frequency response ({'; '.join(dict.fromkeys(statements))})",
         )
 
     def _records(self, dataset, experiments, layout, noise, step, shape) -> Runs:
@@ -354,7 +354,9 @@ class FrequencyResponseError(Residual):
             x[rows] = np.repeat(each, 2, 0)
             for c, k in enumerate(timed):
                 y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
-            record = record_of(number, e, p, 0, len(e.t), dataset, chain, False)
+            record = record_of(
+                number=number, e=e, p=p, a=0, b=len(e.t), dataset=dataset, chain=chain, burn=False
+            )
             kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
             records.append(Record(**{**record.__dict__, "samples": kept}))
             lines += bins.size
@@ -377,14 +379,14 @@ class FrequencyResponseError(Residual):
             "linear" if self.linear else "simulated",
         )
         return Runs(
-            tuple(experiments),
-            layout,
-            (ratio, *(chain.signature.outputs[k] for k in timed)),
-            np.array(own),
-            engine,
-            tuple(range(len(records))),
-            (),
-            f"{part} response of the records against the {kind} one, {lines} lines where the input has at least "
+            experiments=tuple(experiments),
+            layout=layout,
+            channels=(ratio, *(chain.signature.outputs[k] for k in timed)),
+            noise=np.array(own),
+            engine=engine,
+            records=tuple(range(len(records))),
+            heads=(),
+            statement=f"{part} response of the records against the {kind} one, {lines} lines where the input has at least "
             f"{self.least_input:.0%} of its largest amplitude, no window{'; ' * bool(timed)}{', '.join(self.timed)}"
             f"{' in time' * bool(timed)}",
         )
@@ -426,7 +428,9 @@ class FrequencyResponseError(Residual):
             p = positions[number]
             for c, k in enumerate(timed):
                 y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
-            record = record_of(number, e, p, 0, len(e.t), dataset, chain, False)
+            record = record_of(
+                number=number, e=e, p=p, a=0, b=len(e.t), dataset=dataset, chain=chain, burn=False
+            )
             kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
             records.append(Record(**{**record.__dict__, "samples": kept}))
         most = max(
@@ -443,14 +447,14 @@ class FrequencyResponseError(Residual):
             *(noise[k] for k in timed),
         ]
         return Runs(
-            tuple(experiments),
-            layout,
-            (ratio, *(chain.signature.outputs[k] for k in timed)),
-            np.array(own),
-            engine,
-            tuple(range(len(records))),
-            (),
-            f"{'gain of the' if self.magnitude else 'complex'} linear frequency response "
+            experiments=tuple(experiments),
+            layout=layout,
+            channels=(ratio, *(chain.signature.outputs[k] for k in timed)),
+            noise=np.array(own),
+            engine=engine,
+            records=tuple(range(len(records))),
+            heads=(),
+            statement=f"{'gain of the' if self.magnitude else 'complex'} linear frequency response "
             f"({'; '.join(dict.fromkeys(statements))}), {', '.join(self.timed)} in time",
         )
 

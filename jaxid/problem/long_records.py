@@ -80,7 +80,16 @@ def _pieces(
             p = jobs[job][0]
             places, at_samples = _run(inside[low:high] - first[own[0]]), _run(at[low:high])
             w = p.weights[at_samples]
-            base, J = _linear(out, lanes, own, places, w, lanes.steps[job], columns, p.differences)
+            base, J = _linear(
+                out=out,
+                lanes=lanes,
+                own=own,
+                places=places,
+                w=w,
+                steps=lanes.steps[job],
+                columns=columns,
+                differences=p.differences,
+            )
             residual = w * (base - p.targets[at_samples])
             yield Rows(job, p.records[row], residual, np.moveaxis(J, 0, -1), columns, w)
 

@@ -169,7 +169,16 @@ class Momentum(InverseDynamics):
             kept = positions[number][ends[number] : len(e.t) - ends[number] : every]
             late = self.moment is not None and self.later and e.t[0] >= self.moment
             w[kept] = 1 / np.array(self.later) if late else 1 / level
-            record = record_of(number, e, positions[number], 0, len(e.t), dataset, chain, 0)
+            record = record_of(
+                number=number,
+                e=e,
+                p=positions[number],
+                a=0,
+                b=len(e.t),
+                dataset=dataset,
+                chain=chain,
+                burn=0,
+            )
             records.append(
                 recorded.Record(
                     **{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}
@@ -190,15 +199,15 @@ class Momentum(InverseDynamics):
             else said
         )
         return Runs(
-            tuple(experiments),
-            layout,
-            CHANNELS,
-            level,
-            engine,
-            tuple(range(len(records))),
-            (),
-            text,
-            dataset,
+            experiments=tuple(experiments),
+            layout=layout,
+            channels=CHANNELS,
+            noise=level,
+            engine=engine,
+            records=tuple(range(len(records))),
+            heads=(),
+            statement=text,
+            dataset=dataset,
         )
 
 

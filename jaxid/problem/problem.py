@@ -261,20 +261,20 @@ class Problem(AbstractProblem):
             samples = engine.samples._replace(w=self.weights) if own else engine.samples
             stated = engine.overrides[records]
             self._data = Data(
-                samples,
-                np.where(np.isnan(stated), self.base, stated),
-                np.isnan(stated[:, self.free]),
-                self.log,
-                self.start0,
-                self.start_rows,
-                self.start_columns,
-                self._bounds[0],
-                np.array([self.runs.record(r).samples[0] for r in records], np.int32),
-                np.array([self.runs.record(r).count for r in records], np.int32),
-                self._bounds[1],
-                count,
-                norm,
-                self.known,
+                samples=samples,
+                fixed=np.where(np.isnan(stated), self.base, stated),
+                open=np.isnan(stated[:, self.free]),
+                log=self.log,
+                start0=self.start0,
+                start_rows=self.start_rows,
+                start_columns=self.start_columns,
+                where=self._bounds[0],
+                scored=np.array([self.runs.record(r).samples[0] for r in records], np.int32),
+                counts=np.array([self.runs.record(r).count for r in records], np.int32),
+                steps=self._bounds[1],
+                count=count,
+                norm=norm,
+                known=self.known,
             )
         return self._data
 
@@ -362,16 +362,16 @@ class Problem(AbstractProblem):
         records = [self.records[k] for k in pieces]
         lower, upper, scale = self.whole
         twin = Problem(
-            self.runs,
-            self.base,
-            self.free,
-            lower,
-            upper,
-            records,
-            self.loss_name,
-            scale,
-            self.differences,
-            self.priors,
+            runs=self.runs,
+            base=self.base,
+            free=self.free,
+            lower=lower,
+            upper=upper,
+            records=records,
+            loss=self.loss_name,
+            scale=scale,
+            differences=self.differences,
+            priors=self.priors,
         )
         if any(w != 1 for w in weights):
             twin.weights = self.weights.copy()

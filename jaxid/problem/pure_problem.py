@@ -133,18 +133,18 @@ def pure(problem: Runnable, z0: np.ndarray, priors: np.ndarray | None = None) ->
     priors = np.full((problem.free.size, 2), np.nan) if priors is None else priors
     data = jax.tree.map(np.asarray, problem.data)
     return Problem(
-        problem.lower,
-        problem.upper,
-        z0,
-        data,
-        np.concatenate(rows),
-        np.concatenate(weights),
-        np.concatenate(targets),
-        priors,
-        tuple(problem.names),
-        problem.loss_name,
-        runs.statement,
-        predict,
+        lower=problem.lower,
+        upper=problem.upper,
+        z0=z0,
+        _data=data,
+        _rows=np.concatenate(rows),
+        _weights=np.concatenate(weights),
+        _targets=np.concatenate(targets),
+        _prior=priors,
+        names=tuple(problem.names),
+        loss_name=problem.loss_name,
+        statement=runs.statement,
+        _predict=predict,
     )
 
 

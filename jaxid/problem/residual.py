@@ -186,7 +186,16 @@ class OutputError(Residual):
             )  # by then sensors and springs have forgotten how they began
             n = cut + head_samples(own) - settled
             until = lambda b, c, number=number, e=e, p=p, a=a: replace(
-                record_of(number, e, p, a, b, dataset, chain, len(e) if remembers else 0),
+                record_of(
+                    number=number,
+                    e=e,
+                    p=p,
+                    a=a,
+                    b=b,
+                    dataset=dataset,
+                    chain=chain,
+                    burn=len(e) if remembers else 0,
+                ),
                 samples=p[c:b],
             )
             records.append(until(len(e), cut))
@@ -209,14 +218,14 @@ class OutputError(Residual):
         n = len(records)
         ends = np.cumsum([n, *(len(nested) for nested in heads)])
         return Runs(
-            tuple(experiments),
-            layout,
-            layout.chain.signature.outputs,
-            noise,
-            engine,
-            tuple(range(n)),
-            tuple(tuple(range(a, b)) for a, b in zip(ends[:-1], ends[1:], strict=True)),
-            "free run over the whole experiment",
+            experiments=tuple(experiments),
+            layout=layout,
+            channels=layout.chain.signature.outputs,
+            noise=noise,
+            engine=engine,
+            records=tuple(range(n)),
+            heads=tuple(tuple(range(a, b)) for a, b in zip(ends[:-1], ends[1:], strict=True)),
+            statement="free run over the whole experiment",
         )
 
 
@@ -257,7 +266,14 @@ class MultipleShooting(Residual):
             for a, b in zip(begins, [*begins[1:], len(e.t)], strict=True):
                 records.append(
                     record_of(
-                        number, e, positions[number], int(a), int(b), dataset, layout.chain, memory
+                        number=number,
+                        e=e,
+                        p=positions[number],
+                        a=int(a),
+                        b=int(b),
+                        dataset=dataset,
+                        chain=layout.chain,
+                        burn=memory,
                     )
                 )
         engine = Engine(
@@ -265,14 +281,14 @@ class MultipleShooting(Residual):
         )
         every = tuple(range(len(records)))
         return Runs(
-            tuple(experiments),
-            layout,
-            layout.chain.signature.outputs,
-            noise,
-            engine,
-            every,
-            (),
-            f"windows of {length:.3g} s, each with its own start",
+            experiments=tuple(experiments),
+            layout=layout,
+            channels=layout.chain.signature.outputs,
+            noise=noise,
+            engine=engine,
+            records=every,
+            heads=(),
+            statement=f"windows of {length:.3g} s, each with its own start",
         )
 
 
@@ -304,7 +320,9 @@ class InverseDynamics(Residual):
             p = positions[number]
             kept = p[setting.ends[number] : len(p) - setting.ends[number] : setting.decimate]
             w[kept] = 1 / setting.noise
-            record = record_of(number, e, p, 0, len(e.t), dataset, chain, 0)
+            record = record_of(
+                number=number, e=e, p=p, a=0, b=len(e.t), dataset=dataset, chain=chain, burn=0
+            )
             records.append(
                 Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)})
             )
@@ -315,16 +333,16 @@ class InverseDynamics(Residual):
         )
         every = tuple(range(len(records)))
         return Runs(
-            tuple(experiments),
-            layout,
-            chain.torque_channels,
-            setting.noise,
-            engine,
-            every,
-            (),
-            setting.statement,
-            dataset,
-            setting,
+            experiments=tuple(experiments),
+            layout=layout,
+            channels=chain.torque_channels,
+            noise=setting.noise,
+            engine=engine,
+            records=every,
+            heads=(),
+            statement=setting.statement,
+            dataset=dataset,
+            setting=setting,
         )
 
 
@@ -425,16 +443,16 @@ def record_of(
     if burn and a > 0:
         lead = int(p[a] - p[max(0, a - burn)])
     return Record(
-        number,
-        int(p[a]),
-        int(p[b - 1] - p[a] + 1),
-        int(p[0]),
-        int(p[-1]),
-        lead,
-        q0,
-        qd0,
-        free,
-        p[a:b],
+        experiment=number,
+        offset=int(p[a]),
+        count=int(p[b - 1] - p[a] + 1),
+        first=int(p[0]),
+        last=int(p[-1]),
+        lead=lead,
+        q0=q0,
+        qd0=qd0,
+        free=free,
+        samples=p[a:b],
     )
 
 

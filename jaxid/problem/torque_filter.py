@@ -116,15 +116,15 @@ def torque_setting(
         ):  # where nothing drives (the angles of a base that floats) rows are as good as the worst driven ones
             level = np.where(span > 0, level, level[span > 0].max())
     return TorqueSetting(
-        motion,
-        ends,
-        decimate,
-        taps,
-        level,
-        cutoff_hz,
-        statement,
-        iu,
-        [iy[k] for k in chain.joint_outputs],
+        motion=motion,
+        ends=ends,
+        decimate=decimate,
+        taps=taps,
+        noise=level,
+        cutoff_hz=cutoff_hz,
+        statement=statement,
+        inputs=iu,
+        outputs=[iy[k] for k in chain.joint_outputs],
     )
 
 
@@ -270,7 +270,16 @@ def _decimated(taps: tuple[float, ...]) -> Lane:
     kernel = np.array(taps)
 
     def lane(chain, samples, where, start, steps, length, reach, burn):
-        missing = torque_lane(chain, samples, where, start, steps, length, reach, burn)
+        missing = torque_lane(
+            chain=chain,
+            samples=samples,
+            where=where,
+            start=start,
+            steps=steps,
+            length=length,
+            reach=reach,
+            burn=burn,
+        )
         inside = jnp.arange(length)[:, None] <= where[2] - where[0]
         smooth = jax.vmap(
             lambda column: jnp.convolve(column, jnp.asarray(kernel), mode="same"), 1, 1

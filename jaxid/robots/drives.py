@@ -94,7 +94,19 @@ class Law:
     def nameless(self) -> Law:
         """The law without numbers and names: those are told to a program."""
         none: tuple[float, ...] = ()
-        return Law("", self.kind, none, none, none, none, none, none, none, none, none)
+        return Law(
+            origin="",
+            kind=self.kind,
+            kp=none,
+            kd=none,
+            ki=none,
+            gain=none,
+            lowest=none,
+            highest=none,
+            offset=none,
+            delay=none,
+            lag=none,
+        )
 
     @property
     def numbers(self) -> dict[str, np.ndarray]:
@@ -273,24 +285,24 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     spread = _spread(settings.get("spread", {}), can)
     n = len(joints)
     return Law(
-        "[controller]",
-        kind,
-        number("kp"),
-        number("kv" if kind == "cascade" else "kd"),
-        number("ki"),
-        gain,
-        tuple(-s for s in saturation),
-        saturation,
-        number("offset"),
-        delay,
-        (0.0,) * n,
-        (),
-        velocity,
-        rate,
-        float(every),
-        rates,
-        fit,
-        tuple(spread.items()),
+        origin="[controller]",
+        kind=kind,
+        kp=number("kp"),
+        kd=number("kv" if kind == "cascade" else "kd"),
+        ki=number("ki"),
+        gain=gain,
+        lowest=tuple(-s for s in saturation),
+        highest=saturation,
+        offset=number("offset"),
+        delay=delay,
+        lag=(0.0,) * n,
+        control=(),
+        velocity=velocity,
+        rate=rate,
+        period=float(every),
+        rates=rates,
+        fit=fit,
+        spread=tuple(spread.items()),
     )
 
 
@@ -379,16 +391,16 @@ def file_law(tree: Tree) -> Law:
     own = [tree.actuators[j] for j in joints]
     control = tuple(a.control for a in own)
     return Law(
-        tree.file or "the file",
-        "pd",
-        tuple(a.kp for a in own),
-        tuple(a.kd for a in own),
-        (0.0,) * len(own),
-        (1.0,) * len(own),
-        tuple(a.force[0] for a in own),
-        tuple(a.force[1] for a in own),
-        tuple(a.offset for a in own),
-        tuple(a.delay for a in own),
-        tuple(a.lag for a in own),
-        control if np.isfinite(control).any() else (),
+        origin=tree.file or "the file",
+        kind="pd",
+        kp=tuple(a.kp for a in own),
+        kd=tuple(a.kd for a in own),
+        ki=(0.0,) * len(own),
+        gain=(1.0,) * len(own),
+        lowest=tuple(a.force[0] for a in own),
+        highest=tuple(a.force[1] for a in own),
+        offset=tuple(a.offset for a in own),
+        delay=tuple(a.delay for a in own),
+        lag=tuple(a.lag for a in own),
+        control=control if np.isfinite(control).any() else (),
     )

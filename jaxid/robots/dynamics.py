@@ -137,14 +137,14 @@ def body(
     matrix = lambda k: tuple(tuple(every[k + 3 * i + j] for j in range(3)) for i in range(3))
     parts = lambda v: tuple(spread(plan, v.T.copy()))
     return Body(
-        matrix(0),
-        matrix(9),
-        matrix(18),
-        tuple(every[27:30]),  # type: ignore[arg-type]
-        parts(hinge),
-        parts(sliding) if any(slides) else None,
-        tuple(every[30:40]),
-        plan.route,  # type: ignore[arg-type]
+        R0=matrix(0),
+        R1=matrix(9),
+        R2=matrix(18),
+        p=tuple(every[27:30]),  # type: ignore[arg-type]
+        turn=parts(hinge),
+        slide=parts(sliding) if any(slides) else None,
+        inertia=tuple(every[30:40]),
+        route=plan.route,  # type: ignore[arg-type]
     )
 
 

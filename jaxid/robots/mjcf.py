@@ -145,35 +145,35 @@ class _Reader:
         self.options()
         actuators = self.actuators(number)
         tree = Tree(
-            str(self.path),
-            tuple(joints),
-            tuple(links),
-            tuple(parent),
-            tuple(slides),
-            np.array(axis),
-            np.array(place),
-            m.qpos0[m.jnt_qposadr[j]].copy(),
-            np.array(inertia),
-            np.array(anchor),
-            m.dof_armature[dof] + self.added(number, "actuator_armature"),
-            damping
+            file=str(self.path),
+            joints=tuple(joints),
+            links=tuple(links),
+            parent=tuple(parent),
+            slides=tuple(slides),
+            axis=np.array(axis),
+            place=np.array(place),
+            reference=m.qpos0[m.jnt_qposadr[j]].copy(),
+            inertia=np.array(inertia),
+            anchor=np.array(anchor),
+            armature=m.dof_armature[dof] + self.added(number, "actuator_armature"),
+            damping=damping
             + np.column_stack(
                 [self.added(number, "actuator_damping"), np.zeros((len(j), damping.shape[1] - 1))]
             ),
-            m.dof_frictionloss[dof].copy(),
-            np.ravel(m.jnt_stiffness[j]).copy(),
-            m.qpos_spring[m.jnt_qposadr[j]].copy(),
-            np.where(limited, m.jnt_range[j, 0], -np.inf),
-            np.where(limited, m.jnt_range[j, 1], np.inf),
-            np.full(len(j), np.inf),
-            np.array([max(abs(low), abs(high)) for low, high in force]),
-            couplings,
-            actuators,
-            self.poses(number, joints),
-            tuple(map(float, m.opt.gravity)),
-            "world",
-            (),  # type: ignore[arg-type]
-            tuple(dict.fromkeys(self.notes)),
+            frictionloss=m.dof_frictionloss[dof].copy(),
+            stiffness=np.ravel(m.jnt_stiffness[j]).copy(),
+            spring=m.qpos_spring[m.jnt_qposadr[j]].copy(),
+            lower=np.where(limited, m.jnt_range[j, 0], -np.inf),
+            upper=np.where(limited, m.jnt_range[j, 1], np.inf),
+            velocity=np.full(len(j), np.inf),
+            effort=np.array([max(abs(low), abs(high)) for low, high in force]),
+            couplings=couplings,
+            actuators=actuators,
+            poses=self.poses(number, joints),
+            gravity=tuple(map(float, m.opt.gravity)),
+            base="world",
+            impossible=(),  # type: ignore[arg-type]
+            notes=tuple(dict.fromkeys(self.notes)),
             trunk=tuple(trunk.tolist()),
             root=tuple(root.ravel().tolist()),
             carrier=base,
@@ -350,16 +350,16 @@ class _Reader:
             else endless
         )
         return Actuator(
-            self.name("ACTUATOR", a),
-            kind if known else "other",
-            -b1 * g * g,
-            -b2 * g * g,
-            float(gain[0]),
-            b0 * g,
-            (min(force[0] * g, force[1] * g), max(force[0] * g, force[1] * g)),
-            tuple(control),
-            float(m.actuator_dynprm[a, 0]) if lagging else 0.0,
-            float(m.actuator_delay[a]),
+            name=self.name("ACTUATOR", a),
+            kind=kind if known else "other",
+            kp=-b1 * g * g,
+            kd=-b2 * g * g,
+            gain=float(gain[0]),
+            offset=b0 * g,
+            force=(min(force[0] * g, force[1] * g), max(force[0] * g, force[1] * g)),
+            control=tuple(control),
+            lag=float(m.actuator_dynprm[a, 0]) if lagging else 0.0,
+            delay=float(m.actuator_delay[a]),
         )
 
     def poses(self, number: list[int], joints: list[str]) -> dict[str, dict[str, float]]:

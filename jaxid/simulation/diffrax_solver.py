@@ -77,7 +77,17 @@ def diffrax_lane(solver: Diffrax) -> Lane:
 
     def lane(chain, samples, where, start, steps, length, reach, burn, body=None, wanted=None):
         return simulate_lane(
-            chain, samples, where, start, steps, length, reach, burn, body, wanted, advance
+            chain=chain,
+            samples=samples,
+            where=where,
+            start=start,
+            steps=steps,
+            length=length,
+            reach=reach,
+            burn=burn,
+            body=body,
+            wanted=wanted,
+            advance=advance,
         )
 
     return lane

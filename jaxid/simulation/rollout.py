@@ -104,7 +104,15 @@ def simulate_lane(
     nq = chain.nq
     offset, _, last, lead = where
     prepared, initial, step = _stepping(
-        chain, samples, where, start, reach, burn, body, wanted, advance
+        chain=chain,
+        samples=samples,
+        where=where,
+        start=start,
+        reach=reach,
+        burn=burn,
+        body=body,
+        wanted=wanted,
+        advance=advance,
     )
     y = over_time(
         step, initial, steps, length, len(chain.signature.outputs), marked=advance is None

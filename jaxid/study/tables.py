@@ -141,15 +141,19 @@ def rankings(result: StudyResult) -> list[Ranking]:
         reached, n = sum(v <= TOLERANCE for v in values), len(values)
         out.append(
             Ranking(
-                fitter,
-                n,
-                sum(o.failed for o in outcomes[fitter]),
-                reached,
-                wilson(reached, n),
-                float(np.mean(ranks[fitter])),
-                _median(values),
-                _median([o.evaluations for o in outcomes[fitter] if o.evaluations is not None]),
-                _median([o.wall_time_s for o in outcomes[fitter] if o.wall_time_s is not None]),
+                fitter=fitter,
+                runs=n,
+                failed=sum(o.failed for o in outcomes[fitter]),
+                reached=reached,
+                reached_interval_95=wilson(reached, n),
+                mean_rank=float(np.mean(ranks[fitter])),
+                excess=_median(values),
+                evaluations=_median(
+                    [o.evaluations for o in outcomes[fitter] if o.evaluations is not None]
+                ),
+                seconds=_median(
+                    [o.wall_time_s for o in outcomes[fitter] if o.wall_time_s is not None]
+                ),
             )
         )
     return sorted(

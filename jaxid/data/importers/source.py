@@ -62,22 +62,29 @@ def read_source(path: Path, stated: Stated) -> Source:
     if kind == "csv":
         table, units, form = read_text(path, content, stated)
         return Source(
-            path,
-            kind,
-            dict(table.columns),
-            units,
-            table.rows,
-            form.words(),
-            form.options(),
-            table.twice,
-            table.ragged,
+            path=path,
+            kind=kind,
+            columns=dict(table.columns),
+            units=units,
+            rows=table.rows,
+            words=form.words(),
+            options=form.options(),
+            twice=table.twice,
+            ragged=table.ragged,
         )
     if kind == "parquet":
         table = read_table(Path("a.parquet"), path.name, content)
         if table.problems:
             raise DatasetError(table.problems)
         return Source(
-            path, "csv", dict(table.columns), {}, table.rows, "a Parquet file", "", table.twice
+            path=path,
+            kind="csv",
+            columns=dict(table.columns),
+            units={},
+            rows=table.rows,
+            words="a Parquet file",
+            options="",
+            twice=table.twice,
         )
     return Source(path, kind, read_arrays(kind, path), words=f"read as {kind}")
 

@@ -59,15 +59,15 @@ def scaled(
     rest = {f: v for f, v in shape.items() if f != field or not strong}
     inf = np.full(1, np.inf)
     return Unit(
-        kind.name,
-        place,
-        (field if strong else "share",),
-        np.array([low]),
-        inf,
-        inf,
-        rest,
-        (joint,),
-        columns,
+        effect=kind.name,
+        location=place,
+        fields=(field if strong else "share",),
+        least=np.array([low]),
+        most=inf,
+        spread=inf,
+        shape=rest,
+        joints=(joint,),
+        columns=columns,
     )
 
 

@@ -279,14 +279,14 @@ class _Road:
             )
             spent = time.perf_counter() - self.began
             return assemble(
-                bench,
-                path.problem,
-                minimum,
-                OutputError(),
-                "lm",
-                self.seed,
-                bench.compile_time(),
-                spent,
+                bench=bench,
+                problem=path.problem,
+                result=minimum,
+                residual=OutputError(),
+                fitter="lm",
+                seed=self.seed,
+                compile_time=bench.compile_time(),
+                wall_time=spent,
             )
 
         offer(fitted, Search(nominal, nominal))

@@ -423,7 +423,19 @@ class LedStudy(Study):
                 )
                 made.append(-((high - low) / OFF)[:, :, None])
             inf = np.full(1, np.inf)
-            out.append(Unit("sensor_bias", place, ("bias",), -inf, inf, inf, {}, (j,), made))
+            out.append(
+                Unit(
+                    effect="sensor_bias",
+                    location=place,
+                    fields=("bias",),
+                    least=-inf,
+                    most=inf,
+                    spread=inf,
+                    shape={},
+                    joints=(j,),
+                    columns=made,
+                )
+            )
         return out
 
     # ---- noise

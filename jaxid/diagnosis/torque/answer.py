@@ -291,19 +291,19 @@ def how_far(
         text += f"; any law of a joint's own position, speed and load would close {percent(ceiling)} of it"
     text += ". Torque and motion are low-passed alike, and rows count by how well they are known"
     return HowFar(
-        gaps[0],
-        gaps[1],
-        gaps[2],
-        1.0,
-        shrinkage,
-        None,
-        reason,
-        channels,
-        f"{text}. {note}".strip(),
-        runs,
-        _by_regime(study, models, which),
-        "",
-        split,
+        gap_before=gaps[0],
+        gap_retuned=gaps[1],
+        gap_after=gaps[2],
+        noise_floor=1.0,
+        shrinkage=shrinkage,
+        shrinkage_interval_95=None,
+        interval_reason=reason,
+        per_channel=channels,
+        text=f"{text}. {note}".strip(),
+        per_run=runs,
+        per_regime=_by_regime(study, models, which),
+        interval_from="",
+        split=split,
         ceiling=ceiling,
     )
 
@@ -351,14 +351,14 @@ def missing(answer: Answer, k: int, seed: int, draws: int = DRAWS) -> Missing:
     )
     still = run.moves.astype(float)
     return Missing(
-        run.experiment,
-        keep,
-        run.q[keep],
-        run.qd[keep],
-        run.qdd[keep],
-        answer.measured(k),
-        force * still,
-        null,
+        experiment=run.experiment,
+        keep=keep,
+        q=run.q[keep],
+        qd=run.qd[keep],
+        qdd=run.qdd[keep],
+        load=answer.measured(k),
+        force=force * still,
+        null=null,
     )
 
 
@@ -397,14 +397,14 @@ def traces(study: Study, nominal: Answer, final: Answer, label: str) -> tuple[Tr
             series = {key: y[:, j] for key, y in needed.items()}
             out.append(
                 Trace(
-                    run.experiment.name,
-                    run.split,
-                    name,
-                    unit,
-                    run.t,
-                    measured[:, j],
-                    series,
-                    study.typical([k], j),
+                    experiment=run.experiment.name,
+                    split=run.split,
+                    channel=name,
+                    unit=unit,
+                    t=run.t,
+                    measured=measured[:, j],
+                    simulated=series,
+                    noise=study.typical([k], j),
                 )
             )
     return tuple(out)

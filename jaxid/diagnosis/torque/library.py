@@ -122,7 +122,17 @@ def _unit(
     low = np.array([resolve(own[f].lower, reference) if f in own else 0.0 for f in fields])
     high = np.array([resolve(own[f].upper, reference) if f in own else np.inf for f in fields])
     open_ = np.full(len(fields), np.inf)
-    return Unit(kind.name, place, tuple(fields), low, high, open_, shape, tuple(joints), columns)
+    return Unit(
+        effect=kind.name,
+        location=place,
+        fields=tuple(fields),
+        least=low,
+        most=high,
+        spread=open_,
+        shape=shape,
+        joints=tuple(joints),
+        columns=columns,
+    )
 
 
 def _placed(x: np.ndarray, joint: int, n: int) -> np.ndarray:
@@ -273,7 +283,15 @@ def _payloads(
         order = [first + 9, *range(first + 6, first + 9), *range(first, first + 6)]
         columns = [rows[:, :, order] for rows in every]
         return Unit(
-            "payload", place, BODY, -free, free, spread, {}, tuple(range(link + 1)), columns
+            effect="payload",
+            location=place,
+            fields=BODY,
+            least=-free,
+            most=free,
+            spread=spread,
+            shape={},
+            joints=tuple(range(link + 1)),
+            columns=columns,
         )
 
     return [at(place, link) for place, link in links.items()]
@@ -304,16 +322,16 @@ def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -
     columns = [r.rows(np.stack([slope(r, f, own) for f, own in each], -1)) for r in runs]
     infinite = np.full(4, np.inf)
     return Unit(
-        "gravity_offset",
-        place,
-        ("roll", "pitch", "mx", "my"),
-        -infinite,
-        infinite,
-        infinite,
-        {},
-        tuple(range(n)),
-        columns,
-        ("mx", "my"),
+        effect="gravity_offset",
+        location=place,
+        fields=("roll", "pitch", "mx", "my"),
+        least=-infinite,
+        most=infinite,
+        spread=infinite,
+        shape={},
+        joints=tuple(range(n)),
+        columns=columns,
+        hidden=("mx", "my"),
     )
 
 

@@ -114,7 +114,17 @@ def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, 
     ends = filter_ends(e.t, cutoff_hz)
     every = max(1, int(rate / (ROWS_PER_CUTOFF * cutoff_hz)))
     kept = slice(ends, len(e.t) - ends, every)
-    return Run(e, q, qd, qdd, e.u[:, iu], kept, cutoff_hz, _moving(binding, q), room)
+    return Run(
+        experiment=e,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        u=e.u[:, iu],
+        kept=kept,
+        cutoff_hz=cutoff_hz,
+        moves=_moving(binding, q),
+        room=room,
+    )
 
 
 def _moving(binding: Binding, q: np.ndarray) -> np.ndarray:

@@ -108,15 +108,15 @@ def _searched(study: Study, most: int) -> Found:
         chooser = study.chooser(rows, weights, fit, choose, most)
         chosen = chooser.nominal if _at_floor(study, rows, chooser, fit, choose) else chooser.run()
         found = Found(
-            chooser,
-            rows,
-            weights,
-            chosen,
-            of_model(study, rows, chooser.nominal),
-            of_model(study, rows, chosen),
-            fit,
-            choose,
-            judge,
+            chooser=chooser,
+            rows=rows,
+            weights=weights,
+            chosen=chosen,
+            nominal=of_model(study, rows, chooser.nominal),
+            final=of_model(study, rows, chosen),
+            fit=fit,
+            choose=choose,
+            judge=judge,
         )
         numbers = np.split(
             chosen.solution.theta[study.size :],
@@ -185,16 +185,16 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
         return None
     nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
     return Found(
-        chooser,
-        own,
-        found.weights,
-        chosen,
-        nominal,
-        final,
-        found.fit,
-        found.choose,
-        found.judge,
-        found,
+        chooser=chooser,
+        rows=own,
+        weights=found.weights,
+        chosen=chosen,
+        nominal=nominal,
+        final=final,
+        fit=found.fit,
+        choose=found.choose,
+        judge=found.judge,
+        base=found,
     )
 
 
@@ -217,7 +217,16 @@ def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
     left = study.by_joint(rows, found.weights, found.judge)
     both = [*found.fit, *found.choose]
     return Chooser(
-        rows.units, len(base.numbers), g(both), g(found.judge), known, start, low, high, most, left
+        units=rows.units,
+        size=len(base.numbers),
+        fit=g(both),
+        held=g(found.judge),
+        known=known,
+        start=start,
+        lower=low,
+        upper=high,
+        most=most,
+        by_joint=left,
     )
 
 
@@ -296,7 +305,17 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
             which,
         )
     split = "report" if found.judge else "validation"
-    far = how_far(study, before, found.nominal, final, which, split, verdict, note, bound)
+    far = how_far(
+        study=study,
+        before=before,
+        retuned=found.nominal,
+        after=final,
+        which=which,
+        split=split,
+        verdict=verdict,
+        note=note,
+        ceiling=bound,
+    )
     looked = [*found.choose, *found.judge] if found.different else study.of("fit")
     findings, pictures, regimes = places(study, found.nominal, final, verdict, looked, seed)
     if _astray(
@@ -317,33 +336,33 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
         found.judge if found.different else found.choose or found.fit,
     )
     return Diagnosis(
-        b.chain.mechanism.name,
-        b.dataset.name,
-        b.dataset.sha256,
-        seed,
-        "inverse_dynamics",
-        findings,
-        Which(
+        model=b.chain.mechanism.name,
+        dataset=b.dataset.name,
+        dataset_sha256=b.dataset.sha256,
+        seed=seed,
+        residual="inverse_dynamics",
+        where=findings,
+        which=Which(
             verdict,
             named,
             tuple(EffectEstimate(u.effect, u.location) for u in mates),
             ranked,
             judged.text,
         ),
-        far,
-        advice(
+        how_far=far,
+        next_experiment=advice(
             verdict,
             [e.effect for e in named],
             [u.effect for u in mates],
             repeated=found.weights.spread.size > 0,
         ),
-        time.perf_counter() - began,
-        nominal_fit,
-        final_fit,
-        traces(study, found.nominal, final, label),
-        pictures,
-        regimes,
-        (*b.dataset.notes, *_notes(study, found), *_of_the_gains(study, named)),
+        wall_time_s=time.perf_counter() - began,
+        nominal=nominal_fit,
+        final=final_fit,
+        traces=traces(study, found.nominal, final, label),
+        missing_force=pictures,
+        regimes=regimes,
+        notes=(*b.dataset.notes, *_notes(study, found), *_of_the_gains(study, named)),
     )
 
 
@@ -380,25 +399,25 @@ def _fit(
     if open_:
         notes.append(f"not determined by these data: {', '.join(open_)}")
     return Fit(
-        b.chain.mechanism.name,
-        effects,
-        "linear",
-        "inverse_dynamics",
-        "sum_of_squares",
-        seed,
-        True,
-        False,
-        "least squares",
-        answer.gap(fit) ** 2,
-        own,
-        scores(answer),
-        {},
-        1,
-        time.perf_counter() - began,
-        0.0,
-        b.dataset.name,
-        b.dataset.sha256,
-        tuple(notes),
+        model=b.chain.mechanism.name,
+        effects=effects,
+        fitter="linear",
+        residual="inverse_dynamics",
+        loss_name="sum_of_squares",
+        seed=seed,
+        converged=True,
+        failed=False,
+        stopped_because="least squares",
+        loss=answer.gap(fit) ** 2,
+        parameters=own,
+        scores=scores(answer),
+        windowed={},
+        evaluations=1,
+        wall_time_s=time.perf_counter() - began,
+        compile_time_s=0.0,
+        dataset=b.dataset.name,
+        dataset_sha256=b.dataset.sha256,
+        notes=tuple(notes),
         theta=theta,
         simulation="inverse_dynamics",
         stated=stated_numbers(b, at),

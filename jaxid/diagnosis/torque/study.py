@@ -315,7 +315,17 @@ class Study:
         g = lambda which: gram(*self.some(rows, which), weights, BLOCKS)
         left = self.by_joint(rows, weights, held)
         return Chooser(
-            rows.units, rows.size, g(fit), g(held), told, start, low, high, most, left, enough
+            units=rows.units,
+            size=rows.size,
+            fit=g(fit),
+            held=g(held),
+            known=told,
+            start=start,
+            lower=low,
+            upper=high,
+            most=most,
+            by_joint=left,
+            enough=enough,
         )
 
     def by_joint(

@@ -335,14 +335,14 @@ class Dynamixel:
         floor = lambda v, j: math.floor(v / self._scale(j) + 1e-9)
         shift = self.zero if self.mode == "position" else [0] * self.joints
         return Plan(
-            self.mode or "",
-            table,
-            step,
-            [shift[j] - floor(-v, j) for j, v in enumerate(lower)],
-            [shift[j] + floor(v, j) for j, v in enumerate(upper)],
-            [max(1, floor(v, j)) for j, v in enumerate(largest)],
-            self._counts(start[None])[0].round().tolist(),
-            [(begin, "play_start"), (begin + len(path) - 1, "play_end")],
+            kind=self.mode or "",
+            table=table,
+            step=step,
+            lower=[shift[j] - floor(-v, j) for j, v in enumerate(lower)],
+            upper=[shift[j] + floor(v, j) for j, v in enumerate(upper)],
+            largest_step=[max(1, floor(v, j)) for j, v in enumerate(largest)],
+            start=self._counts(start[None])[0].round().tolist(),
+            marks=[(begin, "play_start"), (begin + len(path) - 1, "play_end")],
         )
 
     def _counts(self, values: np.ndarray) -> np.ndarray:

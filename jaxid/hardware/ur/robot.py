@@ -219,7 +219,14 @@ class UR:
         marks = [(begin, "play_start"), (begin + len(path) - 1, "play_end")]
         table = np.concatenate([lead, rest, path, end])
         return Plan(
-            "position", table, step, limits.lower, limits.upper, largest, here.tolist(), marks
+            kind="position",
+            table=table,
+            step=step,
+            lower=limits.lower,
+            upper=limits.upper,
+            largest_step=largest,
+            start=here.tolist(),
+            marks=marks,
         )
 
     def load(self, plan: Plan) -> None:

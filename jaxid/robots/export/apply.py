@@ -111,14 +111,14 @@ def _numbers(sheet: Sheet, found: Outcome, done: set[str]) -> None:
                 sheet.record(
                     [
                         Change(
-                            field,
-                            link,
-                            "inertial",
-                            link,
-                            number.value,
-                            was,
-                            number.unit,
-                            number.doubt,
+                            effect=field,
+                            location=link,
+                            quantity="inertial",
+                            place=link,
+                            value=number.value,
+                            before=was,
+                            unit=number.unit,
+                            note=number.doubt,
                         )
                     ]
                 )
@@ -129,7 +129,18 @@ def _joint_number(sheet: Sheet, effect: str, joint: str, quantity: str, number: 
     before = getattr(sheet.after[joint], quantity)
     sheet.set(joint, **{quantity: number.value})
     sheet.record(
-        [Change(effect, joint, quantity, joint, number.value, before, number.unit, number.doubt)]
+        [
+            Change(
+                effect=effect,
+                location=joint,
+                quantity=quantity,
+                place=joint,
+                value=number.value,
+                before=before,
+                unit=number.unit,
+                note=number.doubt,
+            )
+        ]
     )
 
 
@@ -145,12 +156,38 @@ def _plain_number(sheet: Sheet, name: str, number: Number) -> None:
     elif stem == "offset" and place < len(joints):
         _torque(sheet, name, joints[place], joints[place], number)
     else:
-        sheet.record([Change(name, "", "", "", number.value, None, number.unit, number.doubt)])
+        sheet.record(
+            [
+                Change(
+                    effect=name,
+                    location="",
+                    quantity="",
+                    place="",
+                    value=number.value,
+                    before=None,
+                    unit=number.unit,
+                    note=number.doubt,
+                )
+            ]
+        )
 
 
 def _torque(sheet: Sheet, effect: str, location: str, joint: str, number: Number) -> None:
     sheet.set(joint, torque=sheet.after[joint].torque - number.value)
-    sheet.record([Change(effect, location, "torque", joint, None, None, number.unit, number.doubt)])
+    sheet.record(
+        [
+            Change(
+                effect=effect,
+                location=location,
+                quantity="torque",
+                place=joint,
+                value=None,
+                before=None,
+                unit=number.unit,
+                note=number.doubt,
+            )
+        ]
+    )
 
 
 def _base(sheet: Sheet, found: Outcome) -> None:
@@ -169,7 +206,16 @@ def _base(sheet: Sheet, found: Outcome) -> None:
     sheet.gravity = sheet.gravity[0], g
     sheet.record(
         [
-            Change(f"base_{k}", "base", "gravity", "", None, None, "m/s^2", n.doubt)
+            Change(
+                effect=f"base_{k}",
+                location="base",
+                quantity="gravity",
+                place="",
+                value=None,
+                before=None,
+                unit="m/s^2",
+                note=n.doubt,
+            )
             for k, n in own.items()
         ]
     )
@@ -185,7 +231,20 @@ def _left_out(sheet: Sheet, found: Outcome) -> None:
                 if getattr(sheet.after[joint], quantity) != 0:
                     sheet.set(joint, **{quantity: 0.0})
                     note = "the model was asked to do without it, and the data did not ask for it"
-                    sheet.record([Change(name, joint, quantity, joint, 0.0, None, "", note)])
+                    sheet.record(
+                        [
+                            Change(
+                                effect=name,
+                                location=joint,
+                                quantity=quantity,
+                                place=joint,
+                                value=0.0,
+                                before=None,
+                                unit="",
+                                note=note,
+                            )
+                        ]
+                    )
 
 
 # ---- effects
@@ -217,14 +276,14 @@ def _change(
 ) -> Change:
     doubt = effect.numbers[number].doubt
     return Change(
-        effect.effect,
-        effect.location,
-        quantity,
-        joint,
-        effect.value(number),
-        None,
-        _unit(effect, number) if unit is None else unit,
-        "; ".join(t for t in (note, doubt) if t),
+        effect=effect.effect,
+        location=effect.location,
+        quantity=quantity,
+        place=joint,
+        value=effect.value(number),
+        before=None,
+        unit=_unit(effect, number) if unit is None else unit,
+        note="; ".join(t for t in (note, doubt) if t),
     )
 
 

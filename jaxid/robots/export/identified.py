@@ -181,14 +181,14 @@ def _bodies(sheet: Sheet, found: Outcome, tree: Tree) -> None:
         sheet.record(
             [
                 Change(
-                    name,
-                    tree.joints[j],
-                    quantity,
-                    place,
-                    number(name, rows[name]),
-                    None,
-                    unit,
-                    note + more,
+                    effect=name,
+                    location=tree.joints[j],
+                    quantity=quantity,
+                    place=place,
+                    value=number(name, rows[name]),
+                    before=None,
+                    unit=unit,
+                    note=note + more,
                 )
             ]
         )

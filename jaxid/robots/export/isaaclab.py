@@ -37,7 +37,14 @@ ELSEWHERE = {
 def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
     """`isaaclab_actuators.py`: a function of the physics step, for delays are counted in those."""
     return written(
-        sheet, FIELDS, ELSEWHERE, "isaaclab_actuators.py", _text, VERSION, "torch", _TAIL
+        sheet=sheet,
+        fields=FIELDS,
+        elsewhere=ELSEWHERE,
+        file="isaaclab_actuators.py",
+        writer=_text,
+        version=VERSION,
+        library="torch",
+        tail=_TAIL,
     )
 
 

@@ -313,20 +313,29 @@ class _Patch:
                 if k in other and k not in named:
                     note = "the law of [controller], under which the recording was made"
                     sheet.changes.append(
-                        Change(k, joint, k, joint, own[k][1], own[k][0], units[k], note)
+                        Change(
+                            effect=k,
+                            location=joint,
+                            quantity=k,
+                            place=joint,
+                            value=own[k][1],
+                            before=own[k][0],
+                            unit=units[k],
+                            note=note,
+                        )
                     )
             if {"lowest", "highest"} & other and not {"force", "lowest", "highest"} & named:
                 note = "the limit of [controller], under which the recording was made"
                 sheet.changes.append(
                     Change(
-                        "saturation",
-                        joint,
-                        "force",
-                        joint,
-                        None,
-                        None,
-                        sheet.force_unit(joint),
-                        note,
+                        effect="saturation",
+                        location=joint,
+                        quantity="force",
+                        place=joint,
+                        value=None,
+                        before=None,
+                        unit=sheet.force_unit(joint),
+                        note=note,
                     )
                 )
         if left:

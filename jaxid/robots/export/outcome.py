@@ -127,14 +127,14 @@ def outcome(content: Any) -> Outcome:
         content.get("covariance"), content.get("names") if kind == "identification" else None
     )
     return Outcome(
-        kind,
-        _name(content.get("model"), "model"),
-        {_name(k, "parameters"): _number(k, v) for k, v in parameters.items()},
-        tuple(_effect(e) for e in effects),
-        robot_entry(robot),
-        names,
-        matrix,
-        content,
+        kind=kind,
+        model=_name(content.get("model"), "model"),
+        parameters={_name(k, "parameters"): _number(k, v) for k, v in parameters.items()},
+        effects=tuple(_effect(e) for e in effects),
+        robot=robot_entry(robot),
+        names=names,
+        covariance=matrix,
+        content=content,
     )
 
 
