@@ -59,7 +59,7 @@ def one(seed: int) -> dict[str, Any]:
         effects=[f"step_change@{k}@a2" for k in BODY],
     )
     before = of_last(
-        Robot.from_mjcf("craft.xml", text=recorded(run, seed).model.geometry.robot, free=True)
+        Robot.from_mjcf("craft.xml", text=recorded(run, seed).model.geometry.robot, free=True)  # pyright: ignore
     )  # type: ignore[union-attr]
     after = of_last(
         Robot.from_mjcf("craft.xml", text=holding(run.target, damping=DAMPING), free=True)

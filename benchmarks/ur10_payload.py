@@ -72,7 +72,7 @@ def arm_of(load: np.ndarray | None = None) -> Any:
     model.armature = table.drive_inertia
     data = model.createData()
     return lambda q, qd, qdd: np.array(
-        [pin.rnea(model, data, *s) for s in zip(q, qd, qdd, strict=True)]
+        [pin.rnea(model, data, *s) for s in zip(q, qd, qdd, strict=True)]  # pyright: ignore
     )  # pyright: ignore
 
 

@@ -80,11 +80,11 @@ def test_parts_of_a_run_keep_their_scatter():
         assert (
             e.scatter is not None
             and e.scatter.shape == e.y.shape
-            and e.whole.scatter.shape == e.whole.y.shape
+            and e.whole.scatter.shape == e.whole.y.shape  # pyright: ignore
         )  # type: ignore[union-attr]
     assert np.allclose(
         data.experiments[0].noise(np.array([3e-4]), [0])[:, 0] ** 2 - 9e-8,
-        data.experiments[0].scatter[:, 0] ** 2,
+        data.experiments[0].scatter[:, 0] ** 2,  # pyright: ignore
     )  # type: ignore[index]
 
 

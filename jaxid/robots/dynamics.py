@@ -137,9 +137,9 @@ def body(
     matrix = lambda k: tuple(tuple(every[k + 3 * i + j] for j in range(3)) for i in range(3))
     parts = lambda v: tuple(spread(plan, v.T.copy()))
     return Body(
-        R0=matrix(0),
-        R1=matrix(9),
-        R2=matrix(18),
+        R0=matrix(0),  # pyright: ignore
+        R1=matrix(9),  # pyright: ignore
+        R2=matrix(18),  # pyright: ignore
         p=tuple(every[27:30]),  # type: ignore[arg-type]
         turn=parts(hinge),
         slide=parts(sliding) if any(slides) else None,

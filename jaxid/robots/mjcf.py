@@ -170,9 +170,9 @@ class _Reader:
             couplings=couplings,
             actuators=actuators,
             poses=self.poses(number, joints),
-            gravity=tuple(map(float, m.opt.gravity)),
+            gravity=tuple(map(float, m.opt.gravity)),  # pyright: ignore
             base="world",
-            impossible=(),  # type: ignore[arg-type]
+            impossible=(),
             notes=tuple(dict.fromkeys(self.notes)),
             trunk=tuple(trunk.tolist()),
             root=tuple(root.ravel().tolist()),

@@ -93,9 +93,8 @@ def _number(entry: Any) -> Number | None:
     if not isinstance(entry, Mapping) or not known(entry.get("value")):
         return None
     std = entry.get("std")
-    return Number(
-        float(entry["value"]), float(std) if known(std) else None, str(entry.get("unit") or "")[:40]
-    )  # type: ignore[arg-type]
+    spread = float(std) if known(std) else None  # type: ignore[arg-type]
+    return Number(float(entry["value"]), spread, str(entry.get("unit") or "")[:40])
 
 
 def _shared(found: Outcome, wanted: Iterable[str]) -> tuple[list[str], np.ndarray]:
