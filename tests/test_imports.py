@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 #: built on more than the rest has a place of its own: a dataset is a plain value that robots are
 #: matched with, but it is read against the model it states; the files of a result hold its page.
 LAYERS = (
-    ("errors", "extras", "lazy", "numerics", "runtime", "serialise", "storage", "wording"),
+    ("display", "errors", "extras", "lazy", "numerics", "runtime", "serialise", "storage", "wording"),
     ("data",),
     ("dynamics", "models", "robots"),
     ("catalogue",),
@@ -34,13 +34,10 @@ LAYERS = (
     ("__main__",),
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-#: Methods by which a result shows, exports and saves itself, and those by which a dataset is made:
-#: a class is where a user looks for them. Only they may import upward, when they are called.
+#: Methods by which a result exports and saves itself, and those by which a dataset is made: a class
+#: is where a user looks for them. Only they may import upward, when they are called. What shows a
+#: value is reached by `jaxid.display` alone.
 AT_HAND = {
-    "report",
-    "plot",
-    "__repr__",
-    "_repr_html_",
     "export",
     "save",
     "from_arrays",

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
+from jaxid.display import Printed
 from jaxid.errors import UsageError
 from jaxid.fitting.simulate import simulate_dataset
 from jaxid.robots.drives import Law, stated_law
@@ -31,8 +32,8 @@ from jaxid.simulation.mujoco_run import Driven, MujocoRobot
 LATE = ("input_delay", "actuator_lag", "quadratic_drag")
 
 
-@dataclass(frozen=True)
-class Replay:
+@dataclass(frozen=True, repr=False)
+class Replay(Printed):
     """`rows`: for each run and joint the rms error in MuJoCo and in the other (`other`: "jaxid", or
     "against"), the rms between both, and of a file that `jaxid export` patched the error of the
     original one in MuJoCo (`before`). `runs`: for each run `t` and the joints' positions in MuJoCo
@@ -67,11 +68,6 @@ class Replay:
             pyarrow.parquet.write_table(pyarrow.table(dict(run)), buffer)
             out[f"run_{i + 1}.parquet"] = buffer.getvalue()
         return out
-
-    def __repr__(self) -> str:
-        from jaxid.report.carried_text import replay_text
-
-        return replay_text(self)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from jaxid.display import Printed
 from jaxid.errors import nearest, UsageError
 from jaxid.robots.export import mjcf
 from jaxid.robots.export.apply import carried
@@ -26,8 +27,8 @@ from jaxid.storage.small_files import read_small, TooLarge
 from jaxid.wording import listed, number
 
 
-@dataclass(frozen=True)
-class Exported:
+@dataclass(frozen=True, repr=False)
+class Exported(Printed):
     """Rows (one at least for each effect and each fitted number), files (name -> text), ranges
     (None where not asked for).
     """
@@ -38,11 +39,6 @@ class Exported:
     notes: tuple[str, ...]
     source: Mapping[str, Any]
     ranges: Mapping[str, Any] | None = None
-
-    def __repr__(self) -> str:
-        from jaxid.report.carried_text import export_text
-
-        return export_text(self)
 
     @property
     def carries(self) -> bool:
