@@ -464,10 +464,8 @@ class _Patch:
             turn = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
             attributes |= {**dict.fromkeys(turn), "fullinertia": numbers(full)}
         if inertial is None:
-            text.insert(
-                element,
-                f'<inertial pos="{numbers(new.com)}" mass="{digits(new.mass)}" fullinertia="{numbers(full)}"/>',
-            )
+            where = f'pos="{numbers(new.com)}" mass="{digits(new.mass)}"'
+            text.insert(element, f'<inertial {where} fullinertia="{numbers(full)}"/>')
         else:
             text.set(inertial, attributes)
         self.ops.append(
@@ -481,7 +479,8 @@ class _Patch:
                 },
             )
         )
-        note = "mass, pos and inertia together; they are of bodies that can exist"
+        together = "mass, pos and inertia together; they are of bodies that can exist"
+        note = joined(together, self.file.lifted(link))
         if off > 1e-6:
             note += f"; the nearest such body is {100 * off:.2g} % of its largest number off"
         lumped = np.abs(own.ten - before.ten).max() > 1e-6 * np.abs(before.ten).max()
