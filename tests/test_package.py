@@ -209,7 +209,7 @@ LONG = {
     "jaxid/excitation/design.py": 560,
     "jaxid/identification/run.py": 544,
     "jaxid/problem/frequency_response.py": 501,
-    "jaxid/robots/export/mjcf.py": 555,
+    "jaxid/robots/export/mjcf.py": 547,
     "jaxid/simulation/batch.py": 504,
     "jaxid/study/papers/flexible_link.py": 547,
     "models/effects/friction.py": 516,
