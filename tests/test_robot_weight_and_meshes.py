@@ -12,10 +12,12 @@ from jaxid import Dataset, UsageError
 from jaxid.models import Robot
 from jaxid.numerics.precision import float64
 from jaxid.robots.arms import as_arm
+from jaxid.robots.export.run import export
 from jaxid.robots.floating import floating
 from jaxid.robots.match import robot_of, spec_of_file
 from jaxid.robots.mjcf import read_mjcf
 from jaxid.robots.mjcf_text import expanded
+from jaxid.robots.origin import origin
 from written_robots import lifted, quadruped
 
 
@@ -136,6 +138,24 @@ def test_what_takes_no_cancelled_weight_says_so():
     data = Dataset.from_arrays(t, torques, course, units=units, check_model=False)
     with pytest.raises(UsageError, match="identify takes no robot whose weight the file cancels"):
         as_arm(Robot.from_mjcf("robot.xml", text=lifted()), data)
+
+
+def test_an_export_says_what_cancelled_weight_does_to_a_patched_body(tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text(lifted())
+    tree = read_mjcf(path)
+    numbers = {"mass@j3_link": 1.5, "mass@j2_link": 1.5}
+    content = {
+        "schema": 1,
+        "kind": "fit",
+        "model": "robot",
+        "robot": origin(Robot(tree, driven=False), None),
+        "effects": [],
+        "parameters": {k: {"value": v, "std": 0.1, "unit": "kg"} for k, v in numbers.items()},
+    }
+    notes = {row.location: row.note for row in export(content, "mjcf").rows}
+    assert "gravcomp cancels the weight as patched" in notes["j3_link"]
+    assert "gravcomp" not in notes["j2_link"]
 
 
 def test_a_limit_that_cancelled_weight_counts_against_is_said():

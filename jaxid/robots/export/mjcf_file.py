@@ -110,7 +110,7 @@ class MjcfFile:
 
     def lifted(self, link: str) -> str:
         """What is to be said of a body whose weight the file cancels, "" of another one."""
-        if not self.model.body(link).gravcomp[0]:
+        if not self.model.body_gravcomp[self.model.body(link).id]:
             return ""
         return (
             "gravcomp cancels the weight as patched in MuJoCo; in the result it cancels that of "
