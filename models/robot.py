@@ -276,10 +276,9 @@ class Robot(Staged):
     ) -> Robot:
         """The robot of an MJCF file; with `tip` only the joints up to that link move. `free`: its
         base floats, and its angles base_roll, base_pitch, base_yaw are the last joints. Needs no
-        meshes.
+        meshes but those that give an inertia.
 
-        Raises `UsageError` for what is not a tree of hinge and slide joints with stated inertias,
-        by name.
+        Raises `UsageError` for what is not a tree of hinge and slide joints, by name.
         """
         from jaxid.robots.mjcf import read_mjcf
 

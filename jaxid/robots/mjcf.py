@@ -3,8 +3,8 @@ own.
 
 A file is a stranger's input. It is parsed without entities; what it includes must lie beside it and
 be of sensible size; meshes, textures and everything else that is drawn are dropped before
-compiling, so that none is ever read. What a tree of hinge and slide joints cannot express is
-refused by name.
+compiling. Only meshes that give an inertia are read (see `mjcf_meshes`). What a tree of hinge and
+slide joints cannot express is refused by name.
 """
 
 from __future__ import annotations
