@@ -209,11 +209,11 @@ LONG = {
     "jaxid/excitation/design.py": 560,
     "jaxid/identification/run.py": 544,
     "jaxid/problem/frequency_response.py": 501,
-    "jaxid/robots/export/mjcf.py": 556,
+    "jaxid/robots/export/mjcf.py": 547,
     "jaxid/simulation/batch.py": 504,
     "jaxid/study/papers/flexible_link.py": 547,
     "models/effects/friction.py": 516,
-    "models/robot.py": 582,
+    "models/robot.py": 573,
 }
 
 

@@ -19,6 +19,7 @@ from jaxid.robots.export.stepped import ARMATURE, LATE, stepped
 from jaxid.robots.export.target import joined, NEARER, Row, Trial
 from jaxid.robots.export.targets import TARGETS
 from jaxid.robots.floating import based
+from jaxid.robots.followers import led_as
 from jaxid.robots.mjcf import read_mjcf
 from jaxid.robots.origin import digest
 from jaxid.robots.tree import Tree
@@ -201,7 +202,7 @@ def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
                 f"{path}: there is no joint {lacking[0]!r}, of which the result speaks{nearest(lacking[0], tree.joints)}"
             )
         held = {k: v for k, v in found.robot["held"].items() if k in tree.joints}
-        return tree.locked(held)
+        return led_as(tree, _leads(found)).locked(held)
     joints = _joints(found)
     known = [j for j in joints if j in tree.joints]
     if known == joints or len(joints) == len(tree.leading):
@@ -210,6 +211,12 @@ def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
         f"{path} has the joints {', '.join(tree.leading)}, the result of model {found.model!r} speaks of {', '.join(joints)}: "
         "the robot's file goes with results of that robot"
     )
+
+
+def _leads(found: Outcome) -> list[str]:
+    """Joints that moved by themselves in the result, as far as it says them."""
+    drive = found.robot.get("drive")
+    return found.robot.get("leads") or (list(drive["joints"]) if drive else [])
 
 
 def _in_steps(
