@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.floor import Between, between_simulators, seen_early
+from jaxid.diagnosis.goals.gains import freed, held_gains
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
@@ -164,6 +165,8 @@ def changes(binding: Binding, kinds: Sequence[type[Effect]], taken: Difference) 
     ]
     theta = taken.theta.copy()
     b = replace(binding, dataset=replace(binding.dataset, experiments=tuple(runs)), theta=theta)
+    gains = set(held_gains(b))
+    b = freed(b, [b.layout.names[i] for i in gains])
     study = LedStudy(b, kinds, begin=theta.copy())  # not re-tuned
     rows, by_left = study.rows_with_effects(theta)
     p = study.plant.size
@@ -182,8 +185,12 @@ def changes(binding: Binding, kinds: Sequence[type[Effect]], taken: Difference) 
             [pair for pair in effects if (len(pair[1].proposal.units) > 1) == many]
             for many in (False, True)
         )
+        numbers = _of_numbers(g, study)
+        of_law = [pair for pair in numbers if gains.issuperset(pair[1].index)]
+        own = [pair for pair in numbers if gains.isdisjoint(pair[1].index)]
         for found, most in (
-            (_of_numbers(g, study), FIRST // 2),
+            (own, FIRST // 2),
+            (of_law, FIRST // 2),
             (single, FIRST),
             (several, FIRST // 2),
         ):
@@ -276,7 +283,9 @@ class Alone:
         self.stated = dict(zip(plain.layout.names, plain.theta, strict=True))
         for name, value in zip(plain.layout.names, theta, strict=True):
             self.theta[wide.layout.index(name)] = value
-        self.own = frozenset(wide.layout.index(plain.layout.names[i]) for i in plain.free)
+        in_wide = lambda index: frozenset(wide.layout.index(self.names[i]) for i in index)
+        self.gains = in_wide(held_gains(plain))
+        self.own = in_wide(plain.free) | self.gains
         decider.asked = self.own
         self.stands = decider.refit((), self.theta)
         self.tried: list[Hypothesis] = []
@@ -315,13 +324,17 @@ class Alone:
         order = lambda h: (
             h not in few,
             h not in near,
-            not (self.of_numbers(h) and self.evidence(h) < told),
+            not (self.of_numbers(h) and not self.of_law(h) and self.evidence(h) < told),
             self.evidence(h),
         )
         return sorted(good, key=order)
 
     def of_numbers(self, h: Hypothesis) -> bool:
         return any(i in self.own for c in h.effects for i in c.index)
+
+    def of_law(self, h: Hypothesis) -> bool:
+        """Whether gains are changed, which whoever wrote the law knows best."""
+        return any(i in self.gains for c in h.effects for i in c.index)
 
     def searched(self, nominal: Hypothesis, enough: Sequence[Hypothesis]) -> Search:
         """The first of those that are enough, with what passes for it; `nominal` is re-tuned
@@ -465,6 +478,24 @@ class AsStated:
             and bool(self.enough)
             and not self.alone.of_numbers(self.enough[0])
         )
+
+    @property
+    def gains(self) -> list[str]:
+        """Names of the law's gains whose other value is what explains the recording."""
+        if self.alone is None or not self.enough:
+            return []
+        layout = self.alone.decider.bench.binding.layout
+        changed = [i for c in self.enough[0].effects for i in c.index]
+        return [layout.names[i] for i in changed if i in self.alone.gains]
+
+    @property
+    def begin(self) -> np.ndarray:
+        """Numbers of the model as they stand, but for gains that explain the recording."""
+        theta = self.plain.theta.copy()
+        for name in self.gains:
+            wide = self.alone.decider.bench.binding.layout.index(name)  # type: ignore[union-attr]
+            theta[self.plain.layout.index(name)] = self.enough[0].theta[wide]
+        return theta
 
     @property
     def difference(self) -> Difference:
