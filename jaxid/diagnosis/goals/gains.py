@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain, product
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from jaxid.diagnosis.hypothesis import Candidate, Hypothesis
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.diagnosis.selection import joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.fitting.ending import LAW_KD
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed, times
 
@@ -35,9 +37,11 @@ def held_gains(binding: Binding) -> list[int]:
     law = getattr(binding.chain.mechanism, "drive_law", None)
     if law is None or law.kind == "pid":
         return []
-    names = [f"{gain}@{j}" for gain in GAINS for j in binding.chain.signature.joints]
-    index = [binding.layout.index(name) for name in names if name in binding.layout.names]
-    return [i for i in index if i not in binding.free and binding.theta[i] >= 0]
+    own = product(GAINS, binding.chain.signature.joints)
+    names = {f"{gain}@{joint}" for gain, joint in own}
+    held = set(range(len(binding.theta))) - set(binding.free)
+    index = [i for i in sorted(held) if binding.layout.names[i] in names]
+    return [i for i in index if binding.theta[i] >= 0]
 
 
 def with_room(binding: Binding) -> Binding:
@@ -77,7 +81,7 @@ def sets_of_gains(binding: Binding) -> list[list[Candidate]]:
         name, _, joint = binding.layout.names[i].partition("@")
         by_name[name].append(Candidate(name, joint, (i,)))
     single = [own for own in by_name.values() if own]
-    return [*single, [c for own in single for c in own]] if len(single) > 1 else single
+    return [*single, list(chain.from_iterable(single))] if len(single) > 1 else single
 
 
 def better_gains(decider: Decider, theta: np.ndarray) -> Hypothesis | None:
@@ -122,7 +126,7 @@ def would_close(binding: Binding, names: Sequence[str], found: Diagnosis, again:
 
 def _asks(binding: Binding, names: Sequence[str]) -> str:
     kind = binding.chain.mechanism.drive_law.kind  # type: ignore[attr-defined]
-    called = {"kd": "kv" if kind == "cascade" else "kd"}
+    called = {"kd": LAW_KD.get(kind, "kd")}
     gains = dict.fromkeys(name.partition("@")[0] for name in names)
     own = ", ".join(f'"{called.get(gain, gain)}"' for gain in gains)
     return f"[controller] fit = [{own}] has a fit do so"

@@ -229,7 +229,7 @@ class _Ask:
 
 
 @dataclass(frozen=True)
-class _Apart:
+class _Simulators:
     """What two simulators of the file differ by: their runs, what of it re-tuned numbers take up
     (`doubts`), and what these leave, rms [n], with their clocks apart and `at_once`.
     """
@@ -240,11 +240,11 @@ class _Apart:
     at_once: np.ndarray | None
 
 
-def _apart(study: LedStudy, between: Between | None) -> _Apart:
+def _apart(study: LedStudy, between: Between | None) -> _Simulators:
     if between is None:
-        return _Apart(None, {}, None, None)
+        return _Simulators(None, {}, None, None)
     runs = study.binding.experiments("fit")
-    return _Apart(
+    return _Simulators(
         between=between,
         doubts=study.taken_up(between.apart, clocks=False)[0],
         size=study.taken_up(between.apart)[1],
@@ -280,7 +280,7 @@ def _searched(
     road: _Road,
     study: LedStudy,
     plain: Binding,
-    apart: _Apart,
+    apart: _Simulators,
     gains: Sequence[str] = (),
 ) -> Diagnosis:
     """The diagnosis by effects beside numbers that are re-tuned; `plain` without candidates."""
@@ -318,12 +318,12 @@ def _with_other_gains(
     other = better_gains(decider, as_vector(plain, plain.layout.names, road.bare))
     if other is None:
         return found, []
-    gains = [plain.layout.names[i] for c in other.effects for i in c.index]
+    changed = list(other.index)
+    gains = [plain.layout.names[i] for i in changed]
     own = ask.bound((), gains)
     study = LedStudy(own, ask.kinds, begin=other.theta)
     same_file, _ = as_it_stands(own)
-    for c in other.effects:
-        same_file[list(c.index)] = other.theta[list(c.index)]
+    same_file[changed] = other.theta[changed]
     apart = _apart(study, between_simulators(ask.made(own), theta=same_file))
     study = study.with_binding(with_floor(own, apart.size))
     again = _searched(ask, road, study, own, apart, gains)
