@@ -5,7 +5,7 @@ of two simulators.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -253,8 +253,11 @@ def in_mujoco(
     source: _Source | None,
     starts: list[np.ndarray],
     notes: list[str],
+    gains: Mapping[str, tuple[float, float]] | None = None,
 ) -> list[np.ndarray]:
-    """Positions of the measured joints at the samples of every run."""
+    """Positions of the measured joints at the samples of every run; `gains` (kp, kd) of the law by
+    joint where they are not those that are stated.
+    """
     free, held_notes = recorded(tree, data)
     notes += held_notes
     joints = free.leading
@@ -271,9 +274,12 @@ def in_mujoco(
         notes.append(
             f"{path.name} has no position actuators for these joints: the law of [controller] drives"
         )
+        law = _with_gains(law, joints, gains or {})
     elif goals:
         notes.append(f"driven by the position actuators of {path.name}")
     robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)
+    if law is None and gains:
+        robot.drive_by(tree, gains)
     reference = (
         MujocoRobot(source.original, read_tree(source.original), {}, None)
         if source and source.original and torques
@@ -336,6 +342,12 @@ def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: P
         )
         law = replace(law, **{name: values})
     return law
+
+
+def _with_gains(law: Law, joints: Sequence[str], gains: Mapping[str, tuple[float, float]]) -> Law:
+    stated = zip(joints, law.kp, law.kd, strict=True)
+    every = [gains.get(joint, (kp, kd)) for joint, kp, kd in stated]
+    return replace(law, kp=tuple(kp for kp, _ in every), kd=tuple(kd for _, kd in every))
 
 
 def _before(
