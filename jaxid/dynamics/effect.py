@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.dynamics.export_law import ExportLaw, StandsFor
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import Quantity
 
@@ -104,6 +105,18 @@ class Effect(eqx.Module):
     last_resort: ClassVar[bool] = False
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
+    #: What it acts on: timing, command, drive (the torque that it makes), joint, body, sensor or
+    #: number.
+    acts_on: ClassVar[str] = ""
+    #: The number of a robot's file that it is.
+    stands_for: ClassVar[StandsFor | None] = None
+    #: How an export writes it where no number of the file says it; or why no code beside a
+    #: simulator can be it.
+    export_law: ClassVar[ExportLaw | str] = ""
+
+
+#: Effects of the user's own by their names, from when one is first given.
+OWN_EFFECTS: dict[str, type[Effect]] = {}
 
 
 AnEffect = TypeVar("AnEffect", bound=Effect)
@@ -118,6 +131,7 @@ class InputEffect(Effect):
     """Between command and joint: (u, signals, state) -> u, state."""
 
     location: ClassVar[str] = "input"
+    acts_on: ClassVar[str] = "command"
     offered: ClassVar = staticmethod(drives)
     #: Whether it closes a loop: it is told what the encoders read in place of the joints'
     #: positions.
@@ -167,6 +181,7 @@ class JointEffect(Effect):
     """
 
     location: ClassVar[str] = "joint"
+    acts_on: ClassVar[str] = "joint"
 
     #: Whether it looks at the transmitted torque, which a chain works out for such effects alone.
     transmits: ClassVar[bool] = False
@@ -187,6 +202,7 @@ class BodyEffect(Effect):
     """Wraps or edits the mechanism: mechanism -> mechanism."""
 
     location: ClassVar[str] = "joint"
+    acts_on: ClassVar[str] = "body"
 
     @abc.abstractmethod
     def __call__(self, mechanism: Mechanism) -> Mechanism: ...
@@ -196,6 +212,7 @@ class OutputEffect(Effect):
     """Between mechanism and record: (y, signals, state) -> y, state."""
 
     location: ClassVar[str] = "output"
+    acts_on: ClassVar[str] = "sensor"
 
     def offset(self) -> Array | None:
         """By how much each reading is off at all times, which a loop that is closed through it is
@@ -219,6 +236,7 @@ class NumberEffect(Effect):
     """
 
     location: ClassVar[str] = "number"
+    acts_on: ClassVar[str] = "number"
 
     @abc.abstractmethod
     def __call__(
@@ -244,6 +262,7 @@ class RecordEffect(Effect):
     """
 
     location: ClassVar[str] = "output"
+    acts_on: ClassVar[str] = "sensor"
 
     @abc.abstractmethod
     def __call__(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import JointEffect
+from jaxid.dynamics.export_law import ExportLaw, StandsFor
 from jaxid.dynamics.parameter import ANGLE, param, Quantity, setting, SPEED, TORQUE
 from jaxid.numerics.fast_math import sincos
 
@@ -26,6 +27,8 @@ class ViscousFriction(JointEffect):
     seen: ClassVar[str] = "in proportion to speed"
     plain: ClassVar[str] = "Friction grows with speed by {coefficient} more than stated."
     check: ClassVar[str] = "Look at bearings, seals and the viscosity of the grease."
+    stands_for: ClassVar = StandsFor("damping", "coefficient", fitted="damping")
+    export_law: ClassVar = ExportLaw("force", "coefficient * qd")
     coefficient: Array = param(
         0.0,
         0.0,
@@ -62,6 +65,8 @@ class CoulombFriction(JointEffect):
     check: ClassVar[str] = (
         "Find the smallest torque that starts the motion, both ways; look at bearings, seals, brakes that drag."
     )
+    stands_for: ClassVar = StandsFor("frictionloss", "level", fitted="frictionloss")
+    export_law: ClassVar = ExportLaw("dry", "level + 0 * q")
     level: Array = param(
         0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry friction level"
     )
@@ -102,6 +107,7 @@ class AsymmetricFriction(JointEffect):
     check: ClassVar[str] = (
         "Run the same speed both ways; look at preload, screws, belts, gears that bind one way."
     )
+    export_law: ClassVar = ExportLaw("force", "viscous * abs(qd) + dry * abs(sign(qd))")
     dry: Array = param(
         0.0,
         -TORQUE,
@@ -152,6 +158,7 @@ class StribeckFriction(JointEffect):
         "Friction is higher when it moves slowly: {extra} more at the start, gone at a few times {speed}."
     )
     check: ClassVar[str] = "Look at lubrication; expect stick-slip in slow motion."
+    export_law: ClassVar = ExportLaw("dry", "extra * exp(-(qd / speed) ** 2)")
     extra: Array = param(
         0.0,
         0.0,
@@ -211,6 +218,7 @@ class LoadDependentFriction(JointEffect):
     check: ClassVar[str] = (
         "Compare the same motion with and without load; look at the efficiency of the gear (worm and screw drives)."
     )
+    export_law: ClassVar = ExportLaw("dry", "mu * abs(load)")
     mu: Array = param(
         0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque that passes the gear"
     )
@@ -257,6 +265,8 @@ class QuadraticDrag(JointEffect):
     plain: ClassVar[str] = "A drag that grows with the square of speed is missing: {coefficient}."
     check: ClassVar[str] = "Look for fans, blades, air or oil that is churned."
     resembles: ClassVar[tuple[str, ...]] = ("power_law_friction",)
+    stands_for: ClassVar = StandsFor("quadratic", "coefficient", fitted="quadratic_damping")
+    export_law: ClassVar = ExportLaw("force", "coefficient * qd * abs(qd)")
     coefficient: Array = param(
         0.0,
         0.0,
@@ -296,6 +306,7 @@ class PositionDependentFriction(JointEffect):
         "Friction repeats with position: a gear or bearing that runs out of true."
     )
     check: ClassVar[str] = "Turn slowly through the whole travel and mark where it runs heavily."
+    export_law: ClassVar = ExportLaw("dry", "sine * sin(order * q) + cosine * cos(order * q)")
     sine: Array = param(
         0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine"
     )

@@ -8,7 +8,24 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import JointEffect
+from jaxid.dynamics.export_law import ExportLaw
 from jaxid.dynamics.parameter import ANGLE, param, Quantity, TORQUE
+
+
+#: Once a step of `dt` s, in a simulator.
+CODE = '''class LuGre:
+    """level (z + relaxation dz/dt), dz/dt = (qd - |qd| z) / presliding."""
+
+    def __init__(self, level, presliding, relaxation=0.0):
+        self.level, self.presliding, self.relaxation, self.z = level, presliding, relaxation, 0.0
+
+    def __call__(self, q, qd, load, dt):
+        x = qd * dt / self.presliding
+        end = xp.sign(x) + (self.z - xp.sign(x)) * xp.exp(-abs(x))
+        f = self.level * ((self.z + end) / 2 + self.relaxation * (end - self.z) / dt)
+        self.z = end
+        return f
+'''
 
 
 class LuGreFriction(JointEffect):
@@ -38,6 +55,7 @@ class LuGreFriction(JointEffect):
         "The joint gives before it slides: friction builds up over {presliding} after each reversal."
     )
     check: ClassVar[str] = "Push with small forces and watch for a spring-like give at standstill."
+    export_law: ClassVar = ExportLaw("force", memory=CODE)
     level: Array = param(
         0.0,
         0.0,

@@ -8,7 +8,21 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import JointEffect
+from jaxid.dynamics.export_law import ExportLaw
 from jaxid.dynamics.parameter import DURATION, param, Quantity, SPEED, TORQUE
+
+
+#: Once a step of `dt` s, in a simulator.
+CODE = '''class Warmth:
+    """change warmth qd, time d(warmth)/dt = qd^2 - warmth; cold at the start."""
+
+    def __init__(self, change, time):
+        self.change, self.time, self.warmth = change, time, 0.0
+
+    def __call__(self, q, qd, load, dt):
+        self.warmth = self.warmth + (qd ** 2 - self.warmth) * min(1.0, dt / self.time)
+        return self.change * self.warmth * qd
+'''
 
 
 class TemperatureDependentFriction(JointEffect):
@@ -38,6 +52,7 @@ class TemperatureDependentFriction(JointEffect):
         "Friction changes by {change} with the work of the last {time}, as when a joint warms up."
     )
     check: ClassVar[str] = "Repeat a run cold and warm; measure the temperature of motor and gear."
+    export_law: ClassVar = ExportLaw("force", memory=CODE)
     change: Array = param(
         0.0,
         -20 * TORQUE / (SPEED * SPEED * SPEED),
