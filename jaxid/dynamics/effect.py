@@ -113,6 +113,13 @@ class Effect(eqx.Module):
     #: How an export writes it where no number of the file says it; or why no code beside a
     #: simulator can be it.
     export_law: ClassVar[ExportLaw | str] = ""
+    #: Whether what it does along a measured motion depends on the torque that the model needs there.
+    by_torque: ClassVar[bool] = False
+
+    @classmethod
+    def quantity(cls) -> str:
+        """What of a robot's file it is, "" where it is no number of it."""
+        return "" if cls.stands_for is None else cls.stands_for.quantity
 
 
 #: Effects of the user's own by their names, from when one is first given.
@@ -133,6 +140,11 @@ class InputEffect(Effect):
     location: ClassVar[str] = "input"
     acts_on: ClassVar[str] = "command"
     offered: ClassVar = staticmethod(drives)
+    #: Key of a channel in a dataset that states the same.
+    stated_as: ClassVar[str] = ""
+    #: Missing torque [time n] by its one number, from the torque [time n] that the model needs and
+    #: the step between samples, s; None: the torque of a measured motion does not show it.
+    column: ClassVar[Callable[[np.ndarray, float], np.ndarray] | None] = None
     #: Whether it closes a loop: it is told what the encoders read in place of the joints'
     #: positions.
     reads_encoders: ClassVar[bool] = False
@@ -213,6 +225,11 @@ class OutputEffect(Effect):
 
     location: ClassVar[str] = "output"
     acts_on: ClassVar[str] = "sensor"
+
+    @classmethod
+    def is_offset(cls) -> bool:
+        """Whether it adds to a reading what a loop that is closed through it is told too."""
+        return cls.offset is not OutputEffect.offset
 
     def offset(self) -> Array | None:
         """By how much each reading is off at all times, which a loop that is closed through it is

@@ -195,6 +195,8 @@ class TorqueScale(InputEffect):
     acts_on: ClassVar[str] = "drive"
     stands_for: ClassVar = StandsFor("drive", "gain", after=_scaled)
     export_law: ClassVar = ExportLaw("torque", "(1 + gain) * u")
+    by_torque: ClassVar[bool] = True
+    column: ClassVar = staticmethod(lambda torque, step: -torque)
     gain: Array = param(
         0.0,
         -0.9,

@@ -351,6 +351,7 @@ class GravityOffset(BodyEffect):
     plain: ClassVar[str] = "Gravity acts as if the base were tilted by {tilt}."
     check: ClassVar[str] = "Put a level on the base; check how the zero of the joint was set."
     stands_for: ClassVar = StandsFor("gravity", "tilt")
+    by_torque: ClassVar[bool] = True
     tilt: Array = param(0.0, -0.5, 0.5, scale=0.01, unit="rad", meaning="angle of the base")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"tilt": 0.03},)
 

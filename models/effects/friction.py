@@ -200,6 +200,7 @@ class LoadDependentFriction(JointEffect):
 
     name: ClassVar[str] = "load_dependent_friction"
     transmits: ClassVar[bool] = True
+    by_torque: ClassVar[bool] = True
     equation: ClassVar[str] = (
         "f = mu |load| sign(qd); load = drive: the drive torque at the joint; transmitted: M qdd + bias without the rotor; "
         "combined: drive_share drive + (1 - drive_share) transmitted"

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import InputEffect
@@ -52,6 +53,8 @@ class InputDelay(InputEffect):
     acts_on: ClassVar[str] = "timing"
     stands_for: ClassVar = StandsFor("delay", "delay", fitted="delay")
     export_law: ClassVar = ExportLaw("command", memory=DELAY)
+    by_torque: ClassVar[bool] = True
+    column: ClassVar = staticmethod(lambda torque, step: np.gradient(torque, step, axis=0))
     delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the command")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"delay": 0.001},
@@ -103,6 +106,7 @@ class InputHold(InputEffect):
     )
     acts_on: ClassVar[str] = "timing"
     export_law: ClassVar = "hold or interpolate the commands between their samples as the effect says; no model file says it"
+    stated_as: ClassVar[str] = "hold"
     share: Array = param(
         0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one"
     )
