@@ -22,7 +22,7 @@ from jaxid.dynamics.mechanism import Signature, Staged
 from jaxid.dynamics.parameter import constant, param, ParameterSpec
 from jaxid.robots import dynamics, free_numbers
 from jaxid.robots.bodies import BODY, body_of, point_mass, ten_numbers
-from jaxid.robots.channels import AT_TORQUE, GRAVITY, PLACE, RIDE, signature_of, torque
+from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, Stated, Tree, up_to
 
@@ -353,7 +353,8 @@ class Robot(Staged):
         return [kind(**numbers[kind]) for kind, _ in self.builtin]
 
     def behind_law(self, effect: Any) -> bool:
-        return self.drive_law is not None and effect.name in AT_TORQUE
+        """Whether an effect acts on the torque where a goal drives; the others act on the goal."""
+        return self.drive_law is not None and effect.acts_on == "drive"
 
     def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
         if self.behind_law(effect):

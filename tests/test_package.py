@@ -212,7 +212,6 @@ LONG = {
     "jaxid/robots/export/mjcf.py": 547,
     "jaxid/simulation/batch.py": 504,
     "jaxid/study/papers/flexible_link.py": 547,
-    "models/effects/friction.py": 516,
     "models/robot.py": 573,
 }
 

@@ -16,7 +16,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.catalogue import effect_class
 from jaxid.conventions import bodies, runs, samples
 from jaxid.conventions.copies import copies
 from jaxid.conventions.decide import judged
@@ -332,7 +331,7 @@ def _nothing_to_mend(before: float, after: float) -> bool:
 
 def _laws(chain: Chain) -> tuple[str, ...]:
     """The laws of `ForceFit` that a model lacks, as effects at each place."""
-    kinds = [k for k in map(effect_class, LAWS) if k.name not in chain.contents]
+    kinds = [k for k in LAWS if k.name not in chain.contents]
     return tuple(f"{k.name}@{place}" for k in kinds for place in chain.offers(k))
 
 

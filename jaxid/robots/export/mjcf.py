@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.errors import UsageError
-from jaxid.robots.export.laws import code, lawful
+from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.mjcf_code import callback, snippet, spec_code
 from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY, OF_LAW
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile

@@ -15,7 +15,7 @@ from jaxid.robots.export.kept import kept
 from jaxid.robots.export.outcome import Outcome, outcome
 from jaxid.robots.export.ranges import ranges_of
 from jaxid.robots.export.sheet import of_tree, Sheet
-from jaxid.robots.export.stepped import ARMATURE, LATE, stepped
+from jaxid.robots.export.stepped import shifted, stepped
 from jaxid.robots.export.target import joined, NEARER, Row, Trial
 from jaxid.robots.export.targets import TARGETS
 from jaxid.robots.floating import based
@@ -112,7 +112,7 @@ def _with_step(row: Row, tree: Tree | None) -> Row:
     """The row with the step for which its value holds."""
     if tree is None or tree.steps is None or row.kept or not row.field:
         return row
-    if row.effect not in (*LATE, ARMATURE):
+    if not shifted(row.effect):
         return row
     return replace(row, note=joined(row.note, f"holds for {tree.steps.said}"))
 
