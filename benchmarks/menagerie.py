@@ -275,9 +275,9 @@ def row_of(one: Tried) -> Mapping[str, str]:
     }
 
 
-def short(text: str, most: int = 160) -> str:
+def short(text: str, most: int = 250) -> str:
     """The first sentence of a refusal."""
-    text = text.split("; or add")[0].split(": add <")[0]
+    text = text.split("; or add")[0].split(": add <")[0].replace("<body>", "`<body>`")
     return text if len(text) <= most else text[:most].rsplit(" ", 1)[0] + " …"
 
 
