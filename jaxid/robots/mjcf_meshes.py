@@ -42,50 +42,48 @@ def with_inertias(path: Path, root: Element) -> None:
     """
     if next(root.iter("mesh"), None) is None:
         return
-    elements, own_name = _by_name(root)
+    unnamed = [body for body in root.iter("body") if not body.get("name")]
+    for number, body in enumerate(unnamed):
+        body.set("name", f"{UNNAMED} {number}")
+    _state(path, root)
+    for body in unnamed:
+        del body.attrib["name"]
+
+
+def _state(path: Path, root: Element) -> None:
+    """The same where every body has a name."""
+    elements = {body.get("name", ""): body for body in root.iter("body")}
     spec = parsed(path, tostring(root, encoding="unicode"))
     lacking = [name for name in from_meshes(spec) if name in elements]
-    if lacking:
-        _keep_only(spec, lacking)
-        _load(path, spec, lacking)
-        model = compiled(path, spec)
-        for name in lacking:
-            elements[name].append(_inertial(model, name))
-    for element, name in own_name:
-        if not name:
-            del element.attrib["name"]
-
-
-def _by_name(root: Element) -> tuple[dict[str, Element], list[tuple[Element, str]]]:
-    """(bodies by name, (body, the name that it has in the file)); those without one get one."""
-    bodies = list(root.iter("body"))
-    own_name = [(body, body.get("name") or "") for body in bodies]
-    for number, (body, name) in enumerate(own_name):
-        if not name:
-            body.set("name", f"{UNNAMED} {number}")
-    return {body.get("name", ""): body for body in bodies}, own_name
+    if not lacking:
+        return
+    _keep_only(spec, lacking)
+    _load(path, spec, lacking)
+    model = compiled(path, spec)
+    for name in lacking:
+        elements[name].append(_inertial(model, name))
 
 
 def _keep_only(spec: Any, names: Sequence[str]) -> None:
     """Leaves of a spec its bodies, its joints, and the geometry of the bodies named."""
-    bodies = [b for b in spec.bodies if b.name != "world"]
-    for body in bodies:
-        if body.name not in names and not body.explicitinertial:  # of no matter here
-            body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
     kept: list[Any] = []
-    for body in bodies:
-        kept += heavy(body, spec) if body.name in names else ()
+    for name in names:
+        kept += heavy(spec.body(name), spec)
     for geom in kept:
         geom.material = ""
     used = {geom.meshname for geom in kept}
-    for kind in DROPPED:
-        for one in list(getattr(spec, kind)):
-            needed = one in kept if kind == "geoms" else kind == "meshes" and one.name in used
-            if not needed:
-                spec.delete(one)
+    kept += [mesh for mesh in spec.meshes if mesh.name in used]
+    silent = [body for body in spec.bodies[1:] if not body.explicitinertial]
+    for body in silent:
+        if body.name not in names:  # its inertia is of no matter here
+            body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
     without_tendons(library(), spec)
-    for one in [*spec.actuators, *spec.equalities, *spec.keys]:
-        spec.delete(one)
+    dropped = [*spec.actuators, *spec.equalities, *spec.keys]
+    for kind in DROPPED:
+        dropped += getattr(spec, kind)
+    for one in dropped:
+        if one not in kept:
+            spec.delete(one)
     compiler = spec.compiler
     compiler.settotalmass = -1.0
     compiler.balanceinertia = compiler.fusestatic = compiler.discardvisual = False
@@ -95,8 +93,8 @@ def _load(path: Path, spec: Any, names: Sequence[str]) -> None:
     """Puts the content of the mesh files into a spec."""
     folder, left, contents = path.parent.resolve(), LARGEST, {}
     for number, mesh in enumerate(spec.meshes):
-        if not mesh.file:  # its vertices stand in the file
-            continue
+        if not mesh.file:
+            continue  # its vertices stand in the file
         written = Path(mesh.file).name if spec.strippath else mesh.file
         file = path.parent / spec.meshdir / written
         if reason := _unreadable(file, folder, left):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -20,18 +21,24 @@ Beside = dict[str, float | str]
 
 def numbers_beside(source: Source) -> Beside:
     """Single numbers of a file, and lists too short to be a recording (as text), by name."""
-    rate = stated_rate(source)
-    out: Beside = {}
-    for name, values in source.columns.items():
-        if source.rows is not None or (rate is not None and name == rate[0]):
-            continue
-        numbers = np.squeeze(np.asarray(values))
-        fits = numbers.ndim < 2 and 0 < numbers.size < MINIMUM_SAMPLES
-        if not fits or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
-            continue
-        plain = [float(value) for value in np.ravel(numbers)]
-        out[name] = plain[0] if len(plain) == 1 else ", ".join(f"{value:.15g}" for value in plain)
-    return out
+    if source.rows is not None:
+        return {}  # a table has columns alone
+    made_times = stated_rate(source) or ("", 0.0)
+    out = {name: _few(values) for name, values in source.columns.items()}
+    out[made_times[0]] = None
+    return {name: value for name, value in out.items() if value is not None}
+
+
+def _few(values: Any) -> float | str | None:
+    """One number, or a few as text; None for everything else."""
+    numbers = np.squeeze(np.asarray(values))
+    if numbers.ndim > 1 or numbers.size == 0 or numbers.dtype.kind not in "iuf":
+        return None
+    if not np.isfinite(numbers).all():
+        return None
+    if numbers.size == 1:
+        return float(numbers)
+    return ", ".join(map(_written, numbers.tolist())) if numbers.size < MINIMUM_SAMPLES else None
 
 
 def kept_beside(found: Sequence[tuple[str, Beside]]) -> tuple[Beside, list[str]]:
