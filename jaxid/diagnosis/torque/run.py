@@ -42,7 +42,7 @@ from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.model_file import sha256_of
 from jaxid.fitting.assemble import fitted_chain
 from jaxid.fitting.fitter import Progress
-from jaxid.fitting.result import EffectEstimate, Estimate, Fit
+from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Fit
 from jaxid.fitting.scores import lost
 from jaxid.fitting.stated import stated_numbers
 from jaxid.identification.payload import usual_gain_std
@@ -287,10 +287,10 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
     verdict, claimed = judged.name, judged.claims
     final = found.final if claimed else found.nominal
     which = found.judge or found.choose or found.fit
-    own, effects = estimates(study, found.chooser, found.chosen)
+    own, effects, spread = estimates(study, found.chooser, found.chosen)
     if found.base is not None:  # beside what all runs have
         effects = (*estimates(study, found.base.chooser, found.base.chosen)[1], *effects)
-    plain, _ = estimates(study, found.chooser, found.chooser.nominal)
+    plain, _, plain_spread = estimates(study, found.chooser, found.chooser.nominal)
     before, note = _before(study, found.nominal)
     bound = None
     if verdict in ("unknown", "partly"):
@@ -326,8 +326,10 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
         [found.chooser.units[k] for k in found.chooser.confusable(found.chosen)] if claimed else []
     )
     named = effects if claimed else ()
-    nominal_fit = _fit(study, found.nominal, plain, (), seed, began)
-    final_fit = _fit(study, final, own if claimed else plain, named, seed, began)
+    nominal_fit = _fit(study, found.nominal, plain, plain_spread, (), seed, began)
+    final_fit = nominal_fit
+    if claimed:
+        final_fit = _fit(study, final, own, spread, named, seed, began)
     label = "with " + " and ".join(str(e) for e in named) if named else ""
     ranked = ranking(
         study,
@@ -383,6 +385,7 @@ def _fit(
     study: Study,
     answer: Answer,
     own: dict[str, Estimate],
+    spread: Covariance,
     effects: tuple[EffectEstimate, ...],
     seed: int,
     began: float,
@@ -420,7 +423,8 @@ def _fit(
         notes=tuple(notes),
         theta=theta,
         simulation="inverse_dynamics",
-        stated=stated_numbers(b, at),
+        stated=stated_numbers(b, at, spread),
+        covariance=spread,
         chain=fitted_chain(b, theta, ()),
         model_sha256=sha256_of(b.chain.mechanism),
     )
