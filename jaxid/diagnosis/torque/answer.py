@@ -54,7 +54,7 @@ class Answer:
 
     def gap(self, which: Sequence[int], joint: int | None = None) -> float:
         """Root mean square of what it leaves of some runs in multiples of the noise, over joints
-        that move; nan for none.
+        that move; nan for none, infinite where what it leaves is no number.
         """
         total, count = 0.0, 0
         for k in which:
@@ -62,7 +62,9 @@ class Answer:
             inside &= True if joint is None else np.arange(len(inside)) == joint
             r = (self.residual(k) / self.study.noise_of(k))[:, inside]
             total, count = total + float(np.sum(r**2)), count + r.size
-        return float(np.sqrt(total / count)) if count else float("nan")
+        if not count:
+            return float("nan")
+        return float(np.sqrt(total / count)) if np.isfinite(total) else float("inf")
 
     def rms(self, which: Sequence[int], joint: int) -> float:
         """Root mean square of what it leaves at a joint, N m, each row counted by how well it is

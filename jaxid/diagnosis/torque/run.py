@@ -181,7 +181,10 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
     if not chosen.units:
         return None
     final = of_model(study, own, chosen)
-    if base.units and final.gap(found.judge) > LIMITS.left * max(1.0, base.gap(found.fit)):
+    inside, outside = base.gap(found.fit), final.gap(found.judge)
+    if not np.isfinite([inside, outside]).all():
+        return None
+    if base.units and outside > LIMITS.left * max(1.0, inside):
         return None
     nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
     return Found(
@@ -254,7 +257,8 @@ def _judged(study: Study, found: Found) -> Verdict:
     share = min(closed(b**2, a**2) for b, a in zip(before, after, strict=True))
     # Where the question is what differs, what the model leaves of the runs that it was fitted to is
     # what repeats would differ by.
-    least = max(1.0, nominal.gap(found.fit)) if found.different else 1.0
+    fitted = nominal.gap(found.fit)
+    least = max(1.0, fitted) if found.different and np.isfinite(fitted) else 1.0
     held = HeldOut(
         names, share, max(after), found.different, fitted=least if least > LIMITS.seen else 0.0
     )
