@@ -76,10 +76,6 @@ def _models() -> dict[str, type]:
     return {m.name: m for m in MODELS}
 
 
-#: Effects of the user's own by their names, from when one is first given.
-_OWN_EFFECTS: dict[str, type] = {}
-
-
 def _effects() -> dict[str, type]:
     from jaxid.models.effects import LIBRARY
 
@@ -93,7 +89,7 @@ def enrolled(effect: Any) -> str:
     Raises `UsageError` for what is no effect, and for one of the user's own that takes the name of
     another one.
     """
-    from jaxid.dynamics.effect import Effect
+    from jaxid.dynamics.effect import Effect, OWN_EFFECTS
     from jaxid.dynamics.parameter import kind_with, settings
 
     if isinstance(effect, str):
@@ -114,7 +110,7 @@ def enrolled(effect: Any) -> str:
             raise UsageError(
                 f"{kind.__name__} has the name {kind.name!r} of an effect of the library: give it another one"
             )
-        _OWN_EFFECTS[kind.name] = kind
+        OWN_EFFECTS[kind.name] = kind
     return kind.name
 
 
@@ -157,11 +153,12 @@ def effect_class(name: str, mechanism: Any = None) -> Any:
     """The class of an effect, on a mechanism where that has its own variant of it, with the
     settings that its id states: `load_dependent_friction(load=drive)`.
     """
+    from jaxid.dynamics.effect import OWN_EFFECTS
     from jaxid.dynamics.parameter import kind_with
 
     plain, bracket, stated = name.partition("(")
     kind = pick(
-        "effect", {**_effects(), **_OWN_EFFECTS, **getattr(mechanism, "variants", {})}, plain
+        "effect", {**_effects(), **OWN_EFFECTS, **getattr(mechanism, "variants", {})}, plain
     )
     if not bracket:
         return kind

@@ -12,13 +12,14 @@ from dataclasses import replace
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, GONE
 from jaxid.data.dataset import Dataset
+from jaxid.models.effects import InputDelay
 from jaxid.problem.binding import Binding
 from jaxid.wording import times
 
 
 #: Where the reading stands, and what it is besides the one that is taken where it is not stated.
 KEY, OTHER = "reference_velocity", "none"
-DELAY = "input_delay"
+DELAY = InputDelay.name
 
 
 def is_open(binding: Binding, data: Dataset) -> bool:

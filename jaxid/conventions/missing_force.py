@@ -19,8 +19,18 @@ import numpy as np
 
 from jaxid.conventions.force_columns import FEW, Forces, ROWS
 from jaxid.data.signals import filter_ends, zero_phase
+from jaxid.dynamics.effect import JointEffect, neutral, Signals
 from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
+from jaxid.dynamics.parameter import specs, with_fields
+from jaxid.models.effects import (
+    ConstantTorque,
+    CoulombFriction,
+    QuadraticDrag,
+    SpringTorque,
+    ViscousFriction,
+)
 from jaxid.numerics.boxed import within_box
+from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation.sample_buffers import columns
@@ -46,8 +56,9 @@ AS_SAID = 1e-3
 #: Units of inputs that are goals of a law and not what drives.
 GOALS = "rad", "m", "rad/s", "m/s"
 PER_ROW = "since", "weight", "held", "block"
-#: Laws of each joint's own motion that a model may lack, as the effects of these names.
-LAWS = "constant_torque", "spring_torque", "viscous_friction", "coulomb_friction", "quadratic_drag"
+#: Laws of each joint's own motion that a model may lack, of one number each; all but the first one
+#: brake or hold.
+LAWS = (ConstantTorque, SpringTorque, ViscousFriction, CoulombFriction, QuadraticDrag)
 
 
 @dataclass(frozen=True)
@@ -303,7 +314,8 @@ class ForceFit:
 
     def laws(self, m: Motion) -> np.ndarray:
         """Forces [rows nq laws] of `LAWS`, of unit size; those that brake or hold come negative."""
-        sizes = [np.ones_like(m.q), -m.q, -m.qd, -np.sign(m.qd), -m.qd * np.abs(m.qd)]
+        first, *others = [_unit_force(kind, m.q, m.qd) for kind in LAWS]
+        sizes = [first, *(-force for force in others)]
         scaled = [a / max(1e-300, float(np.sqrt(np.mean(a**2)))) for a in map(m.mean, sizes)]
         return np.stack(scaled, -1)
 
@@ -456,6 +468,18 @@ class ForceFit:
         return whole, float(
             np.sqrt((n - 1) / n * np.sum((np.array(rest) - np.mean(rest)) ** 2))
         ) if n > 2 else np.inf
+
+
+def _unit_force(kind: type[JointEffect], q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    """Force of a law of one number, where that is 1, along positions and speeds [... nq]."""
+    (number,) = specs(kind)
+    effect: Any = with_fields(neutral(kind), {number: np.float64(1.0)})
+    nothing: Any = None
+    s = Signals(t=nothing, q=q, qd=qd, load=nothing, h=nothing, command=nothing, qd0=nothing)
+    with float64():
+        force, backwards, forwards, _ = effect(s, effect.start(q))
+        dry = np.where(qd > 0, forwards, np.where(qd < 0, -backwards, 0.0))
+        return np.asarray(force + dry)
 
 
 def _noise_motion(binding: Binding, runs: Sequence[Any], rng: Any, m: Motion) -> list[np.ndarray]:

@@ -15,6 +15,7 @@ from jaxid.conventions.mending import lines, Mending
 from jaxid.conventions.missing_force import Fitted, ForceFit, Motion
 from jaxid.conventions.readings import Names
 from jaxid.conventions.samples import Shown
+from jaxid.models.effects import InputDelay, SensorDelay
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed
 
@@ -374,7 +375,7 @@ def _shifted(binding: Binding, names: Names, k: int, rows: int, late: float, std
         return Shown(finding, Mending({name: forms}), True)
     text = (
         f"The motion follows {name} {by} later: whole rows, as of a log that writes the output late, or a delay of the drive "
-        "or the sensor (input_delay, sensor_delay). The recording cannot tell; nothing is shifted."
+        f"or the sensor ({InputDelay.name}, {SensorDelay.name}). The recording cannot tell; nothing is shifted."
     )
     finding = DataFinding(
         "row_shift",
@@ -383,6 +384,6 @@ def _shifted(binding: Binding, names: Names, k: int, rows: int, late: float, std
         text,
         lines(binding.dataset, name, forms),
         interval,
-        same_as=(("input_delay", name), *(("sensor_delay", j) for j in names.joints)),
+        same_as=((InputDelay.name, name), *((SensorDelay.name, j) for j in names.joints)),
     )
     return Shown(finding, Mending())

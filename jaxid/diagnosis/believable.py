@@ -5,12 +5,14 @@ no drive is switched off.
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from jaxid import catalogue
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.dynamics.parameter import specs
+from jaxid.dynamics.effect import InputEffect, neutral
+from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.fitting.result import Covariance, EffectEstimate, Estimate
 from jaxid.wording import listed, number
 
@@ -44,9 +46,7 @@ def beside_bounds(
 
 def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:
     strengths = _strengths(effect)
-    if effect.effect == "torque_scale" and any(
-        1 + p.value < LIMITS.switched_off for p in strengths.values()
-    ):
+    if _passes(effect) < LIMITS.switched_off:
         return f"{effect} all but switches the drive off"
     known = {k: p for k, p in strengths.items() if p.std is not None and p.std > 0}
     apart = any(abs(p.value) >= 2 * p.std for p in known.values() if p.std is not None)
@@ -62,6 +62,17 @@ def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:
         if p.at_bound and p.value != 0 and not share:
             return f"{name} of {effect} was pushed to its bound"
     return ""
+
+
+def _passes(effect: EffectEstimate) -> float:
+    """Share of a slow command that comes through an effect on its way."""
+    kind = catalogue.effect_class(effect.effect)
+    if not issubclass(kind, InputEffect):
+        return 1.0
+    own: Any = neutral(kind)
+    numbers = {name: p.value for name, p in effect.parameters.items()}
+    transfer = with_fields(own, numbers).transfer(np.zeros(1))
+    return 1.0 if transfer is None else float(np.max(transfer[0]))
 
 
 def _together(

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, inflation, memory, worth
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of
-from jaxid.diagnosis.shortlist import TIMING
+from jaxid.diagnosis.shortlist import is_timing
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.residual import Residual
@@ -66,7 +66,7 @@ def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypot
     """
     near = equals(bench, before, found)
     fewest = min((h.size for h in near), default=0)
-    physics = lambda h: h.effects[-1].effect not in TIMING
+    physics = lambda h: not is_timing(bench, h.effects[-1])
     return min(
         (h for h in near if h.size == fewest),
         key=lambda h: (physics(h), joint_loss(h)),

@@ -13,10 +13,14 @@ from jaxid.fitting.problem_builder import Bench
 #: At least and at most so many candidates are refitted, and those that a screen puts in front
 #: however many others there are.
 MINIMUM, MAXIMUM, FRONT = 6, 16, 4
-#: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset
-#: between two channels, or the wrong hold of the command, is soon made and looks like lag, friction
-#: or inertia.
-TIMING = ("input_hold", "input_delay", "sensor_delay")
+
+
+def is_timing(bench: Bench, c: Candidate) -> bool:
+    """Whether a candidate is about when something happens. Timing comes before physics: it is
+    always refitted first, and wins a tie. One sample of offset between two channels, or the wrong
+    hold of the command, is soon made and looks like lag, friction or inertia.
+    """
+    return effect_of(bench, c).acts_on == "timing"
 
 
 def shortlist(
@@ -42,7 +46,7 @@ def shortlist(
         for _, c, _ in (*_head(at_joint), *_head([f for f in by_torque if f not in at_joint]))
     ]
     table = {str(f[1]): f for f in ranked or by_torque}
-    first = [f for f in table.values() if f[1].effect in TIMING and alone]
+    first = [f for f in table.values() if alone and is_timing(bench, f[1])]
     names = {str(c) for _, c, _ in kept}
     others = [
         f

@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.dynamics.export_law import ExportLaw, StandsFor
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import Quantity
 
@@ -104,6 +105,25 @@ class Effect(eqx.Module):
     last_resort: ClassVar[bool] = False
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
+    #: What it acts on: timing, command, drive (the torque that it makes), joint, body, sensor or
+    #: number.
+    acts_on: ClassVar[str] = ""
+    #: The number of a robot's file that it is.
+    stands_for: ClassVar[StandsFor | None] = None
+    #: How an export writes it where no number of the file says it; or why no code beside a
+    #: simulator can be it.
+    export_law: ClassVar[ExportLaw | str] = ""
+    #: Whether what it does along a measured motion depends on the torque that the model needs there.
+    by_torque: ClassVar[bool] = False
+
+    @classmethod
+    def quantity(cls) -> str:
+        """What of a robot's file it is, "" where it is no number of it."""
+        return "" if cls.stands_for is None else cls.stands_for.quantity
+
+
+#: Effects of the user's own by their names, from when one is first given.
+OWN_EFFECTS: dict[str, type[Effect]] = {}
 
 
 AnEffect = TypeVar("AnEffect", bound=Effect)
@@ -118,7 +138,13 @@ class InputEffect(Effect):
     """Between command and joint: (u, signals, state) -> u, state."""
 
     location: ClassVar[str] = "input"
+    acts_on: ClassVar[str] = "command"
     offered: ClassVar = staticmethod(drives)
+    #: Key of a channel in a dataset that states the same.
+    stated_as: ClassVar[str] = ""
+    #: Missing torque [time n] by its one number, from the torque [time n] that the model needs and
+    #: the step between samples, s; None: the torque of a measured motion does not show it.
+    column: ClassVar[Callable[[np.ndarray, float], np.ndarray] | None] = None
     #: Whether it closes a loop: it is told what the encoders read in place of the joints'
     #: positions.
     reads_encoders: ClassVar[bool] = False
@@ -167,6 +193,7 @@ class JointEffect(Effect):
     """
 
     location: ClassVar[str] = "joint"
+    acts_on: ClassVar[str] = "joint"
 
     #: Whether it looks at the transmitted torque, which a chain works out for such effects alone.
     transmits: ClassVar[bool] = False
@@ -187,6 +214,7 @@ class BodyEffect(Effect):
     """Wraps or edits the mechanism: mechanism -> mechanism."""
 
     location: ClassVar[str] = "joint"
+    acts_on: ClassVar[str] = "body"
 
     @abc.abstractmethod
     def __call__(self, mechanism: Mechanism) -> Mechanism: ...
@@ -196,6 +224,12 @@ class OutputEffect(Effect):
     """Between mechanism and record: (y, signals, state) -> y, state."""
 
     location: ClassVar[str] = "output"
+    acts_on: ClassVar[str] = "sensor"
+
+    @classmethod
+    def is_offset(cls) -> bool:
+        """Whether it adds to a reading what a loop that is closed through it is told too."""
+        return cls.offset is not OutputEffect.offset
 
     def offset(self) -> Array | None:
         """By how much each reading is off at all times, which a loop that is closed through it is
@@ -219,6 +253,7 @@ class NumberEffect(Effect):
     """
 
     location: ClassVar[str] = "number"
+    acts_on: ClassVar[str] = "number"
 
     @abc.abstractmethod
     def __call__(
@@ -244,6 +279,7 @@ class RecordEffect(Effect):
     """
 
     location: ClassVar[str] = "output"
+    acts_on: ClassVar[str] = "sensor"
 
     @abc.abstractmethod
     def __call__(

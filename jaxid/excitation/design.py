@@ -38,6 +38,7 @@ from jaxid.excitation.trajectories import (
     Setting,
 )
 from jaxid.identification.regression import LAWS, names_of
+from jaxid.models.effects import PowerLawFriction
 from jaxid.numerics.precision import float64
 from jaxid.robots.match import is_file, robot_from, spec_of_file
 
@@ -217,14 +218,9 @@ def _motion(
     n, harmonics = chain.nq, plan["harmonics"]
     inertial = 0  # columns of inertia
     if hasattr(arm, "base"):
-        exponents = [
-            np.asarray(e.exponent, float) for e in chain.effects if e.name == "power_law_friction"
-        ]
-        levels = [
-            np.asarray(e.coefficient, float)
-            for e in chain.effects
-            if e.name == "power_law_friction"
-        ]
+        powers = [e for e in chain.effects if isinstance(e, PowerLawFriction)]
+        exponents = [np.asarray(e.exponent, float) for e in powers]
+        levels = [np.asarray(e.coefficient, float) for e in powers]
         law = LAWS["power"]._replace(nonlinear=False) if friction == "model" else LAWS[friction]
         base = arm.base()
         inertial = len(base.kept)

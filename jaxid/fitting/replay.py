@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
+from jaxid.display import Printed
 from jaxid.errors import UsageError
 from jaxid.fitting.simulate import simulate_dataset
+from jaxid.models import Robot
 from jaxid.robots.drives import Law, stated_law
-from jaxid.robots.export.apply import SET
+from jaxid.robots.export.law_code import own_number
 from jaxid.robots.export.run import read_tree
 from jaxid.robots.export.save import ROWS, source_of
 from jaxid.robots.match import driving, named, recorded
@@ -26,13 +28,12 @@ from jaxid.serialise import SCHEMA
 from jaxid.simulation.mujoco_run import Driven, MujocoRobot
 
 
-#: Of the effects that say what a quantity is, those that no robot has by itself where its file does
-#: not say so.
-LATE = ("input_delay", "actuator_lag", "quadratic_drag")
+#: Effects that every robot has by itself, whatever its file says.
+LAWS = frozenset(kind.name for kind, _ in Robot.builtin)
 
 
-@dataclass(frozen=True)
-class Replay:
+@dataclass(frozen=True, repr=False)
+class Replay(Printed):
     """`rows`: for each run and joint the rms error in MuJoCo and in the other (`other`: "jaxid", or
     "against"), the rms between both, and of a file that `jaxid export` patched the error of the
     original one in MuJoCo (`before`). `runs`: for each run `t` and the joints' positions in MuJoCo
@@ -67,11 +68,6 @@ class Replay:
             pyarrow.parquet.write_table(pyarrow.table(dict(run)), buffer)
             out[f"run_{i + 1}.parquet"] = buffer.getvalue()
         return out
-
-    def __repr__(self) -> str:
-        from jaxid.report.carried_text import replay_text
-
-        return replay_text(self)
 
 
 @dataclass(frozen=True)
@@ -221,11 +217,10 @@ def _content(source: _Source, data: Dataset, joints: tuple[str, ...]) -> dict[st
     result, robot = source.content["result"], source.content.get("robot", {})
     kept = data.model.without if data.model is not None else ()
     effects = [
-        e
-        for e in result.get("effects", ())
-        if e.get("effect") not in SET or e["effect"] in kept or e["effect"] in LATE
+        e for e in result.get("effects", ()) if e.get("effect") not in LAWS or e["effect"] in kept
     ]
-    gone = [SET[n][2] for n in robot.get("without", ()) if n in SET and n not in kept]
+    without = [own_number(n) for n in robot.get("without", ()) if n not in kept]
+    gone = [own.fitted for own in without if own is not None]
     zero = {f"{name}@{j}": {"value": 0.0} for name in gone for j in joints}
     return {"parameters": {**zero, **result.get("parameters", {})}, "effects": effects}
 

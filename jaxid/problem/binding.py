@@ -25,6 +25,7 @@ from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import Reference, settings, with_settings
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
+from jaxid.models.effects import TimestampJitter
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
 from jaxid.problem.named_model import named_model
@@ -34,7 +35,7 @@ from jaxid.robots import match as robots
 
 #: The effect whose strength is read off the recording: it is noise, which no residual shows the
 #: size of.
-JITTER = "timestamp_jitter"
+JITTER = TimestampJitter.name
 
 
 @dataclass

@@ -22,7 +22,7 @@ from jaxid.dynamics import controller as feedback
 from jaxid.dynamics.carry import Carry
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.controller import Law, law_of, Memory, Reading
-from jaxid.dynamics.effect import Command
+from jaxid.dynamics.effect import Command, InputEffect
 from jaxid.errors import UsageError
 from jaxid.problem.residual import (
     OutputError,
@@ -155,7 +155,8 @@ class ClosedLoopOutputError(Residual):
                 raise UsageError("a robot that its goals drive is compared by its outputs alone")
             return OutputError().runs(dataset, experiments, layout, noise, motions, step, shape)
         law = law_of(dataset, chain.signature)
-        shifted = {"input_delay", "input_hold"} & {e.name for e in chain.effects}
+        commands = [e for e in chain.effects if isinstance(e, InputEffect)]
+        shifted = {e.name for e in commands if e.acts_on == "timing"}
         if shifted:
             raise UsageError(
                 f"closed_loop does not simulate {' and '.join(sorted(shifted))}: use output_error for them"

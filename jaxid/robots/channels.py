@@ -14,10 +14,6 @@ PLACE = ("x", "y", "z", "roll", "pitch", "yaw")
 GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 
 
-#: Effects at the inputs that act on the torque where a goal drives; the others act on the goal.
-AT_TORQUE = ("torque_scale", "saturation", "back_emf", "supply_droop")
-
-
 def goal(joint: str) -> str:
     return f"{joint}_cmd"
 

@@ -28,18 +28,18 @@ from .friction import (
     CoulombFriction,
     CoupledFriction,
     LoadDependentFriction,
-    LuGreFriction,
     PositionDependentFriction,
     QuadraticDrag,
     StribeckFriction,
-    TemperatureDependentFriction,
     ViscousFriction,
 )
+from .lugre import LuGreFriction
 from .power_law import PowerLawFriction
 from .sensor import SensorBias, SensorDelay, SensorLag, SensorScale, TimestampJitter
 from .step_change import StepChange
 from .timing import InputDelay, InputHold
 from .transmission import Backlash, Hysteresis, JointElasticity
+from .warmth import TemperatureDependentFriction
 
 
 LIBRARY = (

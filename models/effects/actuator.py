@@ -4,15 +4,46 @@ drives joint i.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import drives, InputEffect, JointEffect
+from jaxid.dynamics.export_law import ExportLaw, StandsFor
 from jaxid.dynamics.parameter import ANGLE, param, Quantity, SPEED, TORQUE
 from jaxid.numerics.fast_math import sincos
+
+
+#: Once a step of `dt` s, in a simulator.
+LAG = '''class Lag:
+    """First order, exact for a value that is held over the step."""
+
+    def __init__(self, lag):
+        self.lag, self.z = lag, None
+
+    def __call__(self, value, dt):
+        share = 1 - 2.718281828459045 ** (-dt / self.lag)
+        self.z = value if self.z is None else self.z + (value - self.z) * share
+        return self.z
+'''
+
+
+def _limited(joint: Any, limit: float, driven: bool) -> dict[str, float]:
+    return {"lowest": max(joint.lowest, -limit), "highest": min(joint.highest, limit)}
+
+
+def _scaled(joint: Any, gain: float, driven: bool) -> dict[str, float]:
+    """(1 + gain) clip(law, lowest, highest) is the law with all its numbers so much larger."""
+    if not driven:
+        return {"drive": (1 + gain) * joint.drive}
+    law = ("kp", "kd", "ki", "offset", "lowest", "highest")
+    return {name: (1 + gain) * getattr(joint, name) for name in law}
+
+
+def _damped(joint: Any, constant: float, driven: bool) -> dict[str, float]:
+    return {"damping": joint.damping + constant}
 
 
 class DeadZone(InputEffect):
@@ -37,6 +68,7 @@ class DeadZone(InputEffect):
     check: ClassVar[str] = (
         "Raise the command slowly from zero and note where it begins to act; look for a dead band in the drive's settings."
     )
+    export_law: ClassVar = ExportLaw("command", "u - clip(u, -width, width)")
     width: Array = param(
         0.0, 0.0, TORQUE, scale=0.05 * TORQUE, unit="{u}", meaning="half width of the dead zone"
     )
@@ -70,6 +102,9 @@ class Saturation(InputEffect):
     seen: ClassVar[str] = "where the command is beyond {limit}"
     plain: ClassVar[str] = "The drive gives no more than {limit}, whatever is commanded."
     check: ClassVar[str] = "Look up the current or torque limit of the drive and its settings."
+    acts_on: ClassVar[str] = "drive"
+    stands_for: ClassVar = StandsFor("force", "limit", after=_limited)
+    export_law: ClassVar = ExportLaw("torque", "clip(u, -limit, limit)")
     limit: Array = param(
         1e12,
         0.02 * TORQUE,
@@ -114,6 +149,8 @@ class ActuatorLag(InputEffect):
     check: ClassVar[str] = (
         "Look at the step response of the current; the bandwidth of the current loop or a valve."
     )
+    stands_for: ClassVar = StandsFor("lag", "lag", fitted="timeconst")
+    export_law: ClassVar = ExportLaw("command", memory=LAG)
     lag: Array = param(0.0, 0.0, 0.3, scale=0.003, unit="s", meaning="time constant of the drive")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"lag": 0.001},
@@ -155,6 +192,11 @@ class TorqueScale(InputEffect):
     check: ClassVar[str] = (
         "Check the torque constant, the gear ratio and the amplifier's current scale."
     )
+    acts_on: ClassVar[str] = "drive"
+    stands_for: ClassVar = StandsFor("drive", "gain", after=_scaled)
+    export_law: ClassVar = ExportLaw("torque", "(1 + gain) * u")
+    by_torque: ClassVar[bool] = True
+    column: ClassVar = staticmethod(lambda torque, step: -torque)
     gain: Array = param(
         0.0,
         -0.9,
@@ -193,6 +235,8 @@ class SupplyDroop(InputEffect):
         "The drive weakens under large commands: it loses {droop} of the command per unit of it."
     )
     check: ClassVar[str] = "Measure the supply voltage under full load: supply, cables, battery."
+    acts_on: ClassVar[str] = "drive"
+    export_law: ClassVar = ExportLaw("torque", "u * (1 - droop * abs(u))")
     droop: Array = param(
         0.0,
         0.0,
@@ -238,6 +282,11 @@ class BackEmf(InputEffect):
     check: ClassVar[str] = (
         "Spin the motor by hand with open leads and measure its voltage against speed."
     )
+    acts_on: ClassVar[str] = "drive"
+    stands_for: ClassVar = StandsFor(
+        "damping", "constant", after=_damped, note="exact while the torque is not at its limit"
+    )
+    export_law: ClassVar = ExportLaw("force", "constant * qd")
     constant: Array = param(
         0.0,
         0.0,
@@ -281,6 +330,7 @@ class TorqueRipple(JointEffect):
     check: ClassVar[str] = (
         "Turn slowly over a whole revolution and compare the period with poles and teeth."
     )
+    export_law: ClassVar = ExportLaw("force", "sine * sin(order * q) + cosine * cos(order * q)")
     sine: Array = param(
         0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine"
     )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.dynamics.compliance import with_inertia
 from jaxid.dynamics.effect import BodyEffect, JointEffect
+from jaxid.dynamics.export_law import ExportLaw, StandsFor
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter import ANGLE, DURATION, param, Quantity, SPEED, STEP, TORQUE
 from jaxid.numerics.fast_math import sincos
@@ -84,6 +85,22 @@ def _where_tiltable(mechanism, signature):
     )
 
 
+def _pushed(joint: Any, torque: float, driven: bool) -> dict[str, float]:
+    return {"torque": joint.torque - torque}
+
+
+def _one_spring(joint: Any, stiffness: float, driven: bool) -> dict[str, float]:
+    """k1 (q - r1) + k2 q is one spring."""
+    total = joint.stiffness + stiffness
+    if not total:
+        return {"stiffness": 0.0, "springref": 0.0}
+    return {"stiffness": total, "springref": joint.stiffness * joint.springref / total}
+
+
+def _heavier(joint: Any, inertia: float, driven: bool) -> dict[str, float]:
+    return {"armature": joint.armature + inertia}
+
+
 class ConstantTorque(JointEffect):
     """A constant torque: cable, unbalanced load, amplifier offset."""
 
@@ -98,6 +115,8 @@ class ConstantTorque(JointEffect):
     check: ClassVar[str] = (
         "Look for a weight, a counterbalance, an offset of the drive or of its current sensor."
     )
+    stands_for: ClassVar = StandsFor("torque", "torque", after=_pushed)
+    export_law: ClassVar = ExportLaw("force", "torque + 0 * q")
     torque: Array = param(
         0.0,
         -TORQUE,
@@ -130,6 +149,8 @@ class SpringTorque(JointEffect):
     seen: ClassVar[str] = "in proportion to position"
     plain: ClassVar[str] = "A spring of {stiffness} acts at the joint."
     check: ClassVar[str] = "Look for cables, hoses, gas springs, return springs."
+    stands_for: ClassVar = StandsFor("stiffness", "stiffness", after=_one_spring)
+    export_law: ClassVar = ExportLaw("force", "stiffness * q")
     stiffness: Array = param(
         0.0,
         -5 * TORQUE / ANGLE,
@@ -167,6 +188,9 @@ class FlexibleMode(JointEffect):
     seen: ClassVar[str] = "around {frequency}, after steps and knocks"
     plain: ClassVar[str] = "Something swings along at {frequency}."
     check: ClassVar[str] = "Knock at tool, cables, table and base, and look for that frequency."
+    export_law: ClassVar = (
+        "needs a second body: its inertia on a hinge with a spring of inertia (2 pi frequency)^2"
+    )
     inertia: Array = param(
         0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia that swings"
     )
@@ -230,6 +254,7 @@ class ReflectedInertia(BodyEffect):
     check: ClassVar[str] = (
         "Look up the rotor inertia and multiply it by the square of the gear ratio."
     )
+    stands_for: ClassVar = StandsFor("armature", "inertia", after=_heavier)
     inertia: Array = param(
         0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia at the joint"
     )
@@ -262,6 +287,7 @@ class Payload(BodyEffect):
     seen: ClassVar[str] = "wherever the link is lifted or accelerated"
     plain: ClassVar[str] = "The link carries {mass} more than the model has."
     check: ClassVar[str] = "Weigh what is mounted: tool, cables, workpiece."
+    stands_for: ClassVar = StandsFor("inertial", "mass")
     mass: Array = param(
         0.0, -20.0, 200.0, scale=0.02, unit="kg", meaning="mass beyond what the model has"
     )
@@ -324,6 +350,8 @@ class GravityOffset(BodyEffect):
     seen: ClassVar[str] = "with the posture, where gravity acts"
     plain: ClassVar[str] = "Gravity acts as if the base were tilted by {tilt}."
     check: ClassVar[str] = "Put a level on the base; check how the zero of the joint was set."
+    stands_for: ClassVar = StandsFor("gravity", "tilt")
+    by_torque: ClassVar[bool] = True
     tilt: Array = param(0.0, -0.5, 0.5, scale=0.01, unit="rad", meaning="angle of the base")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"tilt": 0.03},)
 
@@ -353,6 +381,7 @@ class GeometricStiffening(BodyEffect):
     seen: ClassVar[str] = "at high speed of the hub"
     plain: ClassVar[str] = "The beam stiffens as it turns; the model leaves that out."
     check: ClassVar[str] = "Nothing is wrong with the machine: add the term to the simulator."
+    export_law: ClassVar = "a property of a flexible link, which this format does not have"
     share: Array = param(
         0.0, -0.5, 3.0, scale=0.1, unit="1", meaning="1: all of the tension counts"
     )
@@ -388,6 +417,7 @@ class BaseMotion(BodyEffect):
     seen: ClassVar[str] = "wherever the arm accelerates"
     plain: ClassVar[str] = "The base moves under the arm; the simulator holds it still."
     check: ClassVar[str] = "Watch the base: fixing, table, floating body."
+    export_law: ClassVar = "needs a base that floats: a free joint with the base's mass and inertia"
     share: Array = param(
         0.0,
         0.0,

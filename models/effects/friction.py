@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import JointEffect
-from jaxid.dynamics.parameter import ANGLE, DURATION, param, Quantity, setting, SPEED, TORQUE
+from jaxid.dynamics.export_law import ExportLaw, StandsFor
+from jaxid.dynamics.parameter import ANGLE, param, Quantity, setting, SPEED, TORQUE
 from jaxid.numerics.fast_math import sincos
 
 
@@ -26,6 +27,8 @@ class ViscousFriction(JointEffect):
     seen: ClassVar[str] = "in proportion to speed"
     plain: ClassVar[str] = "Friction grows with speed by {coefficient} more than stated."
     check: ClassVar[str] = "Look at bearings, seals and the viscosity of the grease."
+    stands_for: ClassVar = StandsFor("damping", "coefficient", fitted="damping")
+    export_law: ClassVar = ExportLaw("force", "coefficient * qd")
     coefficient: Array = param(
         0.0,
         0.0,
@@ -62,6 +65,8 @@ class CoulombFriction(JointEffect):
     check: ClassVar[str] = (
         "Find the smallest torque that starts the motion, both ways; look at bearings, seals, brakes that drag."
     )
+    stands_for: ClassVar = StandsFor("frictionloss", "level", fitted="frictionloss")
+    export_law: ClassVar = ExportLaw("dry", "level + 0 * q")
     level: Array = param(
         0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry friction level"
     )
@@ -102,6 +107,7 @@ class AsymmetricFriction(JointEffect):
     check: ClassVar[str] = (
         "Run the same speed both ways; look at preload, screws, belts, gears that bind one way."
     )
+    export_law: ClassVar = ExportLaw("force", "viscous * abs(qd) + dry * abs(sign(qd))")
     dry: Array = param(
         0.0,
         -TORQUE,
@@ -152,6 +158,7 @@ class StribeckFriction(JointEffect):
         "Friction is higher when it moves slowly: {extra} more at the start, gone at a few times {speed}."
     )
     check: ClassVar[str] = "Look at lubrication; expect stick-slip in slow motion."
+    export_law: ClassVar = ExportLaw("dry", "extra * exp(-(qd / speed) ** 2)")
     extra: Array = param(
         0.0,
         0.0,
@@ -193,6 +200,7 @@ class LoadDependentFriction(JointEffect):
 
     name: ClassVar[str] = "load_dependent_friction"
     transmits: ClassVar[bool] = True
+    by_torque: ClassVar[bool] = True
     equation: ClassVar[str] = (
         "f = mu |load| sign(qd); load = drive: the drive torque at the joint; transmitted: M qdd + bias without the rotor; "
         "combined: drive_share drive + (1 - drive_share) transmitted"
@@ -211,6 +219,7 @@ class LoadDependentFriction(JointEffect):
     check: ClassVar[str] = (
         "Compare the same motion with and without load; look at the efficiency of the gear (worm and screw drives)."
     )
+    export_law: ClassVar = ExportLaw("dry", "mu * abs(load)")
     mu: Array = param(
         0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque that passes the gear"
     )
@@ -257,6 +266,8 @@ class QuadraticDrag(JointEffect):
     plain: ClassVar[str] = "A drag that grows with the square of speed is missing: {coefficient}."
     check: ClassVar[str] = "Look for fans, blades, air or oil that is churned."
     resembles: ClassVar[tuple[str, ...]] = ("power_law_friction",)
+    stands_for: ClassVar = StandsFor("quadratic", "coefficient", fitted="quadratic_damping")
+    export_law: ClassVar = ExportLaw("force", "coefficient * qd * abs(qd)")
     coefficient: Array = param(
         0.0,
         0.0,
@@ -275,70 +286,6 @@ class QuadraticDrag(JointEffect):
 
     def __call__(self, s, z):
         return self.coefficient * jnp.abs(s.qd) * s.qd, 0.0, 0.0, z
-
-
-class LuGreFriction(JointEffect):
-    """Bristle friction: dry friction that builds up over a distance, with presliding before it.
-
-    The bristle is followed exactly at the step's middle speed and enters the step implicitly, so it
-    may be as stiff as it likes. It gives over a small distance, and its own damping is over in
-    milliseconds: what is softer is a spring or play.
-    """
-
-    name: ClassVar[str] = "lugre_friction"
-    equation: ClassVar[str] = (
-        "f = level (z + relaxation dz/dt);  dz/dt = (qd - |qd| z) / presliding,  |z| <= 1"
-    )
-    signature: ClassVar[str] = (
-        "hysteresis after each reversal over a fixed distance, not a fixed time; motion below breakaway"
-    )
-    source: ClassVar[str] = (
-        "Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40(3), 1995, equations (1) to (3), constant g: "
-        "level = g, presliding = g / sigma_0, relaxation = sigma_1 / sigma_0"
-    )
-    excitation: ClassVar[str] = "micro-reversals of a few milliradians around rest, and slow ramps"
-    axis: ClassVar[str] = "position"
-    seen: ClassVar[str] = "in the first {presliding} after every reversal"
-    plain: ClassVar[str] = (
-        "The joint gives before it slides: friction builds up over {presliding} after each reversal."
-    )
-    check: ClassVar[str] = "Push with small forces and watch for a spring-like give at standstill."
-    level: Array = param(
-        0.0,
-        0.0,
-        2 * TORQUE,
-        scale=0.05 * TORQUE,
-        unit="{F}",
-        meaning="friction level while sliding",
-    )
-    presliding: Array = param(
-        0.01,
-        1e-5 * ANGLE,
-        (0.3 * ANGLE).up_to(0.1),
-        scale=1e-3 * ANGLE,
-        unit="{X}",
-        meaning="distance over which friction builds up",
-        log=True,
-    )
-    relaxation: Array = param(
-        0.0, 0.0, 0.01, scale=0.002, unit="s", meaning="damping of the bristle over its stiffness"
-    )
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
-        {"level": 0.05 * TORQUE, "presliding": 3e-4 * ANGLE},
-        {"level": 0.05 * TORQUE, "presliding": 3e-3 * ANGLE},
-        {"level": 0.05 * TORQUE, "presliding": 0.03 * ANGLE},
-    )
-
-    def start(self, q):
-        return jnp.zeros_like(q)
-
-    def __call__(self, s, z):
-        x = s.qd * s.h / self.presliding
-        end = z * jnp.exp(-jnp.abs(x)) - jnp.sign(x) * jnp.expm1(-jnp.abs(x))
-        end = jnp.where(
-            jnp.abs(x) < 1e-8, z + x - jnp.abs(x) * z, end
-        )  # the slope of |x| and sign x at rest
-        return self.level * ((z + end) / 2 + self.relaxation * (end - z) / s.h), 0.0, 0.0, end
 
 
 class PositionDependentFriction(JointEffect):
@@ -360,6 +307,7 @@ class PositionDependentFriction(JointEffect):
         "Friction repeats with position: a gear or bearing that runs out of true."
     )
     check: ClassVar[str] = "Turn slowly through the whole travel and mark where it runs heavily."
+    export_law: ClassVar = ExportLaw("dry", "sine * sin(order * q) + cosine * cos(order * q)")
     sine: Array = param(
         0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine"
     )
@@ -388,63 +336,6 @@ class PositionDependentFriction(JointEffect):
         sine, cosine = sincos(self.order * s.q)
         level = self.sine * sine + self.cosine * cosine
         return 0.0, level, level, z
-
-
-class TemperatureDependentFriction(JointEffect):
-    """Viscous friction that changes with the work of the last seconds to minutes, as a joint warms
-    up; a run starts cold.
-
-    No recorded temperature is read: the warmth is a state of the joint, the mean of qd^2 (what
-    viscous friction turns into heat) over its time constant. What follows the speed within a second
-    warms nothing: it is another law of the speed, a cubic one.
-    """
-
-    name: ClassVar[str] = "temperature_dependent_friction"
-    equation: ClassVar[str] = (
-        "f = change warmth qd;  time d(warmth)/dt = qd^2 - warmth,  warmth = 0 at the start of a run"
-    )
-    signature: ClassVar[str] = (
-        "friction that differs between early and late in a run, and after rests"
-    )
-    source: ClassVar[str] = "first-order heat balance of a joint"
-    excitation: ClassVar[str] = (
-        "the same motion for many minutes from a cold start, with a long rest before it is repeated"
-    )
-    axis: ClassVar[str] = "time"
-    seen: ClassVar[str] = "otherwise late in a run than early, and after rests"
-    plain: ClassVar[str] = (
-        "Friction changes by {change} with the work of the last {time}, as when a joint warms up."
-    )
-    check: ClassVar[str] = "Repeat a run cold and warm; measure the temperature of motor and gear."
-    change: Array = param(
-        0.0,
-        -20 * TORQUE / (SPEED * SPEED * SPEED),
-        20 * TORQUE / (SPEED * SPEED * SPEED),
-        scale=0.1 * TORQUE / (SPEED * SPEED * SPEED),
-        unit="{F} s^3/{X}^3",
-        meaning="viscous coefficient gained (lost where negative) per squared speed",
-    )
-    time: Array = param(
-        10.0,
-        1.0,
-        5 * DURATION,
-        scale=0.1 * DURATION,
-        unit="s",
-        meaning="time constant of warming",
-        log=True,
-    )
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
-        {"change": -0.1 * TORQUE / (SPEED * SPEED * SPEED), "time": time * DURATION}
-        for time in (0.15, 0.3, 2.0)
-    )
-
-    def start(self, q):
-        return jnp.zeros_like(q)
-
-    def __call__(self, s, z):
-        gain = -jnp.expm1(-s.h / self.time)
-        heat = s.qd**2 - z
-        return self.change * (z + heat * gain / 2) * s.qd, 0.0, 0.0, z + heat * gain
 
 
 def _but_the_last(mechanism, signature):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import JointEffect
+from jaxid.dynamics.export_law import ExportLaw
 from jaxid.dynamics.parameter import param, Quantity, SPEED, TORQUE
 
 
@@ -39,6 +40,9 @@ class PowerLawFriction(JointEffect):
     plain: ClassVar[str] = "Friction grows with speed to the power {exponent}, not in proportion."
     check: ClassVar[str] = "Compare constant speeds, slow and fast; look at the grease."
     family: ClassVar[str] = "friction"
+    export_law: ClassVar = ExportLaw(
+        "force", "coefficient * (qd ** 2 + 1e-6) ** ((exponent - 1) / 2) * qd"
+    )
     coefficient: Array = param(
         0.0,
         0.0,

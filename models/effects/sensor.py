@@ -10,7 +10,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.dynamics.effect import OutputEffect, RecordEffect
+from jaxid.dynamics.export_law import ExportLaw
 from jaxid.dynamics.parameter import ANGLE, param, Quantity, STEP
+
+from .actuator import LAG
+from .timing import DELAY
 
 
 class SensorBias(OutputEffect):
@@ -29,6 +33,7 @@ class SensorBias(OutputEffect):
     seen: ClassVar[str] = "always, by the same amount"
     plain: ClassVar[str] = "The sensor reads {bias} too much at every position."
     check: ClassVar[str] = "Set the zero again at a mechanical stop or with a gauge."
+    export_law: ClassVar = ExportLaw("reading", "y + bias")
     bias: Array = param(
         0.0, -0.5 * ANGLE, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{y}", meaning="reading at zero"
     )
@@ -56,6 +61,7 @@ class SensorScale(OutputEffect):
     seen: ClassVar[str] = "in proportion to the reading"
     plain: ClassVar[str] = "The sensor reads {gain:%} too much of every angle."
     check: ClassVar[str] = "Check counts per turn and the gear ratio between sensor and joint."
+    export_law: ClassVar = ExportLaw("reading", "(1 + gain) * y")
     gain: Array = param(
         0.0, -0.9, 2.0, scale=0.01, unit="1", meaning="share by which the sensor reads more"
     )
@@ -91,6 +97,7 @@ class SensorLag(OutputEffect):
     check: ClassVar[str] = (
         "Look up the filter of the sensor, and switch it off for the recording; a drive that answers late looks alike."
     )
+    export_law: ClassVar = ExportLaw("reading", memory=LAG)
     lag: Array = param(0.0, 0.0, 0.1, scale=0.003, unit="s", meaning="time constant of the sensor")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"lag": 0.001},
@@ -140,6 +147,8 @@ class SensorDelay(RecordEffect):
     check: ClassVar[str] = (
         "Look at the bus, the driver's buffer, and which clock stamps the samples."
     )
+    acts_on: ClassVar[str] = "timing"
+    export_law: ClassVar = ExportLaw("reading", memory=DELAY)
     delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the reading")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"delay": 0.001},
@@ -180,6 +189,7 @@ class TimestampJitter(RecordEffect):
     seen: ClassVar[str] = "at high speed"
     plain: ClassVar[str] = "The time stamps scatter by {spread}."
     check: ClassVar[str] = "Let the device stamp the samples, or record on a real-time system."
+    export_law: ClassVar = "a fault of the log's clock, not of the robot: mend the time stamps"
     spread: Array = param(
         0.0, 0.0, 0.02, scale=0.001, unit="s", meaning="standard deviation of the time stamps"
     )

@@ -40,6 +40,7 @@ class StepChange(NumberEffect):
         "Look in the log or the video for what happened then: a load picked up or lost, a part that broke."
     )
     last_resort: ClassVar[bool] = True
+    export_law: ClassVar = "a file has one value for all of a run, and holds that of before: for the robot as it is since then add size"
     size: Array = param(
         0.0,
         -10 * NUMBER,

@@ -7,10 +7,29 @@ from __future__ import annotations
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import InputEffect
+from jaxid.dynamics.export_law import ExportLaw, StandsFor
 from jaxid.dynamics.parameter import param, Quantity, STEP
+
+
+#: Once a step of `dt` s, in a simulator.
+DELAY = '''class Delay:
+    """The value of `delay` s ago, linear between steps."""
+
+    def __init__(self, delay):
+        self.delay, self.past = delay, []
+
+    def __call__(self, value, dt):
+        self.past.insert(0, value)
+        steps = self.delay / dt
+        k = int(steps)
+        del self.past[k + 2 :]
+        old = lambda i: self.past[min(i, len(self.past) - 1)]
+        return old(k) + (steps - k) * (old(k + 1) - old(k))
+'''
 
 
 class InputDelay(InputEffect):
@@ -31,6 +50,11 @@ class InputDelay(InputEffect):
     check: ClassVar[str] = (
         "Time a step of the command against the first motion; look at buses, filters and the control period between."
     )
+    acts_on: ClassVar[str] = "timing"
+    stands_for: ClassVar = StandsFor("delay", "delay", fitted="delay")
+    export_law: ClassVar = ExportLaw("command", memory=DELAY)
+    by_torque: ClassVar[bool] = True
+    column: ClassVar = staticmethod(lambda torque, step: np.gradient(torque, step, axis=0))
     delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the command")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"delay": 0.001},
@@ -80,6 +104,9 @@ class InputHold(InputEffect):
     check: ClassVar[str] = (
         "Look up whether the drive keeps a command until the next one or ramps to it, and state it as the channel's hold."
     )
+    acts_on: ClassVar[str] = "timing"
+    export_law: ClassVar = "hold or interpolate the commands between their samples as the effect says; no model file says it"
+    stated_as: ClassVar[str] = "hold"
     share: Array = param(
         0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one"
     )

@@ -11,7 +11,24 @@ from jaxtyping import Array
 
 from jaxid.dynamics.compliance import Compliant, compliant
 from jaxid.dynamics.effect import BodyEffect, JointEffect
+from jaxid.dynamics.export_law import ExportLaw
 from jaxid.dynamics.parameter import ANGLE, param, Quantity, TORQUE
+
+
+#: Once a step of `dt` s, in a simulator.
+HYSTERESIS = '''class Hysteresis:
+    """level z, dz/dq = (1 - |z|) / width where |z| grows, 1 / width where it falls."""
+
+    def __init__(self, level, width):
+        self.level, self.width, self.z = level, width, 0.0
+
+    def __call__(self, q, qd, load, dt):
+        x = qd * dt / self.width
+        grows = (xp.sign(x) * self.z > 0) * 1.0
+        before = self.z
+        self.z = xp.clip(before + x * (1 - grows * abs(before)), -1, 1) + 0 * x
+        return self.level * (before + self.z) / 2
+'''
 
 
 class JointElasticity(BodyEffect):
@@ -39,6 +56,9 @@ class JointElasticity(BodyEffect):
     plain: ClassVar[str] = "The gear gives like a spring: {compliance} between motor and link."
     check: ClassVar[str] = (
         "Block the motor, load the link and measure how far it gives; look at belts, harmonic drives, couplings."
+    )
+    export_law: ClassVar = (
+        "needs a second joint: the motor's body, and behind it a hinge with a spring"
     )
     compliance: Array = param(
         0.0,
@@ -105,6 +125,7 @@ class Backlash(BodyEffect):
     check: ClassVar[str] = (
         "Block the motor and move the link by hand; look at gears, keys, couplings and belts."
     )
+    export_law: ClassVar = "needs a second joint: the motor's body, and behind it a hinge with limits of half the play to either side"
     play: Array = param(
         0.0, 0.0, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{X}", meaning="full width of the gap"
     )
@@ -164,6 +185,7 @@ class Hysteresis(JointEffect):
     check: ClassVar[str] = (
         "Load and unload slowly and draw torque against angle; look at cables, belts, harmonic drives."
     )
+    export_law: ClassVar = ExportLaw("force", memory=HYSTERESIS)
     level: Array = param(
         0.0,
         0.0,

@@ -11,7 +11,7 @@ from jaxid.diagnosis.goals.plant import CHANGED
 from jaxid.diagnosis.torque.library import MOMENT, Unit
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.diagnosis.torque.rows import Run
-from jaxid.dynamics.effect import neutral
+from jaxid.dynamics.effect import Effect, neutral
 from jaxid.dynamics.parameter import resolve, specs, with_fields
 from jaxid.problem.binding import Binding
 
@@ -20,6 +20,11 @@ from jaxid.problem.binding import Binding
 ARM = 1e-2
 #: A place of a load that shows by less than this share of another one shows by rounding alone.
 UNSEEN = 1e-8
+
+
+def shifts_body(kind: type[Effect]) -> bool:
+    """Whether an effect is a load, or a base that stands askew."""
+    return kind.quantity() in ("inertial", "gravity")
 
 
 def body_units(b: Binding, runs: Sequence[Run], kind: Any, theta: np.ndarray) -> list[Unit]:

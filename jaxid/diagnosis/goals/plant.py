@@ -134,7 +134,7 @@ class LedPlant(AnyPlant):
     def _dry(self, theta: np.ndarray) -> np.ndarray:
         """Level of the model's own dry friction [n]."""
         chain = self.binding.layout.model(theta)
-        own = [np.asarray(e.level) for e in chain.effects if e.name == "coulomb_friction"]  # pyright: ignore
+        own = [np.asarray(e.level) for e in chain.effects if e.quantity() == "frictionloss"]  # pyright: ignore
         return sum(own, np.zeros(chain.nq))
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.goals.bodies import shifts_body
 from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.hypothesis import Candidate, candidates
@@ -18,7 +19,7 @@ from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram, Weights
 from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import MOMENT, Unit
-from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect
+from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect, OutputEffect
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import Binding
 
@@ -46,10 +47,12 @@ def shown(kind: type[Effect]) -> bool:
     the goal to the joint, at the joint or in the mechanism, and has no motion of its own.
     """
     if issubclass(kind, BodyEffect):
-        return kind.name in ("payload", "gravity_offset")
-    if kind.name == "input_hold":  # is settled before
-        return False
-    return issubclass(kind, JointEffect | InputEffect) or kind.name == "sensor_bias"
+        return shifts_body(kind)
+    if issubclass(kind, InputEffect):
+        return not kind.stated_as  # what the dataset states is settled before
+    if issubclass(kind, OutputEffect):
+        return kind.is_offset()
+    return issubclass(kind, JointEffect)
 
 
 def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:

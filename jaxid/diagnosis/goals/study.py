@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Experiment
-from jaxid.diagnosis.goals.bodies import body_units
+from jaxid.diagnosis.goals.bodies import body_units, shifts_body
 from jaxid.diagnosis.goals.loop import FINE, LoopRun, mean_input, RawRun, refined
 from jaxid.diagnosis.goals.plant import Drive, LedPlant
 from jaxid.diagnosis.goals.probes import at_levels, is_level, LEVELS, probes_of, scaled
@@ -18,8 +18,9 @@ from jaxid.diagnosis.torque.algebra import gram, Solution, solve, weighted, Weig
 from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
 from jaxid.diagnosis.torque.study import Rows, SHARPER, STEPS, Study
-from jaxid.dynamics.effect import Effect, InputEffect
+from jaxid.dynamics.effect import Effect, InputEffect, OutputEffect
 from jaxid.dynamics.joint_readings import joint_readings
+from jaxid.dynamics.parameter import specs
 from jaxid.numerics.pool import Pool
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
@@ -350,9 +351,9 @@ class LedStudy(Study):
     def _of_kind(self, kind: type[Effect], raw: Sequence[Run], theta: np.ndarray) -> list[Unit]:
         if issubclass(kind, InputEffect):
             return self._driven(kind, theta)
-        if kind.name == "sensor_bias":
-            return self._off(theta)
-        if kind.name in ("payload", "gravity_offset"):
+        if issubclass(kind, OutputEffect):
+            return self._off(kind, theta)
+        if shifts_body(kind):
             return body_units(self.binding, self.free, kind, theta)
         return units(self.plant, [kind], raw, theta, False)
 
@@ -408,7 +409,7 @@ class LedStudy(Study):
                     )
         return out
 
-    def _off(self, theta: np.ndarray) -> list[Unit]:
+    def _off(self, kind: type[OutputEffect], theta: np.ndarray) -> list[Unit]:
         """An encoder that is off within the loop: the law sees what it reads, gravity acts where
         the joint is.
         """
@@ -425,9 +426,9 @@ class LedStudy(Study):
             inf = np.full(1, np.inf)
             out.append(
                 Unit(
-                    effect="sensor_bias",
+                    effect=kind.name,
                     location=place,
-                    fields=("bias",),
+                    fields=tuple(specs(kind)),
                     least=-inf,
                     most=inf,
                     spread=inf,

@@ -24,7 +24,7 @@ from jaxid.diagnosis.torque.plant import ArmPlant, Beside, Plant
 from jaxid.diagnosis.torque.rows import Run
 from jaxid.dynamics.base_parameters import standard_torque
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.effect import BodyEffect, Effect, JointEffect, neutral
+from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect, neutral
 from jaxid.dynamics.parameter import resolve, specs, with_fields
 from jaxid.dynamics.rigid_body import INERTIA
 from jaxid.numerics.kept import shared
@@ -32,8 +32,6 @@ from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 
 
-#: Effects on the way from the command to the joint that a torque shows all the same.
-DRIVES = ("torque_scale", "input_delay")
 #: What a body at a link adds: a mass, then its first moments and inertia about the origin of the
 #: link's frame.
 BODY = ("mass", "mx", "my", "mz", *INERTIA[:6])
@@ -76,7 +74,7 @@ def shows(kind: type[Effect], chain: Chain) -> bool:
         return any(s.value == 0 for s in specs(kind).values())
     if issubclass(kind, BodyEffect):
         return not chain.with_effects(neutral(kind)).stateful()[-1]
-    return kind.name in DRIVES and chain.direct
+    return issubclass(kind, InputEffect) and kind.column is not None and chain.direct
 
 
 def units(
@@ -214,7 +212,7 @@ def _shared(
 
 
 def _driven(
-    plant: Plant, kind: type[Effect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray
+    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], theta: np.ndarray
 ) -> list[Unit]:
     """What a drive makes of its command, seen from the torque that the model needs: the measured
     one would explain itself.
@@ -222,10 +220,7 @@ def _driven(
     b, n = plant.binding, plant.binding.chain.nq
     names = [name for name, _ in b.chain.signature.inputs]
     rigid = [plant.rigid(r, theta) for r in runs]
-    series = [
-        -f if kind.name == "torque_scale" else np.gradient(f, r.step, axis=0)
-        for r, f in zip(runs, rigid, strict=True)
-    ]
+    series = [kind.column(f, r.step) for r, f in zip(runs, rigid, strict=True)]
     rows = [r.rows(x) for r, x in zip(runs, series, strict=True)]
     field = next(iter(specs(kind)))
     return [
@@ -245,7 +240,7 @@ def _bodies(
 ) -> list[Unit]:
     b, n = plant.binding, plant.binding.chain.nq
     joints = b.chain.signature.joints
-    if kind.name == "reflected_inertia":
+    if kind.quantity() == "armature":
         rows = [r.rows(r.qdd) for r in runs]
         return [
             _unit(
@@ -260,17 +255,16 @@ def _bodies(
             for p in places
             for j in [joints.index(p)]
         ]
-    if isinstance(plant, ArmPlant) and kind.name == "payload":
-        return (
-            _payloads(plant, {p: joints.index(p) for p in places}, runs, theta) if payloads else []
-        )
-    if isinstance(plant, ArmPlant) and kind.name == "gravity_offset":
-        return [_tilt(plant, joints[0], runs, theta)]
+    if isinstance(plant, ArmPlant) and kind.quantity() == "inertial":
+        links = {p: joints.index(p) for p in places}
+        return _payloads(plant, kind.name, links, runs, theta) if payloads else []
+    if isinstance(plant, ArmPlant) and kind.quantity() == "gravity":
+        return [_tilt(plant, kind.name, joints[0], runs, theta)]
     return _derivatives(plant, kind, places, runs, theta)
 
 
 def _payloads(
-    plant: ArmPlant, links: dict[str, int], runs: Sequence[Run], theta: np.ndarray
+    plant: ArmPlant, effect: str, links: dict[str, int], runs: Sequence[Run], theta: np.ndarray
 ) -> list[Unit]:
     """Any body at each of these links, by its ten numbers."""
     mass, reach = _size(plant, theta)
@@ -283,7 +277,7 @@ def _payloads(
         order = [first + 9, *range(first + 6, first + 9), *range(first, first + 6)]
         columns = [rows[:, :, order] for rows in every]
         return Unit(
-            effect="payload",
+            effect=effect,
             location=place,
             fields=BODY,
             least=-free,
@@ -304,7 +298,7 @@ def _size(plant: ArmPlant, theta: np.ndarray) -> tuple[float, float]:
     return 30.0, max(0.3 * reach, 0.1)
 
 
-def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -> Unit:
+def _tilt(plant: ArmPlant, effect: str, place: str, runs: Sequence[Run], theta: np.ndarray) -> Unit:
     """A base that stands askew, by two angles; the first link's own moments begin to show in it."""
     n = plant.binding.chain.nq
     phi = plant.phi(theta)
@@ -322,7 +316,7 @@ def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -
     columns = [r.rows(np.stack([slope(r, f, own) for f, own in each], -1)) for r in runs]
     infinite = np.full(4, np.inf)
     return Unit(
-        effect="gravity_offset",
+        effect=effect,
         location=place,
         fields=("roll", "pitch", "mx", "my"),
         least=-infinite,

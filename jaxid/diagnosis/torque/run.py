@@ -36,7 +36,7 @@ from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.reference import Reference
 from jaxid.diagnosis.torque.rows import MOTION
-from jaxid.diagnosis.torque.study import BY_TORQUE, Rows, Study
+from jaxid.diagnosis.torque.study import Rows, Study
 from jaxid.diagnosis.verdict import level, Verdict
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.model_file import sha256_of
@@ -125,9 +125,9 @@ def _searched(study: Study, most: int) -> Found:
         study.settle(
             rows.theta, list(zip(found.final.units, numbers, strict=True)) if chosen.units else ()
         )
-        if not chosen.units or (
-            study.plant.exact() and not any(rows.units[u].effect in BY_TORQUE for u in chosen.units)
-        ):
+        by_torque = {k.name for k in study.kinds if k.by_torque}
+        again = any(rows.units[u].effect in by_torque for u in chosen.units)
+        if not chosen.units or (study.plant.exact() and not again):
             break
         theta = theta.copy()  # once more, along the motion's torque with what was found
         theta[study.plant.free] = np.clip(
@@ -165,7 +165,7 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
     if not found.judge:
         return None
     base = found.final
-    more = [k for k in study.kinds if k.name == "payload"]
+    more = [k for k in study.kinds if k.quantity() == "inertial"]
     every = [*found.rows.units, *units(study.plant, more, study.runs, found.rows.theta, True)]
     mask = np.array([r.split != "fit" for r in study.runs], float)
     acting = [

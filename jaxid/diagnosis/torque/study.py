@@ -11,7 +11,7 @@ from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, weighted, Weights
 from jaxid.diagnosis.torque.choose import Chooser, Enough
 from jaxid.diagnosis.torque.forces import force, Load, with_numbers
-from jaxid.diagnosis.torque.library import DRIVES, Unit, units
+from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.plant import Beside, Plant, plant_of
 from jaxid.diagnosis.torque.repeats import spread_between, without
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
@@ -33,8 +33,6 @@ SHARPER = 4.0
 HELD = 0.5
 #: Samples of which the noise of the rows is made.
 SAMPLES = 4000
-#: Effects whose columns depend on the torque that the model itself needs.
-BY_TORQUE = ("load_dependent_friction", "gravity_offset", *DRIVES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +261,7 @@ class Study:
             np.linalg.norm(x[:, :, : len(weights.spread)] @ weights.spread, axis=2)
             for x in rows.rows
         ]
-        if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
+        if loaded := [k for k in self.kinds if k.by_torque]:
             at = theta if chosen else self._moved(theta, s.at, s.theta)
             more = self.asked(loaded, at)
             every = [
@@ -275,7 +273,7 @@ class Study:
 
     def _without_torque(self, theta: np.ndarray) -> tuple[Rows, Weights, Solution]:
         """Rows with the units that depend on the motion alone, weights, and the richest model."""
-        plain = [k for k in self.kinds if k.name not in BY_TORQUE]
+        plain = [k for k in self.kinds if not k.by_torque]
         rows = self.made(theta, self.asked(plain, theta))
         rich = self._rich(rows)
         weights = self._weights(rows, rich, np.zeros(len(rich)))

@@ -18,9 +18,6 @@ from jaxid.errors import nearest, UsageError
 #: Longest step of a simulation (s).
 STEP = 5e-4
 COUPLED_STEP = 2e-3  # of a whole arm, which has to keep up with real time
-#: Effects that need the history of the command, which an emulator that lives in the present does
-#: not have.
-NEEDS_HISTORY = ("input_delay", "input_hold", "sensor_delay", "timestamp_jitter")
 
 
 class Plant(Protocol):
@@ -83,7 +80,7 @@ class Modelled:
 
         from jaxid import catalogue
         from jaxid.dynamics.chain import Chain
-        from jaxid.dynamics.effect import Command
+        from jaxid.dynamics.effect import Command, RecordEffect
         from jaxid.dynamics.parameter_vector import Layout
         from jaxid.numerics.precision import float64
 
@@ -95,7 +92,9 @@ class Modelled:
                 f"an emulator of {count} joints takes models with one driven revolute joint, or with {count}; {model} is none"
             )
         for e in effects:
-            if e["effect"] in NEEDS_HISTORY:
+            kind = catalogue.effect_class(e["effect"])
+            # An emulator lives in the present.
+            if kind.acts_on == "timing" or issubclass(kind, RecordEffect):
                 raise UsageError(
                     f"{e['effect']} cannot be emulated: it needs the history of the command"
                 )

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from jaxid.dynamics.export_law import StandsFor
 from jaxid.robots.bodies import BODY
+from jaxid.robots.export.law_code import kind_of, own_number
 from jaxid.robots.export.outcome import Named, Number, Outcome
 from jaxid.robots.export.sheet import (
     Body,
@@ -45,28 +46,22 @@ JOINT = {
 }
 #: Numbers of models that are no robot's -> quantity of their joint.
 PLAIN = {"viscous": "damping", "coulomb": "frictionloss", "armature": "armature"}
-#: Effects that say what a quantity is (also where the model has it by itself): effect -> its
-#: number, quantity, number of a fit.
-SET = {
-    "viscous_friction": ("coefficient", "damping", "damping"),
-    "coulomb_friction": ("level", "frictionloss", "frictionloss"),
-    "quadratic_drag": ("coefficient", "quadratic", "quadratic_damping"),
-    "input_delay": ("delay", "delay", "delay"),
-    "actuator_lag": ("lag", "lag", "timeconst"),
-}
+#: Numbers of a joint that are one thing to say.
+FORCE = ("lowest", "highest")
 
 
 def carried(sheet: Sheet, found: Outcome) -> Sheet:
     """The sheet after everything that the result names. Each effect and each number has at least
     one `Change`.
     """
-    done = {
-        f"{SET[e.effect][2]}@{sheet.joint(e.location)}" for e in found.effects if e.effect in SET
-    }
+    done = set()
+    for effect in found.effects:
+        if own := own_number(effect.effect):
+            done.add(f"{own.fitted}@{sheet.joint(effect.location)}")
     _numbers(sheet, found, done)
     for effect in found.effects:
         before = len(sheet.changes)
-        HANDLERS.get(effect.effect, _law)(sheet, effect)
+        _effect(sheet, effect)
         if len(sheet.changes) == before:
             _law(sheet, effect)
     _left_out(sheet, found)
@@ -225,8 +220,9 @@ def _left_out(sheet: Sheet, found: Outcome) -> None:
     """Laws of the file that the model did without."""
     named = {e.effect for e in found.effects}
     for name in found.robot.get("without", ()):
-        if name in SET and name not in named:
-            quantity = SET[name][1]
+        own = own_number(name)
+        if own is not None and name not in named:
+            quantity = own.quantity
             for joint in sheet.after:
                 if getattr(sheet.after[joint], quantity) != 0:
                     sheet.set(joint, **{quantity: 0.0})
@@ -264,11 +260,56 @@ def _law(sheet: Sheet, effect: Named) -> None:
     )
 
 
-def _set(sheet: Sheet, effect: Named) -> None:
-    number, quantity, _ = SET[effect.effect]
-    if joint := sheet.joint(effect.location):
-        sheet.set(joint, **{quantity: effect.value(number)})
-        sheet.record([_change(effect, quantity, joint, number)])
+def _effect(sheet: Sheet, effect: Named) -> None:
+    """What an effect changes of the number that it stands for; nothing where it stands for none."""
+    kind = kind_of(effect.effect)
+    number = None if kind is None else kind.stands_for
+    if kind is None or number is None:
+        return
+    if number.quantity in PLACED:
+        return PLACED[number.quantity](sheet, effect, number)
+    joint = sheet.joint(effect.location)
+    at_goal = kind.acts_on == "drive" and effect.location.endswith("_cmd")
+    if joint and not at_goal:
+        _joint_effect(sheet, effect, number, joint)
+
+
+def _joint_effect(sheet: Sheet, effect: Named, own: StandsFor, joint: str) -> None:
+    value = effect.value(own.number)
+    after = {own.quantity: value}
+    if own.after is not None:
+        after = own.after(sheet.after[joint], value, sheet.driven)
+    sheet.set(joint, **after)
+    said = dict.fromkeys("force" if name in FORCE else name for name in after)
+    for quantity in said:
+        if quantity != own.quantity and not _stated(sheet, joint, quantity):
+            continue
+        unit = None if own.fitted else _units(sheet, joint).get(quantity)
+        note = "" if sheet.driven else own.note
+        sheet.record([_change(effect, quantity, joint, own.number, note, unit)])
+
+
+def _stated(sheet: Sheet, joint: str, quantity: str) -> bool:
+    """Whether a joint has a number at all, not just a place for it."""
+    now = sheet.after[joint]
+    if quantity == "force":
+        return bool(np.isfinite([now.lowest, now.highest]).any())
+    return bool(getattr(now, quantity))
+
+
+def _units(sheet: Sheet, joint: str) -> dict[str, str]:
+    """Units of numbers in which an effect's own is not given."""
+    force, x = sheet.force_unit(joint), "m" if sheet.slides(joint) else "rad"
+    return {
+        "kp": f"{force}/{x}",
+        "kd": f"{force} s/{x}",
+        "ki": f"{force}/({x} s)",
+        "offset": force,
+        "force": force,
+        "damping": f"{force} s/{x}",
+        "drive": "1",
+        "springref": x,
+    }
 
 
 def _change(
@@ -287,82 +328,7 @@ def _change(
     )
 
 
-def _reflected_inertia(sheet: Sheet, effect: Named) -> None:
-    if joint := sheet.joint(effect.location):
-        sheet.set(joint, armature=sheet.after[joint].armature + effect.value("inertia"))
-        sheet.record([_change(effect, "armature", joint, "inertia")])
-
-
-def _constant_torque(sheet: Sheet, effect: Named) -> None:
-    if joint := sheet.joint(effect.location):
-        _torque(sheet, effect.effect, effect.location, joint, effect.numbers["torque"])
-
-
-def _spring_torque(sheet: Sheet, effect: Named) -> None:
-    """k1 (q - r1) + k2 q is one spring."""
-    if joint := sheet.joint(effect.location):
-        n = sheet.after[joint]
-        total = n.stiffness + effect.value("stiffness")
-        sheet.set(
-            joint, stiffness=total, springref=n.stiffness * n.springref / total if total else 0.0
-        )
-        sheet.record([_change(effect, "stiffness", joint, "stiffness")])
-        if n.stiffness and n.springref:
-            sheet.record(
-                [
-                    _change(
-                        effect,
-                        "springref",
-                        joint,
-                        "stiffness",
-                        unit="m" if sheet.slides(joint) else "rad",
-                    )
-                ]
-            )
-
-
-def _back_emf(sheet: Sheet, effect: Named) -> None:
-    if joint := sheet.joint(effect.location):
-        sheet.set(joint, damping=sheet.after[joint].damping + effect.value("constant"))
-        note = "" if sheet.driven else "exact while the torque is not at its limit"
-        unit = "N s/m" if sheet.slides(joint) else "N m s/rad"
-        sheet.record([_change(effect, "damping", joint, "constant", note, unit)])
-
-
-def _torque_scale(sheet: Sheet, effect: Named) -> None:
-    """(1 + gain) clip(law, lowest, highest) is the law with all its numbers so much larger."""
-    if not (joint := sheet.joint(effect.location)):
-        return
-    g, n = 1 + effect.value("gain"), sheet.after[joint]
-    if not sheet.driven:
-        sheet.set(joint, drive=g * n.drive)
-        return sheet.record([_change(effect, "drive", joint, "gain", unit="1")])
-    if effect.location.endswith("_cmd"):
-        return
-    own = {k: g * getattr(n, k) for k in ("kp", "kd", "ki", "offset", "lowest", "highest")}
-    sheet.set(joint, **own)
-    force, x = sheet.force_unit(joint), "m" if sheet.slides(joint) else "rad"
-    units = {
-        "kp": f"{force}/{x}",
-        "kd": f"{force} s/{x}",
-        "ki": f"{force}/({x} s)",
-        "offset": force,
-    }
-    sheet.record([_change(effect, k, joint, "gain", unit=u) for k, u in units.items() if own[k]])
-    if np.isfinite([own["lowest"], own["highest"]]).any():
-        sheet.record([_change(effect, "force", joint, "gain", unit=force)])
-
-
-def _saturation(sheet: Sheet, effect: Named) -> None:
-    joint = sheet.joint(effect.location)
-    if not joint or effect.location.endswith("_cmd"):
-        return
-    n, limit = sheet.after[joint], effect.value("limit")
-    sheet.set(joint, lowest=max(n.lowest, -limit), highest=min(n.highest, limit))
-    sheet.record([_change(effect, "force", joint, "limit", unit=sheet.force_unit(joint))])
-
-
-def _payload(sheet: Sheet, effect: Named) -> None:
+def _payload(sheet: Sheet, effect: Named, own: StandsFor) -> None:
     """A point mass where `Robot.loaded` has it: beyond the next joint, else the link's centre of
     mass.
     """
@@ -379,7 +345,7 @@ def _payload(sheet: Sheet, effect: Named) -> None:
         [effect.value(name) if name in effect.numbers else 0.0 for name in ("dx", "dy", "dz")]
     )
     at = at + beyond
-    sheet.bodies[link] = before, with_point(after, effect.value("mass"), at)
+    sheet.bodies[link] = before, with_point(after, effect.value(own.number), at)
     where = "where the next joint is" if ends else "at the link's centre of mass"
     where = f"at {np.round(at, 6).tolist()} m in its frame" if beyond.any() else where
     sheet.record(
@@ -388,7 +354,7 @@ def _payload(sheet: Sheet, effect: Named) -> None:
                 effect,
                 "inertial",
                 link,
-                "mass",
+                own.number,
                 f"a point mass of {effect.value('mass'):.4g} kg {where}",
                 "kg",
             )
@@ -404,12 +370,12 @@ def with_point(body: Body, mass: float, at: np.ndarray) -> Body:
     return Body(m, com, body.inertia + moved(body.mass, body.com - com) + moved(mass, at - com))
 
 
-def _gravity_offset(sheet: Sheet, effect: Named) -> None:
+def _gravity_offset(sheet: Sheet, effect: Named, own: StandsFor) -> None:
     """Gravity turned in the base's frame, as `Robot.tilted` does it."""
     tree = sheet.tree
     if tree is None or sheet.gravity is None:
         return
-    a = effect.value("tilt")
+    a = effect.value(own.number)
     axis = rotation(*roll_pitch_yaw(tree.place[0][:3, :3])) @ tree.axis[0]
     v = sheet.gravity[1]
     turned = v * np.cos(a) - np.cross(axis, v) * np.sin(a) + axis * (axis @ v) * (1 - np.cos(a))
@@ -420,7 +386,7 @@ def _gravity_offset(sheet: Sheet, effect: Named) -> None:
                 effect,
                 "gravity",
                 "",
-                "tilt",
+                own.number,
                 f"the base leans by {a:.4g} rad about the axis of {tree.joints[0]}",
                 "m/s^2",
             )
@@ -428,14 +394,8 @@ def _gravity_offset(sheet: Sheet, effect: Named) -> None:
     )
 
 
-HANDLERS: Mapping[str, Callable[[Sheet, Named], Any]] = {
-    **dict.fromkeys(SET, _set),
-    "reflected_inertia": _reflected_inertia,
-    "constant_torque": _constant_torque,
-    "spring_torque": _spring_torque,
-    "back_emf": _back_emf,
-    "torque_scale": _torque_scale,
-    "saturation": _saturation,
-    "payload": _payload,
-    "gravity_offset": _gravity_offset,
+#: What is at no joint, and how it is written.
+PLACED: Mapping[str, Callable[[Sheet, Named, StandsFor], None]] = {
+    "inertial": _payload,
+    "gravity": _gravity_offset,
 }

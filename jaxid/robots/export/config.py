@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from jaxid.robots.export.laws import code, lawful
+from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.sheet import Body, JointNumbers, Sheet
 from jaxid.robots.export.target import by_joint, CODE, coded, Field, joined, NONE, rows_of, Written
 

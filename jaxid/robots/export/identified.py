@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxid.dynamics.urdf import z_to
 from jaxid.errors import UsageError
+from jaxid.models.effects import ConstantTorque, PowerLawFriction, StribeckFriction
 from jaxid.robots.arms import table_of
 from jaxid.robots.export.apply import carried
 from jaxid.robots.export.outcome import Named, Number, number, Outcome
@@ -99,11 +100,13 @@ def _effects(rows: list[Any], tree: Tree) -> tuple[Named, ...]:
     out = []
     for joint, row in zip(tree.joints, rows, strict=True):
         if "offset" in row:
-            out.append(Named("constant_torque", joint, {"torque": _entry("offset", row["offset"])}))
+            out.append(
+                Named(ConstantTorque.name, joint, {"torque": _entry("offset", row["offset"])})
+            )
         if "F_s" in row:
             out.append(
                 Named(
-                    "stribeck_friction",
+                    StribeckFriction.name,
                     joint,
                     {"extra": _entry("F_s", row["F_s"]), "speed": Number(FADES, None, "rad/s")},
                 )
@@ -113,7 +116,7 @@ def _effects(rows: list[Any], tree: Tree) -> tuple[Named, ...]:
                 "coefficient": _entry("F_v", row["F_v"]),
                 "exponent": _entry("exponent", row["exponent"]),
             }
-            out.append(Named("power_law_friction", joint, numbers))
+            out.append(Named(PowerLawFriction.name, joint, numbers))
     return tuple(out)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxid.models.effects import StribeckFriction
 from jaxid.robots.export.config import written
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, Sheet
@@ -22,7 +23,7 @@ FIELDS = {
     "force": Field("ActuatorCfg.actuator_effort_limit, joint_effort_limit", note="effort_limit before 3.0", one=True),
     "highest": Field("ActuatorCfg.actuator_effort_limit, joint_effort_limit", one=True),
     "delay": Field("DelayedPDActuatorCfg.min_delay = max_delay", "approximate", "whole physics steps, rounded; explicit PD only"),
-    "stribeck_friction": Field("ActuatorCfg.friction > dynamic_friction", "approximate", "two levels alone; PhysX only"),
+    StribeckFriction.name: Field("ActuatorCfg.friction > dynamic_friction", "approximate", "two levels alone; PhysX only"),
 }  # fmt: skip
 ELSEWHERE = {
     "inertial": "mass, center of mass and inertia of the link's prim in USD (UsdPhysics.MassAPI)",
@@ -62,7 +63,7 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[
     extra = {
         c.place: c.value.get("extra", 0.0)
         for c in sheet.changes
-        if c.quantity == "stribeck_friction"
+        if c.quantity == StribeckFriction.name
     }
     for joint in dict.fromkeys([*numbers, *(j for j in extra if j)]):
         own, now = numbers.get(joint, {}), sheet.after[joint]

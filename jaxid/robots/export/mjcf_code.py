@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from jaxid.robots.export.laws import code, lawful, LAWS
+from jaxid.robots.export.law_code import code, law_of, lawful
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Change, Sheet
 from jaxid.robots.export.target import coded, Field, rows_of, Written
@@ -119,7 +119,8 @@ def _plain(v: Any) -> str:
 
 def callback(changes: list[Change]) -> str:
     """What calls the laws, before each step."""
-    ports = {LAWS[c.quantity].port for c in changes}
+    laws = [law_of(c.quantity) for c in changes]
+    ports = {law.port for law in laws if law is not None}
     lines = [
         "",
         "",

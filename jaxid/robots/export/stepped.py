@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from jaxid.robots.export.law_code import own_number
 from jaxid.robots.export.outcome import Named, Number, Outcome
 from jaxid.robots.export.sheet import JointNumbers, Sheet
 from jaxid.robots.steps import nearest, Steps
@@ -15,7 +16,8 @@ from jaxid.robots.steps import nearest, Steps
 ARMATURE = "armature"
 #: A stated number is refuted beyond so many standard deviations.
 REFUTED = 3.0
-LATE = ("delay", "input_delay")
+#: What of a joint is later by the steps, by a fit's number or by an effect.
+DELAY = "delay"
 
 
 def stepped(found: Outcome, sheet: Sheet) -> tuple[Outcome, tuple[str, ...]]:
@@ -33,7 +35,7 @@ def stepped(found: Outcome, sheet: Sheet) -> tuple[Outcome, tuple[str, ...]]:
             added = _added(steps, found, place, sheet.before[place])
             held = stated.get(name, sheet.before[place].armature)
             numbers[name] = replace(n, value=_in_file(held, n, added))
-        elif kind == LATE[0] and not found.robot.get("taken_off"):
+        elif kind == DELAY and not found.robot.get("taken_off"):
             numbers[name] = _later(steps, n, stated.get(name))
     effects = (
         tuple(_late(steps, e) for e in found.effects)
@@ -86,8 +88,14 @@ def _later(steps: Steps, n: Number, stated: float | None = None) -> Number:
 
 
 def _late(steps: Steps, effect: Named) -> Named:
-    if effect.effect != LATE[1] or "delay" not in effect.numbers:
+    own = own_number(effect.effect)
+    if own is None or own.quantity != DELAY or own.number not in effect.numbers:
         return effect
-    return replace(
-        effect, numbers={**effect.numbers, "delay": _later(steps, effect.numbers["delay"])}
-    )
+    later = _later(steps, effect.numbers[own.number])
+    return replace(effect, numbers={**effect.numbers, own.number: later})
+
+
+def shifted(name: str) -> bool:
+    """Whether the steps of a simulator shift a number of a fit, or an effect."""
+    own = own_number(name)
+    return name in (ARMATURE, DELAY) or (own is not None and own.quantity == DELAY)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.robots.export.laws import described, LAWS
+from jaxid.robots.export.law_code import law_of, why_not
 from jaxid.robots.export.outcome import AS_STATED
 from jaxid.robots.export.sheet import Change, Sheet
 
@@ -170,13 +170,14 @@ def coded(
         if more and change.quantity in more:
             note = joined(more[change.quantity], change.note)
             return Row(change.effect, change.location, "", change.value, change.unit, how, note)
-        if change.quantity in LAWS and change.place:
+        law = law_of(change.quantity)
+        if law is not None and change.place:
             who = (
                 f"no field has it: {file} does it each step"
                 if file
                 else "no field has it: a plugin of your own would do it"
             )
-            note = joined(who, described(change.quantity), change.note)
+            note = joined(who, law.words, change.note)
             return Row(
                 change.effect,
                 change.location,
@@ -199,25 +200,12 @@ def coded(
     return lacking
 
 
-#: Effects that no code beside the simulator can do, and why.
-REASONS = {
-    "timestamp_jitter": "a fault of the log's clock, not of the robot: mend the time stamps",
-    "backlash": "needs a second joint: the motor's body, and behind it a hinge with limits of half the play to either side",
-    "joint_elasticity": "needs a second joint: the motor's body, and behind it a hinge with a spring",
-    "flexible_mode": "needs a second body: its inertia on a hinge with a spring of inertia (2 pi frequency)^2",
-    "geometric_stiffening": "a property of a flexible link, which this format does not have",
-    "base_motion": "needs a base that floats: a free joint with the base's mass and inertia",
-    "step_change": "a file has one value for all of a run, and holds that of before: for the robot as it is since then add size",
-    "input_hold": "hold or interpolate the commands between their samples as the effect says; no model file says it",
-}
-
-
 def reason(change: Change) -> str:
-    if change.quantity in REASONS:
-        return REASONS[change.quantity]
+    if why := why_not(change.quantity):
+        return why
     if not change.quantity:
         return "a number of jaxid's model that no field stands for"
-    if change.quantity in LAWS or not change.place:
+    if law_of(change.quantity) or not change.place:
         return "it is at no joint of the robot"
     return "no field says it"
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxid.dynamics.urdf import read_links
 from jaxid.errors import UsageError
-from jaxid.robots.export.laws import code, lawful
+from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, from_ten, JointNumbers, Sheet
 from jaxid.robots.export.target import (

@@ -18,6 +18,7 @@ from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec, Paramete
 from jaxid.fitting.fitter import AbstractFitter
 from jaxid.fitting.problem_builder import Bench, start_values
 from jaxid.fitting.result import Fit
+from jaxid.models.effects import ActuatorCurve, CoulombFriction, DeadZone, Saturation
 from jaxid.problem.binding import bind
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import OutputError
@@ -124,7 +125,7 @@ class Size(NamedTuple):
 
 
 #: What the paper's own sentences and joints suggest.
-CANDIDATES = ("actuator_curve", "dead_zone", "saturation", "coulomb_friction")
+CANDIDATES = (ActuatorCurve.name, DeadZone.name, Saturation.name, CoulombFriction.name)
 SIZES = {"small": Size(60, CANDIDATES), "full": Size(400, None)}
 
 
@@ -394,9 +395,7 @@ def curve_of(found: Any) -> Callable[[np.ndarray], np.ndarray] | None:
     (6).
     """
     for e in found.which.effects:
-        if e.effect == "actuator_curve":
-            from jaxid.models.effects import ActuatorCurve
-
+        if e.effect == ActuatorCurve.name:
             numbers: Any = {k: v.value for k, v in e.parameters.items()}
             law: Any = ActuatorCurve(**numbers)
             return lambda v: twin.formula(np.asarray(jax.vmap(law.bent)(v)))
