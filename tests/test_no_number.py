@@ -148,13 +148,12 @@ def test_what_has_no_loss_passes_for_nothing_and_is_told_from_nothing(losses):
 
 @pytest.mark.parametrize("losses", BAD_LOSSES)
 def test_no_effect_is_significant_by_what_is_no_number(losses):
-    def made(*values: float, effects: tuple[str, ...] = ()) -> Any:
-        h = hypothesis(*values, *effects)
-        h.fit_inflation, h.validation.settled = 1.0, np.zeros((10, 1))
-        h.validation.losses = np.full(10, values[1])
+    def made(fit_loss: float, loss: float, *effects: str) -> Any:
+        h = hypothesis(fit_loss, loss, *effects)
+        h.fit_inflation = 1.0
         return h
 
-    broken = made(*losses, effects=("drag at q",))
+    broken = made(*losses, "drag at q")
     with pytest.MonkeyPatch.context() as patch:
         worth = lambda after, before, factor: before.loss - after.loss
         patch.setattr(selection, "worth", worth)
@@ -230,7 +229,7 @@ def test_no_verdict_by_torque_rests_on_what_is_no_number(bad, at, different):
     """
     values = [1.0, 50.0, 1.0, 10.0]
     values[at] = bad
-    fitted, held = torque_run, cast(Any, None)
+    judged, study = torque_run._judged, cast(Any, None)
     nominal = torque_answer({0: values[0], 1: values[1]})
     final = torque_answer({0: values[2], 1: values[3]}, (DRAG,))
     found: Any = SimpleNamespace(
@@ -238,12 +237,12 @@ def test_no_verdict_by_torque_rests_on_what_is_no_number(bad, at, different):
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(torque_run, "_astray", lambda study, answer: ())
-        told = fitted._judged(held, found)
+        told = judged(study, found)
         assert told.name in ("unknown", "partly")
         assert told.name == "unknown" or values[1] > values[3]
         if np.isinf(bad):  # nan is a set of runs in which nothing moves, and says nothing
             found.nominal = found.final = torque_answer({0: 1.0, 1: bad})
-            assert fitted._judged(held, found).name == "unknown"
+            assert judged(study, found).name == "unknown"
 
 
 @pytest.mark.parametrize("bad", NONE)
@@ -347,7 +346,6 @@ def test_gains_that_leave_no_number_are_not_better(bad):
             bench=SimpleNamespace(binding=SimpleNamespace(theta=np.zeros(1))),
             refit=lambda effects, *a, o=other: o if effects else plain,
         )
-        plain.path.nothing = None
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(gains, "sets_of_gains", lambda binding: [["kd at q"]])
             assert gains.better_gains(decider, np.zeros(1)) is None
