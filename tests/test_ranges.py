@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import jaxid
 from jaxid.numerics.drawn import beside_the_others, draws
-from jaxid.robots.export.outcome import Number, Outcome
+from jaxid.robots.export.outcome import Number, Outcome, outcome as read
 from jaxid.robots.export.ranges import ranges_of
+from jaxid.serialise import finite
 
 
+DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 NAMES = ("damping@steer", "kd@steer")
 #: Damping stands at its bound of 0; the sum of both is known, and neither alone.
 SUM, KNOWN, OPEN = 0.07, 1e-3, 0.03
@@ -68,3 +74,20 @@ def test_where_hardly_any_draw_is_within_the_bounds_there_are_fewer():
 
 def test_beside_the_others_a_number_is_known_as_well_as_the_sum():
     assert beside_the_others(SHARED) == pytest.approx([KNOWN] * 2, rel=0.01)
+
+
+@pytest.mark.slow
+def test_draws_of_a_recording_keep_what_it_tells_of_damping_and_kd():
+    """Its covariance at a bound: true are kp 8, kd + damping 0.07, and only ratios are known."""
+    folder = DATA.parent / "cases" / "robot3_covariance_at_bound"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not here")
+    found = jaxid.diagnose(None, jaxid.load_dataset(folder))
+    content = json.loads(json.dumps(finite(found.to_dict())))
+    table = ranges_of(read(content), "mjlab").table
+    column = dict(zip(table["draws"]["names"], np.array(table["draws"]["values"]).T, strict=True))
+    braked = (column["kd@steer"] + column["damping@steer"]) / column["kp@steer"] * 8.0
+    assert np.mean(braked) == pytest.approx(0.07, abs=0.005) and np.std(braked) < 0.02
+    assert np.ptp(column["damping@steer"]) > 0.05  # open is how the two share it
+    R = np.array(table["correlation"]["matrix"], float)
+    assert np.linalg.eigvalsh(R)[0] > -1e-9
