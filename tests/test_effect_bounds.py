@@ -21,6 +21,16 @@ from jaxid.dynamics.parameter import Reference, resolve, specs
         ("lugre_friction", "presliding", None, 0.1),  # bristles give, rad or m; more is a spring
         ("lugre_friction", "relaxation", None, 0.01),
         ("sensor_lag", "lag", None, 0.1),  # a slower filter shows no motion
+        ("flexible_mode", "damping_ratio", None, 0.7072),  # with more it does not swing
+        ("geometric_stiffening", "share", 0.0, None),  # what softens is no stiffening
+        ("actuator_curve", "low", -1.0, None),  # monotone: no slope below zero
+        ("actuator_curve", "middle", -1.0, None),
+        ("actuator_curve", "high", -1.0, None),
+        ("power_law_friction", "coefficient", 0.0, None),  # no friction drives
+        ("power_law_friction", "exponent", 0.01, 2.0),
+        ("reflected_inertia", "inertia", 0.0, None),
+        ("base_motion", "share", 0.0, None),
+        ("step_change", "time", 0.0, None),
     ],
 )
 @pytest.mark.parametrize("angle", [0.1, 2.0, 300.0])
@@ -38,3 +48,12 @@ def test_a_ripple_repeats_within_the_travel(travel):
     order = specs(catalogue.effect_class("torque_ripple"))["order"]
     reference = Reference(torque=1.0, speed=1.0, angle=travel, duration=8.0, step=0.01)
     assert resolve(order.lower, reference) * travel / (2 * np.pi) > 0.999, "one period at least"
+
+
+@pytest.mark.parametrize(
+    "effect, other", [("actuator_lag", "filter in the sensor"), ("sensor_lag", "a drive")]
+)
+def test_a_lag_says_that_one_at_the_other_end_looks_alike(effect, other):
+    """Where only one place of the way from command to reading is seen."""
+    kind = catalogue.effect_class(effect)
+    assert other in kind.check and "looks alike" in kind.check

@@ -9,10 +9,22 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from jaxid.conventions import decide
+from jaxid.diagnosis import selection, where
+from jaxid.diagnosis.goals import gains
+from jaxid.diagnosis.goals.as_stated import Alone, Difference
+from jaxid.diagnosis.goals.floor import Between, not_this_file
+from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.how_far import closed, not_measured
 from jaxid.diagnosis.hypothesis import Search
-from jaxid.diagnosis.result import HowFar, Which
+from jaxid.diagnosis.result import HowFar, Regime, Which
+from jaxid.diagnosis.selection import indistinct
+from jaxid.diagnosis.torque import run as torque_run
+from jaxid.diagnosis.torque.algebra import Gram, Known
+from jaxid.diagnosis.torque.answer import Answer
+from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.verdict import astray, Gaps, judge, upheld, Verdict
+from jaxid.fitting import ending, lost_runs
 from jaxid.fitting.result import Estimate, Score
 from jaxid.fitting.scores import lost
 from jaxid.fitting.stated import sentence_of
@@ -120,3 +132,259 @@ def test_a_stated_number_is_not_judged_by_what_is_no_number(bad):
         and apart(1.0, 1.1, 0.0) is None
     )
     assert apart(1.0, 1.1, 0.1) == pytest.approx(-1.0)
+
+
+# ---- searches, endings and places
+
+
+BAD_LOSSES = [(bad, 1.0) for bad in NONE] + [(1.0, bad) for bad in NONE]
+
+
+@pytest.mark.parametrize("losses", BAD_LOSSES)
+def test_what_has_no_loss_passes_for_nothing_and_is_told_from_nothing(losses):
+    plain, broken = hypothesis(1.0, 1.0, "drag at q"), hypothesis(*losses, "drag at q")
+    assert not indistinct(plain, broken) and indistinct(broken, plain)
+
+
+@pytest.mark.parametrize("losses", BAD_LOSSES)
+def test_no_effect_is_significant_by_what_is_no_number(losses):
+    def made(fit_loss: float, loss: float, *effects: str) -> Any:
+        h = hypothesis(fit_loss, loss, *effects)
+        h.fit_inflation = 1.0
+        return h
+
+    broken = made(*losses, "drag at q")
+    with pytest.MonkeyPatch.context() as patch:
+        worth = lambda after, before, factor: before.loss - after.loss
+        patch.setattr(selection, "worth", worth)
+        patch.setattr(selection, "inflation", lambda held: 1.0)
+        assert not selection.significant(made(50.0, 50.0), broken)
+        assert not selection.equals(cast(Any, None), made(50.0, 50.0), [broken])
+
+
+def chooser(held: np.ndarray) -> Chooser:
+    """A search over two units beside one number; `held` [blocks 4 4] products of held-out runs."""
+    *columns, noise = np.random.default_rng(0).standard_normal((4, 400))
+    rows = np.column_stack([*columns, columns[0] + 2 * columns[1] + 0.1 * noise])
+    fit = np.stack([part.T @ part for part in np.split(rows, 8)])
+    every: Any = [
+        SimpleNamespace(effect=e, joints=(0,), fields=("x",), hidden=(), shape={}, place=(e, "q"))
+        for e in ("one", "two")
+    ]
+    for u in every:
+        u.spread, u.least = np.full(1, np.inf), np.full(1, -np.inf)
+    gram_of = lambda blocks: Gram(blocks, np.zeros(len(blocks), int), 400.0, False)
+    wide = np.full(3, np.inf)
+    return Chooser(
+        units=every,
+        size=1,
+        fit=gram_of(fit),
+        held=gram_of(fit if held is None else held),
+        known=Known(np.zeros((3, 3)), np.zeros(3)),
+        start=np.zeros(3),
+        lower=-wide,
+        upper=wide,
+        most=2,
+    )
+
+
+@pytest.mark.parametrize("bad", NONE)
+def test_a_set_that_leaves_no_number_of_the_held_out_runs_is_no_model(bad):
+    good = chooser(cast(Any, None))
+    assert good.run().units == (0,)
+    blocks = good.fit.blocks.copy()
+    blocks[3, 1, :] = blocks[3, :, 1] = bad
+    assert chooser(blocks).run().units == ()
+    everywhere = np.full_like(blocks, bad)
+    assert chooser(everywhere).run().units == ()
+
+
+@pytest.mark.parametrize("bad", NONE)
+def test_rows_of_torque_that_are_no_numbers_are_not_at_the_noise(bad):
+    run = SimpleNamespace(moves=np.ones(1, bool))
+    study = SimpleNamespace(runs=[run], noise_of=lambda k: np.ones((5, 1)))
+    made = Answer(cast(Any, study), cast(Any, None), np.zeros(0, int), np.zeros(0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Answer, "residual", lambda self, k: np.full((5, 1), bad))
+        assert made.gap([0]) == np.inf
+    run.moves[:] = False  # what does not move says nothing
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Answer, "residual", lambda self, k: np.full((5, 1), bad))
+        assert np.isnan(made.gap([0]))
+
+
+DRAG = SimpleNamespace(effect="quadratic_drag")
+
+
+def torque_answer(gap: dict[int, float], units: tuple[Any, ...] = ()) -> Any:
+    return SimpleNamespace(gap=lambda which, joint=None: gap[which[0]], units=units)
+
+
+@pytest.mark.parametrize("bad", NONE)
+@pytest.mark.parametrize("at", range(4))
+@pytest.mark.parametrize("different", [False, True])
+def test_no_verdict_by_torque_rests_on_what_is_no_number(bad, at, different):
+    """Gaps of the model without and with effects, in the runs that were fitted and those that were
+    not: one is no number, and the others speak for a name.
+    """
+    values = [1.0, 50.0, 1.0, 10.0]
+    values[at] = bad
+    judged, study = torque_run._judged, cast(Any, None)
+    nominal = torque_answer({0: values[0], 1: values[1]})
+    final = torque_answer({0: values[2], 1: values[3]}, (DRAG,))
+    found: Any = SimpleNamespace(
+        nominal=nominal, final=final, choose=[1], judge=[], fit=[0], base=None, different=different
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torque_run, "_astray", lambda study, answer: ())
+        told = judged(study, found)
+        assert told.name in ("unknown", "partly")
+        assert told.name == "unknown" or values[1] > values[3]
+        if np.isinf(bad):  # nan is a set of runs in which nothing moves, and says nothing
+            found.nominal = found.final = torque_answer({0: 1.0, 1: bad})
+            assert judged(study, found).name == "unknown"
+
+
+@pytest.mark.parametrize("bad", NONE)
+def test_a_force_that_is_no_number_lies_nowhere(bad):
+    force, null = np.ones((50, 1)), np.full((4, 50, 1), 0.1)
+    force[7] = bad
+    found: Any = SimpleNamespace(force=force, null=null, keep=np.ones(50, bool))
+    signature = SimpleNamespace(joints=("q",), outputs=(("q", "rad"),), unit=lambda text: "N m")
+    bench: Any = SimpleNamespace(
+        binding=SimpleNamespace(chain=SimpleNamespace(signature=signature))
+    )
+    row = Regime("q", "high_speed", bad, (0.9, 1.1), 30)
+    assert where.findings(bench, [found], [row], {}, (), {}) == []
+    after: Any = SimpleNamespace(force=np.zeros((50, 1)), null=null)
+    given = where.supplied([found], [after], 0)
+    assert given is None or where.findings(bench, [found], [row], {}, (), {"q": given}) == []
+
+
+@pytest.mark.parametrize("bad", NONE)
+def test_a_loss_that_is_no_number_is_no_end(bad):
+    problem: Any = SimpleNamespace(
+        loss_name="sum_of_squares",
+        free=np.arange(1),
+        size=1,
+        data=SimpleNamespace(count=np.array([10])),
+    )
+    found: Any = SimpleNamespace(loss=bad, stopped_because="tolerance", converged=True)
+    cov: Any = SimpleNamespace(at_bound=np.zeros(1, bool), identifiable=np.ones(1, bool))
+    end = ending.ending(problem, found, cov)
+    assert end.state == "failed" and "no number" in end.because
+    assert not ending.gain(problem, 5.0, bad) > ending.MATERIAL
+
+
+@pytest.mark.parametrize("bad", NONE)
+@pytest.mark.parametrize("first", [True, False])
+def test_a_free_run_that_is_no_number_is_astray(bad, first):
+    scores = {"q": Score(0.1, 0.1, 0.01, "rad"), "w": Score(bad, bad, bad, "rad")}
+    ordered = dict(sorted(scores.items(), reverse=first))
+    assert lost_runs._off(cast(Any, SimpleNamespace(scores={"fit": ordered}))) == np.inf
+
+
+@pytest.mark.parametrize("bad", NONE)
+def test_a_run_beside_which_another_diverges_grows_without_end(bad):
+    signature = SimpleNamespace(outputs=(("q", "rad"),), joints=("q",))
+    mechanism = SimpleNamespace(hidden_states=False)
+    chain = SimpleNamespace(signature=signature, mechanism=mechanism, nq=1)
+    binding = SimpleNamespace(chain=chain, motions={"a": 1}, experiments=lambda split: [1])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lost_runs, "estimate_starts", lambda *a: np.zeros((1, 1, 2)))
+        runs = [[np.zeros((5, 1))], [np.full((5, 1), bad)]]
+        patch.setattr(lost_runs, "free_runs", lambda *a: runs)
+        bench: Any = SimpleNamespace(binding=binding)
+        assert lost_runs.growth(bench, np.zeros(1)) == np.inf
+        said = lost_runs._lost(
+            bench, cast(Any, SimpleNamespace(theta=0)), cast(Any, SimpleNamespace(theta=0))
+        )
+        assert "diverges" in said and "inf" not in said
+
+
+@pytest.mark.parametrize("bad", NONE)
+def test_no_reading_is_claimed_by_what_is_no_number(bad):
+    """What the model leaves of the recording, or what noise does."""
+    fitted = lambda worst: SimpleNamespace(worst=worst, left=worst)
+    for worst, noise in ((bad, 0.01), (0.5, bad)):
+        fit: Any = SimpleNamespace(noise=lambda *a, n=noise: n, driven=True)
+        told = decide._claimed(
+            binding=cast(Any, None),
+            fit=fit,
+            m=cast(Any, None),
+            names=cast(Any, None),
+            many=False,
+            plain=cast(Any, fitted(worst)),
+            beside=cast(Any, fitted(worst)),
+            laws=False,
+        )
+        assert told is None
+
+
+@pytest.mark.parametrize("bad", NONE)
+def test_under_goals_nothing_is_decided_by_what_is_no_number(bad):
+    decider = Decider(cast(Any, None), ["a"])
+    for losses in ((bad, 1.0), (1.0, bad)):
+        assert not decider.at_noise(cast(Any, hypothesis(*losses)))
+    between = Between([np.full((5, 1), bad)], np.array([bad]))
+    one: Any = SimpleNamespace(
+        sigma=np.ones(1), experiments=lambda split: [SimpleNamespace(t=np.arange(5))]
+    )
+    taken = Difference({"fit": between}, np.zeros(1), np.zeros(1))
+    assert not taken.accounts(one)
+    assert not_this_file(one, between, np.array([1.0])) == ""
+    assert not_this_file(one, Between([], np.array([1.0])), np.array([np.nan])) == ""
+
+
+@pytest.mark.parametrize("bad", NONE)
+def test_gains_that_leave_no_number_are_not_better(bad):
+    plain = hypothesis(50.0, 50.0)
+    for losses in ((bad, 1.0), (1.0, bad)):
+        other = hypothesis(*losses, "kd at q")
+        other.fit_inflation = 1.0
+        decider: Any = SimpleNamespace(
+            bench=SimpleNamespace(binding=SimpleNamespace(theta=np.zeros(1))),
+            refit=lambda effects, *a, o=other: o if effects else plain,
+        )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(gains, "sets_of_gains", lambda binding: [["kd at q"]])
+            assert gains.better_gains(decider, np.zeros(1)) is None
+
+
+def alone(own: set[int]) -> Alone:
+    made = Alone.__new__(Alone)
+    made.own, made.theta = frozenset(own), np.zeros(3)
+    return made
+
+
+def refitted(H: np.ndarray, z: np.ndarray, index: tuple[int, ...] = ()) -> Any:
+    problem = SimpleNamespace(free=np.arange(3), z=lambda theta: theta.copy())
+    path = SimpleNamespace(problem=problem, hessian=H, z=z, count=1000)
+    return SimpleNamespace(
+        effects=[SimpleNamespace(index=index)] if index else [],
+        index=index,
+        path=path,
+        fit_inflation=1.0,
+    )
+
+
+def test_numbers_are_told_from_what_they_were_by_what_each_costs():
+    """log(1000) = 6.9 chi-square units: 2.6 standard deviations, of each beside the others."""
+    z = np.array([3.0, 2.0, 0.0])
+    assert alone({0, 1, 2}).told(refitted(np.eye(3), z)) == [0]
+    assert alone({0, 1, 2}).told(refitted(100 * np.eye(3), z)) == [0, 1]
+    assert alone({0}).told(refitted(100 * np.eye(3), z)) == [0]  # numbers of the file alone
+    assert alone({0}).told(refitted(100 * np.eye(3), z, (1,))) == [1]  # or what was changed
+    tied = 100 * (np.eye(3) + 0.999 * (np.ones((3, 3)) - np.eye(3)))
+    assert alone({0, 1, 2}).told(refitted(tied, 0.3 * z)) == []  # only their sum is known
+    worse = refitted(100 * np.eye(3), z)
+    worse.fit_inflation = 100.0
+    assert alone({0, 1, 2}).told(worse) == [0]
+
+
+@pytest.mark.parametrize("bad", NONE)
+def test_no_number_is_told_by_what_is_none(bad):
+    H = 100 * np.eye(3)
+    H[1, 1] = bad
+    assert alone({0, 1, 2}).told(refitted(H, np.full(3, 3.0))) == []
+    assert alone({1}).told(refitted(100 * np.eye(3), np.full(3, np.nan))) == []

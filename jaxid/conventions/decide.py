@@ -110,7 +110,9 @@ def _claimed(
     recorded = beside if laws else plain
     before = recorded.worst + FLOOR
     few = m.thinned(FEW) if many else m
-    if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(recorded, binding, few) + FLOOR):
+    if not np.isfinite(before) or before <= 2 * FLOOR:
+        return None
+    if not before > ALIKE * (fit.noise(recorded, binding, few) + FLOOR):
         return None
     tried: list[Judged] = []
     for readings in _readings(names, fit.driven):
@@ -157,6 +159,8 @@ def _claimed(
             return None
         others |= {"another channel" for t in same if t.reading.channels != best.reading.channels}
     left = fit.fit(change(m), laws)
+    if not np.isfinite([value, left.worst, left.left]).all():
+        return None
     closes = max(best.left, left.worst + FLOOR) <= GONE * before  # with its known value, too
     # Beside any law it has to be the whole answer: what has another cause goes some way by many a
     # reading. It has to show in what is fitted, too: held-out motion alone tells how laws that the

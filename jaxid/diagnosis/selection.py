@@ -78,9 +78,8 @@ def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> lis
     """Those of the refits that say more than `before` and that the best of them does not beat
     decisively.
     """
-    found = [
-        h for h in found if np.isfinite(h.fit_loss)
-    ]  # a run that diverges says nothing, and has no place in an order
+    # A run that diverges says nothing, and has no place in an order.
+    found = [h for h in found if np.isfinite(joint_loss(h))]
     good = lambda h: significant(before, h)  # dear, so that it is asked last
     both = lambda h: (
         h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
@@ -123,8 +122,12 @@ def simpler(bench: Bench, before: Hypothesis, h: Hypothesis, top: Hypothesis) ->
 
 def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
     """Whether neither the validation runs nor these and the fit runs together tell `h` from the
-    chosen hypothesis.
+    chosen hypothesis. One whose losses are no numbers is told from nothing, and passes for nothing.
     """
+    if not np.isfinite(joint_loss(h)):
+        return False
+    if not np.isfinite(joint_loss(chosen)):
+        return True
     factor = inflation(chosen.validation)
     both = (
         (joint_loss(h) - joint_loss(chosen))

@@ -151,8 +151,8 @@ def findings(
     energy_of = lambda j, masks: _excess(found, j, masks, given.get(joints[j]))
     looked = [j for j, joint in enumerate(joints) if joint in only or not only]
     total = sum(energy_of(j, None) for j in looked)
-    if not total > 0:
-        return []  # no more than noise
+    if not 0 < total < np.inf:
+        return []  # no more than noise, or no number
     out = []
     for j in looked:
         joint = joints[j]
@@ -301,6 +301,8 @@ def output_findings(
             )
             window = (float(e.t[k]), float(e.t[until[k] - 1]))
             above = rms / float(b.sigma[c])
+            if not np.isfinite(above):
+                continue  # a run that diverges is worst nowhere
             cause = (causes or {}).get(name)
             seen = f"{words(cause, 'seen')}; " if cause and words(cause, "seen") else ""
             text = f"{name}: {seen}the free run is worst {during(window, e)} ({number(rms)} {unit} rms)"

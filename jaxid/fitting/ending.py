@@ -236,6 +236,8 @@ def ending(
             "failed",
             f"all numbers ended at their bounds ({found.stopped_because}): {_wider(problem)}",
         )
+    if not np.isfinite(found.loss):
+        return Ending("failed", f"the loss is no number ({found.stopped_because})")
     if not found.loss <= LOST and not cov.identifiable[own].any():
         return Ending(
             "failed",

@@ -107,7 +107,9 @@ def growth(bench: Bench, theta: np.ndarray) -> float:
             for run in moved
             for y, y0 in zip(run, base, strict=True)
         ]
-        largest = max(largest, float(np.nanmax(apart)) / DIFFERENCE)
+        if not np.isfinite(apart).all():  # one that diverges has no end
+            return float("inf")
+        largest = max(largest, float(np.max(apart)) / DIFFERENCE)
     return largest
 
 
@@ -175,12 +177,16 @@ def _doubtful(bench: Bench, fit: Fit) -> bool:
 
 
 def _off(fit: Fit) -> float:
-    return max((s.nrmse for s in fit.scores.get("fit", {}).values()), default=0.0)
+    every = [s.nrmse for s in fit.scores.get("fit", {}).values()]
+    known = np.isfinite(every).all()
+    return float(np.max(every, initial=0.0)) if known else float("inf")
 
 
 def _lost(bench: Bench, fit: Fit, windows: Fit) -> str:
     """Why the free run is not what is compared, nothing where it may be."""
     grown = max(growth(bench, theta) for theta in (fit.theta, windows.theta))
+    if not np.isfinite(grown):
+        return "a free run diverges from a start beside its own"
     if grown > SENSITIVE:
         return (
             f"a difference at the start of a run grows {grown:.2g} times within it, and the free run could be followed to "

@@ -11,6 +11,8 @@ import numpy as np
 
 from jaxid.data.dataset import ModelSpec
 from jaxid.dynamics.base_parameters import BaseParameters
+from jaxid.fitting.result import Covariance, Estimate
+from jaxid.fitting.stated import judged, Stated
 from jaxid.identification.regression import Law, Run, torques
 from jaxid.numerics.stated_numbers import apart
 from jaxid.wording import listed, number, percent
@@ -44,6 +46,7 @@ def answered(
         for name, value in known.items()
         if name in (*base.standard, *result.names)
     ]
+    rows = _together(rows, result, plain=True)
     rows.sort(key=lambda row: -abs(row["deviation"] or 0.0))
     said = [row["text"] for row in rows if abs(row["deviation"] or 0.0) > MANY]
     return {"stated": tuple(rows), "answers": tuple(said)}
@@ -164,7 +167,27 @@ def beside_the_file(
         "with the file as it stands the torque is off by "
         + listed([f"{percent(w)} at {name}" for name, w in zip(result.labels, worst, strict=True)]),
     ]
+    rows = _together(rows, result, plain=False)
     return {"stated": tuple(rows), "per_joint": tuple(joints), "answers": tuple(said)}
+
+
+def _together(rows: Sequence[dict[str, Any]], result: Any, plain: bool) -> list[dict[str, Any]]:
+    """The rows, those that were identified judged all together by their one covariance: see
+    `jaxid.fitting.stated.judged`.
+    """
+    at = {name: i for i, name in enumerate(result.names)}
+    told = {at[r["parameter"]]: r for r in rows if r["fitted"] is not None and r["std"]}
+    std = result.std()
+    found = {
+        i: Estimate(float(result.theta[i]), float(std[i]), result.units[i], -np.inf, np.inf)
+        for i in range(len(result.names))
+    }
+    size = len(result.names)
+    covariance = Covariance(tuple(result.names), np.asarray(result.covariance)[:size, :size])
+    each = {i: Stated(**row) for i, row in told.items()}
+    new = judged(each, result.names, found, covariance, plain)
+    others = [r for r in rows if at.get(r["parameter"], -1) not in told]
+    return [*(s.to_dict() for s in new), *others]
 
 
 def _first_moments(rows: Sequence[dict[str, Any]], n: int, regrouped: dict[str, bool]) -> list[str]:

@@ -136,10 +136,14 @@ class ActuatorLag(InputEffect):
 
     name: ClassVar[str] = "actuator_lag"
     equation: ClassVar[str] = "lag du'/dt = u - u'"
-    signature: ClassVar[str] = "phase lag and loss of gain towards high frequency"
+    signature: ClassVar[str] = (
+        "phase lag and loss of gain towards high frequency, alike in all that the drive moves; "
+        "with one reading, that of a filter in the sensor"
+    )
     source: ClassVar[str] = "textbook; exact solution for a held input, mean over the step"
     excitation: ClassVar[str] = (
-        "one multisine with energy up to ten times the bandwidth: a lag bends the phase, a delay does not"
+        "one multisine with energy up to ten times the bandwidth: a lag bends the phase, a delay "
+        "does not; with the drive's own current or a second sensor, for a sensor lags alike"
     )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "wherever the command changes faster than in {lag}"
@@ -147,7 +151,8 @@ class ActuatorLag(InputEffect):
         "The drive answers late: it follows its command with a time constant of {lag}."
     )
     check: ClassVar[str] = (
-        "Look at the step response of the current; the bandwidth of the current loop or a valve."
+        "Look at the step response of the current; the bandwidth of the current loop or a valve; "
+        "a filter in the sensor looks alike."
     )
     stands_for: ClassVar = StandsFor("lag", "lag", fitted="timeconst")
     export_law: ClassVar = ExportLaw("command", memory=LAG)

@@ -17,6 +17,8 @@ from jaxid.numerics.fast_math import sincos
 
 #: Inertia that the drive's torque would swing over the travel at the speed seen.
 INERTIA = TORQUE * ANGLE / (SPEED * SPEED)
+#: Damping ratio from which on a mode has no resonance: 1 / sqrt(2).
+RINGS = 0.7071
 
 
 @runtime_checkable
@@ -157,7 +159,7 @@ class SpringTorque(JointEffect):
         20 * TORQUE / ANGLE,
         scale=0.05 * TORQUE / ANGLE,
         unit="{F}/{X}",
-        meaning="stiffness of the spring",
+        meaning="stiffness of the spring; below zero it pushes away, as a counterbalance does",
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"stiffness": 0.02 * TORQUE / ANGLE},
@@ -204,7 +206,13 @@ class FlexibleMode(JointEffect):
         log=True,
     )
     damping_ratio: Array = param(
-        0.03, 1e-3, 1.0, scale=0.01, unit="1", meaning="damping ratio with the joint held", log=True
+        0.03,
+        1e-3,
+        RINGS,
+        scale=0.01,
+        unit="1",
+        meaning="damping ratio with the joint held; with more nothing resounds",
+        log=True,
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
         {"inertia": 0.1 * INERTIA, "frequency": ratio * SPEED / ANGLE, "damping_ratio": 0.05}
@@ -382,9 +390,7 @@ class GeometricStiffening(BodyEffect):
     plain: ClassVar[str] = "The beam stiffens as it turns; the model leaves that out."
     check: ClassVar[str] = "Nothing is wrong with the machine: add the term to the simulator."
     export_law: ClassVar = "a property of a flexible link, which this format does not have"
-    share: Array = param(
-        0.0, -0.5, 3.0, scale=0.1, unit="1", meaning="1: all of the tension counts"
-    )
+    share: Array = param(0.0, 0.0, 1.5, scale=0.1, unit="1", meaning="1: all of the tension counts")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
 
     def __call__(self, mechanism):

@@ -174,7 +174,7 @@ class Alone:
                 own.append(Candidate(kind, place, (wide.layout.index(self.names[i]),)))
             if own:
                 out.append(self.decider.refit(own, theta, self.stands.path))
-        out = [h for h in out if np.isfinite(h.fit_loss)]
+        out = [h for h in out if np.isfinite(joint_loss(h))]
         if out and not any(map(self.decider.at_noise, out)):
             nearest = min(out, key=joint_loss)
             out = [self.decider.polished(h) if h is nearest else h for h in out]
@@ -239,6 +239,8 @@ class Alone:
         at = [k for k, i in enumerate(p.free) if i in changed]
         if H is None or not at:
             return [int(p.free[k]) for k in at]
+        if not np.isfinite(H).all():
+            return []
         size = np.sqrt(np.maximum(np.diag(H), 1e-300))
         variance = np.diag(np.linalg.pinv(H / size / size[:, None], hermitian=True)) / size**2
         d = h.path.z[at] - p.z(self.theta)[at]

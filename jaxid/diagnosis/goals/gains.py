@@ -91,7 +91,7 @@ def better_gains(decider: Decider, theta: np.ndarray) -> Hypothesis | None:
     binding = decider.bench.binding
     nominal = decider.refit((), theta)
     tried = [decider.refit(own, binding.theta, nominal.path) for own in sets_of_gains(binding)]
-    good = [h for h in tried if np.isfinite(h.fit_loss) and _closed(nominal, h) >= LIMITS.partly]
+    good = [h for h in tried if np.isfinite(joint_loss(h)) and _closed(nominal, h) >= LIMITS.partly]
     return min(good, key=_evidence, default=None)
 
 

@@ -122,7 +122,7 @@ class Decider:
         good = [
             h
             for h in tried
-            if np.isfinite(h.fit_loss) and significant(nominal, h) and h.fit_loss < limit
+            if np.isfinite(joint_loss(h)) and significant(nominal, h) and h.fit_loss < limit
         ]
         if not good:
             return Search(nominal, nominal, tried)
@@ -187,6 +187,8 @@ class Decider:
         if at is None or self.between is None or at.names != p.names:
             return np.inf
         apart = self._weighed(p)
+        if not all(np.isfinite(x).all() for x in (at.J, at.r, apart)):
+            return np.inf
         A = np.column_stack([at.J, apart])
         size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         by = -np.linalg.lstsq(A / size, at.r, rcond=1e-10)[0] / size
@@ -249,7 +251,7 @@ class Decider:
         """
         p, H, b = h.path.problem, h.path.hessian, self.bench.binding
         at = [k for k, i in enumerate(p.free) if i in c.index and not b.layout.log[i]]
-        if H is None or not at:
+        if H is None or not at or not np.isfinite(H).all():
             return False
         others = [k for k in range(len(H)) if k not in at]
         S = (

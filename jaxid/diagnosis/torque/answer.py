@@ -21,7 +21,7 @@ from jaxid.diagnosis.torque.library import BODY, Unit
 from jaxid.diagnosis.torque.study import Rows, Study
 from jaxid.dynamics.parameter import resolve, specs
 from jaxid.fitting.problem_builder import Bench
-from jaxid.fitting.result import EffectEstimate, Estimate, Score, Trace
+from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Score, Trace
 from jaxid.fitting.scores import score
 from jaxid.identification.payload import NO_MASS, usual_gain_std
 from jaxid.wording import listed, percent, times
@@ -54,7 +54,7 @@ class Answer:
 
     def gap(self, which: Sequence[int], joint: int | None = None) -> float:
         """Root mean square of what it leaves of some runs in multiples of the noise, over joints
-        that move; nan for none.
+        that move; nan for none, infinite where what it leaves is no number.
         """
         total, count = 0.0, 0
         for k in which:
@@ -62,7 +62,9 @@ class Answer:
             inside &= True if joint is None else np.arange(len(inside)) == joint
             r = (self.residual(k) / self.study.noise_of(k))[:, inside]
             total, count = total + float(np.sum(r**2)), count + r.size
-        return float(np.sqrt(total / count)) if count else float("nan")
+        if not count:
+            return float("nan")
+        return float(np.sqrt(total / count)) if np.isfinite(total) else float("inf")
 
     def rms(self, which: Sequence[int], joint: int) -> float:
         """Root mean square of what it leaves at a joint, N m, each row counted by how well it is
@@ -87,8 +89,10 @@ def of_model(study: Study, rows: Rows, model: Model) -> Answer:
 
 def estimates(
     study: Study, chooser: Chooser, model: Model
-) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
-    """Numbers of the nominal model, and effects with theirs."""
+) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...], Covariance]:
+    """Numbers of the nominal model, effects with theirs, and the covariance of the former as far
+    as the data determine them.
+    """
     s, b = model.solution, study.binding
     covariance, determined = s.spread
     dof = max(1, chooser.fit.rows - len(s.at))
@@ -118,7 +122,10 @@ def estimates(
         at = slice(first, first + len(unit.fields))
         first = at.stop
         effects.append(_effect(study, unit, s.theta[at], covariance[at, at] * level, s.bound[at]))
-    return own, tuple(effects)
+    sure = [k for k, e in enumerate(own.values()) if e.std is not None]
+    names = list(own)
+    matrix = covariance[np.ix_(sure, sure)] * level
+    return own, tuple(effects), Covariance(tuple(names[k] for k in sure), matrix)
 
 
 def _effect(

@@ -98,15 +98,18 @@ class Chooser:
         return np.concatenate([np.arange(self.size), *(self.columns[u] for u in sorted(units))])
 
     def model(self, units: Iterable[int]) -> Model | None:
-        """None where an effect would have to act the wrong way round."""
+        """None where an effect would have to act the wrong way round, or what it leaves is no
+        number.
+        """
         key = frozenset(units)
         if key not in self._models:
             s = solve(self.fit.total, self.at(key), self.known, self.start, self.lower, self.upper)
             # A number of an effect that its bound holds at nothing is one that is not there.
             dead = bool(key) and any(np.all(s.theta[self._own(key, u)] == 0) for u in key)
-            self._models[key] = (
-                None if dead else Model(tuple(sorted(key)), s, self.held.losses(s.at, s.theta))
-            )
+            held = self.held.losses(s.at, s.theta)
+            sure = not key or np.isfinite([s.cost, *held]).all()
+            found = Model(tuple(sorted(key)), s, held)
+            self._models[key] = found if sure and not dead else None
             if self._models[key] is not None:
                 self.tried.append(self._models[key])  # type: ignore[arg-type]
         return self._models[key]

@@ -42,7 +42,7 @@ from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.model_file import sha256_of
 from jaxid.fitting.assemble import fitted_chain
 from jaxid.fitting.fitter import Progress
-from jaxid.fitting.result import EffectEstimate, Estimate, Fit
+from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Fit
 from jaxid.fitting.scores import lost
 from jaxid.fitting.stated import stated_numbers
 from jaxid.identification.payload import usual_gain_std
@@ -181,7 +181,10 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
     if not chosen.units:
         return None
     final = of_model(study, own, chosen)
-    if base.units and final.gap(found.judge) > LIMITS.left * max(1.0, base.gap(found.fit)):
+    inside, outside = base.gap(found.fit), final.gap(found.judge)
+    if not np.isfinite([inside, outside]).all():
+        return None
+    if base.units and outside > LIMITS.left * max(1.0, inside):
         return None
     nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
     return Found(
@@ -254,7 +257,8 @@ def _judged(study: Study, found: Found) -> Verdict:
     share = min(closed(b**2, a**2) for b, a in zip(before, after, strict=True))
     # Where the question is what differs, what the model leaves of the runs that it was fitted to is
     # what repeats would differ by.
-    least = max(1.0, nominal.gap(found.fit)) if found.different else 1.0
+    fitted = nominal.gap(found.fit)
+    least = max(1.0, fitted) if found.different and np.isfinite(fitted) else 1.0
     held = HeldOut(
         names, share, max(after), found.different, fitted=least if least > LIMITS.seen else 0.0
     )
@@ -287,10 +291,10 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
     verdict, claimed = judged.name, judged.claims
     final = found.final if claimed else found.nominal
     which = found.judge or found.choose or found.fit
-    own, effects = estimates(study, found.chooser, found.chosen)
+    own, effects, spread = estimates(study, found.chooser, found.chosen)
     if found.base is not None:  # beside what all runs have
         effects = (*estimates(study, found.base.chooser, found.base.chosen)[1], *effects)
-    plain, _ = estimates(study, found.chooser, found.chooser.nominal)
+    plain, _, plain_spread = estimates(study, found.chooser, found.chooser.nominal)
     before, note = _before(study, found.nominal)
     bound = None
     if verdict in ("unknown", "partly"):
@@ -326,8 +330,10 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
         [found.chooser.units[k] for k in found.chooser.confusable(found.chosen)] if claimed else []
     )
     named = effects if claimed else ()
-    nominal_fit = _fit(study, found.nominal, plain, (), seed, began)
-    final_fit = _fit(study, final, own if claimed else plain, named, seed, began)
+    nominal_fit = _fit(study, found.nominal, plain, plain_spread, (), seed, began)
+    final_fit = nominal_fit
+    if claimed:
+        final_fit = _fit(study, final, own, spread, named, seed, began)
     label = "with " + " and ".join(str(e) for e in named) if named else ""
     ranked = ranking(
         study,
@@ -383,6 +389,7 @@ def _fit(
     study: Study,
     answer: Answer,
     own: dict[str, Estimate],
+    spread: Covariance,
     effects: tuple[EffectEstimate, ...],
     seed: int,
     began: float,
@@ -420,7 +427,8 @@ def _fit(
         notes=tuple(notes),
         theta=theta,
         simulation="inverse_dynamics",
-        stated=stated_numbers(b, at),
+        stated=stated_numbers(b, at, spread),
+        covariance=spread,
         chain=fitted_chain(b, theta, ()),
         model_sha256=sha256_of(b.chain.mechanism),
     )

@@ -2,7 +2,9 @@
 interval, correlations.
 
 Together they are one distribution, that of the covariance of the result. Where a number stands at
-its bound, its interval and those of the numbers that trade for it go to one side.
+its bound, its interval and those of the numbers that trade for it go to one side. What is known of
+a sum or a ratio only holds where numbers are drawn together: `draws` are such. Events of a
+framework draw each number by itself; theirs are what each may be beside the others as written.
 """
 
 from __future__ import annotations
@@ -13,12 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.numerics.drawn import beside_the_others, draws
 from jaxid.numerics.truncated import positive
 from jaxid.robots.export.outcome import Number, Outcome
 
 
 #: Standard deviations to either side of a 95 % interval of a normal distribution.
 NORMAL_95 = 1.959963984540054
+#: Draws of all numbers together, and the digits that each is written with.
+DRAWS, DIGITS = 200, 7
 #: Numbers that are not negative.
 POSITIVE = (
     "damping",
@@ -43,9 +48,9 @@ class Ranges:
     notes: tuple[str, ...] = ()
 
 
-def ranges_of(found: Outcome, to: str) -> Ranges:
+def ranges_of(found: Outcome, to: str, written: Outcome | None = None) -> Ranges:
     """The ranges of a result's numbers. Numbers that the data do not determine have none, and are
-    listed.
+    listed. `written`: the result with the numbers as they go into a file.
     """
     numbers = {k: n for k, n in found.parameters.items()}
     if found.kind == "identification":
@@ -68,10 +73,56 @@ def ranges_of(found: Outcome, to: str) -> Ranges:
         "numbers": rows,
         "not_determined": left,
         "correlation": {"names": names, "matrix": correlation},
+        "draws": _draws(found, {name: numbers[name] for name in rows}),
     }
     notes = () if names else ("the result holds no covariance: numbers are taken as independent",)
     own = OWN.get(to)
-    return Ranges(table, {} if own is None else {f"ranges_{to}.py": own(rows)}, notes)
+    if own is None:
+        return Ranges(table, {}, notes)
+    alone = _one_by_one(found, written or found, rows)
+    return Ranges(table, {f"ranges_{to}.py": own(alone)}, notes)
+
+
+def _lowest(name: str, n: Number) -> float:
+    return max(0.0, n.lower) if name.partition("@")[0] in POSITIVE else n.lower
+
+
+def _draws(found: Outcome, numbers: Mapping[str, Number]) -> dict[str, Any]:
+    """Numbers drawn together, within their bounds: a row of `values` for each draw."""
+    names = list(numbers)
+    every = list(numbers.values())
+    C = np.diag([float(n.std or 0.0) ** 2 for n in every])
+    shared, own = _shared(found, names)
+    if own.size and np.isfinite(own).all():
+        at = [names.index(name) for name in shared]
+        C[np.ix_(at, at)] = own
+    low = np.array([_lowest(name, n) for name, n in numbers.items()])
+    high = np.array([n.upper for n in every])
+    mean = np.array([n.value for n in every])
+    values = draws(mean, C, low, high, DRAWS) if names else np.zeros((0, 0))
+    return {"names": names, "values": [[_digits(x) for x in row] for row in values]}
+
+
+def _digits(x: float) -> float:
+    return float(f"{x:.{DIGITS}g}")
+
+
+def _one_by_one(
+    found: Outcome, written: Outcome, rows: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Mapping[str, Any]]:
+    """The rows with what each number may be beside the others as they are written."""
+    names, C = _shared(found, list(rows))
+    if not C.size or not np.isfinite(C).all():
+        return dict(rows)
+    out = dict(rows)
+    for name, std in zip(names, beside_the_others(C), strict=True):
+        n = written.parameters.get(name)
+        if n is None:
+            continue
+        reach = NORMAL_95 * float(std)
+        interval = [max(_lowest(name, n), n.value - reach), min(n.upper, n.value + reach)]
+        out[name] = {**rows[name], "interval_95": interval}
+    return out
 
 
 def _identified(found: Outcome) -> dict[str, Number]:

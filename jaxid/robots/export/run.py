@@ -94,7 +94,7 @@ def export(
         written.rows = [_with_step(r, tree) for r in written.rows]
     else:
         written = target.write(sheet, told, path if patches else None)
-    more = ranges_of(found, to) if ranges else None
+    more = ranges_of(found, to, told) if ranges else None
     rows = tuple(written.rows)
     files = {**written.files, **(more.files if more else {})}
     source = {
