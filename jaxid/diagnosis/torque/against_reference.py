@@ -1,4 +1,4 @@
-"""What is different from a reference: its bodies in the place of re-tuned ones, and how far what was
+"""What is different from a reference: its bodies in the place of re-tuned ones, and how far what
 found goes from there.
 """
 
