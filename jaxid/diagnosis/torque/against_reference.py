@@ -1,5 +1,5 @@
 """What is different from a reference: its bodies in the place of re-tuned ones, and how far what
-found goes from there.
+was found goes from there.
 """
 
 from __future__ import annotations
