@@ -401,7 +401,7 @@ def alarms(
 
 
 #: The seed of the kept result: taken once, for it alone.
-FRESH, COUNT = 56_0207, 1000
+FRESH, COUNT = 56_1129, 1000
 
 
 def main(

@@ -157,12 +157,15 @@ def test_a_number_at_its_bound_leaves_a_covariance(tmp_path):
     command = ["export", str(result), "--robot", str(robot)]
     assert main([*command, "--to", "mjcf", "--out", str(patched)]) == 0
     assert main([*command, "--to", "mjlab", "--ranges", "--out", str(ranges)]) == 0
-    kept = json.loads(result.read_text())["final"]["covariance"]
-    matrix = np.array(kept["matrix"] if isinstance(kept, dict) else kept, float)
+    matrix = np.array(json.loads(result.read_text())["covariance"]["matrix"])
     scale = np.sqrt(np.diag(matrix))
-    correlation = matrix / np.where(scale > 0, scale, 1) / np.where(scale > 0, scale, 1)[:, None]
-    assert np.linalg.eigvalsh(correlation).min() > -1e-6
-    assert 'kv="0.7"' not in (patched / "hub.xml").read_text()
+    assert np.linalg.eigvalsh(matrix / scale / scale[:, None]).min() > -1e-6
+    written = (patched / "hub.xml").read_text()
+    kv = float(written.split('kv="')[1].split('"')[0])
+    assert kv == pytest.approx(0.05, abs=0.01)
+    assert 'kp="8"' in written and 'damping="0.02"' in written
+    told = json.loads((ranges / "ranges.json").read_text())["correlation"]["matrix"]
+    assert np.linalg.eigvalsh(np.array(told)).min() > -1e-6
 
 
 @pytest.mark.slow

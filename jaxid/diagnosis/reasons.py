@@ -321,7 +321,8 @@ class NothingPredicts(Reason):
 @dataclass(frozen=True)
 class HeldOut(Reason):
     """What is named by torque: `closed` of the gap on the runs that it was not fitted to, `left` on
-    the worst of them; `fitted` on the runs that it was fitted to, where that matters.
+    the worst of them; `fitted` on the runs that it was fitted to, where that matters. It is what
+    is `different` in the runs that were not fitted, or from a `reference`.
     """
 
     names: Sequence[str]
@@ -330,6 +331,7 @@ class HeldOut(Reason):
     different: bool = False
     whole: bool = True
     fitted: float = 0.0
+    reference: bool = False
     form = "{what} {names:listed}; with it {left:times} times the noise is left on held-out data{more}."
     in_part: ClassVar[str] = (
         "{what} {names:listed}, which explains {closed:percent} of the gap on held-out data; a clear remainder stays un"
@@ -338,11 +340,11 @@ class HeldOut(Reason):
 
     @property
     def sentence(self) -> str:
-        what = (
-            "What is different in the runs that were not fitted is"
-            if self.different
-            else "The model lacks"
-        )
+        what = "The model lacks"
+        if self.different:
+            what = "What is different in the runs that were not fitted is"
+        if self.reference:
+            what = "What is different from the reference is"
         more = f", {times(self.fitted)} times on the runs that were fitted" if self.fitted else ""
         return self.said(self.form if self.whole else self.in_part, what=what, more=more)
 

@@ -209,8 +209,8 @@ def _run(
     began = time.perf_counter()
     allowed = first_asked() if asked is None else asked
     nominal = resolve_model(model, dataset, without)
-    if reference is not None and not isinstance(residual, InverseDynamics):
-        dataset = reference.as_priors(nominal, dataset)
+    if reference is not None:
+        residual, dataset = reference.taken(residual, nominal, dataset, goals=led(nominal))
     check_asked(nominal, asked or (), residual.name if residual else "")
     library = possible(nominal, allowed, residual.name if residual else "")
     dataset = _looked_at(nominal, dataset, library)

@@ -143,6 +143,34 @@ class Known:
 
 
 @dataclass(frozen=True)
+class Departure:
+    """What another recording told of the numbers of some columns: information [k k] about `mean`
+    [k], of the columns `at` [k].
+    """
+
+    at: np.ndarray
+    information: np.ndarray
+    mean: np.ndarray
+
+    def __call__(self, theta: np.ndarray) -> float:
+        """By how much the numbers of all columns depart from that, chi-square units."""
+        apart = theta[self.at] - self.mean
+        return float(apart @ self.information @ apart)
+
+
+def departure(known: Known, inside: np.ndarray) -> Departure:
+    """Of the numbers `inside` [p], whatever the other ones are: these may drift between two
+    recordings.
+    """
+    told = np.diag(known.information) > 0
+    at, others = np.flatnonzero(inside & told), np.flatnonzero(~inside & told)
+    P = known.information
+    across = P[np.ix_(at, others)]
+    least = np.linalg.pinv(P[np.ix_(others, others)], hermitian=True)
+    return Departure(at, P[np.ix_(at, at)] - across @ least @ across.T, known.mean[at])
+
+
+@dataclass(frozen=True)
 class Solution:
     """Least squares of some columns: numbers, what is known of them, and what is left (priors
     included).

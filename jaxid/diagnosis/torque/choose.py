@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.diagnosis.torque.algebra import better, Gram, Known, Solution, solve
+from jaxid.diagnosis.torque.algebra import better, Departure, Gram, Known, Solution, solve
 from jaxid.diagnosis.torque.library import Unit
 
 
@@ -36,6 +36,8 @@ class Model:
     units: tuple[int, ...]
     solution: Solution
     held: np.ndarray
+    #: By how much its numbers depart from those of a reference, chi-square units.
+    departed: float = 0.0
 
     @property
     def cost(self) -> float:
@@ -43,7 +45,7 @@ class Model:
 
     @property
     def loss(self) -> float:
-        return float(self.held.sum())
+        return float(self.held.sum()) + self.departed
 
 
 Enough = Callable[[Model], bool]
@@ -73,12 +75,14 @@ class Chooser:
         most: int,
         by_joint: Callable[[Solution], np.ndarray] | None = None,
         enough: Enough = lambda model: False,
+        departs: Departure | None = None,
     ):
         """`size` numbers of the nominal model come first among the columns; `most` kinds of effects
         may be named. `by_joint`: what a solution leaves of each block and joint of the held-out
-        runs. Nothing is added to a model that is `enough`.
+        runs. Nothing is added to a model that is `enough`. `departs`: what a reference told, whose
+        recording counts beside the held-out runs.
         """
-        self.by_joint, self.enough = by_joint, enough
+        self.by_joint, self.enough, self.departs = by_joint, enough, departs
         self.units, self.size, self.fit, self.held, self.most = units, size, fit, held, most
         self.known, self.start, self.lower, self.upper = known, start, lower, upper
         ends = size + np.cumsum([0, *(len(u.fields) for u in units)])
@@ -106,9 +110,10 @@ class Chooser:
             s = solve(self.fit.total, self.at(key), self.known, self.start, self.lower, self.upper)
             # A number of an effect that its bound holds at nothing is one that is not there.
             dead = bool(key) and any(np.all(s.theta[self._own(key, u)] == 0) for u in key)
+            departed = 0.0 if self.departs is None else self.departs(s.theta)
             held = self.held.losses(s.at, s.theta)
-            sure = not key or np.isfinite([s.cost, *held]).all()
-            found = Model(tuple(sorted(key)), s, held)
+            sure = not key or np.isfinite([s.cost, departed, *held]).all()
+            found = Model(tuple(sorted(key)), s, held, departed)
             self._models[key] = found if sure and not dead else None
             if self._models[key] is not None:
                 self.tried.append(self._models[key])  # type: ignore[arg-type]
@@ -126,9 +131,21 @@ class Chooser:
         )
         return count * np.log(max(self.fit.rows, 2))
 
+    def _better(self, small: Model, large: Model) -> tuple[float, float]:
+        """By how many standard errors the larger set predicts better, in all and in the worst run.
+
+        Numbers that are free to move take in a load, and predict with it as well as without. The
+        reference tells these apart: what they depart from it by is a loss of its recording.
+        """
+        total, worst = better(small.held, large.held, self.held)
+        if self.departs is None:
+            return total, worst
+        fall = np.sign(total) * total**2 + small.departed - large.departed
+        return float(np.sign(fall) * np.sqrt(abs(fall))), worst
+
     def accepted(self, small: Model, large: Model) -> bool:
         """Whether the larger set stands."""
-        total, worst = better(small.held, large.held, self.held)
+        total, worst = self._better(small, large)
         more = self.price(large.units) - self.price(small.units)
         return (
             total > LIMITS.sure
@@ -139,15 +156,13 @@ class Chooser:
     def missed(self, small: Model, large: Model) -> bool:
         """Whether what the larger set has more of would be missed."""
         more = self.price(large.units) - self.price(small.units)
-        return better(small.held, large.held, self.held)[
-            0
-        ] > LIMITS.missed and small.cost - large.cost > max(more, 0.0)
+        total, _ = self._better(small, large)
+        return total > LIMITS.missed and small.cost - large.cost > max(more, 0.0)
 
     def alike(self, a: Model, b: Model) -> bool:
         """Whether held-out and fit runs leave open which of two sets of one size it is."""
         return (
-            abs(better(a.held, b.held, self.held)[0]) < LIMITS.missed
-            and b.cost - a.cost < self.price(b.units) + 6
+            abs(self._better(a, b)[0]) < LIMITS.missed and b.cost - a.cost < self.price(b.units) + 6
         )
 
     # ---- search
@@ -168,6 +183,19 @@ class Chooser:
             chosen = self._thinned(min(found, key=lambda m: m.loss))
             chosen = self._exchanged(chosen)
         return self._short(self._thinned(chosen))
+
+    def different(self, chosen: Model) -> Model:
+        """Of a set those units that bring the numbers back to the reference's: what both recordings
+        lack is no difference between them. The whole set where that is none of it.
+        """
+        kept = []
+        for u in chosen.units:
+            less = self.model([v for v in chosen.units if v != u])
+            if less is None or less.departed - chosen.departed > self.price((u,)):
+                kept.append(u)
+        if not kept:
+            return chosen
+        return self.model(kept) or chosen
 
     def _kinds(self, units: Iterable[int]) -> set[str]:
         """What counts as one: a law at all its joints; a pair or a body."""

@@ -19,6 +19,7 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
+from jaxid.problem.residual import InverseDynamics, Residual
 from jaxid.storage.small_files import read_small
 
 
@@ -82,6 +83,21 @@ class Reference:
             counted = _counted(binding)
             mean[place] -= [counted.get(n, 0.0) for n in shared]
         return Known(information, mean)
+
+    def taken(
+        self, residual: Residual | None, chain: Chain, dataset: Dataset, goals: bool
+    ) -> tuple[Residual | None, Dataset]:
+        """By what to compare, and the dataset, where no torque is compared with priors.
+
+        A reference that was made by torque is compared so, unless another residual is asked for or
+        `goals` drive the robot. Its numbers stand for several that free runs need, and hold
+        together by a covariance that no free run takes over.
+        """
+        if residual is None and self.regrouped and not goals:
+            residual = InverseDynamics()
+        if isinstance(residual, InverseDynamics):
+            return residual, dataset
+        return residual, self.as_priors(chain, dataset)
 
     def as_priors(self, chain: Chain, dataset: Dataset) -> Dataset:
         """The dataset with the numbers stated as known, one by one, where nothing else is stated of

@@ -20,6 +20,7 @@ from jaxid.diagnosis.reasons import (
 )
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.torque.against_reference import as_before, verdict_against
 from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Weights
 from jaxid.diagnosis.torque.answer import (
     Answer,
@@ -71,6 +72,8 @@ class Found:
     judge: list[int]
     #: What was found in all runs, where the effects act in those alone that were not fitted.
     base: Found | None = None
+    #: The model with the bodies of the reference, where this recording refutes them.
+    as_before: Answer | None = None
 
     @property
     def different(self) -> bool:
@@ -107,16 +110,20 @@ def _searched(study: Study, most: int) -> Found:
         rows, weights = study.rows_with_effects(theta, again > 0)
         chooser = study.chooser(rows, weights, fit, choose, most)
         chosen = chooser.nominal if _at_floor(study, rows, chooser, fit, choose) else chooser.run()
+        nominal = of_model(study, rows, chooser.nominal)
+        before = as_before(chooser, nominal, [choose, judge], fit)
+        chosen = chosen if before is None else chooser.different(chosen)
         found = Found(
             chooser=chooser,
             rows=rows,
             weights=weights,
             chosen=chosen,
-            nominal=of_model(study, rows, chooser.nominal),
+            nominal=nominal,
             final=of_model(study, rows, chosen),
             fit=fit,
             choose=choose,
             judge=judge,
+            as_before=before,
         )
         numbers = np.split(
             chosen.solution.theta[study.size :],
@@ -145,6 +152,10 @@ def _at_floor(
     """
     answer = of_model(study, rows, chooser.nominal)
     gaps = [answer.gap(which, j) for which in (fit, choose) for j in range(len(study.noise))]
+    if chooser.departs is not None:
+        count = len(chooser.departs.at)
+        if chooser.nominal.departed > level(count) * count:
+            return False
     return (
         all(not gap > LIMITS.seen for gap in gaps)
         and answer.gap(fit) ** 2 <= level(round(chooser.fit.rows)) + 0.1
@@ -244,6 +255,10 @@ def _judged(study: Study, found: Found) -> Verdict:
     after = [final.gap(w) for w in sets]
     if astray := _astray(study, final):
         return Verdict("unknown", (Undetermined(astray[0]),))
+    if found.as_before is not None and final.units:
+        said = tuple(_said(u) for u in final.units)
+        usual = max(1.0, nominal.gap(found.fit))
+        return verdict_against(said, found.as_before, final, sets, usual)
     if not final.units:
         gaps = [nominal.gap(w) for w in (found.fit, *sets) if w]
         measured = [g for g in gaps if not np.isnan(g)]  # nan where no joint moves in a set of runs
@@ -296,6 +311,8 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
         effects = (*estimates(study, found.base.chooser, found.base.chosen)[1], *effects)
     plain, _, plain_spread = estimates(study, found.chooser, found.chooser.nominal)
     before, note = _before(study, found.nominal)
+    if found.as_before is not None:
+        before, note = found.as_before, "The gap before is that of the reference's bodies."
     bound = None
     if verdict in ("unknown", "partly"):
         at = found.nominal

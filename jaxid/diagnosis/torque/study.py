@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from jaxid.data.signals import zero_phase
-from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, weighted, Weights
+from jaxid.diagnosis.torque.algebra import (
+    BLOCKS,
+    Departure,
+    departure,
+    gram,
+    Known,
+    Solution,
+    solve,
+    weighted,
+    Weights,
+)
 from jaxid.diagnosis.torque.choose import Chooser, Enough
 from jaxid.diagnosis.torque.forces import force, Load, with_numbers
 from jaxid.diagnosis.torque.library import Unit, units
@@ -292,6 +303,15 @@ class Study:
                 shapes.setdefault(u.place, []).append(np.arange(a, b))
         return np.concatenate([np.arange(rows.size), *(s[len(s) // 2] for s in shapes.values())])
 
+    @cached_property
+    def departs(self) -> Departure | None:
+        """What the reference told of the bodies; friction may drift from recording to recording."""
+        if self.given is None:
+            return None
+        entries = self.binding.layout.entries
+        bodies = np.array([entries[i].owner < 0 for i in self.plant.free], bool)
+        return departure(self.given, bodies)
+
     def chooser(
         self,
         rows: Rows,
@@ -324,6 +344,7 @@ class Study:
             most=most,
             by_joint=left,
             enough=enough,
+            departs=self.departs,
         )
 
     def by_joint(
