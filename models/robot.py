@@ -21,7 +21,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.mechanism import Signature, Staged
 from jaxid.dynamics.parameter import constant, param, ParameterSpec
 from jaxid.robots import dynamics, free_numbers
-from jaxid.robots.bodies import BODY, body_of, ten_numbers
+from jaxid.robots.bodies import BODY, body_of, point_mass, ten_numbers
 from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, Stated, Tree, up_to
@@ -163,6 +163,7 @@ class Robot(Staged):
     axes: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
     anchors: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
     reference: tuple[float, ...] = eqx.field(static=True, default=())
+    lifted: tuple[tuple[float, ...], ...] | None = eqx.field(static=True, default=None)
     coupling: tuple[tuple[float, ...], ...] | None = eqx.field(
         static=True, default=None
     )  # all joints = coupling q + shift
@@ -199,6 +200,7 @@ class Robot(Staged):
         rounded = lambda a: tuple(tuple(float(v) for v in row) for row in a)
         self.axes, self.anchors = rounded(tree.axis), rounded(tree.anchor[list(self.carriers)])
         self.reference, self.shift = tuple(map(float, tree.reference)), tuple(map(float, c))
+        self.lifted = None if tree.lifted is None else rounded(tree.lifted)
         self.coupling = rounded(S) if tree.couplings or tree.floats else None
         bodies = np.array(
             [body_of(tree.inertia[k], tree.anchor[k])[0] for k in self.carriers]
@@ -274,10 +276,9 @@ class Robot(Staged):
     ) -> Robot:
         """The robot of an MJCF file; with `tip` only the joints up to that link move. `free`: its
         base floats, and its angles base_roll, base_pitch, base_yaw are the last joints. Needs no
-        meshes.
+        meshes but those that give an inertia.
 
-        Raises `UsageError` for what is not a tree of hinge and slide joints with stated inertias,
-        by name.
+        Raises `UsageError` for what is not a tree of hinge and slide joints, by name.
         """
         from jaxid.robots.mjcf import read_mjcf
 
@@ -399,6 +400,7 @@ class Robot(Staged):
             np.array(self.axes).reshape(-1, 3),
             place,
             self.inertia(),
+            None if self.lifted is None else np.array(self.lifted),
         )
 
     def standing(self) -> dynamics.Base:
@@ -558,19 +560,7 @@ class Robot(Staged):
             x, y, z = ([getattr(self, name)[ends[0]] for name in PLACE[:3]]) if ends else com
             if beyond is not None:
                 x, y, z = x + beyond[k, 0], y + beyond[k, 1], z + beyond[k, 2]
-            own = (
-                y * y + z * z,
-                -x * y,
-                -x * z,
-                x * x + z * z,
-                -y * z,
-                x * x + y * y,
-                x,
-                y,
-                z,
-                1.0 + 0 * x,
-            )
-            added = added.at[node].add(mass[k] * jnp.stack([jnp.asarray(v) for v in own]))
+            added = added.at[node].add(mass[k] * point_mass(x, y, z))
         return self._with("added", added)
 
     def tilted(self, angle: Float[Array, " nq"]) -> Robot:

@@ -7,7 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.conventions import broken, recording
 from benchmarks.false_alarms import alarms, CLOCKS, Form, forms, instants, twins
+from jaxid.conventions.checking import run_check
 from jaxid.conventions.runs import _first_speed
 from jaxid.conventions.samples import _lone
 from jaxid.data.forms import glitches
@@ -73,3 +75,13 @@ def test_a_gap_at_the_beginning_is_no_speed(first):
     assert _first_speed(t, q + 0.4 * t, 1e-5)[0] == pytest.approx(
         0.0 if first > 0.1 else 0.4, abs=0.02
     )
+
+
+@pytest.mark.parametrize(("recorded", "mended", "kinds"), [(0.8, 1.3, []), (4.0, 5.0, ["sign"])])
+def test_what_leaves_more_than_nothing_is_no_question(recorded, mended, kinds):
+    """A recording at the noise as it stands has no gap that a finding could be the answer to."""
+    wrong, _, _ = broken("sign", recording("pendulum", 5), np.random.default_rng(0))
+    gaps = iter((recorded, mended))
+    checked = run_check(None, wrong.dataset(), gap=lambda *_: next(gaps))
+    assert [f.kind for f in checked.findings] == kinds
+    assert not any(f.applied for f in checked.findings)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 
 ROOT = Path(__file__).parents[1]
@@ -13,7 +16,17 @@ ROOT = Path(__file__).parents[1]
 #: built on more than the rest has a place of its own: a dataset is a plain value that robots are
 #: matched with, but it is read against the model it states; the files of a result hold its page.
 LAYERS = (
-    ("errors", "extras", "lazy", "numerics", "runtime", "serialise", "storage", "wording"),
+    (
+        "display",
+        "errors",
+        "extras",
+        "lazy",
+        "numerics",
+        "runtime",
+        "serialise",
+        "storage",
+        "wording",
+    ),
     ("data",),
     ("dynamics", "models", "robots"),
     ("catalogue",),
@@ -34,13 +47,10 @@ LAYERS = (
     ("__main__",),
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-#: Methods by which a result shows, exports and saves itself, and those by which a dataset is made:
-#: a class is where a user looks for them. Only they may import upward, when they are called.
+#: Methods by which a result exports and saves itself, and those by which a dataset is made: a class
+#: is where a user looks for them. Only they may import upward, when they are called. What shows a
+#: value is reached by `jaxid.display` alone.
 AT_HAND = {
-    "report",
-    "plot",
-    "__repr__",
-    "_repr_html_",
     "export",
     "save",
     "from_arrays",
@@ -129,3 +139,50 @@ def test_no_private_name_is_imported():
         if alias.name.startswith("_") and not alias.name.startswith("__")
     }
     assert found == set()
+
+
+#: The most files that may lead back to each other, imports within functions counted. It may only fall.
+CIRCLE = 20
+
+
+def full_names() -> dict[str, tuple[bool, ast.Module]]:
+    """Dotted name of each module -> whether it is a package, and its tree."""
+    found = {}
+    for module, tree in modules():
+        top = module.split(".")[0]
+        package = module.endswith("__init__")
+        name = module.removesuffix("__init__").rstrip(".")
+        if top in ("models", "fitters") or name:
+            name = f"jaxid.{name}"
+        found[name or "jaxid"] = (package, tree)
+    return found
+
+
+def named_by(node: ast.AST, module: str, package: bool, known: Iterable[str]) -> Iterator[str]:
+    """Dotted names of the modules that an import statement of a module asks for."""
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    if isinstance(node, ast.ImportFrom):
+        base = node.module or ""
+        if node.level:
+            above = module.split(".") if package else module.split(".")[:-1]
+            kept = above[: len(above) - node.level + 1]
+            base = ".".join([*kept, *filter(None, [node.module])])
+        for alias in node.names:
+            below = f"{base}.{alias.name}"
+            yield below if below in known else base
+
+
+def test_the_circle_of_all_imports_only_shrinks():
+    known = full_names()
+    place = {name: k for k, name in enumerate(known)}
+    arrows = np.zeros((len(known), len(known)), bool)
+    for module, (package, tree) in known.items():
+        for node, _ in statements(tree):
+            for name in named_by(node, module, package, known):
+                if name in place and name != module:
+                    arrows[place[module], place[name]] = True
+    _, label = connected_components(arrows, connection="strong")
+    circles = np.bincount(label)
+    names = [name for name, at in place.items() if label[at] == np.argmax(circles)]
+    assert circles.max() <= CIRCLE, f"{circles.max()} files lead back to each other: {names}"

@@ -209,10 +209,10 @@ LONG = {
     "jaxid/excitation/design.py": 560,
     "jaxid/identification/run.py": 544,
     "jaxid/problem/frequency_response.py": 501,
-    "jaxid/robots/export/mjcf.py": 556,
+    "jaxid/robots/export/mjcf.py": 547,
     "jaxid/simulation/batch.py": 504,
     "jaxid/study/papers/flexible_link.py": 547,
-    "models/robot.py": 582,
+    "models/robot.py": 573,
 }
 
 
@@ -225,7 +225,9 @@ def test_files_stay_readable():
         > LONG.get(name := p.relative_to(ROOT).as_posix(), 500)
     }
     assert long == {}
-    assert len((ROOT / "CONTRIBUTING.md").read_text().splitlines()) <= 60
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    written, _, _ = page.partition("<!-- figures -->")
+    assert len(written.splitlines()) <= 60
 
 
 def test_documents_link_only_to_what_exists():

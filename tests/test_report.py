@@ -11,7 +11,8 @@ import pytest
 from jaxid import wording
 from jaxid.diagnosis.result import HowFar
 from jaxid.fitting.result import Estimate
-from jaxid.report import diagnosis_fragment, plot, text, write_diagnosis, write_fit
+from jaxid.report import diagnosis_fragment, plot, text
+from jaxid.report.display import write
 from jaxid.report.missing_force import spectrum
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
@@ -82,14 +83,12 @@ def test_diagnosis_page(tmp_path):
 
 
 def test_pages_are_reproducible(tmp_path):
-    first = write_diagnosis(sample_diagnosis(), tmp_path / "a.html").read_bytes()
-    assert write_diagnosis(sample_diagnosis(), tmp_path / "b.html").read_bytes() == first
+    first = write(sample_diagnosis(), tmp_path / "a.html").read_bytes()
+    assert write(sample_diagnosis(), tmp_path / "b.html").read_bytes() == first
 
 
 def test_fit_page(tmp_path):
-    page = assert_harmless(
-        write_fit(sample_fit(), tmp_path / "fit.html").read_text(encoding="utf-8")
-    )
+    page = assert_harmless(write(sample_fit(), tmp_path / "fit.html").read_text(encoding="utf-8"))
     assert "q is reproduced to 0.000440 rad rms on validation data." in page.text
     assert "0.08123 ± 0.00042" in page.text
 
@@ -107,7 +106,7 @@ def test_failed_fit_page(tmp_path):
         parameters={},
         correlated=(),
     )
-    page = assert_harmless(write_fit(failed, tmp_path / "fit.html").read_text(encoding="utf-8"))
+    page = assert_harmless(write(failed, tmp_path / "fit.html").read_text(encoding="utf-8"))
     assert "The fit failed: every start diverged." in page.text
 
 
@@ -400,10 +399,10 @@ def test_stated_numbers_stand_beside_those_of_the_fit(tmp_path):
     from jaxid.fitting.stated import Stated
 
     stated = (Stated("q", "", "inertia", 0.0777, 0.08123, 0.0004, 8.0, "inertia: …", "kg m^2"),)
-    page = write_fit(replace(sample_fit(), stated=stated), tmp_path / "fit.html").read_text(
+    page = write(replace(sample_fit(), stated=stated), tmp_path / "fit.html").read_text(
         encoding="utf-8"
     )
     assert '<th class="n">stated</th>' in page and ">0.0777<" in page
-    assert '<th class="n">stated</th>' not in write_fit(
-        sample_fit(), tmp_path / "b.html"
-    ).read_text(encoding="utf-8")
+    assert '<th class="n">stated</th>' not in write(sample_fit(), tmp_path / "b.html").read_text(
+        encoding="utf-8"
+    )

@@ -33,7 +33,7 @@ def states(robot, count, seed=0):
 
 def peer(text, robot, q, qd, qdd):
     """M, bias and inverse dynamics of the moving joints by MuJoCo [states ...]; bias holds the
-    springs, as here.
+    springs and the weight that gravcomp takes off, as here.
     """
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EQUALITY
@@ -51,7 +51,7 @@ def peer(text, robot, q, qd, qdd):
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fullM(model, data, dense)
-        bias = data.qfrc_bias - data.qfrc_spring
+        bias = data.qfrc_bias - data.qfrc_spring - data.qfrc_gravcomp
         data.qacc[:] = acc
         mujoco.mj_inverse(model, data)
         inverse = data.qfrc_inverse[dof]

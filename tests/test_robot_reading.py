@@ -147,11 +147,13 @@ def test_shapes_without_meshes_give_the_inertia_of_mujoco():
     assert read(loose).joints == ("lift", "elbow")
 
 
-@pytest.mark.parametrize("head", ["", '<compiler inertiafromgeom="true"/>'])
-def test_inertias_from_geometry_come_with_the_command_that_states_them(tmp_path, head):
+def test_inertias_from_geometry_come_with_the_command_that_states_them(tmp_path):
     robot = tmp_path / "robot.xml"
     mesh = '<asset><mesh name="m" vertex="0 0 0  0.1 0 0  0 0.1 0  0 0 0.1"/></asset>'
-    robot.write_text(mjcf(head=head + mesh, body='<geom type="mesh" mesh="m" mass="0.7"/>'))
+    body = '<geom type="mesh" mesh="m" mass="0.7"/>'
+    robot.write_text(mjcf(head=mesh, body=body))
+    assert read_mjcf(robot).inertia[0][9] == 0.7
+    robot.write_text(mjcf(head='<compiler inertiafromgeom="true"/>' + mesh, body=body))
     with pytest.raises(UsageError) as refusal:
         read_mjcf(robot)
     command = re.search(r'python -c "(.*)"$', str(refusal.value))

@@ -23,7 +23,8 @@ from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import astray, Gaps, judge, level, upheld, Verdict
 from jaxid.fitting.result import EffectEstimate, Estimate
 from jaxid.fitting.stated import sentence_of, Stated
-from jaxid.report import answer, identified, text, write_diagnosis
+from jaxid.report import answer, identified, text
+from jaxid.report.display import write
 from jaxid.serialise import finite
 from report_sample import sample_diagnosis, sample_fit
 
@@ -446,7 +447,7 @@ def test_a_page_without_a_gap_is_written(tmp_path):
     found = replace(
         SAMPLE, which=Which("unknown", (), (), (), "It stands still."), how_far=far, where=()
     )
-    page = write_diagnosis(found, tmp_path / "report.html").read_text()
+    page = write(found, tmp_path / "report.html").read_text()
     assert "Nothing can be judged" in page and "nan" not in re.sub(r"<[^>]*>", " ", page).split()
 
 

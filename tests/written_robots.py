@@ -124,6 +124,19 @@ def tilted(seed: int = 8) -> str:
     )
 
 
+def lifted(seed: int = 9) -> str:
+    """An arm whose weight is cancelled in parts: wholly, by half, and not at all; its hand carries
+    a tool that is welded to it, and a finger that slides.
+    """
+    rng = np.random.default_rng(seed)
+    hand = _body(rng, "tool", "") + _limb(rng, "finger", ["slide"])
+    text = _mjcf(_limb(rng, "j", ["hinge"] * 4, hand))
+    for body, share in (("j1_link", 1), ("j3_link", 0.5), ("j4_link", 1), ("finger1_link", 1)):
+        text = text.replace(f'name="{body}"', f'name="{body}" gravcomp="{share}"')
+    return text
+
+
 ROBOTS = {
-    f.__name__: f for f in (chain, two_arms, quadruped, humanoid, gantry, shoulder, hand, tilted)
+    f.__name__: f
+    for f in (chain, two_arms, quadruped, humanoid, gantry, shoulder, hand, tilted, lifted)
 }

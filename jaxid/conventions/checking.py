@@ -22,7 +22,7 @@ from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.late_speed import late_speeds
 from jaxid.conventions.law import is_open, law_reading, OTHER, read_as
-from jaxid.conventions.limits import GONE
+from jaxid.conventions.limits import ALIKE, GONE
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import ForceFit, LAWS, LONGEST, measured, NEIGHBOURS
 from jaxid.conventions.play import plays
@@ -285,14 +285,16 @@ def _together(shown: Iterable[Shown]) -> Mending:
 def _confirmed(
     binding: Binding, data: Dataset, total: Mending, shown: list[Shown], gap: Gap
 ) -> list[Shown]:
-    """Gaps by simulation as recorded and mended; what does not hold there is a question. What was
-    found beside any law that the model may lack is simulated beside these laws, as recorded and
-    mended alike: their gap is not the finding's.
+    """Gaps by simulation as recorded and mended; what does not hold there is a question, and
+    none where nothing is missing as recorded. What was found beside any law that the model may lack
+    is simulated beside these laws, as recorded and mended alike: their gap is not the finding's.
     """
     laws = _laws(binding.chain) if any(s.beside for s in shown if s.mending) else ()
     before, after = gap(binding, data, laws), gap(binding, mended(data, total), laws)
     if before is None or after is None:
         return shown
+    if _nothing_to_mend(before, after):
+        return [s for s in shown if not s.mending]
     held = after <= GONE * before
     out = []
     for s in shown:
@@ -318,6 +320,13 @@ def _confirmed(
         )
         out.append(Shown(finding, s.mending if held else Mending()))
     return out
+
+
+def _nothing_to_mend(before: float, after: float) -> bool:
+    """Whether the recording is at the noise as it stands, and leaves more when mended: gaps by
+    simulation, times the noise. Then no gap is left that a finding could be the answer to.
+    """
+    return before <= ALIKE and after > before
 
 
 def _laws(chain: Chain) -> tuple[str, ...]:

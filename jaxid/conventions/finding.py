@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from jaxid.data.dataset import Dataset
+from jaxid.display import Displayed
 from jaxid.wording import one_line
 
 
@@ -76,8 +76,8 @@ class DataFinding:
         }
 
 
-@dataclass(frozen=True)
-class Checked:
+@dataclass(frozen=True, repr=False)
+class Checked(Displayed):
     """What `jaxid.check` returns: the findings, and `mended`, the dataset with those applied that
     are decisive.
     """
@@ -109,22 +109,6 @@ class Checked:
             "notes": list(self.notes),
             "versions": versions(),
         }
-
-    def report(self, path: str | Path) -> Path:
-        """Writes the report page (one self-contained HTML file) and returns its path."""
-        from jaxid.report import write_check
-
-        return write_check(self, path)
-
-    def __repr__(self) -> str:
-        from jaxid.conventions.words import checked_text
-
-        return checked_text(self)
-
-    def _repr_html_(self) -> str:
-        from jaxid.report import check_fragment
-
-        return check_fragment(self)
 
 
 def data_lines(findings: Sequence[DataFinding]) -> list[str]:

@@ -12,6 +12,8 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.display import displays
+
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -416,9 +418,7 @@ class Dataset:
         """Draws a channel (default: the first output) of every run over time, on new axes or the
         given ones.
         """
-        from jaxid.report import figures
-
-        return figures.dataset(self, channel, ax)
+        return displays().picture(self, channel, ax)
 
     def __repr__(self) -> str:
         from jaxid.wording import one_line
@@ -432,6 +432,4 @@ class Dataset:
         )
 
     def _repr_html_(self) -> str:
-        from jaxid.report import dataset_fragment
-
-        return dataset_fragment(self)
+        return displays().fragment(self)

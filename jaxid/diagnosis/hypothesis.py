@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -49,9 +50,14 @@ class Hypothesis:
         return self.path.loss
 
     @property
+    def index(self) -> tuple[int, ...]:
+        """Positions of the effects' numbers in the layout."""
+        return tuple(chain.from_iterable(c.index for c in self.effects))
+
+    @property
     def size(self) -> int:
         """Number of effect parameters."""
-        return sum(len(c.index) for c in self.effects)
+        return len(self.index)
 
     @cached_property
     def fit_inflation(self) -> float:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.diagnosis.cause import words
+from jaxid.display import Displayed, displays
 from jaxid.fitting.result import EffectEstimate, Fit, Trace, with_origin
 from jaxid.numerics.versions import versions
 from jaxid.robots.export.result import Exportable
@@ -108,9 +108,7 @@ class MissingForce:
         is a law of velocity or position. `after`: what is still missing with the effect, in the
         same colours.
         """
-        from jaxid.report import figures
-
-        return figures.missing_force(self, after, ax)
+        return displays().picture(self, after, ax)
 
 
 @dataclass(frozen=True)
@@ -229,8 +227,8 @@ class HowFar:
         }
 
 
-@dataclass(frozen=True)
-class Diagnosis(Exportable):
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Displayed, Exportable):
     """Where the simulator is wrong, which effect is missing, how far the gap shrinks once it is
     added.
     """
@@ -296,26 +294,8 @@ class Diagnosis(Exportable):
             **as_data(self.data),
         }
 
-    def report(self, path: str | Path) -> Path:
-        """Writes the report page (one self-contained HTML file) and returns its path."""
-        from jaxid.report import write_diagnosis
-
-        return write_diagnosis(self, Path(path))
-
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draws the gap before, after retuning and with the missing effect, on new axes or the
         given ones.
         """
-        from jaxid.report import figures
-
-        return figures.diagnosis(self, ax)
-
-    def __repr__(self) -> str:
-        from jaxid.report.text import diagnosis_text
-
-        return diagnosis_text(self)
-
-    def _repr_html_(self) -> str:
-        from jaxid.report import diagnosis_fragment
-
-        return diagnosis_fragment(self)
+        return displays().picture(self, ax)

@@ -17,6 +17,7 @@ from jaxid.fitting.per_joint import per_joint
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.reweighting import weighed_by
+from jaxid.fitting.same_speed import said_as_one
 from jaxid.fitting.scores import (
     free_runs,
     lost,
@@ -191,7 +192,7 @@ def assemble(
     joints: tuple[dict, ...] = ()
     if is_robot(binding.chain.mechanism):
         rows = {i: Stated(**row) for i, row in yardstick.stated(binding, found).items()}
-        stated = judged(rows, binding.layout.names, found, told)
+        stated = said_as_one(bench, theta, judged(rows, binding.layout.names, found, told))
         notes += yardstick.sentences([s.to_dict() for s in stated])
         if residual.simulation != "momentum":
             joints = per_joint(bench, table, residual if residual.torques else None, problem.free)

@@ -9,6 +9,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.display import Displayed, displays
 from jaxid.numerics.versions import versions
 from jaxid.serialise import model_digest, SCHEMA
 
@@ -118,8 +119,8 @@ class Known:
         }
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Displayed):
     """Every fitter, every seed, on the same compiled loss with the same budget.
 
     The target is the best known loss times 1 + `tolerance`; the best known loss is the lowest of
@@ -258,33 +259,11 @@ class Comparison:
         )
         return buffer.getvalue()
 
-    def report(self, path: str | Path) -> Path:
-        """Writes the report page (one self-contained HTML file) and returns its path."""
-        from jaxid.report import write_comparison
-
-        return write_comparison(self, Path(path))
-
     def plot(self, by: str = "evaluations", ax: Axes | None = None) -> Axes:
         """Draws the convergence of every fitter (median and band from the 10th to the 90th
         percentile of its seeds) over `evaluations` or `seconds`, on new axes or the given ones.
         """
-        from jaxid.report.compared import draw_convergence
-        from jaxid.report.figures import legend, new_axes
-
-        ax = new_axes() if ax is None else ax
-        draw_convergence(self, ax, by)
-        legend(ax, len(self.fitters))
-        return ax
-
-    def __repr__(self) -> str:
-        from jaxid.report.comparison_text import comparison_text
-
-        return comparison_text(self)
-
-    def _repr_html_(self) -> str:
-        from jaxid.report import comparison_fragment
-
-        return comparison_fragment(self)
+        return displays().picture(self, by, ax)
 
 
 def summary(fitter: str, runs: tuple[Run, ...], target: float, common_time: float) -> Summary:

@@ -33,6 +33,8 @@ LEAST = 4
 NEARLY = 0.1
 #: A channel that the model moves by less than this share of what was measured stands still in it.
 STILL = 0.01
+#: What [controller] calls the gain on the speed, by kind of law, where it is not kd.
+LAW_KD = {"cascade": "kv"}
 #: A loss beyond which data that determine no number have not been fitted at all.
 LOST = 1000.0
 
@@ -232,7 +234,7 @@ def ending(
     if problem.free.size > 1 and cov.at_bound[own].all():
         return Ending(
             "failed",
-            f"all numbers ended at their bounds ({found.stopped_because}): state wider ones",
+            f"all numbers ended at their bounds ({found.stopped_because}): {_wider(problem)}",
         )
     if not found.loss <= LOST and not cov.identifiable[own].any():
         return Ending(
@@ -272,6 +274,18 @@ def ending(
     if left <= MATERIAL / 10 and _state(found) == "budget" and not _unconfirmed(found):
         return Ending("converged", f"nothing is left to gain ({found.stopped_because})")
     return plain
+
+
+def _wider(problem: Problem) -> str:
+    """What else may be wrong where bounds hold every number: of a law, the gains that were held."""
+    law = getattr(problem.runs.layout.chain.mechanism, "drive_law", None)
+    held = (
+        [] if law is None else [k for k in ("kp", LAW_KD.get(law.kind, "kd")) if k not in law.fit]
+    )
+    if not held:
+        return "state wider ones"
+    asked = ", ".join(f'"{k}"' for k in held)
+    return f"state wider ones, or fit the law's gains, too: [controller] fit = [{asked}]"
 
 
 def _unconfirmed(found: Minimum) -> bool:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.display import displays
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.noise_model import Autoregression
@@ -53,9 +54,7 @@ class Profile:
         """Draws the profile with its threshold and the ends of the interval, on new axes or the
         given ones.
         """
-        from jaxid.report import figures
-
-        return figures.profile(self, ax)
+        return displays().picture(self, ax)
 
 
 def profile_likelihood(

@@ -5,7 +5,7 @@ of two simulators.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
+from jaxid.display import Printed
 from jaxid.errors import UsageError
 from jaxid.fitting.simulate import simulate_dataset
 from jaxid.models import Robot
@@ -31,8 +32,8 @@ from jaxid.simulation.mujoco_run import Driven, MujocoRobot
 LAWS = frozenset(kind.name for kind, _ in Robot.builtin)
 
 
-@dataclass(frozen=True)
-class Replay:
+@dataclass(frozen=True, repr=False)
+class Replay(Printed):
     """`rows`: for each run and joint the rms error in MuJoCo and in the other (`other`: "jaxid", or
     "against"), the rms between both, and of a file that `jaxid export` patched the error of the
     original one in MuJoCo (`before`). `runs`: for each run `t` and the joints' positions in MuJoCo
@@ -67,11 +68,6 @@ class Replay:
             pyarrow.parquet.write_table(pyarrow.table(dict(run)), buffer)
             out[f"run_{i + 1}.parquet"] = buffer.getvalue()
         return out
-
-    def __repr__(self) -> str:
-        from jaxid.report.carried_text import replay_text
-
-        return replay_text(self)
 
 
 @dataclass(frozen=True)
@@ -256,8 +252,11 @@ def in_mujoco(
     source: _Source | None,
     starts: list[np.ndarray],
     notes: list[str],
+    gains: Mapping[str, tuple[float, float]] | None = None,
 ) -> list[np.ndarray]:
-    """Positions of the measured joints at the samples of every run."""
+    """Positions of the measured joints at the samples of every run; `gains` (kp, kd) of the law by
+    joint where they are not those that are stated.
+    """
     free, held_notes = recorded(tree, data)
     notes += held_notes
     joints = free.leading
@@ -274,9 +273,12 @@ def in_mujoco(
         notes.append(
             f"{path.name} has no position actuators for these joints: the law of [controller] drives"
         )
+        law = _with_gains(law, joints, gains or {})
     elif goals:
         notes.append(f"driven by the position actuators of {path.name}")
     robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)
+    if law is None and gains:
+        robot.drive_by(tree, gains)
     reference = (
         MujocoRobot(source.original, read_tree(source.original), {}, None)
         if source and source.original and torques
@@ -339,6 +341,12 @@ def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: P
         )
         law = replace(law, **{name: values})
     return law
+
+
+def _with_gains(law: Law, joints: Sequence[str], gains: Mapping[str, tuple[float, float]]) -> Law:
+    stated = zip(joints, law.kp, law.kd, strict=True)
+    every = [gains.get(joint, (kp, kd)) for joint, kp, kd in stated]
+    return replace(law, kp=tuple(kp for kp, _ in every), kd=tuple(kd for _, kd in every))
 
 
 def _before(

@@ -5,12 +5,12 @@ report.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
+from jaxid.display import Displayed, displays
 from jaxid.numerics.versions import versions
 from jaxid.robots.export.result import Exportable
 from jaxid.serialise import model_digest, SCHEMA
@@ -124,13 +124,11 @@ class Trace:
         """Draws measured minus simulated over time, with the band of the noise, on new axes or the
         given ones.
         """
-        from jaxid.report import figures
-
-        return figures.trace(self, ax)
+        return displays().picture(self, ax)
 
 
-@dataclass(frozen=True)
-class Fit(Exportable):
+@dataclass(frozen=True, repr=False)
+class Fit(Displayed, Exportable):
     """The result of every fitter: parameters with uncertainty, scores on fit and validation data,
     and what it cost.
     """
@@ -250,26 +248,8 @@ class Fit(Exportable):
             **({"recursion": [s.to_dict() for s in self.recursion]} if self.recursion else {}),
         } | as_data(self.data)
 
-    def report(self, path: str | Path) -> Path:
-        """Writes the report page (one self-contained HTML file) and returns its path."""
-        from jaxid.report import write_fit
-
-        return write_fit(self, Path(path))
-
     def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:
         """Draws a channel (default: the first) as measured and as simulated, on data that were not
         fitted where there are any.
         """
-        from jaxid.report import figures
-
-        return figures.fit(self, channel, ax)
-
-    def __repr__(self) -> str:
-        from jaxid.report.text import fit_text
-
-        return fit_text(self)
-
-    def _repr_html_(self) -> str:
-        from jaxid.report import fit_fragment
-
-        return fit_fragment(self)
+        return displays().picture(self, channel, ax)

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.display import Printed
 from jaxid.serialise import model_digest, SCHEMA
 
 
-@dataclass(frozen=True)
-class Simulation:
+@dataclass(frozen=True, repr=False)
+class Simulation(Printed):
     """Free runs of a model on a dataset's inputs: per experiment `t` and the outputs, and the rmse
     per channel.
     """
@@ -43,8 +44,3 @@ class Simulation:
             "units": self.units,
             "notes": list(self.notes),
         }
-
-    def __repr__(self) -> str:
-        from jaxid.report.text import simulation_text
-
-        return simulation_text(self)

@@ -5,12 +5,12 @@ torque is predicted.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
+from jaxid.display import Displayed
 from jaxid.identification.payload import Payload
 from jaxid.numerics.versions import versions
 from jaxid.robots.export.result import Exportable
@@ -56,8 +56,8 @@ class LawTrial:
     chosen: bool
 
 
-@dataclass(frozen=True)
-class Identification(Exportable):
+@dataclass(frozen=True, repr=False)
+class Identification(Displayed, Exportable):
     """Result of `jaxid.identify`. `theta` and `covariance` follow `names`: base parameters, then
     friction by joint.
     """
@@ -188,19 +188,3 @@ class Identification(Exportable):
             "versions": versions(),
             "notes": [*self.answers, *self.notes],
         }
-
-    def report(self, path: str | Path) -> Path:
-        """Writes the report page (one self-contained HTML file) and returns its path."""
-        from jaxid.report import write_identification
-
-        return write_identification(self, Path(path))
-
-    def __repr__(self) -> str:
-        from jaxid.report.text import identification_text
-
-        return identification_text(self)
-
-    def _repr_html_(self) -> str:
-        from jaxid.report import identification_fragment
-
-        return identification_fragment(self)

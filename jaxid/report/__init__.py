@@ -129,40 +129,9 @@ def reproduction_page(result: Reproduction) -> str:
     )
 
 
-def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
-    """Writes the page of a diagnosis (whole or not at all) and returns its path; raises
-    `NotSaved`.
-    """
-    return write_page(diagnosis_page(diagnosis), path)
-
-
-def write_fit(fit: Fit, path: str | Path) -> Path:
-    """Writes the page of a fit (whole or not at all) and returns its path; raises `NotSaved`."""
-    return write_page(fit_page(fit), path)
-
-
-def write_comparison(comparison: Comparison, path: str | Path) -> Path:
-    """Writes the page of a comparison (whole or not at all) and returns its path; raises
-    `NotSaved`.
-    """
-    return write_page(comparison_page(comparison), path)
-
-
-def write_identification(result: Identification, path: str | Path) -> Path:
-    """Writes the page of an identification (whole or not at all) and returns its path; raises
-    `NotSaved`.
-    """
-    return write_page(identification_page(result), path)
-
-
 def comparison_fragment(comparison: Comparison) -> str:
     """Table and pictures as an HTML fragment, for a notebook."""
     return render_fragment([compared.section(comparison)])
-
-
-def write_check(result: Checked, path: str | Path) -> Path:
-    """Writes the page of a check (whole or not at all) and returns its path; raises `NotSaved`."""
-    return write_page(check_page(result), path)
 
 
 def check_fragment(result: Checked) -> str:
@@ -173,11 +142,6 @@ def check_fragment(result: Checked) -> str:
 def identification_fragment(result: Identification) -> str:
     """The page of an identification as an HTML fragment, for a notebook."""
     return render_fragment([identified.section(result)])
-
-
-def reproduction_fragment(result: Reproduction) -> str:
-    """The page of a paper that was done again as an HTML fragment, for a notebook."""
-    return render_fragment([reproduced.section(result)])
 
 
 def diagnosis_fragment(diagnosis: Diagnosis) -> str:
@@ -196,5 +160,6 @@ def dataset_fragment(data: Dataset) -> str:
 
 
 def write_page(html: str, path: str | Path) -> Path:
+    """Writes a page whole or not at all and returns its path. Raises `NotSaved`."""
     path = Path(path)
     return replace_files(path.parent, {path.name: html.encode()}) / path.name

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxid import wording
+from jaxid.errors import UsageError
 from jaxid.fitting.comparison import along
 from jaxid.report import comparison_text, plot
+from jaxid.report.figures import legend, new_axes
 from jaxid.report.page import Section
 
 
@@ -71,10 +73,16 @@ def excess(c: Comparison, loss: np.ndarray) -> np.ndarray:
     return np.clip((loss - c.best_loss) / max(abs(c.best_loss), 1e-12), LOWEST, plot.LARGEST)
 
 
+def comparison_picture(c: Comparison, by: str = "evaluations", ax: Axes | None = None) -> Axes:
+    """Convergence of every fitter over `evaluations` or `seconds`, on new axes or the given ones."""
+    axes = new_axes() if ax is None else ax
+    draw_convergence(c, axes, by)
+    legend(axes, len(c.fitters))
+    return axes
+
+
 def draw_convergence(c: Comparison, axes: Axes, by: str) -> None:
     """Median and band of every fitter over `evaluations` or `seconds`."""
-    from jaxid.errors import UsageError
-
     if by not in ("evaluations", "seconds"):
         raise UsageError(f"a comparison is drawn by evaluations or seconds, not {by!r}")
     column = 0 if by == "evaluations" else 1

@@ -33,6 +33,11 @@ def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
     chain = matched(robot, dataset)
     mechanism: Any = chain.mechanism
     tree: Tree = mechanism.tree.tree
+    if tree.lifted is not None:
+        raise UsageError(
+            f"{tree.file}: identify takes no robot whose weight the file cancels: take gravcomp "
+            "out, or use jaxid fit --residual inverse_dynamics"
+        )
     arm = SerialArm(table_of(tree))
     gravity = np.array(tree.gravity)
     if np.any(np.abs(gravity[:2]) > 1e-9):

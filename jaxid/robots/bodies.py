@@ -8,6 +8,8 @@ Wensing, Kim, Slotine 2018, is m [[G G' + c c', c], [c', 1]]).
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -40,6 +42,14 @@ def ten_numbers(body: Float[Array, "10 n"], anchor: np.ndarray) -> Float[Array, 
     sxy, sxz, syz = xx * yx + x * y, xx * zx + x * z, yx * zx + yy * zy + y * z
     six = [syy + szz, -sxy, -sxz, sxx + szz, -syz, sxx + syy]
     return jnp.stack([m * v for v in (*six, x, y, z, 1.0 + 0 * x)], -1)
+
+
+def point_mass(x: Any, y: Any, z: Any) -> Float[Array, " 10"]:
+    """The ten numbers of 1 kg at a point (m)."""
+    xx, xy, xz = y * y + z * z, -x * y, -x * z
+    yy, yz, zz = x * x + z * z, -y * z, x * x + y * y
+    ten = (xx, xy, xz, yy, yz, zz, x, y, z, 1.0 + 0 * x)
+    return jnp.stack([jnp.asarray(value) for value in ten])
 
 
 def body_of(inertia: np.ndarray, anchor: np.ndarray) -> tuple[np.ndarray, float]:

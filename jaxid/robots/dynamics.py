@@ -95,7 +95,7 @@ def gathered(plan: Plan, places: Any) -> Any:
 class Body(NamedTuple):
     """What does not depend on the state, all at the places [levels slots]: frames at the reference
     as three matrices by rows with R(q) = R0 + sin(q) R1 + (1 - cos(q)) R2, origins, axes split by
-    kind, inertia (ten), the route.
+    kind, inertia (ten), the route, and bodies (ten) whose weight something else carries.
     """
 
     R0: tuple[Vector, Vector, Vector]
@@ -106,6 +106,7 @@ class Body(NamedTuple):
     slide: Vector | None  # axis of a slide, in the node's frame, else 0; None where no joint slides
     inertia: tuple[Any, ...]
     route: Any
+    lifted: tuple[Any, ...] | None = None  # None: nothing carries any weight
 
 
 def body(
@@ -114,9 +115,10 @@ def body(
     axis: np.ndarray,
     place: Float[Array, "6 n"],
     inertia: Float[Array, "n 10"],
+    lifted: np.ndarray | None = None,
 ) -> Body:
     """`place`: x y z roll pitch yaw of each node in its parent's frame; `axis` [n 3]; `inertia`
-    about the node's origin.
+    and `lifted` [n 10] about the node's origin.
     """
     (sr, cr), (sp, cp), (sy, cy) = (sincos(place[k]) for k in (3, 4, 5))
     rows = (
@@ -145,6 +147,7 @@ def body(
         slide=parts(sliding) if any(slides) else None,
         inertia=tuple(every[30:40]),
         route=plan.route,  # type: ignore[arg-type]
+        lifted=None if lifted is None else parts(lifted),
     )
 
 
@@ -201,8 +204,26 @@ def inverse_dynamics(
     qdd: Float[Array, " n"],
 ) -> Float[Array, " n"]:
     """Force or torque at every joint for a motion; armature, damping, friction and springs
-    excluded.
+    excluded, and the weight of what is lifted.
     """
+    tau = _moving(plan, body, E, base, qd, qdd)
+    if body.lifted is None:
+        return tau
+    zero = tuple(0.0 * part for part in base.a)
+    at_rest = Base(zero, zero, base.a)  # pyright: ignore
+    weight = _moving(plan, body._replace(inertia=body.lifted), E, at_rest, 0 * qd, 0 * qdd)
+    return tau - weight
+
+
+def _moving(
+    plan: Plan,
+    body: Body,
+    E: Placements,
+    base: Base,
+    qd: Float[Array, " n"],
+    qdd: Float[Array, " n"],
+) -> Float[Array, " n"]:
+    """The same, the weight of what is lifted among it."""
     v, a = spread(plan, qd), spread(plan, qdd)
 
     def outwards(carry, x):

@@ -53,6 +53,10 @@ def floating(tree: Tree) -> Tree:
         raise UsageError(
             f"{tree.file}: {len(bodies)} bodies of it are free to move; one base can float: take the others out"
         )
+    if tree.lifted is not None:
+        raise UsageError(
+            f"{tree.file}: gravcomp cancels weight, which a base that floats has not: take it out"
+        )
     if taken := [n for n in FLOATS if n in tree.joints]:
         raise UsageError(
             f"{tree.file}: a joint is called {taken[0]!r}, which is the name of a coordinate of a free base: rename it"

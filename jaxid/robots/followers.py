@@ -66,6 +66,14 @@ def led_by(tree: Tree, lead: str) -> Tree:
     return replace(tree, couplings=tuple(couplings))
 
 
+def led_as(tree: Tree, leads: Sequence[str]) -> Tree:
+    """The tree in which these joints lead those that the file couples to them."""
+    for joint in leads:
+        own = [c for c in tree.couplings if c.follower == joint and c.ratio != 0]
+        tree = led_by(tree, joint) if own else tree
+    return _with_drives(tree)
+
+
 def _with_drives(tree: Tree) -> Tree:
     """The tree whose leading joints have the drives of joints that follow them, where they have
     none.

@@ -3,8 +3,8 @@ own.
 
 A file is a stranger's input. It is parsed without entities; what it includes must lie beside it and
 be of sensible size; meshes, textures and everything else that is drawn are dropped before
-compiling, so that none is ever read. What a tree of hinge and slide joints cannot express is
-refused by name.
+compiling. Only meshes that give an inertia are read (see `mjcf_meshes`). What a tree of hinge and
+slide joints cannot express is refused by name.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxid.dynamics.rigid_body import about_origin
 from jaxid.errors import UsageError
-from jaxid.robots.mjcf_spec import compilable, library
+from jaxid.robots.mjcf_spec import compilable, compiled, first_of, library
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.mjcf_ties import resolved, Tendon, Ties
 from jaxid.robots.steps import steps_of
@@ -33,13 +33,7 @@ def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
     """
     path = Path(path)
     spec, tendons = compilable(path, expanded(path, text))
-    mujoco = library()
-    try:
-        model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise UsageError(
-            f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}"
-        ) from None
+    model = compiled(path, spec)
     return _Reader(path, model, tendons).tree()
 
 
@@ -61,17 +55,8 @@ class _Reader:
 
     def tree(self) -> Tree:
         m, mj = self.m, self.mj
-        joints, links, parent, slides, axis, place, inertia, anchor, number = (
-            [],
-            [],
-            [],
-            [],
-            [],
-            [],
-            [],
-            [],
-            [],
-        )
+        joints, links, parent, slides, axis, place = [], [], [], [], [], []
+        inertia, lifted, anchor, number = [], [], [], []
         carrier = {0: (-1, np.eye(4))}  # body -> (node that carries it, its frame there)
         trunk, root, free, base = (
             np.zeros(10),
@@ -107,6 +92,7 @@ class _Reader:
                 axis.append(m.jnt_axis[j].copy())
                 links.append("")
                 inertia.append(np.zeros(10))
+                lifted.append(np.zeros(10))
                 anchor.append(here)
                 number.append(j)
             back = np.eye(4)
@@ -118,9 +104,11 @@ class _Reader:
             if node >= 0:
                 if parent and len(own) and links[node] == "" and node == len(joints) - 1:
                     links[node] = self.name("BODY", b)
-                inertia[node] = inertia[node] + turned(self.ten(b), carrier[b][1])
+                ten = turned(self.ten(b), carrier[b][1])
+                inertia[node] = inertia[node] + ten
+                lifted[node] = lifted[node] + m.body_gravcomp[b] * ten
         if not joints:
-            raise self.refuse("no hinge or slide joint moves anything in it")
+            raise self.refuse(self.without_joints())
         unmoved = [
             links[k] or joints[k]
             for k in range(len(joints))
@@ -143,6 +131,7 @@ class _Reader:
         self.ties.tendons(self.tendons)
         couplings, fixed = self.couplings()
         self.options()
+        self.lifting()
         actuators = self.actuators(number)
         tree = Tree(
             file=str(self.path),
@@ -179,18 +168,21 @@ class _Reader:
             carrier=base,
             steps=steps_of(self.mj, m),
             ties=tuple(t for t in self.ties.found if t.joints),
+            lifted=np.array(lifted) if m.body_gravcomp.any() else None,
         )
         return tree.locked(fixed)
+
+    def without_joints(self) -> str:
+        """What to say of a file in which nothing can be fitted."""
+        if self.m.njnt:
+            return "it moves freely or turns on balls alone; jaxid takes hinge and slide joints"
+        return "nothing moves in it: it has no joint"
 
     def ten(self, b: int) -> np.ndarray:
         """Ten numbers of a body about its own frame."""
         m = self.m
         R = pose(np.zeros(3), m.body_iquat[b])[:3, :3]
         I = R @ np.diag(m.body_inertia[b]) @ R.T
-        if m.body_gravcomp[b]:
-            raise self.refuse(
-                f"body {self.name('BODY', b)!r} has gravcomp, a force that is not simulated"
-            )
         return about_origin(m.body_mass[b], m.body_ipos[b], I[np.triu_indices(3)])
 
     def carries(self, node: int, parent: list[int], inertia: list[np.ndarray]) -> bool:
@@ -205,6 +197,23 @@ class _Reader:
         if flags & int(self.mj.mjtDisableBit.mjDSBL_GRAVITY):
             raise self.refuse(
                 '<flag gravity="disable"> is not read: write <option gravity="0 0 0"/>'
+            )
+
+    def lifting(self) -> None:
+        """What is to be said of bodies whose weight the file cancels."""
+        m = self.m
+        bodies = [self.name("BODY", b) for b in np.flatnonzero(m.body_gravcomp).tolist()]
+        if not bodies:
+            return
+        self.notes.append(
+            f"the weight of {first_of(bodies)} is cancelled as by gravcomp of the file"
+        )
+        counted = m.jnt_actgravcomp.astype(bool) & m.jnt_actfrclimited.astype(bool)
+        joints = [self.name("JOINT", j) for j in np.flatnonzero(counted).tolist()]
+        if joints:
+            self.notes.append(
+                f"actuatorgravcomp of {first_of(joints)}: what cancels weight does not count "
+                "against the limit of the drive here, and does in MuJoCo"
             )
 
     def joint_force(self, j: int) -> tuple[float, float]:

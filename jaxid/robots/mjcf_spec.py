@@ -4,7 +4,8 @@ drawn, touched or sensed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,10 @@ DROPPED = (
     "cameras",
     "lights",
 )
+#: Characters of a file beside another one that are searched for includes.
+FIRST = 100_000
+#: What a body is called that the file gives no name.
+UNNAMED = "a body without a name"
 
 
 def library() -> Any:
@@ -45,28 +50,19 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
     body's inertia would come from what is drawn, or cannot be.
     """
     mujoco = library()
-    try:
-        spec = mujoco.MjSpec.from_string(text)
-    except (ValueError, mujoco.FatalError) as error:
-        raise UsageError(
-            f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}"
-        ) from None
+    spec = parsed(path, text)
+    if len(spec.bodies) < 2:  # the world counts
+        raise UsageError(f"{path}: it holds no <body>, so it is no robot{as_a_part(path)}")
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         raise UsageError(
             f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is not read; state '
-            f"<inertial> in each body and remove it. {_written_by_mujoco(path)}"
+            f"<inertial> in each body and remove it. {written_by_mujoco(path)}"
         )
-    silent = (
-        []
-        if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-        else _silent(spec)
-    )
-    shapes = [(b.name, list(_heavy(b, spec))) for b in silent]
-    lacking = [name or "a body without a name" for name, own in shapes if not all(map(_plain, own))]
+    lacking = from_meshes(spec)
     if lacking:
         raise UsageError(
-            f"{path}: the inertia of {_first(lacking)} comes from meshes, which are not read: add "
-            f'<inertial pos="…" mass="…" diaginertia="…"/> to each. {_written_by_mujoco(path)}'
+            f"{path}: the inertia of {first_of(lacking)} comes from meshes, which are not at hand: "
+            f"{to_state_inertias(path)}"
         )
     faults = [f for b in spec.bodies if b.explicitinertial and (f := _fault(b))]
     if faults:
@@ -79,7 +75,9 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
     loose = [b for b in spec.bodies if _loose(b) and not b.explicitinertial]
     for body in loose:  # moves nothing of the robot: its inertia is of no matter
         body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
-    kept = [g for _, own in shapes for g in own]
+    kept: list[Any] = []
+    for body in _silent(spec):
+        kept += heavy(body, spec)
     for geom in kept:
         geom.contype = geom.conaffinity = 0
         geom.material = ""
@@ -94,12 +92,62 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
     return spec, tendons
 
 
-def _first(names: list[str], most: int = 8) -> str:
+def parsed(path: Path, text: str) -> Any:
+    """The spec of an MJCF's text. Raises `UsageError`."""
+    mujoco = library()
+    try:
+        return mujoco.MjSpec.from_string(text)
+    except (ValueError, mujoco.FatalError) as error:
+        raise not_taken(path, error) from None
+
+
+def compiled(path: Path, spec: Any) -> Any:
+    """The model of a file's spec. Raises `UsageError`."""
+    try:
+        return spec.compile()
+    except (ValueError, library().FatalError) as error:
+        raise not_taken(path, error) from None
+
+
+def not_taken(path: Path, error: Exception) -> UsageError:
+    """What MuJoCo has against a file."""
+    said = " ".join(str(error).split())
+    return UsageError(f"{path}: MuJoCo does not take it: {said}{as_a_part(path)}")
+
+
+def as_a_part(path: Path) -> str:
+    """What is to be said of a file that files beside it include, "" of another one."""
+    wanted = re.compile(rf"<\s*include\s[^>]*[\"'/]{re.escape(path.name)}[\"']")
+    beside = sorted(path.parent.glob("*.xml")) if path.is_file() else []
+    whole = [other.name for other in beside if other != path and wanted.search(_start(other))]
+    return f". {listed(whole)} includes it: if it is a part, give that file" if whole else ""
+
+
+def _start(path: Path) -> str:
+    """The first part of a file, where includes stand."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        return file.read(FIRST)
+
+
+def from_meshes(spec: Any) -> list[str]:
+    """Names of the moving bodies whose mass comes from meshes or from other shapes in files."""
+    shapes = [(body.name or UNNAMED, list(heavy(body, spec))) for body in _silent(spec)]
+    return [name for name, own in shapes if not all(map(_plain, own))]
+
+
+def first_of(names: Sequence[str], most: int = 8) -> str:
+    """Names, of many the first ones."""
     return listed(names if len(names) <= most else [*names[:most], f"{len(names) - most} more"])
 
 
-def _written_by_mujoco(path: Path) -> str:
-    """The command that states every inertia in a copy of the file, where its meshes are."""
+def to_state_inertias(path: Path) -> str:
+    """What to do about bodies without `<inertial>`."""
+    element = '<inertial pos="…" mass="…" diaginertia="…"/>'
+    return f"add {element} to each. {written_by_mujoco(path)}"
+
+
+def written_by_mujoco(path: Path) -> str:
+    """A sentence with the command that states all inertias in a copy, where the meshes are."""
     copy = path.with_name(f"{path.stem}_inertial.xml").as_posix()
     return (
         f'MuJoCo writes a copy with all of them: python -c "import mujoco; s = mujoco.MjSpec.from_file({path.as_posix()!r}); '
@@ -111,10 +159,13 @@ def _silent(spec: Any) -> list[Any]:
     """Bodies without a stated inertia that a joint of the robot carries, and that geometry gives
     mass.
     """
+    never = library().mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    if spec.compiler.inertiafromgeom == never:
+        return []
     return [
         b
         for b in spec.bodies
-        if not b.explicitinertial and _moves(b) and not _loose(b) and any(_heavy(b, spec))
+        if not b.explicitinertial and _moves(b) and not _loose(b) and any(heavy(b, spec))
     ]
 
 
@@ -145,7 +196,7 @@ def _loose(body: Any) -> bool:
     return all(j.type == free for b in below for j in b.joints)
 
 
-def _heavy(body: Any, spec: Any) -> Iterable[Any]:
+def heavy(body: Any, spec: Any) -> Iterable[Any]:
     """The geometry that gives a body mass."""
     low, high = spec.compiler.inertiagrouprange
     for g in body.geoms:

@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
 from jaxid.errors import UsageError
+from jaxid.robots.mjcf_meshes import with_inertias
 from jaxid.storage.xml_tree import Declares, xml_root
 
 
@@ -16,8 +17,9 @@ LARGEST, DEEPEST = 4_000_000, 8
 
 
 def expanded(path: Path, text: str | None = None) -> str:
-    """The MJCF with its includes in place. Raises `UsageError` for what is no MJCF, lies outside
-    its folder, or is too large.
+    """The MJCF with its includes in place, and with the inertias that come from meshes stated.
+
+    Raises `UsageError` for what is no MJCF, lies outside its folder, or is too large.
     """
     root = _parsed(path, text)
     if root.tag not in ("mujoco", "mujocoinclude"):
@@ -41,6 +43,8 @@ def expanded(path: Path, text: str | None = None) -> str:
             c for c in parent if c.tag in ("extension", "plugin", "visual", "statistic", "size")
         ]:
             parent.remove(child)
+    with_inertias(path, root)
+    for parent in list(root.iter()):
         for child in [c for c in parent if parent.tag == "asset"]:
             if (
                 child.tag != "material"

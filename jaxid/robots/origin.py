@@ -22,8 +22,9 @@ LAW = ("kp", "kd", "ki", "gain", "lowest", "highest", "offset", "delay", "lag")
 
 
 def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
-    """The file of a `Robot` with its SHA-256 ("" where it lies no more), its joints and where
-    others were held, its drive: `{"file", "sha256", "joints", "held", "base", "drive": {"origin",
+    """The file of a `Robot` with its SHA-256 ("" where it lies no more), its joints, those of them
+    that no other one leads, where others were held, its drive: `{"file", "sha256", "joints",
+    "leads", "held", "base", "drive": {"origin",
     "kind", "period", …, "joints": {NAME: {"kp": …}}} or None}`.
     """
     tree: Tree = mechanism.tree.tree
@@ -33,6 +34,7 @@ def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
         "file": path,
         "sha256": digest(path),
         "joints": list(tree.joints[6 * tree.floats :]),
+        "leads": list(tree.driven),
         "held": {k: float(v) for k, v in tree.held.items()},
         "base": {
             k: float(np.asarray(getattr(mechanism, f"base_{k}"))) for k in ("roll", "pitch", "yaw")
@@ -68,7 +70,8 @@ def origin_on(model: object, dataset: Dataset) -> dict[str, Any]:
 def joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """That of a robot whose limbs were looked at one by one."""
     out = dict(parts[0])
-    out["joints"] = [j for p in parts for j in p.get("joints", ())]
+    for kind in ("joints", "leads"):
+        out[kind] = [j for p in parts for j in p.get(kind, ())]
     if out.get("drive"):
         out["drive"] = {
             **out["drive"],

@@ -78,7 +78,8 @@ class Tree:
     link's name, and `root` [16], row by row, its pose in it where it is free to move in the file.
     `floats`: the first six nodes are the base's own freedom (see `robots.floating`). `steps`: those
     of the simulator that the file is of, where they add to its numbers. `ties` must have all of
-    their joints held before anything is simulated (see `robots.match`).
+    their joints held before anything is simulated (see `robots.match`). `lifted` [n 10]: bodies
+    whose weight the file cancels (`gravcomp`), as `inertia`; None where it cancels none.
     """
 
     file: str
@@ -114,6 +115,7 @@ class Tree:
     floats: bool = False
     steps: Steps | None = None
     ties: tuple[Tie, ...] = ()
+    lifted: np.ndarray | None = None
 
     @property
     def n(self) -> int:
@@ -167,6 +169,7 @@ class Tree:
             "effort",
         )
         out: dict[str, Any] = {name: getattr(self, name)[k] for name in arrays}
+        out["lifted"] = None if self.lifted is None else self.lifted[k]
         return out | {
             name: tuple(getattr(self, name)[i] for i in k) for name in ("joints", "links", "slides")
         }
@@ -185,6 +188,7 @@ class Tree:
         number = {k: i for i, k in enumerate(keep)}
         fields = self.taken(keep)
         inertia, places, parents = fields["inertia"].copy(), [], []
+        lifted = None if self.lifted is None else fields["lifted"].copy()
         trunk = np.array(self.trunk)
         carrier: dict[
             int, tuple[int, np.ndarray]
@@ -201,6 +205,8 @@ class Tree:
                 )
                 if up >= 0:
                     inertia[number[up]] += turned(self.inertia[k], carrier[k][1])
+                    if lifted is not None and self.lifted is not None:
+                        lifted[number[up]] += turned(self.lifted[k], carrier[k][1])
                 else:
                     trunk += turned(self.inertia[k], carrier[k][1])
             else:
@@ -211,6 +217,7 @@ class Tree:
             **fields,
             "place": np.array(places).reshape(-1, 4, 4),
             "inertia": inertia,
+            "lifted": lifted,
             "parent": tuple(parents),
         }
         own["trunk"] = tuple(trunk.tolist())

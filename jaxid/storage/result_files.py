@@ -12,6 +12,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from jaxid.display import displays
 from jaxid.serialise import json_bytes
 from jaxid.storage.atomic_files import replace_files, settle
 
@@ -79,10 +80,9 @@ def json_name(kind: str) -> str:
 
 def page_of(result: Any) -> str | None:
     """The report page; None for a kind without one."""
-    from jaxid import report
-
-    kind = kind_of(result)
-    return getattr(report, f"{kind}_page")(result) if kind in DRAWN else None
+    if kind_of(result) not in DRAWN:
+        return None
+    return displays().page(result)
 
 
 def _tables(result: Any) -> dict[str, bytes]:

@@ -261,7 +261,7 @@ def _mat73(path: Path) -> Arrays:
                 objects.append(full)
             elif isinstance(item, h5py.Group):
                 visit(full, item)
-            elif item.dtype.kind in "biuf":
+            elif item.dtype.kind in "biuf" and made_by != b"char":
                 out[full] = np.squeeze(item[()].T)  # MATLAB stores columns first
 
     with h5py.File(path, "r") as file:

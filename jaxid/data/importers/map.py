@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxid.data.importers.arrays import Arrays
+from jaxid.data.importers.beside import Beside, kept_beside, numbers_beside
 from jaxid.data.importers.command import Asked, full_command
 from jaxid.data.importers.joining import Clock, join_columns, Joined, joined_files, names_once
 from jaxid.data.importers.propose import proposal
@@ -92,13 +93,17 @@ def import_table(
     notes: list[str] = []
     joints: dict[str, int] = {}
     found: list[Wanted] = []
+    beside: list[tuple[str, Beside]] = []
     for source in sources:
         for part in parts_of(source):
             found, t, columns, said = _read(
                 part, clock, [w for w in wanted if w.name != "t"], joined, rows, rate, joints
             )
             notes += said
+            beside.append((part.path.stem, numbers_beside(part)))
             runs += runs_of(part.path.stem, t, columns, part.path.name)
+    constants, said = kept_beside(beside)
+    notes += said
     roles = {w.name: (w.role or role_of(w.name), w.unit or "1") for w in found}
     folder = save_runs(
         runs,
@@ -108,6 +113,7 @@ def import_table(
         overwrite=overwrite,
         units={n: u for n, (_, u) in roles.items()},
         notes=notes,
+        beside=constants,
         joints={f"q{k}": name for name, k in joints.items() if f"q{k}" in roles},
     )
     said = [f"{w.name}={w.column}:{w.unit}:{w.role or role_of(w.name)}" for w in found]

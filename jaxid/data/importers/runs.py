@@ -111,9 +111,11 @@ def save_runs(
     units: Mapping[str, str] | None = None,
     joints: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
+    beside: Mapping[str, float | str] | None = None,
 ) -> Path:
     """Writes the dataset folder. `roles`: channel, or its name without the joint -> role (None: by
-    convention) and unit; `joints`: channel of a position -> the joint's own name. A sample that is
+    convention) and unit; `joints`: channel of a position -> the joint's own name; `beside`: numbers
+    of the files that are no series. A sample that is
     NaN was not read (`valid` in `dataset.toml`); every note is warned of and stands in the
     description.
     """
@@ -161,7 +163,7 @@ def save_runs(
             name=Path(out).name,
             description=f"imported from {kind}; "
             + ("; ".join(notes) or "nothing repeated, nothing missing"),
-            source={"source": kind, "files": ", ".join(r.name for r in runs)},
+            source={"source": kind, "files": ", ".join(r.name for r in runs)} | dict(beside or {}),
             names=_unique([r.name for r in runs]),
             split_at_gaps=True,
             valid={c: [np.isfinite(r.columns[c]).astype(float) for r in runs] for c in blank},

@@ -14,16 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxid.data.dataset import Experiment
+from jaxid.diagnosis.goals.changes import Change, changes
 from jaxid.diagnosis.goals.floor import Between, between_simulators, seen_early
-from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
+from jaxid.diagnosis.goals.gains import held_gains
+from jaxid.diagnosis.goals.propose import as_vector, candidates_of
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
 from jaxid.diagnosis.selection import indistinct, joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.diagnosis.torque.algebra import gram, Known, solve, Weights
-from jaxid.diagnosis.torque.library import Unit
 from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.effect import Effect
 from jaxid.fitting.fitter import Progress
@@ -33,9 +32,6 @@ from jaxid.problem.residual import OutputError
 from jaxid.wording import listed
 
 
-#: So many effects at one place, half as many at all of their places, half as many numbers, and as
-#: many by other weights, are simulated: where dry friction turns about, first order is rough.
-FIRST = 4
 TAKEN_OFF = (
     "the recording is compared with the file as MuJoCo runs it: what that and jaxid's run of the same file differ by is taken "
     "off the readings, rms"
@@ -139,131 +135,6 @@ def by_its_steps(bench: Bench, study: LedStudy, plain: Difference) -> Difference
     return Difference(by_split, theta, _changed(b, found.by_split["fit"]) * left)
 
 
-@dataclass(frozen=True, eq=False)
-class Change:
-    """What alone is different from the model as it stands: effects of one kind, or numbers of the
-    model (`index`, in its layout); with the values of both.
-    """
-
-    proposal: Proposal
-    index: tuple[int, ...] = ()
-
-    @property
-    def place(self) -> tuple[object, ...]:
-        return self.index or tuple(u.place for u in self.proposal.units)
-
-
-def changes(binding: Binding, kinds: Sequence[type[Effect]], taken: Difference) -> list[Change]:
-    """Single changes of a model whose other numbers stand as they are, likeliest first: an effect
-    at one of its places or at all of them, a number of the model, one of all its joints, or the
-    centre of mass of a link.
-    """
-    runs = [
-        _without(e, x)
-        for e, x in zip(binding.experiments("fit"), taken.by_split["fit"].apart, strict=True)
-    ]
-    theta = taken.theta.copy()
-    b = replace(binding, dataset=replace(binding.dataset, experiments=tuple(runs)), theta=theta)
-    study = LedStudy(b, kinds, begin=theta.copy())  # not re-tuned
-    rows, by_left = study.rows_with_effects(theta)
-    p = study.plant.size
-    stands = np.arange(p), theta[study.plant.free]
-    every = [
-        np.concatenate(
-            [x[:, :, :p], x[:, :, rows.size : -1], rows.residual(k, *stands)[:, :, None]], 2
-        )
-        for k, x in enumerate(rows.rows)
-    ]
-    out: dict[tuple[object, ...], Change] = {}
-    for white in (Weights(study.noise, np.ones(len(study.noise))), by_left):
-        g = gram(study.runs, every, study.unsure, white, 1).total
-        effects = _of_effects(g, study, rows.units, p)
-        single, several = (
-            [pair for pair in effects if (len(pair[1].proposal.units) > 1) == many]
-            for many in (False, True)
-        )
-        for found, most in (
-            (_of_numbers(g, study), FIRST // 2),
-            (single, FIRST),
-            (several, FIRST // 2),
-        ):
-            likeliest = sorted(found, key=lambda pair: pair[0])[:most]
-            out |= {c.place: c for _, c in likeliest if c.place not in out}
-    return list(out.values())
-
-
-def _without(e: Experiment, apart: np.ndarray) -> Experiment:
-    y = e.y.copy()
-    y[:, : apart.shape[1]] -= apart
-    return replace(e, y=y)
-
-
-def _of_numbers(g: np.ndarray, study: LedStudy) -> list[tuple[float, Change]]:
-    """What is left by the best value of each number or group of numbers, and that."""
-    b, free = study.binding, study.plant.free
-    groups: dict[tuple[str, str], list[int]] = {}
-    for k, i in enumerate(free):
-        kind, _, place = b.layout.names[i].partition("@")
-        groups.setdefault((kind, place), []).append(k)
-        groups.setdefault(("com", place) if kind.startswith("com_") else (kind, ""), []).append(k)
-    out = []
-    for at in dict.fromkeys(map(tuple, groups.values())):
-        index = [free[k] for k in at]
-        cost, moved = _alone(
-            g, at, b.lower[index] - b.theta[index], b.upper[index] - b.theta[index]
-        )
-        theta = b.theta.copy()
-        theta[index] += moved
-        out.append((cost, Change(Proposal((), (), theta), tuple(index))))
-    return out
-
-
-def _of_effects(
-    g: np.ndarray, study: LedStudy, every: Sequence[Unit], first: int
-) -> list[tuple[float, Change]]:
-    """The same of effects, each with the best of its shapes."""
-    ends = first + np.cumsum([0, *(len(u.fields) for u in every)])
-    best: dict[tuple[str, str], tuple[float, int, np.ndarray]] = {}
-    for k, u in enumerate(every):
-        cost, numbers = _alone(g, range(ends[k], ends[k + 1]), u.least, u.most)
-        if np.any(numbers != 0) and not cost >= best.get(u.place, (np.inf,))[0]:
-            best[u.place] = cost, k, numbers
-    theta = study.binding.theta
-    out = [
-        (cost, Change(Proposal((every[k],), (numbers,), theta)))
-        for cost, k, numbers in best.values()
-    ]
-    for effect in dict.fromkeys(e for e, _ in best):
-        own = [k for (e, _), (_, k, _) in best.items() if e == effect]
-        if len(own) > 1:
-            at = [range(ends[k], ends[k + 1]) for k in own]
-            low, high = (
-                np.concatenate([getattr(every[k], side) for k in own]) for side in ("least", "most")
-            )
-            cost, numbers = _alone(g, np.concatenate(at), low, high)
-            parts = np.split(numbers, np.cumsum([len(x) for x in at])[:-1])
-            out.append((cost, Change(Proposal(tuple(every[k] for k in own), tuple(parts), theta))))
-    return out
-
-
-def _alone(
-    g: np.ndarray, at: Sequence[int] | np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[float, np.ndarray]:
-    """What the columns `at` alone leave, and their numbers."""
-    size = len(g) - 1
-    low_, high_ = np.full(size, -np.inf), np.full(size, np.inf)
-    low_[list(at)], high_[list(at)] = low, high
-    s = solve(
-        g,
-        np.asarray(at, int),
-        Known(np.zeros((size, size)), np.zeros(size)),
-        np.zeros(size),
-        low_,
-        high_,
-    )
-    return s.cost, s.theta
-
-
 class Alone:
     """Single changes by simulation: each fitted by itself, with all else as it stands."""
 
@@ -276,7 +147,9 @@ class Alone:
         self.stated = dict(zip(plain.layout.names, plain.theta, strict=True))
         for name, value in zip(plain.layout.names, theta, strict=True):
             self.theta[wide.layout.index(name)] = value
-        self.own = frozenset(wide.layout.index(plain.layout.names[i]) for i in plain.free)
+        in_wide = lambda index: frozenset(wide.layout.index(self.names[i]) for i in index)
+        self.gains = in_wide(held_gains(plain))
+        self.own = in_wide(plain.free) | self.gains
         decider.asked = self.own
         self.stands = decider.refit((), self.theta)
         self.tried: list[Hypothesis] = []
@@ -315,13 +188,17 @@ class Alone:
         order = lambda h: (
             h not in few,
             h not in near,
-            not (self.of_numbers(h) and self.evidence(h) < told),
+            not (self.of_numbers(h) and not self.of_law(h) and self.evidence(h) < told),
             self.evidence(h),
         )
         return sorted(good, key=order)
 
     def of_numbers(self, h: Hypothesis) -> bool:
-        return any(i in self.own for c in h.effects for i in c.index)
+        return not self.own.isdisjoint(h.index)
+
+    def of_law(self, h: Hypothesis) -> bool:
+        """Whether gains are changed, which whoever wrote the law knows best."""
+        return not self.gains.isdisjoint(h.index)
 
     def searched(self, nominal: Hypothesis, enough: Sequence[Hypothesis]) -> Search:
         """The first of those that are enough, with what passes for it; `nominal` is re-tuned
@@ -358,7 +235,7 @@ class Alone:
         from what they were, by what each costs (Schwarz 1978).
         """
         p, H = h.path.problem, h.path.hessian
-        changed = {i for c in h.effects for i in c.index} or self.own
+        changed = set(h.index) or self.own
         at = [k for k, i in enumerate(p.free) if i in changed]
         if H is None or not at:
             return [int(p.free[k]) for k in at]
@@ -439,7 +316,10 @@ class AsStated:
         self.stepped = (
             None if self.stands or self.taken is None else by_its_steps(bench, study, self.taken)
         )
-        self.changes = [] if self.stepped is None else changes(self.plain, kinds, self.stepped)
+        self.changes: list[Change] = []
+        if self.stepped is not None:
+            apart = self.stepped.by_split["fit"].apart
+            self.changes = changes(self.plain, kinds, apart, self.stepped.theta)
         self.alone: Alone | None = None
         self.enough: list[Hypothesis] = []
 
@@ -465,6 +345,23 @@ class AsStated:
             and bool(self.enough)
             and not self.alone.of_numbers(self.enough[0])
         )
+
+    @property
+    def gains(self) -> list[str]:
+        """Names of the law's gains whose other value is what explains the recording."""
+        if self.alone is None or not self.enough:
+            return []
+        layout = self.alone.decider.bench.binding.layout
+        return [layout.names[i] for i in self.enough[0].index if i in self.alone.gains]
+
+    @property
+    def begin(self) -> np.ndarray:
+        """Numbers of the model as they stand, but for gains that explain the recording."""
+        theta = self.plain.theta.copy()
+        for name in self.gains:
+            wide = self.alone.decider.bench.binding.layout.index(name)  # type: ignore[union-attr]
+            theta[self.plain.layout.index(name)] = self.enough[0].theta[wide]
+        return theta
 
     @property
     def difference(self) -> Difference:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxid.data.dataset import Experiment
+from jaxid.diagnosis.goals.gains import gains_in
 from jaxid.diagnosis.verdict import level
 from jaxid.errors import UsageError
 from jaxid.fitting.problem_builder import Bench, estimate_starts
@@ -76,7 +77,7 @@ def between_simulators(
     bench: Bench, split: str = "fit", theta: np.ndarray | None = None
 ) -> Between | None:
     """None where MuJoCo has no run of the file; `theta`: numbers of jaxid's run where not those of
-    the file.
+    the file. Gains that are fitted are those of `theta` in both runs.
     """
     b = bench.binding
     path, runs = file_of(b), b.experiments(split)
@@ -91,7 +92,15 @@ def between_simulators(
         s if e.past is None else _measured(e.whole, b) for e, s in zip(runs, starts[0], strict=True)
     ]
     try:
-        theirs = in_mujoco(data, path, tree, None, [np.asarray(s) for s in begun], [])
+        theirs = in_mujoco(
+            data=data,
+            path=path,
+            tree=tree,
+            source=None,
+            starts=[np.asarray(s) for s in begun],
+            notes=[],
+            gains=gains_in(b, theta),
+        )
     except UsageError:
         return None
     for k, (e, y) in enumerate(zip(runs, theirs, strict=True)):

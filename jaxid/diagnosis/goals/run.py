@@ -12,7 +12,8 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
-from jaxid.diagnosis.goals.floor import between_simulators, not_this_file, with_floor
+from jaxid.diagnosis.goals.floor import Between, between_simulators, not_this_file, with_floor
+from jaxid.diagnosis.goals.gains import asked_for, better_gains, freed, with_room, would_close
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.propose import (
     as_vector,
@@ -38,6 +39,7 @@ from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import Fit
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
+from jaxid.robots.yardstick import as_it_stands
 from jaxid.simulation.sample_buffers import STEP, step_count
 from jaxid.wording import listed
 
@@ -68,6 +70,8 @@ SETTLED = (
     "numbers are fitted to the fit and validation runs together, once these have chosen the effects: errors on validation runs "
     "are no longer held out, those on report runs are"
 )
+#: How much a verdict says.
+RANK = {"unknown": 0, "partly": 1, "named": 2, "none": 2}
 WORDS = {"zero": "held", "linear": "along straight lines"}
 
 
@@ -126,12 +130,14 @@ def diagnose_led(
     """
     began = time.perf_counter()
     say = progress or (lambda *_: None)
+    binding = with_room(binding)
     say("along the motion", 0, 3, "rows")
     step = begin_simulations(binding)  # while the rows are made
     kinds = [k for k in library if shown(k)]
     study, notes = LedStudy(binding, kinds), []
     swapped = with_other_hold(dataset)
-    other = LedStudy(bind(model, swapped, without=without), kinds, begin=study.theta)
+    swapped_binding = with_room(bind(model, swapped, without=without))
+    other = LedStudy(swapped_binding, kinds, begin=study.theta)
     if goes_the_other_way(study, other):
         hold = dataset.inputs[0].hold
         notes.append(
@@ -140,21 +146,20 @@ def diagnose_led(
         dataset, study = swapped, other
         study.tuned(study.theta)
     say("along the motion", 1, 3, "noise")
-    made = lambda b: Bench(b, step, differences=1, together=True)
-    with_kinds = lambda names: bind(
-        model, dataset, without=without, candidates=[k for k in kinds if k.name in names]
+    ask = _Ask(
+        model=model,
+        dataset=dataset,
+        without=without,
+        kinds=kinds,
+        max_effects=max_effects,
+        step=step,
+        answer=answer,
+        progress=progress,
     )
     plain = study.binding
-    between = between_simulators(bench := made(plain))  # the program that is there
-    series = None if between is None else between.apart
-    doubts, apart, simulated = {}, None, None
-    if between is not None:
-        doubts, apart = (
-            study.taken_up(between.apart, clocks=False)[0],
-            study.taken_up(between.apart)[1],
-        )
-        simulated = study.taken_up(between.at_once(plain.experiments("fit")), clocks=False)[1]
-    study = study.with_binding(with_floor(plain, apart))
+    between = between_simulators(bench := ask.made(plain))  # the program that is there
+    apart = _apart(study, between)
+    study = study.with_binding(with_floor(plain, apart.size))
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
     asked = f"asked along the measured motion: {listed(sorted(k.name for k in kinds))}"
     left = sorted(k.name for k in library if not shown(k))
@@ -167,57 +172,28 @@ def diagnose_led(
         if between is not None and stands(plain.chain, dataset)
         else None
     )
-    strange = not_this_file(plain, between, simulated)
+    strange = not_this_file(plain, between, apart.at_once)
     by_itself = strange or (stated is not None and stated.stands)
     near = plain.theta if by_itself else study.theta
     road = _Road(plain.layout.names, Proposal((), (), near), seed, began, progress)
     alone = kinds_of([c.proposal for c in stated.changes]) if stated is not None else []
     if stated is not None:
-        stated.ask(lambda floor: made(with_floor(with_kinds(alone), floor)), progress)
+        stated.ask(lambda floor: ask.made(with_floor(ask.bound(alone), floor)), progress)
 
     if stated is not None and stated.explains:
-        names, taken, doubts = alone, stated.difference, stated.doubts
-        own = with_floor(with_kinds(names), taken.floor, doubts)
-        found = answer(
-            own,
-            names if stated.lacks else (),
-            lambda b, offer: road(taken.off(b), offer, stated.decided),
-            step,
-        )
-        found = replace(
-            found, which=replace(found.which, text=f"{found.which.text} {stated.said()}".strip())
-        )
-        notes.append(taken.said(plain))
-        # The readings have gone through the steps of the file's simulator already: delays are its
-        # own.
-        found = replace(
-            found, final=replace(found.final, robot={**found.final.robot, "taken_off": True})
-        )
+        found, more = _as_stated(ask, road, stated, alone)
+        doubts = stated.doubts
+        notes += [*more, stated.difference.said(plain)]
     elif strange:  # what is left is judged by the readings' own noise, and nothing is asked
+        doubts = apart.doubts
         found = answer(plain, (), lambda bench, offer: road(bench, offer, with_sets([])), step)
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
     else:
-        road.bare, sets = proposals(study, max_effects)
-        names, limit = kinds_of(sets), Limit()
-        wide = with_floor(with_kinds(names), apart, doubts)
-        found = answer(
-            wide,
-            names,
-            lambda bench, offer: road(bench, offer, with_sets(sets, limit), series),
-            step,
-        )
-        if found.which.verdict == "unknown" and limit.reached and between is not None:
-            # No effect is borne out, and what two simulators of the file as it stands differ by
-            # accounts for what is left.
-            again = with_floor(plain, between.size, doubts)
-            nothing = answer(
-                again, (), lambda bench, offer: road(bench, offer, with_sets([])), step
-            )
-            if nothing.which.verdict == "none":
-                text = f"{nothing.which.text} {THEIRS}"
-                found = replace(
-                    nothing, which=replace(nothing.which, text=text, ranking=found.which.ranking)
-                )
+        doubts = apart.doubts
+        found = _searched(ask, road, study, plain, apart)
+        if found.which.verdict in ("unknown", "partly"):
+            found, more = _with_other_gains(ask, road, plain, found)
+            notes += more
     if doubts:
         notes.append(MEANING)
     if study.of("validation"):
@@ -227,6 +203,133 @@ def diagnose_led(
         f"{found.nominal.evaluations} free runs were simulated under the law, in steps of {step:.2g} s at most"
     )
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
+
+
+@dataclass(frozen=True)
+class _Ask:
+    """What is asked of which recording, and in which steps it is simulated."""
+
+    model: object
+    dataset: Dataset
+    without: tuple[str, ...]
+    kinds: Sequence[type[Effect]]
+    max_effects: int
+    step: float
+    answer: Answer
+    progress: Progress | None
+
+    def bound(self, names: Sequence[str] = (), gains: Sequence[str] = ()) -> Binding:
+        """The model with effects of these names as candidates and these gains fitted."""
+        asked = [k for k in self.kinds if k.name in names]
+        wide = bind(self.model, self.dataset, without=self.without, candidates=asked)
+        return freed(with_room(wide), gains)
+
+    def made(self, binding: Binding) -> Bench:
+        return Bench(binding, self.step, differences=1, together=True)
+
+
+@dataclass(frozen=True)
+class _Simulators:
+    """What two simulators of the file differ by: their runs, what of it re-tuned numbers take up
+    (`doubts`), and what these leave, rms [n], with their clocks apart and `at_once`.
+    """
+
+    between: Between | None
+    doubts: dict[str, float]
+    size: np.ndarray | None
+    at_once: np.ndarray | None
+
+
+def _apart(study: LedStudy, between: Between | None) -> _Simulators:
+    if between is None:
+        return _Simulators(None, {}, None, None)
+    runs = study.binding.experiments("fit")
+    return _Simulators(
+        between=between,
+        doubts=study.taken_up(between.apart, clocks=False)[0],
+        size=study.taken_up(between.apart)[1],
+        at_once=study.taken_up(between.at_once(runs), clocks=False)[1],
+    )
+
+
+def _as_stated(
+    ask: _Ask, road: _Road, stated: AsStated, names: Sequence[str]
+) -> tuple[Diagnosis, list[str]]:
+    """The diagnosis of a recording that the file explains but for one change, and its notes."""
+    taken, notes = stated.difference, []
+    own = with_floor(ask.bound(names, stated.gains), taken.floor, stated.doubts)
+    if stated.gains:
+        road.bare = Proposal((), (), stated.begin)
+        notes.append(asked_for(own, stated.gains))
+    found = ask.answer(
+        own,
+        names if stated.lacks else (),
+        lambda b, offer: road(taken.off(b), offer, stated.decided),
+        ask.step,
+    )
+    found = replace(
+        found, which=replace(found.which, text=f"{found.which.text} {stated.said()}".strip())
+    )
+    # The readings have gone through the steps of the file's simulator already: delays are its own.
+    robot = {**found.final.robot, "taken_off": True}
+    return replace(found, final=replace(found.final, robot=robot)), notes
+
+
+def _searched(
+    ask: _Ask,
+    road: _Road,
+    study: LedStudy,
+    plain: Binding,
+    apart: _Simulators,
+    gains: Sequence[str] = (),
+) -> Diagnosis:
+    """The diagnosis by effects beside numbers that are re-tuned; `plain` without candidates."""
+    road.bare, sets = proposals(study, ask.max_effects)
+    names, limit = kinds_of(sets), Limit()
+    wide = with_floor(ask.bound(names, gains), apart.size, apart.doubts)
+    series = None if apart.between is None else apart.between.apart
+    found = ask.answer(
+        wide,
+        names,
+        lambda bench, offer: road(bench, offer, with_sets(sets, limit), series),
+        ask.step,
+    )
+    if found.which.verdict != "unknown" or not limit.reached or apart.between is None:
+        return found
+    # No effect is borne out, and what two simulators of the file as it stands differ by accounts
+    # for what is left.
+    again = with_floor(plain, apart.between.size, apart.doubts)
+    nothing = ask.answer(
+        again, (), lambda bench, offer: road(bench, offer, with_sets([])), ask.step
+    )
+    if nothing.which.verdict != "none":
+        return found
+    text = f"{nothing.which.text} {THEIRS}"
+    return replace(nothing, which=replace(nothing.which, text=text, ranking=found.which.ranking))
+
+
+def _with_other_gains(
+    ask: _Ask, road: _Road, plain: Binding, found: Diagnosis
+) -> tuple[Diagnosis, list[str]]:
+    """What effects do not explain, with gains of the law fitted where these alone close most of it;
+    as it was found where that says no more.
+    """
+    decider = Decider(ask.made(plain), plain.layout.names, None, ask.progress)
+    other = better_gains(decider, as_vector(plain, plain.layout.names, road.bare))
+    if other is None:
+        return found, []
+    changed = list(other.index)
+    gains = [plain.layout.names[i] for i in changed]
+    own = ask.bound((), gains)
+    study = LedStudy(own, ask.kinds, begin=other.theta)
+    same_file, _ = as_it_stands(own)
+    same_file[changed] = other.theta[changed]
+    apart = _apart(study, between_simulators(ask.made(own), theta=same_file))
+    study = study.with_binding(with_floor(own, apart.size))
+    again = _searched(ask, road, study, own, apart, gains)
+    if RANK[again.which.verdict] > RANK[found.which.verdict]:
+        return again, [asked_for(own, gains)]
+    return found, [would_close(own, gains, found, again)]
 
 
 @dataclass

@@ -15,7 +15,7 @@ import numpy as np
 from jaxid.errors import UsageError
 from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.mjcf_code import callback, snippet, spec_code
-from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY
+from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY, OF_LAW
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile
 from jaxid.robots.export.mjcf_friction import friction_field, UNTRIED
 from jaxid.robots.export.outcome import AS_STATED, Outcome
@@ -148,19 +148,22 @@ class _Patch:
         if self.file.joint(joint) is None:
             return f"joint {joint!r} has no name of its own in the file: give it one"
         law = f'<position joint="{joint}" kp="{digits(self.sheet.after[joint].kp)}" kv="{digits(self.sheet.after[joint].kd)}"/>'
-        if change.quantity in (
-            "kp",
-            "kd",
-            "force",
-            "lowest",
-            "highest",
-            "delay",
-            "lag",
-            "ki",
-            "offset",
-        ):
+        if through := self._through(joint):
+            return through
+        if change.quantity in (*OF_LAW, "force"):
             return f"the file has no position actuator at {joint}, and [controller] drives: set it in your controller, or add {law}"
         return f"the file has no one actuator at {joint} that jaxid knows"
+
+    def _through(self, joint: str) -> str:
+        """What to say of a joint that the file drives through one that is coupled to it."""
+        tree = self.sheet.tree
+        coupled = [] if tree is None else [c for c in tree.couplings if c.leader == joint]
+        driven = [c for c in coupled if self.file.actuator(c.follower) is not None]
+        if not driven or self.file.actuator(joint) is not None:
+            return ""
+        name, ratio = driven[0].follower, digits(driven[0].ratio)
+        at = f"the file drives {joint} through {name} = {ratio} {joint}"
+        return f"{at}: there, divide kp and kd by {ratio}^2 and forces by {ratio}"
 
     # ---- joints
 
@@ -188,18 +191,7 @@ class _Patch:
                 {k: v if isinstance(v, str) else numbers(np.atleast_1d(v)) for k, v in own.items()},
             )
             self.ops.append(Op("joint", joint, own))
-        drive = changed & {
-            "kp",
-            "kd",
-            "ki",
-            "offset",
-            "lowest",
-            "highest",
-            "delay",
-            "lag",
-            "torque",
-            "drive",
-        }
+        drive = changed & {*OF_LAW, "torque", "drive"}
         if drive:
             fields |= self._actuator(joint, drive, now)
         return fields
@@ -464,10 +456,8 @@ class _Patch:
             turn = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
             attributes |= {**dict.fromkeys(turn), "fullinertia": numbers(full)}
         if inertial is None:
-            text.insert(
-                element,
-                f'<inertial pos="{numbers(new.com)}" mass="{digits(new.mass)}" fullinertia="{numbers(full)}"/>',
-            )
+            where = f'pos="{numbers(new.com)}" mass="{digits(new.mass)}"'
+            text.insert(element, f'<inertial {where} fullinertia="{numbers(full)}"/>')
         else:
             text.set(inertial, attributes)
         self.ops.append(
@@ -481,7 +471,8 @@ class _Patch:
                 },
             )
         )
-        note = "mass, pos and inertia together; they are of bodies that can exist"
+        together = "mass, pos and inertia together; they are of bodies that can exist"
+        note = joined(together, self.file.lifted(link))
         if off > 1e-6:
             note += f"; the nearest such body is {100 * off:.2g} % of its largest number off"
         lumped = np.abs(own.ten - before.ten).max() > 1e-6 * np.abs(before.ten).max()

@@ -19,6 +19,9 @@ HISTORY = f"seconds; nsample is enough for time steps of {1e3 * SHORTEST:g} ms a
 #: Attributes of <position> that <general> has not.
 OWN_WORDS = ("kp", "kv", "dampratio", "timeconst", "inheritrange")
 
+#: Numbers of a position law at one joint.
+OF_LAW = ("kp", "kd", "ki", "offset", "lowest", "highest", "delay", "lag")
+
 
 @dataclass(frozen=True)
 class DriveWords:

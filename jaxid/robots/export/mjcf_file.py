@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.errors import UsageError
+from jaxid.robots import mjcf_spec
 from jaxid.robots.export.xml_text import Element, XmlText
 from jaxid.robots.mjcf_spec import compilable, library
 from jaxid.robots.mjcf_text import expanded, LARGEST
@@ -107,6 +108,15 @@ class MjcfFile:
         ]
         return found[0] if len(found) == 1 else -1
 
+    def lifted(self, link: str) -> str:
+        """What is to be said of a body whose weight the file cancels, "" of another one."""
+        if not self.model.body_gravcomp[self.model.body(link).id]:
+            return ""
+        return (
+            "gravcomp cancels the weight as patched in MuJoCo; in the result it cancels that of "
+            "the file before"
+        )
+
     @property
     def degrees(self) -> float:
         """Number of the file's angles per radian."""
@@ -121,9 +131,4 @@ class MjcfFile:
 def compiled(path: Path, text: str | None = None) -> Any:
     """The model of a file without what is drawn. Raises `UsageError`."""
     spec, _ = compilable(path, expanded(path, text))
-    try:
-        return spec.compile()
-    except (ValueError, library().FatalError) as error:
-        raise UsageError(
-            f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}"
-        ) from None
+    return mjcf_spec.compiled(path, spec)

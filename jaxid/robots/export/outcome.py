@@ -234,6 +234,7 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
         "file": str(robot.get("file") or "")[:4096],
         "sha256": str(robot.get("sha256") or "")[:64],
         "joints": [_name(j, "robot.joints") for j in robot.get("joints") or []],
+        "leads": [_name(j, "robot.leads") for j in robot.get("leads") or []],
         "held": {_name(k, "robot.held"): number(k, v) for k, v in held.items()},
         "base": {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")}
         | ({"kind": "free"} if base.get("kind") == "free" else {}),

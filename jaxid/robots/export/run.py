@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from jaxid.display import Printed
 from jaxid.errors import nearest, UsageError
 from jaxid.robots.export import mjcf
 from jaxid.robots.export.apply import carried
@@ -18,6 +19,7 @@ from jaxid.robots.export.stepped import shifted, stepped
 from jaxid.robots.export.target import joined, NEARER, Row, Trial
 from jaxid.robots.export.targets import TARGETS
 from jaxid.robots.floating import based
+from jaxid.robots.followers import led_as
 from jaxid.robots.mjcf import read_mjcf
 from jaxid.robots.origin import digest
 from jaxid.robots.tree import Tree
@@ -26,8 +28,8 @@ from jaxid.storage.small_files import read_small, TooLarge
 from jaxid.wording import listed, number
 
 
-@dataclass(frozen=True)
-class Exported:
+@dataclass(frozen=True, repr=False)
+class Exported(Printed):
     """Rows (one at least for each effect and each fitted number), files (name -> text), ranges
     (None where not asked for).
     """
@@ -38,11 +40,6 @@ class Exported:
     notes: tuple[str, ...]
     source: Mapping[str, Any]
     ranges: Mapping[str, Any] | None = None
-
-    def __repr__(self) -> str:
-        from jaxid.report.carried_text import export_text
-
-        return export_text(self)
 
     @property
     def carries(self) -> bool:
@@ -205,7 +202,7 @@ def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
                 f"{path}: there is no joint {lacking[0]!r}, of which the result speaks{nearest(lacking[0], tree.joints)}"
             )
         held = {k: v for k, v in found.robot["held"].items() if k in tree.joints}
-        return tree.locked(held)
+        return led_as(tree, _leads(found)).locked(held)
     joints = _joints(found)
     known = [j for j in joints if j in tree.joints]
     if known == joints or len(joints) == len(tree.leading):
@@ -214,6 +211,12 @@ def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
         f"{path} has the joints {', '.join(tree.leading)}, the result of model {found.model!r} speaks of {', '.join(joints)}: "
         "the robot's file goes with results of that robot"
     )
+
+
+def _leads(found: Outcome) -> list[str]:
+    """Joints that moved by themselves in the result, as far as it says them."""
+    drive = found.robot.get("drive")
+    return found.robot.get("leads") or (list(drive["joints"]) if drive else [])
 
 
 def _in_steps(

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from jaxid.numerics.versions import versions
+from jaxid.report import reproduction_page
+from jaxid.report.display import page
 from jaxid.serialise import SCHEMA
 
 
@@ -129,3 +131,6 @@ class Reproduction:
             "wall_time_s": self.wall_time_s,
             "versions": versions(),
         }
+
+
+page.register(Reproduction, reproduction_page)

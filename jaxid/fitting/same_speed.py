@@ -1,0 +1,86 @@
+"""Damping of a joint and the gain kd of its law: one number, where both brake the same speed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.result import Estimate
+from jaxid.fitting.scores import free_runs
+from jaxid.fitting.stated import Stated
+from jaxid.numerics.stated_numbers import REFUTED
+from jaxid.wording import number, value_with_std
+
+
+def said_as_one(bench: Bench, theta: np.ndarray, rows: Sequence[Stated]) -> tuple[Stated, ...]:
+    """The rows, with kd + damping in place of a damping that is refuted beside a kd that was held,
+    where another kd would move the joints as well. `theta`: numbers of the fitted model.
+    """
+    out: list[Stated] = []
+    for row in rows:
+        kd = _held_kd(bench, row)
+        if kd is None or not _as_well(bench, theta, row, kd):
+            out.append(row)
+            continue
+        out += [_open(row), _sum(row, float(bench.binding.theta[kd]))]
+    return tuple(out)
+
+
+def _held_kd(bench: Bench, row: Stated) -> int | None:
+    """Position of a kd that was held beside a damping that is stated and refuted."""
+    binding = bench.binding
+    law = getattr(binding.chain.mechanism, "drive_law", None)
+    if law is None or row.parameter != "damping" or not (row.refuted and row.stated > 0):
+        return None
+    name = f"kd@{row.joint}"
+    if name not in binding.layout.names:
+        return None
+    kd = binding.layout.index(name)
+    return kd if kd not in binding.free and binding.theta[kd] > 0 else None
+
+
+def _as_well(bench: Bench, theta: np.ndarray, row: Stated, kd: int) -> bool:
+    """Whether the free runs are the same with the damping as stated and another kd: what lies
+    nearer than chance takes all samples together is not told apart. A kd cannot be negative.
+    """
+    binding, other = bench.binding, theta.copy()
+    damping = binding.layout.index(f"damping@{row.joint}")
+    other[kd] += theta[damping] - row.stated
+    other[damping] = row.stated
+    if not other[kd] > 0:
+        return False
+    starts = estimate_starts(bench, "fit", [theta])
+    both = np.concatenate([starts, starts])
+    here, there = free_runs(bench, "fit", [theta, other], both)
+    apart = [(a - b) / binding.sigma for a, b in zip(here, there, strict=True)]
+    return bool(sum(float(np.sum(x**2)) for x in apart) < REFUTED**2)
+
+
+def _open(row: Stated) -> Stated:
+    text = (
+        f"damping of {row.joint} as stated can be neither confirmed nor refuted by itself: the "
+        f"law brakes the same speed, and the data tell only kd + damping"
+    )
+    return replace(row, deviation=None, text=text)
+
+
+def _sum(row: Stated, kd: float) -> Stated:
+    unit = f" {row.unit}" if row.unit not in ("", "1") else ""
+    whole = Estimate(kd + row.fitted, row.std, row.unit, 0.0, math.inf)
+    text = (
+        f"kd + damping of {row.joint}: {value_with_std(whole)}, stated {number(kd)} + "
+        f"{number(row.stated)}{unit} ({number(abs(row.deviation or 0.0), 2)} standard deviations): "
+        f"the law brakes the joint's own speed, and the data tell only the sum"
+    )
+    return replace(
+        row,
+        parameter=f"kd + damping of {row.joint}",
+        stated=kd + row.stated,
+        fitted=kd + row.fitted,
+        text=text,
+        beside=None if row.beside is None else kd + row.beside,
+    )

@@ -1,0 +1,265 @@
+"""Recordings and files of others, each as its README asks; skipped where they are not at hand."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid.cli.app import main
+from jaxid.conventions.checking import run_check
+from jaxid.conventions.finding import Checked
+from jaxid.data.dataset import Dataset
+from jaxid.fitters.short_fit import left_by_short_fit
+
+
+DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[1] / "../shared/data"))
+CASES = DATA.parent / "cases"
+
+
+def case(name: str) -> Path:
+    """The folder of a case."""
+    if not (CASES / name).is_dir():
+        pytest.skip(f"{name} is not in {CASES}: set JAXID_DATA to the folder beside the cases")
+    return CASES / name
+
+
+def checked(name: str) -> Checked:
+    """What `jaxid check` finds in a case."""
+    return run_check(None, jaxid.load_dataset(case(name)), gap=left_by_short_fit)
+
+
+def imported(*words: str, folder: Path, out: Path) -> Dataset:
+    """The dataset that `jaxid import` writes from files of a case; paths are relative to it."""
+    given = [str(folder / w) if (folder / w).is_file() else w for w in words]
+    assert main(["import", *given, "--out", str(out)]) == 0
+    return jaxid.load_dataset(out)
+
+
+def with_runs(name: str, into: Path) -> Path:
+    """A case whose description names Parquet files, of which the folder has the text."""
+    folder = shutil.copytree(case(name), into / name)
+    described = (folder / "dataset.toml").read_text()
+    for k, run in enumerate(("run_a", "run_b", "run_c"), 1):
+        described = described.replace(f'file = "run_{k}.parquet"', f'file = "{run}.csv"')
+    for joint in ("base_yaw", "shoulder", "elbow", "wrist"):
+        goal, read = f"[channels.{joint}_cmd]\n", f"[channels.{joint}]\n"
+        described = described.replace(goal, f'{goal}column = "goal_{joint}"\n')
+        described = described.replace(read, f'{read}column = "pos_{joint}"\n')
+    (folder / "dataset.toml").write_text(f'time = "time"\n{described}')
+    return folder
+
+
+# ---- what a recording says about itself
+
+
+def test_one_recording_under_two_names_is_one():
+    found = checked("rig3_01_one_recording_under_two_names")
+    (copy,) = found.findings
+    assert (copy.kind, copy.channel, copy.applied) == ("copy", "b", True)
+    assert found.mended is not None
+    assert [e.name for e in found.mended.experiments] == ["a"]
+
+
+def test_a_torque_that_is_reported_late_is_taken_earlier():
+    (late,) = checked("rig3_02_torque_reported_22_ms_late").findings
+    assert (late.kind, late.channel, late.applied) == ("row_shift", "tau", True)
+    assert float(late.line.removeprefix("delay_s = ")) == pytest.approx(0.022, abs=1e-3)
+    assert "no machine does that" in late.text
+
+
+def test_the_sign_of_a_register_is_no_sign_of_a_channel():
+    found = checked("rig3_03_sign_bit_registers").findings
+    told = {f.channel: f.line for f in found}
+    assert {f.kind for f in found} == {"unsigned"}
+    assert told == {"tau": "sign_bit = 10", "qd": "sign_bit = 15"}
+
+
+def test_repeats_that_warm_up_move_and_are_no_scatter():
+    found = checked("rig3_04_repeats_that_warm_up")
+    assert found.findings == ()
+    assert any("change one way" in note and "warms up" in note for note in found.notes)
+
+
+def test_a_lag_of_a_drive_is_no_shift_of_rows():
+    assert checked("rig3_05_propeller_square_and_lag").findings == ()
+
+
+@pytest.mark.slow
+def test_a_propeller_has_neither_a_filter_in_its_sensor_nor_cogging():
+    folder = case("rig3_05_propeller_square_and_lag")
+    found = jaxid.diagnose(None, jaxid.load_dataset(folder))
+    named = {e.effect for e in found.which.effects}
+    assert not named & {"sensor_lag", "torque_ripple"}
+
+
+def test_a_speed_that_was_averaged_is_late_whatever_the_model():
+    (late,) = checked("rig3_06_speed_channel_filtered").findings
+    assert (late.kind, late.channel) == ("filtered", "qd")
+    assert late.value == pytest.approx(0.046, abs=3e-3)
+    assert "Use q alone" in late.text
+
+
+def test_play_is_read_off_two_encoders():
+    (play,) = checked("rig3_07_two_encoders_show_the_play").findings
+    assert play.kind == "play"
+    assert play.interval_95 is not None
+    low, high = play.interval_95
+    assert low <= 0.030 <= high
+    assert play.value == pytest.approx(0.030, abs=2e-3)
+
+
+# ---- robots' files
+
+
+def test_an_inertia_of_a_robot_that_no_body_has_is_decisive():
+    found = checked("robot3_urdf_negative_inertia").findings
+    assert [(f.kind, f.channel, f.decisive) for f in found] == [("impossible_body", "hip", True)]
+    assert "-0.0013" in found[0].text and "-0.0012" in found[0].text
+
+
+def test_a_branch_is_exported_without_what_the_identification_left_out(tmp_path):
+    folder = case("robot3_export_of_a_branch")
+    found, patched = tmp_path / "found", tmp_path / "patched"
+    assert main(["identify", str(folder), "--out", str(found)]) == 0
+    robot, result = folder / "mobile.urdf", found / "identification.json"
+    command = ["export", str(result), "--to", "urdf", "--robot", str(robot), "--out", str(patched)]
+    assert main(command) == 0
+    text = (patched / "mobile.urdf").read_text()
+    assert text.count("<joint") == robot.read_text().count("<joint")
+    assert "friction" in text
+
+
+@pytest.mark.slow
+def test_a_limit_that_nothing_states_is_left_as_the_file_has_it(tmp_path):
+    folder = case("robot3_force_limit_lost")
+    found, patched = tmp_path / "found", tmp_path / "patched"
+    assert main(["diagnose", str(folder), "--out", str(found)]) == 0
+    robot, result = folder / "hub.xml", found / "diagnosis.json"
+    command = ["export", str(result), "--to", "mjcf", "--robot", str(robot), "--out", str(patched)]
+    assert main(command) == 0
+    text = (patched / "hub.xml").read_text()
+    assert 'forcerange="-6 6"' in text
+    assert "1000000000" not in text
+
+
+@pytest.mark.slow
+def test_a_number_at_its_bound_leaves_a_covariance(tmp_path):
+    folder = case("robot3_covariance_at_bound")
+    found, patched, ranges = tmp_path / "found", tmp_path / "patched", tmp_path / "ranges"
+    assert main(["diagnose", str(folder), "--out", str(found)]) == 0
+    robot, result = folder / "hub.xml", found / "diagnosis.json"
+    command = ["export", str(result), "--robot", str(robot)]
+    assert main([*command, "--to", "mjcf", "--out", str(patched)]) == 0
+    assert main([*command, "--to", "mjlab", "--ranges", "--out", str(ranges)]) == 0
+    kept = json.loads(result.read_text())["final"]["covariance"]
+    matrix = np.array(kept["matrix"] if isinstance(kept, dict) else kept, float)
+    scale = np.sqrt(np.diag(matrix))
+    correlation = matrix / np.where(scale > 0, scale, 1) / np.where(scale > 0, scale, 1)[:, None]
+    assert np.linalg.eigvalsh(correlation).min() > -1e-6
+    assert 'kv="0.7"' not in (patched / "hub.xml").read_text()
+
+
+@pytest.mark.slow
+def test_only_the_friction_that_is_wrong_is_written(tmp_path):
+    folder = with_runs("new3_export_hardens_friction", tmp_path)
+    found, patched = tmp_path / "found", tmp_path / "patched"
+    assert main(["diagnose", str(folder), "--out", str(found)]) == 0
+    robot, result = folder / "robot.xml", found / "diagnosis.json"
+    command = ["export", str(result), "--to", "mjcf", "--robot", str(robot), "--out", str(patched)]
+    assert main([*command, "--data", str(folder)]) == 0
+    text = (patched / "robot.xml").read_text()
+    assert text.count("solreffriction") == robot.read_text().count("solreffriction")
+    assert text.count("frictionloss") == robot.read_text().count("frictionloss")
+    page = (found / "report.html").read_text()
+    assert "Nothing is missing" not in page
+
+
+@pytest.mark.slow
+def test_what_the_steps_of_a_file_add_is_counted_once(tmp_path):
+    folder = with_runs("new3_mujoco_integrator_counted_twice", tmp_path)
+    found = jaxid.diagnose(None, jaxid.load_dataset(folder))
+    refuted = [r for r in found.nominal.stated if abs(r.deviation or 0.0) > 3]
+    assert [(r.parameter, r.joint) for r in refuted] == [("armature", "elbow")]
+
+
+# ---- files that are imported
+
+
+def test_a_trace_with_one_block_a_variable_is_read_by_name(tmp_path):
+    words = ("t=GVL.fTorque:ms", "tau=GVL.fTorque:N m:input", "q=GVL.fPos:rad:output")
+    folder = case("rig3_08_plc_trace_one_block_per_variable")
+    channels = [f"--channel={w}" for w in words]
+    data = imported("csv", "axis.trace.csv", *channels, folder=folder, out=tmp_path / "out")
+    (run,) = data.experiments
+    assert len(run) == 800
+    np.testing.assert_allclose(np.diff(run.t), 0.008, atol=1e-9)
+
+
+def test_blank_cells_of_a_log_are_no_readings(tmp_path):
+    words = ("t=time_s:s", "knee_cmd=knee_goal_rad:rad:input", "knee=knee_rad:rad:output")
+    channels = [f"--channel={w}" for w in words]
+    folder = case("robot3_blank_cells")
+    data = imported("csv", "log.csv", *channels, folder=folder, out=tmp_path / "out")
+    (run,) = data.experiments
+    assert run.read is not None
+    assert (len(run), np.count_nonzero(~run.read)) == (1200, 24)
+
+
+def test_every_file_that_is_joined_counts(tmp_path):
+    words = (
+        "t=stamp:s",
+        "lift=lift_position:rad:output",
+        "lift_qd=lift_velocity:rad/s:output",
+        "lift_tau=lift_effort:N m:input",
+    )
+    channels = [f"--channel={w}" for w in words]
+    files = ("position.csv", "--join", "velocity.csv", "--join", "effort.csv")
+    folder = case("robot3_join_twice")
+    data = imported("csv", *files, *channels, folder=folder, out=tmp_path / "out")
+    assert {c.name for c in data.channels} == {"lift", "lift_qd", "lift_tau"}
+    assert len(data.experiments[0]) == 600
+
+
+def test_two_joined_tables_end_as_they_should(tmp_path):
+    words = ("t=stamp:us", "q*=positions[*]:rad:output", "q*_cmd=goal.positions[*]:rad:input")
+    channels = [f"--channel={w}" for w in words]
+    folder = case("robot3_import_abort")
+    files = ("state.csv", "--join", "goal.csv")
+    data = imported("csv", *files, *channels, folder=folder, out=tmp_path / "out")
+    assert len(data.outputs) == len(data.inputs) == 4
+
+
+def test_names_in_a_list_of_lists_are_names(tmp_path, capsys):
+    folder = case("robot3_lerobot_nested_names")
+    command = ["import", "lerobot", str(folder), "--unit", "rad", "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "q1 = LeftShoulderPitch, q2 = LeftElbow, q3 = RightShoulderPitch" in said
+
+
+def test_a_proposal_has_the_only_input(tmp_path, capsys):
+    log = case("new3_import_proposal_drops_the_input") / "Fahrt1.csv"
+    assert main(["import", "csv", str(log), "--out", str(tmp_path / "out")]) == 2
+    command = capsys.readouterr().err.split("unit: ")[1].split(" (roles")[0]
+    assert "Motorstrom" in command and ":A:input" in command
+    assert "Istposition" in command and "Sollposition" in command
+
+
+# ---- a model of one's own
+
+
+def test_commands_take_a_model_by_its_file(tmp_path):
+    folder = case("new3_own_model_no_command")
+    model, data, out = str(folder / "duffing.py"), str(folder / "osc"), str(tmp_path / "out")
+    assert main(["check", data, "--model", model]) == 0
+    assert main(["fit", data, "--model", f"{model}:Duffing", "--out", out]) == 0
+    numbers = json.loads((tmp_path / "out" / "fit.json").read_text())["parameters"]
+    true = {"delta": 0.25, "alpha": 1.0, "beta": 4.0}
+    found = {name: numbers[name]["value"] for name in true}
+    assert found == pytest.approx(true, rel=0.05)
