@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxid import catalogue
-from jaxid.dynamics.parameter import Reference, resolve, specs
+from jaxid.dynamics.parameter import ANGLE, Reference, resolve, SPEED, specs, TORQUE
 
 
 @pytest.mark.parametrize(
@@ -38,3 +38,11 @@ def test_a_ripple_repeats_within_the_travel(travel):
     order = specs(catalogue.effect_class("torque_ripple"))["order"]
     reference = Reference(torque=1.0, speed=1.0, angle=travel, duration=8.0, step=0.01)
     assert resolve(order.lower, reference) * travel / (2 * np.pi) > 0.999, "one period at least"
+
+
+def test_powers_of_magnitudes_are_as_in_python():
+    reference = Reference(torque=6.0, speed=3.0, angle=2.0, duration=8.0, step=0.01)
+    assert resolve(4 * TORQUE / ANGLE**3, reference) == pytest.approx(3.0)
+    assert str(TORQUE / ANGLE**3) == "1 * torque / angle^3"
+    assert resolve((2 * SPEED) ** 2, reference) == 36.0
+    assert resolve(SPEED**0, reference) == 1.0
