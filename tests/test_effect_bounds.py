@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxid import catalogue
-from jaxid.dynamics.parameter import ANGLE, Reference, resolve, SPEED, specs, TORQUE
+from jaxid.dynamics.parameter import ANGLE, Reference, resolve, specs, SPEED, TORQUE
 
 
 @pytest.mark.parametrize(

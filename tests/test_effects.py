@@ -5,6 +5,8 @@ gradients.
 from __future__ import annotations
 
 import importlib
+import shutil
+import subprocess
 from typing import Any
 
 import jax
@@ -22,6 +24,7 @@ from jaxid.data.dataset import ModelSpec
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import InputEffect, JointEffect, OutputEffect, Signals
 from jaxid.dynamics.export_law import ExportLaw, FUNCTIONS, in_python, SIGNALS
+from jaxid.dynamics.law_in_c import in_c
 from jaxid.dynamics.parameter import Reference, resolve, specs, with_fields
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.fitters import LevenbergMarquardt
@@ -246,6 +249,29 @@ def by_law(effect: str, values: dict[str, np.ndarray], viscous: float = 0.0) -> 
         level = lambda q, v, drive: by_text(law, numbers, q=q, qd=v, load=drive)
         return ref.Truth(viscous=viscous, level=level)
     return ref.Truth(viscous=viscous, arrives=lambda u: by_text(law, numbers, u=u))
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_laws_in_c_are_those_in_python(tmp_path):
+    """Every expression of an export, compiled, at some signals."""
+    at = {"q": 0.4, "qd": -1.3, "load": -0.6, "u": -0.9, "y": 0.7}
+    reference = Reference(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
+    lines, expected = [], []
+    for kind in [e for e in LIBRARY if law_of(e)]:
+        law = law_of(kind)
+        numbers = {name: spec.value for name, spec in specs(kind).items()}
+        example = (kind.examples or kind.probes)[-1]
+        numbers |= {name: resolve(value, reference) for name, value in example.items()}
+        expected.append(float(by_text(law, numbers, **{k: at[k] for k in SIGNALS[law.port]})))
+        lines.append(f'  printf("%.17g\\n", {in_c(law, numbers)});')
+    signals = ", ".join(f"{name} = {value}" for name, value in at.items())
+    body = "\n".join(lines)
+    text = f"#include <math.h>\n#include <stdio.h>\nint main() {{ double {signals};\n{body}\n}}\n"
+    source, program = tmp_path / "laws.c", tmp_path / "laws"
+    source.write_text(text)
+    subprocess.run(["cc", source, "-o", program, "-lm"], check=True)
+    printed = subprocess.run([program], check=True, capture_output=True, text=True).stdout
+    np.testing.assert_allclose([float(x) for x in printed.split()], expected, rtol=1e-12)
 
 
 def as_made(kind: Any, numbers: dict[str, float], signals: dict[str, np.ndarray]) -> np.ndarray:
