@@ -88,12 +88,21 @@ def _of_node(node: ast.AST) -> Iterator[tuple[str, int]]:
         yield "named lambdas", 1
 
 
+def quoted_ids(package: Path = PACKAGE) -> set[str]:
+    """Ids of effects that stand as texts in the code of the package."""
+    ids = effect_ids()
+    found = set()
+    for path in package.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and node.value in ids:
+                found.add(node.value)
+    return found
+
+
 def figures(package: Path = PACKAGE) -> dict[str, float]:
     """The counts, by what they count."""
-    ids = effect_ids()
     count: Counter[str] = Counter()
     classes: Counter[str] = Counter()
-    quoted = set()
     for path in sorted(package.rglob("*.py")):
         text = path.read_text()
         count["files"] += 1
@@ -104,13 +113,11 @@ def figures(package: Path = PACKAGE) -> dict[str, float]:
                 count[name] += number
             if isinstance(node, ast.ClassDef):
                 classes[node.name] += 1
-            if isinstance(node, ast.Constant) and node.value in ids:
-                quoted.add(node.value)
     twice = [name for name, number in classes.items() if number > 1]
     density = 100 * count.pop("decisions") / count.pop("function lines")
     found: dict[str, float] = {DENSITY: round(density, 1), **count}
     found["class names in two or more modules"] = len(twice)
-    found["effect ids quoted"] = len(quoted)
+    found["effect ids quoted"] = len(quoted_ids(package))
     return found
 
 

@@ -141,6 +141,11 @@ class Truth:
     shared_viscous: Any = 0.0
     shared_dry: Any = 0.0
     shared_speed: Any = 1.0
+    # Laws that have no numbers here: (q, v) -> torque against motion, (q, v, drive) -> dry level,
+    # command -> what arrives of it.
+    force: Callable[[np.ndarray, np.ndarray], Any] = lambda q, v: 0.0
+    level: Callable[[np.ndarray, np.ndarray, np.ndarray], Any] | None = None
+    arrives: Callable[[np.ndarray], Any] = lambda u: u
 
     def smooth(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Torque against motion that is continuous in v."""
@@ -155,7 +160,7 @@ class Truth:
             + self.ripple * np.sin(self.ripple_order * q)
             + self.ripple_cosine * np.cos(self.ripple_order * q)
         )
-        f = f + self.spring * q + self.thinning(v)
+        f = f + self.spring * q + self.thinning(v) + self.force(q, v)
         if np.any(self.shared_viscous) or np.any(self.shared_dry):
             w = v[0] + v[1]
             f = f + np.ravel(self.shared_viscous)[0] * w
@@ -178,11 +183,14 @@ class Truth:
             + self.uneven * np.sin(self.uneven_order * q)
             + self.uneven_cosine * np.cos(self.uneven_order * q)
         )
+        if self.level is not None:
+            level = level + self.level(q, v, drive)
         return np.maximum(level - self.dry_asymmetry, 0), np.maximum(level + self.dry_asymmetry, 0)
 
     @property
     def is_dry(self) -> bool:
-        return any(np.any(x) for x in (self.coulomb, self.stribeck, self.load, self.dry_asymmetry))
+        numbers = (self.coulomb, self.stribeck, self.load, self.dry_asymmetry)
+        return self.level is not None or any(np.any(x) for x in numbers)
 
 
 #: effect -> {its parameter: name in Truth}
@@ -264,6 +272,7 @@ def driven(u: np.ndarray, truth: Truth) -> np.ndarray:
     u = (1 + truth.scale) * u
     u = u - truth.droop * abs(u) * u
     u = np.minimum(np.maximum(u, -np.asarray(truth.limit)), truth.limit)
+    u = truth.arrives(u)
     return np.where(
         u > truth.dead_zone,
         u - truth.dead_zone,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxid import catalogue
-from jaxid.dynamics.parameter import Reference, resolve, specs
+from jaxid.dynamics.parameter import ANGLE, Reference, resolve, specs, SPEED, TORQUE
 
 
 @pytest.mark.parametrize(
@@ -57,3 +57,11 @@ def test_a_lag_says_that_one_at_the_other_end_looks_alike(effect, other):
     """Where only one place of the way from command to reading is seen."""
     kind = catalogue.effect_class(effect)
     assert other in kind.check and "looks alike" in kind.check
+
+
+def test_powers_of_magnitudes_are_as_in_python():
+    reference = Reference(torque=6.0, speed=3.0, angle=2.0, duration=8.0, step=0.01)
+    assert resolve(4 * TORQUE / ANGLE**3, reference) == pytest.approx(3.0)
+    assert str(TORQUE / ANGLE**3) == "1 * torque / angle^3"
+    assert resolve((2 * SPEED) ** 2, reference) == 36.0
+    assert resolve(SPEED**0, reference) == 1.0

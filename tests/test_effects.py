@@ -5,7 +5,8 @@ gradients.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+import shutil
+import subprocess
 from typing import Any
 
 import jax
@@ -18,8 +19,13 @@ from scipy.integrate import solve_ivp
 import jaxid
 import reference as ref
 import reference_states as states
+from jaxid.catalogue import effect_class
 from jaxid.data.dataset import ModelSpec
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import InputEffect, JointEffect, OutputEffect, Signals
+from jaxid.dynamics.export_law import ExportLaw, FUNCTIONS, in_python, SIGNALS
+from jaxid.dynamics.law_in_c import in_c
+from jaxid.dynamics.parameter import Reference, resolve, specs, with_fields
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.covariance import covariance
@@ -30,6 +36,12 @@ from jaxid.models.effects import LIBRARY
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import OutputError
 from simulated import REFERENCE, relative, Simulator, within_bounds
+
+
+def law_of(kind: Any) -> ExportLaw | None:
+    """The expression by which an effect is exported."""
+    law = kind.export_law
+    return law if isinstance(law, ExportLaw) and law.text else None
 
 
 CASES: dict[str, Any] = {
@@ -46,92 +58,39 @@ INERTIA = {
 }
 ONLY = {"planar_arm": ("coupled_friction", "payload", "reflected_inertia")}
 
-#: Three settings of each effect: (number, power of the torque, power of the speed, power of the
-#: inertia).
-One = tuple[float, int, int, int]
-T, R, N, J = (1, 0, 0), (1, -1, 0), (0, 0, 0), (0, 0, 1)
-
-
-def of(powers: tuple[int, int, int], *numbers: float) -> Iterator[One]:
-    return ((x, *powers) for x in numbers)
-
-
-def settings(**columns: Iterator[One]) -> list[dict[str, One]]:
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-
-
-SETTINGS: dict[str, list[dict[str, One]]] = {
-    "dead_zone": settings(width=of(T, 0.05, 0.2, 0.5)),
-    "saturation": settings(limit=of(T, 0.3, 0.6, 1.0)),
-    "torque_scale": settings(gain=of(N, -0.2, 0.05, 0.5)),
-    "supply_droop": settings(droop=of((-1, 0, 0), 0.02, 0.1, 0.25)),
-    "back_emf": settings(constant=of(R, 0.02, 0.2, 1.0)),
-    "actuator_lag": settings(lag=of(N, 0.002, 0.01, 0.05)),
-    "input_delay": settings(delay=of(N, 0.0013, 0.006, 0.0271)),
-    "input_hold": settings(share=of(N, 0.2, 0.5, 1.0)),
-    "torque_ripple": settings(sine=of(T, 0.05, 0.0, -0.1), cosine=of(T, 0.0, 0.1, 0.05), order=of(N, 4.0, 12.0, 30.0)),
-    "viscous_friction": settings(coefficient=of(R, 0.02, 0.2, 1.0)),
-    "coulomb_friction": settings(level=of(T, 0.03, 0.1, 0.3)),
-    "asymmetric_friction": settings(dry=of(T, 0.05, 0.0, -0.03), viscous=of(R, 0.0, -0.1, 0.05)),
-    "stribeck_friction": settings(extra=of(T, 0.05, 0.1, 0.2), speed=of((0, 1, 0), 0.3, 0.6, 1.0)),
-    "load_dependent_friction": settings(mu=of(N, 0.03, 0.1, 0.3)),
-    "lugre_friction": settings(
-        level=of(T, 0.05, 0.1, 0.2), presliding=of(N, 0.1, 0.05, 0.02), relaxation=of(N, 0.0, 0.005, 0.01)
-    ),
-    "power_law_friction": settings(coefficient=of(R, 0.1, 0.3, 0.1), exponent=of(N, 0.5, 0.7, 1.6)),
-    "quadratic_drag": settings(coefficient=of((1, -2, 0), 0.02, 0.2, 1.0)),
-    "position_dependent_friction": settings(
-        sine=of(T, 0.03, 0.0, -0.05), cosine=of(T, 0.0, 0.05, 0.02), order=of(N, 1.0, 3.0, 8.0)
-    ),
-    "temperature_dependent_friction": settings(change=of((1, -3, 0), -0.1, 0.3, 1.0), time=of(N, 0.1, 0.3, 2.0)),
-    "coupled_friction": settings(
-        viscous=of(R, 0.1, 0.0, 0.3), dry=of(T, 0.0, 0.05, 0.03), speed=of((0, 1, 0), 0.1, 0.2, 0.3)
-    ),
-    "backlash": settings(play=of(N, 0.005, 0.02, 0.05), motor_share=of(N, 0.2, 0.5, 0.7),
-                         contact_compliance=of((-1, 0, 0), 0.02, 0.03, 0.05)),
-    "joint_elasticity": settings(compliance=of((-1, 0, 0), 0.01, 0.03, 0.1), motor_share=of(N, 0.2, 0.5, 0.7),
-                                 damping_ratio=of(N, 0.02, 0.1, 0.5)),
-    "hysteresis": settings(level=of(T, 0.05, 0.1, 0.2), width=of(N, 0.2, 0.05, 0.03)),
-    "payload": settings(mass=of(N, 0.2, 1.0, 3.0)),
-    "constant_torque": settings(torque=of(T, -0.2, 0.03, 0.1)),
-    "gravity_offset": settings(tilt=of(N, 0.02, 0.1, -0.3)),
-    "spring_torque": settings(stiffness=of(T, -0.1, 0.5, 2.0)),
-    "reflected_inertia": settings(inertia=of(J, 0.05, 0.3, 1.0)),
-    "flexible_mode": settings(inertia=of(J, 0.1, 0.3, 0.5), frequency=of(N, 3.0, 6.0, 12.0),
-                              damping_ratio=of(N, 0.02, 0.1, 0.3)),
-    "sensor_bias": settings(bias=of(N, 0.003, 0.03, -0.3)),
-    "sensor_scale": settings(gain=of(N, 0.005, 0.03, -0.3)),
-    "sensor_lag": settings(lag=of(N, 0.003, 0.01, 0.05)),
-    "sensor_delay": settings(delay=of(N, 0.0013, 0.006, 0.0271)),
-    "timestamp_jitter": settings(spread=of(N, 0.002, 0.005, 0.01)),
-}  # fmt: skip
 #: Effects of one model alone, tested with it: tests/test_flexible_link.py, tests/test_models.py;
 #: and tests/test_late_effects.py.
 ELSEWHERE = {"geometric_stiffening", "base_motion", "actuator_curve", "step_change"}
+#: What is compared with its equation here.
+TESTED = [e.name for e in LIBRARY if e.name not in ELSEWHERE]
 #: What a diagnosis asks first.
 FIRST = tuple(e for e in LIBRARY if not e.last_resort)
 #: What has events within a step, or a motor that rings against its link, needs finer steps for the
-#: same accuracy.
+#: same accuracy; with what is dry by its law.
 FINE = (
-    "coulomb_friction",
     "asymmetric_friction",
-    "stribeck_friction",
-    "load_dependent_friction",
-    "position_dependent_friction",
     "backlash",
     "joint_elasticity",
+    *(e.name for e in LIBRARY if law_of(e) is not None and law_of(e).port == "dry"),
 )
 FINER = 5
 #: Relative L2 error of the outputs; steps are 0.2 ms (arm: 0.1 ms), or these divided by FINER.
 TOLERANCE = 1e-6
 
 
+def references(case: str) -> list[Reference]:
+    """Typical magnitudes of each joint, with the travel of which its inertia is made."""
+    joints = zip(TORQUE[case], INERTIA[case], strict=True)
+    return [Reference(t, SPEED, j * SPEED**2 / t, 0.6, 0.01) for t, j in joints]
+
+
 def settings_of(effect: str, case: str) -> list[dict[str, np.ndarray]]:
-    torque, inertia = TORQUE[case], INERTIA[case]
-    return [
-        {p: c * torque**a * SPEED**b * inertia**i for p, (c, a, b, i) in one.items()}
-        for one in SETTINGS[effect]
-    ]
+    """The examples of an effect, or its first probes where it has none; each number by joint."""
+    kind = effect_class(effect)
+    at = references(case)
+    by_joint = lambda value: np.array([resolve(value, r) for r in at])
+    examples = kind.examples or kind.probes[:3]
+    return [{name: by_joint(value) for name, value in one.items()} for one in examples]
 
 
 def named(layout: Layout, effect: str, values: dict[str, np.ndarray]) -> dict[str, float]:
@@ -176,7 +135,8 @@ class Product:
         self.step = 1e-4 if nq > 1 else 2e-4
         self.s = Simulator(chain, self.t, self.u, self.step, size=8192, whole=True)
         self.layout = self.s.layout
-        keys = [(e.name, k) for e in self.kinds if e.name not in FINE for k in range(3)]
+        plain = [e.name for e in self.kinds if e.name not in FINE]
+        keys = [(e, k) for e in plain for k in range(len(settings_of(e, case)))]
         values = [named(self.layout, e, settings_of(e, case)[k]) for e, k in keys]
         self.outputs = dict(zip(keys, self.s.outputs(values), strict=True))
         self.neutral = self.s.outputs([{}])[0]
@@ -190,7 +150,7 @@ class Product:
         )
         for e in fine:
             y = s.outputs([named(s.layout, e.name, v) for v in settings_of(e.name, case)])
-            self.outputs |= {(e.name, k): y[k] for k in range(3)}
+            self.outputs |= {(e.name, k): one for k, one in enumerate(y)}
 
 
 @pytest.fixture(
@@ -256,6 +216,8 @@ def truth(
         return ref.simulate(plant(), free, t, u)[0] + values["bias"]
     if effect == "sensor_scale":
         return ref.simulate(plant(), free, t, u)[0] * (1 + values["gain"])
+    if effect not in ref.EFFECTS:
+        return ref.simulate(plant(), by_law(effect, values, viscous), t, u)[0]
     fields = {ref.EFFECTS[effect][p]: v for p, v in values.items()}
     fields |= {
         name: float(np.ravel(fields[name])[0]) for name in ("delay", "other_hold") if name in fields
@@ -265,11 +227,96 @@ def truth(
     return ref.simulate(plant(), ref.Truth(**({"viscous": viscous} | fields)), t, u)[0]
 
 
-def test_settings_cover_the_library():
-    assert set(SETTINGS) | ELSEWHERE == {e.name for e in LIBRARY}
+def by_text(law: ExportLaw, numbers: dict[str, Any], **signals: Any) -> Any:
+    """What the expression of an export is, in NumPy."""
+    functions = {name: getattr(np, name) for name in FUNCTIONS}
+    return eval(law.text, {"__builtins__": {}}, {**functions, **numbers, **signals})
 
 
-@pytest.mark.parametrize("effect", SETTINGS)
+def by_law(effect: str, values: dict[str, np.ndarray], viscous: float = 0.0) -> ref.Truth:
+    """What acts by the expression of an export, of an effect whose equation is written nowhere
+    else.
+    """
+    kind = effect_class(effect)
+    law = law_of(kind)
+    if law is None or law.port == "reading":
+        pytest.skip(f"{effect}: no equation beside its own; write one in tests/reference.py")
+    numbers = {name: spec.value for name, spec in specs(kind).items()} | values
+    if law.port == "force":
+        force = lambda q, v: by_text(law, numbers, q=q, qd=v)
+        return ref.Truth(viscous=viscous, force=force)
+    if law.port == "dry":
+        level = lambda q, v, drive: by_text(law, numbers, q=q, qd=v, load=drive)
+        return ref.Truth(viscous=viscous, level=level)
+    return ref.Truth(viscous=viscous, arrives=lambda u: by_text(law, numbers, u=u))
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_laws_in_c_are_those_in_python(tmp_path):
+    """Every expression of an export, compiled, at some signals."""
+    at = {"q": 0.4, "qd": -1.3, "load": -0.6, "u": -0.9, "y": 0.7}
+    reference = Reference(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
+    lines, expected = [], []
+    for kind in [e for e in LIBRARY if law_of(e)]:
+        law = law_of(kind)
+        numbers = {name: spec.value for name, spec in specs(kind).items()}
+        example = (kind.examples or kind.probes)[-1]
+        numbers |= {name: resolve(value, reference) for name, value in example.items()}
+        expected.append(float(by_text(law, numbers, **{k: at[k] for k in SIGNALS[law.port]})))
+        lines.append(f'  printf("%.17g\\n", {in_c(law, numbers)});')
+    signals = ", ".join(f"{name} = {value}" for name, value in at.items())
+    body = "\n".join(lines)
+    text = f"#include <math.h>\n#include <stdio.h>\nint main() {{ double {signals};\n{body}\n}}\n"
+    source, program = tmp_path / "laws.c", tmp_path / "laws"
+    source.write_text(text)
+    subprocess.run(["cc", source, "-o", program, "-lm"], check=True)
+    printed = subprocess.run([program], check=True, capture_output=True, text=True).stdout
+    np.testing.assert_allclose([float(x) for x in printed.split()], expected, rtol=1e-12)
+
+
+def as_made(kind: Any, numbers: dict[str, float], signals: dict[str, np.ndarray]) -> np.ndarray:
+    """What an effect makes of signals: the force of a joint that slides, else what arrives."""
+    nothing: Any = None
+    with jax.enable_x64(True):
+        q, qd, load, u, y = (jnp.asarray(signals[k]) for k in ("q", "qd", "load", "u", "y"))
+        effect = with_fields(kind(), {k: jnp.full(q.shape, v) for k, v in numbers.items()})
+        s = Signals(nothing, q, qd, load, nothing, nothing, qd, transmitted=load)
+        if isinstance(effect, JointEffect):
+            smooth, minus, plus, _ = effect(s, ())
+            return np.asarray(smooth + jnp.where(qd > 0, plus, -jnp.asarray(minus)))
+        arriving = y if isinstance(effect, OutputEffect) else u
+        return np.asarray(effect(arriving, s, ())[0])
+
+
+def as_exported(kind: Any, value: np.ndarray, signals: dict[str, np.ndarray]) -> np.ndarray:
+    """The same from what the expression of its export says."""
+    port = law_of(kind).port
+    if port == "dry":
+        return value * np.sign(signals["qd"])
+    if port == "force" and issubclass(kind, InputEffect):
+        return signals["u"] - value
+    return value
+
+
+@pytest.mark.parametrize("kind", [e for e in LIBRARY if law_of(e)], ids=lambda e: e.name)
+def test_what_is_exported_is_the_effect(kind):
+    """The expression of an export beside the effect itself, at all its examples and signals."""
+    law = law_of(kind)
+    drawn = np.random.default_rng(3).normal(size=(5, 50))
+    signals = dict(zip(("q", "qd", "load", "u", "y"), drawn, strict=True))
+    seen = {k: signals[k] for k in SIGNALS[law.port]}
+    reference = Reference(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
+    for example in kind.examples or kind.probes:
+        numbers = {name: spec.value for name, spec in specs(kind).items()}
+        numbers |= {name: resolve(value, reference) for name, value in example.items()}
+        made = as_made(kind, numbers, signals)
+        by_name = by_text(law, numbers, **seen)
+        np.testing.assert_allclose(as_exported(kind, by_name, signals), made, rtol=1e-9, atol=1e-12)
+        code: Any = eval(f"lambda {', '.join(seen)}: {in_python(law, numbers)}", {"xp": np})
+        np.testing.assert_allclose(code(**seen), by_name, rtol=1e-12)
+
+
+@pytest.mark.parametrize("effect", TESTED)
 def test_effect_against_its_equation(product, effect):
     """All three settings on the pendulum, and those of effects that need two joints on the arm; the
     middle one elsewhere.
@@ -278,8 +325,9 @@ def test_effect_against_its_equation(product, effect):
     if (effect, 0) not in product.outputs:
         pytest.skip("not on this mechanism")
     every = case == "pendulum" or effect in ONLY.get(case, ())
-    for k in range(3) if every else (1,):
-        values = settings_of(effect, case)[k]
+    examples = settings_of(effect, case)
+    for k in range(len(examples)) if every else (len(examples) // 2,):
+        values = examples[k]
         y = truth(effect, case, values, product.t, product.u)
         error = relative(product.outputs[effect, k], y)
         print(effect, k, error)

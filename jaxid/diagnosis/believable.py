@@ -70,7 +70,8 @@ def _passes(effect: EffectEstimate) -> float:
     if not issubclass(kind, InputEffect):
         return 1.0
     own: Any = neutral(kind)
-    numbers = {name: p.value for name, p in effect.parameters.items()}
+    known = specs(kind)
+    numbers = {name: p.value for name, p in effect.parameters.items() if name in known}
     transfer = with_fields(own, numbers).transfer(np.zeros(1))
     return 1.0 if transfer is None else float(np.max(transfer[0]))
 

@@ -105,6 +105,8 @@ class Effect(eqx.Module):
     last_resort: ClassVar[bool] = False
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
+    #: Strengths at which the conformance tests compare it with its equation; (): the first probes.
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = ()
     #: What it acts on: timing, command, drive (the torque that it makes), joint, body, sensor or
     #: number.
     acts_on: ClassVar[str] = ""

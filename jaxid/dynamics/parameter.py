@@ -45,6 +45,11 @@ class Quantity:
     powers: tuple[tuple[str, int], ...] = ()
     most: float | None = None
 
+    def __pow__(self, exponent: int) -> Quantity:
+        """Raised to a whole power: `TORQUE / ANGLE**3`."""
+        powers = tuple((name, power * exponent) for name, power in self.powers if exponent)
+        return Quantity(self.coefficient**exponent, powers)
+
     def up_to(self, most: float) -> Quantity:
         """The same, and no more than this many SI units, whatever the data show."""
         return dataclasses.replace(self, most=most)

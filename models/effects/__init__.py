@@ -1,7 +1,11 @@
-"""The effect library: what a nominal model can lack. One line of registration per effect."""
+"""The effect library: what a nominal model can lack. A new one: its file, and the line here that
+imports it.
+"""
 
 if __name__ != "jaxid.models.effects":
     raise ImportError("import jaxid.models.effects, not models.effects")
+
+from jaxid.dynamics.effect import Effect
 
 from .actuator import (
     ActuatorLag,
@@ -42,7 +46,8 @@ from .transmission import Backlash, Hysteresis, JointElasticity
 from .warmth import TemperatureDependentFriction
 
 
-LIBRARY = (
+#: In this order they stand in a model; what is not named here comes last, by its name.
+_FIRST = (
     InputHold,
     InputDelay,
     TorqueScale,
@@ -83,44 +88,11 @@ LIBRARY = (
     StepChange,
 )
 
-__all__ = [
-    "LIBRARY",
-    "ActuatorCurve",
-    "ActuatorLag",
-    "AsymmetricFriction",
-    "BackEmf",
-    "Backlash",
-    "BaseMotion",
-    "ConstantTorque",
-    "CoulombFriction",
-    "CoupledFriction",
-    "DeadZone",
-    "FlexibleMode",
-    "GeometricStiffening",
-    "GravityOffset",
-    "Hysteresis",
-    "InputDelay",
-    "InputHold",
-    "JointElasticity",
-    "LoadDependentFriction",
-    "PowerLawFriction",
-    "LuGreFriction",
-    "Payload",
-    "PositionDependentFriction",
-    "QuadraticDrag",
-    "ReflectedInertia",
-    "Saturation",
-    "SensorBias",
-    "SensorDelay",
-    "SensorLag",
-    "SensorScale",
-    "SpringTorque",
-    "StepChange",
-    "StribeckFriction",
-    "SupplyDroop",
-    "TemperatureDependentFriction",
-    "TimestampJitter",
-    "TorqueRipple",
-    "TorqueScale",
-    "ViscousFriction",
-]
+
+def _registered() -> tuple[type[Effect], ...]:
+    kinds = {v for v in globals().values() if isinstance(v, type) and issubclass(v, Effect)}
+    later = kinds - {Effect, *_FIRST}
+    return (*_FIRST, *sorted(later, key=lambda kind: kind.name))
+
+
+LIBRARY: tuple[type[Effect], ...] = _registered()

@@ -77,6 +77,11 @@ class DeadZone(InputEffect):
         {"width": 0.1 * TORQUE},
         {"width": 0.3 * TORQUE},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"width": 0.05 * TORQUE},
+        {"width": 0.2 * TORQUE},
+        {"width": 0.5 * TORQUE},
+    )
 
     def start(self, u):
         return ()
@@ -123,6 +128,11 @@ class Saturation(InputEffect):
         {"limit": 0.2 * TORQUE},
         {"limit": 0.07 * TORQUE},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"limit": 0.3 * TORQUE},
+        {"limit": 0.6 * TORQUE},
+        {"limit": 1.0 * TORQUE},
+    )
 
     def start(self, u):
         return ()
@@ -162,6 +172,11 @@ class ActuatorLag(InputEffect):
         {"lag": 0.006},
         {"lag": 0.03},
         {"lag": 0.12},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"lag": 0.002},
+        {"lag": 0.01},
+        {"lag": 0.05},
     )
 
     def start(self, u):
@@ -211,6 +226,11 @@ class TorqueScale(InputEffect):
         meaning="share by which the drive gives more than commanded",
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"gain": 0.1},)
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"gain": -0.2},
+        {"gain": 0.05},
+        {"gain": 0.5},
+    )
 
     def start(self, u):
         return ()
@@ -253,6 +273,11 @@ class SupplyDroop(InputEffect):
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"droop": 0.03 / TORQUE},
         {"droop": 0.3 / TORQUE},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"droop": 0.02 / TORQUE},
+        {"droop": 0.1 / TORQUE},
+        {"droop": 0.25 / TORQUE},
     )
 
     def start(self, u):
@@ -303,6 +328,11 @@ class BackEmf(InputEffect):
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"constant": 0.03 * TORQUE / SPEED},
         {"constant": 0.3 * TORQUE / SPEED},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"constant": 0.02 * TORQUE / SPEED},
+        {"constant": 0.2 * TORQUE / SPEED},
+        {"constant": 1.0 * TORQUE / SPEED},
     )
 
     def start(self, u):
@@ -355,6 +385,11 @@ class TorqueRipple(JointEffect):
         {amplitude: 0.02 * TORQUE, "order": 6.2832 * periods / ANGLE}
         for periods in (1.0, 1.4, 2.0, 2.8, 4.0, 5.5, 8.0, 11.0, 16.0, 23.0)
         for amplitude in ("sine", "cosine")
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"sine": 0.05 * TORQUE, "cosine": 0.0 * TORQUE, "order": 4.0},
+        {"sine": 0.0 * TORQUE, "cosine": 0.1 * TORQUE, "order": 12.0},
+        {"sine": -0.1 * TORQUE, "cosine": 0.05 * TORQUE, "order": 30.0},
     )
 
     @staticmethod

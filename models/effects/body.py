@@ -131,6 +131,11 @@ class ConstantTorque(JointEffect):
         {"torque": 0.03 * TORQUE},
         {"torque": -0.03 * TORQUE},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"torque": -0.2 * TORQUE},
+        {"torque": 0.03 * TORQUE},
+        {"torque": 0.1 * TORQUE},
+    )
 
     def start(self, q):
         return ()
@@ -164,6 +169,11 @@ class SpringTorque(JointEffect):
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"stiffness": 0.02 * TORQUE / ANGLE},
         {"stiffness": 0.2 * TORQUE / ANGLE},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"stiffness": -0.1 * TORQUE},
+        {"stiffness": 0.5 * TORQUE},
+        {"stiffness": 2.0 * TORQUE},
     )
 
     def start(self, q):
@@ -218,6 +228,11 @@ class FlexibleMode(JointEffect):
         {"inertia": 0.1 * INERTIA, "frequency": ratio * SPEED / ANGLE, "damping_ratio": 0.05}
         for ratio in (1.0, 2.0, 4.0, 8.0, 16.0)
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"inertia": 0.1 * INERTIA, "frequency": 3.0, "damping_ratio": 0.02},
+        {"inertia": 0.3 * INERTIA, "frequency": 6.0, "damping_ratio": 0.1},
+        {"inertia": 0.5 * INERTIA, "frequency": 12.0, "damping_ratio": 0.3},
+    )
 
     def start(self, q):
         # q - p, the mass's speed, and whether there was a step yet.
@@ -270,6 +285,11 @@ class ReflectedInertia(BodyEffect):
         {"inertia": 0.02 * INERTIA},
         {"inertia": 0.2 * INERTIA},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"inertia": 0.05 * INERTIA},
+        {"inertia": 0.3 * INERTIA},
+        {"inertia": 1.0 * INERTIA},
+    )
 
     def __call__(self, mechanism):
         return with_inertia(mechanism, self.inertia)
@@ -302,6 +322,11 @@ class Payload(BodyEffect):
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"mass": 0.02},
         {"mass": 0.3},
+        {"mass": 3.0},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"mass": 0.2},
+        {"mass": 1.0},
         {"mass": 3.0},
     )
 
@@ -362,6 +387,11 @@ class GravityOffset(BodyEffect):
     by_torque: ClassVar[bool] = True
     tilt: Array = param(0.0, -0.5, 0.5, scale=0.01, unit="rad", meaning="angle of the base")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"tilt": 0.03},)
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"tilt": 0.02},
+        {"tilt": 0.1},
+        {"tilt": -0.3},
+    )
 
     def __call__(self, mechanism):
         return mechanism.tilted(self.tilt) if isinstance(mechanism, Tiltable) else mechanism

@@ -41,6 +41,11 @@ class ViscousFriction(JointEffect):
         {"coefficient": 0.03 * TORQUE / SPEED},
         {"coefficient": 0.3 * TORQUE / SPEED},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"coefficient": 0.02 * TORQUE / SPEED},
+        {"coefficient": 0.2 * TORQUE / SPEED},
+        {"coefficient": 1.0 * TORQUE / SPEED},
+    )
 
     def start(self, q):
         return ()
@@ -74,6 +79,11 @@ class CoulombFriction(JointEffect):
         {"level": 0.01 * TORQUE},
         {"level": 0.05 * TORQUE},
         {"level": 0.2 * TORQUE},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"level": 0.03 * TORQUE},
+        {"level": 0.1 * TORQUE},
+        {"level": 0.3 * TORQUE},
     )
 
     def start(self, q):
@@ -130,6 +140,11 @@ class AsymmetricFriction(JointEffect):
         {"viscous": 0.1 * TORQUE / SPEED},
         {"viscous": -0.1 * TORQUE / SPEED},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"dry": 0.05 * TORQUE, "viscous": 0.0 * TORQUE / SPEED},
+        {"dry": 0.0 * TORQUE, "viscous": -0.1 * TORQUE / SPEED},
+        {"dry": -0.03 * TORQUE, "viscous": 0.05 * TORQUE / SPEED},
+    )
 
     def start(self, q):
         return ()
@@ -180,6 +195,11 @@ class StribeckFriction(JointEffect):
         {"extra": 0.1 * TORQUE, "speed": 0.02 * SPEED},
         {"extra": 0.1 * TORQUE, "speed": 0.1 * SPEED},
         {"extra": 0.1 * TORQUE, "speed": 0.4 * SPEED},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"extra": 0.05 * TORQUE, "speed": 0.3 * SPEED},
+        {"extra": 0.1 * TORQUE, "speed": 0.6 * SPEED},
+        {"extra": 0.2 * TORQUE, "speed": 1.0 * SPEED},
     )
 
     def start(self, q):
@@ -241,6 +261,11 @@ class LoadDependentFriction(JointEffect):
         {"mu": mu, "drive_share": share}
         for mu, share in ((0.02, 1.0), (0.1, 1.0), (0.3, 1.0), (0.02, 0.0), (0.1, 0.0), (0.3, 0.0))
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"mu": 0.03},
+        {"mu": 0.1},
+        {"mu": 0.3},
+    )
 
     def start(self, q):
         return ()
@@ -279,6 +304,11 @@ class QuadraticDrag(JointEffect):
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"coefficient": 0.02 * TORQUE / (SPEED * SPEED)},
         {"coefficient": 0.2 * TORQUE / (SPEED * SPEED)},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"coefficient": 0.02 * TORQUE / SPEED**2},
+        {"coefficient": 0.2 * TORQUE / SPEED**2},
+        {"coefficient": 1.0 * TORQUE / SPEED**2},
     )
 
     def start(self, q):
@@ -327,6 +357,11 @@ class PositionDependentFriction(JointEffect):
         {amplitude: 0.03 * TORQUE, "order": 6.2832 * periods / ANGLE}
         for periods in (0.4, 1.0, 2.0, 4.0, 8.0)
         for amplitude in ("sine", "cosine")
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"sine": 0.03 * TORQUE, "cosine": 0.0 * TORQUE, "order": 1.0},
+        {"sine": 0.0 * TORQUE, "cosine": 0.05 * TORQUE, "order": 3.0},
+        {"sine": -0.05 * TORQUE, "cosine": 0.02 * TORQUE, "order": 8.0},
     )
 
     def start(self, q):
@@ -395,6 +430,11 @@ class CoupledFriction(JointEffect):
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"viscous": 0.1 * TORQUE / SPEED, "speed": 0.02 * SPEED},
         {"dry": 0.05 * TORQUE, "speed": 0.02 * SPEED},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"viscous": 0.1 * TORQUE / SPEED, "dry": 0.0 * TORQUE, "speed": 0.1 * SPEED},
+        {"viscous": 0.0 * TORQUE / SPEED, "dry": 0.05 * TORQUE, "speed": 0.2 * SPEED},
+        {"viscous": 0.3 * TORQUE / SPEED, "dry": 0.03 * TORQUE, "speed": 0.3 * SPEED},
     )
 
     def start(self, q):

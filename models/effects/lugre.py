@@ -81,6 +81,11 @@ class LuGreFriction(JointEffect):
         {"level": 0.05 * TORQUE, "presliding": 3e-3 * ANGLE},
         {"level": 0.05 * TORQUE, "presliding": 0.03 * ANGLE},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"level": 0.05 * TORQUE, "presliding": 0.1, "relaxation": 0.0},
+        {"level": 0.1 * TORQUE, "presliding": 0.05, "relaxation": 0.005},
+        {"level": 0.2 * TORQUE, "presliding": 0.02, "relaxation": 0.01},
+    )
 
     def start(self, q):
         return jnp.zeros_like(q)

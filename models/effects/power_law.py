@@ -65,6 +65,11 @@ class PowerLawFriction(JointEffect):
         {"coefficient": 0.1 * TORQUE, "exponent": 0.6},
         {"coefficient": 0.1 * TORQUE / SPEED, "exponent": 1.5},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"coefficient": 0.1 * TORQUE / SPEED, "exponent": 0.5},
+        {"coefficient": 0.3 * TORQUE / SPEED, "exponent": 0.7},
+        {"coefficient": 0.1 * TORQUE / SPEED, "exponent": 1.6},
+    )
 
     def start(self, q):
         return ()

@@ -38,6 +38,11 @@ class SensorBias(OutputEffect):
         0.0, -0.5 * ANGLE, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{y}", meaning="reading at zero"
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"bias": 0.02 * ANGLE},)
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"bias": 0.003},
+        {"bias": 0.03},
+        {"bias": -0.3},
+    )
 
     def offset(self):
         return self.bias
@@ -66,6 +71,11 @@ class SensorScale(OutputEffect):
         0.0, -0.9, 2.0, scale=0.01, unit="1", meaning="share by which the sensor reads more"
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"gain": 0.03},)
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"gain": 0.005},
+        {"gain": 0.03},
+        {"gain": -0.3},
+    )
 
     def start(self, y, rate):
         return ()
@@ -103,6 +113,11 @@ class SensorLag(OutputEffect):
         {"lag": 0.001},
         {"lag": 0.006},
         {"lag": 0.03},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"lag": 0.003},
+        {"lag": 0.01},
+        {"lag": 0.05},
     )
 
     def start(self, y, rate):
@@ -156,6 +171,11 @@ class SensorDelay(RecordEffect):
         {"delay": 0.004},
         {"delay": 0.015},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"delay": 0.0013},
+        {"delay": 0.006},
+        {"delay": 0.0271},
+    )
 
     def __call__(self, t, y, h, rate):
         late = lambda x, d, r: (
@@ -195,6 +215,11 @@ class TimestampJitter(RecordEffect):
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"spread": 0.003},
+        {"spread": 0.01},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"spread": 0.002},
+        {"spread": 0.005},
         {"spread": 0.01},
     )
 

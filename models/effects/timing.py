@@ -62,6 +62,11 @@ class InputDelay(InputEffect):
         {"delay": 0.004},
         {"delay": 0.015},
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"delay": 0.0013},
+        {"delay": 0.006},
+        {"delay": 0.0271},
+    )
 
     def start(self, u):
         return ()
@@ -111,6 +116,11 @@ class InputHold(InputEffect):
         0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one"
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"share": 0.2},
+        {"share": 0.5},
+        {"share": 1.0},
+    )
 
     def start(self, u):
         return ()

@@ -85,6 +85,11 @@ class JointElasticity(BodyEffect):
         for c in (3e-4, 3e-3, 2e-2)
         for share in (0.15, 0.6)
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"compliance": 0.01 / TORQUE, "motor_share": 0.2, "damping_ratio": 0.02},
+        {"compliance": 0.03 / TORQUE, "motor_share": 0.5, "damping_ratio": 0.1},
+        {"compliance": 0.1 / TORQUE, "motor_share": 0.7, "damping_ratio": 0.5},
+    )
 
     def __call__(self, mechanism):
         m = compliant(mechanism)
@@ -145,6 +150,11 @@ class Backlash(BodyEffect):
         {"play": play * ANGLE, "motor_share": share, "contact_compliance": 0.003 * ANGLE / TORQUE}
         for play in (0.003, 0.02, 0.08)
         for share in (0.15, 0.6)
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"play": 0.005, "motor_share": 0.2, "contact_compliance": 0.02 / TORQUE},
+        {"play": 0.02, "motor_share": 0.5, "contact_compliance": 0.03 / TORQUE},
+        {"play": 0.05, "motor_share": 0.7, "contact_compliance": 0.05 / TORQUE},
     )
 
     def __call__(self, mechanism):
@@ -207,6 +217,11 @@ class Hysteresis(JointEffect):
         {"level": 0.05 * TORQUE, "width": 3e-3 * ANGLE},
         {"level": 0.05 * TORQUE, "width": 0.03 * ANGLE},
         {"level": 0.05 * TORQUE, "width": 0.2 * ANGLE},
+    )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"level": 0.05 * TORQUE, "width": 0.2},
+        {"level": 0.1 * TORQUE, "width": 0.05},
+        {"level": 0.2 * TORQUE, "width": 0.03},
     )
 
     def start(self, q):

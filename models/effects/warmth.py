@@ -74,6 +74,11 @@ class TemperatureDependentFriction(JointEffect):
         {"change": -0.1 * TORQUE / (SPEED * SPEED * SPEED), "time": time * DURATION}
         for time in (0.15, 0.3, 2.0)
     )
+    examples: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"change": -0.1 * TORQUE / SPEED**3, "time": 0.1},
+        {"change": 0.3 * TORQUE / SPEED**3, "time": 0.3},
+        {"change": 1.0 * TORQUE / SPEED**3, "time": 2.0},
+    )
 
     def start(self, q):
         return jnp.zeros_like(q)

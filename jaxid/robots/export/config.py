@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from jaxid.robots.export.law_code import code, lawful
+from jaxid.robots.export.law_code import c_code, code, lawful
 from jaxid.robots.export.sheet import Body, JointNumbers, Sheet
 from jaxid.robots.export.target import by_joint, CODE, coded, Field, joined, NONE, rows_of, Written
 
@@ -29,15 +29,15 @@ def written(
     how: str = CODE,
 ) -> Written:
     """Rows by the table of fields, the text that `writer` makes of the numbers that have one, and
-    the code of the laws that have none (`library` None: this framework runs no such code).
+    the code of the laws that have none (`library` "c": for a plugin, without laws that remember;
+    None: this framework runs no such code).
     """
-    out = Written(
-        rows_of(
-            sheet,
-            fields,
-            coded("effects.py", elsewhere, how) if library else coded("", elsewhere, NONE),
-        )
-    )
+    plugin = library == "c"
+    if library is None or plugin:
+        how = NONE
+    effects = {None: "", "c": "effects.h"}.get(library, "effects.py")
+    lacking = coded(effects, elsewhere, how, remembers=not plugin)
+    out = Written(rows_of(sheet, fields, lacking))
     out.rows = [
         replace(r, note=joined(r.note, f"written for {version}, not run")) if r.field else r
         for r in out.rows
@@ -55,9 +55,8 @@ def written(
     if library and (
         laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code")
     ):
-        out.files["effects.py"] = code(
-            laws, f"Laws that no field says; written for {version}, not run.", tail, library
-        )
+        head = f"Laws that no field says; written for {version}, not run."
+        out.files[effects] = c_code(laws, head) if plugin else code(laws, head, tail, library)
     out.notes.append(f"written for {version}, not run")
     return out
 

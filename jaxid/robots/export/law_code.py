@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 
 from jaxid.dynamics.effect import Effect, OWN_EFFECTS
-from jaxid.dynamics.export_law import ExportLaw, in_python, StandsFor
+from jaxid.dynamics.export_law import ExportLaw, in_python, SIGNALS, StandsFor
+from jaxid.dynamics.law_in_c import in_c
 from jaxid.dynamics.parameter import specs
 from jaxid.models.effects import LIBRARY
 from jaxid.robots.export.sheet import Change
@@ -82,6 +84,24 @@ def code(changes: Iterable[Change], head: str, tail: str = "", library: str = "n
         if tables[port]:
             body.append(f"\n#: {meaning}\n{name} = [\n" + "\n".join(tables[port]) + "\n]\n")
     return "\n".join(body) + tail
+
+
+def c_code(changes: Iterable[Change], head: str) -> str:
+    """A header of C with a function for each law of these changes that remembers nothing."""
+    functions = []
+    for change in changes:
+        law = law_of(change.quantity)
+        assert law is not None
+        name = re.sub(r"\W", "_", f"{change.location}_{change.effect}")
+        arguments = ", ".join(f"double {signal}" for signal in SIGNALS[law.port])
+        _, meaning = PORTS[law.port]
+        functions.append(
+            f"/* {change.location}: {meaning} */\n"
+            f"static double {name}({arguments}) {{\n"
+            f"  return {in_c(law, _numbers(change))};\n"
+            "}\n"
+        )
+    return "\n".join([f"/* {head} */\n\n#include <math.h>\n", *functions])
 
 
 def _numbers(change: Change) -> dict[str, float]:

@@ -30,7 +30,7 @@ ELSEWHERE: dict[str, str] = {}
 
 def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
     """`controllers.yaml`."""
-    out = written(sheet, FIELDS, ELSEWHERE, "controllers.yaml", _text, VERSION, None)
+    out = written(sheet, FIELDS, ELSEWHERE, "controllers.yaml", _text, VERSION, "c")
     out.notes.append(
         MODEL.replace(
             "a controller has no field for it",

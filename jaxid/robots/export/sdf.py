@@ -37,7 +37,7 @@ ELSEWHERE = {
 
 def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
     """`joints.sdf`."""
-    return written(sheet, FIELDS, ELSEWHERE, "joints.sdf", _text, VERSION, None)
+    return written(sheet, FIELDS, ELSEWHERE, "joints.sdf", _text, VERSION, "c")
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[str, Body]) -> str:

@@ -159,11 +159,14 @@ def joined(*notes: str) -> str:
 
 
 def coded(
-    file: str, more: Mapping[str, str] | None = None, how: str = CODE
+    file: str,
+    more: Mapping[str, str] | None = None,
+    how: str = CODE,
+    remembers: bool = True,
 ) -> Callable[[Change], Row]:
     """Makes the rows of what has no field: `code` where `file` holds its law, else `none` with the
     reason. `more`: quantities that are said elsewhere than in a field, with a sentence; `how` that
-    counts.
+    counts. `remembers`: whether the file can hold laws with a memory.
     """
 
     def lacking(change: Change) -> Row:
@@ -172,11 +175,12 @@ def coded(
             return Row(change.effect, change.location, "", change.value, change.unit, how, note)
         law = law_of(change.quantity)
         if law is not None and change.place:
-            who = (
-                f"no field has it: {file} does it each step"
-                if file
-                else "no field has it: a plugin of your own would do it"
-            )
+            held = bool(file) and (remembers or not law.memory)
+            who = "no field has it: a plugin of your own would do it"
+            if held and remembers:
+                who = f"no field has it: {file} does it each step"
+            elif held:
+                who = f"no field has it: {file} has it, for a plugin of your own"
             note = joined(who, law.words, change.note)
             return Row(
                 change.effect,
@@ -184,7 +188,7 @@ def coded(
                 "",
                 change.value,
                 change.unit,
-                CODE if file else NONE,
+                CODE if held else NONE,
                 note,
             )
         return Row(
