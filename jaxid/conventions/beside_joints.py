@@ -133,19 +133,16 @@ def _followed(
     recorded: Sequence[Run], simulated: Sequence[Run], signal: int, highest: float
 ) -> Followed | None:
     """How a signal follows from the motion, at the highest cutoff where the model says that it does
-    and at the next one; None where the two differ, or nothing is said.
+    and, where a run is long enough, at the next one; None where the two differ, or nothing is said.
     """
     told: list[Followed] = []
     for share in SLOW:
         found = _at(recorded, simulated, signal, share * highest)
-        if found is None:
-            if told:
-                return None
-            continue
-        told.append(found)
-        if len(told) == 2:
+        if found is not None:
+            told.append(found)
+        if len(told) == 2 or (told and found is None):
             break
-    if len(told) < 2 or any(f.share < SEEN or f.ratio * told[0].ratio < 0 for f in told):
+    if not told or any(f.share < SEEN or f.ratio * told[0].ratio < 0 for f in told):
         return None
     return told[-1]
 
@@ -256,4 +253,3 @@ def _unit(dataset: Dataset, channel: str, followed: Followed) -> Shown | None:
         headline=f"{channel} is {factor:.5g} times too large ({what}); everything below divides by that",
     )
     return Shown(finding, mending if decisive else Mending())
-

@@ -124,7 +124,9 @@ def _claimed(
         # The nearest of the values that a size is looked for at may be some way from it.
         own = _tried(fit, few, readings, before if size else hopeless, laws)
         if size:
-            own = sorted([*own, *_sized(fit, few, own, names, hopeless, laws)], key=lambda t: t.left)
+            own = sorted(
+                [*own, *_sized(fit, few, own, names, hopeless, laws)], key=lambda t: t.left
+            )
         if many:  # on all samples those that may come out on top
             own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, hopeless)]
             own = _tried(fit, m, [t.reading for t in own], hopeless, laws)

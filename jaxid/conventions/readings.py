@@ -55,6 +55,11 @@ PRESSURES = {
     "kPa read as Pa": 1e-3,
     "Pa read as kPa": 1000.0,
 }
+ACCELERATIONS = {
+    **THOUSANDTHS,
+    "g read as m/s^2": 1 / 9.80665,
+    "m/s^2 read as g": 9.80665,
+}
 KNOWN_FACTORS = {
     "rad": ANGLES,
     "rad/s": ANGLES,
@@ -63,6 +68,7 @@ KNOWN_FACTORS = {
     "N": FORCES,
     "N m": FORCES,
     "Pa": PRESSURES,
+    "m/s^2": ACCELERATIONS,
 }
 #: Where a channel's factor is looked for; which one it is, is found from there.
 TURNING = "rad", "rad/s"
