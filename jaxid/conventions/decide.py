@@ -276,7 +276,9 @@ def _sized(
     nearest: dict[tuple[str, ...], Judged] = {}
     for t in tried:
         nearest.setdefault(t.reading.channels, t)
-    found = _POOL.map(lambda t: _sought(fit, m, t, names, laws), list(nearest.values())[:SOUGHT])
+    found = list(
+        _POOL.map(lambda t: _sought(fit, m, t, names, laws), list(nearest.values())[:SOUGHT])
+    )
     return _tried(fit, m, found, hopeless, laws)
 
 
