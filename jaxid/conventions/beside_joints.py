@@ -74,7 +74,7 @@ def signals_beside(binding: Binding, dataset: Dataset, inputs_agree: bool) -> li
     except UsageError:  # without a free run there is nothing to compare with
         return []
     cutoff = max(_cutoffs(binding, recorded), default=0.0)
-    found = [_followed(recorded, simulated, k, cutoff) for k in range(recorded[0].signals.shape[1])]
+    found = [followed(recorded, simulated, k, cutoff) for k in range(recorded[0].signals.shape[1])]
     told, driven = found[: len(outputs)], found[len(outputs) :]
     names = [chain.signature.outputs[k][0] for k in outputs]
     opposite = [n for n, f in zip(names, told, strict=True) if f is not None and f.ratio < 0]
@@ -129,7 +129,7 @@ def _cutoffs(binding: Binding, recorded: Sequence[Run]) -> list[float]:
     return found
 
 
-def _followed(
+def followed(
     recorded: Sequence[Run], simulated: Sequence[Run], signal: int, highest: float
 ) -> Followed | None:
     """How a signal follows from the motion, at the highest cutoff where the model says that it does
