@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.conventions import bodies, runs, samples
+from jaxid.conventions.beside_joints import signals_beside
 from jaxid.conventions.copies import copies
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
@@ -268,11 +269,26 @@ def _by_model(
     ):  # the free run of an arm that was held by its controller says nothing
         shown = _confirmed(binding, mended(data, first), total, shown, gap)
     every = [*plain, *shown]
-    applied = [bool(s.mending) and s.finding.decisive and not as_recorded for s in every]
-    change = _together([s for s, taken in zip(every, applied, strict=True) if taken])
-    return [
-        replace(s.finding, applied=taken) for s, taken in zip(every, applied, strict=True)
-    ], mended(data, change)
+    marked, data = _applied(every, data, as_recorded)
+    asked = _bound_again(binding, data) if any(f.applied for f in marked) else binding
+    beside = signals_beside(asked, data, inputs_agree=fit is not None)
+    more, data = _applied(beside, data, as_recorded)
+    return [*marked, *more], data
+
+
+def _bound_again(binding: Binding, data: Dataset) -> Binding:
+    """The same model on a recording that was mended."""
+    return bind(binding.chain, _beginnings(data.with_splits()))
+
+
+def _applied(
+    shown: list[Shown], data: Dataset, as_recorded: bool
+) -> tuple[list[DataFinding], Dataset]:
+    """The findings, marked where they are applied, and the recording with those applied."""
+    applied = [bool(s.mending) and s.finding.decisive and not as_recorded for s in shown]
+    found = [replace(s.finding, applied=taken) for s, taken in zip(shown, applied, strict=True)]
+    change = _together([s for s, taken in zip(shown, applied, strict=True) if taken])
+    return found, mended(data, change)
 
 
 def _together(shown: Iterable[Shown]) -> Mending:

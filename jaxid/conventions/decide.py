@@ -10,12 +10,13 @@ import numpy as np
 
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.force_columns import FEW
-from jaxid.conventions.limits import ALIKE, APART, ASKED, FLOOR, GONE, TOLD, WHOLE
+from jaxid.conventions.limits import ALIKE, APART, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import Fitted, ForceFit, Motion
 from jaxid.conventions.readings import (
     exchanges,
     FREE,
+    GEAR,
     mending_of,
     Names,
     nearest_convention,
@@ -23,6 +24,7 @@ from jaxid.conventions.readings import (
     offset_joint,
     Reading,
     refinement,
+    scale_of,
     scales,
     signs,
     zeros,
@@ -36,6 +38,10 @@ from jaxid.wording import listed
 
 
 MOST = 4  # findings, one after another
+#: Channels, or sets of them, whose factor is sought beyond the values that it is looked for at.
+SOUGHT = 3
+#: A fitted factor may be a known one within this share of it.
+NAMED = 0.03
 _POOL = Pool("readings")
 
 
@@ -115,11 +121,17 @@ def _claimed(
     if not before > ALIKE * (fit.noise(recorded, binding, few) + FLOOR):
         return None
     tried: list[Judged] = []
-    for readings in _readings(names, fit.driven):
-        own = _tried(fit, few, readings, before, laws)
+    hopeless = ALIKE * GONE * before
+    for readings, size in _readings(names, fit.driven):
+        # The nearest of the values that a size is looked for at may be some way from it.
+        own = _tried(fit, few, readings, before if size else hopeless, laws)
+        if size:
+            own = sorted(
+                [*own, *_sized(fit, few, own, names, hopeless, laws)], key=lambda t: t.left
+            )
         if many:  # on all samples those that may come out on top
-            own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, ALIKE * GONE * before)]
-            own = _tried(fit, m, [t.reading for t in own], before, laws)
+            own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, hopeless)]
+            own = _tried(fit, m, [t.reading for t in own], hopeless, laws)
         tried = sorted([*tried, *own], key=lambda t: t.left)
         if tried and tried[0].left <= WHOLE * before:
             break
@@ -136,7 +148,10 @@ def _claimed(
         best, *same = sorted(
             [best, *same], key=lambda t: (len(t.reading.channels), order.index(t.reading.channels))
         )
-    value, interval, what = best.reading.value, None, best.reading.what
+    if best.reading.kind == "scale":  # of equals one that has a name
+        best, *same = sorted([best, *same], key=lambda t: (not _named(t.reading, names), t.left))
+        near = [t for t in tried if t is not best and t.left <= ALIKE * tried[0].left]
+    value, interval, what, stated_off = best.reading.value, None, best.reading.what, False
     others = {t.reading.kind for t in near} - {best.reading.kind}
     change = best.reading.change
     if (refined := _refined(fit, m, best, names, near, before, laws)) is not None:
@@ -148,7 +163,7 @@ def _claimed(
                 fit,
                 m,
                 [t.reading for t in (best, *near) if t.reading.channels == best.reading.channels],
-                before,
+                hopeless,
                 True,
             )
             near_own = [t for t in own[1:] if t.left <= ALIKE * own[0].left]
@@ -157,6 +172,10 @@ def _claimed(
             )
         if not conventional:
             return None
+        if what == FREE:
+            known = _known_beside(fit, m, best, names, value, before, laws)
+            value, what, change = known or (value, what, change)
+            stated_off = known is not None
         others |= {"another channel" for t in same if t.reading.channels != best.reading.channels}
     left = fit.fit(change(m), laws)
     if not np.isfinite([value, left.worst, left.left]).all():
@@ -166,13 +185,19 @@ def _claimed(
     # reading. It has to show in what is fitted, too: held-out motion alone tells how laws that the
     # model lacks extrapolate.
     closes &= ALIKE * (left.left + FLOOR) <= recorded.left + FLOOR
-    # What leaves as much as the whole drive explains nothing of it.
-    if not closes or not left.worst <= (FLOOR if laws else 1.0):
+    # What leaves as much as the whole drive explains nothing of it, but for a known slip beside
+    # numbers that are stated and off.
+    known = best.reading.kind == "scale" and what not in (FREE, GEAR)
+    if known and not laws and left.worst > 1.0:
+        stated_off = left.worst + FLOOR <= WHOLE * before
+    if not closes or (left.worst > (FLOOR if laws else 1.0) and not (stated_off and not laws)):
         return None
-    beyond = laws or _beyond(fit, change(m), beside, left, FREE not in what)
+    beyond = laws or _beyond(fit, change(m), beside, left, what not in (FREE, GEAR))
     if not beyond and left.worst + FLOOR > ASKED * before:
         return None
-    decisive = beyond and not others and not (FREE in what and _bounded(binding))
+    # A factor without a name, and one beside which stated numbers are off, may be those numbers'.
+    unnamed = what == FREE or stated_off or (what == GEAR and _bounded(binding))
+    decisive = beyond and not others and not unnamed
     mending = mending_of(best.reading, value, {})
     noise = max(fit.noise(left, binding, few), 1e-6)
     alike = tuple(
@@ -180,7 +205,7 @@ def _claimed(
             (t.reading.kind, c)
             for t in (near if others else same)
             for c in t.reading.channels
-            if (t.reading.kind, c) != (best.reading.kind, best.reading.channels[0])
+            if t.reading.kind != best.reading.kind or c not in best.reading.channels
         )
     )
     finding = DataFinding(
@@ -192,7 +217,7 @@ def _claimed(
             value,
             what,
             (before, left.worst + FLOOR),
-            _doubt(beyond, bool(others)),
+            _doubt(beyond, bool(others), unnamed),
             laws,
         ),
         line=_line(binding, best.reading, mending),
@@ -200,12 +225,18 @@ def _claimed(
         gap_before=recorded.worst / noise,
         gap_if_mended=left.worst / noise,
         decisive=decisive,
-        same_as=tuple(a for a in alike if a != (best.reading.kind, best.reading.channels[0])),
+        same_as=alike,
         headline=_headline(best.reading, value, binding, what),
     )
     return Shown(finding, mending if decisive else Mending(), laws), (
         change(m) if decisive else None
     )
+
+
+def _named(reading: Reading, names: Names) -> bool:
+    """Whether a scale is that of a known slip, as far as a fit tells."""
+    factor, _ = nearest_factor(reading.value, names.unit(reading.channels[0]))
+    return abs(np.log(reading.value / factor)) < NAMED
 
 
 def _bounded(binding: Binding) -> bool:
@@ -228,21 +259,60 @@ def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, know
 
 
 def _tried(
-    fit: ForceFit, m: Motion, readings: list[Reading], before: float, laws: bool
+    fit: ForceFit, m: Motion, readings: list[Reading], hopeless: float, laws: bool
 ) -> list[Judged]:
-    """What readings of a motion leave, the least first; what cannot come near what is decisive is
-    given up.
-    """
-    found = _POOL.map(
-        lambda r: Judged(r, fit.fit(r.change(m), laws, hopeless=ALIKE * GONE * before)), readings
-    )
+    """What readings of a motion leave, the least first; what is `hopeless` is given up."""
+    found = _POOL.map(lambda r: Judged(r, fit.fit(r.change(m), laws, hopeless=hopeless)), readings)
     return sorted((t for t in found if np.isfinite(t.left)), key=lambda t: t.left)
 
 
-def _readings(names: Names, driven: bool) -> Iterator[list[Reading]]:
-    """Those that a fault may be, the many last."""
-    yield [*(signs(names) if driven else ()), *(exchanges(names) if driven else ()), *zeros(names)]
-    yield list(scales(names))
+def _readings(names: Names, driven: bool) -> Iterator[tuple[list[Reading], bool]]:
+    """Those that a fault may be, the many last, and whether they are of a size that may be any."""
+    turned = [*signs(names), *exchanges(names)] if driven else []
+    yield [*turned, *zeros(names)], False
+    yield list(scales(names)), True
+
+
+def _sized(
+    fit: ForceFit, m: Motion, tried: list[Judged], names: Names, hopeless: float, laws: bool
+) -> list[Judged]:
+    """The scales of the channels that come nearest, at the factor that leaves the least."""
+    nearest: dict[tuple[str, ...], Judged] = {}
+    for t in tried:
+        nearest.setdefault(t.reading.channels, t)
+    found = list(
+        _POOL.map(lambda t: _sought(fit, m, t, names, laws), list(nearest.values())[:SOUGHT])
+    )
+    return _tried(fit, m, found, hopeless, laws)
+
+
+def _sought(fit: ForceFit, m: Motion, start: Judged, names: Names, laws: bool) -> Reading:
+    """The scale of these channels that leaves the least, from the one that they start at."""
+    refined = refinement(start.reading, names)
+    assert refined is not None
+    more, size = refined
+    fitted = fit.fit(m, laws, more=lambda x: more(m, x), size=1, begin=start.fitted.x)
+    return scale_of(names, start.reading.channels, size(float(fitted.x[len(fit.free)])))
+
+
+def _known_beside(
+    fit: ForceFit,
+    m: Motion,
+    best: Judged,
+    names: Names,
+    value: float,
+    before: float,
+    laws: bool,
+) -> tuple[float, str, Callable[[Motion], Motion]] | None:
+    """A known factor next to a fitted one, of which stated numbers that are off take the rest; None
+    where there is none that takes most of the gap by itself.
+    """
+    factor, what = nearest_factor(value, names.unit(best.reading.channels[0]))
+    if abs(np.log(value / factor)) > MISFIT:
+        return None
+    change = _scaled(replace(best.reading, value=factor), names)
+    left = fit.fit(change(m), laws).worst + FLOOR
+    return (factor, what, change) if left <= ASKED * before else None
 
 
 def _refined(
@@ -290,7 +360,7 @@ def _refined(
         best.reading.kind, names.unit(best.reading.channels[0]), value, std, travel
     )
     if own is None or (
-        own[1] == FREE and _far(best, near, value)
+        own[1] in (FREE, GEAR) and _far(best, near, value)
     ):  # what many factors fit is none of them
         return value, ends, "", best.reading.change, False
     value, what = own
@@ -330,7 +400,8 @@ def _headline(reading: Reading, value: float, binding: Binding, what: str) -> st
         return f"{name} are exchanged; everything below takes each for the other"
     if reading.kind == "zero":
         return f"the zero of {name} is off by {_angle(value)}; everything below takes that away"
-    return f"{name} is {value:.5g} times too large ({what}); everything below divides by that"
+    they = "are" if len(reading.channels) > 1 else "is"
+    return f"{name} {they} {value:.5g} times too large ({what}); everything below divides by that"
 
 
 def _angle(value: float) -> str:
@@ -355,11 +426,15 @@ def _words(
         )
         said = f"{name} reads {_angle(value)} where its zero should be{turns}"
     else:
-        said = f"{name} is recorded {value:.5g} times as large as it is ({what})"
+        they = "are" if len(reading.channels) > 1 else "is"
+        it = "they are" if len(reading.channels) > 1 else "it is"
+        said = f"{name} {they} recorded {value:.5g} times as large as {it} ({what})"
     return f"Is it that {said}? {of[0].upper()}{of[1:]}; {doubt}." if doubt else f"{said}: {of}."
 
 
-def _doubt(beyond: bool, others: bool) -> str:
+def _doubt(beyond: bool, others: bool, unnamed: bool) -> str:
     if not beyond:
         return "friction or a spring that the model lacks explains as much"
-    return "other readings come near" if others else ""
+    if others:
+        return "other readings come near"
+    return "stated numbers of the model that are off as well may be part of it" if unnamed else ""

@@ -24,3 +24,5 @@ ASKED = 0.3
 APART = 0.2
 #: A size that is known no better than to a factor e, or to a radian, has no interval to state.
 TOLD = 1.0
+#: Logarithm of a factor by which stated numbers of a model may be off, as masses and gains are.
+MISFIT = 0.35

@@ -203,6 +203,9 @@ def _unit(channel: Channel, s: Stated, factor: float) -> str:
         "N m",
         "mN",
         "N",
+        "mm/s^2",
+        "g_n",
+        "m/s^2",
     ):
         try:
             other = conversion(name, channel.unit)

@@ -35,20 +35,53 @@ ANGLES = {
         for n in (1000, 1024, 2000, 2048, 4000, 4096, 8192, 16384, 65536)
     },
 }
-OTHERS = {
+THOUSANDTHS = {
     "thousandths read as the unit": 1000.0,
     "the unit read as thousandths": 1e-3,
+}
+LENGTHS = {
+    **THOUSANDTHS,
+    "hundredths read as the unit": 100.0,
+    "the unit read as hundredths": 0.01,
+}
+FORCES = {
+    **THOUSANDTHS,
     "kilogram-force read as newtons": 1 / 9.80665,
     "newtons read as kilogram-force": 9.80665,
+}
+PRESSURES = {
+    "bar read as Pa": 1e-5,
+    "Pa read as bar": 1e5,
+    "kPa read as Pa": 1e-3,
+    "Pa read as kPa": 1000.0,
+}
+ACCELERATIONS = {
+    **THOUSANDTHS,
+    "g read as m/s^2": 1 / 9.80665,
+    "m/s^2 read as g": 9.80665,
+}
+KNOWN_FACTORS = {
+    "rad": ANGLES,
+    "rad/s": ANGLES,
+    "m": LENGTHS,
+    "m/s": LENGTHS,
+    "N": FORCES,
+    "N m": FORCES,
+    "Pa": PRESSURES,
+    "m/s^2": ACCELERATIONS,
 }
 #: Where a channel's factor is looked for; which one it is, is found from there.
 TURNING = "rad", "rad/s"
 TURNS = 180 / pi, pi / 180, 2 * pi, 1 / (2 * pi), 4096 / (2 * pi), 0.03, 15.0, 30.0, 100.0, 200.0
-SIZES = 1000.0, 1e-3, 9.80665, 1 / 9.80665, 50.0, 0.02
+SIZES = 1000.0, 1e-3, 9.80665, 1 / 9.80665, 50.0, 0.02, 20.0, 0.05, 200.0, 0.005
 #: What sensor_scale and torque_scale may be: a factor in it stays theirs.
 EFFECT_RANGE = 0.1, 3.0
-#: What has no name of its own.
+#: What has no name of its own, and what is a whole number (or one over it).
 FREE = "a factor, as of a gear"
+GEAR = "a gear of a whole ratio"
+#: A ratio is a whole number within this share of it, or three standard deviations, where such a
+#: number is told from its neighbours by less than a quarter of their distance.
+WHOLE_RATIO, TOLD_APART = 0.002, 0.25
 #: Up to so many inputs or outputs, all their signs are tried together.
 TOGETHER = 3
 
@@ -167,18 +200,39 @@ def zeros(names: Names) -> Iterator[Reading]:
 
 
 def scales(names: Names) -> Iterator[Reading]:
-    """A channel off by a known factor."""
-    for group, units, scale in (
-        (names.joints, names.joint_units, scaled_joint),
-        (names.inputs, names.input_units, scaled_input),
-    ):
-        for j, unit in enumerate(units):
-            if unit == "1":
-                continue
-            for factor in TURNS if unit in TURNING else SIZES:
-                yield Reading(
-                    "scale", (group[j],), factor, lambda m, j=j, f=factor, s=scale: s(m, j, 1 / f)
-                )
+    """A channel off by a known factor; and all channels of one unit, as of a log in degrees."""
+    for channels in _scaled_sets(names):
+        unit = names.unit(channels[0])
+        for factor in TURNS if unit in TURNING else SIZES:
+            yield scale_of(names, channels, factor)
+
+
+def scale_of(names: Names, channels: tuple[str, ...], factor: float) -> Reading:
+    """The reading by which these channels were recorded `factor` times too large."""
+    return Reading(
+        "scale", channels, factor, lambda m: _scaled_together(names, m, channels, 1 / factor)
+    )
+
+
+def _scaled_sets(names: Names) -> list[tuple[str, ...]]:
+    """Channels that one slip may scale: each alone, all joints or inputs of a unit, and both."""
+    every = (*names.joints, *names.inputs)
+    units = list(zip(every, map(names.unit, every), strict=True))
+    sets = [(name,) for name, unit in units if unit != "1"]
+    for unit in dict.fromkeys(unit for _, unit in units if unit != "1"):
+        own = lambda group: tuple(name for name in group if names.unit(name) == unit)
+        sets += [own(names.joints), own(names.inputs), own((*names.joints, *names.inputs))]
+    return list(dict.fromkeys(s for s in sets if s))
+
+
+def _scaled_together(names: Names, m: Motion, channels: tuple[str, ...], factor: float) -> Motion:
+    """The motion with these channels times a factor."""
+    for name in channels:
+        if name in names.joints:
+            m = scaled_joint(m, names.joints.index(name), factor)
+        else:
+            m = scaled_input(m, names.inputs.index(name), factor)
+    return m
 
 
 def mending_of(reading: Reading, value: float, dataset_units: dict[str, str]) -> Mending:
@@ -190,7 +244,7 @@ def mending_of(reading: Reading, value: float, dataset_units: dict[str, str]) ->
         return Mending(exchanged=((a, b),))
     if reading.kind == "zero":
         return Mending({reading.channels[0]: {"offset": -value}})
-    return Mending({reading.channels[0]: {"scale": 1 / value}})
+    return Mending({c: {"scale": 1 / value} for c in reading.channels})
 
 
 def refinement(
@@ -205,19 +259,16 @@ def refinement(
             lambda x: reading.value + x
         )
     if reading.kind == "scale":
-        name = reading.channels[0]
-        joint = name in names.joints
-        j = (names.joints if joint else names.inputs).index(name)
-        scale = scaled_joint if joint else scaled_input
         factor = lambda x: reading.value * float(np.exp(np.clip(x, -2.0, 2.0)))
-        return (lambda m, x: scale(m, j, 1 / factor(x[0]))), factor
+        change = lambda m, x: _scaled_together(names, m, reading.channels, 1 / factor(x[0]))
+        return change, factor
     return None
 
 
 def nearest_factor(value: float, unit: str) -> tuple[float, str]:
     """The known factor next to a size, and its name."""
     name, factor = min(
-        (ANGLES if unit in TURNING else OTHERS).items(),
+        KNOWN_FACTORS.get(unit, THOUSANDTHS).items(),
         key=lambda item: abs(np.log(value / item[1])),
     )
     return factor, name
@@ -242,4 +293,17 @@ def nearest_convention(
     if abs(np.log(value / factor)) <= min(APART, max(0.03, 3 * std)) and std < 0.2:
         return factor, name
     low, high = EFFECT_RANGE
-    return (value, FREE) if not low < value < high and std < 0.05 else None
+    if low < value < high or std >= 0.05:
+        return None
+    whole = whole_ratio(value, std)
+    return (value, FREE) if whole is None else (whole, GEAR)
+
+
+def whole_ratio(value: float, std: float) -> float | None:
+    """The whole number, or one over it, that a ratio stands for; `std` is of its logarithm."""
+    larger = max(value, 1 / value)
+    number = round(larger)
+    reach = max(WHOLE_RATIO, 3 * std) * number
+    if reach > TOLD_APART or abs(larger - number) > reach:
+        return None
+    return float(number) if value > 1 else 1 / number
