@@ -41,7 +41,7 @@ from jaxid.diagnosis.equivalence import equivalences  # noqa: E402
 from jaxid.diagnosis.evidence import held_out  # noqa: E402
 from jaxid.diagnosis.how_far import shrink  # noqa: E402
 from jaxid.diagnosis.result import Diagnosis  # noqa: E402
-from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.problem.binding import bind, resolve_model  # noqa: E402
 from jaxid.serialise import save_json  # noqa: E402
 
@@ -119,7 +119,7 @@ def oracle(case: dict[str, Any], row: dict[str, Any], data: Dataset) -> float | 
     told = fit(case["model"], data, **settings)
     if told.failed:
         return None
-    bench = Bench(bind(case["model"], data, **settings))
+    bench = ProblemBuilder(bind(case["model"], data, **settings))
     return shrink(row["gap"] ** 2, held_out(bench, "report", [told.theta])[0].gap ** 2)
 
 
@@ -132,7 +132,7 @@ def later(case: dict[str, Any], diagnosis: Diagnosis, u: np.ndarray, y: np.ndarr
     chain = resolve_model(model, data, case["without"])
     absent = [n for n in catalogue.effect_names() if n not in chain.contents]
     library = [k for n in absent if chain.offers(k := catalogue.effect_class(n))]
-    bench = Bench(bind(model, data, without=case["without"], candidates=library))
+    bench = ProblemBuilder(bind(model, data, without=case["without"], candidates=library))
     before, after = held_out(bench, "report", [diagnosis.nominal.theta, diagnosis.final.theta])
     square = lambda r: float(np.mean(r**2))
     return [

@@ -24,7 +24,7 @@ from jaxid.fitters import (
     WeightedLeastSquares,
 )
 from jaxid.fitting.covariance import covariance
-from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.problem.binding import bind
 from jaxid.problem.closed_loop import ClosedLoopOutputError
 from jaxid.problem.residual import InverseDynamics, OutputError
@@ -149,7 +149,7 @@ def estimate(data: Dataset, method: str) -> tuple[np.ndarray, np.ndarray, bool]:
     """
     fitter, residual = METHODS[method]
     binding = bind("joint", data, splits=False)
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     guesses = (
         [binding.theta]
         if isinstance(residual, InverseDynamics)

@@ -17,7 +17,7 @@ import numpy as np
 import jaxid
 from jaxid.data.dataset import Controller, Dataset
 from jaxid.fitting.controlled_motion import simulate_closed_loop
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Fit
 from jaxid.fitting.scores import torque_scores
 from jaxid.problem.binding import bind
@@ -83,7 +83,7 @@ def force_errors(data: Dataset, fit: Fit) -> list[float]:
     """Relative error of the inverse-dynamics force on the whole training and the whole test
     recording.
     """
-    bench = Bench(bind("joint", data, splits=False))
+    bench = ProblemBuilder(bind("joint", data, splits=False))
     theta = np.asarray(fit.theta)
     return [
         torque_scores(bench, InverseDynamics(), split, theta, bench.binding.free)[

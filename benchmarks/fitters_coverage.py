@@ -24,7 +24,7 @@ prepare()
 import jaxid  # noqa: E402
 from jaxid.fitting.covariance import covariance  # noqa: E402
 from jaxid.fitting.least_squares import descend  # noqa: E402
-from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.fitting.profiles import bootstrap, profile_likelihood  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.problem.residual import OutputError  # noqa: E402
@@ -53,7 +53,9 @@ def study(seeds: int, memory: float) -> dict[str, np.ndarray]:
         check_model=False,
     )
     binding = bind(None, data, splits=False)
-    problem = Bench(binding, STEP).problem(OutputError(), "fit", binding.free, binding.theta)
+    problem = ProblemBuilder(binding, STEP).problem(
+        OutputError(), "fit", binding.free, binding.theta
+    )
     names = problem.names[: problem.free.size]
     exact = np.array([TRUTH[n] for n in names])
     record = problem.runs.record(problem.records[0])

@@ -26,7 +26,7 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 import jaxid  # noqa: E402
-from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.numerics.fast_math import sin  # noqa: E402
 from jaxid.numerics.precision import float64  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
@@ -100,7 +100,7 @@ def main(repeats: int = 9) -> dict:
     table = []
     for model in ("joint", "pendulum"):
         binding = bind(None, recording(model))
-        problem = Bench(binding).problem(OutputError(), "fit", binding.free, binding.theta)
+        problem = ProblemBuilder(binding).problem(OutputError(), "fit", binding.free, binding.theta)
         rng = np.random.default_rng(0)
         theta = np.tile(problem.base, (LANES, 1))
         names = problem.runs.layout.names

@@ -38,7 +38,7 @@ import jaxid  # noqa: E402
 from jaxid.data.dataset import ModelSpec, ParameterPrior  # noqa: E402
 from jaxid.fitters import CMAES, DifferentialEvolution, Hybrid, LevenbergMarquardt, Shade  # noqa: E402
 from jaxid.fitting.least_squares import search  # noqa: E402
-from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.problem.problem import rows  # noqa: E402
 from jaxid.problem.residual import OutputError  # noqa: E402
@@ -201,7 +201,7 @@ def main(starts: int = 50) -> dict:
     )
 
     binding = bind(None, data)
-    problem = Bench(binding).problem(OutputError(), "fit", binding.free, binding.theta)
+    problem = ProblemBuilder(binding).problem(OutputError(), "fit", binding.free, binding.theta)
     best = (
         LevenbergMarquardt().minimise(problem, [problem.z(binding.theta)], jax.random.key(0)).loss
     )

@@ -39,7 +39,7 @@ from jaxid.dynamics.chain import Chain  # noqa: E402
 from jaxid.dynamics.parameter_vector import Layout  # noqa: E402
 from jaxid.models import FlexibleLink  # noqa: E402
 from jaxid.numerics.precision import float64  # noqa: E402
-from jaxid.problem.problem import Problem  # noqa: E402
+from jaxid.problem.problem import FitProblem  # noqa: E402
 from jaxid.simulation.transfer import transfer  # noqa: E402
 from jaxid.study.papers import flexible_link  # noqa: E402
 from tests import test_flexible_link as link  # noqa: E402
@@ -57,7 +57,7 @@ def candidates(count: int) -> np.ndarray:
     return np.exp(np.random.default_rng(5).uniform(low, high, (count, len(NAMES))))
 
 
-def own(problem: Problem, x: np.ndarray, repeats: int = 25) -> tuple[float, np.ndarray]:
+def own(problem: FitProblem, x: np.ndarray, repeats: int = 25) -> tuple[float, np.ndarray]:
     """CPU seconds of a candidate, and the losses."""
     theta = np.tile(problem.base, (len(x), 1))
     for k, name in enumerate(NAMES):

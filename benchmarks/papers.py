@@ -28,7 +28,7 @@ from jaxid import fitters  # noqa: E402
 from jaxid.fitting.run import Benches, fit_seeds  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.study.papers import flexible_link, tracker  # noqa: E402
-from jaxid.study.papers.result import Claim  # noqa: E402
+from jaxid.study.papers.result import PaperClaim  # noqa: E402
 from jaxid.study.papers.searches import race, Searched  # noqa: E402
 
 
@@ -99,7 +99,7 @@ def tracker_study(seeds: int) -> list[dict]:
     return rows
 
 
-def said(claims: tuple[Claim, ...]) -> str:
+def said(claims: tuple[PaperClaim, ...]) -> str:
     return "; ".join(f"{c.claim}: {c.verdict} ({c.ours})" for c in claims)
 
 

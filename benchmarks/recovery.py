@@ -27,7 +27,7 @@ prepare()
 from jaxid.data.dataset import Dataset  # noqa: E402
 from jaxid.fitting.covariance import covariance  # noqa: E402
 from jaxid.fitting.least_squares import descend  # noqa: E402
-from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.problem.problem import linearise  # noqa: E402
 from jaxid.problem.residual import OutputError  # noqa: E402
@@ -64,7 +64,7 @@ def study(seeds: int) -> dict[str, np.ndarray]:
     benches = []
     for seed in range(seeds):
         fresh = dataset(ref.measured(q[:, 0], NOISE, 1000 + seed)).with_splits()
-        benches.append(Bench(dataclasses.replace(binding, dataset=fresh), STEP))
+        benches.append(ProblemBuilder(dataclasses.replace(binding, dataset=fresh), STEP))
     names = [binding.layout.names[i] for i in binding.free]
     start = binding.theta.copy()
     for i, name in zip(binding.free, names, strict=True):

@@ -25,7 +25,7 @@ from pathlib import Path
 import psutil
 
 from jaxid.study import read_study, run_study, study_status
-from jaxid.study.rows import Row
+from jaxid.study.rows import StudyRow
 from jaxid.study.store import Store, StoreError
 from tests.study_fleet import number
 from tests.test_batch import acknowledged, rows_of, SOLVE, start, table, write_dataset, write_study
@@ -219,7 +219,10 @@ def full_disk(home: Path) -> tuple[str, str, str]:
             store.db.execute(f"PRAGMA max_page_count = {pages + room}")
             try:
                 store.save(
-                    [Row(f"new {k}", r.status, r.body) for k, r in enumerate(rows_of(400, 2000))]
+                    [
+                        StudyRow(f"new {k}", r.status, r.body)
+                        for k, r in enumerate(rows_of(400, 2000))
+                    ]
                 )
             except StoreError as error:
                 refused += "the disk is full" in str(error)

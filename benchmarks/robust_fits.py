@@ -32,7 +32,7 @@ from jaxid.dynamics.chain import Chain  # noqa: E402
 from jaxid.dynamics.joint_readings import with_speeds  # noqa: E402
 from jaxid.dynamics.mechanism import Rigid, Signature  # noqa: E402
 from jaxid.dynamics.parameter import constant, param  # noqa: E402
-from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.models import Joint, Pendulum, Servo  # noqa: E402
 from jaxid.models.effects import CoulombFriction, ViscousFriction  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
@@ -137,7 +137,7 @@ def by_scipy(
 ) -> tuple[bool, dict[str, tuple[float, float | None]]]:
     """Whether SciPy says success, and its numbers, on the residuals of the fit from its start."""
     b = bind(chain, data)
-    problem = Bench(b).problem(OutputError(), "fit", b.free, b.theta)
+    problem = ProblemBuilder(b).problem(OutputError(), "fit", b.free, b.theta)
 
     def both(z):
         parts = list(rows([(problem, z)]))

@@ -32,10 +32,10 @@ from jaxid import fitters  # noqa: E402
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior  # noqa: E402
 from jaxid.fitting.fitter import AbstractFitter, sampling_box  # noqa: E402
 from jaxid.fitting.population import AbstractPopulation  # noqa: E402
-from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.fitting.sequential import follow, stretches  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
-from jaxid.problem.problem import Problem  # noqa: E402
+from jaxid.problem.problem import FitProblem  # noqa: E402
 from jaxid.problem.residual import InverseDynamics  # noqa: E402
 from jaxid.problem.torque_filter import measured_torque  # noqa: E402
 from tests.test_models import SPACE, space  # noqa: E402
@@ -87,7 +87,7 @@ def torque(motion: tuple[np.ndarray, ...], payload: np.ndarray) -> np.ndarray:
 
 def problem_of(
     motions: list[tuple[np.ndarray, ...]], torques: list[np.ndarray], noise: float, seed: int = 0
-) -> tuple[Dataset, Problem]:
+) -> tuple[Dataset, FitProblem]:
     rng = np.random.default_rng(seed)
     torques = [
         tau + noise * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape)
@@ -108,7 +108,9 @@ def problem_of(
         model=ModelSpec("space_manipulator", constants=known, parameters=priors),
     )
     binding = bind(None, data, splits=False)
-    return data, Bench(binding).problem(InverseDynamics(), "fit", binding.free, binding.theta)
+    return data, ProblemBuilder(binding).problem(
+        InverseDynamics(), "fit", binding.free, binding.theta
+    )
 
 
 def race(seeds: int) -> list[dict]:

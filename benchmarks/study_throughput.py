@@ -136,7 +136,7 @@ def fleet(home: Path) -> list[dict]:
     """
     from jaxid.study import read_study, supervisor
     from jaxid.study.cluster import local_cluster
-    from jaxid.study.coordinator import Coordinator, Stop
+    from jaxid.study.coordinator import Coordinator, StopSignal
     from jaxid.study.store import Store
     from tests.test_batch import write_dataset, write_study
 
@@ -158,7 +158,7 @@ def fleet(home: Path) -> list[dict]:
         try:
             with (
                 Store(study.store) as store,
-                Stop() as stop,
+                StopSignal() as stop,
                 local_cluster(workers, threads) as cluster,
             ):
                 store.acquire()
@@ -187,7 +187,7 @@ def fleet(home: Path) -> list[dict]:
 def evaluations(home: Path) -> list[dict]:
     """Seconds of one evaluation of the loss, one simulation of the record."""
     import jaxid
-    from jaxid.fitting.problem_builder import Bench, default_residual
+    from jaxid.fitting.problem_builder import default_residual, ProblemBuilder
     from jaxid.problem.binding import bind
     from tests.test_batch import write_dataset
 
@@ -199,7 +199,7 @@ def evaluations(home: Path) -> list[dict]:
     ):
         data = jaxid.load_dataset(folder)
         binding = bind(None, data)
-        problem = Bench(binding).problem(
+        problem = ProblemBuilder(binding).problem(
             default_residual(binding), "fit", binding.free, binding.theta
         )
         z = problem.z(binding.theta)[None].repeat(256, 0)

@@ -49,7 +49,7 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
     from jaxid.diagnosis.hypothesis import candidates
     from jaxid.dynamics.chain import Chain
     from jaxid.fitting.effect_starts import probes
-    from jaxid.fitting.problem_builder import Bench
+    from jaxid.fitting.problem_builder import ProblemBuilder
     from jaxid.problem.binding import bind
     from jaxid.problem.residual import OutputError
 
@@ -62,7 +62,7 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
         return set()
     data, _ = _rich_motion(chain, model, owner)
     binding = bind(model, data, candidates=library, splits=False)
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     theta = _with_friction(binding)
     pool = {
         c.effect: c for c in reversed(candidates(bench, [k.name for k in library]))

@@ -7,7 +7,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from jaxid.fitters.de import binomial, dithered, donors, extent, select, State
+from jaxid.fitters.de import binomial, DeState, dithered, donors, extent, select
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 
@@ -33,7 +33,7 @@ class RandToBestDE(AbstractPopulation):
     CR: float = option(0.9, "probability that a coordinate comes from the mutant", 0, 1)
 
     def init(self, key, population, losses):
-        return State(population, losses)
+        return DeState(population, losses)
 
     def ask(self, key, state, lower, upper):
         x = state.population

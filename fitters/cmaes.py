@@ -17,7 +17,7 @@ from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 
 
-class State(NamedTuple):
+class CmaesState(NamedTuple):
     mean: Float[Array, " dim"]
     sigma: Float[Array, ""]
     C: Float[Array, "dim dim"]
@@ -66,7 +66,7 @@ class CMAES(AbstractPopulation):
         scale = jnp.maximum(jnp.std(population, 0), 1e-300)
         eye, zero = jnp.eye(dim), jnp.zeros(dim)
         start = population[jnp.argmin(losses)]
-        return State(
+        return CmaesState(
             mean=start,
             sigma=jnp.asarray(0.8),
             C=eye,
@@ -123,7 +123,7 @@ class CMAES(AbstractPopulation):
         basis, lengths = jax.lax.cond(
             generation % period == 0, decomposed, lambda _: (state.basis, state.lengths), None
         )
-        return State(
+        return CmaesState(
             mean=mean,
             sigma=sigma,
             C=C,

@@ -19,7 +19,7 @@ LARGEST = 2.0**32 - 256
 STRATEGIES = ("rand/1", "best/1", "current-to-best/1")
 
 
-class State(NamedTuple):
+class DeState(NamedTuple):
     population: Float[Array, "pop dim"]
     losses: Float[Array, " pop"]
 
@@ -56,7 +56,7 @@ class DifferentialEvolution(AbstractPopulation):
             raise ValueError("differential evolution needs a population of at least 4")
 
     def init(self, key, population, losses):
-        return State(population, losses)
+        return DeState(population, losses)
 
     def ask(self, key, state, lower, upper):
         x = state.population
@@ -150,11 +150,11 @@ def exponential(
 
 
 def select(
-    state: State, candidates: Float[Array, "pop dim"], losses: Float[Array, " pop"]
-) -> State:
+    state: DeState, candidates: Float[Array, "pop dim"], losses: Float[Array, " pop"]
+) -> DeState:
     """Every member is replaced by its candidate unless that is worse."""
     better = losses <= state.losses
-    return State(
+    return DeState(
         jnp.where(better[:, None], candidates, state.population),
         jnp.where(better, losses, state.losses),
     )

@@ -20,7 +20,7 @@ from jaxid.fitting.settings import option
 TRIED = 8
 
 
-class State(NamedTuple):
+class GaState(NamedTuple):
     population: Float[Array, "pop dim"]
     losses: Float[Array, " pop"]
     generation: Array
@@ -70,7 +70,7 @@ class GeneticAlgorithm(AbstractPopulation):
 
     def init(self, key, population, losses):
         order = jnp.argsort(losses)
-        return State(population[order], losses[order], jnp.zeros((), jnp.int32), jnp.ones(()))
+        return GaState(population[order], losses[order], jnp.zeros((), jnp.int32), jnp.ones(()))
 
     @property
     def survivors(self) -> int:
@@ -137,7 +137,7 @@ class GeneticAlgorithm(AbstractPopulation):
         step = jnp.where(
             gained, jnp.minimum(4 * state.step, 1.0), jnp.maximum(state.step / 4, 1e-6)
         )
-        return State(population[order], losses[order], state.generation + 1, step)
+        return GaState(population[order], losses[order], state.generation + 1, step)
 
     def spread(self, state):
         return extent(state.population)

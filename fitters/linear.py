@@ -22,12 +22,12 @@ import numpy as np
 from jaxid.data.noise import noise_floor
 from jaxid.dynamics.controller import law_of
 from jaxid.errors import UsageError
-from jaxid.fitting.covariance import Covariance, long_run, null_directions, whiteness
+from jaxid.fitting.covariance import CovarianceEstimate, long_run, null_directions, whiteness
 from jaxid.fitting.fitter import AbstractFitter, Minimum
 from jaxid.fitting.recursive_least_squares import replay
 from jaxid.fitting.settings import option
 from jaxid.problem.objective import AbstractProblem, PENALTY, rows
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics, Runs
 
 
@@ -45,7 +45,7 @@ class LinearMinimum(Minimum):
     problem's loss.
     """
 
-    covariance: Covariance | None = None
+    covariance: CovarianceEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ class Blocks:
         )
 
 
-def of_runs(problem: AbstractProblem, name: str) -> Problem:
+def of_runs(problem: AbstractProblem, name: str) -> FitProblem:
     """The problem, if it is one of a model and its runs."""
-    if not isinstance(problem, Problem):
+    if not isinstance(problem, FitProblem):
         raise UsageError(
             f"{name} solves the torque residual of a model; a function needs lm or another search"
         )
@@ -275,19 +275,19 @@ def change(old: np.ndarray, new: np.ndarray) -> float:
     )
 
 
-def bounds(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def bounds(problem: FitProblem) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of the free parameters themselves (not of their search scale)."""
     return problem.theta(problem.lower)[problem.free], problem.theta(problem.upper)[problem.free]
 
 
-def at_theta(problem: Problem, theta: np.ndarray) -> np.ndarray:
+def at_theta(problem: FitProblem, theta: np.ndarray) -> np.ndarray:
     """Search vector of free parameters `theta`."""
     full = problem.base.copy()
     full[problem.free] = theta
     return problem.z(full)
 
 
-def _torque_runs(problem: Problem, name: str) -> Runs:
+def _torque_runs(problem: FitProblem, name: str) -> Runs:
     if problem.loss_name != "sum_of_squares":
         raise UsageError(
             f"{name} minimises sums of squares; the loss {problem.loss_name!r} needs a population (fitter de)"
@@ -299,7 +299,7 @@ def _torque_runs(problem: Problem, name: str) -> Runs:
     return problem.runs
 
 
-def linearised(problem: Problem, guess: np.ndarray, name: str) -> tuple[np.ndarray, Blocks]:
+def linearised(problem: FitProblem, guess: np.ndarray, name: str) -> tuple[np.ndarray, Blocks]:
     """(theta, blocks) at an interior point near the guess. Raises `UsageError` where the residual
     is not linear.
     """
@@ -327,7 +327,7 @@ def linearised(problem: Problem, guess: np.ndarray, name: str) -> tuple[np.ndarr
     return theta, blocks
 
 
-def _blocks(problem: Problem, theta: np.ndarray) -> Blocks:
+def _blocks(problem: FitProblem, theta: np.ndarray) -> Blocks:
     """W and b of the problem, linearised at free parameters theta."""
     z = at_theta(problem, theta)
     slope, W, b = problem.dtheta(z), [], []
@@ -337,7 +337,7 @@ def _blocks(problem: Problem, theta: np.ndarray) -> Blocks:
     return Blocks(W, b)
 
 
-def solve(problem: Problem, at: np.ndarray, blocks: Blocks, instruments: Blocks) -> np.ndarray:
+def solve(problem: FitProblem, at: np.ndarray, blocks: Blocks, instruments: Blocks) -> np.ndarray:
     """min |Q'(W theta - b)| within the bounds, Q a basis of the instruments; a direction that the
     data do not determine stays where `at` is.
     """
@@ -358,7 +358,7 @@ def solve(problem: Problem, at: np.ndarray, blocks: Blocks, instruments: Blocks)
     return np.clip(theta, lower, upper)
 
 
-def _instruments(problem: Problem, theta: np.ndarray) -> Blocks | None:
+def _instruments(problem: FitProblem, theta: np.ndarray) -> Blocks | None:
     """W and b along the closed-loop motion of the estimate, filtered and decimated as the data;
     None if it diverges.
     """
@@ -383,12 +383,12 @@ def _instruments(problem: Problem, theta: np.ndarray) -> Blocks | None:
     made = same.runs(
         runs.dataset, experiments, runs.layout, np.ones(len(runs.channels)), None, shape=size
     )
-    twin = Problem(made, problem.base, problem.free, *_boxes(problem), records=problem.records)
+    twin = FitProblem(made, problem.base, problem.free, *_boxes(problem), records=problem.records)
     back = made.noise / runs.noise  # weighted as the data are
     return _blocks(twin, theta).weighted([back] * len(experiments))
 
 
-def _boxes(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def _boxes(problem: FitProblem) -> tuple[np.ndarray, np.ndarray]:
     """Bounds over the whole layout."""
     lower, upper = problem.base.copy(), problem.base.copy()
     lower[problem.free], upper[problem.free] = bounds(problem)
@@ -396,7 +396,7 @@ def _boxes(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def finish(
-    problem: Problem,
+    problem: FitProblem,
     at: np.ndarray,
     blocks: Blocks,
     instruments: Blocks,
@@ -437,8 +437,8 @@ def finish(
 
 
 def sandwich(
-    problem: Problem, z: np.ndarray, blocks: Blocks, instruments: Blocks, theta: np.ndarray
-) -> Covariance:
+    problem: FitProblem, z: np.ndarray, blocks: Blocks, instruments: Blocks, theta: np.ndarray
+) -> CovarianceEstimate:
     """(Z'W)^-1 S (W'Z)^-1 in the search scale: S the long-run covariance of the scores Z'r, s^2 Z'Z
     where r is white.
     """
@@ -490,4 +490,4 @@ def sandwich(
     statement = (
         f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"
     )
-    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement)
+    return CovarianceEstimate(matrix, std, identifiable, at_bound, groups, white, statement)

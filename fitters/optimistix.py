@@ -80,7 +80,7 @@ class Bounded(NamedTuple):
         return self._replace(step=self.step @ np.linalg.inv(root).T)
 
 
-class Run(NamedTuple):
+class SolverRun(NamedTuple):
     """Where a run of a solver has ended: `done` by its own tolerance, `limited` by steps, budget or
     time.
     """
@@ -135,9 +135,11 @@ class AbstractOptimistix(AbstractFitter):
             best.z, best.done, best.because, stalled=not best.done and not best.limited
         )
 
-    def _better(self, problem: AbstractProblem, best: Run, z: np.ndarray, log: Log) -> Run:
+    def _better(
+        self, problem: AbstractProblem, best: SolverRun, z: np.ndarray, log: Log
+    ) -> SolverRun:
         """The lower one of the best so far and of a descent from z."""
-        found = self._descent(problem, Run(np.inf, z, ""), log, best.loss)
+        found = self._descent(problem, SolverRun(np.inf, z, ""), log, best.loss)
         if (
             found.loss < best.loss
             and best.done
@@ -146,7 +148,9 @@ class AbstractOptimistix(AbstractFitter):
             return best._replace(loss=found.loss, z=found.z)  # the same minimum once more
         return found if found.loss < best.loss else best
 
-    def _descent(self, problem: AbstractProblem, best: Run, log: Log, rival: float) -> Run:
+    def _descent(
+        self, problem: AbstractProblem, best: SolverRun, log: Log, rival: float
+    ) -> SolverRun:
         """Runs of the solver, each from where the last ended, until none gains; given up after one
         that ends above `rival`.
         """
@@ -163,7 +167,9 @@ class AbstractOptimistix(AbstractFitter):
             because="begun anew again and again it still falls", done=False, limited=True
         )
 
-    def _from(self, problem: AbstractProblem, start: np.ndarray, log: Log, scale: float) -> Run:
+    def _from(
+        self, problem: AbstractProblem, start: np.ndarray, log: Log, scale: float
+    ) -> SolverRun:
         """One run of the solver."""
         import optimistix as optx
 
@@ -200,7 +206,7 @@ class AbstractOptimistix(AbstractFitter):
             best, z, rejected = np.inf, start, 0
             for count in range(self.steps):
                 if log.exhausted or log.left < slope + 2 * simplex:
-                    return Run(
+                    return SolverRun(
                         best,
                         z,
                         log.exhausted or "the budget of evaluations is used up",
@@ -222,20 +228,22 @@ class AbstractOptimistix(AbstractFitter):
                 done, result = over(x, args, state)
                 fine = bool(result == optx.RESULTS.successful)
                 if bool(done) or not fine:
-                    return Run(best, z, "tolerance" if fine else _message(optx, result), done=fine)
+                    return SolverRun(
+                        best, z, "tolerance" if fine else _message(optx, result), done=fine
+                    )
                 if rejected == REJECTED:
-                    return Run(best, z, "no step from here lowers the loss")
-        return Run(best, z, "step limit", limited=True)
+                    return SolverRun(best, z, "no step from here lowers the loss")
+        return SolverRun(best, z, "step limit", limited=True)
 
 
-def _first(problem: AbstractProblem, starts: Any, log: Log, rng: np.random.Generator) -> Run:
+def _first(problem: AbstractProblem, starts: Any, log: Log, rng: np.random.Generator) -> SolverRun:
     """The best start; a random point of the box where none has a finite loss."""
     z = np.clip(
         np.array(starts[: None if log.budget is None else log.budget]), problem.lower, problem.upper
     )
     losses = problem.losses(z)
     log.add(len(z), float(losses.min()))
-    best = Run(float(losses.min()), z[int(np.argmin(losses))], "the simulation diverges")
+    best = SolverRun(float(losses.min()), z[int(np.argmin(losses))], "the simulation diverges")
     for number in range(BLOCKS):
         if best.loss < PENALTY or log.exhausted:
             break
@@ -249,7 +257,7 @@ def _drawn(
     log: Log,
     rng: np.random.Generator,
     wide: bool = False,
-) -> Run:
+) -> SolverRun:
     """The best of some random points around the guess or, `wide`, of all the box; unknown starts of
     runs stay as guessed.
     """
@@ -260,7 +268,7 @@ def _drawn(
     z[:, problem.free.size :] = guess[problem.free.size :]
     losses = problem.losses(z)
     log.add(len(z), float(losses.min()))
-    return Run(float(losses.min()), z[int(np.argmin(losses))], "the simulation diverges")
+    return SolverRun(float(losses.min()), z[int(np.argmin(losses))], "the simulation diverges")
 
 
 def _evaluations(before: Any, state: Any, corners: int) -> int:

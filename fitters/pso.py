@@ -13,7 +13,7 @@ from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 
 
-class State(NamedTuple):
+class PsoState(NamedTuple):
     position: Float[Array, "pop dim"]
     velocity: Float[Array, "pop dim"]
     best: Float[Array, "pop dim"]  # of each particle
@@ -41,7 +41,7 @@ class ParticleSwarm(AbstractPopulation):
     c2: float = option(1.49618, "pull of the swarm's best place")
 
     def init(self, key, population, losses):
-        return State(population, jnp.zeros_like(population), population, losses)
+        return PsoState(population, jnp.zeros_like(population), population, losses)
 
     def ask(self, key, state, lower, upper):
         return jnp.clip(state.position + self._velocity(key, state), lower, upper)
@@ -57,7 +57,7 @@ class ParticleSwarm(AbstractPopulation):
     def tell(self, state, candidates, losses):
         better = losses < state.losses
         # The way that was really gone: what the bounds cut off is gone from the velocity too.
-        return State(
+        return PsoState(
             candidates,
             candidates - state.position,
             jnp.where(better[:, None], candidates, state.best),

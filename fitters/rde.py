@@ -33,7 +33,7 @@ from jaxid.problem.objective import AbstractProblem, expand
 VARIANTS = ("self", "target", "shift")
 
 
-class State(NamedTuple):
+class RdeState(NamedTuple):
     population: Float[Array, "pop dim"]
     losses: Float[Array, " pop"]
     key: Any
@@ -84,9 +84,11 @@ class RecursiveDE(AbstractPopulation):
 
     def init(self, key, population, losses):
         where = jnp.zeros(self.count, jnp.int32)
-        return State(population, losses, key, where, jnp.zeros((self.count, population.shape[1])))
+        return RdeState(
+            population, losses, key, where, jnp.zeros((self.count, population.shape[1]))
+        )
 
-    def informed(self, problem: AbstractProblem, state: Any, log: Log) -> State:
+    def informed(self, problem: AbstractProblem, state: Any, log: Log) -> RdeState:
         """State with the Gauss-Newton step of the best member, or of some drawn at random."""
         x, losses = np.asarray(state.population), np.asarray(state.losses)
         if self.variant == "self":

@@ -13,7 +13,7 @@ from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 
 
-class State(NamedTuple):
+class ShadeState(NamedTuple):
     population: Float[Array, "pop dim"]
     losses: Float[Array, " pop"]
     archive: Float[Array, "pop dim"]  # members that were replaced
@@ -43,7 +43,7 @@ class Shade(AbstractPopulation):
 
     def init(self, key, population, losses):
         half = jnp.full(self.memory, 0.5)
-        blank = State(
+        blank = ShadeState(
             population=population,
             losses=losses,
             archive=population,
@@ -56,7 +56,7 @@ class Shade(AbstractPopulation):
         )
         return self._drawn(blank)
 
-    def _drawn(self, state: State) -> State:
+    def _drawn(self, state: ShadeState) -> ShadeState:
         """The state with F (Cauchy) and CR (normal) of the next generation, each around a
         remembered success.
         """

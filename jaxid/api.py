@@ -69,14 +69,14 @@ def fit(
     runs block by block, of `block_s` seconds or as `recursion.in_blocks` cuts them, each at the
     same cost: see `jaxid.fitting.recursion`.
     """
-    from jaxid.fitting.recursion import in_blocks, Recursion
+    from jaxid.fitting.recursion import in_blocks, RecursionSettings
 
     began = time.perf_counter()
     along = None
     if window is not None or forgetting is not None or block_s is not None:
         if window is None and forgetting is None:
             raise UsageError("blocks belong to a window or to forgetting: give one of them")
-        along = Recursion(window, 1.0 if forgetting is None else forgetting, block_s)
+        along = RecursionSettings(window, 1.0 if forgetting is None else forgetting, block_s)
     if len(limbs := limbs_of(model, dataset)) > 1:
         chosen = tuple(effects)
         work = lambda robot, data: fit(
@@ -198,7 +198,7 @@ def diagnose(
     from jaxid.diagnosis.run import begin_compiling, run_diagnosis
 
     refuse_free("diagnose", dataset)
-    from jaxid.diagnosis.torque.reference import Reference
+    from jaxid.diagnosis.torque.reference import ReferenceNumbers
 
     if len(limbs := limbs_of(model, dataset)) > 1:
         asked = None if effects is None else tuple(effects)
@@ -223,7 +223,7 @@ def diagnose(
     checked = _checked(model, dataset, without, as_recorded)
     data = checked.mended or dataset
     try:
-        known = None if reference is None else Reference.read(reference)
+        known = None if reference is None else ReferenceNumbers.read(reference)
         compared = resolve_residual(residual, cutoff_hz)
         found = run_diagnosis(
             model=model,

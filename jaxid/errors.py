@@ -38,7 +38,7 @@ def nearest(word: str, choices) -> str:
 
 
 @dataclass(frozen=True)
-class Problem:
+class DatasetProblem:
     """One fault of a dataset. `row` counts as an editor does (the header is row 1, the first sample
     row 2).
     """
@@ -63,7 +63,7 @@ class Problem:
 class DatasetError(ValueError):
     """A dataset that was refused; `problems` holds every fault found, `str()` lists them all."""
 
-    def __init__(self, problems: Sequence[Problem]):
+    def __init__(self, problems: Sequence[DatasetProblem]):
         self.problems = list(problems)
         super().__init__(str(self))
 

@@ -18,7 +18,7 @@ from jaxid.models.effects import CoulombFriction, ViscousFriction
 from jaxid.numerics.fast_math import dot, inverse, sincos
 
 
-class Link(NamedTuple):
+class LinkIntegrals(NamedTuple):
     """Integrals of a link over its length, with modes phi: mass, first and second moment about its
     hub; of the modes the integrals of phi and x phi, mass and stiffness, deflection and slope at
     the tip, curvature at the hub; and what it carries at its tip (kg, kg m^2).
@@ -40,7 +40,7 @@ class Link(NamedTuple):
     shapes: Float[Array, "nodes modes"]
 
     @classmethod
-    def of(cls, beam: Beam, elements: int, count: int) -> Link:
+    def of(cls, beam: Beam, elements: int, count: int) -> LinkIntegrals:
         bare = matrices(beam._replace(payload=0.0, payload_inertia=0.0), elements)
         V = modes(matrices(beam._replace(stiffness=1.0), elements), count).shapes
         le = beam.length / elements
@@ -147,7 +147,7 @@ class FlexibleArm(Mechanism):
         default=None, repr=False
     )  # integrals over the links; their stiffness and damping
 
-    def links(self) -> tuple[Link, Link]:
+    def links(self) -> tuple[LinkIntegrals, LinkIntegrals]:
         """Both links' integrals."""
         if self.prepared is not None:
             return self.prepared[0]
@@ -157,11 +157,11 @@ class FlexibleArm(Mechanism):
             (self.L2, self.E2, self.b2, self.h2, self.rho2, self.m_p, self.J_p),
         )
         each = (jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(*sizes, strict=True))
-        own = lambda L, E, b, h, rho, m, J: Link.of(
+        own = lambda L, E, b, h, rho, m, J: LinkIntegrals.of(
             Beam(L, E * b * h**3 / 12, rho * b * h, m, J), self.n_elements, count
         )
         both = jax.vmap(own)(*each)  # side by side: half the program
-        return Link(*(v[0] for v in both)), Link(*(v[1] for v in both))
+        return LinkIntegrals(*(v[0] for v in both)), LinkIntegrals(*(v[1] for v in both))
 
     def prepare(self, h):
         return eqx.tree_at(
@@ -351,7 +351,7 @@ def _seen(angle: Array, v: Float[Array, " 2 *n"]) -> Float[Array, " 2 *n"]:
     return jnp.stack([c * v[0] + s * v[1], c * v[1] - s * v[0]])
 
 
-def _end(link: Link, frame: Frame, e: Array, z: Array) -> Frame:
+def _end(link: LinkIntegrals, frame: Frame, e: Array, z: Array) -> Frame:
     """The far end of a bent link, with the frame that it carries."""
     across, bend, s, c = dot(link.tip, e), dot(link.slope, e), *_sincos(frame.angle)
     at = frame.at + jnp.stack([c * link.length - s * across, s * link.length + c * across])
@@ -361,7 +361,7 @@ def _end(link: Link, frame: Frame, e: Array, z: Array) -> Frame:
     return Frame(at, frame.angle + bend, _seen(bend, u), frame.rate + dot(link.slope, z))
 
 
-def _kinetic(link: Link, frame: Frame, e: Array, z: Array) -> Array:
+def _kinetic(link: LinkIntegrals, frame: Frame, e: Array, z: Array) -> Array:
     """Energy of a bent link without what it carries: points move with (ux - rate w, uy + rate x +
     wd) along its axes.
     """
@@ -380,7 +380,14 @@ def _kinetic(link: Link, frame: Frame, e: Array, z: Array) -> Array:
 
 
 def _inertia_forces(
-    link: Link, turn: Array, move: Array, pull: Array, e: Array, z: Array, rate: Array, own: Array
+    link: LinkIntegrals,
+    turn: Array,
+    move: Array,
+    pull: Array,
+    e: Array,
+    z: Array,
+    rate: Array,
+    own: Array,
 ):
     """(M, h) of a bent link without what it carries. `turn` [n] and `move` [2 n]: how its frame
     turns and moves with each coordinate; `pull` [2]: acceleration of the frame; `own` [modes n]:
@@ -407,7 +414,7 @@ def _inertia_forces(
     ) @ own
 
 
-def _carried(link: Link, turn, move, pull, e, z, pd, own, M, h):
+def _carried(link: LinkIntegrals, turn, move, pull, e, z, pd, own, M, h):
     """The far end's turn, move and pull, still along the link's own axes, and (M, h) with what it
     carries.
     """

@@ -24,7 +24,7 @@ from jaxid.robots import dynamics, free_numbers
 from jaxid.robots.bodies import BODY, body_of, point_mass, ten_numbers
 from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.floating import balanced, based, without_slides
-from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, Stated, Tree, up_to
+from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, StaticTree, Tree, up_to
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
 from .effects.body import PlacedPayload
@@ -177,7 +177,7 @@ class Robot(Staged):
     floats: bool = eqx.field(
         static=True, default=False
     )  # on a free base: see `jaxid.robots.floating`
-    tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `Stated`
+    tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `StaticTree`
     drive_law: Any = eqx.field(static=True, default=None)
     rides: bool = eqx.field(
         static=True, default=False
@@ -193,7 +193,7 @@ class Robot(Staged):
         tree = chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # slender links in a plane
         leading = tree.leading
         S, c = tree.follow()
-        self.tree, self.floats = Stated(tree), tree.floats
+        self.tree, self.floats = StaticTree(tree), tree.floats
         self.joints, self.parent, self.slides = tree.joints, tree.parent, tree.slides
         self.carriers = tuple(k for k, link in enumerate(tree.links) if link)
         self.links = tuple(tree.links[k] for k in self.carriers)
@@ -262,7 +262,7 @@ class Robot(Staged):
         self.fitted = law.fitted(self.tree.tree.driven)
 
     def driven_by(self, law: Any) -> Robot:
-        """The same driven by goals through a law (a `jaxid.robots.drives.Law`)."""
+        """The same driven by goals through a law (a `jaxid.robots.drives.DriveLaw`)."""
         return type(self)(self.tree.tree, law=law, rides=self.rides)
 
     @classmethod

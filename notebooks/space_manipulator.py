@@ -166,7 +166,7 @@ HTML(moving.animate(seconds=6, frames=FRAMES).to_jshtml(default_mode="loop"))
 # generations a block, the population carried on.
 
 # %%
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.sequential import follow, stretches
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import InverseDynamics
@@ -182,7 +182,7 @@ stream = dataset(
     blocks, [torque(m, body=b) for m, b in zip(blocks, truths, strict=True)], noise=0.01
 )
 binding = bind(None, stream, splits=False)
-problem = Bench(binding).problem(InverseDynamics(), "fit", binding.free, binding.theta)
+problem = ProblemBuilder(binding).problem(InverseDynamics(), "fit", binding.free, binding.theta)
 courses = {}
 for label, window in (("window of three blocks", 3), ("all data, as in the paper", None)):
     method = fitters.RecursiveDE(generations=ARM_GENERATIONS)

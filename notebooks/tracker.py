@@ -117,14 +117,14 @@ for name, truth in TRACKER.items():
 
 # %%
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.profiles import profile_likelihood
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import OutputError
 
 
 binding = bind(None, data)
-problem = Bench(binding).problem(OutputError(), "fit", binding.free, gradient.theta)
+problem = ProblemBuilder(binding).problem(OutputError(), "fit", binding.free, gradient.theta)
 best = descend([(problem, problem.z(gradient.theta))], 30, 1e-12)[0].z
 profiles = profile_likelihood(problem, best, ["J_theta", "b_theta"])
 figure, axes = plt.subplots(1, 2, figsize=(9, 3), layout="constrained")

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter import Reference
+from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.simulation import sample_buffers as samples
 from jaxid.simulation.batch import Engine
@@ -120,11 +120,11 @@ def relative(a: np.ndarray, b: np.ndarray) -> float:
 
 
 #: Magnitudes of the test runs.
-REFERENCE = Reference(torque=1.0, speed=3.0, angle=1.0, duration=1.0, step=0.01)
+REFERENCE = TypicalMagnitudes(torque=1.0, speed=3.0, angle=1.0, duration=1.0, step=0.01)
 
 
 def within_bounds(
-    layout: Layout, references: list[Reference], rng: np.random.Generator, power: int = 1
+    layout: Layout, references: list[TypicalMagnitudes], rng: np.random.Generator, power: int = 1
 ) -> np.ndarray:
     """A random draw of all numbers but the known constants; `power` > 1 prefers the lower end."""
     lower, upper, _ = layout.boxes(references)

@@ -10,8 +10,8 @@ import pytest
 
 import jaxid
 from jaxid.diagnosis.run import run_diagnosis
-from jaxid.diagnosis.torque.algebra import departure, Known
-from jaxid.diagnosis.torque.reference import Reference
+from jaxid.diagnosis.torque.algebra import ColumnPrior, departure
+from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from test_torque_diagnosis import ARMS, asked, body, DATA, named, payload_of, recorded, run
 
 
@@ -38,7 +38,7 @@ def test_a_reference_of_the_same_arm_shows_no_load(warmer):
     )
     less = lambda q, qd, qdd, rigid: (warmer - 1) * (2.0 * qd + 1.5 * np.tanh(qd / 0.003))
     runs = [run(arm, s, more=less) for s in (1, 2, 3)]
-    d = asked(arm, runs, reference=Reference.read(before))
+    d = asked(arm, runs, reference=ReferenceNumbers.read(before))
     different = {e.effect for e in d.which.effects}
     assert all("friction" in effect for effect in different), d.which.text
     assert bool(different) is (warmer > 1), d.which.text
@@ -49,7 +49,7 @@ def test_a_reference_by_torque_is_compared_by_torque():
     before = jaxid.identify(
         arm, recorded([run(arm, s) for s in (11, 12, 13)]), friction="linear", as_recorded=True
     )
-    told = Reference.read(before)
+    told = ReferenceNumbers.read(before)
     data = recorded([run(arm, s, load) for s in (1, 2, 3)])
     d = run_diagnosis(arm, data, 3, None, (), None, 0, None, told)
     assert d.residual == "inverse_dynamics"
@@ -65,7 +65,7 @@ def test_the_load_of_a_recorded_arm_is_weighed_against_its_reference():
     for name in ("unloaded_0131", "loaded_0131"):
         pair[name] = one_run(data, DATA / "ur10e" / f"{name}.parquet")
     before = jaxid.identify(None, pair["unloaded_0131"], as_recorded=True)
-    told = Reference.read(before)
+    told = ReferenceNumbers.read(before)
     d = run_diagnosis(None, pair["loaded_0131"], 3, None, (), None, 0, None, told)
     assert d.which.verdict == "named" and named(d) == {("payload", "q6")}, d.which.text
     mass = payload_of(d)["mass"]
@@ -79,7 +79,7 @@ def test_a_departure_counts_bodies_whatever_the_others_are():
     information = root @ root.T
     mean, theta = rng.standard_normal(5), rng.standard_normal(5)
     inside = np.array([True, False, True, True, False])
-    found = departure(Known(information, mean), inside)
+    found = departure(ColumnPrior(information, mean), inside)
     covariance = np.linalg.inv(information)[np.ix_(inside, inside)]
     apart = (theta - mean)[inside]
     assert found(theta) == pytest.approx(apart @ np.linalg.solve(covariance, apart))

@@ -15,7 +15,7 @@ from jaxid.diagnosis.goals.as_stated import by_its_steps, Difference, difference
 from jaxid.diagnosis.goals.floor import between_simulators
 from jaxid.diagnosis.goals.run import loop_step
 from jaxid.diagnosis.goals.study import LedStudy
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import OutputError
@@ -63,7 +63,7 @@ def test_what_mujoco_makes_of_a_file_is_known_whatever_the_file_lacks(tmp_path):
     data = dataset(c)
     b = bind(written(tmp_path), data)
     step = loop_step(b)
-    bench = Bench(b, step, differences=1, together=True)
+    bench = ProblemBuilder(b, step, differences=1, together=True)
     between = between_simulators(bench)
     assert between is not None and np.all(between.left > 0.01) and np.all(between.size > 2e-4)
     plain = difference(bench, {"fit": between})
@@ -87,7 +87,7 @@ def test_what_mujoco_makes_of_a_file_is_known_whatever_the_file_lacks(tmp_path):
     }  # beyond its own centre of mass
     for field, value in true.items():
         theta[wide.layout.index(f"payload.{field}@j2")] = value
-    off = stepped.off(Bench(wide, step, differences=1, together=True))
+    off = stepped.off(ProblemBuilder(wide, step, differences=1, together=True))
     for split in ("fit", "validation"):
         starts = estimate_starts(off, split, [theta])
         simulated = free_runs(off, split, [theta], starts)[0]
@@ -103,7 +103,7 @@ def test_the_first_moments_of_a_held_out_run_are_at_the_noise_for_what_recorded_
     """
     b = bind(written(tmp_path), dataset(case(6.0)))
     step = loop_step(b)
-    plain = difference(bench := Bench(b, step, differences=1, together=True), {})
+    plain = difference(bench := ProblemBuilder(b, step, differences=1, together=True), {})
     assert plain is not None
     stepped = by_its_steps(bench, LedStudy(b, []), plain)
     assert stepped is not None
@@ -113,7 +113,7 @@ def test_the_first_moments_of_a_held_out_run_are_at_the_noise_for_what_recorded_
     }
 
     def left(found: Difference) -> float:
-        off = found.off(Bench(b, step, differences=1, together=True))
+        off = found.off(ProblemBuilder(b, step, differences=1, together=True))
         starts = estimate_starts(off, "validation", [found.theta])[0]
         longest = off.runs(OutputError(), "validation").heads[0][0]
         p = off.problem(OutputError(), "validation", [], found.theta, [longest])

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from jaxid.fitting.noise_model import (
     Autoregression,
     autoregressions,
-    Part,
+    RecordResidual,
     score_covariance,
     student,
 )
@@ -43,7 +43,7 @@ def regressors(n: int, rng: np.random.Generator) -> np.ndarray:
 def test_score_covariance_is_that_of_the_dense_matrices():
     rng = np.random.default_rng(1)
     noise = [Autoregression(np.array([0.9]), 0.3), Autoregression(np.array([1.2, -0.4]), 2.0)]
-    parts = [Part(rng.normal(size=(n, 2)), rng.normal(size=(n, 2, 3))) for n in (40, 17)]
+    parts = [RecordResidual(rng.normal(size=(n, 2)), rng.normal(size=(n, 2, 3))) for n in (40, 17)]
     dense = sum(
         p.J[:, c].T @ toeplitz(noise[c].covariance(len(p.r))) @ p.J[:, c]
         for p in parts
@@ -74,7 +74,9 @@ def test_intervals_of_linear_fits_hold_the_truth(colour):
             for j in J
         ]
         theta = inverse @ sum(j[:, 0].T @ x for j, x in zip(J, e, strict=True))
-        parts = [Part((x - j[:, 0] @ theta)[:, None], j) for j, x in zip(J, e, strict=True)]
+        parts = [
+            RecordResidual((x - j[:, 0] @ theta)[:, None], j) for j, x in zip(J, e, strict=True)
+        ]
         noise = autoregressions(parts, inverse)
         cov = inverse @ score_covariance(parts, noise) @ inverse * student(parts, noise, 4) ** 2
         held.append(np.abs(theta) < 1.96 * np.sqrt(np.diag(cov)))
@@ -94,7 +96,9 @@ def test_a_column_without_data_is_silent():
     J = np.repeat(regressors(100, rng), 2, 1)
     J[:, 1] = 0
     inverse = np.linalg.inv(J[:, 0].T @ J[:, 0])
-    noise = autoregressions([Part(np.stack([rng.normal(size=100), np.zeros(100)], 1), J)], inverse)
+    noise = autoregressions(
+        [RecordResidual(np.stack([rng.normal(size=100), np.zeros(100)], 1), J)], inverse
+    )
     assert noise[1].innovation < 1e-100 and np.isfinite(noise[1].memory())
     assert noise[0].innovation == pytest.approx(1, rel=0.3)
 
@@ -113,7 +117,7 @@ def test_smooth_residuals_of_short_windows_have_a_variance_like_what_is_seen(mon
         J[:, 0, 2 * k : 2 * k + 2] = smooth[:, :2]
         J[:, 0, 16:] = np.sin(np.outer(t, [2.0, 3.0]) + k)
         r = 40 * smooth[:, 2:] @ rng.standard_normal(6) + 0.5 * rng.standard_normal(175)
-        parts.append(noise_model.Part(r[:, None], J))
+        parts.append(noise_model.RecordResidual(r[:, None], J))
         seen.append(np.mean(r**2))
     inverse = np.linalg.inv(sum(p.J[:, 0].T @ p.J[:, 0] for p in parts))
     variance = lambda: float(noise_model.autoregressions(parts, inverse)[0].covariance(1)[0])

@@ -27,7 +27,7 @@ import jaxid
 from jaxid.cli import app as cli
 from jaxid.study import cluster, lease, read_study, run_study, store as stores, study_status
 from jaxid.study.plan import StudyError
-from jaxid.study.rows import Row
+from jaxid.study.rows import StudyRow
 from jaxid.study.store import LeaseLost, Store, StoreError
 from study_fleet import number
 
@@ -453,9 +453,9 @@ def test_a_cluster_that_does_not_close_holds_nothing_up(home, monkeypatch):
 # ---- the store
 
 
-def rows_of(n: int, size: int = 200) -> list[Row]:
+def rows_of(n: int, size: int = 200) -> list[StudyRow]:
     return [
-        Row(f"{k:032x}", "converged", json.dumps({"loss": k, "reason": "x" * size}).encode())
+        StudyRow(f"{k:032x}", "converged", json.dumps({"loss": k, "reason": "x" * size}).encode())
         for k in range(n)
     ]
 
@@ -491,7 +491,9 @@ def test_two_coordinators(home, monkeypatch):
         with pytest.raises(LeaseLost, match="another process has taken"):
             first.save(rows_of(1))
         second.save(rows_of(2))
-        second.save([Row(rows_of(1)[0].key, "failed", b"{}")])  # a task that has a result keeps it
+        second.save(
+            [StudyRow(rows_of(1)[0].key, "failed", b"{}")]
+        )  # a task that has a result keeps it
         kept = {r.key: r.status for r in second.rows()}
         assert len(kept) == 42 and kept[rows_of(1)[0].key] == "converged"
     first.close()
@@ -591,14 +593,17 @@ def test_full_disk(tmp_path):
                 StoreError, match="the disk is full; 400 finished tasks could not be saved"
             ) as error:
                 store.save(
-                    [Row(f"new {k}", r.status, r.body) for k, r in enumerate(rows_of(400, 2000))]
+                    [
+                        StudyRow(f"new {k}", r.status, r.body)
+                        for k, r in enumerate(rows_of(400, 2000))
+                    ]
                 )
             assert str(tmp_path) in str(error.value) and "start the same command again" in str(
                 error.value
             )
             assert len(list(store.rows())) == 50
         store.db.execute("PRAGMA max_page_count = 1000000")
-        store.save([Row("new", "converged", b"{}")])
+        store.save([StudyRow("new", "converged", b"{}")])
         assert len(list(store.rows())) == 51
 
 

@@ -293,6 +293,6 @@ def test_nothing_in_the_package_runs_what_it_reads():
 def test_progress_names_no_escape(tmp_path):
     write_dataset(tmp_path / "small", "\u202e evil", samples=30)
     study, outcomes, _ = study_status(write_study(tmp_path, "seeds = 2"))
-    from jaxid.study.run import Progress
+    from jaxid.study.run import StudyProgress
 
-    assert visible(wording.clean(progress_text(Progress(study, outcomes, 2, 10.0, 1))))
+    assert visible(wording.clean(progress_text(StudyProgress(study, outcomes, 2, 10.0, 1))))

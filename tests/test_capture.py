@@ -10,8 +10,8 @@ import pytest
 import jaxid
 from benchmarks import capture
 from floating_twin import catch
-from jaxid.fitting.change import Change, Series, suspected, unexplained
-from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.fitting.change import ParameterChange, Series, suspected, unexplained
+from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.problem.binding import bind, resolve_model
 from jaxid.problem.momentum import Momentum, of_a_body, sides
 
@@ -36,18 +36,21 @@ def test_a_catch_is_noticed_and_nothing_else(caught: bool):
 def test_what_momentum_cannot_tell_of_a_change():
     data = capture.recorded(catch(3), 3)
     with pytest.raises(jaxid.UsageError, match="step_change@damping@j1 changes no number of one"):
-        Change.of(bind(None, data, effects=["step_change@damping@j1"], splits=False))
+        ParameterChange.of(bind(None, data, effects=["step_change@damping@j1"], splits=False))
     changed = bind(None, data, effects=["step_change@mass@a2"], splits=False)
     with pytest.raises(jaxid.UsageError, match="jaxid fit finds it"):
         Momentum().runs(data, data.experiments, changed.layout, changed.readings, None)
-    change = Change.of(changed)
+    change = ParameterChange.of(changed)
     told = unexplained(changed, change, 46.7)
     assert (
         "46.7 times the noise" in told
         and "step_change@com_x@a2" in told
         and "step_change@mass@a2" not in told
     )
-    assert start_values(Bench(changed), changed.free, 0, residual=Momentum())[0] is changed.theta
+    assert (
+        start_values(ProblemBuilder(changed), changed.free, 0, residual=Momentum())[0]
+        is changed.theta
+    )
 
 
 def test_a_jump_of_speed_is_in_neither_side():

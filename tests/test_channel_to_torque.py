@@ -19,14 +19,14 @@ from jaxid.data.dataset import ModelSpec
 from jaxid.diagnosis.missing import joint_load
 from jaxid.diagnosis.torque.answer import _body
 from jaxid.diagnosis.torque.library import BODY, Unit
-from jaxid.diagnosis.torque.study import Study
+from jaxid.diagnosis.torque.study import TorqueStudy
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.kinematics import modified_dh
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import DatasetWarning, UsageError
-from jaxid.fitting.problem_builder import Bench
-from jaxid.identification.payload import Payload, USUAL_GAIN_STD, usual_gain_std
+from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.identification.payload import PayloadEstimate, USUAL_GAIN_STD, usual_gain_std
 from jaxid.identification.regression import read_run
 from jaxid.identification.run import _stated
 from jaxid.models import Joint, Panda, SerialArm, UR10, UR10e
@@ -122,7 +122,7 @@ def _chain(arm: Any, data: jaxid.Dataset) -> Chain:
 
 
 def _residual(binding: Any, residual: Any) -> np.ndarray:
-    problem = Bench(binding).problem(residual, "fit", binding.free, binding.theta)
+    problem = ProblemBuilder(binding).problem(residual, "fit", binding.free, binding.theta)
     return np.concatenate([r.ravel() for r in problem.residuals(problem.z(binding.theta))])
 
 
@@ -134,7 +134,7 @@ def _missing(binding: Any) -> np.ndarray:
 
 
 def _by_torque(binding: Any) -> np.ndarray:
-    study = Study(binding, [CoulombFriction, ViscousFriction, DeadZone], None, None, False)
+    study = TorqueStudy(binding, [CoulombFriction, ViscousFriction, DeadZone], None, None, False)
     rows, _ = study.rows_with_effects(study.theta)
     return np.concatenate(
         [study.theta[binding.free], study.noise, *(x[:, :, -1].ravel() for x in rows.rows)]
@@ -228,7 +228,9 @@ def test_a_load_without_a_mass_has_no_centre() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = _body(unit, np.zeros(n), 1e-6 * np.eye(n), 0.05)
-        told = Payload(np.zeros(10), np.eye(10), np.zeros(10), np.zeros(10), 0.05, 3).to_dict()
+        told = PayloadEstimate(
+            np.zeros(10), np.eye(10), np.zeros(10), np.zeros(10), 0.05, 3
+        ).to_dict()
     assert found["mass"].value == 0.0 and not {"x", "y", "z"} & found.keys()
     assert np.isnan(told["nearest_body"]["com"]).all() and told["com"][0]["std"] == np.inf
 
@@ -245,7 +247,7 @@ def test_the_share_of_the_gains_is_in_the_interval_of_a_load() -> None:
     )
     assert exact == pytest.approx(1e-3) and counted == pytest.approx(np.hypot(1e-3, 0.15))
     phi = np.concatenate([values[4:], values[1:4], values[:1]])
-    load = Payload(phi, 1e-6 * np.eye(10), phi, None, 0.05, 3)
+    load = PayloadEstimate(phi, 1e-6 * np.eye(10), phi, None, 0.05, 3)
     assert (
         load.mass[1] == pytest.approx(counted)
         and "5 %" in load.counted_gains

@@ -18,7 +18,7 @@ from hypothesis import given, settings, strategies as st
 import jaxid
 from jaxid.cli import app as cli
 from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
-from jaxid.fitting.comparison import Comparison, Known, Run, typical, wilson
+from jaxid.fitting.comparison import BestKnown, Comparison, FitterRun, typical, wilson
 from jaxid.runtime import Interrupted
 from test_fitters import data_of
 from test_report import assert_harmless
@@ -39,7 +39,7 @@ def made(losses: dict[str, list[float]], best: float = 1.0) -> Comparison:
             n = 10 * np.arange(1, 11)
             history = np.stack([n, n / 100, end + 64 * 0.5 ** (n / 10) - 64 * 0.5**10], 1)
             runs.append(
-                Run(
+                FitterRun(
                     fitter,
                     seed,
                     "stopped",
@@ -53,7 +53,7 @@ def made(losses: dict[str, list[float]], best: float = 1.0) -> Comparison:
                     history,
                 )
             )
-    known = {"a": Known(1.0, 0.1, "kg", 0.0, 5.0), "b": Known(2.0, None, "N m", 0.0, 5.0)}
+    known = {"a": BestKnown(1.0, 0.1, "kg", 0.0, 5.0), "b": BestKnown(2.0, None, "N m", 0.0, 5.0)}
     return Comparison(
         "m",
         "d",
@@ -217,7 +217,7 @@ def test_a_comparison_shows_itself_short_and_escaped():
         made({"good": [1.0, 1.0], bad: [2.0, 3.0]}),
         dataset=bad,
         model=bad,
-        best={k: Known(1.0, 0.1, bad, 0.0, 5.0) for k in "ab"},
+        best={k: BestKnown(1.0, 0.1, bad, 0.0, 5.0) for k in "ab"},
     )
     html = c._repr_html_()
     page = assert_harmless(html)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.stats import truncnorm
 
-from jaxid.fitting.covariance import Covariance, covariance
+from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.numerics.truncated import moments_within, within_bounds
 
 
@@ -41,7 +41,7 @@ class Linear:
     def known_before(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(0), np.zeros((0, self.size))
 
-    def covariance(self, z: np.ndarray) -> Covariance:
+    def covariance(self, z: np.ndarray) -> CovarianceEstimate:
         part = Part((self.J @ z - self.y)[:, None], self.J[:, None], list(range(self.size)))
         with mock.patch("jaxid.fitting.covariance.rows", lambda jobs: [part]):
             return covariance(cast(Any, self), z)

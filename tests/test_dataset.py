@@ -22,7 +22,7 @@ import jaxid
 from jaxid.data.dataset import Channel, Controller, ModelSpec, ParameterPrior
 from jaxid.data.io import load_dataset
 from jaxid.dynamics.mechanism import Signature
-from jaxid.errors import DatasetError, DatasetWarning, Problem
+from jaxid.errors import DatasetError, DatasetProblem, DatasetWarning
 
 
 TOML = """\
@@ -624,7 +624,7 @@ def test_any_document_is_refused_with_problems(raw):
 
     if isinstance(raw, dict):
         document = read_document(raw, Places("x"))
-        assert all(isinstance(p, Problem) for p in document.problems)
+        assert all(isinstance(p, DatasetProblem) for p in document.problems)
         assert document.header is not None or document.problems
 
 

@@ -26,7 +26,7 @@ from jaxid.data.dataset import (
     ParameterPrior,
 )
 from jaxid.data.io import load_dataset, save_dataset
-from jaxid.errors import DatasetError, Problem
+from jaxid.errors import DatasetError, DatasetProblem
 
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -333,7 +333,7 @@ def test_a_failed_save_leaves_nothing(tmp_path):
 
 
 def test_errors_survive_pickling():
-    error = DatasetError([Problem("a.csv", 3, "q", "is bad", "Mend it")])
+    error = DatasetError([DatasetProblem("a.csv", 3, "q", "is bad", "Mend it")])
     again = pickle.loads(pickle.dumps(error))
     assert (
         str(again) == str(error) == "a.csv, row 3, column q: is bad. Mend it"

@@ -31,7 +31,7 @@ from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import Gaps, judge, upheld, Verdict
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.lost_runs import growth
-from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import FunctionProblem
 from jaxid.problem.residual import OutputError
@@ -156,7 +156,7 @@ def test_growth_of_a_difference_at_the_start(angle, least, most):
     binding = bind("pendulum", data)
     theta = binding.theta.copy()
     theta[binding.layout.index("coulomb")] = 0.0
-    assert least < growth(Bench(binding), theta) < most
+    assert least < growth(ProblemBuilder(binding), theta) < most
 
 
 @pytest.mark.slow
@@ -497,7 +497,9 @@ def test_what_was_passed_over_is_tried_again_beside_a_later_effect():
     """
     names = ["input_delay", "actuator_lag", "spring_torque", "quadratic_drag"]
     data = recording("pendulum", 1, load=0.1)
-    bench = Bench(bind("pendulum", data, candidates=[catalogue.effect_class(n) for n in names]))
+    bench = ProblemBuilder(
+        bind("pendulum", data, candidates=[catalogue.effect_class(n) for n in names])
+    )
     delay, lag, spring, drag = (
         next(c for c in candidates(bench, names) if c.effect == n) for n in names
     )
@@ -659,7 +661,7 @@ def test_what_contains_a_hypothesis_leads_it_out_of_a_local_minimum():
     data = recording("pendulum", 3)
     library = [catalogue.effect_class(n) for n in names]
     binding = bind("pendulum", data, without=names[:1], candidates=library)
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     searcher = Searcher(bench, OutputError(), descend([(p, p.z(binding.theta))], 10, 1e-6)[0])
     dry, bend = candidates(bench, names)
@@ -776,7 +778,7 @@ def test_a_recorded_servo_lacks_load_dependent_friction():
 
 def test_a_delay_at_either_end_of_a_plant_is_the_same_to_any_recording():
     names = ["input_delay", "sensor_delay", "spring_torque"]
-    bench = Bench(
+    bench = ProblemBuilder(
         bind(
             "pendulum",
             recording("pendulum", 1),
@@ -986,7 +988,7 @@ def test_a_number_that_went_as_far_as_the_data_let_it_is_put_back():
     )
     numbers = {"parameters": {n: {"value": v} for n, v in truth.items()}, "effects": []}
     q = jaxid.simulate(None, recorded(goal), numbers).runs[0]["q"]
-    bench = Bench(
+    bench = ProblemBuilder(
         bind(
             None, recorded(q + NOISE * np.random.default_rng(0).standard_normal(800)), splits=False
         )
@@ -1026,7 +1028,7 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
         model="pendulum",
     )
     assert np.abs(u[0]).max() < 0.3 < np.abs(u[1]).max()
-    bench = Bench(bind("pendulum", data, effects=["saturation"]), 1.25e-3)
+    bench = ProblemBuilder(bind("pendulum", data, effects=["saturation"]), 1.25e-3)
     (limit,) = bench.binding.layout.of_effect("saturation")
     theta = start_values(bench, bench.binding.free, 0)[0]
     theta[limit] = 0.39  # anywhere above the fit run's command
@@ -1087,7 +1089,7 @@ def test_what_leads_a_screen_and_what_may_equal_it_is_refitted_however_many_ther
         "spring_torque",
         "power_law_friction",
     ]
-    bench = Bench(
+    bench = ProblemBuilder(
         bind(
             "pendulum",
             recording("pendulum", 2),
@@ -1116,7 +1118,9 @@ def test_an_effect_is_left_out_with_the_others_where_they_end_without_it():
     have to go along.
     """
     kinds = [catalogue.effect_class(n) for n in ("torque_scale", "dead_zone")]
-    bench = Bench(bind("pendulum", recording("pendulum", 2, dead_zone=0.05), candidates=kinds))
+    bench = ProblemBuilder(
+        bind("pendulum", recording("pendulum", 2, dead_zone=0.05), candidates=kinds)
+    )
     (scale,), (zone,) = (candidates(bench, [k.name]) for k in kinds)
     own, theta = bench.binding.free, bench.binding.theta.copy()
     theta[list(zone.index)] = 0.05
@@ -1185,7 +1189,7 @@ def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
     binding = bind(
         "pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")]
     )
-    bench = Bench(binding, differences=1)
+    bench = ProblemBuilder(binding, differences=1)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     start = p.z(start_values(bench, binding.free, 0)[0])
     stuck = descend([(p, start + 0.1 * (p.upper - p.lower))], 0, 1e-8)[0]
@@ -1211,7 +1215,7 @@ def test_a_small_effect_has_to_show_on_report_data_too():
     binding = bind(
         "pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")]
     )
-    bench = Bench(binding, differences=1)
+    bench = ProblemBuilder(binding, differences=1)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     right = descend([(p, p.z(start_values(bench, binding.free, 0)[0]))], 20, 1e-8)[0]
     searcher = Searcher(bench, OutputError(), right)
@@ -1244,7 +1248,7 @@ def test_an_effect_that_only_led_out_of_a_local_minimum_is_not_named(monkeypatch
     binding = bind(
         "pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")]
     )
-    bench = Bench(binding, differences=1)
+    bench = ProblemBuilder(binding, differences=1)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     right = descend([(p, p.z(start_values(bench, binding.free, 0)[0]))], 20, 1e-8)[0]
     theta = p.theta(right.z)

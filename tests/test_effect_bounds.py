@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxid import catalogue
-from jaxid.dynamics.parameter import ANGLE, Reference, resolve, specs, SPEED, TORQUE
+from jaxid.dynamics.parameter import ANGLE, resolve, specs, SPEED, TORQUE, TypicalMagnitudes
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ from jaxid.dynamics.parameter import ANGLE, Reference, resolve, specs, SPEED, TO
 @pytest.mark.parametrize("angle", [0.1, 2.0, 300.0])
 def test_bounds_are_those_of_what_an_effect_is_called(effect, field, least, most, angle):
     spec = specs(catalogue.effect_class(effect))[field]
-    reference = Reference(torque=1.0, speed=1.0, angle=angle, duration=8.0, step=0.01)
+    reference = TypicalMagnitudes(torque=1.0, speed=1.0, angle=angle, duration=8.0, step=0.01)
     lower, upper = resolve(spec.lower, reference), resolve(spec.upper, reference)
     assert lower < upper
     assert least is None or lower >= least
@@ -46,7 +46,7 @@ def test_bounds_are_those_of_what_an_effect_is_called(effect, field, least, most
 @pytest.mark.parametrize("travel", [0.1, 2.0, 300.0])
 def test_a_ripple_repeats_within_the_travel(travel):
     order = specs(catalogue.effect_class("torque_ripple"))["order"]
-    reference = Reference(torque=1.0, speed=1.0, angle=travel, duration=8.0, step=0.01)
+    reference = TypicalMagnitudes(torque=1.0, speed=1.0, angle=travel, duration=8.0, step=0.01)
     assert resolve(order.lower, reference) * travel / (2 * np.pi) > 0.999, "one period at least"
 
 
@@ -60,7 +60,7 @@ def test_a_lag_says_that_one_at_the_other_end_looks_alike(effect, other):
 
 
 def test_powers_of_magnitudes_are_as_in_python():
-    reference = Reference(torque=6.0, speed=3.0, angle=2.0, duration=8.0, step=0.01)
+    reference = TypicalMagnitudes(torque=6.0, speed=3.0, angle=2.0, duration=8.0, step=0.01)
     assert resolve(4 * TORQUE / ANGLE**3, reference) == pytest.approx(3.0)
     assert str(TORQUE / ANGLE**3) == "1 * torque / angle^3"
     assert resolve((2 * SPEED) ** 2, reference) == 36.0

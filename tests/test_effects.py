@@ -25,12 +25,12 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import InputEffect, JointEffect, OutputEffect, Signals
 from jaxid.dynamics.export_law import ExportLaw, FUNCTIONS, in_python, SIGNALS
 from jaxid.dynamics.law_in_c import in_c
-from jaxid.dynamics.parameter import Reference, resolve, specs, with_fields
+from jaxid.dynamics.parameter import resolve, specs, TypicalMagnitudes, with_fields
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.effect_starts import probe_starts
-from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.models import Joint, Pendulum, PlanarArm
 from jaxid.models.effects import LIBRARY
 from jaxid.problem.binding import bind
@@ -78,10 +78,10 @@ FINER = 5
 TOLERANCE = 1e-6
 
 
-def references(case: str) -> list[Reference]:
+def references(case: str) -> list[TypicalMagnitudes]:
     """Typical magnitudes of each joint, with the travel of which its inertia is made."""
     joints = zip(TORQUE[case], INERTIA[case], strict=True)
-    return [Reference(t, SPEED, j * SPEED**2 / t, 0.6, 0.01) for t, j in joints]
+    return [TypicalMagnitudes(t, SPEED, j * SPEED**2 / t, 0.6, 0.01) for t, j in joints]
 
 
 def settings_of(effect: str, case: str) -> list[dict[str, np.ndarray]]:
@@ -255,7 +255,7 @@ def by_law(effect: str, values: dict[str, np.ndarray], viscous: float = 0.0) -> 
 def test_laws_in_c_are_those_in_python(tmp_path):
     """Every expression of an export, compiled, at some signals."""
     at = {"q": 0.4, "qd": -1.3, "load": -0.6, "u": -0.9, "y": 0.7}
-    reference = Reference(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
+    reference = TypicalMagnitudes(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
     lines, expected = [], []
     for kind in [e for e in LIBRARY if law_of(e)]:
         law = law_of(kind)
@@ -305,7 +305,7 @@ def test_what_is_exported_is_the_effect(kind):
     drawn = np.random.default_rng(3).normal(size=(5, 50))
     signals = dict(zip(("q", "qd", "load", "u", "y"), drawn, strict=True))
     seen = {k: signals[k] for k in SIGNALS[law.port]}
-    reference = Reference(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
+    reference = TypicalMagnitudes(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
     for example in kind.examples or kind.probes:
         numbers = {name: spec.value for name, spec in specs(kind).items()}
         numbers |= {name: resolve(value, reference) for name, value in example.items()}
@@ -485,7 +485,7 @@ def test_an_effect_is_found_again(effect):
     # The whole library stays in the chain at its neutral values, so that effects of a family share
     # a program.
     binding = bind(None, data, effects=[effect], candidates=FIRST, splits=False)
-    bench = Bench(binding, 1.25e-3)  # the step of a fit that has checked its step
+    bench = ProblemBuilder(binding, 1.25e-3)  # the step of a fit that has checked its step
     guesses = start_values(bench, binding.free, 0)
     problem = bench.problem(OutputError(), "fit", binding.free, guesses[0])
     starts = [problem.z(theta) for theta in (*guesses, *probe_starts(bench, problem, guesses[0]))]

@@ -19,7 +19,7 @@ from jaxid.errors import UsageError
 from jaxid.excitation.bounds import bounds_of, KNOWN
 from jaxid.excitation.clearance import gaps, heights, links_of, nodes
 from jaxid.excitation.design import excite
-from jaxid.excitation.trajectories import feasible, Setting, Shape
+from jaxid.excitation.trajectories import feasible, SearchSetting, Shape
 from jaxid.hardware.trajectory import Trajectory
 from jaxid.models import Panda, UR10, UR10e
 from jaxid.numerics.precision import float64
@@ -136,7 +136,7 @@ def test_any_numbers_become_a_feasible_motion(seed, harmonics):
     ]
     shape = Shape(*numbers, *rng.normal(size=(2, 7)))
     with float64():
-        setting = Setting(
+        setting = SearchSetting(
             bounds, np.ones(7), None, 0.06, 0.0, 1.0, links_of(Panda()), "condition", 10
         )
         t = np.linspace(0, 2 * np.pi, 64 * harmonics)

@@ -202,7 +202,7 @@ class Bench:
 
     def by_jaxid(self, cases):
         """Free runs with the numbers and effects of each case: one program, a lane each."""
-        from jaxid.fitting.problem_builder import Bench as Runs, estimate_starts
+        from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder as Runs
         from jaxid.fitting.scores import free_runs
         from jaxid.problem.binding import bind
 

@@ -22,7 +22,7 @@ import reference as ref
 from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.fitters import DifferentialEvolution, FITTERS, LevenbergMarquardt
 from jaxid.fitting.covariance import covariance
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import FunctionProblem
 from jaxid.problem.problem import PENALTY, rows
@@ -106,7 +106,7 @@ def swing():
 @pytest.fixture(scope="module")
 def problem(swing):
     binding = bind(None, swing)
-    return Bench(binding).problem(OutputError(), "fit", binding.free, binding.theta)
+    return ProblemBuilder(binding).problem(OutputError(), "fit", binding.free, binding.theta)
 
 
 # ---- recovery
@@ -204,7 +204,7 @@ def test_several_experiments_with_constants_of_their_own():
     # Free in the fit, the number is the record's own where the record states it.
     binding = bind(None, data)
     free = [*binding.free, binding.layout.index("gravity_torque")]
-    problem = Bench(binding).problem(OutputError(), "fit", free, binding.theta)
+    problem = ProblemBuilder(binding).problem(OutputError(), "fit", free, binding.theta)
     z = 0.9 * problem.z(binding.theta)
     residual = np.concatenate(problem.residuals(z))
     assert problem.loss(z) == pytest.approx(np.mean(residual**2), rel=1e-12)
@@ -299,7 +299,7 @@ def test_differences_agree_with_tangents(swing, order, error):
         swing, experiments=tuple(dataclasses.replace(e, at_rest=False) for e in swing.experiments)
     )
     binding = bind(None, free_start)
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     exact = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     twin = dataclasses.replace(bench, differences=order).problem(
         OutputError(), "fit", binding.free, binding.theta

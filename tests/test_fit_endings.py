@@ -17,7 +17,7 @@ from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
 from jaxid.fitting import run as fits
 from jaxid.fitting.ending import looked_again
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.problem_builder import Bench, default_residual, start_values
+from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import FunctionProblem, Linear
 from jaxid.runtime import Interrupted
@@ -66,7 +66,7 @@ def test_a_look_at_the_same_minimum_ends_on_the_way_there(data):
     as many.
     """
     binding = bind(None, replace(data, model=ModelSpec("joint", without=("constant_torque",))))
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     guess = start_values(bench, binding.free, 0)[0]
     problem, key = (
         bench.problem(default_residual(binding), "fit", binding.free, guess),

@@ -32,7 +32,7 @@ from jaxid.fitters import (
 )
 from jaxid.fitting.least_squares import accept, descend, next_trial, Path, PATIENCE, race
 from jaxid.fitting.population import AbstractPopulation
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.sequential import follow, stretches
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import expand, FunctionProblem, Linear, PENALTY, rows
@@ -262,7 +262,7 @@ def data_of(model: str) -> jaxid.Dataset:
 @cache
 def fit_problem(model):
     binding = bind(None, data_of(model))
-    return Bench(binding).problem(OutputError(), "fit", binding.free, binding.theta)
+    return ProblemBuilder(binding).problem(OutputError(), "fit", binding.free, binding.theta)
 
 
 def quick_fit(model, kind):
@@ -310,7 +310,7 @@ def pendulum():
 @pytest.mark.parametrize("loss", ["sum_of_squares", "sum_of_norms", "sum_of_abs"])
 def test_gradient_of_every_loss(pendulum, loss):
     """Against differences of the loss itself, where the pendulum does not stick."""
-    problem = Bench(pendulum).problem(
+    problem = ProblemBuilder(pendulum).problem(
         OutputError(), "fit", pendulum.free, pendulum.theta, loss=loss
     )
     theta = pendulum.theta.copy()
@@ -329,7 +329,7 @@ def test_gradient_of_every_loss(pendulum, loss):
 @pytest.mark.parametrize("loss", ["sum_of_norms", "sum_of_abs"])
 @pytest.mark.parametrize("kind", [LevenbergMarquardt, BFGS, Hybrid], ids=lambda k: k.name)
 def test_losses_that_are_no_sum_of_squares(pendulum, loss, kind):
-    problem = Bench(pendulum).problem(
+    problem = ProblemBuilder(pendulum).problem(
         OutputError(), "fit", pendulum.free, pendulum.theta, loss=loss
     )
     found = kind().minimise(problem, [problem.z(pendulum.theta)], jax.random.key(0))
@@ -345,7 +345,7 @@ def test_descent_needs_no_more_steps_than_scipy(pendulum):
     """Against `least_squares` (trf) on the same residual and Jacobian, from a fifth off in every
     variable.
     """
-    problem = Bench(pendulum).problem(OutputError(), "fit", pendulum.free, pendulum.theta)
+    problem = ProblemBuilder(pendulum).problem(OutputError(), "fit", pendulum.free, pendulum.theta)
 
     def both(z):
         parts = list(rows([(problem, z)]))
@@ -502,7 +502,7 @@ def test_recursion_over_runs_of_a_model(pendulum):
     """Records of a model as pieces: loss, residual and Jacobian of a part are those of its
     records.
     """
-    problem = Bench(pendulum).problem(OutputError(), "fit", pendulum.free, pendulum.theta)
+    problem = ProblemBuilder(pendulum).problem(OutputError(), "fit", pendulum.free, pendulum.theta)
     z = problem.z(pendulum.theta)
     half = problem.part([0], [0.5])
     assert half.loss(z) == pytest.approx(problem.loss(z), rel=1e-12)  # weights are normalised

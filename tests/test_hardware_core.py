@@ -28,13 +28,13 @@ from jaxid.hardware.channels import channel_map
 from jaxid.hardware.clock import from_arrivals, from_signals, within_tick
 from jaxid.hardware.dynamixel.tick import TickClock
 from jaxid.hardware.limits import Clamp, Refused
-from jaxid.hardware.link import Closed, Driver, farewell, Leash, Link, Stop
+from jaxid.hardware.link import Closed, Driver, farewell, Leash, Link, StopRequest
 from jaxid.hardware.pauses import kept_from_running, Pauses, waited
 from jaxid.hardware.port import opened
 from jaxid.hardware.preflight import refuse_size
 from jaxid.hardware.recorder import Column, read_events, read_rows, Recorder, Stream
 from jaxid.hardware.sensor import SerialSensor
-from jaxid.hardware.transfer import Sender, Table
+from jaxid.hardware.transfer import PathTable, Sender
 from jaxid.hardware.ur.rtde import DATA, RTDEReader
 from jaxid.numerics.precision import float64
 
@@ -353,7 +353,7 @@ def test_the_longest_path_goes_over_in_pieces():
 @settings(max_examples=30, deadline=None)
 @given(rows=st.integers(1, 9000), joints=st.integers(1, 7))
 def test_a_table_arrives_as_it_was(rows, joints):
-    table, taken = np.random.default_rng(rows).standard_normal((rows, joints)), Table()
+    table, taken = np.random.default_rng(rows).standard_normal((rows, joints)), PathTable()
     table[rows // 2, 0] = np.nan  # for the clamp to refuse, and nobody else
     sent: list[dict] = []
     sender = Sender(table, lambda kind, **content: sent.append({"kind": kind, **content}))
@@ -374,7 +374,7 @@ def test_words_wait_for_a_slow_listener_and_the_last_one_says_why():
     driver, recorder = Link(here), Link(there)
     for k in range(20_000):
         driver.send("sample", number=k)
-    farewell(driver, Stop("the reason"))
+    farewell(driver, StopRequest("the reason"))
     ender = threading.Thread(target=lambda: (farewell(driver), driver.close()))
     ender.start()
     heard = []
@@ -410,7 +410,7 @@ def test_a_silence_is_of_the_recorder_or_of_this_computer(held):
     if held:
         time.sleep(0.3)  # this process is not run: the other one is not to blame
     with pytest.raises(
-        Stop,
+        StopRequest,
         match="this computer was busy for 0.3 s"
         if held
         else "recording process was silent for 0.[01]",

@@ -367,14 +367,14 @@ def test_recursion_is_a_pure_function():
     import jax
     import jax.numpy as jnp
 
-    from jaxid.fitting.recursive_least_squares import Recursion
+    from jaxid.fitting.recursive_least_squares import RecursiveState
     from jaxid.numerics.precision import float64
 
     rng = np.random.default_rng(0)
     with float64():
         Y, tau = jnp.asarray(rng.normal(size=(50, 2, 4))), jnp.asarray(rng.normal(size=(50, 2)))
         zero = jnp.zeros((), jnp.int32)
-        start = Recursion(jnp.zeros(4), 3.0 * jnp.eye(4), zero, zero)
+        start = RecursiveState(jnp.zeros(4), 3.0 * jnp.eye(4), zero, zero)
         end, _ = jax.lax.scan(
             lambda s, x: (ridge_rls(s, *x, noise_var=jnp.array([1.0, 4.0])), None), start, (Y, tau)
         )

@@ -17,8 +17,8 @@ import pytest
 
 from jaxid.data.dataset import Controller, Dataset, ModelSpec
 from jaxid.data.importers.robot import import_lerobot, import_mcap, import_rosbag
-from jaxid.data.importers.ros import _arm_first, _sliding, Rows
-from jaxid.data.importers.runs import Run
+from jaxid.data.importers.ros import _arm_first, _sliding, JointRows
+from jaxid.data.importers.runs import ImportedRun
 from jaxid.data.io import load_dataset, save_dataset
 from jaxid.data.joint_names import in_chain_order
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
@@ -642,9 +642,9 @@ def test_a_hand_within_0_and_1_is_no_angle(tmp_path):
 def test_fingers_that_may_slide_are_told_as_no_angle():
     t = np.linspace(0, 1, 60)
     q = np.stack([0.04 * t, t, 0.5 * t], 1)
-    rows = Rows(t, ("left_finger_joint", "elbow", "gripper_base"), {"q": q})
+    rows = JointRows(t, ("left_finger_joint", "elbow", "gripper_base"), {"q": q})
     names = _arm_first(rows)
     assert names == ("elbow", "gripper_base", "left_finger_joint")
-    run = Run("a", t, {"q1": q[:, 1], "q2": q[:, 2], "q3": q[:, 0]})
+    run = ImportedRun("a", t, {"q1": q[:, 1], "q2": q[:, 2], "q3": q[:, 0]})
     assert _sliding(names, [run]) == ["left_finger_joint"]
-    assert _sliding(names[2:], [Run("a", t, {"q1": q[:, 0]})]) == []
+    assert _sliding(names[2:], [ImportedRun("a", t, {"q1": q[:, 0]})]) == []

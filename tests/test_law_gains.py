@@ -19,9 +19,9 @@ from jaxid.diagnosis.goals.gains import (
     sets_of_gains,
     with_room,
 )
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.same_speed import said_as_one
-from jaxid.fitting.stated import Stated
+from jaxid.fitting.stated import StatedNumber
 from jaxid.models import Robot
 from jaxid.problem.binding import bind, Binding
 
@@ -94,7 +94,7 @@ def test_both_simulators_run_with_the_gains_that_were_found(own, tmp_path):
         Path(path).write_text(text[: text.index("<actuator>")] + "</mujoco>")
     data = recording(path, **({} if own else law))
     b = freed(with_room(bind(path, data)), ["kd@steer"])
-    bench = Bench(b, differences=1, together=True)
+    bench = ProblemBuilder(b, differences=1, together=True)
     stated, found = b.theta.copy(), b.theta.copy()
     found[b.layout.index("kd@steer")] = 0.05
     runs = [between_simulators(bench, theta=theta) for theta in (stated, found)]
@@ -113,10 +113,10 @@ def test_both_simulators_run_with_the_gains_that_were_found(own, tmp_path):
 )
 def test_damping_and_kd_are_said_as_one_where_they_are_one(limit, fitted, one, tmp_path):
     path = hub(tmp_path, limit)
-    bench = Bench(bind(path, recording(path)), differences=1)
+    bench = ProblemBuilder(bind(path, recording(path)), differences=1)
     theta = bench.binding.theta.copy()
     theta[bench.binding.layout.index("damping@steer")] = fitted
-    row = Stated(
+    row = StatedNumber(
         joint="steer",
         link="",
         parameter="damping",

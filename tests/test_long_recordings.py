@@ -12,8 +12,8 @@ import jaxid
 from jaxid import errors
 from jaxid.cli import app as cli
 from jaxid.data import capacity, signals
-from jaxid.fitting.noise_model import autoregressions, Part, score_covariance
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.noise_model import autoregressions, RecordResidual, score_covariance
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.identification import regression as identification_rows
 from jaxid.numerics import kept as programs
 from jaxid.problem.binding import bind
@@ -39,7 +39,7 @@ def expansions(data, effects=()):
     b = bind(None, data, effects=effects)
     found = {}
     for differences in (1,) if effects else (0, 1):
-        bench = Bench(b, differences=differences)
+        bench = ProblemBuilder(b, differences=differences)
         for split in ("fit", "validation"):
             p = bench.problem(OutputError(), split, b.free, b.theta)
             z = p.z(b.theta)
@@ -54,7 +54,7 @@ def expansions(data, effects=()):
             )
             found[differences, split, "loss"] = p.losses(np.array([z, 1.001 * z]))
             found[differences, split, "predictions"] = np.concatenate(p.predictions(z))
-    p = Bench(b).problem(InverseDynamics(decimate=1), "fit", b.free, b.theta)
+    p = ProblemBuilder(b).problem(InverseDynamics(decimate=1), "fit", b.free, b.theta)
     found["torque"] = linearise([(p, p.z(b.theta))])[0].hessian
     return found, p.runs.engine.long
 
@@ -76,7 +76,7 @@ def test_windows_give_what_whole_records_give(monkeypatch, effects):
 
 def test_problems_share_the_measurements_without_what_finer_steps_add():
     """A diagnosis makes thousands of problems: one array each would be a gigabyte."""
-    bench, residual = Bench(bind(None, recording())), OutputError()
+    bench, residual = ProblemBuilder(bind(None, recording())), OutputError()
     made = lambda: bench.problem(residual, "fit", bench.binding.free, bench.binding.theta)
     recorded = made().targets
     for off in (1e-3, 2e-3):
@@ -94,8 +94,8 @@ def test_a_long_series_is_transformed_in_the_same_way(monkeypatch):
     either = []
     for long in (1 << 17, 100):
         monkeypatch.setattr("jaxid.fitting.noise_model.LONG", long)
-        noise = autoregressions([Part(r, J)], inverse)
-        either.append(score_covariance([Part(r, J)], noise))
+        noise = autoregressions([RecordResidual(r, J)], inverse)
+        either.append(score_covariance([RecordResidual(r, J)], noise))
     assert np.allclose(*either, rtol=1e-9)
 
 

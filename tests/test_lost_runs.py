@@ -19,7 +19,7 @@ from jaxid.dynamics.parameter import constant, param
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting import lost_runs
 from jaxid.fitting.lost_runs import decays
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Estimate, Fit, Score
 from jaxid.fitting.scale_free import shrinking
 from jaxid.models.effects import CoulombFriction, ViscousFriction
@@ -90,7 +90,7 @@ def test_a_torque_equation_without_a_scale_is_refused():
 @pytest.mark.parametrize("known", [{"mass": 3.2}, {"area1": 8e-4}])
 def test_one_stated_number_holds_the_scale(known):
     b = bind(Cylinder(), piston(**known))
-    problem = Bench(b).problem(InverseDynamics(), "fit", b.free, b.theta)
+    problem = ProblemBuilder(b).problem(InverseDynamics(), "fit", b.free, b.theta)
     assert shrinking(problem, problem.z(b.theta)) == ()
 
 
@@ -100,7 +100,7 @@ def test_a_prior_holds_the_scale():
         model=ModelSpec(parameters={"mass": ParameterPrior(prior={"mean": 3.2, "std": 0.1})}),
     )
     b = bind(Cylinder(), data)
-    problem = Bench(b).problem(InverseDynamics(), "fit", b.free, b.theta)
+    problem = ProblemBuilder(b).problem(InverseDynamics(), "fit", b.free, b.theta)
     assert shrinking(problem, problem.z(b.theta)) == ()
 
 
@@ -185,7 +185,7 @@ def driven():
     data = jaxid.Dataset.from_arrays(
         t, {"tau": np.sin(3 * t)}, {"q": np.sin(3 * t)}, noise_std={"q": 1e-3}
     )
-    return Bench(bind("pendulum", data))
+    return ProblemBuilder(bind("pendulum", data))
 
 
 def outcome(bench, first: Fit, growth: float, monkeypatch, **others: Fit) -> tuple[Fit, list[str]]:

@@ -20,7 +20,7 @@ from scipy.integrate import solve_ivp
 import jaxid
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.mechanism import Rigid
-from jaxid.dynamics.parameter import Reference
+from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.models import FlexibleLink, MODELS, Servo, SpaceManipulator, Tracker
 from jaxid.models.effects import BaseMotion
@@ -322,7 +322,7 @@ def label(chain: jaxid.Chain) -> str:
 
 def draw(layout: Layout, rng: np.random.Generator) -> np.ndarray:
     """Random numbers inside the bounds of a model, effects' relative to magnitudes of one."""
-    ones = [Reference(1.0, 1.0, 1.0, 1.0, 1e-3)] * 8
+    ones = [TypicalMagnitudes(1.0, 1.0, 1.0, 1.0, 1e-3)] * 8
     lower, upper, _ = layout.boxes(ones, ones)
     out = layout.values.copy()
     for i, e in enumerate(layout.entries):

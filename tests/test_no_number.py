@@ -20,7 +20,7 @@ from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.result import HowFar, Regime, Which
 from jaxid.diagnosis.selection import indistinct
 from jaxid.diagnosis.torque import run as torque_run
-from jaxid.diagnosis.torque.algebra import Gram, Known
+from jaxid.diagnosis.torque.algebra import ColumnPrior, Gram
 from jaxid.diagnosis.torque.answer import Answer
 from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.verdict import astray, Gaps, judge, upheld, Verdict
@@ -180,7 +180,7 @@ def chooser(held: np.ndarray) -> Chooser:
         size=1,
         fit=gram_of(fit),
         held=gram_of(fit if held is None else held),
-        known=Known(np.zeros((3, 3)), np.zeros(3)),
+        known=ColumnPrior(np.zeros((3, 3)), np.zeros(3)),
         start=np.zeros(3),
         lower=-wide,
         upper=wide,

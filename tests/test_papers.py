@@ -27,14 +27,14 @@ from jaxid.runtime import Interrupted
 from jaxid.storage.result_files import save
 from jaxid.study.papers import flexible_link, PAPERS, payload, reproduce, space_manipulator, tracker
 from jaxid.study.papers.result import (
-    Claim,
     FAILS,
     HOLDS,
     judged,
-    Part,
+    PaperClaim,
+    PaperPart,
+    PaperTable,
     Picture,
     Reproduction,
-    Table,
     UNKNOWN,
 )
 from jaxid.study.papers.searches import mean_sd, race
@@ -42,10 +42,10 @@ from jaxid.study.papers.twins import space_arm, tracker as tracker_twin
 
 
 TINY = {
-    "000": (space_manipulator, space_manipulator.Size(5, 5, 1, 1, 400, 6)),
+    "000": (space_manipulator, space_manipulator.SpaceManipulatorSize(5, 5, 1, 1, 400, 6)),
     "001": (payload, 2),
-    "002": (flexible_link, flexible_link.Size(2, 5e-3, 20, 5)),
-    "003": (tracker, tracker.Size(5, ("actuator_curve", "torque_scale"), 2)),
+    "002": (flexible_link, flexible_link.FlexibleLinkSize(2, 5e-3, 20, 5)),
+    "003": (tracker, tracker.TrackerSize(5, ("actuator_curve", "torque_scale"), 2)),
 }
 
 
@@ -95,15 +95,15 @@ def test_refusals(tmp_path, capsys):
 
 def sample() -> Reproduction:
     draw = lambda figure: figure.add_subplot().plot([0, 1], [1, 2])
-    part = Part(
+    part = PaperPart(
         "A <b>part</b>",
         ("One sentence.",),
-        (Table("T", ("a", "b"), (("x", 1.23456), ("y", None)), "a note"),),
+        (PaperTable("T", ("a", "b"), (("x", 1.23456), ("y", None)), "a note"),),
         (Picture("p", "drawn", (4, 2), draw),),
         (
             judged("it is so", "4", "5", True),
             judged("and so", "", "no", False),
-            Claim("who knows", "", "", UNKNOWN, "lost"),
+            PaperClaim("who knows", "", "", UNKNOWN, "lost"),
         ),
     )
     return Reproduction("002", "A title", "10.1/x", "About.", "small", (part,), 1.5)

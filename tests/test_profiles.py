@@ -9,7 +9,7 @@ import pytest
 
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.profiles import bootstrap, profile_likelihood
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import OutputError
@@ -19,7 +19,7 @@ from test_fitters import data_of
 @pytest.fixture(scope="module")
 def fitted():
     binding = bind(None, data_of("joint"))
-    problem = Bench(binding).problem(OutputError(), "fit", binding.free, binding.theta)
+    problem = ProblemBuilder(binding).problem(OutputError(), "fit", binding.free, binding.theta)
     return problem, descend([(problem, problem.z(binding.theta))], 60, 1e-12)[0].z
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import jaxid
 from jaxid.numerics.drawn import beside_the_others, draws
-from jaxid.robots.export.outcome import Number, Outcome, outcome as read
+from jaxid.robots.export.outcome import ExportOutcome, Number, outcome as read
 from jaxid.robots.export.ranges import ranges_of
 from jaxid.serialise import finite
 
@@ -24,13 +24,13 @@ SUM, KNOWN, OPEN = 0.07, 1e-3, 0.03
 SHARED = KNOWN**2 / 2 * np.eye(2) + OPEN**2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
-def outcome(covariance: np.ndarray = SHARED) -> Outcome:
+def outcome(covariance: np.ndarray = SHARED) -> ExportOutcome:
     std = np.sqrt(np.diag(SHARED))
     numbers = {
         NAMES[0]: Number(0.0, float(std[0]), "N m s/rad", at_bound=True, lower=0.0, upper=14.0),
         NAMES[1]: Number(SUM, float(std[1]), "N m s/rad", lower=0.0, upper=7.0),
     }
-    return Outcome("fit", "robot", numbers, (), {}, NAMES, covariance)
+    return ExportOutcome("fit", "robot", numbers, (), {}, NAMES, covariance)
 
 
 def test_a_sum_that_is_known_is_kept_in_every_draw():

@@ -14,7 +14,7 @@ from jaxid import fitters
 from jaxid.cli.app import main
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.data.io import save_dataset
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.recursion import absorbed, in_blocks
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import linearise, rows
@@ -66,7 +66,7 @@ def test_it_is_recursive_least_squares(joint, forgetting):
     """
     found = along(joint, forgetting=forgetting)
     b = bind(None, in_blocks(joint, 1.0))
-    p = Bench(b).problem(InverseDynamics(), "fit", b.free, b.theta)
+    p = ProblemBuilder(b).problem(InverseDynamics(), "fit", b.free, b.theta)
     z = p.z(b.theta)
     at, slope = (
         p.theta(z)[p.free],
@@ -88,7 +88,7 @@ def test_starts_of_runs_are_eliminated(joint):
     unknown start taken out.
     """
     b = bind(None, in_blocks(joint, 1.0))
-    p = Bench(b).problem(OutputError(), "fit", b.free, b.theta).part([3], [1.0])
+    p = ProblemBuilder(b).problem(OutputError(), "fit", b.free, b.theta).part([3], [1.0])
     z = p.z(b.theta)
     n = p.free.size
     assert p.size == n + 2

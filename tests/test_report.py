@@ -396,9 +396,11 @@ def test_numbers_known_only_together_are_said_once():
 
 
 def test_stated_numbers_stand_beside_those_of_the_fit(tmp_path):
-    from jaxid.fitting.stated import Stated
+    from jaxid.fitting.stated import StatedNumber
 
-    stated = (Stated("q", "", "inertia", 0.0777, 0.08123, 0.0004, 8.0, "inertia: …", "kg m^2"),)
+    stated = (
+        StatedNumber("q", "", "inertia", 0.0777, 0.08123, 0.0004, 8.0, "inertia: …", "kg m^2"),
+    )
     page = write(replace(sample_fit(), stated=stated), tmp_path / "fit.html").read_text(
         encoding="utf-8"
     )

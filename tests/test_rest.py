@@ -9,7 +9,7 @@ import pytest
 
 import jaxid
 from jaxid.dynamics.dry_friction import solve_dry
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import bind
 
@@ -125,5 +125,5 @@ def test_where_a_joint_stands_within_a_step_of_its_encoder_is_told_by_the_steps_
     with float64():
         b = bind("joint", data, without=("constant_torque",))
         theta = np.array([TRUE[name] for name in b.layout.names])
-        start = estimate_starts(Bench(b), "fit", [theta])
+        start = estimate_starts(ProblemBuilder(b), "fit", [theta])
     assert abs(start[0, 0, 0] - 0.45 * step) < 0.1 * step

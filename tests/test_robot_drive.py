@@ -19,7 +19,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
 from jaxid.excitation.bounds import bounds_of
 from jaxid.excitation.design import mechanism_of
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.simulate import own_numbers
 from jaxid.models import Robot
@@ -473,7 +473,7 @@ def test_units_of_channels_are_checked():
 def test_torques_tell_nothing_of_the_gains_that_make_them():
     b = bind(Robot.from_mjcf("robot.xml", text=ARM), recording(pd(fit=["kp", "delay"])))
     with pytest.raises(UsageError, match="kp@lift, kp@turn make the torque"):
-        Bench(b).problem(InverseDynamics(), "fit", b.free, b.theta)
+        ProblemBuilder(b).problem(InverseDynamics(), "fit", b.free, b.theta)
 
 
 def test_names_are_matched_as_drivers_write_them_and_a_gripper_is_left_out():
@@ -548,7 +548,7 @@ def test_a_step_under_goals_is_one_evaluation_of_second_order():
     b = bind(*prepared(Robot.from_mjcf("robot.xml", text=ARM), recording(pd())))
 
     def simulated(step):
-        p = Bench(b, step).problem(OutputError(), "fit", [], b.theta)
+        p = ProblemBuilder(b, step).problem(OutputError(), "fit", [], b.theta)
         return p.predictions(p.z(b.theta))[0]
 
     coarse, half, fine = (simulated(step) for step in (0.01, 0.005, 0.00125))
@@ -579,6 +579,6 @@ def test_a_joint_that_is_too_light_for_its_law_follows_its_goal(armature):
         check_model=False,
     )
     b = bind(*prepared(Robot.from_mjcf("robot.xml", text=text), data))
-    p = Bench(b, 0.01).problem(OutputError(), "fit", [], b.theta)
+    p = ProblemBuilder(b, 0.01).problem(OutputError(), "fit", [], b.theta)
     (q,) = p.predictions(p.z(b.theta))
     assert np.abs(q).max() < 0.22 and abs(q[-1, 0] - 0.2) < 1e-3

@@ -32,10 +32,10 @@ from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.torque import plant as torque_plant
 from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.torque.plant import inverse_of
-from jaxid.dynamics.parameter_vector import Form
+from jaxid.dynamics.parameter_vector import ChainForm
 from jaxid.fitting import secant
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.secant import descend_on_secants, Slopes
 from jaxid.models import Robot
@@ -144,7 +144,7 @@ def test_a_held_goal_leaves_no_force_that_follows_the_speed():
     dt = 0.02
     model = robot(limb("lift", 0.0))
     b = bind(model, moving(model, swinging(dt=dt), dt, noise=1e-6))
-    bench = Bench(b)
+    bench = ProblemBuilder(b)
     (found, *_) = missing_forces(
         bench, b.theta, estimate_starts(bench, "fit", [b.theta])[0], 0, draws=0
     )
@@ -155,7 +155,7 @@ def test_a_held_goal_leaves_no_force_that_follows_the_speed():
 def test_secants_end_where_slopes_of_all_numbers_do():
     model = robot(limb("lift", 0.1))
     b = bind(model, moving(model, swinging()))
-    p = Bench(b, differences=1).problem(OutputError(), "fit", b.free, b.theta)
+    p = ProblemBuilder(b, differences=1).problem(OutputError(), "fit", b.free, b.theta)
     far = np.clip(p.z(b.theta) + 20 * p.scale, p.lower, p.upper)
     sure = descend([(p, far)], 20, 1e-6)[0]
     path, slopes, _ = descend_on_secants(p, [far], None, 20, 1e-6)
@@ -165,7 +165,7 @@ def test_secants_end_where_slopes_of_all_numbers_do():
     assert np.allclose(
         path.hessian / size / size[:, None], sure.hessian / size / size[:, None], atol=0.05
     )
-    more = Bench(b, differences=1).problem(
+    more = ProblemBuilder(b, differences=1).problem(
         OutputError(), "fit", [*b.free, b.layout.index("kp@lift")], b.theta
     )
     again = slopes.of(more, more.z(p.theta(path.z), p.starts(path.z)), slopes.r)
@@ -181,7 +181,9 @@ def test_a_descent_ends_where_runs_diverge(everywhere, monkeypatch):
     """
     model = robot(limb("lift", 0.1))
     b = bind(model, moving(model, swinging(4.0)))
-    made = lambda free: Bench(b, differences=1).problem(OutputError(), "fit", free, b.theta)
+    made = lambda free: ProblemBuilder(b, differences=1).problem(
+        OutputError(), "fit", free, b.theta
+    )
     p, more = made(b.free), made([*b.free, b.layout.index("kp@lift")])
     known, k = Slopes.taken(p, p.z(b.theta)), more.names.index("kp@lift")
     start, whole = more.z(b.theta), secant.residuals
@@ -203,7 +205,7 @@ def test_a_descent_ends_where_runs_diverge(everywhere, monkeypatch):
 def test_numbers_of_effects_are_in_doubt_by_what_two_simulators_differ_by():
     model = robot(limb("lift", 0.1))
     b = bind(model, moving(model, swinging()), candidates=[ConstantTorque])
-    bench = Bench(b, differences=1)
+    bench = ProblemBuilder(b, differences=1)
     (c,) = candidates(bench, ["constant_torque"])
     decider = Decider(bench, b.layout.names)
     h = decider.refit([c], b.theta)
@@ -226,7 +228,7 @@ def test_numbers_count_that_a_fit_tells_from_what_they_were(torque):
     model = robot(limb("lift", 0.1))
     there = [{"effect": "constant_torque", "location": "lift", "parameters": {"torque": torque}}]
     b = bind(model, moving(model, swinging(), effects=there), candidates=[ConstantTorque])
-    (c,) = candidates(bench := Bench(b, differences=1), ["constant_torque"])
+    (c,) = candidates(bench := ProblemBuilder(b, differences=1), ["constant_torque"])
     plain = bind(model, b.dataset)
     alone = Alone(Decider(bench, plain.layout.names), plain, plain.theta)
     h = alone.decider.refit([c], b.theta)
@@ -332,7 +334,7 @@ def test_limbs_of_one_shape_share_their_programs():
         np.array_equal(x, b.chain.mechanism.inverse(q, q, q))
         for x, b in zip(needed, own, strict=True)
     )
-    assert "left" not in repr(jax.tree.structure(left.chain)) and isinstance(left, Form)
+    assert "left" not in repr(jax.tree.structure(left.chain)) and isinstance(left, ChainForm)
 
 
 @pytest.mark.slow

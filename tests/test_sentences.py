@@ -22,7 +22,7 @@ from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, Ranked, Which
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import astray, Gaps, judge, level, upheld, Verdict
 from jaxid.fitting.result import EffectEstimate, Estimate
-from jaxid.fitting.stated import sentence_of, Stated
+from jaxid.fitting.stated import sentence_of, StatedNumber
 from jaxid.report import answer, identified, text
 from jaxid.report.display import write
 from jaxid.serialise import finite
@@ -303,7 +303,9 @@ def test_stated_numbers_are_refuted_as_their_deviations_say(numbers):
         own = deviation if determined else None
         said = sentence_of(f"number_{k}", value, estimate, own)
         stated.append(
-            Stated("q", "", f"number_{k}", value, estimate.value, estimate.std, own, said, "N m")
+            StatedNumber(
+                "q", "", f"number_{k}", value, estimate.value, estimate.std, own, said, "N m"
+            )
         )
     stated.sort(key=lambda s: -abs(s.deviation or 0.0))
     refuted = [s for s in stated if s.deviation is not None and abs(s.deviation) > 3]
@@ -331,8 +333,8 @@ def test_stated_numbers_are_refuted_as_their_deviations_say(numbers):
 def test_a_refuted_number_is_the_answer_where_no_effect_is_missing():
     """The headline, the card and the terminal name it; numbers that agree are not named."""
     said = "frictionloss of shoulder: 1.97 N m, stated 0.3 (130 standard deviations)"
-    other = Stated("shoulder", "link2", "frictionloss", 0.3, 1.97, 0.013, 130.0, said, "N m")
-    same = Stated(
+    other = StatedNumber("shoulder", "link2", "frictionloss", 0.3, 1.97, 0.013, 130.0, said, "N m")
+    same = StatedNumber(
         "elbow", "link3", "damping", 0.8, 0.81, 0.01, 1.0, "damping of elbow: agrees", "N m s/rad"
     )
     which = Which("none", (), (), (), "The model reaches the noise floor: there is no gap.")
@@ -353,7 +355,7 @@ def test_a_refuted_number_is_the_answer_where_no_effect_is_missing():
 
 
 def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
-    own = lambda joint: Stated(
+    own = lambda joint: StatedNumber(
         joint,
         "",
         "armature",

@@ -22,7 +22,7 @@ from jaxid.dynamics.base_parameters import (
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
-from jaxid.dynamics.parameter import Reference
+from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.dynamics.urdf import read_urdf
 from jaxid.errors import UsageError
@@ -33,7 +33,7 @@ from simulated import Simulator
 
 pin: Any = pytest.importorskip("pinocchio")
 
-REFERENCE = Reference(torque=50.0, speed=2.0, angle=3.0, duration=10.0, step=0.01)
+REFERENCE = TypicalMagnitudes(torque=50.0, speed=2.0, angle=3.0, duration=10.0, step=0.01)
 DOWN = (0.0, 0.0, -9.81)
 RIGHT = np.pi / 2
 

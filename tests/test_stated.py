@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxid.fitting.result import Covariance, Estimate
-from jaxid.fitting.stated import judged, Stated
-from jaxid.numerics.stated_numbers import Known, smallest_change
+from jaxid.fitting.stated import judged, StatedNumber
+from jaxid.numerics.stated_numbers import BoundedEstimates, smallest_change
 
 
 NAMES = ("kp", "kd", "inertia", "friction")
@@ -27,7 +27,7 @@ def only_ratios(relative: float = 0.003, scale: float = 0.9) -> np.ndarray:
     return (relative**2 * np.eye(4) + scale**2) * np.outer(FITTED, FITTED)
 
 
-def servo(stated: dict[str, float]) -> tuple[Stated, ...]:
+def servo(stated: dict[str, float]) -> tuple[StatedNumber, ...]:
     C = only_ratios()
     found = {
         k: Estimate(float(v), float(np.sqrt(C[k, k])), unit, 0.0, 100 * float(v))
@@ -35,7 +35,7 @@ def servo(stated: dict[str, float]) -> tuple[Stated, ...]:
     }
     off = lambda k, name: (float(FITTED[k]) - stated[name]) / float(np.sqrt(C[k, k]))
     rows = {
-        k: Stated(
+        k: StatedNumber(
             "axis",
             "",
             name,
@@ -85,9 +85,9 @@ def test_a_ratio_of_two_is_said_as_that():
     assert all(s.deviation is None for s in told if s is not wrong)
 
 
-def known(value, covariance, lower=-1e9, upper=1e9) -> Known:
+def known(value, covariance, lower=-1e9, upper=1e9) -> BoundedEstimates:
     n = len(value)
-    return Known(
+    return BoundedEstimates(
         np.array(value, float), np.array(covariance, float), np.full(n, lower), np.full(n, upper)
     )
 

@@ -17,8 +17,8 @@ from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.run import run_diagnosis
 from jaxid.diagnosis.torque.answer import of_model
-from jaxid.diagnosis.torque.reference import Reference
-from jaxid.diagnosis.torque.study import Study
+from jaxid.diagnosis.torque.reference import ReferenceNumbers
+from jaxid.diagnosis.torque.study import TorqueStudy
 from jaxid.dynamics.kinematics import modified_dh
 from jaxid.models import SerialArm, UR10e
 from jaxid.models.effects import AsymmetricFriction
@@ -198,7 +198,7 @@ def test_a_reference_turns_the_question_to_what_is_different():
     before = jaxid.identify(
         arm, recorded([run(arm, s) for s in (11, 12, 13)]), friction="linear", as_recorded=True
     )
-    d = asked(arm, [run(arm, s, load) for s in (1, 2, 3)], reference=Reference.read(before))
+    d = asked(arm, [run(arm, s, load) for s in (1, 2, 3)], reference=ReferenceNumbers.read(before))
     assert d.which.verdict in ("named", "partly") and ("payload", "q3") in named(d), d.which.text
     assert abs(payload_of(d)["mass"].value - 1.5) < 0.2
     alone = asked(arm, [run(arm, s, load) for s in (1, 2, 3)])  # absorbed by the arm's own numbers
@@ -335,7 +335,7 @@ def repeated(drift: float, more: float = 0.0) -> jaxid.Dataset:
 @pytest.mark.parametrize("drift", [0.0, 0.08])
 def test_what_repeats_differ_by_is_noise(drift):
     data = repeated(drift)
-    study = Study(bind("joint", data), [AsymmetricFriction], None, None, False)
+    study = TorqueStudy(bind("joint", data), [AsymmetricFriction], None, None, False)
     rows, weights = study.rows_with_effects(study.theta)
     coulomb = (
         np.linalg.norm(
@@ -351,7 +351,9 @@ def test_what_repeats_differ_by_is_noise(drift):
 
 
 def test_an_effect_shows_in_spite_of_what_repeats_differ_by():
-    study = Study(bind("joint", repeated(0.04, 0.15)), [AsymmetricFriction], None, None, False)
+    study = TorqueStudy(
+        bind("joint", repeated(0.04, 0.15)), [AsymmetricFriction], None, None, False
+    )
     rows, weights = study.rows_with_effects(study.theta)
     found = study.chooser(rows, weights, study.of("fit"), study.of("validation"), 3).run()
     assert [rows.units[u].effect for u in found.units] == ["asymmetric_friction"]

@@ -14,7 +14,7 @@ import pytest
 import jaxid
 from jaxid.diagnosis.missing import Missing, missing_forces
 from jaxid.diagnosis.where import findings, floor_at, supplied, table
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.binding import bind
 from reference import multisine
 
@@ -138,7 +138,7 @@ def test_what_repeats_differ_by_is_a_motion_and_no_noise_of_a_reading():
     theta = binding.theta.copy()
     for name, value in (("inertia", 0.01), ("viscous", 0.02)):
         theta[binding.layout.index(name)] = value
-    bench = Bench(binding, differences=1)
+    bench = ProblemBuilder(binding, differences=1)
     (m,) = missing_forces(bench, theta, estimate_starts(bench, "fit", [theta])[0], 0)
     late = m.experiment.t[m.keep] > 4.5
     floor = np.sqrt(np.mean(m.null[:, late] ** 2))
@@ -163,7 +163,7 @@ def test_a_joint_that_its_friction_may_hold_lacks_nothing():
         model="joint",
     )
     binding = bind(None, data, splits=False)
-    bench = Bench(binding, differences=1)
+    bench = ProblemBuilder(binding, differences=1)
     for friction, most in ((0.06, 0.0), (0.03, 0.02)):
         theta = binding.theta.copy()
         for name, value in (
@@ -185,7 +185,7 @@ def test_a_reading_that_is_left_out_leaves_a_floor():
     )
     run = dataclasses.replace(whole.experiments[0], left_out=(np.arange(t.size) == 200)[:, None])
     binding = bind(None, dataclasses.replace(whole, experiments=(run,)), splits=False)
-    bench = Bench(binding, differences=1)
+    bench = ProblemBuilder(binding, differences=1)
     (m,) = missing_forces(
         bench, binding.theta, estimate_starts(bench, "fit", [binding.theta])[0], 0
     )
@@ -219,7 +219,7 @@ def test_a_right_model_shows_what_noise_shows():
     for name, key in (("J", "J"), ("b", "viscous")):
         for k, joint in enumerate(("theta", "alpha")):
             theta[binding.layout.index(f"{name}_{joint}")] = plant.nominal[key][k]
-    bench = Bench(binding, differences=1)
+    bench = ProblemBuilder(binding, differences=1)
     (m,) = missing_forces(bench, theta, estimate_starts(bench, "fit", [theta])[0], 0)
     ratio = np.sqrt(np.mean(m.force**2, 0) / np.mean(m.null**2, (0, 1)))
     assert ratio == pytest.approx(1.0, abs=0.15)

@@ -58,7 +58,7 @@ def batch(study, workers, scheduler, cluster, interface, status, retry, as_json,
     from jaxid.study.coordinator import StudyFailed
     from jaxid.study.run import run_study, summary
 
-    with Table(quiet) as table:
+    with LiveTable(quiet) as table:
         try:
             place = {
                 "workers": workers,
@@ -107,7 +107,7 @@ def tell_status(study: str, as_json: bool, quiet: bool) -> int:
     return SUCCESS
 
 
-class Table:
+class LiveTable:
     """A live table on standard error while a study runs; nothing at all where that is no
     terminal.
     """
@@ -116,7 +116,7 @@ class Table:
         self.on = not quiet and sys.stderr.isatty()
         self._drawn = 0.0
 
-    def __enter__(self) -> Table:
+    def __enter__(self) -> LiveTable:
         if self.on:
             from rich.console import Console
             from rich.live import Live

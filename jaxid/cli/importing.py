@@ -181,9 +181,9 @@ def _convert(
             raise UsageError(f"--{said} has no meaning for recordings of kind {kind!r}")
     if kind in TABLES:
         from jaxid.data.importers.map import import_table
-        from jaxid.data.importers.text import separator_of, Stated
+        from jaxid.data.importers.text import separator_of, StatedFormat
 
-        stated = Stated(
+        stated = StatedFormat(
             separator_of(options["separator"]),
             options["decimal"],
             options["header"],

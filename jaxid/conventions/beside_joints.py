@@ -20,7 +20,7 @@ from jaxid.data.dataset import Dataset
 from jaxid.data.signals import differentiate, filter_ends, zero_phase
 from jaxid.dynamics.joint_readings import all_read, cutoffs, joint_readings
 from jaxid.errors import UsageError
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
@@ -105,7 +105,7 @@ def _runs(
     chain = binding.chain
     iu, iy = columns(binding.dataset, chain)
     runs = binding.experiments("fit")
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     starts = estimate_starts(bench, "fit", [binding.theta])
     free = free_runs(bench, "fit", [binding.theta], starts)[0]
     recorded, simulated = [], []

@@ -44,7 +44,7 @@ SPLITS = "fit", "validation", "report"
 
 
 @dataclass(frozen=True)
-class Run:
+class RunSamples:
     """All samples of a run [time channels], outputs first, and by how much a reading may be off in
     a copy [channels].
     """
@@ -84,7 +84,7 @@ def copies(dataset: Dataset) -> Iterator[Shown]:
             yield shown
 
 
-def _run(dataset: Dataset, e: Experiment) -> Run:
+def _run(dataset: Dataset, e: Experiment) -> RunSamples:
     """A run with what its channels are rounded to, and whether its outputs show noise."""
     samples = np.concatenate([e.y, e.u], axis=1)[:LONGEST]
     steps = [quantisation_step([x]) or 0.0 for x in samples.T]
@@ -95,7 +95,7 @@ def _run(dataset: Dataset, e: Experiment) -> Run:
         _noise_shows(e.t[:LONGEST], x, step, d)
         for x, step, d in zip(samples.T[:ny], steps, digits, strict=False)
     )
-    return Run(e, samples, loose, noisy)
+    return RunSamples(e, samples, loose, noisy)
 
 
 def _rounded_away(x: np.ndarray) -> float:
@@ -139,7 +139,7 @@ def _white(at: np.ndarray, x: np.ndarray, grid: float) -> bool | None:
     return CHANGE_SIGN[0] < turns < CHANGE_SIGN[1] and max(levels) < (1 + ALIKE) * min(levels)
 
 
-def _same(other: Run, copy: Run) -> Same | None:
+def _same(other: RunSamples, copy: RunSamples) -> Same | None:
     """The rows that both hold, the most of them; None where they share none."""
     if (
         other.samples.shape[1] != copy.samples.shape[1]
@@ -170,7 +170,7 @@ def _offsets(other: np.ndarray, copy: np.ndarray, loose: np.ndarray) -> set[int]
     return found
 
 
-def _along(other: Run, copy: Run, offset: int, loose: np.ndarray) -> Same | None:
+def _along(other: RunSamples, copy: RunSamples, offset: int, loose: np.ndarray) -> Same | None:
     """The rows of a copy that lie within the other run, which stands so many rows later; None where
     any of them differs.
     """
@@ -183,12 +183,12 @@ def _along(other: Run, copy: Run, offset: int, loose: np.ndarray) -> Same | None
     return Same(first, stop, first + offset) if moves and np.all(apart <= loose) else None
 
 
-def _whole(copy: Run, same: Same) -> bool:
+def _whole(copy: RunSamples, same: Same) -> bool:
     """Whether hardly anything of a copy is its own."""
     return len(copy.samples) - (same.stop - same.first) < FEWEST
 
 
-def _shown(other: Run, copy: Run, same: Same) -> Shown:
+def _shown(other: RunSamples, copy: RunSamples, same: Same) -> Shown:
     name, of = copy.experiment.name, other.experiment.name
     whole = _whole(copy, same)
     count = same.stop - same.first

@@ -12,7 +12,7 @@ from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.force_columns import FEW
 from jaxid.conventions.limits import ALIKE, APART, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
-from jaxid.conventions.missing_force import Fitted, ForceFit, Motion
+from jaxid.conventions.missing_force import ForceFit, ReadingFit, SampledMotion
 from jaxid.conventions.readings import (
     exchanges,
     FREE,
@@ -50,14 +50,16 @@ class Judged:
     """A reading with what it leaves of the drive."""
 
     reading: Reading
-    fitted: Fitted
+    fitted: ReadingFit
 
     @property
     def left(self) -> float:
         return self.fitted.worst + FLOOR
 
 
-def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) -> Iterator[Shown]:
+def judged(
+    binding: Binding, fit: ForceFit, motion: SampledMotion, many: bool = False
+) -> Iterator[Shown]:
     """Findings that need the model, one after another: each is looked for in what the decisive ones
     before it leave. `many`: the model has so many numbers that readings are gone through on few
     samples first, and times are asked for where one row more or less tells.
@@ -85,8 +87,8 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
 
 
 def _next(
-    binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False
-) -> tuple[Shown | None, Motion | None]:
+    binding: Binding, fit: ForceFit, m: SampledMotion, names: Names, many: bool = False
+) -> tuple[Shown | None, SampledMotion | None]:
     """The next finding, and the motion without it. A fault beside a strong effect that the model
     lacks hides in what that leaves: where laws of the joints' own motion take much of the gap, what
     nothing explains of the whole is asked of what they leave.
@@ -105,13 +107,13 @@ def _next(
 def _claimed(
     binding: Binding,
     fit: ForceFit,
-    m: Motion,
+    m: SampledMotion,
     names: Names,
     many: bool,
-    plain: Fitted,
-    beside: Fitted,
+    plain: ReadingFit,
+    beside: ReadingFit,
     laws: bool,
-) -> tuple[Shown, Motion | None] | None:
+) -> tuple[Shown, SampledMotion | None] | None:
     """What a reading explains of what is left of the motion as it is, `plain` or `beside` laws."""
     recorded = beside if laws else plain
     before = recorded.worst + FLOOR
@@ -247,7 +249,9 @@ def _bounded(binding: Binding) -> bool:
     )
 
 
-def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, known: bool) -> bool:
+def _beyond(
+    fit: ForceFit, changed: SampledMotion, recorded: ReadingFit, left: ReadingFit, known: bool
+) -> bool:
     """Whether laws of the joints' own motion come nowhere near: they alone do not leave less of the
     motion as `recorded` than the reading alone, and less remains beside them of it; or, of a
     reading that has no number of its own (`known`), they close less of the gap.
@@ -259,7 +263,7 @@ def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, know
 
 
 def _tried(
-    fit: ForceFit, m: Motion, readings: list[Reading], hopeless: float, laws: bool
+    fit: ForceFit, m: SampledMotion, readings: list[Reading], hopeless: float, laws: bool
 ) -> list[Judged]:
     """What readings of a motion leave, the least first; what is `hopeless` is given up."""
     found = _POOL.map(lambda r: Judged(r, fit.fit(r.change(m), laws, hopeless=hopeless)), readings)
@@ -274,7 +278,7 @@ def _readings(names: Names, driven: bool) -> Iterator[tuple[list[Reading], bool]
 
 
 def _sized(
-    fit: ForceFit, m: Motion, tried: list[Judged], names: Names, hopeless: float, laws: bool
+    fit: ForceFit, m: SampledMotion, tried: list[Judged], names: Names, hopeless: float, laws: bool
 ) -> list[Judged]:
     """The scales of the channels that come nearest, at the factor that leaves the least."""
     nearest: dict[tuple[str, ...], Judged] = {}
@@ -286,7 +290,7 @@ def _sized(
     return _tried(fit, m, found, hopeless, laws)
 
 
-def _sought(fit: ForceFit, m: Motion, start: Judged, names: Names, laws: bool) -> Reading:
+def _sought(fit: ForceFit, m: SampledMotion, start: Judged, names: Names, laws: bool) -> Reading:
     """The scale of these channels that leaves the least, from the one that they start at."""
     refined = refinement(start.reading, names)
     assert refined is not None
@@ -297,13 +301,13 @@ def _sought(fit: ForceFit, m: Motion, start: Judged, names: Names, laws: bool) -
 
 def _known_beside(
     fit: ForceFit,
-    m: Motion,
+    m: SampledMotion,
     best: Judged,
     names: Names,
     value: float,
     before: float,
     laws: bool,
-) -> tuple[float, str, Callable[[Motion], Motion]] | None:
+) -> tuple[float, str, Callable[[SampledMotion], SampledMotion]] | None:
     """A known factor next to a fitted one, of which stated numbers that are off take the rest; None
     where there is none that takes most of the gap by itself.
     """
@@ -317,7 +321,7 @@ def _known_beside(
 
 def _refined(
     fit: ForceFit,
-    m: Motion,
+    m: SampledMotion,
     best: Judged,
     names: Names,
     near: list[Judged],
@@ -376,7 +380,7 @@ def _far(best: Judged, near: list[Judged], factor: float) -> bool:
     return any(abs(np.log(value / factor)) > APART for value in own)
 
 
-def _scaled(reading: Reading, names: Names) -> Callable[[Motion], Motion]:
+def _scaled(reading: Reading, names: Names) -> Callable[[SampledMotion], SampledMotion]:
     again = refinement(reading, names)
     assert again is not None
     return lambda m: again[0](m, np.zeros(1))

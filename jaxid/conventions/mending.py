@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.dataset import Channel, Dataset, Experiment, Stated
+from jaxid.data.dataset import Channel, Dataset, Experiment, StatedChannel
 from jaxid.data.forms import signal
 from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.schema import ChannelEntry
@@ -135,7 +135,7 @@ def raw_of(channel: Channel, values: np.ndarray) -> np.ndarray:
     """What was recorded where a channel has these values (SI), by the scale and offset that
     `dataset.toml` states.
     """
-    s = channel.stated or Stated(channel.unit)
+    s = channel.stated or StatedChannel(channel.unit)
     return (values / s.factor - s.offset) / s.scale
 
 
@@ -145,7 +145,7 @@ def _as_recorded(
     """The entry, conversion and samples of a channel as its file has them, whole numbers of a
     register.
     """
-    s = channel.stated or Stated(channel.unit)
+    s = channel.stated or StatedChannel(channel.unit)
     stated = entry.model_copy(update={"scale": s.scale, "offset": s.offset})
     return stated, Conversion(s.factor, channel.unit), np.round(raw_of(channel, values))
 
@@ -155,7 +155,7 @@ def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
     already.
     """
     found = next(c for c in dataset.channels if c.name == channel)
-    s = found.stated or Stated(found.unit)
+    s = found.stated or StatedChannel(found.unit)
     out = []
     unit = _unit(found, s, forms["scale"]) if "scale" in forms and "offset" not in forms else ""
     if unit:
@@ -182,7 +182,7 @@ def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
     return "\n".join(out)
 
 
-def _unit(channel: Channel, s: Stated, factor: float) -> str:
+def _unit(channel: Channel, s: StatedChannel, factor: float) -> str:
     """The unit that the values are in if they are to be multiplied by `factor`, where it has a
     name.
     """

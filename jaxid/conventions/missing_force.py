@@ -62,7 +62,7 @@ LAWS = (ConstantTorque, SpringTorque, ViscousFriction, CoulombFriction, Quadrati
 
 
 @dataclass(frozen=True)
-class Source:
+class FilteredInput:
     """The inputs of a run, filtered: `t [time]`, `u [time nu]`, and the times [rows] at which the
     motion is looked at.
     """
@@ -73,7 +73,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Motion:
+class SampledMotion:
     """Samples of all runs that are looked at: [samples n], SI, `each` neighbours in a row for one
     row, over which both sides of the equation are averaged. `since [rows]` is the time since the
     run began, `weight [rows nq]` 0 where a joint stands still, `held [rows]` marks what is kept for
@@ -89,7 +89,7 @@ class Motion:
     held: np.ndarray
     block: np.ndarray
     step: float
-    sources: tuple[Source, ...]
+    sources: tuple[FilteredInput, ...]
     mix: np.ndarray
     rows: np.ndarray
     drift: np.ndarray
@@ -112,7 +112,7 @@ class Motion:
                     out[part, j] += self.mix[i, j] * np.interp(at, s.t, s.u[:, i])
         return out
 
-    def thinned(self, count: int) -> Motion:
+    def thinned(self, count: int) -> SampledMotion:
         """Every so many-th row, so that about `count` are left."""
         rows = np.arange(0, len(self.held), max(1, -(-len(self.held) // count)))
         samples = (rows[:, None] * self.each + np.arange(self.each)).ravel()
@@ -130,7 +130,7 @@ class Motion:
         )
 
 
-def measured(binding: Binding, each: int = 1) -> Motion | None:
+def measured(binding: Binding, each: int = 1) -> SampledMotion | None:
     """The motion of the runs to fit and to choose by, `each` samples a row; None where the model's
     joints are not all measured or hidden states move beside them. Where a row is one sample, dry
     friction is off while its step is filtered in the drive alone; the mean over several is the same
@@ -166,7 +166,7 @@ def measured(binding: Binding, each: int = 1) -> Motion | None:
     )
 
 
-def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motion | None:
+def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> SampledMotion | None:
     chain = binding.chain
     iu, iy = columns(binding.dataset, chain)
     part = slice(0, LONGEST)
@@ -196,7 +196,7 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
         np.linspace(ends, len(t) - ends - 1, min(count, len(t) - 2 * ends)).astype(int)
     )
     count, at = len(rows), (rows[:, None] + aside).ravel()
-    return Motion(
+    return SampledMotion(
         q=q[at],
         qd=qd[at],
         qdd=qdd[at],
@@ -205,7 +205,7 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
         held=np.full(count, e.split != "fit"),
         block=number * BLOCKS + np.arange(count) * BLOCKS // count,
         step=step,
-        sources=(Source(t, smooth, t[at]),),
+        sources=(FilteredInput(t, smooth, t[at]),),
         mix=np.eye(nu),
         rows=np.zeros(nu),
         drift=np.zeros(nu),
@@ -214,7 +214,7 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
 
 
 @dataclass(frozen=True)
-class Fitted:
+class ReadingFit:
     """Numbers fitted under one reading: what is left of the drive (rms, share) on fitted and on
     held-out samples, and the residual [rows nq] with its slopes by all numbers [rows nq numbers].
     """
@@ -233,7 +233,7 @@ class Fitted:
 class ForceFit:
     """Fits of a bound model to the missing force under readings of a motion."""
 
-    def __init__(self, binding: Binding, motion: Motion):
+    def __init__(self, binding: Binding, motion: SampledMotion):
         self.binding, self.motion = binding, motion
         # Gains make the torque: where they are free, the smaller all numbers are, the less is left.
         self.free = [
@@ -255,11 +255,11 @@ class ForceFit:
         lower, upper = self.binding.lower[self.free], self.binding.upper[self.free]
         return np.where(lower < 0, -np.inf, lower), np.where(lower <= 0, np.inf, upper)
 
-    def missing(self, theta: np.ndarray, m: Motion) -> np.ndarray:
+    def missing(self, theta: np.ndarray, m: SampledMotion) -> np.ndarray:
         """Missing force [rows nq] at these numbers."""
         return m.mean(self.forces.missing(theta, m))
 
-    def slopes(self, theta: np.ndarray, h: np.ndarray, m: Motion) -> np.ndarray:
+    def slopes(self, theta: np.ndarray, h: np.ndarray, m: SampledMotion) -> np.ndarray:
         """The force [rows nq free] by each free number, by differences h unless the model is linear
         in its numbers.
         """
@@ -270,7 +270,7 @@ class ForceFit:
         found = self.forces.at(thetas, m)
         return m.mean(np.moveaxis((found[1:] - found[0]) / h[:, None, None], 0, -1))
 
-    def norm(self, m: Motion, theta: np.ndarray | None = None) -> np.ndarray:
+    def norm(self, m: SampledMotion, theta: np.ndarray | None = None) -> np.ndarray:
         """What the force is measured by, [nq]: the drive where the inputs tell it, else what the
         motion takes at these numbers (those of the start). Under another scale of a channel a
         motion takes more, and as much as it takes remains more.
@@ -281,7 +281,7 @@ class ForceFit:
             size = np.where(size > 1e-9 * np.max(size), size, self._taken(m, theta))
         return np.where(size > 1e-9 * np.max(size), size, np.max(size) + 1e-300)
 
-    def _driven(self, m: Motion, theta: np.ndarray) -> np.ndarray:
+    def _driven(self, m: SampledMotion, theta: np.ndarray) -> np.ndarray:
         """How much the inputs drive each joint [nq], as rms about its mean; 0 where they are goals,
         which say no force.
         """
@@ -291,17 +291,17 @@ class ForceFit:
         u = m.mean(self._torque(m, theta)) if chain.direct else self.pushed(m, theta)
         return np.sqrt(np.mean((u - (u.mean(0) if len(u) else 0)) ** 2, axis=0))
 
-    def _torque(self, m: Motion, theta: np.ndarray) -> np.ndarray:
+    def _torque(self, m: SampledMotion, theta: np.ndarray) -> np.ndarray:
         """Joint torque [samples nq] of inputs that make it by themselves."""
         return drive_torque(self.binding.layout, theta, m.u, np.concatenate([m.q, m.qd], 1))
 
-    def pushed(self, m: Motion, theta: np.ndarray) -> np.ndarray:
+    def pushed(self, m: SampledMotion, theta: np.ndarray) -> np.ndarray:
         """Force of the inputs [rows nq] at these numbers, beside what the drive makes of the motion
         alone.
         """
         return self.missing(theta, m) - self.missing(theta, replace(m, mix=0 * m.mix))
 
-    def _taken(self, m: Motion, theta: np.ndarray) -> np.ndarray:
+    def _taken(self, m: SampledMotion, theta: np.ndarray) -> np.ndarray:
         """What a motion takes [nq], accelerations and the rest apart: at a joint without a drive
         they add up to nothing.
         """
@@ -312,7 +312,7 @@ class ForceFit:
         )
         return np.sqrt(np.mean((whole - slow) ** 2 + slow**2, axis=0))
 
-    def laws(self, m: Motion) -> np.ndarray:
+    def laws(self, m: SampledMotion) -> np.ndarray:
         """Forces [rows nq laws] of `LAWS`, of unit size; those that brake or hold come negative."""
         first, *others = [_unit_force(kind, m.q, m.qd) for kind in LAWS]
         sizes = [first, *(-force for force in others)]
@@ -321,13 +321,13 @@ class ForceFit:
 
     def fit(
         self,
-        m: Motion,
+        m: SampledMotion,
         laws: bool = True,
-        more: Callable[[np.ndarray], Motion] | None = None,
+        more: Callable[[np.ndarray], SampledMotion] | None = None,
         size: int = 0,
         hopeless: float = np.inf,
         begin: np.ndarray | None = None,
-    ) -> Fitted:
+    ) -> ReadingFit:
         """Gauss-Newton between the bounds of all numbers, from those of `begin`, a fit without
         `more`. `more` gives the motion by `size` further numbers of the reading; what after three
         steps still leaves more than `hopeless` of the drive is given up.
@@ -422,9 +422,9 @@ class ForceFit:
         rms = lambda keep: float(
             np.sqrt(np.sum(left[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep])))
         )
-        return Fitted(x, rms(train), rms(m.held) if m.held.any() else rms(train), r, J)
+        return ReadingFit(x, rms(train), rms(m.held) if m.held.any() else rms(train), r, J)
 
-    def noise(self, fitted: Fitted, binding: Binding, m: Motion) -> float:
+    def noise(self, fitted: ReadingFit, binding: Binding, m: SampledMotion) -> float:
         """What the sensors' noise alone leaves of a fit, as a share of the drive, at the samples of
         a motion.
         """
@@ -441,7 +441,7 @@ class ForceFit:
         with np.errstate(over="ignore"):  # a fit that has run away
             return float(np.sqrt(np.mean(change**2)))
 
-    def spread(self, fitted: Fitted, m: Motion, at: int) -> tuple[float, float]:
+    def spread(self, fitted: ReadingFit, m: SampledMotion, at: int) -> tuple[float, float]:
         """A number's change from the fit, and its standard deviation: by leaving parts of the
         recording out, since what a model lacks is no noise.
         """
@@ -482,7 +482,9 @@ def _unit_force(kind: type[JointEffect], q: np.ndarray, qd: np.ndarray) -> np.nd
         return np.asarray(force + dry)
 
 
-def _noise_motion(binding: Binding, runs: Sequence[Any], rng: Any, m: Motion) -> list[np.ndarray]:
+def _noise_motion(
+    binding: Binding, runs: Sequence[Any], rng: Any, m: SampledMotion
+) -> list[np.ndarray]:
     """Position, velocity and acceleration [samples nq] of white noise as the sensors', through the
     filters of the motion: the same over a row.
     """

@@ -12,7 +12,7 @@ import numpy as np
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
-from jaxid.conventions.missing_force import ForceFit, Motion
+from jaxid.conventions.missing_force import ForceFit, SampledMotion
 from jaxid.conventions.readings import ANGLES, Change, EFFECT_RANGE, exchanged, FREE, scaled_joint
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
@@ -31,8 +31,8 @@ NEAR = 0.03
 
 
 def contradictions(
-    binding: Binding, dataset: Dataset, fit: ForceFit | None, m: Motion | None
-) -> tuple[list[Shown], Motion | None]:
+    binding: Binding, dataset: Dataset, fit: ForceFit | None, m: SampledMotion | None
+) -> tuple[list[Shown], SampledMotion | None]:
     """What the speeds of joints say of their positions; and the motion as it then is (it is made of
     positions).
     """
@@ -90,9 +90,9 @@ def _crosswise(
     binding: Binding,
     dataset: Dataset,
     fit: ForceFit | None,
-    m: Motion | None,
+    m: SampledMotion | None,
     lost: dict[int, tuple[int, int]],
-) -> tuple[list[Shown], Motion | None]:
+) -> tuple[list[Shown], SampledMotion | None]:
     """Two joints of which each one's speed is the rate of the other one's position; `lost`
     (position, speed) of those whose own is not.
     """
@@ -166,8 +166,8 @@ def _factor(ratio: float) -> tuple[bool, float, str] | None:
 
 
 def _told(
-    fit: ForceFit | None, m: Motion | None, change: Change
-) -> tuple[bool | None, Motion | None]:
+    fit: ForceFit | None, m: SampledMotion | None, change: Change
+) -> tuple[bool | None, SampledMotion | None]:
     """Whether the model follows a motion so much better, or so much worse, with its positions
     changed, inputs as they are, None where that makes no such difference; and the motion then.
     """

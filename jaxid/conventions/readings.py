@@ -13,13 +13,13 @@ import numpy as np
 
 from jaxid.conventions.limits import APART
 from jaxid.conventions.mending import Mending
-from jaxid.conventions.missing_force import Motion
+from jaxid.conventions.missing_force import SampledMotion
 from jaxid.dynamics.joint_readings import read_by
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
 
-Change = Callable[[Motion], Motion]
+Change = Callable[[SampledMotion], SampledMotion]
 
 #: Factors by which an angle or its rate, and anything else, is off where its unit, or a constant,
 #: was forgotten.
@@ -99,26 +99,26 @@ class Reading:
     what: str = ""
 
 
-def scaled_input(m: Motion, j: int, factor: float) -> Motion:
+def scaled_input(m: SampledMotion, j: int, factor: float) -> SampledMotion:
     """The motion with input j times a factor."""
     by = np.ones(len(m.mix))
     by[j] = factor
     return replace(m, mix=m.mix * by)
 
 
-def scaled_joint(m: Motion, j: int, factor: float) -> Motion:
+def scaled_joint(m: SampledMotion, j: int, factor: float) -> SampledMotion:
     """The motion with joint j times a factor."""
     by = np.ones(m.q.shape[1])
     by[j] = factor
     return replace(m, q=m.q * by, qd=m.qd * by, qdd=m.qdd * by)
 
 
-def offset_joint(m: Motion, j: int, offset: float) -> Motion:
+def offset_joint(m: SampledMotion, j: int, offset: float) -> SampledMotion:
     """The motion with an offset added to joint j."""
     return replace(m, q=m.q + offset * (np.arange(m.q.shape[1]) == j))
 
 
-def exchanged(m: Motion, a: int, b: int, inputs: bool) -> Motion:
+def exchanged(m: SampledMotion, a: int, b: int, inputs: bool) -> SampledMotion:
     """The motion with two inputs, or two joints, taken for each other."""
     order = np.arange(m.u.shape[1] if inputs else m.q.shape[1])
     order[[a, b]] = b, a
@@ -130,7 +130,7 @@ def exchanged(m: Motion, a: int, b: int, inputs: bool) -> Motion:
 
 
 def _each(changes: list[Change]) -> Change:
-    def change(m: Motion) -> Motion:
+    def change(m: SampledMotion) -> SampledMotion:
         for c in changes:
             m = c(m)
         return m
@@ -225,7 +225,9 @@ def _scaled_sets(names: Names) -> list[tuple[str, ...]]:
     return list(dict.fromkeys(s for s in sets if s))
 
 
-def _scaled_together(names: Names, m: Motion, channels: tuple[str, ...], factor: float) -> Motion:
+def _scaled_together(
+    names: Names, m: SampledMotion, channels: tuple[str, ...], factor: float
+) -> SampledMotion:
     """The motion with these channels times a factor."""
     for name in channels:
         if name in names.joints:
@@ -249,7 +251,7 @@ def mending_of(reading: Reading, value: float, dataset_units: dict[str, str]) ->
 
 def refinement(
     reading: Reading, names: Names
-) -> tuple[Callable[[Motion, np.ndarray], Motion], Callable[[float], float]] | None:
+) -> tuple[Callable[[SampledMotion, np.ndarray], SampledMotion], Callable[[float], float]] | None:
     """For a reading with a size: the motion by one number beside its own value, and the size by
     that number.
     """

@@ -12,7 +12,7 @@ import numpy as np
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, ASKED, FLOOR, GONE
 from jaxid.conventions.mending import lines, Mending
-from jaxid.conventions.missing_force import Fitted, ForceFit, Motion
+from jaxid.conventions.missing_force import ForceFit, ReadingFit, SampledMotion
 from jaxid.conventions.readings import Names
 from jaxid.conventions.samples import Shown
 from jaxid.models.effects import InputDelay, SensorDelay
@@ -51,7 +51,9 @@ class Late:
     drift_std: float
 
 
-def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late], Motion]:
+def lateness(
+    fit: ForceFit, m: SampledMotion, as_one: bool = False
+) -> tuple[list[Late], SampledMotion]:
     """Of each input, or of all of them `as_one`, beside any law of the joint's own motion (what a
     model lacks there is no delay); and the motion without.
     """
@@ -125,7 +127,7 @@ def together(
     return (mean, std) if agree and abs(mean) > least * std else None
 
 
-def _own_laws(m: Motion) -> np.ndarray:
+def _own_laws(m: SampledMotion) -> np.ndarray:
     """Any force of the joint's own motion [rows nq laws], whatever its sign."""
     parts = [
         np.ones_like(m.q),
@@ -145,7 +147,7 @@ def _own_laws(m: Motion) -> np.ndarray:
 # ---- findings
 
 
-def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
+def timed(binding: Binding, fit: ForceFit, m: SampledMotion, names: Names) -> Iterator[Shown]:
     """What the times of inputs and motion say: rows and clocks, else a motion that comes before its
     cause by any time.
     """
@@ -155,7 +157,9 @@ def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[
         yield from _before_causes(binding, fit, m, names)
 
 
-def _before_causes(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
+def _before_causes(
+    binding: Binding, fit: ForceFit, m: SampledMotion, names: Names
+) -> Iterator[Shown]:
     """Inputs that are recorded later than they act, by any time: the motion comes before its cause,
     as in no machine.
     """
@@ -183,7 +187,7 @@ def _before_causes(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> 
         yield _early(binding, m.step, names, int(k), *told[k], sure)
 
 
-def _nearest_rows(fit: ForceFit, m: Motion, before: float) -> Motion:
+def _nearest_rows(fit: ForceFit, m: SampledMotion, before: float) -> SampledMotion:
     """The motion with all inputs taken later or earlier by what leaves least of it, on a grid that
     no oscillation of theirs slips through.
     """
@@ -222,13 +226,15 @@ def _early(
     return Shown(finding, Mending({name: forms}) if sure else Mending(), True)
 
 
-def _rows_and_clocks(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
+def _rows_and_clocks(
+    binding: Binding, fit: ForceFit, m: SampledMotion, names: Names
+) -> Iterator[Shown]:
     """Whole rows and drifting clocks, where they close a share of what is missing: a load that is
     lost half-way looks late too.
     """
     plain, recorded = fit.fit(m), m
 
-    def closes(moved: Motion, before: float = plain.worst) -> bool:
+    def closes(moved: SampledMotion, before: float = plain.worst) -> bool:
         """What is left is much less, or noise; a drift without which nothing fits has shown it."""
         left = fit.fit(moved)
         return m is not recorded or left.worst <= max(
@@ -276,7 +282,7 @@ def _rows_and_clocks(binding: Binding, fit: ForceFit, m: Motion, names: Names) -
 Told = tuple[float, float] | None
 
 
-def _told(fit: ForceFit, m: Motion) -> tuple[list[Late], Told, Told]:
+def _told(fit: ForceFit, m: SampledMotion) -> tuple[list[Late], Told, Told]:
     """Lateness of each input; by how many rows all are late, and how fast that grows, with standard
     deviations, where sure.
     """
@@ -295,7 +301,7 @@ def _told(fit: ForceFit, m: Motion) -> tuple[list[Late], Told, Told]:
     )
 
 
-def whole_rows_tell(fit: ForceFit, m: Motion) -> bool:
+def whole_rows_tell(fit: ForceFit, m: SampledMotion) -> bool:
     """Whether whole rows between inputs and motion close a share of the gap."""
     before = fit.fit(m, laws=False).worst + FLOOR
     moved = (
@@ -305,7 +311,7 @@ def whole_rows_tell(fit: ForceFit, m: Motion) -> bool:
     return before > 2 * FLOOR and min(moved) <= GONE * before
 
 
-def _far_drift(fit: ForceFit, m: Motion, plain: Fitted) -> Motion | None:
+def _far_drift(fit: ForceFit, m: SampledMotion, plain: ReadingFit) -> SampledMotion | None:
     """The motion with clocks that drift by so much that nothing fits as recorded; None where that
     explains nothing.
     """
@@ -318,7 +324,7 @@ def _far_drift(fit: ForceFit, m: Motion, plain: Fitted) -> Motion | None:
     return moved if left < GONE * plain.worst else None
 
 
-def _clock(binding: Binding, m: Motion, names: Names, drift: float, std: float) -> Shown:
+def _clock(binding: Binding, m: SampledMotion, names: Names, drift: float, std: float) -> Shown:
     channels = names.inputs if len(names.inputs) == 1 or len(names.joints) > 1 else names.joints
     way = 1 if channels is names.inputs else -1
     ppm, spread = way * 1e6 * drift, 1e6 * std

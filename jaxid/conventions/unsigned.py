@@ -9,7 +9,7 @@ import numpy as np
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import Mending
-from jaxid.conventions.missing_force import ForceFit, Motion
+from jaxid.conventions.missing_force import ForceFit, SampledMotion
 from jaxid.conventions.readings import Names
 from jaxid.conventions.samples import Shown
 from jaxid.problem.binding import Binding
@@ -21,7 +21,7 @@ from jaxid.wording import listed
 TWO_WAY = "N m", "N", "V", "A", "1"
 
 
-def unsigned(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Shown | None:
+def unsigned(binding: Binding, fit: ForceFit, m: SampledMotion, names: Names) -> Shown | None:
     """An input that never changes its sign where the motion asks for both."""
     plain = fit.fit(m)
     if plain.worst < 0.3:
@@ -50,7 +50,7 @@ def unsigned(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Shown 
     return None
 
 
-def _signed(fit: ForceFit, m: Motion, which: list[int]) -> Motion | None:
+def _signed(fit: ForceFit, m: SampledMotion, which: list[int]) -> SampledMotion | None:
     """The motion with these inputs given the signs that the model itself asks for, starting from
     those of the acceleration.
     """

@@ -29,7 +29,7 @@ def _frozen(values: Any, dtype: type = float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Stated:
+class StatedChannel:
     """How `dataset.toml` says a channel was recorded: value = scale * raw + offset in `unit`, and
     factor * value in SI.
     """
@@ -56,7 +56,7 @@ class Channel:
     noise_std: float | None = None
     resolution: float | None = None
     hold: str = "zero"  # an input between its samples: "zero" | "linear"
-    stated: Stated | None = field(default=None, compare=False, repr=False)
+    stated: StatedChannel | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

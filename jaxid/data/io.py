@@ -19,7 +19,7 @@ from jaxid.data.places import Places
 from jaxid.data.reading.assemble import assemble
 from jaxid.data.schema import ExperimentEntry, read_document
 from jaxid.data.table import read_table, Table
-from jaxid.errors import DatasetError, Problem
+from jaxid.errors import DatasetError, DatasetProblem
 from jaxid.storage.small_files import read_small
 
 
@@ -55,7 +55,7 @@ def load_dataset(path: str | os.PathLike[str], *, check_model: bool = True) -> D
 
 
 def _refuse(file: str, message: str, remedy: str, row: int | None = None) -> DatasetError:
-    return DatasetError([Problem(file, row, None, message, remedy)])
+    return DatasetError([DatasetProblem(file, row, None, message, remedy)])
 
 
 def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
@@ -115,12 +115,12 @@ class _Folder:
         self.tables: dict[str, Table] = {}
         self.digests: dict[str, bytes] = {}
 
-    def open(self, index: int, entry: ExperimentEntry) -> Table | Problem:
+    def open(self, index: int, entry: ExperimentEntry) -> Table | DatasetProblem:
         file = entry.file
         if file in self.tables:
             return self.tables[file]
         content = self._content(file, ("experiments", index, "file"), SUFFIXES)
-        if isinstance(content, Problem):
+        if isinstance(content, DatasetProblem):
             return content
         self.tables[file] = read_table(self.folder / file, file, content, numbered=self.numbered)
         return self.tables[file]
@@ -128,11 +128,11 @@ class _Folder:
     def path(self, file: str) -> Path:
         return self.folder / file
 
-    def __call__(self, file: str, key: tuple[str | int, ...]) -> str | Problem:
+    def __call__(self, file: str, key: tuple[str | int, ...]) -> str | DatasetProblem:
         """A file of the folder as text."""
         suffixes = (".py",) if key == ("model", "file") else (".urdf", ".xml", ".mjcf")
         content = self._content(file, key, suffixes)
-        if isinstance(content, Problem):
+        if isinstance(content, DatasetProblem):
             return content
         try:
             return content.decode("utf-8-sig")
@@ -143,7 +143,7 @@ class _Folder:
 
     def _content(
         self, file: str, key: tuple[str | int, ...], suffixes: tuple[str, ...]
-    ) -> bytes | Problem:
+    ) -> bytes | DatasetProblem:
         parts = re.split(r"[/\\]", file)
         kinds = " nor ".join(s for s in suffixes if s != ".pq")
         try:
@@ -180,7 +180,9 @@ class _Folder:
         self.digests[file] = hashlib.sha256(content).digest()
         return content
 
-    def _absent(self, file: str, key: tuple[str | int, ...], suffixes: tuple[str, ...]) -> Problem:
+    def _absent(
+        self, file: str, key: tuple[str | int, ...], suffixes: tuple[str, ...]
+    ) -> DatasetProblem:
         found = (
             p
             for p in sorted(self.folder.rglob("*"))

@@ -12,16 +12,16 @@ from jaxid.data.places import Places
 from jaxid.data.schema import ChannelEntry, Document, ExperimentEntry
 from jaxid.data.schema_model import ModelEntry
 from jaxid.data.table import Table
-from jaxid.errors import Problem
+from jaxid.errors import DatasetProblem
 
 
 def expanded_files(
     document: Document, places: Places, folder: Path, suffixes: tuple[str, ...]
-) -> list[Problem]:
+) -> list[DatasetProblem]:
     """Puts one experiment a file in the place of each that names `files`; what matches nothing
     comes back as a problem.
     """
-    problems: list[Problem] = []
+    problems: list[DatasetProblem] = []
     runs: dict[int, ExperimentEntry] = {}
     free = max([*document.experiments, 0]) + 1000
     for index, entry in document.experiments.items():
@@ -75,8 +75,8 @@ def _matching(folder: Path, pattern: str, suffixes: tuple[str, ...]) -> list[str
 def expanded_channels(
     document: Document,
     places: Places,
-    open_table: Callable[[int, ExperimentEntry], Table | Problem],
-) -> list[Problem]:
+    open_table: Callable[[int, ExperimentEntry], Table | DatasetProblem],
+) -> list[DatasetProblem]:
     """Puts a channel a joint in the place of each pattern, by the columns of the first run.
 
     What `*` stands for is the joint: numbers count as they are (from 0 they are moved to 1), names
@@ -88,7 +88,7 @@ def expanded_channels(
     names = _columns(document, open_table)
     if names is None:
         return []
-    problems: list[Problem] = []
+    problems: list[DatasetProblem] = []
     channels: dict[str, ChannelEntry] = {}
     joints: dict[str, int] = {}
     for name, entry in document.channels.items():
@@ -159,7 +159,7 @@ def captures_of(pattern: str, names: list[str]) -> dict[str, str] | None:
 
 
 def _columns(
-    document: Document, open_table: Callable[[int, ExperimentEntry], Table | Problem]
+    document: Document, open_table: Callable[[int, ExperimentEntry], Table | DatasetProblem]
 ) -> list[str] | None:
     for index, entry in document.experiments.items():
         table = open_table(index, entry) if entry.kind == "record" else None

@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-from jaxid.errors import Problem
+from jaxid.errors import DatasetProblem
 
 
 class Places:
@@ -28,13 +28,13 @@ class Places:
         number = self.lines.get(key)
         return self.text[number - 1] if number is not None and number <= len(self.text) else ""
 
-    def problem(self, key: tuple[str | int, ...], message: str, remedy: str) -> Problem:
+    def problem(self, key: tuple[str | int, ...], message: str, remedy: str) -> DatasetProblem:
         own = self.stated.get(key[:2])
         key = key if own is None else (*own, *key[2:])
         line = next(
             (self.lines[key[:n]] for n in range(len(key), 0, -1) if key[:n] in self.lines), None
         )
-        return Problem(self.file, line, dotted(key) or None, message, remedy)
+        return DatasetProblem(self.file, line, dotted(key) or None, message, remedy)
 
 
 def dotted(key: tuple[str | int, ...]) -> str:

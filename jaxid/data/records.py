@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jaxid.data.dataset import Channel, Experiment, FrequencyResponse, Stated
+from jaxid.data.dataset import Channel, Experiment, FrequencyResponse, StatedChannel
 from jaxid.data.forms import FormError, Signal, signal
 from jaxid.data.sample_faults import sample_faults, without_time
 from jaxid.data.schema import ChannelEntry, ExperimentEntry
 from jaxid.data.table import ragged_rows, Table
 from jaxid.data.time_axis import contradicted, impossible, seconds
 from jaxid.data.units import Conversion
-from jaxid.errors import nearest, Problem
+from jaxid.errors import DatasetProblem, nearest
 
 
 MINIMUM_SAMPLES = 20
@@ -22,7 +22,7 @@ GAP, LONG_STEP = 20.0, 5.0  # in medians of the time step
 
 
 @dataclass(frozen=True)
-class Reading:
+class ChannelReading:
     """How a channel is read: its columns and forms (`jaxid.data.forms`), and the conversion of its
     unit to SI.
     """
@@ -54,7 +54,7 @@ class Reading:
 
         entry = self.entry
         column = "" if entry.columns is not None else str(self.column)
-        stated = Stated(
+        stated = StatedChannel(
             unit=entry.unit,
             factor=self.conversion.factor,
             scale=entry.scale,
@@ -74,10 +74,10 @@ class Harvest:
 
     experiments: list[Experiment] = field(default_factory=list)
     responses: list[FrequencyResponse] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[DatasetProblem] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    still: dict[str, Problem] = field(
+    still: dict[str, DatasetProblem] = field(
         default_factory=dict
     )  # output channels that never move, with the words for it
     moving: set[str] = field(default_factory=set)
@@ -88,7 +88,7 @@ def read_record(
     table: Table,
     entry: ExperimentEntry,
     name: str,
-    readings: Sequence[Reading],
+    readings: Sequence[ChannelReading],
     time: str | int,
     time_unit: str | None = None,
 ) -> Harvest:
@@ -104,7 +104,7 @@ def read_record(
     if (why := contradicted(counted, time_unit)) is not None:
         row = table.row(int(index[0])) if len(index) else None
         harvest.problems.append(
-            Problem(table.file, row, clock, why[0], f'Say time_unit = "{why[1]}"')
+            DatasetProblem(table.file, row, clock, why[0], f'Say time_unit = "{why[1]}"')
         )
         return harvest
     t, said = seconds(table.columns[clock], counted, time_unit)
@@ -124,7 +124,9 @@ def read_record(
         index = index[(t[index] >= start) & (t[index] < stop)]
         if len(index) == 0:
             message = f"no sample lies in window_s = [{start:g}, {stop:g}]; time runs from {span[0]:g} to {span[1]:g} s"
-            harvest.problems.append(Problem(table.file, None, clock, message, "Correct window_s"))
+            harvest.problems.append(
+                DatasetProblem(table.file, None, clock, message, "Correct window_s")
+            )
             return harvest
     doubted = (
         None
@@ -132,14 +134,16 @@ def read_record(
         else impossible(t[index], clock)
     )
     if doubted is not None:
-        harvest.problems.append(Problem(table.file, table.row(int(index[0])), clock, *doubted))
+        harvest.problems.append(
+            DatasetProblem(table.file, table.row(int(index[0])), clock, *doubted)
+        )
     signals = {
         r.name: _channel(table, r, index, t[index], harvest) for r in readings if _there(table, r)
     }
     if len(index) < MINIMUM_SAMPLES and not torn:
         message = f"{len(index)} samples in experiment {name!r}; fewer than {MINIMUM_SAMPLES} say too little"
         harvest.problems.append(
-            Problem(table.file, None, None, message, "Record or select a longer run")
+            DatasetProblem(table.file, None, None, message, "Record or select a longer run")
         )
     cuts = (
         None
@@ -173,7 +177,9 @@ def read_record(
     return harvest
 
 
-def _absent(table: Table, readings: Sequence[Reading], time: str | int) -> list[Problem]:
+def _absent(
+    table: Table, readings: Sequence[ChannelReading], time: str | int
+) -> list[DatasetProblem]:
     """Columns that are named and not there, or there twice."""
     wanted = [(time, "the time")]
     wanted += [
@@ -193,7 +199,7 @@ def _absent(table: Table, readings: Sequence[Reading], time: str | int) -> list[
     )  # what is lacking beside is the one with the wrong name
 
 
-def _there(table: Table, reading: Reading) -> bool:
+def _there(table: Table, reading: ChannelReading) -> bool:
     return all(table.find(c) is not None for c in reading.reads)
 
 
@@ -212,7 +218,9 @@ def _known_span(
     if len(there) < MINIMUM_SAMPLES:
         message = f"shifted against one another, the channels of {name!r} have {len(there)} samples in common"
         harvest.problems.append(
-            Problem(table.file, None, None, message, "Correct `shift`, `delay_s` or `clock_ppm`")
+            DatasetProblem(
+                table.file, None, None, message, "Correct `shift`, `delay_s` or `clock_ppm`"
+            )
         )
         return None, []
     first, end = int(there[0]), int(there[-1]) + 1
@@ -237,7 +245,7 @@ def _span(table: Table, index: np.ndarray) -> str:
 
 
 def _stack(
-    columns: dict[str, np.ndarray], readings: Sequence[Reading], role: str, count: int
+    columns: dict[str, np.ndarray], readings: Sequence[ChannelReading], role: str, count: int
 ) -> np.ndarray:
     chosen = [columns[r.name] for r in readings if r.entry.role == role]
     out = np.stack(chosen, axis=1) if chosen else np.zeros((count, 0))
@@ -252,14 +260,16 @@ def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndar
         if column not in table.columns:
             message = f"there is no column {column!r} for `where`{nearest(column, table.columns)}"
             harvest.problems.append(
-                Problem(table.file, 1, column, message, "Name a column that exists")
+                DatasetProblem(table.file, 1, column, message, "Name a column that exists")
             )
             return None
         chosen = table.equal(column, value)
         if not chosen.any():
             found = list(dict.fromkeys(str(c) for c in table.columns[column]))[:30]
             message = f"no row has {column} = {value!r}{nearest(str(value), found)}"
-            harvest.problems.append(Problem(table.file, None, column, message, "Correct `where`"))
+            harvest.problems.append(
+                DatasetProblem(table.file, None, column, message, "Correct `where`")
+            )
             return None
         mask &= chosen
     if entry.rows is not None:
@@ -267,7 +277,9 @@ def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndar
         if stop > table.count:
             message = f"rows = [{start}, {stop}] reach beyond the {table.count} samples of the file"
             harvest.problems.append(
-                Problem(table.file, None, None, message, "Correct `rows` (half-open, from 0)")
+                DatasetProblem(
+                    table.file, None, None, message, "Correct `rows` (half-open, from 0)"
+                )
             )
             return None
         mask[:start] = mask[stop:] = False
@@ -276,7 +288,7 @@ def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndar
         if table.count or not table.problems:
             message = "no sample is selected by `where` and `rows` together"
             harvest.problems.append(
-                Problem(table.file, None, None, message, "Correct `where` or `rows`")
+                DatasetProblem(table.file, None, None, message, "Correct `where` or `rows`")
             )
         return None
     return index
@@ -296,7 +308,7 @@ def _readable(table: Table, index: np.ndarray, harvest: Harvest) -> tuple[np.nda
 
 
 def _channel(
-    table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, harvest: Harvest
+    table: Table, reading: ChannelReading, index: np.ndarray, t: np.ndarray, harvest: Harvest
 ) -> Signal | None:
     """The channel's samples in SI. Notes whether it moves."""
     entry = reading.entry
@@ -318,14 +330,16 @@ def _channel(
         found = signal(raw, t, valid, entry, reading.conversion)
     except FormError as error:
         text = f"channel {reading.name!r}: {error}"
-        harvest.problems.append(Problem(table.file, None, columns[0], text, error.remedy))
+        harvest.problems.append(DatasetProblem(table.file, None, columns[0], text, error.remedy))
         return None
     values = found.values
     if not np.isfinite(values).all():
         first = int(index[np.flatnonzero(~np.isfinite(values))[0]])
         text = f"{table.place(first)} is too large after scale, offset and unit"
         harvest.problems.append(
-            Problem(table.file, table.row(first), columns[0], text, "Correct scale, offset or unit")
+            DatasetProblem(
+                table.file, table.row(first), columns[0], text, "Correct scale, offset or unit"
+            )
         )
         return None
     still = np.ptp(values[~found.left_out]) == 0
@@ -334,7 +348,7 @@ def _channel(
     elif reading.entry.role == "output":
         constant = f"it is {values[0]:g} {reading.conversion.si} in all {len(index)} samples"
         text = f"output {reading.name!r} never moves: {constant}"
-        harvest.still[reading.name] = Problem(
+        harvest.still[reading.name] = DatasetProblem(
             table.file,
             None,
             columns[0],
@@ -365,7 +379,7 @@ def _time(
         if len(back) > 1:
             text += f"; {len(back)} times in all"
         remedy = "Give increasing times, or choose one run of the file with `where` or `rows`"
-        harvest.problems.append(Problem(table.file, table.row(sample), column, text, remedy))
+        harvest.problems.append(DatasetProblem(table.file, table.row(sample), column, text, remedy))
         return None
     if len(step) == 0:
         return []
@@ -378,7 +392,7 @@ def _time(
         if len(gaps) > 1:
             text += f"; {len(gaps)} gaps in all"
         remedy = "Choose a part with `rows` or `window_s`, or say split_at_gaps = true"
-        harvest.problems.append(Problem(table.file, table.row(sample), column, text, remedy))
+        harvest.problems.append(DatasetProblem(table.file, table.row(sample), column, text, remedy))
         return None
     long = np.flatnonzero((step > LONG_STEP * median) & (step <= GAP * median))
     if len(long):
@@ -405,7 +419,9 @@ def _pieces(run: Experiment, cuts: list[int], harvest: Harvest, table: Table) ->
         message = (
             f"split at its gaps, experiment {run.name!r} has no part of {MINIMUM_SAMPLES} samples"
         )
-        harvest.problems.append(Problem(table.file, None, None, message, "Record without gaps"))
+        harvest.problems.append(
+            DatasetProblem(table.file, None, None, message, "Record without gaps")
+        )
     harvest.notes.append(
         f"{run.name}: split at {len(cuts)} gap{'s' * (len(cuts) > 1)} into {len(pieces)} runs"
         + (f"; {dropped} shorter than {MINIMUM_SAMPLES} samples left out" if dropped else "")
@@ -452,7 +468,7 @@ def read_response(
             least = "above 0" if key == keys[0] else "at least 0"
             text = f"{table.place(sample)} is {values[bad][0]:g}; {key} must be {least}"
             harvest.problems.append(
-                Problem(
+                DatasetProblem(
                     table.file, table.row(sample), named[key], text, "Correct or remove the row"
                 )
             )

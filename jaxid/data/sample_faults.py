@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from jaxid.data.table import Table
-from jaxid.errors import Problem
+from jaxid.errors import DatasetProblem
 
 
-def without_time(table: Table, clock: str, t: np.ndarray, index: np.ndarray) -> list[Problem]:
+def without_time(
+    table: Table, clock: str, t: np.ndarray, index: np.ndarray
+) -> list[DatasetProblem]:
     """Dates that are none (NaT, an empty cell)."""
     bad = index[~np.isfinite(t[index])]
     if not len(bad):
@@ -16,7 +18,7 @@ def without_time(table: Table, clock: str, t: np.ndarray, index: np.ndarray) -> 
     more = f"; so {len(bad)} samples" if len(bad) > 1 else ""
     remedy = "Write its time, or cut it out with `rows`"
     return [
-        Problem(
+        DatasetProblem(
             table.file,
             table.row(int(bad[0])),
             clock,
@@ -26,7 +28,7 @@ def without_time(table: Table, clock: str, t: np.ndarray, index: np.ndarray) -> 
     ]
 
 
-def sample_faults(table: Table, column: str, index: np.ndarray) -> list[Problem]:
+def sample_faults(table: Table, column: str, index: np.ndarray) -> list[DatasetProblem]:
     """One problem for each kind of fault among the selected samples of a column."""
     faults = table.numbers(column).faults
     if not faults:
@@ -44,5 +46,5 @@ def sample_faults(table: Table, column: str, index: np.ndarray) -> list[Problem]
             "missing": "Fill it, cut it out with `rows` or `window_s`, or leave the experiment out",
             "infinite": "Correct the sample, or cut it out with `rows` or `window_s`",
         }.get(kind, "Write a number with a decimal point")
-        problems.append(Problem(table.file, table.row(first), column, text, remedy))
+        problems.append(DatasetProblem(table.file, table.row(first), column, text, remedy))
     return problems

@@ -23,7 +23,7 @@ from pydantic import (
 from jaxid.data.places import dotted, Places, real_path
 from jaxid.data.schema_fields import Number, plain_text, Positive, Strict
 from jaxid.data.schema_model import ControllerEntry, ModelEntry, PriorEntry
-from jaxid.errors import nearest, Problem
+from jaxid.errors import DatasetProblem, nearest
 
 
 Split = Literal["fit", "validation", "report"]
@@ -204,7 +204,7 @@ class Document:
     experiments: dict[int, ExperimentEntry] = field(default_factory=dict)
     model: ModelEntry | None = None
     controller: ControllerEntry | None = None
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[DatasetProblem] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     sound: set[str] = field(default_factory=set)  # the sections without a fault
     faulty: dict[tuple[str | int, ...], set[str | int | None]] = field(

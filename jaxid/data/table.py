@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.list_cells import with_list_elements
-from jaxid.errors import nearest, Problem
+from jaxid.errors import DatasetProblem, nearest
 
 
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "?"}
 
 
 @dataclass(frozen=True)
-class Numbers:
+class NumericColumn:
     """A column as float64, NaN where a cell is no finite number; `faults`: sample index -> what
     stands there.
     """
@@ -43,10 +43,10 @@ class Table:
     columns: Mapping[str, Any]
     count: int
     rows: np.ndarray | None = None
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[DatasetProblem] = field(default_factory=list)
     ragged: Mapping[int, int] = field(default_factory=dict)
     twice: Mapping[str, list[int]] = field(default_factory=dict)
-    _numbers: dict[str, Numbers] = field(default_factory=dict)
+    _numbers: dict[str, NumericColumn] = field(default_factory=dict)
 
     def row(self, sample: int) -> int:
         return int(self.rows[sample]) if self.rows is not None else sample
@@ -64,24 +64,24 @@ class Table:
             return list(self.columns)[column - 1] if 1 <= column <= len(self.columns) else None
         return column if column in self.columns else None
 
-    def ambiguous(self, column: str | int) -> Problem | None:
+    def ambiguous(self, column: str | int) -> DatasetProblem | None:
         """What to say of a name that stands over several columns."""
         if column not in self.twice:
             return None
         numbers = self.twice[str(column)]
         which = " and ".join(map(str, numbers))
         message = f"column {column!r} stands twice (columns {which}, which differ)"
-        return Problem(
+        return DatasetProblem(
             self.file, 1, str(column), message, f"Name one by its number: column = {numbers[0]}"
         )
 
-    def missing(self, column: str | int, role: str) -> Problem:
+    def missing(self, column: str | int, role: str) -> DatasetProblem:
         if isinstance(column, int):
             message = f"there is no column {column} for {role}: the file has {len(self.columns)}"
-            return Problem(
+            return DatasetProblem(
                 self.file, None if self.rows is None else 1, None, message, "Columns count from 1"
             )
-        return Problem(
+        return DatasetProblem(
             self.file,
             None if self.rows is None else 1,
             column,
@@ -91,7 +91,7 @@ class Table:
             else "Name a column that exists",
         )
 
-    def numbers(self, column: str) -> Numbers:
+    def numbers(self, column: str) -> NumericColumn:
         """A column as numbers; converted once."""
         if column not in self._numbers:
             self._numbers[column] = _as_numbers(self.columns[column])
@@ -135,7 +135,7 @@ def _cell(text: Any) -> tuple[float, str | None]:
     return np.nan, f"not a number: {shown!r}{hint}"
 
 
-def _as_numbers(cells: Any) -> Numbers:
+def _as_numbers(cells: Any) -> NumericColumn:
     array = np.asarray(cells) if not isinstance(cells, list) else None
     if array is not None and array.dtype.kind in "biuf":
         values = array.astype(float, copy=False)
@@ -144,9 +144,9 @@ def _as_numbers(cells: Any) -> Numbers:
         if faults:
             values = values.copy()
             values[bad] = np.nan
-        return Numbers(values, faults)
+        return NumericColumn(values, faults)
     if array is not None and array.dtype.kind in "Mm":
-        return Numbers(
+        return NumericColumn(
             np.full(len(array), np.nan), {i: "a date, not a number" for i in range(len(array))}
         )
     cells = list(cells)
@@ -155,11 +155,11 @@ def _as_numbers(cells: Any) -> Numbers:
             raise ValueError
         values = np.array([float(c) for c in cells], dtype=float)
         if np.isfinite(values).all():
-            return Numbers(values, {})
+            return NumericColumn(values, {})
     except (ValueError, TypeError):
         pass
     pairs = [_cell(c) for c in cells]
-    return Numbers(
+    return NumericColumn(
         np.array([v for v, _ in pairs], dtype=float), {i: w for i, (_, w) in enumerate(pairs) if w}
     )
 
@@ -174,7 +174,7 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
         array = np.asarray(values)
         if array.ndim != 1:
             problems.append(
-                Problem(
+                DatasetProblem(
                     name,
                     None,
                     column,
@@ -183,7 +183,9 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
                 )
             )
         elif array.dtype.kind == "c":
-            problems.append(Problem(name, None, column, "complex numbers", "Give real numbers"))
+            problems.append(
+                DatasetProblem(name, None, column, "complex numbers", "Give real numbers")
+            )
         else:
             plain = array.dtype.kind in "biufMm"
             lengths[column], good[column] = len(array), array if plain else array.tolist()
@@ -191,7 +193,7 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
     for column, length in lengths.items():
         if first is not None and length != lengths[first]:
             problems.append(
-                Problem(
+                DatasetProblem(
                     name,
                     None,
                     column,
@@ -216,7 +218,7 @@ def read_table(path: Path, file: str, content: bytes, *, numbered: bool = False)
 def _broken(
     file: str, row: int | None, message: str, remedy: str, column: str | None = None
 ) -> Table:
-    return Table(file, {}, 0, problems=[Problem(file, row, column, message, remedy)])
+    return Table(file, {}, 0, problems=[DatasetProblem(file, row, column, message, remedy)])
 
 
 def _read_parquet(file: str, content: bytes) -> Table:
@@ -378,7 +380,7 @@ def _owned_by_arrow(content: bytes) -> Any:
 
 def _header_fault(
     file: str, header: Sequence[str], lines: Sequence[Sequence[str]]
-) -> Problem | None:
+) -> DatasetProblem | None:
     for sign, word in ((";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and sign in header[0]:
             comma = (
@@ -386,7 +388,7 @@ def _header_fault(
                 if any("," in c for fields in lines[:3] for c in [",".join(fields)])
                 else ""
             )
-            return Problem(
+            return DatasetProblem(
                 file,
                 1,
                 None,
@@ -394,14 +396,14 @@ def _header_fault(
                 "`jaxid import csv` reads it as it is; or save it with commas between columns and decimal points",
             )
     if not any(header):
-        return Problem(
+        return DatasetProblem(
             file, 1, None, "the first row is empty", "Let the first row name the columns"
         )
     if all(_cell(name)[1] is None for name in header):
         remedy = "Let the first row name the columns, or name them by number: time = 1, and column = 2 for a channel"
-        return Problem(file, 1, None, "the first row holds numbers, not names", remedy)
+        return DatasetProblem(file, 1, None, "the first row holds numbers, not names", remedy)
     if not lines:
-        return Problem(file, 1, None, "a header without samples", "Give at least 20 samples")
+        return DatasetProblem(file, 1, None, "a header without samples", "Give at least 20 samples")
     return None
 
 
@@ -431,14 +433,16 @@ def csv_columns(
     )
 
 
-def ragged_rows(file: str, rows: Sequence[int], ragged: Mapping[int, int], width: int) -> Problem:
+def ragged_rows(
+    file: str, rows: Sequence[int], ragged: Mapping[int, int], width: int
+) -> DatasetProblem:
     """One problem for all rows with another count of fields than the header's."""
     sample, found = next(iter(ragged.items()))
     more = f"; so {len(ragged)} rows" if len(ragged) > 1 else ""
     comma = ", decimal commas perhaps" if found == 2 * width else ""
     what = "an empty row" if found == 0 else f"{found} fields where the header has {width}{comma}"
     remedy = "Give one field a column in every row; `jaxid import csv` reads a file that begins with other lines"
-    return Problem(file, rows[sample], None, what + more, remedy)
+    return DatasetProblem(file, rows[sample], None, what + more, remedy)
 
 
 def distinct(

@@ -16,7 +16,7 @@ from jaxid.diagnosis.result import Ranked
 from jaxid.fitting.assemble import assemble, estimates
 from jaxid.fitting.fitter import Minimum
 from jaxid.fitting.own_simulation import by_run, own_simulation
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.fitting.scores import free_runs, make_traces
 from jaxid.problem.binding import Binding
@@ -40,7 +40,7 @@ def effect_estimates(
 
 
 def fit_of(
-    bench: Bench,
+    bench: ProblemBuilder,
     h: Hypothesis,
     residual: Residual,
     seed: int,
@@ -63,7 +63,7 @@ def fit_of(
     )
 
 
-def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
+def _starts(bench: ProblemBuilder, h: Hypothesis) -> np.ndarray:
     """Starts of the fit runs."""
     if list((problem := h.path.problem).records) == list(bench.runs(OutputError(), "fit").records):
         return problem.starts(h.path.z)
@@ -71,7 +71,7 @@ def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
 
 
 def where_it_lies(
-    bench: Bench,
+    bench: ProblemBuilder,
     nominal: Hypothesis,
     final: Hypothesis,
     verdict: str,
@@ -135,7 +135,9 @@ def ranked(search: Search) -> list[Ranked]:
     return out
 
 
-def traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothesis, named):
+def traces(
+    bench: ProblemBuilder, residual: Residual, nominal: Hypothesis, final: Hypothesis, named
+):
     """Measured and simulated series of every split, for the report, simulated as models were
     compared.
     """
@@ -159,7 +161,7 @@ def traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothe
 
 
 def _by_windows(
-    bench: Bench, residual: Residual, split: str, hypotheses: Sequence[Hypothesis]
+    bench: ProblemBuilder, residual: Residual, split: str, hypotheses: Sequence[Hypothesis]
 ) -> list[list[np.ndarray]]:
     """What each hypothesis simulates of the runs of a split, window by window; empty where models
     are compared otherwise, or a run is not covered.

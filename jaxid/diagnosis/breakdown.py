@@ -12,7 +12,7 @@ import numpy as np
 from jaxid.diagnosis.evidence import HeldOut
 from jaxid.diagnosis.missing import joint_load, Missing
 from jaxid.diagnosis.regimes import regimes
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import scored
 
 
@@ -45,7 +45,7 @@ class Share:
         ) | own
 
 
-def by_run(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
+def by_run(bench: ProblemBuilder, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
     """Of every run of a split; `models` as stated, re-tuned, with the effects."""
     names = [e.name for e in bench.binding.experiments(split)]
     if any(len(m.residual) != len(names) for m in models):
@@ -55,7 +55,7 @@ def by_run(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, 
     )
 
 
-def by_regime(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
+def by_regime(bench: ProblemBuilder, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
     """Of the situations that the machine was in, joint by joint; none where joints are not measured
     or torques are compared.
     """

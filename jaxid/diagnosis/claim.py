@@ -21,7 +21,7 @@ from jaxid.diagnosis.reasons import (
 from jaxid.diagnosis.result import HowFar
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import astray, Gaps, judge, upheld, Verdict
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.residual import Residual
 
 
@@ -42,7 +42,7 @@ class Judge:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: ProblemBuilder,
         residual: Residual,
         search: Search,
         still: Sequence[str] = (),

@@ -28,9 +28,9 @@ from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitting.effect_starts import probes
 from jaxid.fitting.least_squares import search
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import bind, Binding
-from jaxid.problem.problem import Problem, rows
+from jaxid.problem.problem import FitProblem, rows
 from jaxid.problem.residual import OutputError
 from jaxid.robots.match import is_file, robot_from
 
@@ -124,7 +124,7 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     if led(chain):
         return _under_goals(bind(owner, data, without=without, splits=False), library, model, text)
     binding = bind(owner, data, without=without, candidates=library, splits=False)
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     theta = _with_friction(binding)
     p = bench.problem(OutputError(), "fit", binding.free, theta)
     z = p.z(theta)
@@ -210,7 +210,7 @@ def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Pla
 
 
 def _resembling(
-    bench: Bench, seen: dict[Place, tuple[np.ndarray, Candidate]]
+    bench: ProblemBuilder, seen: dict[Place, tuple[np.ndarray, Candidate]]
 ) -> list[tuple[Place, Place]]:
     """Pairs that say of themselves that they may be alike when they are strong."""
     others = {e.name: e.resembles for e in bench.binding.chain.effects}
@@ -230,7 +230,9 @@ def _orders(
     return [(a, b), (b, a)]
 
 
-def _explains(bench: Bench, p: Problem, z: np.ndarray, truth: Candidate, other: Candidate) -> bool:
+def _explains(
+    bench: ProblemBuilder, p: FitProblem, z: np.ndarray, truth: Candidate, other: Candidate
+) -> bool:
     """Whether the model with one effect follows the recording that the other one makes."""
     made = p.runs.engine.outputs(
         np.array([probes_of(bench, truth, p.theta(z))[-1]]), p.starts(z), np.array(p.records)

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import descend, Path
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import scored
 from jaxid.problem.problem import rows
 from jaxid.problem.residual import OutputError, Residual
@@ -65,7 +65,7 @@ def knowledge(path: Path) -> Knowledge | None:
 
 
 def held_out(
-    bench: Bench,
+    bench: ProblemBuilder,
     split: str,
     thetas: Sequence[np.ndarray],
     residual: Residual | None = None,
@@ -89,7 +89,7 @@ def held_out(
 
 
 def _windows(
-    bench: Bench, split: str, thetas: Sequence[np.ndarray], residual: Residual
+    bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray], residual: Residual
 ) -> list[HeldOut]:
     problems = [bench.problem(residual, split, [], theta) for theta in thetas]
     paths = descend([(p, p.z(t)) for p, t in zip(problems, thetas, strict=True)], 8, 1e-8)
@@ -106,7 +106,7 @@ def _windows(
 
 
 def _free(
-    bench: Bench,
+    bench: ProblemBuilder,
     split: str,
     thetas: Sequence[np.ndarray],
     known: Sequence[Knowledge | None],
@@ -159,7 +159,9 @@ def _squares(residual: Sequence[np.ndarray]) -> float:
     return float(sum(np.sum(r**2) for r in residual))
 
 
-def together(bench: Bench, split: str, paths: Sequence[Path], starts: np.ndarray) -> list[Path]:
+def together(
+    bench: ProblemBuilder, split: str, paths: Sequence[Path], starts: np.ndarray
+) -> list[Path]:
     """Models refitted to the free runs that they were fitted to and of a split at once, from where
     their fits ended; `starts` of the latter.
     """

@@ -13,7 +13,7 @@ from jaxid.diagnosis.breakdown import by_regime, by_run, Share
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.diagnosis.result import ChannelGap, HowFar
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import Residual
 from jaxid.robots.match import is_robot
@@ -27,14 +27,14 @@ BLOCKS = 8
 
 
 def measure(
-    bench: Bench,
+    bench: ProblemBuilder,
     residual: Residual,
     before: np.ndarray,
     retuned: np.ndarray,
     after: np.ndarray,
     verdict: str,
     note: str,
-    alike: Bench,
+    alike: ProblemBuilder,
     still: Sequence[str] = (),
 ) -> HowFar:
     """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect,
@@ -151,7 +151,7 @@ def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str
     return theta, ""
 
 
-def whole_runs(bench: Bench, residual: Residual, split: str, held: HeldOut) -> HeldOut:
+def whole_runs(bench: ProblemBuilder, residual: Residual, split: str, held: HeldOut) -> HeldOut:
     """What is held out window by window, run by run."""
     if not residual.windows:
         return held
@@ -169,7 +169,7 @@ def whole_runs(bench: Bench, residual: Residual, split: str, held: HeldOut) -> H
 
 
 def parts(
-    bench: Bench, residual: Residual, split: str, held: HeldOut
+    bench: ProblemBuilder, residual: Residual, split: str, held: HeldOut
 ) -> tuple[tuple[Share, ...], tuple[Share, ...]]:
     """Gaps of one model run by run and regime by regime after the own uncertainty of starts and
     numbers is taken out.

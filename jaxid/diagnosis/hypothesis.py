@@ -15,11 +15,11 @@ from jaxid.diagnosis.torque.library import shows
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
-from jaxid.fitting.covariance import Covariance, covariance
+from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.fitting.effect_starts import probes, read_off
 from jaxid.fitting.least_squares import Path
-from jaxid.fitting.problem_builder import Bench
-from jaxid.problem.problem import Problem
+from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics
 
 
@@ -65,7 +65,7 @@ class Hypothesis:
         return max(1.0, self.fit_loss) * memory(self.path.problem.residuals(self.path.z))
 
     @cached_property
-    def covariance(self) -> Covariance:
+    def covariance(self) -> CovarianceEstimate:
         """Of the fitted numbers, in search scale: slopes of all of them are simulated for it,
         once.
         """
@@ -117,7 +117,7 @@ def without_each(
     return tuple(sorted(left, key=lambda pair: -pair[1]))
 
 
-def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
+def candidates(bench: ProblemBuilder, allowed: Sequence[str]) -> list[Candidate]:
     """Every allowed effect that the model lacks, at each of its locations."""
     b = bench.binding
     out = []
@@ -182,21 +182,23 @@ def key_of(effects: Sequence[Candidate]) -> frozenset[str]:
     return frozenset(str(c) for c in effects)
 
 
-def effect_of(bench: Bench, c: Candidate) -> Effect:
+def effect_of(bench: ProblemBuilder, c: Candidate) -> Effect:
     return next(e for e in bench.binding.chain.effects if e.name == c.effect)
 
 
-def family_of(bench: Bench, c: Candidate) -> str:
+def family_of(bench: ProblemBuilder, c: Candidate) -> str:
     """What the effect is a law of."""
     effect = effect_of(bench, c)
     return effect.family or type(effect).__module__.rpartition(".")[2]
 
 
-def read_off_of(bench: Bench, p: Problem, z: np.ndarray, c: Candidate) -> list[np.ndarray]:
+def read_off_of(
+    bench: ProblemBuilder, p: FitProblem, z: np.ndarray, c: Candidate
+) -> list[np.ndarray]:
     """Parameter vectors with a candidate as the missing force of a problem of torques shows it."""
     return read_off(bench.binding, p, z, effect_of(bench, c), c.location)
 
 
-def probes_of(bench: Bench, c: Candidate, theta: np.ndarray) -> list[np.ndarray]:
+def probes_of(bench: ProblemBuilder, c: Candidate, theta: np.ndarray) -> list[np.ndarray]:
     """Parameter vectors with one candidate switched on at each of its probe strengths."""
     return probes(bench.binding, effect_of(bench, c), c.location, theta)

@@ -15,7 +15,7 @@ from jaxid.diagnosis.hypothesis import Candidate, Hypothesis
 from jaxid.diagnosis.reasons import Remark
 from jaxid.diagnosis.result import Ranked
 from jaxid.diagnosis.verdict import Verdict
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding, JITTER
 from jaxid.problem.residual import Residual
 from jaxid.wording import times
@@ -45,11 +45,13 @@ class Scatter:
             return Verdict("named", (stamps, rest))
         return Verdict(verdict.name, (stamps, *verdict.reasons))
 
-    def bench(self, like: Bench) -> Bench:
+    def bench(self, like: ProblemBuilder) -> ProblemBuilder:
         """For comparison: the bench on which all readings count alike."""
-        return Bench(self.alike, like.step, like.differences)
+        return ProblemBuilder(self.alike, like.step, like.differences)
 
-    def ranked(self, bench: Bench, residual: Residual, h: Hypothesis) -> tuple[Ranked, ...]:
+    def ranked(
+        self, bench: ProblemBuilder, residual: Residual, h: Hypothesis
+    ) -> tuple[Ranked, ...]:
         """The scatter of all channels as one hypothesis over that of readings which count alike, at
         the same numbers.
         """

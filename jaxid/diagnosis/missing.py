@@ -16,11 +16,11 @@ import numpy as np
 from jaxid.data.dataset import Experiment
 from jaxid.data.repeats import repeats, together
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import Binding
 from jaxid.problem.measured_motion import Motion
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics, Runs
 from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation import sample_buffers as samples
@@ -47,7 +47,7 @@ class Missing:
 
 
 def missing_forces(
-    bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: int, draws: int = NULLS
+    bench: ProblemBuilder, theta: np.ndarray, starts: np.ndarray, seed: int, draws: int = NULLS
 ) -> list[Missing]:
     """Missing force on the fit runs at `theta`; empty where the model does not measure its
     joints.
@@ -170,7 +170,7 @@ def _rate_of(runs: Runs, e: Experiment, noise: np.ndarray) -> np.ndarray:
 
 
 def _lacking(
-    problem: Problem,
+    problem: FitProblem,
     theta: np.ndarray,
     still: Sequence[np.ndarray],
     motion: Sequence[np.ndarray] | None = None,
@@ -207,7 +207,7 @@ def _lacking(
 
 
 def torque_along(
-    problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None
+    problem: FitProblem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None
 ) -> list[np.ndarray]:
     """Minus the missing force at the kept samples of each run; `motion` [time 3 nq] per run
     replaces the measured one.

@@ -13,7 +13,7 @@ from jaxid.diagnosis.hypothesis import Hypothesis
 from jaxid.diagnosis.unseen import Unseen
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.excitation.discriminate import recorded, Rivals
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.simulation.sample_buffers import columns
 from jaxid.wording import listed
 
@@ -22,7 +22,7 @@ from jaxid.wording import listed
 SECOND = re.compile(r"(?:;|, and) a second encoder at the link")
 
 
-def rivals_of(bench: Bench, pair: tuple[Hypothesis, Hypothesis]) -> Rivals | None:
+def rivals_of(bench: ProblemBuilder, pair: tuple[Hypothesis, Hypothesis]) -> Rivals | None:
     """The two hypotheses that further data should decide between, as models without all other
     candidates.
     """

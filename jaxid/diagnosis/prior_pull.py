@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import descend, Path
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 
 
 #: So many numbers are put back at most, those that are further away than this.
@@ -46,7 +46,7 @@ def put_back(
     path: Path,
     theta: np.ndarray,
     index: Sequence[int],
-    problem: Callable[[list[int], np.ndarray], Problem],
+    problem: Callable[[list[int], np.ndarray], FitProblem],
 ) -> Path:
     """The path with numbers at `index` put back to those of `theta` one after the other, the least
     certain first, where the rest, refitted, follows the data as well without; `problem(free,
@@ -106,7 +106,7 @@ def moved_to(path: Path, theta: np.ndarray) -> Path:
     """
     p = path.problem
     lower, upper, scale = p.whole
-    still = Problem(
+    still = FitProblem(
         runs=p.runs,
         base=theta,
         free=[],

@@ -19,7 +19,7 @@ from jaxid.diagnosis.hypothesis import (
 )
 from jaxid.diagnosis.screen import each_probe, Screened
 from jaxid.fitting.least_squares import descend, Path
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.residual import InverseDynamics
 
 
@@ -38,7 +38,7 @@ Proposal = tuple[tuple[Candidate, ...], Sequence[np.ndarray]]
 
 
 def beside(
-    bench: Bench,
+    bench: ProblemBuilder,
     h: Hypothesis,
     kept: Sequence[Screened],
     by_torque: Sequence[Screened],
@@ -60,7 +60,7 @@ def beside(
     return sets
 
 
-def pairs(bench: Bench, found: Sequence[Hypothesis]) -> list[Proposal]:
+def pairs(bench: ProblemBuilder, found: Sequence[Hypothesis]) -> list[Proposal]:
     """Two effects at once, where one alone brings nothing (a nominal term may stand in for
     both).
     """
@@ -80,7 +80,9 @@ def pairs(bench: Bench, found: Sequence[Hypothesis]) -> list[Proposal]:
 
 
 def exchanged(
-    bench: Bench, found: Sequence[Hypothesis], passed_over: Mapping[Candidate, Sequence[Hypothesis]]
+    bench: ProblemBuilder,
+    found: Sequence[Hypothesis],
+    passed_over: Mapping[Candidate, Sequence[Hypothesis]],
 ) -> list[Proposal]:
     """Each hypothesis with another effect in the place of one that was there before its last: with
     that beside it, what could not be told from the accepted effect (`passed_over`, for each of
@@ -104,7 +106,7 @@ def exchanged(
 
 
 def plain_pairs(
-    bench: Bench, c: Candidate, pool: Sequence[Candidate], theta: np.ndarray
+    bench: ProblemBuilder, c: Candidate, pool: Sequence[Candidate], theta: np.ndarray
 ) -> list[Proposal]:
     """Two laws of one number each in the place of one of the same kind with several: dry friction
     and drag, each alone of no use beside a viscous term that stands in for both, look like friction
@@ -126,7 +128,7 @@ def plain_pairs(
     return sets
 
 
-def left_out(bench: Bench, h: Hypothesis, c: Candidate) -> Proposal:
+def left_out(bench: ProblemBuilder, h: Hypothesis, c: Candidate) -> Proposal:
     """A hypothesis less one of its effects, the others where they end to first order without it,
     and as they are: of numbers that hang together tightly none can go alone without leaving the
     valley.
@@ -157,7 +159,7 @@ def _retuned(path: Path, theta: np.ndarray, index: Sequence[int]) -> list[np.nda
 
 
 def torque_starts(
-    bench: Bench, base_free: Sequence[int], sets: Sequence[Proposal], tells: bool
+    bench: ProblemBuilder, base_free: Sequence[int], sets: Sequence[Proposal], tells: bool
 ) -> list[tuple[float, list[np.ndarray]]]:
     """A start of each set from the torque residual of the measured motion, and its cost: biased by
     the noise of derivatives, but free of the free run's local minima (where a nominal term stands
@@ -212,7 +214,7 @@ def promising(
 
 
 def as_given(
-    bench: Bench, effects: Sequence[Candidate], starts: Sequence[np.ndarray]
+    bench: ProblemBuilder, effects: Sequence[Candidate], starts: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """The first few starts with the model's own numbers as the user gave them: re-tuning has bent
     those to stand in for what is missing, and the way back may be long.
@@ -227,7 +229,7 @@ def as_given(
 
 
 def with_refined(
-    bench: Bench, base: Sequence[Candidate], starts: Sequence[np.ndarray]
+    bench: ProblemBuilder, base: Sequence[Candidate], starts: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """Starts, and the first of them with each probe of the effects that are refined, which are off
     in them.

@@ -319,7 +319,7 @@ class NothingPredicts(Reason):
 
 
 @dataclass(frozen=True)
-class HeldOut(Reason):
+class TorqueHeldOut(Reason):
     """What is named by torque: `closed` of the gap on the runs that it was not fitted to, `left` on
     the worst of them; `fitted` on the runs that it was fitted to, where that matters. It is what
     is `different` in the runs that were not fitted, or from a `reference`.

@@ -42,7 +42,7 @@ from jaxid.diagnosis.reasons import NotBelievable, Remark, Stopped
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.diagnosis.torque.reference import Reference
+from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import Look, Looker
 from jaxid.diagnosis.verdict import Diverged, standing_still
@@ -65,7 +65,7 @@ from jaxid.fitting.lost_runs import (
     SENSITIVE,
 )
 from jaxid.fitting.per_joint import per_joint, with_effects
-from jaxid.fitting.problem_builder import Bench, default_residual, start_values
+from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.fitting.scores import free_runs, scores
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
@@ -98,7 +98,7 @@ class Question:
     still: tuple[
         str, ...
     ] = ()  # of "validation" and "report": what stands still, so that nothing can be judged on it
-    search: Callable[[Bench, Offer], tuple[Fit, Search]] | None = (
+    search: Callable[[ProblemBuilder, Offer], tuple[Fit, Search]] | None = (
         None  # another search than the one over all of the library
     )
     step: float = STEP  # of its simulations, s
@@ -119,7 +119,7 @@ def run_diagnosis(
     residual: Residual | None,
     seed: int,
     progress: Progress | None,
-    reference: Reference | None = None,
+    reference: ReferenceNumbers | None = None,
 ) -> Diagnosis:
     """See `jaxid.diagnose`. On Ctrl-C `Interrupted` carries what is known."""
     asked = None if effects is None else tuple(catalogue.enrolled(e) for e in effects)
@@ -204,7 +204,7 @@ def _run(
     seed: int,
     progress: Progress | None,
     known: Interim,
-    reference: Reference | None,
+    reference: ReferenceNumbers | None,
 ) -> Diagnosis:
     began = time.perf_counter()
     allowed = first_asked() if asked is None else asked
@@ -360,7 +360,7 @@ def _diagnosed(
     if question.search is None:
         bench, nominal_fit, search, compile_time = _search(question)
     else:
-        bench = Bench(binding, question.step, differences=1, together=True)
+        bench = ProblemBuilder(binding, question.step, differences=1, together=True)
         bench.compile_ahead(
             InverseDynamics(decimate=1), binding.theta, binding.free
         )  # what WHERE asks in the end
@@ -463,7 +463,7 @@ def _diagnosed(
     return found, growth(bench, nominal.theta) if residual.free_run else 0.0
 
 
-def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
+def _search(question: Question) -> tuple[ProblemBuilder, Fit, Search, float]:
     """Nominal fit and search, and the bench whose steps no longer matter."""
     began = time.perf_counter()
     binding, residual, seed, progress = (
@@ -472,7 +472,7 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
         question.seed,
         question.progress,
     )
-    bench = Bench(
+    bench = ProblemBuilder(
         binding, differences=1
     )  # hundreds of models, each simulated a few times: tangents would compile longer
     (engine := bench.runs(residual, "fit").engine).compile_ahead(
@@ -547,7 +547,7 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     )
 
 
-def _check_followed(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> None:
+def _check_followed(bench: ProblemBuilder, theta: np.ndarray, starts: np.ndarray) -> None:
     """Raises `Diverged` where a descent that did not end left free runs that do not follow the
     recording: no effect can be seen beside that.
     """
@@ -561,7 +561,7 @@ def _check_followed(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> None
 
 
 def _so_far(
-    question: Question, bench: Bench, nominal: Fit, search: Search, began: float
+    question: Question, bench: ProblemBuilder, nominal: Fit, search: Search, began: float
 ) -> Diagnosis:
     """What is known while effects are still compared: where the gap lies and how wide it is;
     nothing is claimed yet.

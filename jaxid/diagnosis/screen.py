@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of, read_off_of
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.problem_builder import Bench
-from jaxid.problem.problem import Problem, Rows, rows
+from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.problem.problem import FitProblem, ResidualRows, rows
 from jaxid.problem.residual import InverseDynamics
 
 
@@ -24,7 +24,11 @@ FEW = 16
 
 
 def screened(
-    bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]
+    bench: ProblemBuilder,
+    p: FitProblem,
+    z: np.ndarray,
+    theta0: np.ndarray,
+    pool: Sequence[Candidate],
 ) -> list[Screened]:
     """Share of the sum of squares at z that each candidate explains, to first order in everything
     but itself.
@@ -75,12 +79,14 @@ def screened(
     return sorted(ranked, key=lambda f: -f[0])
 
 
-def torque_tells(bench: Bench) -> bool:
+def torque_tells(bench: ProblemBuilder) -> bool:
     """Whether the torque of the measured motion says something."""
     return bool(bench.binding.motions) and not bench.binding.chain.mechanism.hidden_states
 
 
-def torque_screened(bench: Bench, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
+def torque_screened(
+    bench: ProblemBuilder, h: Hypothesis, pool: Sequence[Candidate]
+) -> list[Screened]:
     """What each candidate explains beside `h` of the torque that the measured motion lacks. It is
     blind to what has no place in an inverse (play, springs, sensors) and biased by the noise of
     derivatives, but it does not depend on how far the free run has gone astray.
@@ -98,7 +104,7 @@ def torque_screened(bench: Bench, h: Hypothesis, pool: Sequence[Candidate]) -> l
 class Retuning:
     """What re-tuning the free numbers can do to a residual vector, to first order."""
 
-    def __init__(self, parts: Sequence[Rows], size: int):
+    def __init__(self, parts: Sequence[ResidualRows], size: int):
         J = np.zeros((sum(part.r.size for part in parts), size))
         k = 0
         for part in parts:
@@ -125,7 +131,7 @@ class Retuning:
 
 
 def probe_residuals(
-    p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]
+    p: FitProblem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """Weighted residual vectors at the samples for full parameter vectors, from the starts of z
     (one, or one for each).
@@ -134,7 +140,7 @@ def probe_residuals(
 
 
 def each_probe(
-    p: Problem,
+    p: FitProblem,
     z: np.ndarray | Sequence[np.ndarray],
     thetas: Sequence[np.ndarray],
     once: bool = False,
@@ -149,7 +155,7 @@ def each_probe(
 
 
 def _probes(
-    p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray], once: bool
+    p: FitProblem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray], once: bool
 ) -> Iterator[np.ndarray]:
     runs, n = p.runs, len(p.records)
     record = np.tile(np.array(p.records), len(thetas))

@@ -56,8 +56,8 @@ from jaxid.diagnosis.shortlist import shortlist
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import descend, Path, race
-from jaxid.fitting.problem_builder import Bench, estimate_starts
-from jaxid.problem.problem import Problem
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import defects, step_error, STEP_SHARE
 
@@ -81,11 +81,15 @@ class Searcher:
     """Forward selection with re-evaluation, on one bench and residual."""
 
     def __init__(
-        self, bench: Bench, residual: Residual, nominal: Path, progress: Progress | None = None
+        self,
+        bench: ProblemBuilder,
+        residual: Residual,
+        nominal: Path,
+        progress: Progress | None = None,
     ):
         self.bench, self.residual, self.progress = bench, residual, progress
         self.accurate = bench  # with steps that no longer matter
-        self.benches: list[Bench] = []  # coarser ones, left behind
+        self.benches: list[ProblemBuilder] = []  # coarser ones, left behind
         self.base_free = list(nominal.problem.free)
         self.nominal = self._hypotheses([((), nominal)])[0]
         self.known: dict[frozenset[str], Hypothesis] = {frozenset(): self.nominal}
@@ -116,7 +120,7 @@ class Searcher:
             Hypothesis(e, t, p, v) for (e, p), t, v in zip(found, thetas, validations, strict=True)
         ]
 
-    def problem(self, effects: Sequence[Candidate], theta: np.ndarray) -> Problem:
+    def problem(self, effects: Sequence[Candidate], theta: np.ndarray) -> FitProblem:
         free = self.base_free + [i for c in effects for i in c.index]
         return self.bench.problem(self.residual, "fit", free, theta)
 
@@ -160,7 +164,7 @@ class Searcher:
         """The hypotheses; one that is left far behind by another that contains it begins anew where
         that ended, without what that has more: it may have been in a local minimum.
         """
-        jobs: dict[int, tuple[Problem, np.ndarray]] = {}
+        jobs: dict[int, tuple[FitProblem, np.ndarray]] = {}
         for k, h in enumerate(found):
             richer = [
                 g
@@ -333,7 +337,7 @@ class Searcher:
         return best(self.bench, chosen, [step, *other]) or step
 
     @property
-    def _quick(self) -> Bench:
+    def _quick(self) -> ProblemBuilder:
         """The bench on the steps of the search, whose defects for what was chosen are off its
         data.
         """
@@ -437,7 +441,7 @@ class Searcher:
         self.known[key_of(h.effects)] = freed
         return freed
 
-    def _z(self, p: Problem, h: Hypothesis) -> np.ndarray:
+    def _z(self, p: FitProblem, h: Hypothesis) -> np.ndarray:
         return p.z(h.theta, h.path.problem.starts(h.path.z))
 
     def _descended(self, h: Hypothesis, descent: tuple[int, float] = THOROUGH) -> Hypothesis:

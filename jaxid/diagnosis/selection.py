@@ -12,7 +12,7 @@ from jaxid.diagnosis.evidence import held_out, inflation, memory, worth
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of
 from jaxid.diagnosis.shortlist import is_timing
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.residual import Residual
 from jaxid.wording import listed, times
 
@@ -59,7 +59,9 @@ def significant(before: Hypothesis, after: Hypothesis) -> bool:
     return share > LIMITS.gain and enough
 
 
-def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
+def best(
+    bench: ProblemBuilder, before: Hypothesis, found: Sequence[Hypothesis]
+) -> Hypothesis | None:
     """The choice among refits: best on validation data; of those that it does not beat decisively,
     the one with the fewest parameters, timing before physics, then the best evidence on fit and
     validation data together.
@@ -74,7 +76,9 @@ def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypot
     )
 
 
-def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+def equals(
+    bench: ProblemBuilder, before: Hypothesis, found: Sequence[Hypothesis]
+) -> list[Hypothesis]:
     """Those of the refits that say more than `before` and that the best of them does not beat
     decisively.
     """
@@ -101,7 +105,7 @@ def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> lis
     return [h for h in near if good(h)]
 
 
-def simpler(bench: Bench, before: Hypothesis, h: Hypothesis, top: Hypothesis) -> bool:
+def simpler(bench: ProblemBuilder, before: Hypothesis, h: Hypothesis, top: Hypothesis) -> bool:
     """Whether `h` has fewer numbers and leaves next to nothing more than `top`: a part of its
     effects, or others that explain all but a hundredth of what it does; or a law in the same place,
     of the same kind or where the larger law ended at a bound (as another one's limit).
@@ -142,7 +146,9 @@ def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
     return worth(chosen.validation, h.validation, factor) < LIMITS.decisive and both < doubt
 
 
-def mirrored(bench: Bench, chosen: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
+def mirrored(
+    bench: ProblemBuilder, chosen: Hypothesis, pool: Sequence[Candidate]
+) -> list[Candidate]:
     """Effects at the other end of the plant that say the same of any recording (`Effect.mirrors`),
     however their fits ended: a search of one may stop where that of the other goes on. All readings
     that are late say what one input that is late says.
@@ -183,7 +189,7 @@ def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
 
 
 def not_borne_out(
-    bench: Bench, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]
+    bench: ProblemBuilder, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]
 ) -> list[Hypothesis]:
     """Those of smaller sets close to the noise that predict the report data as well: what these do
     not show is no claim.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from jaxid.diagnosis.hypothesis import Candidate, effect_of
 from jaxid.diagnosis.screen import Screened
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 
 
 #: At least and at most so many candidates are refitted, and those that a screen puts in front
@@ -15,7 +15,7 @@ from jaxid.fitting.problem_builder import Bench
 MINIMUM, MAXIMUM, FRONT = 6, 16, 4
 
 
-def is_timing(bench: Bench, c: Candidate) -> bool:
+def is_timing(bench: ProblemBuilder, c: Candidate) -> bool:
     """Whether a candidate is about when something happens. Timing comes before physics: it is
     always refitted first, and wins a tie. One sample of offset between two channels, or the wrong
     hold of the command, is soon made and looks like lag, friction or inertia.
@@ -24,7 +24,7 @@ def is_timing(bench: Bench, c: Candidate) -> bool:
 
 
 def shortlist(
-    bench: Bench,
+    bench: ProblemBuilder,
     ranked: Sequence[Screened],
     by_torque: Sequence[Screened],
     refining: Callable[[Candidate], bool],

@@ -21,8 +21,8 @@ from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of
 from jaxid.diagnosis.screen import each_probe, probe_residuals, Retuning
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import descend, Path
-from jaxid.fitting.problem_builder import Bench, estimate_starts
-from jaxid.problem.problem import Problem, Rows, rows
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
+from jaxid.problem.problem import FitProblem, ResidualRows, rows
 from jaxid.problem.residual import Residual
 
 
@@ -41,7 +41,7 @@ DIVERGED = 1e50
 
 
 @dataclass(frozen=True)
-class Moved:
+class MovedNumber:
     """A number of the model, as fitted, and as it would be with an effect beside it."""
 
     name: str
@@ -65,7 +65,7 @@ class Unseen:
     distance: float
     stirred: float
     absorbed: bool
-    moved: tuple[Moved, ...]
+    moved: tuple[MovedNumber, ...]
 
     def __str__(self) -> str:
         return f"{self.effect} at {self.location}"
@@ -131,7 +131,7 @@ class Match:
     two simulate.
     """
 
-    problem: Problem
+    problem: FitProblem
     z: np.ndarray
     distance: float = np.inf
     tried: list[tuple[np.ndarray, np.ndarray]] = field(
@@ -187,7 +187,11 @@ class Looker:
     """Looks behind a nominal model that reaches the noise, on the runs that fitted and chose."""
 
     def __init__(
-        self, bench: Bench, residual: Residual, nominal: Hypothesis, settled: Path | None = None
+        self,
+        bench: ProblemBuilder,
+        residual: Residual,
+        nominal: Hypothesis,
+        settled: Path | None = None,
     ):
         """`settled`: the nominal model as it was already fitted to the runs that fitted and
         chose.
@@ -395,7 +399,7 @@ class Looker:
             moved = moved[np.argsort(-np.abs(end.z - self.z)[moved] / self.std[moved])]
             at = [int(self.p.free[k]) for k in moved]
             parts = tuple(
-                Moved(entries[i].name, entries[i].unit, float(self.theta[i]), float(theta[i]))
+                MovedNumber(entries[i].name, entries[i].unit, float(self.theta[i]), float(theta[i]))
                 for i in at
             )
             c, numbers = q.candidate, self._numbers(q.candidate, end.problem.base)
@@ -409,7 +413,7 @@ class Looker:
             )
         return out
 
-    def _with(self, theta: np.ndarray) -> Problem:
+    def _with(self, theta: np.ndarray) -> FitProblem:
         """The runs that were looked at and the numbers that are re-tuned, beside other
         parameters.
         """
@@ -476,7 +480,7 @@ class Looker:
             "changed, or the model lacks what acts differently there."
         )
 
-    def _halves(self) -> Iterator[tuple[str, slice, Rows, slice]]:
+    def _halves(self) -> Iterator[tuple[str, slice, ResidualRows, slice]]:
         """First and second half of each record: name, place in all residuals, and samples of which
         rows.
         """

@@ -19,7 +19,7 @@ from jaxid.diagnosis.missing import Missing
 from jaxid.diagnosis.regimes import regimes
 from jaxid.diagnosis.result import Finding, MissingForce, Regime
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import EffectEstimate
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.residual import OutputError
@@ -131,7 +131,7 @@ def floor_at(m: Missing, joint: int) -> np.ndarray:
 
 
 def findings(
-    bench: Bench,
+    bench: ProblemBuilder,
     found: Sequence[Missing],
     rows: Sequence[Regime],
     locations: dict[str, str],
@@ -272,7 +272,7 @@ def _window(
 
 
 def output_findings(
-    bench: Bench,
+    bench: ProblemBuilder,
     theta: np.ndarray,
     starts: np.ndarray,
     locations: dict[str, str],
@@ -340,7 +340,7 @@ def during(window: tuple[float, float], e: Experiment) -> str:
 
 
 def pictures(
-    bench: Bench, before: Sequence[Missing], after: Sequence[Missing]
+    bench: ProblemBuilder, before: Sequence[Missing], after: Sequence[Missing]
 ) -> list[MissingForce]:
     """Series for the report, one per joint and fit run."""
     b = bench.binding

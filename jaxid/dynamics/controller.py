@@ -85,7 +85,7 @@ class Memory(NamedTuple):
     before: Float[Array, " n"]
 
 
-class Reading(NamedTuple):
+class ControllerInput(NamedTuple):
     """What a controller is told besides the measurement: reference, its rate, a disturbance of the
     output.
     """
@@ -96,7 +96,11 @@ class Reading(NamedTuple):
 
 
 def begin(
-    law: Law, q: Float[Array, " n"], qd: Float[Array, " n"], u: Float[Array, " n"], r: Reading
+    law: Law,
+    q: Float[Array, " n"],
+    qd: Float[Array, " n"],
+    u: Float[Array, " n"],
+    r: ControllerInput,
 ) -> Memory:
     """Memory at the start of a run from position q, velocity qd under the input u; an integral
     starts where it gives u.
@@ -109,7 +113,7 @@ def begin(
 
 
 def update(
-    law: Law, m: Memory, q: Float[Array, " n"], qd: Float[Array, " n"], r: Reading
+    law: Law, m: Memory, q: Float[Array, " n"], qd: Float[Array, " n"], r: ControllerInput
 ) -> Memory:
     """Memory after the controller has read position q; `qd` is used only where the velocity is
     measured.
@@ -122,7 +126,7 @@ def update(
     return Memory(u, integral, q, m.last)
 
 
-def _output(law: Law, m: Memory, q: Array, qd: Array, r: Reading) -> Array:
+def _output(law: Law, m: Memory, q: Array, qd: Array, r: ControllerInput) -> Array:
     """Output in the controller's own unit, without saturation and integral."""
     if law.velocity == "difference":
         qd = (q - m.last) / law.sample_time
@@ -259,4 +263,4 @@ def _channels(
     return tuple(str(name) for name in names)
 
 
-__all__ = ["Controller", "Law", "Memory", "Reading", "begin", "law_of", "update"]
+__all__ = ["Controller", "Law", "Memory", "ControllerInput", "begin", "law_of", "update"]

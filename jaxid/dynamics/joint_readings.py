@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxid.dynamics.chain import Chain
 
 
-class Reading(NamedTuple):
+class JointOutputs(NamedTuple):
     """Positions among the outputs of a joint's coordinate and of its speed; None where it is not
     read.
     """
@@ -93,14 +93,14 @@ def _read(chain: Chain, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(velocities), np.array(outputs)
 
 
-def joint_readings(chain: Chain) -> list[Reading]:
+def joint_readings(chain: Chain) -> list[JointOutputs]:
     """What reads each joint."""
     s = chain.signature
     names = [n for n, _ in s.outputs]
     first = len(names) - len(s.speeds)
     speeds = {**_own_speeds(chain), **{j: first + k for k, j in enumerate(s.speeds)}}
     return [
-        Reading(names.index(n) if n in names else None, speeds.get(j))
+        JointOutputs(names.index(n) if n in names else None, speeds.get(j))
         for j, n in enumerate(s.joints)
     ]
 

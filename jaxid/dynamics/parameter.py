@@ -22,7 +22,7 @@ from jaxid.errors import UsageError
 M = TypeVar("M")
 
 
-class Reference(NamedTuple):
+class TypicalMagnitudes(NamedTuple):
     """Typical magnitudes at one joint: drive torque, speed, travel, duration of a run, and sampling
     step; and of a number of the model, where an effect acts on one.
     """
@@ -76,7 +76,7 @@ class Quantity:
         kept = tuple((n, p) for n, p in powers.items() if p)
         return Quantity(self.coefficient * other.coefficient**sign, kept)
 
-    def at(self, reference: Reference) -> float:
+    def at(self, reference: TypicalMagnitudes) -> float:
         value = self.coefficient
         for name, power in self.powers:
             value *= getattr(reference, name) ** power
@@ -101,7 +101,7 @@ NUMBER = Quantity(1.0, (("number", 1),))
 Bound = float | Quantity
 
 
-def resolve(value: Bound, reference: Reference) -> float:
+def resolve(value: Bound, reference: TypicalMagnitudes) -> float:
     """A bound or scale as a plain number."""
     return value.at(reference) if isinstance(value, Quantity) else float(value)
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
-from jaxid.dynamics.parameter import ParameterSpec, Reference, resolve, specs
+from jaxid.dynamics.parameter import ParameterSpec, resolve, specs, TypicalMagnitudes
 from jaxid.errors import nearest, UsageError
 
 
@@ -32,7 +32,7 @@ class Entry(NamedTuple):
     unit: str
 
 
-class Form:
+class ChainForm:
     """A chain without names: chains of one shape, as the limbs of a robot, have equal forms, so
     that a program that takes the numbers of one takes those of the other. Compares and hashes by
     its structure.
@@ -43,7 +43,7 @@ class Form:
         self._structure = jax.tree.structure(self.chain)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Form) and other._structure == self._structure
+        return isinstance(other, ChainForm) and other._structure == self._structure
 
     def __hash__(self) -> int:
         return hash(self._structure)
@@ -119,9 +119,9 @@ class Layout:
         return self._without[names]
 
     @cached_property
-    def form(self) -> Form:
+    def form(self) -> ChainForm:
         """What programs of this model are made of."""
-        return Form(self.chain, self._leaves)
+        return ChainForm(self.chain, self._leaves)
 
     def model(
         self, theta: Float[Array, " size"] | Float[np.ndarray, " size"] | Sequence[Any]
@@ -148,13 +148,13 @@ class Layout:
         """Positions of an effect's parameters, at one location or all."""
         return list(self._by_effect.get((effect, location), ()))
 
-    def typical(self, name: str, joint: Reference) -> float:
+    def typical(self, name: str, joint: TypicalMagnitudes) -> float:
         """Size of a number of the model by its id: its value, or its scale where that is larger."""
         i = self.index(name)
         return max(abs(float(self.values[i])), resolve(self.entries[i].spec.scale, joint))
 
     def boxes(
-        self, joints: Sequence[Reference], inputs: Sequence[Reference] = ()
+        self, joints: Sequence[TypicalMagnitudes], inputs: Sequence[TypicalMagnitudes] = ()
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input
         channel.

@@ -32,7 +32,7 @@ class Bounds(NamedTuple):
     source: str
 
 
-class Known(NamedTuple):
+class KnownLimits(NamedTuple):
     home: Sequence[float]
     lower: Sequence[float]
     upper: Sequence[float]
@@ -46,17 +46,17 @@ _90 = float(np.pi / 2)
 #: Upright arm; 1.2 rad to either side keep a UR's links apart.
 _UPRIGHT = np.array([0.0, -_90, 0.0, -_90, 0.0, 0.0])
 _UR_SPEED = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
-KNOWN: dict[str, Known] = {
-    "ur10": Known(
+KNOWN: dict[str, KnownLimits] = {
+    "ur10": KnownLimits(
         _UPRIGHT.tolist(), (_UPRIGHT - 1.2).tolist(), (_UPRIGHT + 1.2).tolist(), _UR_SPEED, (8.0,) * 6,
         "1.2 rad about the upright arm; speeds of the data sheet; 8 rad/s^2",
         (3.7817, 4.1789, 3.0339, 1.7334, 1.0670, 0.9896),  # paper 001, Table II
     ),
-    "ur10e": Known(
+    "ur10e": KnownLimits(
         _UPRIGHT.tolist(), (_UPRIGHT - 1.2).tolist(), (_UPRIGHT + 1.2).tolist(), _UR_SPEED, (8.0,) * 6,
         "1.2 rad about the upright arm; speeds of the data sheet; 8 rad/s^2",
     ),
-    "panda": Known(
+    "panda": KnownLimits(
         (0.0, -_90 / 2, 0.0, -1.5 * _90, 0.0, _90, _90 / 2), (-1.4, -1.3, -1.4, -2.8, -1.4, 0.4, -0.6),
         (1.4, 0.5, 1.4, -1.0, 1.4, 2.9, 2.2), (2.0, 2.0, 2.0, 2.0, 2.4, 2.4, 2.4), (6.0,) * 7,
         "inside the ranges and speeds of the Franka Control Interface documentation, about its ready pose; 6 rad/s^2",

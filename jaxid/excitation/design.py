@@ -23,7 +23,7 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.excitation.bounds import Bounds, bounds_of
 from jaxid.excitation.clearance import gaps, heights, nodes
-from jaxid.excitation.inputs import Bench, choose, determined, Family, largest_inputs, settled
+from jaxid.excitation.inputs import choose, determined, Family, InputDesign, largest_inputs, settled
 from jaxid.excitation.paper001 import column_groups, objective_18
 from jaxid.excitation.result import content, coverage, Excitation, reached, stds
 from jaxid.excitation.trajectories import (
@@ -35,7 +35,7 @@ from jaxid.excitation.trajectories import (
     GRID,
     optimise,
     required,
-    Setting,
+    SearchSetting,
 )
 from jaxid.identification.regression import LAWS, names_of
 from jaxid.models.effects import PowerLawFriction
@@ -249,7 +249,7 @@ def _motion(
     groups = ()
     if criterion == "paper001":
         weight, groups = 1 / noise, column_groups(names, inertial)
-    setting = Setting(
+    setting = SearchSetting(
         bounds=bounds,
         weight=weight,
         arm=geometry,
@@ -431,13 +431,17 @@ def _input(
         slew,
     )
     noise = np.array([SENSOR.get(u, 1e-3) for _, u in signature.outputs])
-    bench = Bench(chain, start, family, bounds, noise)
+    bench = InputDesign(chain, start, family, bounds, noise)
     u, _ = choose(bench, criterion, starts, plan["seed"], progress)
     return described(bench, u, plan, criterion, gains)
 
 
 def described(
-    bench: Bench, u: np.ndarray, plan: dict[str, Any], criterion: str, gains: np.ndarray | None
+    bench: InputDesign,
+    u: np.ndarray,
+    plan: dict[str, Any],
+    criterion: str,
+    gains: np.ndarray | None,
 ) -> Excitation:
     """A designed input [time nu] as what it does to the model of a bench, and what it shows of its
     parameters.
@@ -466,7 +470,7 @@ def described(
             k for k, (name, _) in enumerate(signature.outputs) if name in dict(smaller[0].outputs)
         ]
         signature, noise = smaller[0], noise[kept]
-        bench = Bench(chain, start, family, bounds, noise)
+        bench = InputDesign(chain, start, family, bounds, noise)
         y, dy = bench.run(u[None])
     F = bench.fisher(dy)[0]
     condition, dark = determined(F)

@@ -23,7 +23,7 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.design import described, widened
-from jaxid.excitation.inputs import Bench, choose, Family, settled
+from jaxid.excitation.inputs import choose, Family, InputDesign, settled
 from jaxid.excitation.result import Excitation
 
 
@@ -69,7 +69,7 @@ class Rivals:
     recorded: Recorded
 
 
-class Separation(Bench):
+class Separation(InputDesign):
     """A bench on which an input is worth what it shows of the difference between two models."""
 
     def __init__(self, rivals: Rivals, start: np.ndarray, family: Family, bounds: Bounds):
@@ -183,7 +183,7 @@ def separate(
         "rate_hz": rate,
         "seed": seed,
     }
-    plain = Bench(rivals.layout.model(rivals.theta[0]), start, family, bounds, rivals.noise)
+    plain = InputDesign(rivals.layout.model(rivals.theta[0]), start, family, bounds, rivals.noise)
     made = described(plain, u, plan, "separation", None)
     a, b = rivals.names
     so_far = f"{before:.3g}" if np.isfinite(before) else "unknown"

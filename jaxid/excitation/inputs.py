@@ -20,7 +20,7 @@ import numpy as np
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import drive_gains
-from jaxid.dynamics.parameter import Reference
+from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
@@ -162,7 +162,7 @@ def largest_inputs(chain: Chain, bounds: Bounds) -> np.ndarray:
     return np.abs(tau).max(0) / np.asarray(drive_gains(chain))
 
 
-class Bench:
+class InputDesign:
     """Simulates members of a family on a model, with derivatives by its free parameters."""
 
     def __init__(
@@ -191,7 +191,7 @@ class Bench:
         ]
         reach = float(np.max(bounds.upper - bounds.lower))
         top = float(np.max(family.top))
-        typical = Reference(
+        typical = TypicalMagnitudes(
             top, float(np.max(bounds.speed)), reach, float(family.t[-1]), float(family.t[1])
         )
         scale = self.layout.boxes([typical] * chain.nq)[2]
@@ -311,7 +311,7 @@ def determined(F: np.ndarray) -> tuple[float, int]:
 
 
 def choose(
-    bench: Bench,
+    bench: InputDesign,
     criterion: str,
     starts: int,
     seed: int,

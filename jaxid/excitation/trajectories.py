@@ -34,7 +34,7 @@ from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.clearance import gaps, heights, Links, links_of, nodes
 from jaxid.excitation.paper001 import sums_18, terms_18, WEIGHTS_18
-from jaxid.identification.regression import friction_columns, Law, power
+from jaxid.identification.regression import friction_columns, FrictionLaw, power
 from jaxid.numerics.precision import float64
 
 
@@ -78,7 +78,7 @@ def series(a: Any, b: Any, middle: Any, omega: float, t: Any) -> tuple[Any, Any,
     return middle + s @ (a / wide) - c @ (b / wide), c @ a + s @ b, c @ (b * wide) - s @ (a * wide)
 
 
-class Task(eqx.Module):
+class TrajectoryTask(eqx.Module):
     """Abstract: what a trajectory is to make identifiable. `columns` gives torque per number, [time
     n p].
     """
@@ -87,14 +87,14 @@ class Task(eqx.Module):
         raise NotImplementedError
 
 
-class ArmTask(Task):
+class ArmTask(TrajectoryTask):
     """Base parameters and a friction law of a serial arm."""
 
     arm: Any
     exponent: np.ndarray
     coefficient: np.ndarray
     kept: tuple[int, ...] = eqx.field(static=True)
-    law: Law = eqx.field(static=True)
+    law: FrictionLaw = eqx.field(static=True)
 
     def columns(self, q, qd, qdd):
         n = q.shape[1]
@@ -113,7 +113,7 @@ class ArmTask(Task):
         return jnp.concatenate([Y, jnp.moveaxis(rows, 1, 2).reshape(len(q), n, -1)], 2)
 
 
-class ChainTask(Task):
+class ChainTask(TrajectoryTask):
     """The free numbers of any rigid model, those that depend on others left out; the torque is
     linearised at its values.
     """
@@ -147,7 +147,7 @@ def required(chain: Chain, q: Array, qd: Array, qdd: Array) -> Array:
     return body.inverse(q, qd, qdd) + F + jnp.where(qd > 0, plus, minus) * jnp.tanh(qd / REST)
 
 
-class Setting(eqx.Module):
+class SearchSetting(eqx.Module):
     """Everything else that the search needs: bounds, weights, geometry."""
 
     bounds: Bounds
@@ -164,7 +164,7 @@ class Setting(eqx.Module):
     )  # columns of each term of (18)
 
 
-def feasible(shape: Shape, setting: Setting, t: Any) -> tuple[Any, Any, Any]:
+def feasible(shape: Shape, setting: SearchSetting, t: Any) -> tuple[Any, Any, Any]:
     """(a, b, middle) within all limits on the times t."""
     bounds = setting.bounds
     l = np.arange(1, len(shape.a) + 1)[:, None]
@@ -198,7 +198,7 @@ def spectrum(W: Float[Array, "time n p"], weight: Any) -> Float[Array, " p"]:
     return jnp.linalg.eigvalsh(flat.T @ flat / len(W))
 
 
-def goodness(shape: Shape, task: Task, setting: Setting) -> tuple[Array, Array]:
+def goodness(shape: Shape, task: TrajectoryTask, setting: SearchSetting) -> tuple[Array, Array]:
     """(what is descended on, what is minimised) of one trajectory: log of the condition number, or
     minus mean log eigenvalue.
     """
@@ -227,7 +227,7 @@ def goodness(shape: Shape, task: Task, setting: Setting) -> tuple[Array, Array]:
     return smooth + near, logs[-1] - logs[0] + near
 
 
-def tightness(q: Array, setting: Setting) -> Array:
+def tightness(q: Array, setting: SearchSetting) -> Array:
     """How much links come too near to each other or to the floor, with 3 cm to spare; 0:
     nowhere.
     """
@@ -243,7 +243,13 @@ def tightness(q: Array, setting: Setting) -> Array:
 
 @eqx.filter_jit
 def _descend(
-    shapes: Shape, moments: Any, task: Task, setting: Setting, first: Any, total: Any, count: int
+    shapes: Shape,
+    moments: Any,
+    task: TrajectoryTask,
+    setting: SearchSetting,
+    first: Any,
+    total: Any,
+    count: int,
 ):
     """`count` steps of Adam for all starts at once; also the best shape that each start has had."""
     slope = jax.vmap(jax.value_and_grad(lambda s: goodness(s, task, setting), has_aux=True))
@@ -266,13 +272,13 @@ def _descend(
 
 
 @eqx.filter_jit
-def _values(shapes: Shape, task: Task, setting: Setting) -> Array:
+def _values(shapes: Shape, task: TrajectoryTask, setting: SearchSetting) -> Array:
     return jax.lax.map(lambda s: goodness(s, task, setting)[1], shapes, batch_size=8)
 
 
 def optimise(
-    task: Task,
-    setting: Setting,
+    task: TrajectoryTask,
+    setting: SearchSetting,
     harmonics: int,
     starts: int,
     seed: int,

@@ -9,12 +9,12 @@ import numpy as np
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.model_file import sha256_of
 from jaxid.fitting import result as results
-from jaxid.fitting.covariance import Covariance, covariance
+from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.fitting.ending import ending
 from jaxid.fitting.fitter import Minimum
 from jaxid.fitting.own_simulation import by_run, own_simulation, simulated_scores
 from jaxid.fitting.per_joint import per_joint
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.reweighting import weighed_by
 from jaxid.fitting.same_speed import said_as_one
@@ -26,10 +26,10 @@ from jaxid.fitting.scores import (
     scores,
     torque_scores,
 )
-from jaxid.fitting.stated import judged, Stated, stated_numbers
+from jaxid.fitting.stated import judged, stated_numbers, StatedNumber
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
 from jaxid.robots import yardstick
 from jaxid.robots.match import is_robot
@@ -37,7 +37,7 @@ from jaxid.robots.origin import origin
 
 
 def estimates(
-    binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance
+    binding: Binding, problem: FitProblem, z: np.ndarray, cov: CovarianceEstimate
 ) -> dict[int, Estimate]:
     """Layout position -> estimate of each fitted number, and of those that the recording tells."""
     theta, slope = problem.theta(z), problem.dtheta(z)
@@ -90,8 +90,8 @@ def is_candidate(binding: Binding, effect: str) -> bool:
 
 
 def assemble(
-    bench: Bench,
-    problem: Problem,
+    bench: ProblemBuilder,
+    problem: FitProblem,
     result: Minimum,
     residual: Residual,
     fitter: str,
@@ -99,7 +99,7 @@ def assemble(
     compile_time: float,
     wall_time: float,
     notes: Sequence[str] = (),
-    known: Covariance | None = None,
+    known: CovarianceEstimate | None = None,
 ) -> Fit:
     """A `Fit` from a minimum: uncertainty (`known`, where it was worked out before), scores,
     traces, notes.
@@ -191,7 +191,7 @@ def assemble(
             windowed = table[split]
     joints: tuple[dict, ...] = ()
     if is_robot(binding.chain.mechanism):
-        rows = {i: Stated(**row) for i, row in yardstick.stated(binding, found).items()}
+        rows = {i: StatedNumber(**row) for i, row in yardstick.stated(binding, found).items()}
         stated = said_as_one(bench, theta, judged(rows, binding.layout.names, found, told))
         notes += yardstick.sentences([s.to_dict() for s in stated])
         if residual.simulation != "momentum":
@@ -268,7 +268,7 @@ def origin_of(binding: Binding, added: Sequence[EffectEstimate]) -> dict:
 
 
 def numbers_covariance(
-    binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance
+    binding: Binding, problem: FitProblem, z: np.ndarray, cov: CovarianceEstimate
 ) -> results.Covariance:
     """That of the fitted numbers themselves, of which some are searched by their logarithm."""
     n, slope = len(problem.free), problem.dtheta(z)

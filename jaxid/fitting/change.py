@@ -28,14 +28,14 @@ from jaxid.errors import UsageError
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import AbstractFitter, Progress
 from jaxid.fitting.lost_runs import AT_NOISE
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Fit
 from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.problem.momentum import filtered, Momentum, momentum, noise_of, of_a_body
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.torque_filter import evenly
 from jaxid.robots.bodies import BODY
 
@@ -217,7 +217,7 @@ def scatter(L: np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
-class Change:
+class ParameterChange:
     """What changes: `sizes` and `times` of the layout, the numbers `own` that they act on, and
     those fitted on both sides.
     """
@@ -228,7 +228,7 @@ class Change:
     shared: list[int]
 
     @classmethod
-    def of(cls, binding: Binding) -> Change:
+    def of(cls, binding: Binding) -> ParameterChange:
         """Raises `UsageError` for a change of a number that is none of a body."""
         layout, free = binding.layout, set(binding.free)
         effect = next(e for e in layout.chain.effects if isinstance(e, NumberEffect))
@@ -276,9 +276,9 @@ def fit_change(
 ) -> Fit:
     """A fit of bodies that change at a moment, which is looked for."""
     began = time.perf_counter()
-    change = Change.of(binding)
+    change = ParameterChange.of(binding)
     binding = within(binding, change)
-    series, bench = Series.of(binding, residual), Bench(binding)
+    series, bench = Series.of(binding, residual), ProblemBuilder(binding)
     theta, free = binding.theta.copy(), [*change.shared, *change.sizes]
     moments = series.moments(len(free))
     if not len(moments):
@@ -344,7 +344,7 @@ def fit_change(
     )
 
 
-def unexplained(binding: Binding, change: Change, left: float) -> str:
+def unexplained(binding: Binding, change: ParameterChange, left: float) -> str:
     """The sentence about a change that leaves more than noise."""
     named = {binding.layout.names[i] for i in change.own}
     bodies = dict.fromkeys(name.partition("@")[2] for name in named)
@@ -360,7 +360,7 @@ def unexplained(binding: Binding, change: Change, left: float) -> str:
     )
 
 
-def within(binding: Binding, change: Change) -> Binding:
+def within(binding: Binding, change: ParameterChange) -> Binding:
     """The binding whose sizes leave every number within its own bounds; a centre of mass, which may
     be that of something large, within the robot's reach.
     """
@@ -381,7 +381,7 @@ def within(binding: Binding, change: Change) -> Binding:
     return replace(binding, lower=lower, upper=upper, theta=theta)
 
 
-def mean_square(problem: Problem, z: np.ndarray) -> float:
+def mean_square(problem: FitProblem, z: np.ndarray) -> float:
     """Of the residuals over the noise."""
     rows = np.concatenate([r.ravel() for r in problem.residuals(z)])
     return float(rows @ rows) / max(1, rows.size - problem.size)
@@ -389,7 +389,7 @@ def mean_square(problem: Problem, z: np.ndarray) -> float:
 
 def said(
     binding: Binding,
-    change: Change,
+    change: ParameterChange,
     series: Series,
     sides: Sides,
     theta: np.ndarray,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Run:
+class FitterRun:
     """One fitter with one seed. `seconds` and the times of the history are without compiling;
     `parameters` in their units.
     """
@@ -98,7 +98,7 @@ class Summary:
 
 
 @dataclass(frozen=True)
-class Known:
+class BestKnown:
     """The best known value of a parameter, with its standard deviation there (None where the data
     do not determine it).
     """
@@ -138,8 +138,8 @@ class Comparison(Displayed):
     starts: str  # random | guess
     tolerance: float
     best_loss: float
-    best: dict[str, Known]
-    runs: tuple[Run, ...]
+    best: dict[str, BestKnown]
+    runs: tuple[FitterRun, ...]
     wall_time_s: float
     notes: tuple[str, ...] = ()
     model_sha256: str = ""  # of the file of a model of the user's own
@@ -163,7 +163,7 @@ class Comparison(Displayed):
     def fitters(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(r.fitter for r in self.runs))
 
-    def of(self, fitter: str) -> tuple[Run, ...]:
+    def of(self, fitter: str) -> tuple[FitterRun, ...]:
         return tuple(r for r in self.runs if r.fitter == fitter)
 
     @property
@@ -221,7 +221,7 @@ class Comparison(Displayed):
             "versions": versions(),
         }
 
-    def _row(self, run: Run) -> dict[str, Any]:
+    def _row(self, run: FitterRun) -> dict[str, Any]:
         evaluations, seconds = run.reached(self.target)
         return {
             "dataset": self.dataset,
@@ -266,7 +266,7 @@ class Comparison(Displayed):
         return displays().picture(self, by, ax)
 
 
-def summary(fitter: str, runs: tuple[Run, ...], target: float, common_time: float) -> Summary:
+def summary(fitter: str, runs: tuple[FitterRun, ...], target: float, common_time: float) -> Summary:
     """Statistics of one fitter's runs."""
     reached = np.array([r.reached(target) for r in runs])
     won, in_time = int(np.isfinite(reached[:, 0]).sum()), int(np.sum(reached[:, 1] <= common_time))
@@ -318,7 +318,7 @@ def typical(values: np.ndarray) -> Typical:
     )
 
 
-def along(run: Run, at: np.ndarray, column: int) -> np.ndarray:
+def along(run: FitterRun, at: np.ndarray, column: int) -> np.ndarray:
     """Best loss of a run after so many evaluations (column 0) or seconds (1); infinite before its
     first.
     """

@@ -16,13 +16,13 @@ from jaxid.data.dataset import Dataset
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.model_file import sha256_of
 from jaxid.errors import nearest, UsageError
-from jaxid.fitting.comparison import Comparison, Known, Run
+from jaxid.fitting.comparison import BestKnown, Comparison, FitterRun
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress, sampling_box
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.problem_builder import Bench, default_residual, start_values
+from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.problem.binding import bind, Binding
-from jaxid.problem.problem import LOSSES, Problem
+from jaxid.problem.problem import FitProblem, LOSSES
 from jaxid.problem.residual import Residual
 from jaxid.runtime import Interrupted
 from jaxid.storage.interim import Interim
@@ -74,11 +74,11 @@ def run_comparison(
             raise UsageError(
                 f"{label} solves {wanted}, not {residual.name}: leave it out or give that residual"
             )
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     thetas = start_values(bench, binding.free, seed, residual=residual)
     problem = bench.problem(residual, "fit", binding.free, thetas[0], loss=loss)
     guess = problem.z(thetas[0])
-    runs: list[tuple[Run, Minimum]] = []
+    runs: list[tuple[FitterRun, Minimum]] = []
     total = len(fitters) * seeds
 
     def finished() -> Comparison:
@@ -121,14 +121,14 @@ def run_comparison(
 
 
 def one_run(
-    problem: Problem,
+    problem: FitProblem,
     fitter: AbstractFitter,
     label: str,
     start: np.ndarray,
     seed: int,
     budget: int | None,
     seconds: float | None,
-) -> tuple[Run, Minimum]:
+) -> tuple[FitterRun, Minimum]:
     """One fitter with one seed."""
     limit: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     began, compiled = time.perf_counter(), problem.compile_time_s
@@ -148,7 +148,7 @@ def one_run(
     theta = problem.theta(found.z)
     parameters = {problem.runs.layout.names[i]: float(theta[i]) for i in problem.free}
     status = "failed" if found.failed else "converged" if found.converged else "stopped"
-    run = Run(
+    run = FitterRun(
         fitter=label,
         seed=seed,
         status=status,
@@ -164,7 +164,7 @@ def one_run(
     return run, found
 
 
-def random_start(problem: Problem, guess: np.ndarray, seed: int) -> np.ndarray:
+def random_start(problem: FitProblem, guess: np.ndarray, seed: int) -> np.ndarray:
     """Parameters anywhere in the sampling box; unknown starts of the runs as the data suggest
     them.
     """
@@ -175,8 +175,8 @@ def random_start(problem: Problem, guess: np.ndarray, seed: int) -> np.ndarray:
 
 
 def best_known(
-    binding: Binding, problem: Problem, guesses: Sequence[np.ndarray], found: Sequence[Minimum]
-) -> tuple[float, dict[str, Known]]:
+    binding: Binding, problem: FitProblem, guesses: Sequence[np.ndarray], found: Sequence[Minimum]
+) -> tuple[float, dict[str, BestKnown]]:
     """The lowest loss that runs or descents from the best of them and from the guesses reach, and
     the parameters there.
     """
@@ -185,7 +185,7 @@ def best_known(
     candidates = np.array([*(m.z for m in ends), *(p.z for p in paths)])
     losses = problem.losses(candidates)
     z = candidates[int(np.argmin(losses))]
-    square = Problem(
+    square = FitProblem(
         problem.runs,
         problem.base,
         problem.free,
@@ -199,7 +199,7 @@ def best_known(
     for k, i in enumerate(problem.free):
         std = float(cov.std[k] * slope[k])
         entry = binding.layout.entries[i]
-        best[entry.name] = Known(
+        best[entry.name] = BestKnown(
             float(theta[i]),
             std if np.isfinite(std) else None,
             entry.unit,

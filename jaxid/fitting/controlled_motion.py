@@ -10,7 +10,7 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.fitting.least_squares import descend
 from jaxid.problem.closed_loop import ClosedLoopOutputError
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 
 
 def simulate_closed_loop(
@@ -26,7 +26,7 @@ def simulate_closed_loop(
     `noise` [ny]. Starts that nobody states are fitted to the first tenth of each run.
     """
     runs = ClosedLoopOutputError("both").runs(dataset, experiments, layout, noise, None)
-    problem = Problem(runs, theta, [], theta, theta)
+    problem = FitProblem(runs, theta, [], theta, theta)
     z = problem.z(theta)
     if problem.size:
         z = descend([(problem, z)], 8, 1e-6, 0.1)[0].z

@@ -24,13 +24,13 @@ import numpy as np
 from jaxid.fitting.noise_model import (
     Autoregression,
     autoregressions,
-    Part,
+    RecordResidual,
     score_covariance,
     student,
     transform_length,
 )
 from jaxid.numerics.truncated import positive, pushed, within_bounds
-from jaxid.problem.problem import Problem, rows
+from jaxid.problem.problem import FitProblem, rows
 
 
 #: A direction of the scaled Gauss-Newton matrix with an eigenvalue below this share of the largest
@@ -39,7 +39,7 @@ NULL = 1e-12
 
 
 @dataclass(frozen=True)
-class Covariance:
+class CovarianceEstimate:
     """`std` per entry of z (nan where not determined), correlation groups as positions in z. With
     few independent samples a standard deviation is stated so wide that 1.96 of them still hold 95 %
     (Student's t).
@@ -58,7 +58,7 @@ class Covariance:
     hessian: np.ndarray | None = None
 
 
-def covariance(problem: Problem, z: np.ndarray) -> Covariance:
+def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
     """Covariance of z at a minimum (search scale)."""
     n = problem.size
     span = problem.upper - problem.lower
@@ -67,7 +67,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     )  # a descent ends exactly at a bound, up to rounding
     at_bound = (z - problem.lower <= near) | (problem.upper - z <= near)
     H, slope, S_white, count = np.zeros((n, n)), np.zeros(n), 0.0, 0
-    parts: list[Part] = []
+    parts: list[RecordResidual] = []
     scores: list[tuple[list[int], np.ndarray]] = []
     series: list[np.ndarray] = []
     broken = np.zeros(n, bool)
@@ -91,7 +91,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         series += list(part.r.T)
         whole = np.zeros((*part.r.shape, n))
         whole[:, :, part.z_columns] = part.J
-        parts.append(Part(part.r, whole))
+        parts.append(RecordResidual(part.r, whole))
         del part, J, finite  # a long record's Jacobian is large: not more than one beside its copy
 
     r, J = problem.known_before(z)  # knows no model error: counts as it is
@@ -146,7 +146,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         if white
         else f"residuals are coloured (memory {memory} samples): standard deviations count it"
     )
-    return Covariance(
+    return CovarianceEstimate(
         matrix=matrix,
         std=std,
         identifiable=identifiable,
@@ -161,7 +161,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     )
 
 
-def _room(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _room(problem: FitProblem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far z [n] may go down and up to its bounds, as a straight line goes in the numbers
     themselves: what trades for each other keeps a sum or a ratio of these, and no sum of
     logarithms.
@@ -174,7 +174,7 @@ def _room(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _known_by_bounds(problem: Problem, z: np.ndarray) -> np.ndarray:
+def _known_by_bounds(problem: FitProblem, z: np.ndarray) -> np.ndarray:
     """What bounds alone tell of each number [n], as a precision: no more than that it lies within
     them.
     """
@@ -183,7 +183,7 @@ def _known_by_bounds(problem: Problem, z: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(width) & (width > 0), 1 / np.maximum(width, 1e-150) ** 2, 0.0)
 
 
-def _within_bounds(problem: Problem, z: np.ndarray, spread: np.ndarray) -> np.ndarray:
+def _within_bounds(problem: FitProblem, z: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """Mean squares and products of what z is off by, [n n]: of a normal distribution about z, cut
     off at the bounds.
     """

@@ -7,9 +7,9 @@ import numpy as np
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter import resolve
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics
 
 
@@ -29,7 +29,7 @@ def probes(binding: Binding, effect: Effect, place: str, theta: np.ndarray) -> l
 
 
 def read_off(
-    binding: Binding, p: Problem, z: np.ndarray, effect: Effect, place: str
+    binding: Binding, p: FitProblem, z: np.ndarray, effect: Effect, place: str
 ) -> list[np.ndarray]:
     """Parameter vectors with an effect as the missing force of a problem of torques shows it; none
     where it is not read off.
@@ -61,7 +61,7 @@ def read_off(
 
 
 def probe_starts(
-    bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 4
+    bench: ProblemBuilder, problem: FitProblem, theta: np.ndarray, keep: int = 4
 ) -> list[np.ndarray]:
     """Starts for added effects: the best of their probes, and what the torque residual makes of
     them all (free of the free run's local minima). At the neutral value many effects have no

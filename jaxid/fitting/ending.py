@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxid.fitting.covariance import Covariance
+from jaxid.fitting.covariance import CovarianceEstimate
 from jaxid.fitting.fitter import AbstractFitter, Log, Minimum, Progress
 from jaxid.fitting.least_squares import descend, model_gain, Path, PATIENCE
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.result import Trace
 from jaxid.problem.objective import AbstractProblem
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 
 
 #: A loss is lower, or could be, where its sum of squares is so by more than this share of a
@@ -218,7 +218,7 @@ def _elsewhere(
 
 
 def ending(
-    problem: Problem, found: Minimum, cov: Covariance, traces: Sequence[Trace] = ()
+    problem: FitProblem, found: Minimum, cov: CovarianceEstimate, traces: Sequence[Trace] = ()
 ) -> Ending:
     """How a search has ended that gave finite numbers; `traces` are free runs on the data that were
     fitted.
@@ -278,7 +278,7 @@ def ending(
     return plain
 
 
-def _wider(problem: Problem) -> str:
+def _wider(problem: FitProblem) -> str:
     """What else may be wrong where bounds hold every number: of a law, the gains that were held."""
     law = getattr(problem.runs.layout.chain.mechanism, "drive_law", None)
     held = (
@@ -313,7 +313,7 @@ def _stands_still(t: Trace) -> bool:
     )
 
 
-def _bends(problem: Problem, found: Minimum, i: int) -> bool:
+def _bends(problem: FitProblem, found: Minimum, i: int) -> bool:
     """Whether the bound at which a number stands is one that data were thought to reach: zero is
     where physics ends.
     """

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.fitting.fitter import AbstractFitter
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import Fit
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import Binding
@@ -84,7 +84,7 @@ def by_windows(binding: Binding, fitter: AbstractFitter | None = None) -> bool:
     )
 
 
-def growth(bench: Bench, theta: np.ndarray) -> float:
+def growth(bench: ProblemBuilder, theta: np.ndarray) -> float:
     """How much a small difference of the joints' positions at the start of a free run has grown
     where it is largest, over the runs that are fitted and those that choose; 0 where joints are not
     measured, or have inner states.
@@ -136,7 +136,7 @@ def _moving(binding: Binding, name: str) -> np.ndarray:
     return qd[kept]
 
 
-def believed(bench: Bench, fit: Fit, fitter: AbstractFitter, fitted: Fitting) -> Fit:
+def believed(bench: ProblemBuilder, fit: Fit, fitter: AbstractFitter, fitted: Fitting) -> Fit:
     """A free run's fit, or what takes its place: the torque equation or windows where it diverges;
     windows where it forgets its start or is a long decay that the model does not follow; a free run
     from where windows ended, if that ends lower.
@@ -164,7 +164,7 @@ def believed(bench: Bench, fit: Fit, fitter: AbstractFitter, fitted: Fitting) ->
     return replace(again, **spent) if better else replace(fit, **spent)
 
 
-def _doubtful(bench: Bench, fit: Fit) -> bool:
+def _doubtful(bench: ProblemBuilder, fit: Fit) -> bool:
     """Whether windows could say more than this free run does."""
     if not fit.failed and fit.loss <= AT_NOISE:
         return False
@@ -182,7 +182,7 @@ def _off(fit: Fit) -> float:
     return float(np.max(every, initial=0.0)) if known else float("inf")
 
 
-def _lost(bench: Bench, fit: Fit, windows: Fit) -> str:
+def _lost(bench: ProblemBuilder, fit: Fit, windows: Fit) -> str:
     """Why the free run is not what is compared, nothing where it may be."""
     grown = max(growth(bench, theta) for theta in (fit.theta, windows.theta))
     if not np.isfinite(grown):

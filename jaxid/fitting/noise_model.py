@@ -67,7 +67,7 @@ class Autoregression:
 
 
 @dataclass(frozen=True)
-class Part:
+class RecordResidual:
     """Residual r [samples columns] of one record and its Jacobian J [samples columns p] by all
     parameters, 0 where nothing is measured.
     """
@@ -76,7 +76,7 @@ class Part:
     J: np.ndarray
 
 
-def autoregressions(parts: Sequence[Part], inverse: np.ndarray) -> list[Autoregression]:
+def autoregressions(parts: Sequence[RecordResidual], inverse: np.ndarray) -> list[Autoregression]:
     """One for each column, common to all records; `inverse` [p p] of J'J."""
     columns = parts[0].r.shape[1]
     values, vectors = np.linalg.eigh(inverse)
@@ -124,7 +124,9 @@ def autoregressions(parts: Sequence[Part], inverse: np.ndarray) -> list[Autoregr
     return found
 
 
-def student(parts: Sequence[Part], noise: Sequence[Autoregression], parameters: int) -> float:
+def student(
+    parts: Sequence[RecordResidual], noise: Sequence[Autoregression], parameters: int
+) -> float:
     """By how much the ends of a 95 % interval lie further out than a normal distribution's, for
     want of independent samples.
     """
@@ -138,7 +140,9 @@ def student(parts: Sequence[Part], noise: Sequence[Autoregression], parameters: 
     return float(stdtrit(max(2.0, worth - parameters), 0.975) / ndtri(0.975))
 
 
-def score_covariance(parts: Sequence[Part], noise: Sequence[Autoregression]) -> np.ndarray:
+def score_covariance(
+    parts: Sequence[RecordResidual], noise: Sequence[Autoregression]
+) -> np.ndarray:
     """J' R J [p p] with R of the noise."""
     S: np.ndarray = np.zeros((parts[0].J.shape[2],) * 2)
     for p in parts:

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxid.fitting.least_squares import descend
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
 
 
 if TYPE_CHECKING:
     from jaxid.data.dataset import Experiment
-    from jaxid.fitting.problem_builder import Bench
+    from jaxid.fitting.problem_builder import ProblemBuilder
     from jaxid.fitting.result import Score
 
 
 def own_simulation(
-    bench: Bench, residual: Residual, split: str, problem: Problem, z: np.ndarray
-) -> tuple[Problem, np.ndarray]:
+    bench: ProblemBuilder, residual: Residual, split: str, problem: FitProblem, z: np.ndarray
+) -> tuple[FitProblem, np.ndarray]:
     """A split as the residual simulates it, at the numbers of `problem` at z, and its own z; starts
     that nobody states are fitted to each window, or to the first tenth of each run.
     """
@@ -38,7 +38,7 @@ def own_simulation(
 
 
 def by_run(
-    problem: Problem, z: np.ndarray, experiments: Sequence[Experiment]
+    problem: FitProblem, z: np.ndarray, experiments: Sequence[Experiment]
 ) -> list[np.ndarray] | None:
     """What a problem simulates of each of the runs [samples outputs], windows one after the other;
     None where it does not cover them sample by sample.
@@ -55,7 +55,7 @@ def by_run(
     )
 
 
-def simulated_scores(problem: Problem, z: np.ndarray) -> dict[str, Score]:
+def simulated_scores(problem: FitProblem, z: np.ndarray) -> dict[str, Score]:
     """Scores of what a problem simulates, by channel."""
     from jaxid.fitting.scores import score
 

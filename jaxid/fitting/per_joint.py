@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.scores import free_runs, scores as scored, torque_scores
 from jaxid.robots.yardstick import as_it_stands
 
 
 def per_joint(
-    bench: Bench,
+    bench: ProblemBuilder,
     scores: Mapping[str, Mapping[str, Any]],
     residual: Any = None,
     free: Any = (),

@@ -14,7 +14,7 @@ from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.momentum import Momentum, told_by
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics, OutputError, Residual, Runs
 from jaxid.simulation import sample_buffers as samples
 
@@ -29,9 +29,9 @@ class Begun(NamedTuple):
 
 
 @dataclass
-class Bench:
+class ProblemBuilder:
     """Runs of a binding made ready, one set per split and residual, with the same step.
-    `differences`: where its problems take their Jacobians from (see `Problem`).
+    `differences`: where its problems take their Jacobians from (see `FitProblem`).
 
     `defects` (residual, split) -> what finer steps would add to the simulation, at the samples
     [samples columns]: taken off the targets of its problems, so that a search on coarse steps ends
@@ -121,7 +121,7 @@ class Bench:
         theta: np.ndarray,
         records: Sequence[int] | None = None,
         loss: str = "sum_of_squares",
-    ) -> Problem:
+    ) -> FitProblem:
         b = self.binding
         if residual.torques and (own := b.gains & {int(i) for i in free}):
             raise UsageError(
@@ -132,7 +132,7 @@ class Bench:
             free = told_by(b.layout, list(free))
         runs = self.runs(residual, split)
         priors = b.priors if "fit" in split.split("+") else None  # they count once
-        p = Problem(
+        p = FitProblem(
             runs=runs,
             base=theta,
             free=free,
@@ -209,7 +209,7 @@ def default_residual(binding: Binding) -> Residual:
 
 
 def start_values(
-    bench: Bench,
+    bench: ProblemBuilder,
     free: Sequence[int],
     seed: int,
     runs: Sequence[int] | None = None,
@@ -242,14 +242,14 @@ def start_values(
     return guesses
 
 
-def estimate_starts(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> np.ndarray:
+def estimate_starts(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> np.ndarray:
     """Starts of the free runs of a split that is not fitted, from their first moments only; [thetas
     runs 2 nq].
     """
     return np.array([b.starts for b in bench.begun(split, thetas)])
 
 
-def _begun(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> list[Begun]:
+def _begun(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> list[Begun]:
     """The start is fitted on the longest of some nested first stretches that the model follows to
     within twice the noise: with a fine encoder a wrong friction law would else bend the start
     within a tenth of a second.

@@ -18,7 +18,7 @@ from jaxid.display import displays
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.noise_model import Autoregression
-from jaxid.problem.problem import Problem, rows
+from jaxid.problem.problem import FitProblem, rows
 
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class Profile:
 
 
 def profile_likelihood(
-    problem: Problem, z: np.ndarray, parameters: Sequence[str] | None = None, level: float = 0.95
+    problem: FitProblem, z: np.ndarray, parameters: Sequence[str] | None = None, level: float = 0.95
 ) -> dict[str, Profile]:
     """Profiles of parameters (by name; default all) around the minimum z of a sum of squares.
 
@@ -134,7 +134,7 @@ class Track:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: FitProblem,
         k: int,
         side: int,
         std: float,
@@ -155,7 +155,7 @@ class Track:
     def goes_on(self, threshold: float) -> bool:
         return not self.ended and self.rise[-1] <= 1.5 * threshold
 
-    def job(self, step: float) -> tuple[Problem, np.ndarray]:
+    def job(self, step: float) -> tuple[FitProblem, np.ndarray]:
         """The problem with the parameter held a step further out, and where the others went so far
         as its start.
         """
@@ -181,7 +181,7 @@ class Track:
         base = p.base.copy()
         base[p.free[k]] = np.exp(value) if p.log[k] else value
         low, high, scale = p.whole
-        held = Problem(p.runs, base, free, low, high, p.records, scale=scale, priors=p.priors)
+        held = FitProblem(p.runs, base, free, low, high, p.records, scale=scale, priors=p.priors)
         held.targets, held.weights = p.targets, p.weights
         return held, np.delete(guess, k)
 
@@ -229,7 +229,7 @@ class Bootstrap:
         return {n: (float(a), float(b)) for n, a, b in zip(self.names, low, high, strict=True)}
 
 
-def bootstrap(problem: Problem, z: np.ndarray, replicas: int = 200, seed: int = 0) -> Bootstrap:
+def bootstrap(problem: FitProblem, z: np.ndarray, replicas: int = 200, seed: int = 0) -> Bootstrap:
     """Bootstrap of the residuals at the minimum z of a sum of squares, all refits as one batch.
 
     Coloured residuals are taken for stationary noise with a memory (`jaxid.fitting.noise_model`):

@@ -10,7 +10,7 @@ import numpy as np
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import nearest, UsageError
-from jaxid.fitting.problem_builder import Bench, default_residual, start_values
+from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import LOSSES
 from jaxid.problem.pure_problem import Problem, pure
@@ -43,10 +43,10 @@ def make_problem(
         )
     binding = bind(model, dataset, effects=effects, without=without)
     chosen = resolve_residual(residual) or default_residual(binding)
-    bench = Bench(with_solver(binding, solver, chosen))
+    bench = ProblemBuilder(with_solver(binding, solver, chosen))
     if not chosen.select(binding.dataset, split):
         raise UsageError(f"the dataset has no run in the split {split!r}")
-    theta = start_values(Bench(binding), binding.free, 0)[0]
+    theta = start_values(ProblemBuilder(binding), binding.free, 0)[0]
     problem = bench.problem(chosen, split, binding.free, theta, loss=loss)
     priors = [binding.priors.get(int(i), (np.nan, np.nan)) for i in problem.free]
     return pure(problem, problem.z(theta), np.array(priors, float).reshape(-1, 2))

@@ -32,7 +32,7 @@ from jaxid.fitting.sequential import carried, follow, stretches
 from jaxid.fitting.settings import label_of
 from jaxid.problem.binding import Binding
 from jaxid.problem.objective import rows
-from jaxid.problem.problem import Known, Problem
+from jaxid.problem.problem import FitProblem, NumberPrior
 from jaxid.problem.residual import Residual
 from jaxid.simulation import sample_buffers as samples
 
@@ -46,7 +46,7 @@ GENERATIONS = 5
 
 
 @dataclass(frozen=True)
-class Recursion:
+class RecursionSettings:
     """How a fit goes along its blocks: `window` blocks at a time, or all of them at `forgetting`;
     `block_s` seconds long.
     """
@@ -67,7 +67,7 @@ class Recursion:
 
 
 @dataclass(frozen=True)
-class Step:
+class RecursionStep:
     """One recursion: the last time of its block (s, of the run it is from), its loss, and the
     numbers with their standard deviations (None where they are not determined).
     """
@@ -109,7 +109,9 @@ def in_blocks(dataset: Dataset, block_s: float | None = None) -> Dataset:
     return replace(dataset, experiments=tuple(out))
 
 
-def absorbed(known: Known, problem: Problem, z: np.ndarray, forgetting: float = 1.0) -> Known:
+def absorbed(
+    known: NumberPrior, problem: FitProblem, z: np.ndarray, forgetting: float = 1.0
+) -> NumberPrior:
     """What the data of a problem, linearised at z, and what was known before say together, times
     `forgetting`. Unknown starts of its runs are eliminated, not carried on.
     """
@@ -132,7 +134,7 @@ def absorbed(known: Known, problem: Problem, z: np.ndarray, forgetting: float = 
     before = np.column_stack([known.R, known.R @ (values - known.mean) + known.e])
     both: Any = weight * np.linalg.qr(np.concatenate([before, own]), "r")
     both = np.concatenate([both, np.zeros((max(0, n - len(both)), n + 1))])[:n]
-    return Known(values, both[:, :n], both[:, n])
+    return NumberPrior(values, both[:, :n], both[:, n])
 
 
 def fit_recursively(
@@ -143,7 +145,7 @@ def fit_recursively(
     seed: int,
     budget: int | None,
     progress: Progress | None,
-    recursion: Recursion,
+    recursion: RecursionSettings,
 ) -> Fit:
     """The whole of `jaxid.fit` with a window or forgetting; `binding` is on a dataset in blocks.
     The result is the last recursion's, with all of them under `recursion`. `budget` bounds the
@@ -184,7 +186,7 @@ def fit_recursively(
             yield found[-1][0]
             known = absorbed(known, part, found[-1][1].z, recursion.forgetting)
 
-    steps: list[Step] = []
+    steps: list[RecursionStep] = []
     last = began
     for minimum in followed(fitter, problems(), guesses, jax.random.key(seed), budget):
         problem = found[-1][0]
@@ -194,7 +196,9 @@ def fit_recursively(
         now, e = time.perf_counter(), blocks[len(steps)]
         numbers = estimates_of(problem, minimum)
         steps.append(
-            Step(e.name, float(e.t[-1]), minimum.loss, minimum.evaluations, now - last, numbers)
+            RecursionStep(
+                e.name, float(e.t[-1]), minimum.loss, minimum.evaluations, now - last, numbers
+            )
         )
         last = now
         if progress:
@@ -222,7 +226,7 @@ def fit_recursively(
     return replace(fit, recursion=tuple(steps), wall_time_s=time.perf_counter() - began)
 
 
-def statement(recursion: Recursion, count: int) -> str:
+def statement(recursion: RecursionSettings, count: int) -> str:
     """What the numbers of such a fit are of."""
     if recursion.window is not None:
         weighed = (
@@ -241,7 +245,7 @@ def statement(recursion: Recursion, count: int) -> str:
 
 def followed(
     fitter: AbstractFitter,
-    problems: Iterator[Problem],
+    problems: Iterator[FitProblem],
     guesses: list[np.ndarray],
     key: Any,
     budget: int | None,
@@ -252,7 +256,7 @@ def followed(
     first = next(problems)
     starts = [first.z(g) for g in guesses]
 
-    def again() -> Iterator[Problem]:
+    def again() -> Iterator[FitProblem]:
         yield first
         yield from problems
 
@@ -272,7 +276,7 @@ def followed(
         yield minimum
 
 
-def estimates_of(problem: Problem, minimum: Minimum) -> dict[str, tuple[float, float | None]]:
+def estimates_of(problem: FitProblem, minimum: Minimum) -> dict[str, tuple[float, float | None]]:
     """Name -> (value, standard deviation) of the fitted numbers."""
     cov, theta, slope = (
         covariance(problem, minimum.z),

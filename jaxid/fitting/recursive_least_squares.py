@@ -15,7 +15,7 @@ from jaxid.errors import UsageError
 from jaxid.numerics.precision import float64
 
 
-class Recursion(NamedTuple):
+class RecursiveState(NamedTuple):
     """State of the recursion: estimate, its matrix P, and how long the last link's parameters have
     stood still.
     """
@@ -36,14 +36,14 @@ class Rule(NamedTuple):
 
 
 def ridge_rls(
-    state: Recursion,
+    state: RecursiveState,
     Y: Float[Array, "n p"],
     tau: Float[Array, " n"],
     noise_var: Float[Array, " n"],
     forgetting: Any = 1.0,
     watched: Any = slice(None),
     change: float = Rule().change,
-) -> Recursion:
+) -> RecursiveState:
     """One sample (pure; jit and scan it). `noise_var` [n] (N m)^2; `forgetting` in (0, 1], 1
     forgets nothing.
 
@@ -56,7 +56,7 @@ def ridge_rls(
     step = sum((e * v for e, v in zip(errors, columns, strict=True)), jnp.zeros(()))
     P = P - sum((v[:, None] * v[None] for v in columns), jnp.zeros(()))
     still = jnp.where(jnp.max(jnp.abs(step[watched])) < change, state.still + 1, 0)
-    return Recursion(state.theta + step, P, still, state.seen + 1)
+    return RecursiveState(state.theta + step, P, still, state.seen + 1)
 
 
 def _whitened(S: Float[Array, "n n"], *rows: Sequence[Array]) -> list[list[Array]]:
@@ -110,7 +110,7 @@ def replay_stretches(
     full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
     with float64():
         zero = jnp.zeros((), jnp.int32)
-        state = Recursion(
+        state = RecursiveState(
             jnp.asarray(prior, float), jnp.diag(full(prior_var, prior.size)), zero, zero
         )
         run: Any = _replayed

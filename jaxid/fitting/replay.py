@@ -17,7 +17,7 @@ from jaxid.display import Printed
 from jaxid.errors import UsageError
 from jaxid.fitting.simulate import simulate_dataset
 from jaxid.models import Robot
-from jaxid.robots.drives import Law, stated_law
+from jaxid.robots.drives import DriveLaw, stated_law
 from jaxid.robots.export.law_code import own_number
 from jaxid.robots.export.run import read_tree
 from jaxid.robots.export.save import ROWS, source_of
@@ -325,7 +325,7 @@ def _gravity(tree: Tree, data: Dataset) -> np.ndarray:
     return rotation(roll, pitch, yaw).T @ np.array(tree.gravity)
 
 
-def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: Path) -> Law:
+def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: Path) -> DriveLaw:
     """The law of [controller], with the numbers that the result found."""
     if data.controller is None:
         raise UsageError(
@@ -343,7 +343,9 @@ def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: P
     return law
 
 
-def _with_gains(law: Law, joints: Sequence[str], gains: Mapping[str, tuple[float, float]]) -> Law:
+def _with_gains(
+    law: DriveLaw, joints: Sequence[str], gains: Mapping[str, tuple[float, float]]
+) -> DriveLaw:
     stated = zip(joints, law.kp, law.kd, strict=True)
     every = [gains.get(joint, (kp, kd)) for joint, kp, kd in stated]
     return replace(law, kp=tuple(kp for kp, _ in every), kd=tuple(kd for _, kd in every))

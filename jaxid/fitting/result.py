@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from jaxid.dynamics.chain import Chain
-    from jaxid.fitting.stated import Stated
+    from jaxid.fitting.stated import StatedNumber
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,9 @@ class Fit(Displayed, Exportable):
     free_run: dict[str, dict[str, Score]] = field(
         default_factory=dict
     )  # scores of the free run, where `scores` are of another
-    stated: tuple[Stated, ...] = ()  # what a file or the dataset states beside what was fitted
+    stated: tuple[
+        StatedNumber, ...
+    ] = ()  # what a file or the dataset states beside what was fitted
     per_joint: tuple[
         dict[str, Any], ...
     ] = ()  # of a robot: each joint's error with the file as it stands

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 
 
 #: A descent to the end is begun with at least so many linearisations.
@@ -37,13 +37,13 @@ class Reweighed(NamedTuple):
     sentence.
     """
 
-    problem: Problem
+    problem: FitProblem
     found: Minimum
     note: str
 
 
 def reweighed(
-    problem: Problem,
+    problem: FitProblem,
     found: Minimum,
     starts: Sequence[np.ndarray],
     key,
@@ -94,7 +94,7 @@ def reweighed(
     return Reweighed(weighed, replace(end, loss=weighed.loss(end.z), evaluations=spent), note)
 
 
-def weighed_by(problem: Problem, factors: np.ndarray) -> Problem:
+def weighed_by(problem: FitProblem, factors: np.ndarray) -> FitProblem:
     """The same problem with every residual column [columns] multiplied by a factor; its loss counts
     samples by it.
     """
@@ -103,7 +103,7 @@ def weighed_by(problem: Problem, factors: np.ndarray) -> Problem:
     return twin
 
 
-def _errors(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _errors(problem: FitProblem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Root mean square of each channel's residual in its noise, at least 1, and its number of
     samples.
     """
@@ -118,7 +118,7 @@ def _errors(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _sizes(problem: Problem) -> np.ndarray:
+def _sizes(problem: FitProblem) -> np.ndarray:
     """Standard deviation of each measured channel in its noise."""
     at = np.concatenate([np.asarray(problem.runs.record(k).samples) for k in problem.records])
     y, w = problem.targets[at], problem.weights[at]

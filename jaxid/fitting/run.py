@@ -16,14 +16,14 @@ from jaxid.fitting.effect_starts import probe_starts
 from jaxid.fitting.ending import looked_again
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitting.lost_runs import believed, growth, SENSITIVE
-from jaxid.fitting.problem_builder import Bench, default_residual, start_values
+from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.fitting.result import Fit
 from jaxid.fitting.reweighting import reweighed
 from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
 from jaxid.problem.binding import Binding
 from jaxid.problem.momentum import Momentum
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
 from jaxid.runtime import Interrupted
@@ -107,13 +107,15 @@ def fit_seeds(
     benches = Benches(binding) if benches is None else benches
     compiled = benches.compile_time()
     notes: dict[int, list[str]] = {seed: [] for seed in seeds}
-    ended: dict[int, tuple[Bench, Problem, Minimum]] = {}
+    ended: dict[int, tuple[ProblemBuilder, FitProblem, Minimum]] = {}
     level: dict[int, np.ndarray | None] = dict.fromkeys(
         seeds, begin
     )  # where each seed's coarser step ended
     step, label = samples.STEP, label_of(fitter)
 
-    def offer(seed: int, bench: Bench, problem: Problem, result: Minimum, note: str) -> None:
+    def offer(
+        seed: int, bench: ProblemBuilder, problem: FitProblem, result: Minimum, note: str
+    ) -> None:
         """Has what is known by now kept, in case that this does not come to its end."""
         if known and not result.failed:
             spent = time.perf_counter() - began
@@ -224,10 +226,10 @@ class Benches:
 
     def __init__(self, binding: Binding):
         self.binding = binding
-        self._benches: dict[float, Bench] = {}
+        self._benches: dict[float, ProblemBuilder] = {}
         self._starts: dict[tuple[str, str], list[np.ndarray]] = {}
 
-    def of(self, step: float) -> Bench:
+    def of(self, step: float) -> ProblemBuilder:
         """The bench of a step; one for all steps that make no difference."""
         if step not in self._benches:
             every = [e.whole for e in self.binding.dataset.experiments]
@@ -236,10 +238,12 @@ class Benches:
                 for made, bench in self._benches.items()
                 if samples.divided_alike(every, made, step)
             )
-            self._benches[step] = next(same, None) or Bench(self.binding, step)
+            self._benches[step] = next(same, None) or ProblemBuilder(self.binding, step)
         return self._benches[step]
 
-    def starts(self, bench: Bench, residual: Residual, loss: str, seed: int) -> list[np.ndarray]:
+    def starts(
+        self, bench: ProblemBuilder, residual: Residual, loss: str, seed: int
+    ) -> list[np.ndarray]:
         """Start values, best first, and those of added effects; no guess depends on the seed."""
         key = repr(residual), loss
         if key not in self._starts:

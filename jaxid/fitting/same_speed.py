@@ -8,19 +8,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.scores import free_runs
-from jaxid.fitting.stated import Stated
+from jaxid.fitting.stated import StatedNumber
 from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.wording import number, value_with_std
 
 
-def said_as_one(bench: Bench, theta: np.ndarray, rows: Sequence[Stated]) -> tuple[Stated, ...]:
+def said_as_one(
+    bench: ProblemBuilder, theta: np.ndarray, rows: Sequence[StatedNumber]
+) -> tuple[StatedNumber, ...]:
     """The rows, with kd + damping in place of a damping that is refuted beside a kd that was held,
     where another kd would move the joints as well. `theta`: numbers of the fitted model.
     """
-    out: list[Stated] = []
+    out: list[StatedNumber] = []
     for row in rows:
         kd = _held_kd(bench, row)
         if kd is None or not _as_well(bench, theta, row, kd):
@@ -30,7 +32,7 @@ def said_as_one(bench: Bench, theta: np.ndarray, rows: Sequence[Stated]) -> tupl
     return tuple(out)
 
 
-def _held_kd(bench: Bench, row: Stated) -> int | None:
+def _held_kd(bench: ProblemBuilder, row: StatedNumber) -> int | None:
     """Position of a kd that was held beside a damping that is stated and refuted."""
     binding = bench.binding
     law = getattr(binding.chain.mechanism, "drive_law", None)
@@ -43,7 +45,7 @@ def _held_kd(bench: Bench, row: Stated) -> int | None:
     return kd if kd not in binding.free and binding.theta[kd] > 0 else None
 
 
-def _as_well(bench: Bench, theta: np.ndarray, row: Stated, kd: int) -> bool:
+def _as_well(bench: ProblemBuilder, theta: np.ndarray, row: StatedNumber, kd: int) -> bool:
     """Whether the free runs are the same with the damping as stated and another kd: what lies
     nearer than chance takes all samples together is not told apart. A kd cannot be negative.
     """
@@ -60,7 +62,7 @@ def _as_well(bench: Bench, theta: np.ndarray, row: Stated, kd: int) -> bool:
     return bool(sum(float(np.sum(x**2)) for x in apart) < REFUTED**2)
 
 
-def _open(row: Stated) -> Stated:
+def _open(row: StatedNumber) -> StatedNumber:
     text = (
         f"damping of {row.joint} as stated can be neither confirmed nor refuted by itself: the "
         f"law brakes the same speed, and the data tell only kd + damping"
@@ -68,7 +70,7 @@ def _open(row: Stated) -> Stated:
     return replace(row, deviation=None, text=text)
 
 
-def _sum(row: Stated, kd: float) -> Stated:
+def _sum(row: StatedNumber, kd: float) -> StatedNumber:
     unit = f" {row.unit}" if row.unit not in ("", "1") else ""
     whole = Estimate(kd + row.fitted, row.std, row.unit, 0.0, math.inf)
     text = (

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxid.errors import UsageError
-from jaxid.problem.problem import Problem, rows
+from jaxid.problem.problem import FitProblem, rows
 
 
 #: Euler's relation holds to this share of the residual; of a recording that holds noise it does by
@@ -19,7 +19,7 @@ from jaxid.problem.problem import Problem, rows
 EXACT = 1e-6
 
 
-def shrinking(problem: Problem, z: np.ndarray) -> tuple[str, ...]:
+def shrinking(problem: FitProblem, z: np.ndarray) -> tuple[str, ...]:
     """The numbers that shrink the residual in proportion as they shrink together; none where a
     scale is held.
     """
@@ -44,7 +44,7 @@ def shrinking(problem: Problem, z: np.ndarray) -> tuple[str, ...]:
     return ()
 
 
-def refuse_scale_free(problem: Problem, z: np.ndarray) -> None:
+def refuse_scale_free(problem: FitProblem, z: np.ndarray) -> None:
     """Raises `UsageError` where the torque equation holds no scale."""
     if names := shrinking(problem, z):
         raise UsageError(
@@ -53,7 +53,7 @@ def refuse_scale_free(problem: Problem, z: np.ndarray) -> None:
         )
 
 
-def _whole(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _whole(problem: FitProblem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residual [n] and Jacobian [n size] of all records."""
     residual, jacobian = [np.zeros(0)], [np.zeros((0, problem.size))]
     for part in rows([(problem, z)]):

@@ -7,19 +7,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxid.data.dataset import Experiment
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Score, Trace
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.momentum import Momentum, of_the_joints
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import OutputError, Residual
 from jaxid.simulation import sample_buffers as samples
 from jaxid.wording import listed, times
 
 
 def free_runs(
-    bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray
+    bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray
 ) -> list[list[np.ndarray]]:
     """Free runs of several parameter vectors: per theta and experiment the outputs at the samples
     [samples ny], with what the bench takes off its targets.
@@ -47,7 +47,9 @@ def scored(e: Experiment, split: str) -> np.ndarray:
     return keep
 
 
-def scores(bench: Bench, split: str, predictions: Sequence[np.ndarray]) -> dict[str, Score]:
+def scores(
+    bench: ProblemBuilder, split: str, predictions: Sequence[np.ndarray]
+) -> dict[str, Score]:
     """rmse, nrmse, relative error per channel of the free runs of a split."""
     b = bench.binding
     out = {}
@@ -100,7 +102,11 @@ def lost(table: Mapping[str, Mapping[str, Score]], noise: Mapping[str, float]) -
 
 
 def response_scores(
-    bench: Bench, residual: FrequencyResponseError, split: str, problem: Problem, z: np.ndarray
+    bench: ProblemBuilder,
+    residual: FrequencyResponseError,
+    split: str,
+    problem: FitProblem,
+    z: np.ndarray,
 ) -> dict[str, Score]:
     """Distance of the modelled from the measured response over the lines of a split, |error| as a
     root mean square.
@@ -128,7 +134,7 @@ def response_scores(
 
 
 def torque_scores(
-    bench: Bench,
+    bench: ProblemBuilder,
     residual: Residual,
     split: str,
     theta: np.ndarray,

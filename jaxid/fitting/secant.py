@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxid.fitting.least_squares import accept, next_trial, Path, problem_clip
 from jaxid.problem.objective import Linear
-from jaxid.problem.problem import Problem, rows
+from jaxid.problem.problem import FitProblem, rows
 from jaxid.simulation.batch import LANES
 
 
@@ -40,7 +40,7 @@ class Slopes:
     age: np.ndarray
 
     @classmethod
-    def taken(cls, p: Problem, z: np.ndarray) -> Slopes:
+    def taken(cls, p: FitProblem, z: np.ndarray) -> Slopes:
         """All of them anew."""
         residual, slope = [], []
         for part in rows([(p, z)]):
@@ -52,7 +52,7 @@ class Slopes:
             p.names, z, np.concatenate(residual), np.concatenate(slope), np.zeros(p.size, int)
         )
 
-    def of(self, p: Problem, z: np.ndarray, r: np.ndarray) -> Slopes:
+    def of(self, p: FitProblem, z: np.ndarray, r: np.ndarray) -> Slopes:
         """The same of a problem on the same records at z, where its residuals are r; those of
         numbers that are not here are to be taken.
         """
@@ -83,7 +83,7 @@ class Slopes:
         return self.J + np.outer(r - self.r - self.J @ dz, scale**2 * dz / far)
 
 
-def residuals(p: Problem, points: Sequence[np.ndarray]) -> list[np.ndarray]:
+def residuals(p: FitProblem, points: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Residuals over the noise [samples] of all records at each of several z."""
     many = len(p.records)
     theta = np.repeat(np.array([p.theta(z) for z in points]), many, 0)
@@ -101,7 +101,7 @@ def residuals(p: Problem, points: Sequence[np.ndarray]) -> list[np.ndarray]:
     return out
 
 
-def linear(p: Problem, z: np.ndarray, r: np.ndarray, J: np.ndarray) -> Linear:
+def linear(p: FitProblem, z: np.ndarray, r: np.ndarray, J: np.ndarray) -> Linear:
     """Sum of squares with gradient and curvature, of residuals with these slopes and of what is
     known without the data.
     """
@@ -113,7 +113,7 @@ def linear(p: Problem, z: np.ndarray, r: np.ndarray, J: np.ndarray) -> Linear:
 
 
 def descend_on_secants(
-    p: Problem,
+    p: FitProblem,
     starts: Sequence[np.ndarray],
     known: Slopes | None,
     iterations: int,
@@ -163,7 +163,7 @@ def descend_on_secants(
     return path, at, spent
 
 
-def _least(p: Problem, points: Sequence[np.ndarray], found: Sequence[np.ndarray]) -> int:
+def _least(p: FitProblem, points: Sequence[np.ndarray], found: Sequence[np.ndarray]) -> int:
     """Which of some z leaves least, by its residuals."""
     with np.errstate(all="ignore"):
         cost = [
@@ -178,7 +178,7 @@ def _new(path: Path, trial: np.ndarray, new: Linear) -> np.ndarray:
 
 
 def _renewed(
-    p: Problem, at: Slopes, room: int, beside: Sequence[np.ndarray] = ()
+    p: FitProblem, at: Slopes, room: int, beside: Sequence[np.ndarray] = ()
 ) -> tuple[Slopes, list[np.ndarray]]:
     """Slopes with the `room` oldest taken anew, and the residuals at other points, all in one
     batch.

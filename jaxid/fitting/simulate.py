@@ -14,14 +14,14 @@ from jaxid.dynamics.model_file import sha256_of
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.fitting.assemble import solver_name, solver_notes
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.scores import free_runs, scored
 from jaxid.fitting.simulation import Simulation
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import bind, resolve_model
 from jaxid.problem.solver import with_solver
 from jaxid.simulation import sample_buffers as samples
-from jaxid.simulation.animation import Motion, motion
+from jaxid.simulation.animation import motion, OutlineMotion
 
 
 def simulate_dataset(
@@ -58,7 +58,7 @@ def simulate_dataset(
                 raise UsageError(f"effect {e['effect']} has no parameter {field!r}")
             theta[indices] = _number(f"{e['effect']}.{field}", value)
     binding = with_solver(binding, solver, None)
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     runs: dict[str, dict[str, np.ndarray]] = {}
     rmse: dict[str, dict[str, float]] = {}
     _, iy = samples.columns(binding.dataset, binding.chain)
@@ -80,7 +80,7 @@ def simulate_dataset(
                 )
             )
 
-    def moving(i: int) -> Motion | None:
+    def moving(i: int) -> OutlineMotion | None:
         e = dataset.experiments[i]
         own = theta.copy()
         for name, value in e.constants.items():

@@ -8,7 +8,13 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.numerics.stated_numbers import apart, Change, Known, REFUTED, smallest_change
+from jaxid.numerics.stated_numbers import (
+    apart,
+    BoundedEstimates,
+    REFUTED,
+    smallest_change,
+    SmallestChange,
+)
 from jaxid.wording import listed, number, percent, value_with_std
 
 
@@ -22,7 +28,7 @@ SHOWN = 0.01
 
 
 @dataclass(frozen=True)
-class Stated:
+class StatedNumber:
     """One number as it is stated and as it was fitted, or what two of them come to where the data
     tell only that.
 
@@ -52,7 +58,7 @@ class Stated:
 
 def stated_numbers(
     binding: Binding, found: Mapping[int, Estimate], covariance: Covariance | None = None
-) -> tuple[Stated, ...]:
+) -> tuple[StatedNumber, ...]:
     """The fitted numbers (by position in the layout) for which the dataset states a value, those
     that are furthest off first.
     """
@@ -68,7 +74,7 @@ def stated_numbers(
         std = estimate.std if estimate.identifiable else None
         deviation = apart(estimate.value, prior.value, std)
         text = sentence_of(name, prior.value, estimate, deviation)
-        out[i] = Stated(
+        out[i] = StatedNumber(
             joint=joint,
             link="",
             parameter=name,
@@ -84,12 +90,12 @@ def stated_numbers(
 
 
 def judged(
-    rows: Mapping[int, Stated],
+    rows: Mapping[int, StatedNumber],
     names: Sequence[str],
     found: Mapping[int, Estimate],
     covariance: Covariance | None,
     plain: bool = False,
-) -> tuple[Stated, ...]:
+) -> tuple[StatedNumber, ...]:
     """The rows (by position in the layout), judged all together: only what the smallest change
     takes is refuted.
 
@@ -137,7 +143,7 @@ def judged(
 
 def _known(
     names: Sequence[str], found: Mapping[int, Estimate], covariance: Covariance | None
-) -> tuple[list[int], Known]:
+) -> tuple[list[int], BoundedEstimates]:
     """The positions of the numbers that were fitted, and what is known of these."""
     if covariance is None:
         at = [i for i, e in found.items() if e.std]
@@ -150,14 +156,14 @@ def _known(
     value, lower, upper = (
         np.array([getattr(found[i], k) for i in at], float) for k in ("value", "lower", "upper")
     )
-    return at, Known(
+    return at, BoundedEstimates(
         value=value, covariance=matrix.reshape(len(at), len(at)), lower=lower, upper=upper
     )
 
 
 def _refuted(
-    row: Stated, called: str, estimate: Estimate, change: Change, k: int, plain: bool
-) -> Stated:
+    row: StatedNumber, called: str, estimate: Estimate, change: SmallestChange, k: int, plain: bool
+) -> StatedNumber:
     """A row of a number that is wrong by itself; what it is with the others as stated, where that
     is not what was fitted.
     """
@@ -174,13 +180,13 @@ def _refuted(
     return replace(row, deviation=deviation, text=text, beside=value)
 
 
-def _undecided(row: Stated, called: str, others: str) -> Stated:
+def _undecided(row: StatedNumber, called: str, others: str) -> StatedNumber:
     """A row of a number that the data refute only together with others."""
     text = f"{called} as stated can be neither confirmed nor refuted by itself: the data tell it only together with {others}"
     return replace(row, deviation=None, text=text)
 
 
-def _label(row: Stated, plain: bool) -> str:
+def _label(row: StatedNumber, plain: bool) -> str:
     """`inertia`, or with its place `kp of steer`."""
     kind = row.parameter.replace("_", " ")
     of_link = row.parameter.startswith(("com_", "mass", "gyration_")) and row.link
@@ -200,13 +206,13 @@ class _Form:
 
 
 def _together(
-    rows: tuple[Stated, Stated],
+    rows: tuple[StatedNumber, StatedNumber],
     called: tuple[str, str],
     at: tuple[int, int],
-    known: Known,
+    known: BoundedEstimates,
     stated: np.ndarray,
-    change: Change,
-) -> Stated:
+    change: SmallestChange,
+) -> StatedNumber:
     """What two numbers come to, of which either may be wrong: of ratio, product, sum and difference
     what the data tell best.
     """
@@ -232,7 +238,7 @@ def _together(
         text = f"{name} is {number(form.value)} ± {number(std, 2)} {row.unit}, stated {number(form.stated)} ({off}): {only}"
     unit = row.unit if form.name in ("sum", "difference") else ""
     signed = float(np.copysign(deviation, form.value - form.stated))
-    return Stated(
+    return StatedNumber(
         joint=row.joint,
         link=row.link,
         parameter=name,

@@ -23,7 +23,7 @@ class Sample(NamedTuple):
     values: Sequence[float]
 
 
-class Measured(NamedTuple):
+class DeviceReading(NamedTuple):
     """What of a sample is compared with limits."""
 
     q: Sequence[float]
@@ -33,7 +33,7 @@ class Measured(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class PathPlan:
     """A path as it will be sent: `table [rows joints]` every `step` s, clamped to `lower`, `upper`
     and `largest_step` from `start` on. `marks` (row, name) become events.
     """
@@ -109,29 +109,29 @@ class Device(Protocol):
 
     def news(self) -> News: ...
 
-    def measured(self, values: Sequence[float]) -> Measured: ...
+    def measured(self, values: Sequence[float]) -> DeviceReading: ...
 
     def alarm(self, values: Sequence[float], moving: bool) -> str | None:
         """Why a recording must end, from the device's own status."""
         ...
 
-    def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> Plan:
+    def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> PathPlan:
         """How a path would be sent, starting from the sample `values`."""
         ...
 
-    def load(self, plan: Plan) -> None:
+    def load(self, plan: PathPlan) -> None:
         """Hands the path over to the driver while samples go on; messages `want` and, in the end,
         `loaded` follow.
         """
         ...
 
-    def arm(self, plan: Plan, data_age: float) -> None:
+    def arm(self, plan: PathPlan, data_age: float) -> None:
         """Takes control, with watchdogs that stop after `data_age` s of silence; the message
         `armed` follows.
         """
         ...
 
-    def play(self, plan: Plan) -> None:
+    def play(self, plan: PathPlan) -> None:
         """Moves; messages `mark`, `progress` and `done` follow."""
         ...
 

@@ -24,8 +24,8 @@ from jaxid.hardware.recorder import (
     read_about,
     read_events,
     read_rows,
-    Rows,
     Stream,
+    StreamRows,
     SUFFIX,
 )
 from jaxid.hardware.sensor import SensorSpec
@@ -224,7 +224,7 @@ class _Timed:
     asked: ClockMap  # host time of sending against the device time of arrival
 
 
-def _timed(stream: Stream, rows: Rows) -> _Timed:
+def _timed(stream: Stream, rows: StreamRows) -> _Timed:
     device, notes, blur = rows.device, [], 0.0
     asked: ClockMap | None = None
     if stream.info.get("tick_s"):
@@ -316,7 +316,7 @@ def _rising(t: np.ndarray) -> np.ndarray:
 
 
 def _told(
-    table: dict[str, np.ndarray], stream: Stream, rows: Rows, timed: _Timed
+    table: dict[str, np.ndarray], stream: Stream, rows: StreamRows, timed: _Timed
 ) -> dict[str, np.ndarray]:
     """The commands at their own times; the table's become the mean of what was told from each row
     to the next.

@@ -118,7 +118,7 @@ class Link:
         self.line.close()
 
 
-class Stop(Exception):
+class StopRequest(Exception):
     """The motion has to end; the text says why."""
 
 
@@ -136,7 +136,7 @@ def busy(seconds: float) -> str:
 
 
 class Leash:
-    """In the driver: waits, and raises `Stop` as soon as the supervisor says so, is silent or is
+    """In the driver: waits, and raises `StopRequest` as soon as the supervisor says so, is silent or is
     gone.
     """
 
@@ -159,13 +159,13 @@ class Leash:
             try:
                 arrived = self.link.messages(deadline - began)
             except Closed:
-                raise Stop("the recording process is gone") from None
+                raise StopRequest("the recording process is gone") from None
             now = time.monotonic()
             if arrived:
                 self._heard = now
             for message in arrived:
                 if message["kind"] == "stop":
-                    raise Stop(message.get("reason", "stopped"))
+                    raise StopRequest(message.get("reason", "stopped"))
                 if message["kind"] != "beat":
                     self.inbox.append(message)
             if self.tight and now - self._heard > self.longest_s:
@@ -176,8 +176,8 @@ class Leash:
                 if (
                     own > 0.5 * silence
                 ):  # it was this process that did not run: the other one may have spoken
-                    raise Stop(busy(own))
-                raise Stop(f"the recording process was silent for {silence:.2f} s")
+                    raise StopRequest(busy(own))
+                raise StopRequest(f"the recording process was silent for {silence:.2f} s")
             self._looked = now
             if now >= until or self.inbox:
                 return
@@ -339,7 +339,7 @@ def farewell(
     """
     if error is None:
         kind = "stopped"
-    elif isinstance(error, Stop):
+    elif isinstance(error, StopRequest):
         kind, content = "stopping", {"reason": str(error)}
     elif isinstance(error, Closed):
         kind, content = (

@@ -14,7 +14,7 @@ from typing import Any
 
 from jaxid.data.limits import Limits
 from jaxid.errors import UsageError
-from jaxid.hardware.device import Device, Plan, Sample
+from jaxid.hardware.device import Device, PathPlan, Sample
 from jaxid.hardware.recorder import Stream, SUFFIX
 from jaxid.hardware.trajectory import Trajectory
 
@@ -98,7 +98,7 @@ def refuse_state(device: Device, bounds: Limits, sample: Sample) -> None:
         raise UsageError(f"{device.name} cannot be moved now: {why}")
 
 
-def dry_text(device: Device, play: Trajectory, plan: Plan, sample: Sample) -> str:
+def dry_text(device: Device, play: Trajectory, plan: PathPlan, sample: Sample) -> str:
     start = max(
         abs(a - b) for a, b in zip(device.measured(sample.values).q, play.values[0], strict=True)
     )

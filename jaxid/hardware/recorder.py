@@ -165,7 +165,7 @@ def _write_synced(path: Path, content: bytes) -> None:
 
 
 @dataclass(frozen=True)
-class Rows:
+class StreamRows:
     """What of a stream is on disk: `host [rows]`, `device [rows]`, `values [rows columns]`;
     `damaged` rows were left out.
     """
@@ -176,7 +176,7 @@ class Rows:
     damaged: int
 
 
-def read_rows(folder: Path, stream: Stream) -> Rows:
+def read_rows(folder: Path, stream: Stream) -> StreamRows:
     """The rows of a recording, each checked; a torn row at the end does not count as damaged."""
     width = 2 + len(stream.columns)
     path = folder / f"{stream.name}.rows"
@@ -190,7 +190,7 @@ def read_rows(folder: Path, stream: Stream) -> Rows:
         else:
             damaged += 1
     table = np.frombuffer(b"".join(kept), "<f8").reshape(-1, width)
-    return Rows(table[:, 0], table[:, 1], table[:, 2:], damaged)
+    return StreamRows(table[:, 0], table[:, 1], table[:, 2:], damaged)
 
 
 def read_about(folder: Path) -> dict[str, Any]:

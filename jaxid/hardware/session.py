@@ -18,7 +18,7 @@ from jaxid.data.limits import Limits
 from jaxid.errors import UsageError
 from jaxid.hardware import preflight
 from jaxid.hardware.channels import channel_map
-from jaxid.hardware.device import Device, Plan, Sample
+from jaxid.hardware.device import Device, PathPlan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.finishing import finish, Recording
 from jaxid.hardware.pauses import Pauses
@@ -42,7 +42,7 @@ ARMED_S = 15.0
 
 
 @dataclass
-class _Watch:
+class _RecordingWatch:
     """What is known while recording."""
 
     began: float
@@ -236,11 +236,11 @@ def recover(folder: str | os.PathLike[str]) -> list[Recording]:
     return [finish(p) for p in left]
 
 
-def _first_samples(device: Device) -> _Watch:
+def _first_samples(device: Device) -> _RecordingWatch:
     """Waits for data; raises `HardwareError` where none come."""
     device.begin()
     now = time.monotonic()
-    watch = _Watch(now, now)
+    watch = _RecordingWatch(now, now)
     while watch.last is None:
         _wait(device, [], 0.02)
         for sample in device.news().samples:
@@ -266,8 +266,8 @@ def _run(
     sensors,
     own: int,
     recorder: Recorder,
-    watch: _Watch,
-    plan: Plan | None,
+    watch: _RecordingWatch,
+    plan: PathPlan | None,
     seconds,
     bounds: Limits,
     progress,
@@ -304,8 +304,8 @@ def _watched(
     sensors,
     own: int,
     recorder: Recorder,
-    watch: _Watch,
-    plan: Plan | None,
+    watch: _RecordingWatch,
+    plan: PathPlan | None,
     seconds,
     bounds: Limits,
     progress,
@@ -374,7 +374,7 @@ def _watched(
             return "the path was played"
 
 
-def _judge(device: Device, bounds: Limits, sample: Sample, watch: _Watch) -> None:
+def _judge(device: Device, bounds: Limits, sample: Sample, watch: _RecordingWatch) -> None:
     """Ends the recording where the device says so or a measurement is beyond a limit. What is only
     watched may do as it likes.
     """
@@ -398,8 +398,8 @@ def _judge(device: Device, bounds: Limits, sample: Sample, watch: _Watch) -> Non
 def _hear(
     device: Device,
     recorder: Recorder,
-    watch: _Watch,
-    plan: Plan | None,
+    watch: _RecordingWatch,
+    plan: PathPlan | None,
     bounds: Limits,
     message: Mapping[str, Any],
     now: float,

@@ -36,7 +36,7 @@ class Sender:
         self._send("rows", at=message["at"], content=base64.b64encode(piece.tobytes()).decode())
 
 
-class Table:
+class PathTable:
     """In the driver: the rows of a path as they come. `take` a `path` or `rows`, and it says what
     to answer.
     """

@@ -29,7 +29,7 @@ EXPONENT = (0.1, 1.5)
 
 
 @dataclass(frozen=True)
-class Estimate:
+class LinearEstimate:
     """Parameters with covariance and what the data do not determine."""
 
     theta: np.ndarray
@@ -180,7 +180,7 @@ def estimate(
     by: Blocks | None = None,
     slopes: Sequence[np.ndarray] | None = None,
     spread: np.ndarray | None = None,
-) -> Estimate:
+) -> LinearEstimate:
     """Covariance at theta; `by` are instruments, `spread` [p] what is known beforehand.
 
     Rows that follow each other hold the same noise, so each joint counts with the long-run variance
@@ -248,7 +248,7 @@ def estimate(
     )
     stretch = np.sqrt(np.maximum(1.0, wide / np.maximum(np.diag(cov), 1e-300)))
     cov = cov * stretch * stretch[:, None] / scale / scale[:, None]
-    return Estimate(
+    return LinearEstimate(
         theta,
         cov,
         identifiable & seen,

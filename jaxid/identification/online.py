@@ -19,8 +19,8 @@ from jaxtyping import Array, Float
 
 from jaxid.dynamics.rigid_body import regressor
 from jaxid.errors import UsageError
-from jaxid.fitting.recursive_least_squares import Recursion, refuse_forgetting, ridge_rls, Rule
-from jaxid.identification.payload import Payload, payload_of, published_rows
+from jaxid.fitting.recursive_least_squares import RecursiveState, refuse_forgetting, ridge_rls, Rule
+from jaxid.identification.payload import payload_of, PayloadEstimate, published_rows
 from jaxid.identification.regression import REST
 from jaxid.numerics.precision import float64
 
@@ -75,15 +75,15 @@ def _program(structure, shapes, kept: tuple[int, ...], watched: tuple[int, ...])
     return jax.jit(update)
 
 
-def _packed(state: Recursion) -> Array:
+def _packed(state: RecursiveState) -> Array:
     """P row by row, theta, still, seen: p^2 + p + 2 numbers."""
     counts = jnp.stack([state.still, state.seen]).astype(state.P.dtype)
     return jnp.concatenate([state.P.ravel(), state.theta, counts])
 
 
-def _unpacked(packed: Any) -> Recursion:
+def _unpacked(packed: Any) -> RecursiveState:
     p = int((packed.size - 2) ** 0.5)  # p^2 + p + 2 numbers
-    return Recursion(packed[p * p : -2], packed[: p * p].reshape(p, p), packed[-2], packed[-1])
+    return RecursiveState(packed[p * p : -2], packed[: p * p].reshape(p, p), packed[-2], packed[-1])
 
 
 class OnlineIdentification:
@@ -138,7 +138,7 @@ class OnlineIdentification:
             self._numbers = jnp.asarray(numbers)
             zero = jnp.zeros(())
             self._state = _packed(
-                Recursion(jnp.asarray(self.prior), jnp.diag(full(prior_var, p)), zero, zero)
+                RecursiveState(jnp.asarray(self.prior), jnp.diag(full(prior_var, p)), zero, zero)
             )
         self.converged_at: int | None = None
         self._sample = np.zeros((4, n))
@@ -160,7 +160,7 @@ class OnlineIdentification:
             self._update(self._numbers, self._state, self._sample).block_until_ready()
 
     @property
-    def state(self) -> Recursion:
+    def state(self) -> RecursiveState:
         """As NumPy arrays; waits for the last update."""
         return _unpacked(np.asarray(self._state))
 
@@ -183,7 +183,7 @@ class OnlineIdentification:
         """
         return np.asarray(self.state.P)
 
-    def payload(self, gain_std: float = 0.0) -> Payload:
+    def payload(self, gain_std: float = 0.0) -> PayloadEstimate:
         """The load that the estimate has more than its prior, by all rows and by those of the
         paper.
         """

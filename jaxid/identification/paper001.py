@@ -23,8 +23,16 @@ from jaxid.errors import UsageError
 from jaxid.fitting.recursive_least_squares import replay_stretches, Rule
 from jaxid.identification.estimators import estimate
 from jaxid.identification.online import watched_of
-from jaxid.identification.payload import nearest_body, Payload
-from jaxid.identification.regression import every_row, full_rows, Law, LAWS, names_of, Run, spacing
+from jaxid.identification.payload import nearest_body, PayloadEstimate
+from jaxid.identification.regression import (
+    every_row,
+    FrictionLaw,
+    full_rows,
+    LAWS,
+    names_of,
+    RegressionRun,
+    spacing,
+)
 
 
 PAPER = ("paper001", "algorithm1", "algorithm2")
@@ -35,7 +43,7 @@ AT_REST = 0.01
 
 def unloaded(
     before: Mapping[str, Any] | None, method: str, base: BaseParameters, n: int
-) -> tuple[Law, np.ndarray, np.ndarray]:
+) -> tuple[FrictionLaw, np.ndarray, np.ndarray]:
     """Friction law, exponents [n] and parameters of the unloaded arm's identification. Raises
     `UsageError` without one.
     """
@@ -56,7 +64,11 @@ def unloaded(
 
 
 def as_printed(
-    runs: Sequence[Run], law: Law, exponent: np.ndarray, prior: np.ndarray, base: BaseParameters
+    runs: Sequence[RegressionRun],
+    law: FrictionLaw,
+    exponent: np.ndarray,
+    prior: np.ndarray,
+    base: BaseParameters,
 ) -> tuple[np.ndarray, np.ndarray, float | None]:
     """(theta, P, seconds after which the rule was first met or None) over the fit runs."""
     fit = [r for r in runs if r.split == "fit"]
@@ -76,14 +88,14 @@ def as_printed(
 
 def by_algorithm(
     method: str,
-    runs: Sequence[Run],
+    runs: Sequence[RegressionRun],
     arm: Any,
-    law: Law,
+    law: FrictionLaw,
     exponent: np.ndarray,
     theta: np.ndarray,
     spread: np.ndarray,
     gain_std: float,
-) -> Payload:
+) -> PayloadEstimate:
     """The payload by Algorithm 1 or 2 from the fit runs; `theta` are the unloaded arm's parameters,
     `spread` their covariance, which counts. Raises `UsageError` where Algorithm 2 finds no poses at
     rest.
@@ -134,4 +146,4 @@ def by_algorithm(
     whole, wide = np.full(10, np.nan), np.full((10, 10), np.nan)
     whole[10 - count :], wide[10 - count :, 10 - count :] = phi, cov
     body = nearest_body(phi, np.linalg.inv(cov)) if count == 10 else whole
-    return Payload(whole, wide, body, None, gain_std, count)
+    return PayloadEstimate(whole, wide, body, None, gain_std, count)

@@ -48,7 +48,7 @@ def centre(first: np.ndarray, mass: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Payload:
+class PayloadEstimate:
     """Load in the last link's frame: `phi` ten inertial parameters about its origin with
     `covariance` (least squares, all rows), `body` the nearest that can exist, `published` by the
     rows of paper 001 (None for another kind of arm).
@@ -176,7 +176,7 @@ def payload_by_difference(
     base: BaseParameters,
     prismatic: np.ndarray,
     gain_std: float = 0.0,
-) -> Payload:
+) -> PayloadEstimate:
     """Payload from an `Identification` of the loaded arm and the dictionary of the unloaded one's.
 
     Raises `UsageError` where the two are not of the same arm.
@@ -194,7 +194,7 @@ def payload_by_difference(
 
 def payload_of(
     difference: np.ndarray, covariance: np.ndarray, base: BaseParameters, gain_std: float = 0.0
-) -> Payload:
+) -> PayloadEstimate:
     """Payload from a difference of base parameters and its covariance."""
     n = len(base.standard) // 11
     K = base.K[:, 11 * (n - 1) : 11 * (n - 1) + 10]
@@ -210,7 +210,7 @@ def payload_of(
     inverse = np.linalg.inv(H / size / size[:, None]) / size / size[:, None]
     phi = inverse @ (A.T @ b)
     rows = int(np.sum(np.abs(K).max(1) > 1e-9))
-    return Payload(
+    return PayloadEstimate(
         phi, inverse, nearest_body(phi, H), published_rows(difference, base), gain_std, rows
     )
 

@@ -35,7 +35,7 @@ REST = 0.01
 MADE = 1 << 11
 
 
-class Law(NamedTuple):
+class FrictionLaw(NamedTuple):
     """A friction law linear in its levels: parameter ids (and how their unit goes with speed) and
     the columns they multiply.
     """
@@ -45,12 +45,12 @@ class Law(NamedTuple):
     nonlinear: bool = False
 
 
-LAWS: dict[str, Law] = {
-    "linear": Law("linear", (("F_c", "{F}"), ("F_v", "{F} s/{X}"), ("offset", "{F}"))),
-    "power": Law(
+LAWS: dict[str, FrictionLaw] = {
+    "linear": FrictionLaw("linear", (("F_c", "{F}"), ("F_v", "{F} s/{X}"), ("offset", "{F}"))),
+    "power": FrictionLaw(
         "power", (("F_c", "{F}"), ("F_v", "{F} (s/{X})^exponent"), ("offset", "{F}")), True
     ),
-    "stribeck": Law(
+    "stribeck": FrictionLaw(
         "stribeck",
         (
             ("F_c", "{F}"),
@@ -68,7 +68,7 @@ def power(qd: Any, exponent: np.ndarray) -> Any:
     return qd * (qd * qd + 1e-6) ** ((exponent - 1) / 2)
 
 
-def friction_columns(law: Law, qd: Any, exponent: np.ndarray) -> Any:
+def friction_columns(law: FrictionLaw, qd: Any, exponent: np.ndarray) -> Any:
     """Values [samples k n] of the k columns of a law at each joint's velocity [samples n], NumPy's
     or JAX.
     """
@@ -83,7 +83,7 @@ def friction_columns(law: Law, qd: Any, exponent: np.ndarray) -> Any:
 
 
 @dataclass(frozen=True)
-class Run:
+class RegressionRun:
     """One experiment: its motion and its torque, filtered and not, in the samples that count.
 
     Of the columns of inertia, hundreds of numbers a sample, only the rows that are solved (`Y`) are
@@ -146,7 +146,7 @@ def read_run(
     cutoff_hz: float,
     motion_hz: float,
     fourier: bool = False,
-) -> Run:
+) -> RegressionRun:
     """Rows of one experiment. `fourier`: rates by its harmonics."""
     iu, iy = columns(dataset, chain)
     rate = 1 / float(np.median(np.diff(e.t)))
@@ -167,7 +167,7 @@ def read_run(
             f"experiment {e.name!r} has {len(e.t)} samples, too few for a filter of {cutoff_hz:g} Hz"
         )
     smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
-    run = Run(
+    run = RegressionRun(
         name=e.name,
         split=e.split,
         t=e.t[kept],
@@ -197,7 +197,7 @@ def moving(dataset: Dataset, y: np.ndarray, iy: Sequence[int]) -> np.ndarray:
     return (np.ptp(y, axis=0) > STILL * sigma).astype(float)
 
 
-def held_joints(runs: Sequence[Run]) -> list[str]:
+def held_joints(runs: Sequence[RegressionRun]) -> list[str]:
     """Sentences about joints that stand still in every run."""
     still = [j for j in range(runs[0].tau.shape[1]) if not any(r.moves[j] for r in runs)]
     return [
@@ -207,8 +207,13 @@ def held_joints(runs: Sequence[Run]) -> list[str]:
 
 
 def _with_inertia(
-    run: Run, chain: Chain, base: BaseParameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
-) -> Run:
+    run: RegressionRun,
+    chain: Chain,
+    base: BaseParameters,
+    q: np.ndarray,
+    qd: np.ndarray,
+    qdd: np.ndarray,
+) -> RegressionRun:
     """The run along a motion [all samples n]."""
     index = list(base.kept)
 
@@ -230,7 +235,7 @@ def _with_inertia(
     return replace(run, Y=run.solved(run.inertia))
 
 
-def full_rows(run: Run, law: Law, exponent: np.ndarray) -> np.ndarray:
+def full_rows(run: RegressionRun, law: FrictionLaw, exponent: np.ndarray) -> np.ndarray:
     """W [rows n base + k n] of the rows of a run that are solved: inertia, then the law's columns,
     parameter by parameter over the joints.
     """
@@ -239,7 +244,7 @@ def full_rows(run: Run, law: Law, exponent: np.ndarray) -> np.ndarray:
 
 
 def every_row(
-    run: Run, law: Law, exponent: np.ndarray
+    run: RegressionRun, law: FrictionLaw, exponent: np.ndarray
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
     """W of all samples that count, stretch by stretch: (which samples, filtered, unfiltered)."""
     F = lambda at: friction_columns(law, run.qd[at], exponent)
@@ -259,7 +264,7 @@ def _joined(Y: np.ndarray, F: np.ndarray) -> np.ndarray:
 
 
 def torques(
-    run: Run, laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]
+    run: RegressionRun, laws: Sequence[tuple[FrictionLaw, np.ndarray, np.ndarray]]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Torque of each (law, theta, exponent) at the samples that count, filtered and not, each
     [samples n].
@@ -280,7 +285,9 @@ def torques(
         yield run.filtered(tau), tau[run.kept]
 
 
-def exponent_slopes(run: Run, law: Law, theta: np.ndarray, exponent: np.ndarray) -> np.ndarray:
+def exponent_slopes(
+    run: RegressionRun, law: FrictionLaw, theta: np.ndarray, exponent: np.ndarray
+) -> np.ndarray:
     """Derivative of the torque by each joint's exponent at the rows that are solved, [rows n n],
     filtered.
     """
@@ -290,20 +297,20 @@ def exponent_slopes(run: Run, law: Law, theta: np.ndarray, exponent: np.ndarray)
     return run.solved(lambda at: slope(run.qd[at]))[:, :, None] * np.eye(n)
 
 
-def spacing(run: Run) -> int:
+def spacing(run: RegressionRun) -> int:
     """Every how many samples a row says something new: four times the cutoff."""
     rate = 1 / float(np.median(np.diff(run.t)))
     return max(1, int(rate / (4 * run.cutoff_hz)))
 
 
-def names_of(base: BaseParameters, law: Law, n: int) -> list[str]:
+def names_of(base: BaseParameters, law: FrictionLaw, n: int) -> list[str]:
     """Names of the columns of `full_rows`."""
     return [*base.names, *(f"{p}{j + 1}" for p, _ in law.parameters for j in range(n))]
 
 
 def instruments(
-    dataset: Dataset, e: Experiment, chain: Chain, base: BaseParameters, run: Run
-) -> Run:
+    dataset: Dataset, e: Experiment, chain: Chain, base: BaseParameters, run: RegressionRun
+) -> RegressionRun:
     """The same run along the commanded motion `q1_cmd …`, which holds no noise of the
     measurement.
     """

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.display import Displayed
-from jaxid.identification.payload import Payload
+from jaxid.identification.payload import PayloadEstimate
 from jaxid.numerics.versions import versions
 from jaxid.robots.export.result import Exportable
 from jaxid.serialise import SCHEMA
@@ -84,7 +84,7 @@ class Identification(Displayed, Exportable):
     dataset_sha256: str
     notes: tuple[str, ...]
     wall_time_s: float
-    payload: Payload | None = None
+    payload: PayloadEstimate | None = None
     traces: tuple[Any, ...] = field(default=(), compare=False)
     labels: tuple[str, ...] = ()  # what tables call the joints: their names, else q1 …
     stated: tuple[dict[str, Any], ...] = ()

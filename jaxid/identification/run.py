@@ -23,20 +23,20 @@ from jaxid.errors import nearest, UsageError
 from jaxid.fitters.short_fit import left_by_short_fit
 from jaxid.identification import estimators as solve, regression
 from jaxid.identification.commanded import commanded
-from jaxid.identification.estimators import Estimate
+from jaxid.identification.estimators import LinearEstimate
 from jaxid.identification.paper001 import as_printed, by_algorithm, P0, PAPER, unloaded, XI
 from jaxid.identification.payload import payload_by_difference, read_reference, usual_gain_std
 from jaxid.identification.regression import (
     every_row,
     exponent_slopes,
+    FrictionLaw,
     full_rows,
     instruments,
-    Law,
     LAWS,
     names_of,
     power,
     read_run,
-    Run,
+    RegressionRun,
     spacing,
     torques,
 )
@@ -249,9 +249,9 @@ def _stated(chain: Chain, dataset: Dataset) -> Chain:
 
 
 def _solve(
-    law: Law,
-    runs: Sequence[Run],
-    by: Sequence[Run] | None,
+    law: FrictionLaw,
+    runs: Sequence[RegressionRun],
+    by: Sequence[RegressionRun] | None,
     method: str,
     chain: Chain,
     base: BaseParameters,
@@ -276,7 +276,7 @@ def _solve(
     spread = None if trust is None else trust * spread_of(base, prior, law, fit)
 
     def blocks_of(
-        which: Sequence[Run], exponent: np.ndarray
+        which: Sequence[RegressionRun], exponent: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         return [
             (full_rows(r, law, exponent) * r.moves[:, None], r.tau[:: spacing(r)] * r.moves)
@@ -337,7 +337,7 @@ def _solve(
 
 
 def _nearer_the_file(
-    law: Law, free: Any, runs: Sequence[Run], chain: Chain, base: BaseParameters
+    law: FrictionLaw, free: Any, runs: Sequence[RegressionRun], chain: Chain, base: BaseParameters
 ) -> Any:
     by = [r for r in runs if r.split == "validation"]
     error = lambda s: np.array(
@@ -349,8 +349,8 @@ def _nearer_the_file(
 
 
 def recursive(
-    fit: Sequence[Run],
-    law: Law,
+    fit: Sequence[RegressionRun],
+    law: FrictionLaw,
     exponent: np.ndarray,
     weights: Sequence[np.ndarray],
     prior: np.ndarray,
@@ -380,8 +380,8 @@ def recursive(
 
 
 def converged_after(
-    runs: Sequence[Run],
-    law: Law,
+    runs: Sequence[RegressionRun],
+    law: FrictionLaw,
     exponent: np.ndarray,
     loaded: Identification,
     before: Mapping[str, Any],
@@ -424,7 +424,14 @@ def converged_after(
 
 
 def _exponents(
-    fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray, positive: bool
+    fit: Sequence[RegressionRun],
+    law: FrictionLaw,
+    blocks,
+    weights,
+    p: int,
+    n: int,
+    start: np.ndarray,
+    positive: bool,
 ) -> np.ndarray:
     """Exponents at these weights; `positive` keeps F_c and F_v from being negative."""
     dry, viscous = np.arange(p, p + n), np.arange(p + n, p + 2 * n)
@@ -445,7 +452,9 @@ def _exponents(
     )
 
 
-def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) -> np.ndarray:
+def _column_noise(
+    fit: Sequence[RegressionRun], weights: Sequence[np.ndarray], size: int
+) -> np.ndarray:
     """One standard deviation of each column's error and of the torque's: what lies above the
     cutoff, as if it were white. Friction columns count as exact: what they hold above the cutoff
     are reversals.
@@ -461,7 +470,7 @@ def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) 
 
 
 def _scored(
-    runs: Sequence[Run], laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]
+    runs: Sequence[RegressionRun], laws: Sequence[tuple[FrictionLaw, np.ndarray, np.ndarray]]
 ) -> tuple[list[list[RunScore]], list]:
     """Scores of each law on each run, and of each run the filtered torque of each law [samples
     n].
@@ -490,7 +499,7 @@ def _errors(
     )
 
 
-def _trial(law: Law, scores: Sequence[RunScore]) -> LawTrial:
+def _trial(law: FrictionLaw, scores: Sequence[RunScore]) -> LawTrial:
     fit = [s.relative_error for s in scores if s.split == "fit"]
     return LawTrial(
         law.name,
@@ -510,7 +519,7 @@ def _choose(trials: Sequence[LawTrial]) -> int:
     return best
 
 
-def _units(chain: Chain, base: BaseParameters, law: Law) -> Iterable[str]:
+def _units(chain: Chain, base: BaseParameters, law: FrictionLaw) -> Iterable[str]:
     arm: Any = chain.mechanism
     for name in base.names:
         kind, j = name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1
@@ -521,7 +530,7 @@ def _units(chain: Chain, base: BaseParameters, law: Law) -> Iterable[str]:
             yield chain.signature.unit(unit, j)
 
 
-def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list[str]:
+def _notes(found: LinearEstimate, names: Sequence[str], method: str, law: FrictionLaw) -> list[str]:
     if method == "paper001":
         return [
             "the recursion of paper 001 as printed, over the recorded rows: standard deviations are those of its P, which takes "

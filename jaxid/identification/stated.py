@@ -12,8 +12,8 @@ import numpy as np
 from jaxid.data.dataset import ModelSpec
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.fitting.result import Covariance, Estimate
-from jaxid.fitting.stated import judged, Stated
-from jaxid.identification.regression import Law, Run, torques
+from jaxid.fitting.stated import judged, StatedNumber
+from jaxid.identification.regression import FrictionLaw, RegressionRun, torques
 from jaxid.numerics.stated_numbers import apart
 from jaxid.wording import listed, number, percent
 
@@ -26,8 +26,8 @@ def answered(
     arm: Any,
     spec: ModelSpec | None,
     base: BaseParameters,
-    law: Law,
-    runs: Sequence[Run],
+    law: FrictionLaw,
+    runs: Sequence[RegressionRun],
     result: Any,
 ) -> dict[str, Any]:
     """What a file states, or else the dataset under [model.parameters] and [model.constants],
@@ -99,7 +99,7 @@ def _answer(
 
 
 def beside_the_file(
-    arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run], result: Any
+    arm: Any, base: BaseParameters, law: FrictionLaw, runs: Sequence[RegressionRun], result: Any
 ) -> dict[str, Any]:
     """Fields `stated`, `per_joint` and `answers` of an identification whose arm comes from a file.
 
@@ -184,7 +184,7 @@ def _together(rows: Sequence[dict[str, Any]], result: Any, plain: bool) -> list[
     }
     size = len(result.names)
     covariance = Covariance(tuple(result.names), np.asarray(result.covariance)[:size, :size])
-    each = {i: Stated(**row) for i, row in told.items()}
+    each = {i: StatedNumber(**row) for i, row in told.items()}
     new = judged(each, result.names, found, covariance, plain)
     others = [r for r in rows if at.get(r["parameter"], -1) not in told]
     return [*(s.to_dict() for s in new), *others]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.dynamics.base_parameters import BaseParameters
-from jaxid.identification.regression import Law, Run
+from jaxid.identification.regression import FrictionLaw, RegressionRun
 
 
 #: To within so many times their size the numbers of a file may be known: validation runs decide.
@@ -23,7 +23,9 @@ NEAR_THE_FILE = (
 POWERS = {"F_c": 0, "offset": 0, "F_s": 0, "F_v": 1, "F_3": 3}
 
 
-def spread_of(base: BaseParameters, prior: np.ndarray, law: Law, fit: Sequence[Run]) -> np.ndarray:
+def spread_of(
+    base: BaseParameters, prior: np.ndarray, law: FrictionLaw, fit: Sequence[RegressionRun]
+) -> np.ndarray:
     """Standard deviations [p] of a file that is wrong by as much as it says: of inertial parameters
     the root mean square of those of their kind (masses, first moments, inertias), of friction what
     makes a torque as large as the measured one.

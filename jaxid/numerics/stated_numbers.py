@@ -33,7 +33,7 @@ def apart(found: float, stated: float, std: float | None) -> float | None:
 
 
 @dataclass(frozen=True)
-class Known:
+class BoundedEstimates:
     """Estimates `value` [n] with `covariance` [n n], between `lower` and `upper` [n]."""
 
     value: np.ndarray
@@ -60,7 +60,7 @@ class Known:
             at = np.concatenate([at, np.clip(value, self.lower, self.upper)[beyond]])
         return np.clip(value, self.lower, self.upper), covariance, far
 
-    def usable(self) -> tuple[Known, np.ndarray]:
+    def usable(self) -> tuple[BoundedEstimates, np.ndarray]:
         """The same, where what is no number says nothing, and which [n] have an estimate with a
         standard deviation.
         """
@@ -84,7 +84,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Change:
+class SmallestChange:
     """The smallest change of stated numbers that data allow.
 
     `refuted` says which of them it changes (positions), `instead` which others might be changed in
@@ -105,8 +105,8 @@ class Change:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
 
-def smallest_change(known: Known, stated: np.ndarray) -> Change:
-    """What estimates say of `stated` numbers [n] (nan where nothing is stated): see `Change`.
+def smallest_change(known: BoundedEstimates, stated: np.ndarray) -> SmallestChange:
+    """What estimates say of `stated` numbers [n] (nan where nothing is stated): see `SmallestChange`.
 
     Numbers are let go one after the other, each time the one without which the rest comes nearest,
     until chance takes the rest as far from the estimate as it is; then each is tried in its place
@@ -131,10 +131,10 @@ def smallest_change(known: Known, stated: np.ndarray) -> Change:
             instead[k] = tuple(others)
     value, covariance, _ = known.beside(kept, stated[kept])
     deviation = {k: _deviation(known, [*kept, k], stated) for k in gone}
-    return Change(tuple(gone), instead, value, covariance, deviation)
+    return SmallestChange(tuple(gone), instead, value, covariance, deviation)
 
 
-def _deviation(known: Known, kept: Sequence[int], stated: np.ndarray) -> float:
+def _deviation(known: BoundedEstimates, kept: Sequence[int], stated: np.ndarray) -> float:
     """How far the last of these is from where it is stated."""
     from scipy.special import chdtrc, chdtri
 
@@ -154,7 +154,7 @@ def _deviation(known: Known, kept: Sequence[int], stated: np.ndarray) -> float:
     return float(side * np.sqrt(max(sizes)))
 
 
-def _allowed(known: Known, kept: Sequence[int], stated: np.ndarray) -> bool:
+def _allowed(known: BoundedEstimates, kept: Sequence[int], stated: np.ndarray) -> bool:
     """Whether chance takes these numbers from the estimate to where they are stated: together,
     alone, and beside each other.
     """
@@ -171,7 +171,7 @@ def _allowed(known: Known, kept: Sequence[int], stated: np.ndarray) -> bool:
     return bool(together and np.all(_gains(known, kept, stated) <= REFUTED**2))
 
 
-def _gains(known: Known, kept: Sequence[int], stated: np.ndarray) -> np.ndarray:
+def _gains(known: BoundedEstimates, kept: Sequence[int], stated: np.ndarray) -> np.ndarray:
     """By how much nearer the rest comes without each of them, squared standard deviations; bounds
     left aside.
     """
@@ -181,7 +181,7 @@ def _gains(known: Known, kept: Sequence[int], stated: np.ndarray) -> np.ndarray:
     return pull**2 / np.maximum(np.diag(inverse), 1e-300)
 
 
-def _worst(known: Known, kept: Sequence[int], stated: np.ndarray) -> int:
+def _worst(known: BoundedEstimates, kept: Sequence[int], stated: np.ndarray) -> int:
     """That without which the rest comes nearest to the estimate, bounds counted."""
     _, _, whole = known.beside(kept, stated[list(kept)])
     gains = _gains(known, kept, stated)

@@ -22,7 +22,7 @@ from jaxid.dynamics.drive_torque import FORCES
 from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
-from jaxid.dynamics.parameter import Reference, settings, with_settings
+from jaxid.dynamics.parameter import settings, TypicalMagnitudes, with_settings
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.models.effects import TimestampJitter
@@ -53,8 +53,10 @@ class Binding:
     motions: dict[
         str, Motion
     ]  # experiment name -> smoothed motion; empty where the model does not measure its joints
-    references: list[Reference]  # of each joint
-    inputs: list[Reference]  # of each input channel, its own magnitude in place of the torque
+    references: list[TypicalMagnitudes]  # of each joint
+    inputs: list[
+        TypicalMagnitudes
+    ]  # of each input channel, its own magnitude in place of the torque
     theta: np.ndarray  # start values of every number
     lower: np.ndarray
     upper: np.ndarray
@@ -90,7 +92,7 @@ class Binding:
             if (name := self.layout.names[i]) in known and not name.startswith("delay@")
         }
 
-    def reference(self, effect: type[Effect] | Effect, place: int) -> Reference:
+    def reference(self, effect: type[Effect] | Effect, place: int) -> TypicalMagnitudes:
         """Typical magnitudes where an effect acts."""
         if effect.location == "number":
             first = self.references[0]

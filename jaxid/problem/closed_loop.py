@@ -21,7 +21,7 @@ from jaxid.data.dataset import Experiment
 from jaxid.dynamics import controller as feedback
 from jaxid.dynamics.carry import Carry
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.controller import Law, law_of, Memory, Reading
+from jaxid.dynamics.controller import ControllerInput, Law, law_of, Memory
 from jaxid.dynamics.effect import Command, InputEffect
 from jaxid.errors import UsageError
 from jaxid.problem.residual import (
@@ -58,8 +58,8 @@ def closed_loop_lane(law: Law, signals: str = "outputs") -> Lane:
 def _lane(law: Law, signals: str) -> Lane:
     n = len(law.kp)
 
-    def reading(row) -> Reading:
-        return Reading(row[:n], row[n : 2 * n], row[2 * n : 3 * n])
+    def reading(row) -> ControllerInput:
+        return ControllerInput(row[:n], row[n : 2 * n], row[2 * n : 3 * n])
 
     def lane(chain, samples, where, start, steps, length, reach, burn):
         begin, _, last, _ = where

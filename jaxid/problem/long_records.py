@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.numerics.precision import float64
-from jaxid.problem.objective import LOSSES, penalised, Rows
+from jaxid.problem.objective import LOSSES, penalised, ResidualRows
 from jaxid.simulation.windows import TOGETHER, WINDOW
 
 
@@ -21,7 +21,7 @@ Key = tuple[int, int]
 
 def rows_by_windows(
     jobs: Sequence[tuple[Any, np.ndarray]], lanes: Any, share: float, pieces: bool, whole: Callable
-) -> Iterator[Rows]:
+) -> Iterator[ResidualRows]:
     """`Problem.rows` of long records: the lanes of some records side by side, window by window.
 
     `whole(jobs, lanes)` does it where windows cannot be taken; without `pieces` the rows of a
@@ -63,7 +63,7 @@ def _pieces(
     keys: dict[Key, list[int]],
     windows: Any,
     share: float,
-) -> Iterator[Rows]:
+) -> Iterator[ResidualRows]:
     """Rows of each window of each record."""
     begin, members = 0, []
     for job, row in keys:
@@ -91,7 +91,7 @@ def _pieces(
                 differences=p.differences,
             )
             residual = w * (base - p.targets[at_samples])
-            yield Rows(job, p.records[row], residual, np.moveaxis(J, 0, -1), columns, w)
+            yield ResidualRows(job, p.records[row], residual, np.moveaxis(J, 0, -1), columns, w)
 
 
 def _run(index: np.ndarray) -> slice | np.ndarray:
@@ -129,9 +129,9 @@ def _linear(
     return base, J
 
 
-def _joined(parts: Iterator[Rows]) -> Iterator[Rows]:
+def _joined(parts: Iterator[ResidualRows]) -> Iterator[ResidualRows]:
     """Rows of whole records, in the order in which their first pieces came."""
-    found: dict[Key, list[Rows]] = {}
+    found: dict[Key, list[ResidualRows]] = {}
     for part in parts:
         found.setdefault((part.job, part.record), []).append(part)
     for key in list(found):

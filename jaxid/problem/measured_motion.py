@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter import Reference
+from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.simulation.sample_buffers import columns
 
 
@@ -46,7 +46,7 @@ def references(
     motions: Sequence[Motion],
     driven: np.ndarray,
     inertia_torque: np.ndarray,
-) -> list[Reference]:
+) -> list[TypicalMagnitudes]:
     """Typical magnitudes per joint, of a drive with torques `driven` [samples nq]; where that has
     no columns, or does nothing, the torque that moves the inertia stands in for it.
     """
@@ -64,7 +64,7 @@ def references(
         step = float(np.median(np.concatenate([np.diff(e.t) for e in experiments])))
         tiny = 1e-9
         out.append(
-            Reference(
+            TypicalMagnitudes(
                 max(torque, tiny),
                 max(float(np.percentile(np.abs(qd), 99)), tiny),
                 max(float(np.ptp(q)), tiny),

@@ -1,5 +1,5 @@
 """Objectives: a loss over a box of search vectors, with residuals and Jacobian. What every fitter,
-gradient or population, works on; `jaxid.problem.problem.Problem` makes one of a model and its runs,
+gradient or population, works on; `jaxid.problem.problem.FitProblem` makes one of a model and its runs,
 `FunctionProblem` of any JAX function.
 """
 
@@ -70,7 +70,7 @@ LOSSES: dict[str, Loss] = {
 }
 
 
-class Rows(NamedTuple):
+class ResidualRows(NamedTuple):
     """Residual and Jacobian of one record of one job: r [samples columns], J [samples columns
     len(z_columns)], and the weights in them, 1 / noise [samples columns].
     """
@@ -85,7 +85,7 @@ class Rows(NamedTuple):
 
 def rows(
     jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0, pieces: bool = False
-) -> Iterator[Rows]:
+) -> Iterator[ResidualRows]:
     """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of
     each record only. `pieces`: a long record may come in several, one after the other, so that its
     Jacobian is never in memory as a whole.
@@ -196,7 +196,7 @@ class AbstractProblem(abc.ABC):
     @abc.abstractmethod
     def rows(
         cls, jobs: Sequence[tuple[Any, np.ndarray]], share: float = 1.0, pieces: bool = False
-    ) -> Iterator[Rows]:
+    ) -> Iterator[ResidualRows]:
         """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part
         of each record only; `pieces`: records may come in several.
         """
@@ -395,7 +395,7 @@ class FunctionProblem(AbstractProblem):
             kept = np.flatnonzero(p._data.w > 0)
             kept = kept[: max(1, round(share * len(kept)))]
             w = p._data.w[kept]
-            yield Rows(
+            yield ResidualRows(
                 j,
                 0,
                 w[:, None] * r[kept],

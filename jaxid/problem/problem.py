@@ -31,7 +31,7 @@ from jaxid.problem.objective import (
     Losses,
     penalised,
     PENALTY,
-    Rows,
+    ResidualRows,
     rows,
 )
 from jaxid.problem.record_rows import lanes_of, rows_of_records
@@ -60,10 +60,10 @@ class Data(NamedTuple):
     steps: Any
     count: Any
     norm: Any
-    known: Any  # of the free parameters without the data: `Known`
+    known: Any  # of the free parameters without the data: `NumberPrior`
 
 
-class Known(NamedTuple):
+class NumberPrior(NamedTuple):
     """What is known of the free parameters without the data: R (values - mean) + e are residuals
     more. R [free free], with 1 / standard deviation on its diagonal for priors of single numbers;
     rows of zeros say nothing.
@@ -78,7 +78,7 @@ class Known(NamedTuple):
         return jnp.sum((values - self.mean)[..., None, :] * self.R, -1) + self.e
 
 
-class Problem(AbstractProblem):
+class FitProblem(AbstractProblem):
     """Free numbers of a model on some runs.
 
     `base` holds every number of the layout, `free` the positions of those that are fitted between
@@ -118,7 +118,7 @@ class Problem(AbstractProblem):
                 f"a prior is one more square: it has no place in {loss}; leave it out, or use sum_of_squares"
             )
         n = self.free.size
-        self.known = Known(np.zeros(n), np.zeros((n, n)), np.zeros(n))
+        self.known = NumberPrior(np.zeros(n), np.zeros((n, n)), np.zeros(n))
         for k, (mean, std) in known.items():
             self.known.mean[k], self.known.R[k, k] = mean, 1 / std
         self.records = list(runs.records if records is None else records)
@@ -245,7 +245,7 @@ class Problem(AbstractProblem):
             return {1: np.minimum(h, self.upper - z), -1: -np.minimum(h, z - self.lower)}
         return {1: np.where(z + h <= self.upper, h, -h), -1: np.zeros_like(h)}
 
-    def precise(self) -> Problem:
+    def precise(self) -> FitProblem:
         twin = copy.copy(self)
         twin.differences = 2 if self.differences else 0
         return twin
@@ -298,7 +298,7 @@ class Problem(AbstractProblem):
         told = np.any(known.R != 0, 1)
         return (known.R @ (self.theta(z)[self.free] - known.mean) + known.e)[told], J[told]
 
-    def knowing(self, known: Known) -> Problem:
+    def knowing(self, known: NumberPrior) -> FitProblem:
         """The same problem with other numbers known without its data."""
         twin = copy.copy(self)
         twin.known, twin._data, twin._pure = known, None, None
@@ -310,7 +310,7 @@ class Problem(AbstractProblem):
         from jaxid.problem.long_records import losses_by_windows
 
         return lambda: losses_by_windows(
-            self, np.atleast_2d(np.asarray(z, np.float64)), super(Problem, self).begun
+            self, np.atleast_2d(np.asarray(z, np.float64)), super(FitProblem, self).begun
         )
 
     def compile_losses(self):
@@ -332,8 +332,8 @@ class Problem(AbstractProblem):
 
     @classmethod
     def rows(
-        cls, jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0, pieces: bool = False
-    ) -> Iterator[Rows]:
+        cls, jobs: Sequence[tuple[FitProblem, np.ndarray]], share: float = 1.0, pieces: bool = False
+    ) -> Iterator[ResidualRows]:
         """A record's residual depends on the parameters and on its own start only, so the lanes of
         a record carry just those tangents. All jobs are on the same runs.
         """
@@ -361,7 +361,7 @@ class Problem(AbstractProblem):
     def part(self, pieces, weights):
         records = [self.records[k] for k in pieces]
         lower, upper, scale = self.whole
-        twin = Problem(
+        twin = FitProblem(
             runs=self.runs,
             base=self.base,
             free=self.free,
@@ -379,7 +379,7 @@ class Problem(AbstractProblem):
                 twin.weights[self.runs.record(number).samples] *= np.sqrt(w)
         return twin
 
-    def with_targets(self, targets: np.ndarray) -> Problem:
+    def with_targets(self, targets: np.ndarray) -> FitProblem:
         """The same problem with other measurements (the shape of `runs.targets`) in its residual
         and Jacobian. `losses` goes on to compare with the recorded ones.
         """
@@ -466,8 +466,8 @@ __all__ = [
     "PENALTY",
     "Data",
     "Linear",
-    "Problem",
-    "Rows",
+    "FitProblem",
+    "ResidualRows",
     "expand",
     "linearise",
     "rows",

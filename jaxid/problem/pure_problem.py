@@ -19,7 +19,7 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.numerics.reverse import in_reverse
 from jaxid.problem.objective import LOSSES, penalised
-from jaxid.problem.problem import Data, Problem as Runnable
+from jaxid.problem.problem import Data, FitProblem as Runnable
 from jaxid.simulation.rollout import Lane
 from jaxid.simulation.sample_buffers import BLOCK
 

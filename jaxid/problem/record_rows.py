@@ -8,12 +8,12 @@ from typing import NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.problem.objective import Rows
+from jaxid.problem.objective import ResidualRows
 from jaxid.problem.residual import Runs
 
 
 if TYPE_CHECKING:
-    from jaxid.problem.problem import Problem
+    from jaxid.problem.problem import FitProblem
 
 
 #: By differences (none: tangents; forward; central) the points that are simulated for a column: at
@@ -54,7 +54,7 @@ class Lanes(NamedTuple):
         return Lanes([self.of[k] for k in some], theta, start, dtheta, dstart, record, self.steps)
 
 
-def lanes_of(jobs: Sequence[tuple[Problem, np.ndarray]]) -> Lanes:
+def lanes_of(jobs: Sequence[tuple[FitProblem, np.ndarray]]) -> Lanes:
     """The lanes of a record: with tangents one for each column of z, else the point itself and one
     or two beside it for each column.
     """
@@ -93,8 +93,8 @@ def lanes_of(jobs: Sequence[tuple[Problem, np.ndarray]]) -> Lanes:
 
 
 def rows_of_records(
-    jobs: Sequence[tuple[Problem, np.ndarray]], given: Lanes, share: float
-) -> Iterator[Rows]:
+    jobs: Sequence[tuple[FitProblem, np.ndarray]], given: Lanes, share: float
+) -> Iterator[ResidualRows]:
     """Rows of each job and record, from whole records."""
     runs, differences = jobs[0][0].runs, jobs[0][0].differences
     lanes, theta, start, dtheta, dstart, record, steps = given
@@ -137,7 +137,7 @@ def rows_of_records(
             if differences:
                 own.J[:] *= own.weights / (steps[j][1] - steps[j][-1])[own.columns, None, None]
             residual = own.weights * (own.base - p.targets[own.at])
-            yield Rows(
+            yield ResidualRows(
                 j, p.records[row], residual, np.moveaxis(own.J, 0, -1), own.columns, own.weights
             )
 

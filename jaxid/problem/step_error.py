@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Runs
 
 
@@ -15,7 +15,7 @@ from jaxid.problem.residual import Runs
 STEP_SHARE = 0.02
 
 
-def finer_predictions(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.ndarray]:
+def finer_predictions(problem: FitProblem, z: np.ndarray, finer: Runs) -> list[np.ndarray]:
     """Predictions at z by runs with finer steps: per record of the problem [samples columns]."""
     lanes = np.array(problem.records)
     fine = finer.engine.outputs(
@@ -24,7 +24,7 @@ def finer_predictions(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.n
     return [finer.sample_prediction(r, row) for r, row in zip(lanes, fine, strict=True)]
 
 
-def defects(problem: Problem, z: np.ndarray, finer: Runs) -> np.ndarray:
+def defects(problem: FitProblem, z: np.ndarray, finer: Runs) -> np.ndarray:
     """What finer steps would add to the simulation at z, at the samples [samples columns]; 0 for
     what is no number.
     """
@@ -44,7 +44,7 @@ def _counted(runs: Runs, records: Sequence[int], values: Sequence[np.ndarray]) -
     return [together[weighs[:, c], c] for c in range(together.shape[1])]
 
 
-def step_error(problem: Problem, z: np.ndarray, finer: Runs) -> float:
+def step_error(problem: FitProblem, z: np.ndarray, finer: Runs) -> float:
     """How much the simulation at z moves with finer steps, over the larger of noise and gap (rms,
     worst column).
     """

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter import Reference
+from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.numerics.export_cache import key_of, Traced
 from jaxid.numerics.kept import shared
@@ -39,7 +39,7 @@ def _inertia_program(layout: Layout) -> Traced:
 
 def typical_magnitudes(
     dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
-) -> tuple[list[Reference], list[Reference]]:
+) -> tuple[list[TypicalMagnitudes], list[TypicalMagnitudes]]:
     """Of each joint, in N m and rad (N, m), and of each input channel, in its own unit, in the
     recordings to fit, or in all where none is.
     """
@@ -54,7 +54,9 @@ def typical_magnitudes(
     if not fit:
         omega = np.concatenate([r.omega for r in dataset.responses])
         joints = [
-            Reference(1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max()))
+            TypicalMagnitudes(
+                1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max())
+            )
         ] * nq
         size = [1.0] * len(iu)
     elif not motions:
@@ -64,7 +66,7 @@ def typical_magnitudes(
         if iu:
             still = [np.zeros((len(e.t), 2 * nq)) for e in fit]
             torque = [s or 1.0 for s in _largest(_driven(layout, theta, fit, iu, still))]
-        joints = [Reference(torque[j], 1.0, 1.0, duration, step) for j in range(nq)]
+        joints = [TypicalMagnitudes(torque[j], 1.0, 1.0, duration, step) for j in range(nq)]
     else:
         used = [motions[e.name] for e in fit]
         inertia = _of_inertia(layout, theta, used)

@@ -17,7 +17,7 @@ from jaxid.report.page import Section
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from jaxid.fitting.comparison import Comparison, Known
+    from jaxid.fitting.comparison import BestKnown, Comparison
 
 
 COLORS = (
@@ -131,7 +131,7 @@ def _convergence(c: Comparison, figure) -> None:
     plot.legend(figure, left.get_legend_handles_labels()[0], 8, "outside upper center")
 
 
-def width(known: Known) -> float:
+def width(known: BestKnown) -> float:
     """The unit in which a parameter's distance from the best known is drawn."""
     return (
         known.std

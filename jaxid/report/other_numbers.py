@@ -9,7 +9,7 @@ from jaxid.wording import listed, number, one_line
 
 if TYPE_CHECKING:
     from jaxid.diagnosis.result import Diagnosis
-    from jaxid.fitting.stated import Stated
+    from jaxid.fitting.stated import StatedNumber
 
 
 #: Numbers in words, where these are not their names.
@@ -23,7 +23,7 @@ WORDS = {
 FEW = 3
 
 
-def refuted_numbers(diagnosis: Diagnosis) -> list[Stated]:
+def refuted_numbers(diagnosis: Diagnosis) -> list[StatedNumber]:
     """Stated numbers that the data refute where no effect is missing, worst first; none for another
     verdict.
     """
@@ -64,14 +64,14 @@ def other_places(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     ]
 
 
-def _clause(s: Stated) -> str:
+def _clause(s: StatedNumber) -> str:
     unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
     place = one_line(_place(s))
     what = f"the {place}'s {_word(s)}" if place else _word(s)
     return f"{what} is {number(s.fitted if s.beside is None else s.beside, 3)}{unit}, not {s.stated:.4g}"
 
 
-def _place(s: Stated) -> str:
+def _place(s: StatedNumber) -> str:
     """The joint of a number, or the link of a body's."""
     if " " in s.parameter:  # what two numbers come to: "kp of lift / armature of lift"
         return ""
@@ -79,7 +79,7 @@ def _place(s: Stated) -> str:
     return s.link if of_body and s.link else s.joint
 
 
-def _word(s: Stated) -> str:
+def _word(s: StatedNumber) -> str:
     return WORDS.get(s.parameter, one_line(s.parameter).replace("_", " "))
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from jaxid.diagnosis.result import Diagnosis, Finding, HowFar, Which
     from jaxid.fitting.result import EffectEstimate, Estimate, Fit
     from jaxid.fitting.simulation import Simulation
-    from jaxid.fitting.stated import Stated
+    from jaxid.fitting.stated import StatedNumber
     from jaxid.identification.result import Identification
 
 
@@ -94,7 +94,9 @@ def measured(how_far: HowFar) -> bool:
     return math.isfinite(how_far.gap_retuned) or not math.isnan(how_far.gap_before)
 
 
-def stated_sentences(stated: Sequence[Stated], named: Sequence[EffectEstimate] = ()) -> list[str]:
+def stated_sentences(
+    stated: Sequence[StatedNumber], named: Sequence[EffectEstimate] = ()
+) -> list[str]:
     """Numbers that were stated and that the data refute, worst first: each in a sentence, or all in
     one where they are many. One that is told as an effect that is missing is not told again.
     """

@@ -43,7 +43,7 @@ SPREAD = 0.1
 WITHIN, LEAST = 5.0, 0.01
 
 
-class Fitted(NamedTuple):
+class FittedGain(NamedTuple):
     """A number of a law that is fitted: bounds, and mean and standard deviation of its prior (`std`
     0: none).
     """
@@ -61,7 +61,7 @@ class Fitted(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Law:
+class DriveLaw:
     """A drive law of n joints. `period` s, 0 where it is continuous; `control` limits of the goal;
     `lag` s of the torque; `rates` channels of the goals' rates; `fit` names of the numbers that are
     fitted and `spread` the relative standard deviation of their priors.
@@ -91,10 +91,10 @@ class Law:
         return "delay" in self.fit or any(self.delay)
 
     @property
-    def nameless(self) -> Law:
+    def nameless(self) -> DriveLaw:
         """The law without numbers and names: those are told to a program."""
         none: tuple[float, ...] = ()
-        return Law(
+        return DriveLaw(
             origin="",
             kind=self.kind,
             kp=none,
@@ -181,7 +181,7 @@ class Law:
             np.abs(np.array(self.highest) * np.array(self.gain)),
         )
 
-    def fitted(self, joints: Sequence[str]) -> tuple[Fitted, ...]:
+    def fitted(self, joints: Sequence[str]) -> tuple[FittedGain, ...]:
         """What is fitted: a stated number has a Gaussian prior of its spread, one that is stated as
         0 none.
         """
@@ -198,7 +198,7 @@ class Law:
                     std = abs(value) * spread
                 if name == "delay":
                     lower, upper = 0.0, LONGEST_DELAY_S
-                out.append(Fitted(f"{field}@{joint}", lower, upper, value if std else 0.0, std))
+                out.append(FittedGain(f"{field}@{joint}", lower, upper, value if std else 0.0, std))
         return tuple(out)
 
     def _room(self, name: str) -> float:
@@ -235,7 +235,7 @@ def _at(t: np.ndarray, when: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(w, t, column) for w, column in zip(when.T, x.T, strict=True)], 1)
 
 
-def stated_law(controller: Controller, joints: Sequence[str], period: float) -> Law:
+def stated_law(controller: Controller, joints: Sequence[str], period: float) -> DriveLaw:
     """The law that a dataset states, for these joints; `period` s between the samples of the
     recording.
 
@@ -284,7 +284,7 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
             )
     spread = _spread(settings.get("spread", {}), can)
     n = len(joints)
-    return Law(
+    return DriveLaw(
         origin="[controller]",
         kind=kind,
         kp=number("kp"),
@@ -377,7 +377,7 @@ def per_joint(
     return tuple(float(v) for v in values)
 
 
-def file_law(tree: Tree) -> Law:
+def file_law(tree: Tree) -> DriveLaw:
     """The law of the file's position actuators. Raises `UsageError` naming a joint that has
     none.
     """
@@ -390,7 +390,7 @@ def file_law(tree: Tree) -> Law:
         )
     own = [tree.actuators[j] for j in joints]
     control = tuple(a.control for a in own)
-    return Law(
+    return DriveLaw(
         origin=tree.file or "the file",
         kind="pd",
         kp=tuple(a.kp for a in own),

@@ -36,7 +36,7 @@ from jaxid.dynamics.rigid_body import (
 from jaxid.numerics.fast_math import dot, inverse, sincos
 
 
-class Plan(NamedTuple):
+class TreePlan(NamedTuple):
     """Where the nodes of a tree stand: `at` [n] = level * slots + slot; `source` [levels * slots]
     the node there, or n; `route` [levels slots slots] or None.
     """
@@ -53,7 +53,7 @@ class Plan(NamedTuple):
         return np.array_equal(self.at, np.arange(self.levels * self.slots))
 
 
-def plan(parent: tuple[int, ...]) -> Plan:
+def plan(parent: tuple[int, ...]) -> TreePlan:
     """Levels and slots of a tree whose parents stand before their children."""
     level, slot, taken, slots = [], [], set(), 0
     for k, up in enumerate(parent):
@@ -73,10 +73,10 @@ def plan(parent: tuple[int, ...]) -> Plan:
     at = np.array([a * slots + b for a, b in zip(level, slot, strict=True)], int)
     source = np.full(levels * slots, len(parent))
     source[at] = np.arange(len(parent))
-    return Plan(levels, slots, at, source, None if plain else route)
+    return TreePlan(levels, slots, at, source, None if plain else route)
 
 
-def spread(plan: Plan, values: Any) -> Any:
+def spread(plan: TreePlan, values: Any) -> Any:
     """Numbers of the nodes [... n] at their places [... levels slots], zero where there is no
     node.
     """
@@ -86,7 +86,7 @@ def spread(plan: Plan, values: Any) -> Any:
     return values.reshape(*values.shape[:-1], plan.levels, plan.slots)
 
 
-def gathered(plan: Plan, places: Any) -> Any:
+def gathered(plan: TreePlan, places: Any) -> Any:
     """Numbers at the places [levels slots ...] by nodes [n ...]."""
     flat = places.reshape(plan.levels * plan.slots, *places.shape[2:])
     return flat if plan.dense else flat[plan.at]
@@ -110,7 +110,7 @@ class Body(NamedTuple):
 
 
 def body(
-    plan: Plan,
+    plan: TreePlan,
     slides: tuple[bool, ...],
     axis: np.ndarray,
     place: Float[Array, "6 n"],
@@ -151,7 +151,7 @@ def body(
     )
 
 
-def frames(plan: Plan, body: Body, q: Float[Array, " n"]) -> Placements:
+def frames(plan: TreePlan, body: Body, q: Float[Array, " n"]) -> Placements:
     """Frame of each place in the frame before it; `q` from the reference."""
     here = spread(plan, q)
     s, c = sincos(here)
@@ -196,7 +196,7 @@ def still(fall: Vector) -> Base:
 
 
 def inverse_dynamics(
-    plan: Plan,
+    plan: TreePlan,
     body: Body,
     E: Placements,
     base: Base,
@@ -216,7 +216,7 @@ def inverse_dynamics(
 
 
 def _moving(
-    plan: Plan,
+    plan: TreePlan,
     body: Body,
     E: Placements,
     base: Base,
@@ -267,7 +267,7 @@ def _opened(route: np.ndarray) -> np.ndarray:
     return out
 
 
-def mass_matrix(plan: Plan, body: Body, E: Placements) -> Float[Array, "n n"]:
+def mass_matrix(plan: TreePlan, body: Body, E: Placements) -> Float[Array, "n n"]:
     """Joint space inertia without armature; exactly symmetric."""
     n = len(plan.at)
     own = np.zeros((plan.levels * plan.slots, n))
@@ -329,7 +329,7 @@ def middle_step(
     return Free(w, A, q + h / 2 * (v + w)), w, A
 
 
-def poses(plan: Plan, E: Placements, route: Any) -> Placements:
+def poses(plan: TreePlan, E: Placements, route: Any) -> Placements:
     """Frames of the nodes in the base's frame, components [n]."""
 
     def outwards(carry, x):

@@ -349,7 +349,7 @@ class Tree:
         return S, c
 
 
-class Stated:
+class StaticTree:
     """A tree as a value that compares and hashes by its content, for static fields of modules."""
 
     def __init__(self, tree: Tree):
@@ -359,13 +359,13 @@ class Stated:
         self._key = hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Stated) and other._key == self._key
+        return isinstance(other, StaticTree) and other._key == self._key
 
     def __hash__(self) -> int:
         return hash(self._key)
 
     def __repr__(self) -> str:
-        return f"Stated({self._key})"
+        return f"StaticTree({self._key})"
 
 
 def turned(inertia: np.ndarray, T: np.ndarray) -> np.ndarray:

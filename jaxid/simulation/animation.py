@@ -24,7 +24,7 @@ FRAMES = 240
 
 
 @dataclass(frozen=True)
-class Motion:
+class OutlineMotion:
     """Outline of a mechanism over time: `t [frames]` s, `outline [frames points 2 or 3]` m."""
 
     name: str
@@ -122,7 +122,7 @@ def plane(outline: Float[np.ndarray, "frames points d"]) -> Float[np.ndarray, "f
 
 def motion(
     model: Chain, dataset: Dataset, experiment: Experiment, start: np.ndarray, noise: np.ndarray
-) -> Motion | None:
+) -> OutlineMotion | None:
     """How a model with its numbers in place moves on an experiment's inputs from `start` (q, qd);
     None without an outline.
     """
@@ -138,7 +138,7 @@ def motion(
         arrays = Samples(*(jnp.asarray(a) for a in buffers))
         shapes = np.asarray(_outlines(model, arrays, jnp.asarray(start), int(positions[-1])))
     picks = positions[np.unique(np.linspace(0, positions.size - 1, FRAMES).round().astype(int))]
-    return Motion(model.mechanism.name, np.asarray(buffers.t)[picks], shapes[picks])
+    return OutlineMotion(model.mechanism.name, np.asarray(buffers.t)[picks], shapes[picks])
 
 
 @eqx.filter_jit

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import RecordEffect
-from jaxid.dynamics.parameter_vector import Form, Layout
+from jaxid.dynamics.parameter_vector import ChainForm, Layout
 from jaxid.numerics.batch_loop import over_lanes
 from jaxid.numerics.export_cache import key_of, Traced
 from jaxid.numerics.kept import shared
@@ -99,7 +99,7 @@ def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool
     )
 
 
-def _programs(form: Form, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
+def _programs(form: ChainForm, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
     def predict(theta, start, where, samples, steps):
         return lane(form.model(theta), samples, where, start, steps, length, reach, burn)
 

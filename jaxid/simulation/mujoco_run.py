@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.errors import UsageError
-from jaxid.robots.drives import Law
+from jaxid.robots.drives import DriveLaw
 from jaxid.robots.mjcf_spec import compilable, library
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Tree
@@ -35,7 +35,7 @@ class Driven:
     """
 
     kind: str
-    law: Law | None
+    law: DriveLaw | None
     reference: MujocoRobot
 
 
@@ -52,7 +52,7 @@ class MujocoRobot:
         held: Mapping[str, float],
         gravity: np.ndarray | None,
         joints: Sequence[str] = (),
-        law: Law | None = None,
+        law: DriveLaw | None = None,
     ):
         self.mj: Any = library()
         self.notes: list[str] = []
@@ -88,7 +88,7 @@ class MujocoRobot:
             spec.delete(loop)  # all of its joints are held
         return spec
 
-    def _of_tree(self, tree: Tree, law: Law | None) -> Any:
+    def _of_tree(self, tree: Tree, law: DriveLaw | None) -> Any:
         """A URDF as jaxid reads it: MuJoCo's own import drops what is fixed to the root, limits and
         drives.
         """
@@ -141,7 +141,7 @@ class MujocoRobot:
         self.notes.append(f"the URDF runs in MuJoCo as jaxid reads it, with steps of {step:.2g} s")
         return spec
 
-    def _drive(self, spec: Any, joints: Sequence[str], law: Law) -> None:
+    def _drive(self, spec: Any, joints: Sequence[str], law: DriveLaw) -> None:
         mj = self.mj
         for one in [a for a in spec.actuators if a.target in joints]:
             spec.delete(one)
@@ -318,7 +318,7 @@ class _Inputs:
 class _Goals:
     """Goals as they reach a law: late, and within its limits."""
 
-    def __init__(self, law: Law, inputs: _Inputs):
+    def __init__(self, law: DriveLaw, inputs: _Inputs):
         self.law, self.inputs = law, inputs
 
     def __call__(self, now: float) -> np.ndarray:
@@ -329,7 +329,7 @@ class _Goals:
 class _LawRun:
     """A drive law in time, as `jaxid.models.robot_drive.PositionLaw` has it."""
 
-    def __init__(self, law: Law, inputs: _Inputs, dt: float):
+    def __init__(self, law: DriveLaw, inputs: _Inputs, dt: float):
         self.law, self.goals, self.dt = law, _Goals(law, inputs), dt
         self.n = {
             k: np.array(getattr(law, k), float)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import jax
 import numpy as np
 
-from jaxid.dynamics.parameter_vector import Form
+from jaxid.dynamics.parameter_vector import ChainForm
 from jaxid.numerics.batch_loop import over_lanes
 from jaxid.numerics.pool import Pool
 from jaxid.numerics.precision import float64
@@ -42,7 +42,7 @@ class WindowPrograms(NamedTuple):
     begins: Callable[..., Any]
 
 
-def windowed(form: Form, lane: Lane, reach: int, burn: bool) -> WindowPrograms:
+def windowed(form: ChainForm, lane: Lane, reach: int, burn: bool) -> WindowPrograms:
     """Functions to compile; states go in and out as tuples of arrays."""
     window, begin = WINDOWED.get(lane, (None, None))
 

@@ -15,11 +15,11 @@ from jaxid.data.io import load_dataset
 from jaxid.data.model_names import is_model_file
 from jaxid.data.schema import Places
 from jaxid.diagnosis.hypothesis import check_asked
-from jaxid.errors import DatasetError, Problem, UsageError
+from jaxid.errors import DatasetError, DatasetProblem, UsageError
 from jaxid.fitters.by_name import fitter_of
 from jaxid.problem.binding import parse_effect, resolve_model
 from jaxid.robots.match import is_file
-from jaxid.study.plan import dataset_problems, parse_study, Runs, Study, StudyError
+from jaxid.study.plan import dataset_problems, parse_study, PlannedRuns, Study, StudyError
 
 
 def check_study(path: str | Path) -> Study:
@@ -45,10 +45,10 @@ def check_study(path: str | Path) -> Study:
 class _Check:
     """The questions about one `[[runs]]`."""
 
-    def __init__(self, runs: Runs, places: Places):
+    def __init__(self, runs: PlannedRuns, places: Places):
         self.runs, self.places, self.found = runs, places, []
 
-    def problems(self, data: dict[str, Dataset]) -> list[Problem]:
+    def problems(self, data: dict[str, Dataset]) -> list[DatasetProblem]:
         entry = self.runs.entry
         ids = sorted({e for group in entry.effects or [] for e in group})
         named = (lambda e: e.partition("@")[0]) if entry.command == "fit" else (lambda e: e)

@@ -73,7 +73,7 @@ class Batch:
     group: str
 
 
-class Stop:
+class StopSignal:
     """Ctrl-C, SIGTERM or SIGHUP: `count` of them, the first at `since`. Also where a shell had a
     background job ignore Ctrl-C: what is sent to it is meant.
     """
@@ -83,7 +83,7 @@ class Stop:
         self.since = 0.0  # time.monotonic() of the first
         self._before: dict[int, Any] = {}
 
-    def __enter__(self) -> Stop:
+    def __enter__(self) -> StopSignal:
         if threading.current_thread() is threading.main_thread():
             for number in {signal.SIGINT, *ending()}:
                 self._before[number] = signal.signal(number, self._heard)
@@ -146,7 +146,7 @@ class Coordinator:
     def waiting(self) -> int:
         return len(self.suspects) + sum(len(self.groups[name].waiting) for name in self.open)
 
-    def run(self, stop: Stop, heard: Heard = lambda coordinator: None) -> bool:
+    def run(self, stop: StopSignal, heard: Heard = lambda coordinator: None) -> bool:
         """Works until every task has an outcome (True) or is told to stop (False); what was
         finished is saved either way.
         """
@@ -383,7 +383,7 @@ class Coordinator:
         self.outcomes |= {o.key: o for o, _, _ in taken}
         self.unsaved.clear()
 
-    def _finish(self, stop: Stop) -> None:
+    def _finish(self, stop: StopSignal) -> None:
         """Gives running batches a moment, takes in what came back, leaves the rest for the next
         time.
         """

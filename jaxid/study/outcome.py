@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxid.study.plan import Task
-from jaxid.study.rows import Row
+from jaxid.study.rows import StudyRow
 
 
 #: A result of these counts as failed; `crashed` killed its process twice, `timeout` took longer
@@ -40,20 +40,20 @@ class Outcome:
     def failed(self) -> bool:
         return self.status in FAILURES
 
-    def row(self, task: Task, arrays: str = "") -> Row:
+    def row(self, task: Task, arrays: str = "") -> StudyRow:
         """For the store; the task's own settings go with it, so that a store can be read without
         its study.
         """
         body = {name: getattr(self, name) for name in FIELDS} | {
             "task": {k: v for k, v in task.settings.items() if v is not None}
         }
-        return Row(self.key, self.status, json.dumps(body, allow_nan=False).encode(), arrays)
+        return StudyRow(self.key, self.status, json.dumps(body, allow_nan=False).encode(), arrays)
 
 
 FIELDS = tuple(name for name in Outcome.__dataclass_fields__ if name not in ("key", "status"))
 
 
-def of_row(row: Row) -> Outcome:
+def of_row(row: StudyRow) -> Outcome:
     """The outcome that a row of the store holds."""
     return _outcome(json.loads(row.body) | {"key": row.key, "status": row.status})
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jaxid.study.outcome import Outcome
     from jaxid.study.plan import Task
     from jaxid.study.run import StudyResult
-    from jaxid.study.tables import Problem
+    from jaxid.study.tables import StudyProblem
 
 
 #: Problems that are drawn and listed; a study may have thousands.
@@ -118,7 +118,9 @@ def _counted(counts) -> str:
     return ", ".join(f"{name or '–'} {n}×" for name, n in counts.most_common(6))
 
 
-def _losses(shown: dict[Problem, list[tuple[Task, Outcome]]], fitters: list[str], figure) -> None:
+def _losses(
+    shown: dict[StudyProblem, list[tuple[Task, Outcome]]], fitters: list[str], figure
+) -> None:
     from jaxid.study.tables import best_loss, excess, TOLERANCE
 
     axes = figure.add_subplot()

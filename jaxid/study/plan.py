@@ -27,7 +27,7 @@ from jaxid.catalogue import LOSSES, RESIDUALS
 from jaxid.data.model_names import called, parts_of
 from jaxid.data.schema import Document, entry_of, Places
 from jaxid.data.schema_fields import plain_text
-from jaxid.errors import DatasetError, nearest, Problem, UsageError
+from jaxid.errors import DatasetError, DatasetProblem, nearest, UsageError
 from jaxid.wording import one_line
 
 
@@ -39,7 +39,7 @@ SEEDS = 2**31 - 1
 RESIDUAL_NAMES = (*RESIDUALS, "frequency_response")
 
 
-class _Strict(BaseModel):
+class _StrictTable(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -52,7 +52,7 @@ def _distinct(values: list[Any] | None) -> list[Any] | None:
     return values
 
 
-class StudyEntry(_Strict):
+class StudyEntry(_StrictTable):
     """The top-level keys. `store` counts from the folder of the study file, like the datasets."""
 
     name: str
@@ -62,7 +62,7 @@ class StudyEntry(_Strict):
     _names = field_validator("name", "store")(plain_text)
 
 
-class RunsEntry(_Strict):
+class RunsEntry(_StrictTable):
     """`[[runs]]`: the product of its lists."""
 
     command: Literal["fit", "diagnose"]
@@ -163,7 +163,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Runs:
+class PlannedRuns:
     """One `[[runs]]`: its place in the file, what stands there, and the tasks it stands for."""
 
     index: int
@@ -182,7 +182,7 @@ class Study:
     description: str
     store: Path
     tasks: dict[str, Task]
-    runs: tuple[Runs, ...]
+    runs: tuple[PlannedRuns, ...]
 
     @property
     def digest(self) -> str:
@@ -193,7 +193,7 @@ class Study:
 class StudyError(UsageError):
     """A study that was refused; `problems` holds every fault found, `str()` lists them all."""
 
-    def __init__(self, problems: Sequence[Problem]):
+    def __init__(self, problems: Sequence[DatasetProblem]):
         self.problems = list(problems)
         lines = [str(p) for p in self.problems]
         head = f"{len(lines)} problems in the study:"
@@ -221,7 +221,7 @@ def read_study(path: str | Path) -> Study:
     return study
 
 
-def parse_study(path: str | Path) -> tuple[Study, list[Problem]]:
+def parse_study(path: str | Path) -> tuple[Study, list[DatasetProblem]]:
     """The study as far as it could be read, so that all it names can be looked at, and its
     faults.
     """
@@ -261,7 +261,7 @@ def parse_study(path: str | Path) -> tuple[Study, list[Problem]]:
         )
     folders = _Folders(path.parent, places, document)
     tasks_of = lambda k, e: tuple(_tasks(e, ("runs", k), folders)) if total <= MOST else ()
-    parts = tuple(Runs(k, e, tasks_of(k, e)) for k, e in entries.items())
+    parts = tuple(PlannedRuns(k, e, tasks_of(k, e)) for k, e in entries.items())
     tasks: dict[str, Task] = {}
     for part in parts:
         for task in part.tasks:
@@ -285,7 +285,7 @@ def parse_study(path: str | Path) -> tuple[Study, list[Problem]]:
 
 def _toml(path: Path) -> tuple[str, dict[str, Any]]:
     def refuse(message: str, remedy: str, row: int | None = None) -> StudyError:
-        return StudyError([Problem(path.name or str(path), row, None, message, remedy)])
+        return StudyError([DatasetProblem(path.name or str(path), row, None, message, remedy)])
 
     try:
         if not path.is_file():
@@ -325,7 +325,9 @@ def _why(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
-def _meaningless(entry: RunsEntry, key: tuple[str | int, ...], places: Places) -> Iterator[Problem]:
+def _meaningless(
+    entry: RunsEntry, key: tuple[str | int, ...], places: Places
+) -> Iterator[DatasetProblem]:
     """Settings that the command does not know."""
     given = entry.model_fields_set
     wrong = {"fit": {"max_effects"}, "diagnose": {"fitters", "loss", "budget"}}[entry.command]
@@ -475,7 +477,7 @@ def fingerprint(folder: Path) -> tuple[str, str, str]:
     )
 
 
-def dataset_problems(error: DatasetError, name: str) -> Iterator[Problem]:
+def dataset_problems(error: DatasetError, name: str) -> Iterator[DatasetProblem]:
     """A dataset's faults as faults of the study, with the dataset's name before the file's."""
     for p in error.problems:
-        yield Problem(f"{one_line(name)}: {p.file}", p.row, p.column, p.message, p.remedy)
+        yield DatasetProblem(f"{one_line(name)}: {p.file}", p.row, p.column, p.message, p.remedy)

@@ -18,7 +18,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Row:
+class StudyRow:
     """One finished task: `body` is its outcome as JSON, `arrays` the file that holds its history,
     or empty.
     """
@@ -35,17 +35,17 @@ class Row:
         )
 
 
-def sound(fields: Sequence[Any]) -> Row | None:
+def sound(fields: Sequence[Any]) -> StudyRow | None:
     """The row of (key, status, arrays, body, crc), or None if anything in it was changed."""
     key, status, arrays, body, crc = fields
     try:
-        row = Row(key.decode(), status.decode(), body, arrays.decode())
+        row = StudyRow(key.decode(), status.decode(), body, arrays.decode())
     except (UnicodeDecodeError, AttributeError):  # other bytes, or no bytes at all
         return None
     return row if row.crc == crc else None
 
 
-def read_damaged(path: Path) -> Iterator[Row]:
+def read_damaged(path: Path) -> Iterator[StudyRow]:
     """Every sound row of a file whose structure is damaged: pages that cannot be read are stepped
     over.
     """

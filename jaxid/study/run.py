@@ -12,7 +12,7 @@ from typing import Any
 from jaxid.errors import NotSaved, UsageError
 from jaxid.extras import required
 from jaxid.study.cluster import Cluster, cores, local_cluster, running_cluster
-from jaxid.study.coordinator import Coordinator, Stop
+from jaxid.study.coordinator import Coordinator, StopSignal
 from jaxid.study.outcome import FAILURES, of_row, Outcome
 from jaxid.study.plan import read_study, Study, StudyError
 from jaxid.study.store import NotBegun, Store
@@ -40,7 +40,7 @@ class Status:
 
 
 @dataclass(frozen=True)
-class Progress:
+class StudyProgress:
     """What a study shows while it runs."""
 
     study: Study
@@ -102,7 +102,7 @@ def run_study(
     cluster: str | None = None,
     interface: str | None = None,
     retry: bool = False,
-    heard: Callable[[Progress], None] = lambda progress: None,
+    heard: Callable[[StudyProgress], None] = lambda progress: None,
     solver: Sequence[str] = SOLVER,
     check: bool = True,
 ) -> StudyResult:
@@ -146,12 +146,14 @@ def run_study(
         new, complete = 0, not left
         if left:
             place = _place(study.store, len(left), workers, scheduler, cluster, interface)
-            with Stop() as stop, place as found:
+            with StopSignal() as stop, place as found:
                 coordinator = Coordinator(store, left, found, solver)
 
                 def tell(c: Coordinator) -> None:
                     now = time.monotonic() - began
-                    heard(Progress(study, outcomes | c.outcomes, c.running, now, len(c.outcomes)))
+                    heard(
+                        StudyProgress(study, outcomes | c.outcomes, c.running, now, len(c.outcomes))
+                    )
 
                 complete = coordinator.run(stop, tell)
             new, outcomes = len(coordinator.outcomes), outcomes | coordinator.outcomes

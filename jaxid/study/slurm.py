@@ -88,7 +88,7 @@ def slurm_cluster(store: Path, workers: int | None, interface: str | None) -> It
             command = _worker(parts.scheduler_address, str(interface), files)
             job = _submit(private / "workers.sh", workers, store, command)
             client = distributed_().Client(parts, set_as_default=False)
-            cluster = Cluster(client, client.run, _Watch(job, store))
+            cluster = Cluster(client, client.run, _JobWatch(job, store))
             try:
                 yield cluster
             finally:
@@ -162,7 +162,7 @@ def _submit(script: Path, workers: int, store: Path, command: list[str]) -> str:
     return number[0] if number else ""
 
 
-class _Watch:
+class _JobWatch:
     """Asked while there is no worker: whether SLURM still has the job."""
 
     def __init__(self, job: str, store: Path):

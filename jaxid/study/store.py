@@ -20,7 +20,7 @@ from typing import Any
 
 from jaxid.errors import UsageError
 from jaxid.study.lease import alive, machine, process_start
-from jaxid.study.rows import COLUMNS, read_damaged, Row, sound
+from jaxid.study.rows import COLUMNS, read_damaged, sound, StudyRow
 
 
 #: "jxid": tells a store from any other SQLite file.
@@ -245,7 +245,7 @@ class Store:
             self.owner,
         )
 
-    def save(self, rows: Sequence[Row], running: int = 0) -> None:
+    def save(self, rows: Sequence[StudyRow], running: int = 0) -> None:
         """Saves finished tasks, all or none; when it returns they are on the disk. A task that has
         a result keeps it.
         """
@@ -304,13 +304,13 @@ class Store:
 
     # ---- reading
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[StudyRow]:
         """Every result whose checksum holds."""
         for _, row in self._rows():
             if row is not None:
                 yield row
 
-    def _rows(self) -> Iterator[tuple[int, Row | None]]:
+    def _rows(self) -> Iterator[tuple[int, StudyRow | None]]:
         try:
             for number, *fields in self.db.execute(f"SELECT {COLUMNS} FROM results ORDER BY id"):
                 yield number, sound(fields)
@@ -322,7 +322,7 @@ class Store:
         held = self.db.execute("SELECT host, pid, started, renewed, running FROM lease").fetchone()
         return held[4] if held is not None and alive(held) else 0
 
-    def arrays(self, row: Row) -> dict[str, Any]:
+    def arrays(self, row: StudyRow) -> dict[str, Any]:
         """The history of a task [points 2]: evaluations and best loss so far; empty where it has
         none or its file is gone.
         """

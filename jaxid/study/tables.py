@@ -44,7 +44,7 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r", "'")
 
 
 @dataclass(frozen=True)
-class Problem:
+class StudyProblem:
     """What fitters and seeds have in common."""
 
     dataset: str
@@ -83,8 +83,8 @@ class Ranking:
         return finite(own)
 
 
-def problem_of(task: Task) -> Problem:
-    return Problem(
+def problem_of(task: Task) -> StudyProblem:
+    return StudyProblem(
         task.label,
         task.system,
         task.effects or (),
@@ -92,9 +92,9 @@ def problem_of(task: Task) -> Problem:
     )
 
 
-def problems(result: StudyResult) -> dict[Problem, list[tuple[Task, Outcome]]]:
+def problems(result: StudyResult) -> dict[StudyProblem, list[tuple[Task, Outcome]]]:
     """The fits of a study by what they fitted."""
-    out: dict[Problem, list[tuple[Task, Outcome]]] = defaultdict(list)
+    out: dict[StudyProblem, list[tuple[Task, Outcome]]] = defaultdict(list)
     for key, outcome in result.outcomes.items():
         task = result.study.tasks[key]
         if task.command == "fit":
@@ -178,11 +178,11 @@ def _below(a: float, b: float) -> bool:
     return a < b and not _equal(a, b)
 
 
-def verdicts(result: StudyResult) -> list[tuple[Problem, Counter[str], Counter[str]]]:
+def verdicts(result: StudyResult) -> list[tuple[StudyProblem, Counter[str], Counter[str]]]:
     """Of each problem that was diagnosed: how often each verdict came, and each set of named
     effects.
     """
-    out: dict[Problem, tuple[Counter[str], Counter[str]]] = {}
+    out: dict[StudyProblem, tuple[Counter[str], Counter[str]]] = {}
     for key, o in result.outcomes.items():
         task = result.study.tasks[key]
         if task.command == "diagnose":

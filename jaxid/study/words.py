@@ -12,7 +12,7 @@ from jaxid.report import text
 if TYPE_CHECKING:
     from jaxid.study.outcome import Outcome
     from jaxid.study.plan import Study
-    from jaxid.study.run import Progress, Status, StudyResult
+    from jaxid.study.run import Status, StudyProgress, StudyResult
 
 
 #: Lines of a table on the terminal.
@@ -25,7 +25,7 @@ def status_text(study: Study, outcomes: dict[str, Outcome], status: Status) -> s
     return "\n".join([head, _progress_table(study, outcomes)])
 
 
-def progress_text(p: Progress) -> str:
+def progress_text(p: StudyProgress) -> str:
     """The live table."""
     total, n = len(p.study.tasks), len(p.outcomes)
     rate = p.new / max(p.seconds, 1e-9)

@@ -9,24 +9,26 @@ from typing import Any
 
 from jaxid.data.importers.joining import Clock
 from jaxid.data.importers.source import find_column, parts_of, series_of, Source, stated_rate
-from jaxid.data.importers.text import Stated
+from jaxid.data.importers.text import StatedFormat
 from jaxid.data.time_axis import PER_SECOND
 
 
 @dataclass(frozen=True)
-class Asked:
+class ImportRequest:
     """What an import of tables was asked for, beside its channels."""
 
     sources: Sequence[Source]
     joined: Sequence[Source]
-    stated: Stated
+    stated: StatedFormat
     rows: tuple[int, int] | None
     rate: float | None
     out: Any
     overwrite: bool
 
 
-def command_with(asked: Asked, form: str, channels: Sequence[str], rate: float | None) -> str:
+def command_with(
+    asked: ImportRequest, form: str, channels: Sequence[str], rate: float | None
+) -> str:
     """`jaxid import …` of these files with `form`, the options of how the text is written, and
     `channels`.
     """
@@ -44,7 +46,7 @@ def command_with(asked: Asked, form: str, channels: Sequence[str], rate: float |
     return " ".join(filter(None, parts))
 
 
-def full_command(asked: Asked, clock: Clock, channels: Sequence[str]) -> str:
+def full_command(asked: ImportRequest, clock: Clock, channels: Sequence[str]) -> str:
     """The command with what was recognised: the form of the text, and the unit of the time or the
     rate that made it.
     """

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.data.io import save_dataset
-from jaxid.errors import DatasetError, nearest, Problem
+from jaxid.errors import DatasetError, DatasetProblem, nearest
 
 
 _RESOLUTION = 5.0e-8  # m, the position encoder of the benchmark
@@ -39,12 +39,14 @@ def import_emps(
     written.
     """
     paths = [Path(files)] if isinstance(files, str | os.PathLike) else [Path(f) for f in files]
-    problems: list[Problem] = []
+    problems: list[DatasetProblem] = []
     recordings = [_read_emps(path, problems) for path in paths]
     if not problems and all("pulses_N" in r for r in recordings):
         remedy = "Give DATA_EMPS.mat too"
         problems.append(
-            Problem(str(paths[0]) if paths else "emps", None, None, "no recording to fit", remedy)
+            DatasetProblem(
+                str(paths[0]) if paths else "emps", None, None, "no recording to fit", remedy
+            )
         )
     if problems:
         raise DatasetError(problems)
@@ -83,7 +85,7 @@ def import_emps(
     return save_dataset(dataset, out, format=format, overwrite=overwrite)
 
 
-def _read_emps(path: Path, problems: list[Problem]) -> dict[str, Any]:
+def _read_emps(path: Path, problems: list[DatasetProblem]) -> dict[str, Any]:
     from scipy.io import loadmat
 
     file = path.name
@@ -91,7 +93,7 @@ def _read_emps(path: Path, problems: list[Problem]) -> dict[str, Any]:
         content = loadmat(path)
     except FileNotFoundError:
         problems.append(
-            Problem(
+            DatasetProblem(
                 str(path), None, None, "there is no such file", "Get it from nonlinearbenchmark.org"
             )
         )
@@ -99,7 +101,9 @@ def _read_emps(path: Path, problems: list[Problem]) -> dict[str, Any]:
     except Exception as error:  # SciPy raises whatever its parser stumbles on
         reason = (str(error).splitlines() or [type(error).__name__])[0][:100]
         problems.append(
-            Problem(file, None, None, f"not readable as a MAT file ({reason})", "Download it again")
+            DatasetProblem(
+                file, None, None, f"not readable as a MAT file ({reason})", "Download it again"
+            )
         )
         return {}
     names = [n for n in content if not n.startswith("__")]
@@ -107,7 +111,7 @@ def _read_emps(path: Path, problems: list[Problem]) -> dict[str, Any]:
     for name in lacking:
         message = f"there is no variable {name!r}{nearest(name, names)}"
         problems.append(
-            Problem(
+            DatasetProblem(
                 file, None, name, message, "Give DATA_EMPS.mat or DATA_EMPS_PULSES.mat as published"
             )
         )
@@ -120,13 +124,13 @@ def _read_emps(path: Path, problems: list[Problem]) -> dict[str, Any]:
         values = np.asarray(content[name]).ravel()
         if values.dtype.kind not in "biuf" or len(values) == 0:
             problems.append(
-                Problem(file, None, name, "holds no numbers", "Give the file as published")
+                DatasetProblem(file, None, name, "holds no numbers", "Give the file as published")
             )
             continue
         recording[name] = float(values[0]) if name == "gtau" else values.astype(float)
     if len({len(v) for k, v in recording.items() if k != "gtau"}) > 1:
         problems.append(
-            Problem(
+            DatasetProblem(
                 file, None, None, "its variables differ in length", "Give the file as published"
             )
         )

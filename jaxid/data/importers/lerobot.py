@@ -14,7 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.importers.runs import first_line, Paths, paths_of, refused, Run, runs_of, save_runs
+from jaxid.data.importers.runs import (
+    first_line,
+    ImportedRun,
+    Paths,
+    paths_of,
+    refused,
+    runs_of,
+    save_runs,
+)
 from jaxid.data.units import conversion, UnitError
 from jaxid.errors import nearest, UsageError
 
@@ -149,7 +157,7 @@ def _written(
         roles[base] = ("output" if scale.unit else "auxiliary", scale.unit or "1")
         roles[f"{base}_cmd"] = ("input" if scale.unit else "auxiliary", scale.unit or "1")
         channels[base] = (j, None, scale)
-    runs: list[Run] = []
+    runs: list[ImportedRun] = []
     for s in sets:
         for number in np.unique(s.episode):
             own = s.episode == number

@@ -16,10 +16,18 @@ import numpy as np
 
 from jaxid.data.importers.arrays import Arrays
 from jaxid.data.importers.beside import Beside, kept_beside, numbers_beside
-from jaxid.data.importers.command import Asked, full_command
+from jaxid.data.importers.command import full_command, ImportRequest
 from jaxid.data.importers.joining import Clock, join_columns, Joined, joined_files, names_once
 from jaxid.data.importers.propose import proposal
-from jaxid.data.importers.runs import Paths, paths_of, refused, role_of, Run, runs_of, save_runs
+from jaxid.data.importers.runs import (
+    ImportedRun,
+    Paths,
+    paths_of,
+    refused,
+    role_of,
+    runs_of,
+    save_runs,
+)
 from jaxid.data.importers.source import (
     find_column,
     numbers_of,
@@ -30,11 +38,11 @@ from jaxid.data.importers.source import (
     stated_rate,
     times_of,
 )
-from jaxid.data.importers.text import Stated
+from jaxid.data.importers.text import StatedFormat
 from jaxid.data.patterns import captures_of, joint_numbers
 from jaxid.data.time_axis import PER_SECOND
 from jaxid.data.units import conversion, UnitError
-from jaxid.errors import DatasetError, nearest, Problem, UsageError
+from jaxid.errors import DatasetError, DatasetProblem, nearest, UsageError
 
 
 ROLES = ("input", "output", "auxiliary")
@@ -66,7 +74,7 @@ def import_table(
     join: Paths = (),
     rows: tuple[int, int] | None = None,
     rate: float | None = None,
-    stated: Stated = Stated(),
+    stated: StatedFormat = StatedFormat(),
     overwrite: bool = False,
 ) -> Imported:
     """Files of one layout as a dataset folder, one run or more a file. See the module for
@@ -79,8 +87,8 @@ def import_table(
     """
     wanted = [parse_channel(c) for c in channels]
     sources = [read_source(p, stated) for p in paths_of(files)]
-    joined = joined_files([read_source(p, Stated()) for p in paths_of(join)])
-    asked = Asked(sources, [j.source for j in joined], stated, rows, rate, out, overwrite)
+    joined = joined_files([read_source(p, StatedFormat()) for p in paths_of(join)])
+    asked = ImportRequest(sources, [j.source for j in joined], stated, rows, rate, out, overwrite)
     time = [w for w in wanted if w.name == "t"]
     if (
         len(time) > 1
@@ -89,7 +97,7 @@ def import_table(
     ):
         raise UsageError(proposal(asked))
     clock = Clock(time[0].column, time[0].unit) if time else Clock("", None)
-    runs: list[Run] = []
+    runs: list[ImportedRun] = []
     notes: list[str] = []
     joints: dict[str, int] = {}
     found: list[Wanted] = []
@@ -200,7 +208,7 @@ def _expanded(
     """Channels with the columns they are read from, patterns as one a joint; units that the file
     states are filled in.
     """
-    problems: list[Problem] = []
+    problems: list[DatasetProblem] = []
     found: list[Wanted] = []
     units = {
         name: join.source.units.get(own) for join in joined for name, own in join.names.items()
@@ -216,7 +224,7 @@ def _expanded(
             if not names:
                 message = f"no column matches {w.column!r} (there is: {', '.join(everything[:20])})"
                 problems.append(
-                    Problem(
+                    DatasetProblem(
                         source.path.name,
                         None,
                         w.column,
@@ -254,7 +262,7 @@ def _expanded(
                     f"Name it by number, from 1: --channel {w.name}=2:UNIT",
                 )
             problems.append(
-                Problem(
+                DatasetProblem(
                     source.path.name,
                     None,
                     w.column,
@@ -268,7 +276,7 @@ def _expanded(
         if w.unit is None and not problems:
             message = f"the unit of channel {w.name!r} is not stated"
             problems.append(
-                Problem(
+                DatasetProblem(
                     source.path.name,
                     None,
                     w.column,

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxid.data.importers.arrays import Arrays
 from jaxid.data.importers.channels import channels_of, Proposed
-from jaxid.data.importers.command import Asked, command_with
+from jaxid.data.importers.command import command_with, ImportRequest
 from jaxid.data.importers.joining import joined_files, names_once
 from jaxid.data.importers.source import parts_of, series_of, Source, stated_rate
 from jaxid.data.importers.traces import unit_of
@@ -28,7 +28,7 @@ _TIME = re.compile(
 _SHOWN = 40  # columns and channels that are listed
 
 
-def proposal(asked: Asked) -> str:
+def proposal(asked: ImportRequest) -> str:
     """The columns of the files, and a command with all channels that they could be, which runs as
     it is printed.
     """

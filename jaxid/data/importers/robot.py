@@ -16,9 +16,9 @@ import numpy as np
 from jaxid.data.importers.lerobot import import_lerobot as import_lerobot
 from jaxid.data.importers.map import import_table
 from jaxid.data.importers.ros import import_ros
-from jaxid.data.importers.runs import Paths, paths_of, refused, Run, runs_of, save_runs
+from jaxid.data.importers.runs import ImportedRun, Paths, paths_of, refused, runs_of, save_runs
 from jaxid.data.table import ragged_rows, read_table, Table
-from jaxid.errors import DatasetError, Problem
+from jaxid.errors import DatasetError, DatasetProblem
 
 
 def import_ur_rtde_csv(
@@ -130,7 +130,7 @@ _UR_NAMES = {
 }
 
 
-def _ur_rtde(path: Path) -> list[Run]:
+def _ur_rtde(path: Path) -> list[ImportedRun]:
     content = path.read_bytes() if path.is_file() else b""
     if content and b"," not in content.split(b"\n", 1)[0]:  # Universal Robots' client writes spaces
         content = re.sub(rb"[ \t]+", b",", content)
@@ -186,6 +186,6 @@ def _column(table: Table, name: str) -> np.ndarray:
     if numbers.faults:
         sample, what = next(iter(numbers.faults.items()))
         raise DatasetError(
-            [Problem(table.file, table.row(sample), name, what, "Correct or remove the row")]
+            [DatasetProblem(table.file, table.row(sample), name, what, "Correct or remove the row")]
         )
     return numbers.values

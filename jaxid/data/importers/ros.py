@@ -14,8 +14,23 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.importers.ros_files import COMMANDS, Message, open_bag, open_mcap, Recording, STATES
-from jaxid.data.importers.runs import held, Paths, paths_of, refused, Run, runs_of, save_runs
+from jaxid.data.importers.ros_files import (
+    COMMANDS,
+    Message,
+    open_bag,
+    open_mcap,
+    RosRecording,
+    STATES,
+)
+from jaxid.data.importers.runs import (
+    held,
+    ImportedRun,
+    Paths,
+    paths_of,
+    refused,
+    runs_of,
+    save_runs,
+)
 from jaxid.errors import nearest, UsageError
 
 
@@ -39,7 +54,7 @@ _QUADRUPED = tuple(
 
 
 @dataclass(frozen=True)
-class Rows:
+class JointRows:
     """Values of joints over time: `t [time]`, the joints' names, quantity (q, qd, tau …) -> [time
     joints].
     """
@@ -66,7 +81,7 @@ def import_ros(
     `DatasetError` or `UsageError` that list what there is.
     """
     opened = [(open_bag if kind == "rosbag" else open_mcap)(p) for p in paths_of(files)]
-    runs: list[Run] = []
+    runs: list[ImportedRun] = []
     names: tuple[str, ...] = ()
     for recording in opened:
         notes: list[str] = []
@@ -120,13 +135,13 @@ def _finger(name: str, q: np.ndarray) -> bool:
     )
 
 
-def _arm_first(states: Rows) -> tuple[str, ...]:
+def _arm_first(states: JointRows) -> tuple[str, ...]:
     """The joints in their order, those that may slide behind the others."""
     finger = {name: _finger(name, states.values["q"][:, j]) for j, name in enumerate(states.joints)}
     return tuple(sorted(states.joints, key=lambda name: finger[name]))
 
 
-def _sliding(names: Sequence[str], runs: Sequence[Run]) -> list[str]:
+def _sliding(names: Sequence[str], runs: Sequence[ImportedRun]) -> list[str]:
     """Joints that may slide in every run; none where nothing else was recorded."""
     found = [
         name
@@ -144,7 +159,7 @@ def _channel(quantity: str, joint: int) -> str:
 # ---- which topic
 
 
-def _topic(recording: Recording, asked: str | None) -> str:
+def _topic(recording: RosRecording, asked: str | None) -> str:
     """The topic of the states, or a refusal that lists those there are."""
     listed = _list(recording)
     if asked is not None:
@@ -186,13 +201,13 @@ def _topic(recording: Recording, asked: str | None) -> str:
     raise refused(recording.path, there, "Record a topic of sensor_msgs/JointState")
 
 
-def _list(recording: Recording) -> str:
+def _list(recording: RosRecording) -> str:
     return ", ".join(
         f"{n} ({kind}, {count})" for n, (kind, count) in list(recording.topics.items())[:30]
     )
 
 
-def _joints_of(recording: Recording, topic: str) -> list[str]:
+def _joints_of(recording: RosRecording, topic: str) -> list[str]:
     first = next(recording.read(topic), None)
     return [] if first is None else list(_joint_values(recording.topics[topic][0], first)[0])[:12]
 
@@ -241,7 +256,7 @@ def _list_of(values: Any) -> Sequence[float]:
     return [] if values is None else values
 
 
-def _states(recording: Recording, topic: str, notes: list[str]) -> Rows:
+def _states(recording: RosRecording, topic: str, notes: list[str]) -> JointRows:
     """The joints that stand together in one message; several publishers on the topic are told apart
     by their joints.
     """
@@ -299,10 +314,10 @@ def _states(recording: Recording, topic: str, notes: list[str]) -> Rows:
             recording.path, f"topic {topic!r} holds no positions", "Name another with --topic"
         )
     _one_publisher(recording, topic, np.array([r[0] for r in own]), values["q"])
-    return Rows(np.array([r[0] for r in own]), tuple(names), values)
+    return JointRows(np.array([r[0] for r in own]), tuple(names), values)
 
 
-def _one_publisher(recording: Recording, topic: str, t: np.ndarray, q: np.ndarray) -> None:
+def _one_publisher(recording: RosRecording, topic: str, t: np.ndarray, q: np.ndarray) -> None:
     """Refuses two publishers of the same joints: every other sample then belongs to another motion,
     smooth by itself.
     """
@@ -321,8 +336,8 @@ def _one_publisher(recording: Recording, topic: str, t: np.ndarray, q: np.ndarra
 
 
 def _commands(
-    recording: Recording, asked: str, joints: Sequence[str], stated: Sequence[str]
-) -> Rows:
+    recording: RosRecording, asked: str, joints: Sequence[str], stated: Sequence[str]
+) -> JointRows:
     """The goals of a topic, at the times when they were given."""
     topic, _, quantity = asked.partition(":") if asked not in recording.topics else (asked, "", "")
     if topic not in recording.topics or recording.topics[topic][0] not in COMMANDS:
@@ -366,7 +381,7 @@ def _commands(
     kept = [k for k in rows[0][1] if all(k in r[1] for r in rows)]
     if kind == "JointState":
         kept = [k for k in kept if k == "q" or any(np.any(r[1][k]) for r in rows)]
-    return Rows(
+    return JointRows(
         np.array([r[0] for r in rows]),
         tuple(joints),
         {f"{k}_cmd": np.array([r[1][k] for r in rows], float) for k in kept},
@@ -382,13 +397,13 @@ def _reference(m: Message) -> tuple[list[str], dict[str, Sequence[float]]]:
 
 
 def _plain_commands(
-    recording: Recording,
+    recording: RosRecording,
     topic: str,
     quantity: str,
     messages: list[Message],
     joints: Sequence[str],
     stated: Sequence[str],
-) -> Rows:
+) -> JointRows:
     """Numbers without names: what they are and whose has to be said."""
     quantity = quantity or next((q for q in _QUANTITIES if q in topic), "")
     if quantity not in _QUANTITIES:
@@ -406,14 +421,14 @@ def _plain_commands(
     order = [list(stated).index(j) for j in joints]
     whole = [m for m in messages if len(m.get("data")) == width]
     values = np.array([list(m.get("data")) for m in whole], float)[:, order]
-    return Rows(
+    return JointRows(
         np.array([m.t for m in whole]), tuple(joints), {f"{_QUANTITIES[quantity]}_cmd": values}
     )
 
 
 def _points(
-    messages: list[Message], joints: Sequence[str], recording: Recording, topic: str
-) -> Rows:
+    messages: list[Message], joints: Sequence[str], recording: RosRecording, topic: str
+) -> JointRows:
     """The points of trajectories at their times: a point is the goal from when it is due."""
     rows = []
     of = lambda thing, key: thing[key] if isinstance(thing, dict) else getattr(thing, key)
@@ -433,7 +448,7 @@ def _points(
             "Name another topic",
         )
     rows.sort(key=lambda r: r[0])
-    return Rows(
+    return JointRows(
         np.array([r[0] for r in rows]),
         tuple(joints),
         {"q_cmd": np.array([r[1] for r in rows], float)},
@@ -443,7 +458,7 @@ def _points(
 def _with_commands(
     t: np.ndarray,
     columns: dict[str, np.ndarray],
-    commands: Rows,
+    commands: JointRows,
     names: Sequence[str],
     topic: str,
     notes: list[str],

@@ -39,7 +39,7 @@ class Message:
 
 
 @dataclass
-class Recording:
+class RosRecording:
     """A file's topics (name -> type without its package, count of messages), and how to read one of
     them.
     """
@@ -59,7 +59,7 @@ class Recording:
         return (stamp - self.start) * 1e-9
 
 
-def open_bag(path: Path) -> Recording:
+def open_bag(path: Path) -> RosRecording:
     """A ROS 2 bag's folder. Raises `DatasetError` for what is none."""
     _exists(path)
     reader_of = needed("rosbags.highlevel").AnyReader
@@ -76,7 +76,7 @@ def open_bag(path: Path) -> Recording:
         raise refused(
             path, f"not readable as a ROS 2 bag ({first_line(error)})", "Name the bag's folder"
         ) from None
-    recording = Recording(
+    recording = RosRecording(
         path,
         {t: (k.rpartition("/")[2], counts[t]) for t, k in kinds.items()},
         lambda topic: iter(()),
@@ -108,7 +108,7 @@ def open_bag(path: Path) -> Recording:
 _UNKNOWN = "Record as MCAP (ros2 bag record -s mcap), which keeps the definitions of messages"
 
 
-def open_mcap(path: Path) -> Recording:
+def open_mcap(path: Path) -> RosRecording:
     """An MCAP file. Raises `DatasetError` for what is none."""
     _exists(path)
     make_reader = needed("mcap.reader").make_reader
@@ -124,7 +124,7 @@ def open_mcap(path: Path) -> Recording:
         raise refused(
             path, f"not readable as MCAP ({first_line(error)})", "Give an .mcap file"
         ) from None
-    recording = Recording(path, topics, lambda topic: iter(()))
+    recording = RosRecording(path, topics, lambda topic: iter(()))
 
     def read(topic: str) -> Iterator[Message]:
         try:
@@ -182,7 +182,7 @@ def _typestore(schema: Any) -> Any:
     return store
 
 
-def _deserialized(store: Any, raw: bytes, kind: str, recording: Recording) -> Any:
+def _deserialized(store: Any, raw: bytes, kind: str, recording: RosRecording) -> Any:
     """The message; some publishers put more bytes behind it, which are counted."""
     try:
         return store.deserialize_cdr(raw, kind)
@@ -196,7 +196,7 @@ def _deserialized(store: Any, raw: bytes, kind: str, recording: Recording) -> An
         return message
 
 
-def _message(body: Any, log_time: int, recording: Recording) -> Message:
+def _message(body: Any, log_time: int, recording: RosRecording) -> Message:
     header = getattr(body, "header", None)
     own = 0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
     return Message(recording.seconds(own or log_time), lambda key: getattr(body, key, None))

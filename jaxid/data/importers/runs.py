@@ -20,14 +20,14 @@ from jaxid.data.dataset import Dataset, ModelSpec
 from jaxid.data.io import save_dataset
 from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.registers import found_sign, register_words
-from jaxid.errors import DatasetError, DatasetWarning, Problem
+from jaxid.errors import DatasetError, DatasetProblem, DatasetWarning
 
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 
 @dataclass
-class Run:
+class ImportedRun:
     """One recording: `t [time]` s and channel -> `[time]`; `notes` say what was wrong with it."""
 
     name: str
@@ -36,7 +36,9 @@ class Run:
     notes: list[str] = field(default_factory=list)
 
 
-def runs_of(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: str) -> list[Run]:
+def runs_of(
+    name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: str
+) -> list[ImportedRun]:
     """The runs of a recording whose time may start again; rows that are merely out of order are
     sorted, both said.
 
@@ -65,7 +67,7 @@ def runs_of(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: s
     if torn:
         message = f"{late} rows run backwards in time, and {len(torn)} of the times stand there twice with other values"
         remedy = "It seems to be several recordings mixed row by row: import each by itself (--rows FIRST:END), or sort them apart"
-        raise DatasetError([Problem(file, None, None, message, remedy)])
+        raise DatasetError([DatasetProblem(file, None, None, message, remedy)])
     run = _counted(name, sorted_t, sorted_columns)
     run.notes.insert(0, f"{name}: {late} rows were out of order in time; they were sorted")
     return [run]
@@ -78,7 +80,7 @@ def _differing(t: np.ndarray, columns: Mapping[str, np.ndarray]) -> list[int]:
     return [int(k) for k in repeated if not all(alike(v[k : k + 2]) for v in columns.values())]
 
 
-def _counted(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray]) -> Run:
+def _counted(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray]) -> ImportedRun:
     """Without repeated times, which are counted; what is missing is counted too."""
     keep = np.concatenate([[True], np.diff(t) > 0]) if len(t) else np.zeros(0, bool)
     notes = []
@@ -97,11 +99,11 @@ def _counted(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray]) -> Run
                 f"{name}: {missing.sum()} samples are missing in {np.count_nonzero(missing)} gaps "
                 f"({100 * missing.sum() / (missing.sum() + len(t)):.1f} %), the longest of {missing[worst]} at {t[worst]:.3f} s"
             )
-    return Run(name, t, {k: v[keep] for k, v in columns.items()}, notes)
+    return ImportedRun(name, t, {k: v[keep] for k, v in columns.items()}, notes)
 
 
 def save_runs(
-    runs: Sequence[Run],
+    runs: Sequence[ImportedRun],
     out: str | os.PathLike[str],
     kind: str,
     roles: Mapping[str, tuple[str | None, str]],
@@ -210,7 +212,7 @@ def paths_of(files: Paths) -> list[Path]:
 
 
 def refused(path: Path, message: str, remedy: str) -> DatasetError:
-    return DatasetError([Problem(path.name or str(path), None, None, message, remedy)])
+    return DatasetError([DatasetProblem(path.name or str(path), None, None, message, remedy)])
 
 
 def first_line(error: Exception) -> str:

@@ -14,12 +14,12 @@ import numpy as np
 
 from jaxid.data.importers.arrays import Arrays, kind_of, read_arrays
 from jaxid.data.importers.runs import refused
-from jaxid.data.importers.text import decoded, read_text, Stated
+from jaxid.data.importers.text import decoded, read_text, StatedFormat
 from jaxid.data.importers.traces import CLOCK, read_trace, words_of as trace_words
 from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.table import read_table, Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND, since_start
-from jaxid.errors import DatasetError, Problem
+from jaxid.errors import DatasetError, DatasetProblem
 
 
 _RATES = ("hz", "rate", "fs", "fps", "sample_rate", "sampling_rate", "samplerate")
@@ -44,7 +44,7 @@ class Source:
     clock: str = ""  # the column of the times, where the kind of file says it
 
 
-def read_source(path: Path, stated: Stated) -> Source:
+def read_source(path: Path, stated: StatedFormat) -> Source:
     """A file by its own kind, whatever it is called."""
     if not path.is_file():
         raise refused(
@@ -194,7 +194,7 @@ def times_of(
     if doubted is not None:
         remedy = re.sub(r'time_unit = "(\w+)"', rf"--channel t={name}:\1", doubted[1])
         message = re.sub(r'time_unit = "(\w+)"', rf"--channel t={name}:\1", doubted[0])
-        raise DatasetError([Problem(source.path.name, None, name, message, remedy)])
+        raise DatasetError([DatasetProblem(source.path.name, None, name, message, remedy)])
     return t, start
 
 
@@ -245,5 +245,5 @@ def numbers_of(
         more = f"; so {len(bad)} rows" if len(bad) > 1 else ""
         row = table.row(bad[0]) if source.rows is not None else None
         remedy = f"Correct it, or choose other rows: --rows 0:{bad[0]}"
-        raise DatasetError([Problem(table.file, row, column, what + more, remedy)])
+        raise DatasetError([DatasetProblem(table.file, row, column, what + more, remedy)])
     return values

@@ -36,7 +36,7 @@ _TORN = re.compile(
 
 
 @dataclass(frozen=True)
-class Form:
+class TextFormat:
     """How a file writes its table. Rows count from 1, as an editor shows them; `header` and `units`
     are None where there is none, `comment` begins rows that are passed over.
     """
@@ -63,7 +63,7 @@ class Form:
 
 
 @dataclass(frozen=True)
-class Stated:
+class StatedFormat:
     """What the user says of it himself; None is left to be recognised, a `header` of 0 is none."""
 
     separator: str | None = None
@@ -85,7 +85,9 @@ class Stated:
         return " ".join(said)
 
 
-def read_text(path: Path, content: bytes, stated: Stated) -> tuple[Table, dict[str, str], Form]:
+def read_text(
+    path: Path, content: bytes, stated: StatedFormat
+) -> tuple[Table, dict[str, str], TextFormat]:
     """The table, units of its columns where the file has them, and how it is written.
 
     Raises `DatasetError` where no rows of numbers are found.
@@ -126,7 +128,7 @@ def read_text(path: Path, content: bytes, stated: Stated) -> tuple[Table, dict[s
     return table, said, form
 
 
-def recognise(lines: Sequence[str], stated: Stated = Stated()) -> Form | None:
+def recognise(lines: Sequence[str], stated: StatedFormat = StatedFormat()) -> TextFormat | None:
     """How rows of text hold a table, or None where none of them are numbers."""
     comment = next(
         (c for c in COMMENTS for line in lines[:1000] if line.lstrip().startswith(c)), None
@@ -139,10 +141,10 @@ def recognise(lines: Sequence[str], stated: Stated = Stated()) -> Form | None:
     if stated.first is not None:
         data = [k for k in data if k >= stated.first - 1]
     body = [lines[k] for k in data[-min(_BODY, -(-len(data) // 2)) :]] if data else []
-    best: tuple[int, list[bool], Form] | None = None
+    best: tuple[int, list[bool], TextFormat] | None = None
     for separator in [stated.separator] if stated.separator else SEPARATORS:
         for decimal in [stated.decimal] if stated.decimal else [d for d in ".," if d != separator]:
-            form = Form(separator, decimal, 1, None, None, comment)
+            form = TextFormat(separator, decimal, 1, None, None, comment)
             numeric = _numeric(body, form)
             if any(numeric) and (best is None or sum(numeric) > best[0]):
                 best = (sum(numeric), numeric, form)
@@ -156,7 +158,7 @@ def recognise(lines: Sequence[str], stated: Stated = Stated()) -> Form | None:
     return _with_header(lines, len(numeric), form)
 
 
-def _numeric(body: Sequence[str], form: Form) -> list[bool]:
+def _numeric(body: Sequence[str], form: TextFormat) -> list[bool]:
     """Which columns of the rows at the end hold numbers, dates or lists; empty where the rows
     differ in their count of fields, or where what is left of numbers shows that another sign
     separates them.
@@ -180,7 +182,7 @@ def _numeric(body: Sequence[str], form: Form) -> list[bool]:
     return [] if torn else numeric
 
 
-def _is_data(cell: str, form: Form) -> bool:
+def _is_data(cell: str, form: TextFormat) -> bool:
     if form.decimal == "," and "." in cell and "," not in cell and not _is_date(cell):
         return False
     text = _point(cell) if form.decimal == "," else cell
@@ -205,7 +207,9 @@ def _point(cell: str) -> str:
     return cell.replace(",", ".") if re.fullmatch(r"[+-]?\d*,\d*([eE][+-]?\d+)?", cell) else cell
 
 
-def _first(lines: Sequence[str], data: Sequence[int], numeric: Sequence[bool], form: Form) -> int:
+def _first(
+    lines: Sequence[str], data: Sequence[int], numeric: Sequence[bool], form: TextFormat
+) -> int:
     """The first row that looks like those at the end."""
     for k in data:
         cells = _fields(lines[k], form)
@@ -217,7 +221,7 @@ def _first(lines: Sequence[str], data: Sequence[int], numeric: Sequence[bool], f
     return data[0]
 
 
-def _with_header(lines: Sequence[str], width: int, form: Form) -> Form:
+def _with_header(lines: Sequence[str], width: int, form: TextFormat) -> TextFormat:
     """The form with the header, and the units below it, that stand right above the data."""
     above: list[int] = []
     for k in range(form.first - 2, -1, -1):
@@ -238,7 +242,7 @@ def _with_header(lines: Sequence[str], width: int, form: Form) -> Form:
     return replace(form, header=above[0] + 1)
 
 
-def _stacked(lines: Sequence[str], form: Form, header: list[str]) -> list[str]:
+def _stacked(lines: Sequence[str], form: TextFormat, header: list[str]) -> list[str]:
     """Names that stand in several rows over each other (pandas' levels, merged cells): those above
     are joined before the lowest ones as long as these are not unique or left open.
     """
@@ -255,14 +259,14 @@ def _stacked(lines: Sequence[str], form: Form, header: list[str]) -> list[str]:
     return names
 
 
-def _fields(line: str, form: Form) -> list[str]:
+def _fields(line: str, form: TextFormat) -> list[str]:
     if form.separator == " ":
         return line.split()
     cells = next(csv.reader([line], delimiter=form.separator, skipinitialspace=True), [])
     return [c.strip() for c in cells]
 
 
-def _bare(line: str, form: Form) -> str:
+def _bare(line: str, form: TextFormat) -> str:
     """A header without the sign of a comment before it."""
     return (
         line.lstrip()[len(form.comment) :]

@@ -14,7 +14,7 @@ from jaxid.data.dataset import Controller, Dataset, ModelSpec
 from jaxid.data.reading.assemble import assemble
 from jaxid.data.schema import ExperimentEntry, Places, read_document
 from jaxid.data.table import Table, table_of_arrays
-from jaxid.errors import DatasetError, nearest, Problem
+from jaxid.errors import DatasetError, DatasetProblem, nearest
 
 
 RUN_SETTINGS = (
@@ -98,7 +98,7 @@ def from_arrays(
     twice = [c for c in signals if sum(c in group for group in roles.values()) > 1]
     if twice:
         raise DatasetError(
-            [Problem(name, None, twice[0], "the channel has two roles", "Give it one role")]
+            [DatasetProblem(name, None, twice[0], "the channel has two roles", "Give it one role")]
         )
     count = _runs(t)
     valid = settings.get("valid") or {}
@@ -113,7 +113,7 @@ def from_arrays(
     for channel in valid.keys() & channels.keys():
         channels[channel]["valid"] = f"{channel}{VALID}"
     problems = [
-        Problem(
+        DatasetProblem(
             name,
             None,
             key,
@@ -129,7 +129,9 @@ def from_arrays(
         if key not in signals
     ]
     problems += [
-        Problem(name, None, channel, "the unit is not stated", f"Say units={{{channel!r}: ...}}")
+        DatasetProblem(
+            name, None, channel, "the unit is not stated", f"Say units={{{channel!r}: ...}}"
+        )
         for channel, entry in channels.items()
         if "unit" not in entry
     ]
@@ -177,7 +179,11 @@ def _each_run(
         if not isinstance(values, list | tuple) or len(values) != count:
             message = f"t holds {count} runs, but {channel!r} is not a list of {count} arrays"
             raise DatasetError(
-                [Problem(name, None, channel, message, "Give one array a run, in the same order")]
+                [
+                    DatasetProblem(
+                        name, None, channel, message, "Give one array a run, in the same order"
+                    )
+                ]
             )
     return [
         (t[i], {channel: values[i] for channel, values in signals.items()}) for i in range(count)
@@ -200,7 +206,7 @@ def _run_entries(name: str, count: int | None, settings: Mapping[str, Any]) -> l
                 if len(value) != total:
                     message = f"{key} has {len(value)} values for {total} run{'s' * (total > 1)}"
                     raise DatasetError(
-                        [Problem(name, None, None, message, "Give one value, or one a run")]
+                        [DatasetProblem(name, None, None, message, "Give one value, or one a run")]
                     )
                 value = value[i]
             if value is not None:
@@ -209,7 +215,7 @@ def _run_entries(name: str, count: int | None, settings: Mapping[str, Any]) -> l
     if len(names) != total:
         raise DatasetError(
             [
-                Problem(
+                DatasetProblem(
                     name, None, None, f"{len(names)} names for {total} runs", "Give one name a run"
                 )
             ]
@@ -289,7 +295,7 @@ def from_frame(
                     if own
                     else "Name a column of the frame"
                 )
-                problems.append(Problem(name, None, column, message, remedy))
+                problems.append(DatasetProblem(name, None, column, message, remedy))
     if problems:
         raise DatasetError(list(dict.fromkeys(problems)))
     single = not isinstance(frame, list | tuple)

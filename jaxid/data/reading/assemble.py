@@ -14,14 +14,14 @@ from jaxid.data.joint_names import in_chain_order, number_of, renamed, renumbere
 from jaxid.data.patterns import expanded_channels
 from jaxid.data.reading.own_model import file_of, info_of_file, runs_as_code, stated
 from jaxid.data.reading.stated_model import as_robot, as_robot_entry, geometry_of, joints_of
-from jaxid.data.records import Harvest, read_record, read_response, Reading
+from jaxid.data.records import ChannelReading, Harvest, read_record, read_response
 from jaxid.data.schema import Document, ExperimentEntry, Header, Places
 from jaxid.data.table import Table
 from jaxid.data.units import Conversion, conversion, si_unit, UnitError
-from jaxid.errors import DatasetError, DatasetWarning, nearest, Problem, UsageError
+from jaxid.errors import DatasetError, DatasetProblem, DatasetWarning, nearest, UsageError
 
 
-OpenTable = Callable[[int, ExperimentEntry], Table | Problem]
+OpenTable = Callable[[int, ExperimentEntry], Table | DatasetProblem]
 
 
 def assemble(
@@ -31,7 +31,7 @@ def assemble(
     *,
     check_model: bool,
     sha256: Callable[[], str],
-    open_text: Callable[[str, tuple[str | int, ...]], str | Problem] | None = None,
+    open_text: Callable[[str, tuple[str | int, ...]], str | DatasetProblem] | None = None,
 ):
     """The dataset, or `DatasetError` with every fault of the description, the model and the
     samples.
@@ -92,7 +92,9 @@ def assemble(
         ) from None
 
 
-def _of_chain(document: Document, readings: list[Reading], chain: tuple[str, ...]) -> list[Reading]:
+def _of_chain(
+    document: Document, readings: list[ChannelReading], chain: tuple[str, ...]
+) -> list[ChannelReading]:
     """The channels as the model will have them: without joints that the recording names and the
     chain lacks.
     """
@@ -108,9 +110,9 @@ def _of_chain(document: Document, readings: list[Reading], chain: tuple[str, ...
     ]
 
 
-def _each_once(problems: list[Problem]) -> list[Problem]:
+def _each_once(problems: list[DatasetProblem]) -> list[DatasetProblem]:
     """Without doubles (runs may share a file); a column that several files lack is one fault."""
-    kept: dict[Any, Problem] = {}
+    kept: dict[Any, DatasetProblem] = {}
     more: dict[Any, list[str]] = {}
     for problem in problems:
         lacking = problem.message.startswith("there is no column")
@@ -142,8 +144,8 @@ def _origin(header: Header) -> dict[str, Any] | str | None:
 
 
 def _readings(
-    document: Document, places: Places, problems: list[Problem], info: Any
-) -> list[Reading]:
+    document: Document, places: Places, problems: list[DatasetProblem], info: Any
+) -> list[ChannelReading]:
     wanted = {}
     for signature in info.signatures if info is not None else ():
         wanted.update(
@@ -158,11 +160,11 @@ def _readings(
             problems.append(places.problem(("channels", name, "unit"), str(error), remedy))
             document.sound.discard("channels")
             found = Conversion(1.0, entry.unit)
-        readings.append(Reading(name, entry, found))
+        readings.append(ChannelReading(name, entry, found))
     return readings
 
 
-def _roles(document: Document, places: Places, *, known_model: bool) -> list[Problem]:
+def _roles(document: Document, places: Places, *, known_model: bool) -> list[DatasetProblem]:
     """What any dataset needs; where the model is known, it says itself which channels are
     lacking.
     """
@@ -218,7 +220,7 @@ def _roles(document: Document, places: Places, *, known_model: bool) -> list[Pro
     return problems
 
 
-def _references(document: Document, places: Places) -> list[Problem]:
+def _references(document: Document, places: Places) -> list[DatasetProblem]:
     """Names that one part of the file says of another: channels of a frequency response, names of
     experiments.
     """
@@ -258,7 +260,7 @@ def _references(document: Document, places: Places) -> list[Problem]:
 def _model_info(
     document: Document,
     places: Places,
-    problems: list[Problem],
+    problems: list[DatasetProblem],
     geometry: Geometry | None,
     file: str | None,
 ) -> Any:
@@ -291,7 +293,9 @@ def _model_info(
     return _known_names(document, places, problems, catalogue.describe(entry.name, *own))
 
 
-def _known_names(document: Document, places: Places, problems: list[Problem], info: Any) -> Any:
+def _known_names(
+    document: Document, places: Places, problems: list[DatasetProblem], info: Any
+) -> Any:
     """The description of the model, after the names that the file states were looked for in it."""
     from jaxid import catalogue
 
@@ -320,8 +324,8 @@ def _known_names(document: Document, places: Places, problems: list[Problem], in
 
 
 def _fits_model(
-    document: Document, readings: list[Reading], places: Places, info: Any
-) -> list[Problem]:
+    document: Document, readings: list[ChannelReading], places: Places, info: Any
+) -> list[DatasetProblem]:
     """Whether the channels contain one signature of the model; the closest signature is the one to
     speak of.
     """
@@ -331,7 +335,7 @@ def _fits_model(
 
     free = document.model.free
     have = {r.name: r for r in readings}
-    best: list[Problem] | None = None
+    best: list[DatasetProblem] | None = None
     speeds = {r.name: r.conversion.si for r in readings if r.entry.role == "output"}
     for signature in info.signatures:
         signature = with_speeds(signature, speeds)
@@ -342,8 +346,8 @@ def _fits_model(
 
 
 def _signature_faults(
-    have: dict[str, Reading], signature: Any, free: bool, places: Places, model: str
-) -> list[Problem]:
+    have: dict[str, ChannelReading], signature: Any, free: bool, places: Places, model: str
+) -> list[DatasetProblem]:
     problems = []
     needed = [(n, u, "output") for n, u in signature.outputs]
     needed += [] if free else [(n, u, "input") for n, u in signature.inputs]
@@ -383,7 +387,10 @@ def _signature_faults(
 
 
 def _samples(
-    document: Document, readings: list[Reading], open_table: OpenTable, problems: list[Problem]
+    document: Document,
+    readings: list[ChannelReading],
+    open_table: OpenTable,
+    problems: list[DatasetProblem],
 ) -> list[Harvest]:
     names = _names(document.experiments)
     time = document.header.time if document.header is not None else "t"
@@ -393,7 +400,7 @@ def _samples(
     last = {entry.file: index for index, entry in document.experiments.items()}
     for index, entry in document.experiments.items():
         table = open_table(index, entry)
-        if isinstance(table, Problem):
+        if isinstance(table, DatasetProblem):
             problems.append(table)
             continue
         problems += table.problems
@@ -434,7 +441,7 @@ def _names(entries: dict[int, ExperimentEntry]) -> dict[int, str]:
     return names
 
 
-def _still_outputs(harvests: list[Harvest]) -> list[Problem]:
+def _still_outputs(harvests: list[Harvest]) -> list[DatasetProblem]:
     """A run is refused where none of its outputs moves. A joint that is held while others move is
     sound.
     """

@@ -13,14 +13,14 @@ from jaxid.data.model_names import parts_of
 from jaxid.data.reading.stated_model import model_spec
 from jaxid.data.schema import Document, Places
 from jaxid.data.schema_model import ModelEntry
-from jaxid.errors import Problem, UsageError
+from jaxid.errors import DatasetProblem, UsageError
 
 
 KEY = ("model", "file")
 
 
 def file_of(
-    document: Document, places: Places, open_text: Any, problems: list[Problem]
+    document: Document, places: Places, open_text: Any, problems: list[DatasetProblem]
 ) -> str | None:
     """The path of the file, with the class that `name` states, as `jaxid.dynamics.model_file` takes
     it. It is read here, so that the dataset's hash has it, and not run. A file outside of the
@@ -34,14 +34,14 @@ def file_of(
         problems.append(places.problem(KEY, "a file needs a folder", remedy))
         return None
     text = open_text(entry.file, KEY)
-    if isinstance(text, Problem):
+    if isinstance(text, DatasetProblem):
         problems.append(text)
         return None
     path = str(open_text.path(entry.file).resolve())
     return path if entry.name is None else f"{path}:{entry.name}"
 
 
-def info_of_file(file: str | None, places: Places, problems: list[Problem]) -> Any:
+def info_of_file(file: str | None, places: Places, problems: list[DatasetProblem]) -> Any:
     """What is known of the model, for which its file is run; None where that failed, with the
     reason among the problems.
     """

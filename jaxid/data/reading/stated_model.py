@@ -9,7 +9,7 @@ from jaxid.data.dataset import Dataset, Geometry, ModelSpec, ParameterPrior
 from jaxid.data.schema import Document, Places
 from jaxid.data.schema_model import ModelEntry, PriorEntry
 from jaxid.dynamics.urdf_table import arm_table
-from jaxid.errors import DatasetError, Problem, UsageError
+from jaxid.errors import DatasetError, DatasetProblem, UsageError
 
 
 def model_spec(entry: ModelEntry) -> ModelSpec:
@@ -29,7 +29,7 @@ def prior_of(entry: PriorEntry) -> ParameterPrior:
 
 
 def geometry_of(
-    document: Document, places: Places, open_text: Any, problems: list[Problem]
+    document: Document, places: Places, open_text: Any, problems: list[DatasetProblem]
 ) -> Geometry | None:
     """The links that `[model]` states; a URDF is read from the folder and kept as text."""
     entry = document.model
@@ -64,13 +64,17 @@ def geometry_of(
 
 
 def _text(
-    name: str, key: tuple[str, str], open_text: Any, needs: Problem, problems: list[Problem]
+    name: str,
+    key: tuple[str, str],
+    open_text: Any,
+    needs: DatasetProblem,
+    problems: list[DatasetProblem],
 ) -> str | None:
     """The text of a file that `[model]` names; where there is none, `needs` or what is wrong with
     it joins the problems.
     """
     text = needs if open_text is None else open_text(name, key)
-    if isinstance(text, Problem):
+    if isinstance(text, DatasetProblem):
         problems.append(text)
         return None
     return text
@@ -97,7 +101,7 @@ def as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
 
 
 def robot_geometry(
-    entry: ModelEntry, places: Places, open_text: Any, problems: list[Problem]
+    entry: ModelEntry, places: Places, open_text: Any, problems: list[DatasetProblem]
 ) -> Geometry | None:
     """The robot's file as text, if it can be read as a robot."""
     from jaxid.robots.match import robot_of

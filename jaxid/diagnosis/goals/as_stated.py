@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxid.diagnosis.goals.changes import Change, changes
+from jaxid.diagnosis.goals.changes import changes, StatedDifference
 from jaxid.diagnosis.goals.floor import Between, between_simulators, seen_early
 from jaxid.diagnosis.goals.gains import held_gains
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of
@@ -26,7 +26,7 @@ from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.effect import Effect
 from jaxid.fitting.fitter import Progress
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
 from jaxid.wording import listed
@@ -65,7 +65,7 @@ class Difference:
         ]
         return f"{TAKEN_OFF} {listed(every)}"
 
-    def off(self, bench: Bench) -> Bench:
+    def off(self, bench: ProblemBuilder) -> ProblemBuilder:
         """The bench with readings as jaxid's simulation of the file would have them."""
         for split, between in self.by_split.items():
             runs = bench.runs(OutputError(), split)
@@ -78,7 +78,7 @@ class Difference:
 
 
 def difference(
-    bench: Bench, known: Mapping[str, Between], theta: np.ndarray | None = None
+    bench: ProblemBuilder, known: Mapping[str, Between], theta: np.ndarray | None = None
 ) -> Difference | None:
     """None where MuJoCo has no run of some split; what is `known` already by split, and the numbers
     of jaxid's runs.
@@ -104,7 +104,7 @@ def _changed(b: Binding, of_fit: Between) -> np.ndarray:
     return np.minimum(1.0, of_fit.left / np.maximum(moved, 1e-300))
 
 
-def by_its_steps(bench: Bench, study: LedStudy, plain: Difference) -> Difference | None:
+def by_its_steps(bench: ProblemBuilder, study: LedStudy, plain: Difference) -> Difference | None:
     """The same with what first-order steps of h do to any motion of the model: they add h / 2 of
     the dampings to the inertias and see the motion h / 2 early. The first goes into the numbers,
     the second into the readings by their own speed; what is left of the difference hardly depends
@@ -160,7 +160,7 @@ class Alone:
             None  # what was found, where that model takes no more numbers
         )
 
-    def enough(self, found: Sequence[Change]) -> list[Hypothesis]:
+    def enough(self, found: Sequence[StatedDifference]) -> list[Hypothesis]:
         """Those that leave no more than the noise: the fewest numbers that leave next to nothing
         more than any, by the evidence for each; a number of the model stands before an effect that
         the data do not tell from it.
@@ -304,7 +304,11 @@ class AsStated:
     """What the file explains as MuJoCo runs it: by itself, or with a single change."""
 
     def __init__(
-        self, bench: Bench, study: LedStudy, kinds: Sequence[type[Effect]], between: Between
+        self,
+        bench: ProblemBuilder,
+        study: LedStudy,
+        kinds: Sequence[type[Effect]],
+        between: Between,
     ):
         """`bench` of the model without candidates, `between` of its fit runs."""
         self.plain = bench.binding
@@ -318,14 +322,14 @@ class AsStated:
         self.stepped = (
             None if self.stands or self.taken is None else by_its_steps(bench, study, self.taken)
         )
-        self.changes: list[Change] = []
+        self.changes: list[StatedDifference] = []
         if self.stepped is not None:
             apart = self.stepped.by_split["fit"].apart
             self.changes = changes(self.plain, kinds, apart, self.stepped.theta)
         self.alone: Alone | None = None
         self.enough: list[Hypothesis] = []
 
-    def ask(self, made: Callable[[np.ndarray], Bench], progress: Progress | None) -> None:
+    def ask(self, made: Callable[[np.ndarray], ProblemBuilder], progress: Progress | None) -> None:
         """Simulates the changes; `made(floor)` makes a bench with their effects as candidates."""
         if self.stepped is not None and self.changes:
             bench = self.stepped.off(made(self.stepped.floor))

@@ -10,7 +10,7 @@ import numpy as np
 from jaxid.diagnosis.goals.plant import CHANGED
 from jaxid.diagnosis.torque.library import MOMENT, Unit
 from jaxid.diagnosis.torque.plant import inverse_of
-from jaxid.diagnosis.torque.rows import Run
+from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.dynamics.effect import Effect, neutral
 from jaxid.dynamics.parameter import resolve, specs, with_fields
 from jaxid.problem.binding import Binding
@@ -27,7 +27,7 @@ def shifts_body(kind: type[Effect]) -> bool:
     return kind.quantity() in ("inertial", "gravity")
 
 
-def body_units(b: Binding, runs: Sequence[Run], kind: Any, theta: np.ndarray) -> list[Unit]:
+def body_units(b: Binding, runs: Sequence[TorqueRun], kind: Any, theta: np.ndarray) -> list[Unit]:
     """What changes the mechanism along some runs, to first order in each of its numbers, or in a
     mass times where it sits.
     """

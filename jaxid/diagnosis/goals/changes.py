@@ -11,7 +11,7 @@ from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.gains import freed, held_gains
 from jaxid.diagnosis.goals.propose import Proposal
 from jaxid.diagnosis.goals.study import LedStudy
-from jaxid.diagnosis.torque.algebra import gram, Known, solve, Weights
+from jaxid.diagnosis.torque.algebra import ColumnPrior, gram, solve, Weights
 from jaxid.diagnosis.torque.library import Unit
 from jaxid.dynamics.effect import Effect
 from jaxid.problem.binding import Binding
@@ -23,7 +23,7 @@ FIRST = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class StatedDifference:
     """What alone is different from the model as it stands: effects of one kind, or numbers of the
     model (`index`, in its layout); with the values of both.
     """
@@ -41,7 +41,7 @@ def changes(
     kinds: Sequence[type[Effect]],
     apart: Sequence[np.ndarray],
     theta: np.ndarray,
-) -> list[Change]:
+) -> list[StatedDifference]:
     """Single changes of a model whose other numbers stand as they are in `theta`, likeliest first:
     an effect at one of its places or at all of them, a number of the model or of its law, one of
     all its joints, or the centre of mass of a link. `apart` [samples n] of each fit run is taken
@@ -62,7 +62,7 @@ def changes(
         )
         for k, x in enumerate(rows.rows)
     ]
-    out: dict[tuple[object, ...], Change] = {}
+    out: dict[tuple[object, ...], StatedDifference] = {}
     for white in (Weights(study.noise, np.ones(len(study.noise))), by_left):
         g = gram(study.runs, every, study.unsure, white, 1).total
         effects = _of_effects(g, study, rows.units, p)
@@ -90,7 +90,7 @@ def _without(e: Experiment, apart: np.ndarray) -> Experiment:
     return replace(e, y=y)
 
 
-def _of_numbers(g: np.ndarray, study: LedStudy) -> list[tuple[float, Change]]:
+def _of_numbers(g: np.ndarray, study: LedStudy) -> list[tuple[float, StatedDifference]]:
     """What is left by the best value of each number or group of numbers, and that."""
     b, free = study.binding, study.plant.free
     groups: dict[tuple[str, str], list[int]] = {}
@@ -106,13 +106,13 @@ def _of_numbers(g: np.ndarray, study: LedStudy) -> list[tuple[float, Change]]:
         )
         theta = b.theta.copy()
         theta[index] += moved
-        out.append((cost, Change(Proposal((), (), theta), tuple(index))))
+        out.append((cost, StatedDifference(Proposal((), (), theta), tuple(index))))
     return out
 
 
 def _of_effects(
     g: np.ndarray, study: LedStudy, every: Sequence[Unit], first: int
-) -> list[tuple[float, Change]]:
+) -> list[tuple[float, StatedDifference]]:
     """The same of effects, each with the best of its shapes."""
     ends = first + np.cumsum([0, *(len(u.fields) for u in every)])
     best: dict[tuple[str, str], tuple[float, int, np.ndarray]] = {}
@@ -122,7 +122,7 @@ def _of_effects(
             best[u.place] = cost, k, numbers
     theta = study.binding.theta
     out = [
-        (cost, Change(Proposal((every[k],), (numbers,), theta)))
+        (cost, StatedDifference(Proposal((every[k],), (numbers,), theta)))
         for cost, k, numbers in best.values()
     ]
     for effect in dict.fromkeys(e for e, _ in best):
@@ -134,7 +134,12 @@ def _of_effects(
             )
             cost, numbers = _alone(g, np.concatenate(at), low, high)
             parts = np.split(numbers, np.cumsum([len(x) for x in at])[:-1])
-            out.append((cost, Change(Proposal(tuple(every[k] for k in own), tuple(parts), theta))))
+            out.append(
+                (
+                    cost,
+                    StatedDifference(Proposal(tuple(every[k] for k in own), tuple(parts), theta)),
+                )
+            )
     return out
 
 
@@ -148,7 +153,7 @@ def _alone(
     s = solve(
         g,
         np.asarray(at, int),
-        Known(np.zeros((size, size)), np.zeros(size)),
+        ColumnPrior(np.zeros((size, size)), np.zeros(size)),
         np.zeros(size),
         low_,
         high_,

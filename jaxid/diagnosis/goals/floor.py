@@ -17,7 +17,7 @@ from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.gains import gains_in
 from jaxid.diagnosis.verdict import level
 from jaxid.errors import UsageError
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.replay import in_mujoco
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError, run_up
@@ -74,7 +74,7 @@ def seen_early(apart: Sequence[np.ndarray], speeds: Sequence[np.ndarray]) -> np.
 
 
 def between_simulators(
-    bench: Bench, split: str = "fit", theta: np.ndarray | None = None
+    bench: ProblemBuilder, split: str = "fit", theta: np.ndarray | None = None
 ) -> Between | None:
     """None where MuJoCo has no run of the file; `theta`: numbers of jaxid's run where not those of
     the file. Gains that are fitted are those of `theta` in both runs.

@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxid.data.dataset import Experiment
 from jaxid.data.signals import spline, zero_phase
-from jaxid.diagnosis.torque.rows import Run
+from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.numerics.precision import float64
 
 
@@ -93,7 +93,7 @@ def loop_of(
 
 
 @dataclass(frozen=True, eq=False)
-class LoopRun(Run):
+class LoopRun(TorqueRun):
     """A recording whose rows are those of the free run, once the model was linearised along it
     (`loop`).
     """
@@ -117,7 +117,7 @@ class LoopRun(Run):
         )
 
 
-class RawRun(Run):
+class RawRun(TorqueRun):
     """A recording whose rows are the forces themselves, at all samples."""
 
     def rows(self, x: np.ndarray) -> np.ndarray:

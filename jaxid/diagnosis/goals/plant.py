@@ -13,9 +13,9 @@ import numpy as np
 
 from jaxid.diagnosis.goals.loop import Loop, loop_of
 from jaxid.diagnosis.torque.plant import AnyPlant
-from jaxid.diagnosis.torque.rows import Run
+from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.dynamics.effect import Command, InputEffect, JointEffect, neutral, Signals
-from jaxid.dynamics.parameter_vector import Form, Layout
+from jaxid.dynamics.parameter_vector import ChainForm, Layout
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 
@@ -32,7 +32,7 @@ class LedPlant(AnyPlant):
     """
 
     def balance(
-        self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0
+        self, run: TorqueRun, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0
     ) -> tuple[np.ndarray, ...]:
         """Force [time n] that the motion of a run, moved by so much, leaves to dry friction, and
         its levels (minus, plus).
@@ -44,12 +44,12 @@ class LedPlant(AnyPlant):
             )
         return tuple(np.asarray(x)[: len(run.q)] for x in found)
 
-    def friction(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def friction(self, run: TorqueRun, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the motion leaves to dry friction and what friction takes of it, [time n]."""
         return self.taken(run, *self.balance(run, theta))
 
     def taken(
-        self, run: Run, left: np.ndarray, minus: np.ndarray, plus: np.ndarray
+        self, run: TorqueRun, left: np.ndarray, minus: np.ndarray, plus: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """What is `left` to dry friction of these levels and what friction takes of it, [time
         n].
@@ -59,7 +59,7 @@ class LedPlant(AnyPlant):
         turned = np.where(way > 0, plus, minus) * way
         return left, np.clip(left, turned - room * minus, turned + room * plus)
 
-    def missing(self, run: Run, theta: np.ndarray) -> np.ndarray:
+    def missing(self, run: TorqueRun, theta: np.ndarray) -> np.ndarray:
         """Force [time n] that the model lacks along the motion of a run."""
         left, taken = self.friction(run, theta)
         return left - taken
@@ -68,7 +68,7 @@ class LedPlant(AnyPlant):
         at, out = self.missing(run, theta), self.columns(run, theta)
         return at + out @ theta[self.free], out
 
-    def columns(self, run: Run, theta: np.ndarray) -> np.ndarray:
+    def columns(self, run: TorqueRun, theta: np.ndarray) -> np.ndarray:
         """Minus the derivatives of the missing force by the numbers that are fitted, [time n
         size].
         """
@@ -99,7 +99,7 @@ class LedPlant(AnyPlant):
         return list(groups.values())
 
     def slopes(
-        self, run: Run, theta: np.ndarray, left: np.ndarray
+        self, run: TorqueRun, theta: np.ndarray, left: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Minus the derivatives of what is `left` to dry friction by accelerations, speeds and
         positions, each [time n n].
@@ -118,7 +118,7 @@ class LedPlant(AnyPlant):
             )
         return made[0], made[1], made[2]
 
-    def loop(self, run: Run, theta: np.ndarray) -> tuple[Loop, np.ndarray]:
+    def loop(self, run: TorqueRun, theta: np.ndarray) -> tuple[Loop, np.ndarray]:
         """The free run to first order about the measured motion, a joint that friction holds being
         moved by no force; and the force [time n] that the model lacks there.
         """
@@ -153,7 +153,7 @@ def _command(h: Any, u: Any, other: Any, k: Any) -> Command:
     return Command(k * h, h, u[k], other[k], delayed)
 
 
-def _balance(form: Form) -> Any:
+def _balance(form: ChainForm) -> Any:
     def balance(theta: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
         chain = form.model(theta)
 
@@ -189,7 +189,7 @@ class Drive:
             [own.get(n, v) for n, v in zip(self.layout.names, self.layout.values, strict=True)]
         )
 
-    def torque(self, run: Run, other: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    def torque(self, run: TorqueRun, other: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """[time n]; `other` [time nu] the inputs under the other hold."""
         series = [run.padded(x) for x in (run.u, other, run.q, run.qd)]
         with float64():
@@ -197,7 +197,7 @@ class Drive:
             return np.asarray(program(theta, run.step, *series))[: len(run.q)]
 
 
-def _torque(form: Form) -> Any:
+def _torque(form: ChainForm) -> Any:
     def torque(theta: Any, h: Any, u: Any, other: Any, q: Any, qd: Any) -> Any:
         chain = form.model(theta)
         body = chain.body()

@@ -20,7 +20,7 @@ from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import MOMENT, Unit
 from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect, OutputEffect
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
 
 
@@ -59,7 +59,7 @@ def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
     """The nominal model, and sets of effects, the chosen one first; none where nothing predicts the
     held-out runs better.
     """
-    asked = Asked(study, study.theta, most)
+    asked = LinearisedSearch(study, study.theta, most)
     bare = _proposal(study, asked.chooser, asked.chooser.nominal)
     if asked.at_noise(asked.chooser.nominal):
         return bare, []
@@ -67,7 +67,7 @@ def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
     if not chosen.units:
         # Re-tuning for an effect that is missing can lead the numbers far away: now along the free
         # run of what was stated.
-        chooser, chosen = Asked(study, study.binding.theta, most).searched()
+        chooser, chosen = LinearisedSearch(study, study.binding.theta, most).searched()
     first = [chosen] if chosen.units else []
     limits = [
         Proposal((u,), (np.ones(1),), study.binding.theta.copy()) for u in limits_shown(study)[:1]
@@ -78,7 +78,7 @@ def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
     ][:FIRST]
 
 
-class Asked:
+class LinearisedSearch:
     """Every effect as columns along the free run of numbers theta, and the search among them."""
 
     def __init__(self, study: LedStudy, theta: np.ndarray, most: int):
@@ -176,7 +176,7 @@ def goes_the_other_way(stated: LedStudy, other: LedStudy) -> bool:
     return bool(total > LIMITS.sure and worst > 0 and fitted[1].sum() < fitted[0].sum())
 
 
-def candidates_of(bench: Bench, s: Proposal) -> list[Candidate]:
+def candidates_of(bench: ProblemBuilder, s: Proposal) -> list[Candidate]:
     """The candidates of a bench that a set asks for, each with the numbers that its unit shows."""
     kinds = {e.name: e for e in bench.binding.chain.effects}
     pool = {(c.effect, c.location): c for c in candidates(bench, [u.effect for u in s.units])}

@@ -35,7 +35,7 @@ from jaxid.dynamics.joint_readings import all_read
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import Path
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Fit
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
@@ -48,7 +48,8 @@ from jaxid.wording import listed
 Offer = Callable[[Callable[[], Fit], Search], None]
 
 Answer = Callable[
-    [Binding, Sequence[str], Callable[[Bench, Offer], tuple[Fit, Search]], float], Diagnosis
+    [Binding, Sequence[str], Callable[[ProblemBuilder, Offer], tuple[Fit, Search]], float],
+    Diagnosis,
 ]
 
 TOO_DEAR = (
@@ -110,7 +111,9 @@ def stands(chain: Chain, dataset: Dataset) -> bool:
 def begin_simulations(binding: Binding) -> float:
     """The step of the simulations; those of the model alone are being compiled."""
     step = max(STEP, loop_step(binding))
-    Bench(binding, step, differences=1).compile_ahead(OutputError(), binding.theta, binding.free)
+    ProblemBuilder(binding, step, differences=1).compile_ahead(
+        OutputError(), binding.theta, binding.free
+    )
     return step
 
 
@@ -224,8 +227,8 @@ class _Ask:
         wide = bind(self.model, self.dataset, without=self.without, candidates=asked)
         return freed(with_room(wide), gains)
 
-    def made(self, binding: Binding) -> Bench:
-        return Bench(binding, self.step, differences=1, together=True)
+    def made(self, binding: Binding) -> ProblemBuilder:
+        return ProblemBuilder(binding, self.step, differences=1, together=True)
 
 
 @dataclass(frozen=True)
@@ -367,7 +370,7 @@ class _Road:
 
     def __call__(
         self,
-        bench: Bench,
+        bench: ProblemBuilder,
         offer: Offer,
         decide: Decide,
         between: Sequence[np.ndarray] | None = None,

@@ -16,11 +16,11 @@ from jaxid.diagnosis.verdict import judge, level
 from jaxid.dynamics.effect import JointEffect
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
-from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.secant import descend_on_secants, Slopes
 from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.problem.binding import Binding
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import OutputError
 
 
@@ -34,7 +34,7 @@ SURELY = 4.0
 class Decider:
     """Refits by simulation, and counts what is simulated."""
 
-    bench: Bench
+    bench: ProblemBuilder
     names: Sequence[str]  # of the nominal model's numbers
     between: Sequence[np.ndarray] | None = (
         None  # what two simulators of the file differ by in the fit runs, [samples ny] each
@@ -216,7 +216,7 @@ class Decider:
         there, names = p.theta(h.path.z + more), self.bench.binding.layout.names
         return {names[i]: float(abs(there[i] - h.theta[i])) for c in h.effects for i in c.index}
 
-    def _weighed(self, p: Problem) -> np.ndarray:
+    def _weighed(self, p: FitProblem) -> np.ndarray:
         """What two simulators differ by, over the noise, in the order of a problem's residuals."""
         where = [p.runs.record(record).samples for record in p.records]
         return np.concatenate(

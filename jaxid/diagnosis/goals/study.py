@@ -16,8 +16,8 @@ from jaxid.diagnosis.goals.plant import Drive, LedPlant
 from jaxid.diagnosis.goals.probes import at_levels, is_level, LEVELS, probes_of, scaled
 from jaxid.diagnosis.torque.algebra import gram, Solution, solve, weighted, Weights
 from jaxid.diagnosis.torque.library import Unit, units
-from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
-from jaxid.diagnosis.torque.study import Rows, SHARPER, STEPS, Study
+from jaxid.diagnosis.torque.rows import read_runs, TorqueRun, turning_speeds
+from jaxid.diagnosis.torque.study import SHARPER, STEPS, TorqueRows, TorqueStudy
 from jaxid.dynamics.effect import Effect, InputEffect, OutputEffect
 from jaxid.dynamics.joint_readings import joint_readings
 from jaxid.dynamics.parameter import specs
@@ -38,7 +38,7 @@ ENOUGH = 0.1
 _EFFECTS = Pool("effects")
 
 
-class LedStudy(Study):
+class LedStudy(TorqueStudy):
     """A study whose rows are positions of the free run, rad or m."""
 
     plant: LedPlant  # pyright: ignore
@@ -54,7 +54,7 @@ class LedStudy(Study):
         self.begin = binding.theta if begin is None else begin
         #: By run, what was worked out of it last and at which numbers: its free run to first order,
         #: and its rows.
-        self._taken: dict[str, tuple[bytes, Run, np.ndarray, Run]] = {}
+        self._taken: dict[str, tuple[bytes, TorqueRun, np.ndarray, TorqueRun]] = {}
         self._made: dict[str, tuple[bytes, np.ndarray, np.ndarray]] = {}
         super().__init__(binding, kinds, cutoff_hz, None, False)
 
@@ -96,7 +96,7 @@ class LedStudy(Study):
         return {names[k]: float(x) for k, x in zip(own, numbers, strict=False)}
 
     def _fitted_to(
-        self, series: Sequence[np.ndarray], rows: Rows, at: np.ndarray
+        self, series: Sequence[np.ndarray], rows: TorqueRows, at: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """How much more of the columns' numbers makes these positions of the fit runs, and what
         that leaves [rows n]: columns are those of what readings are off by.
@@ -113,16 +113,16 @@ class LedStudy(Study):
         numbers = np.linalg.lstsq(A / norm, b, rcond=1e-10)[0] / norm
         return -numbers, (b - A @ numbers).reshape(-1, self.binding.chain.nq)
 
-    def weights(self, rows: Rows) -> Weights:
+    def weights(self, rows: TorqueRows) -> Weights:
         """Weights by what the re-tuned model leaves."""
         white = self._weights(rows, np.zeros(0, int), np.zeros(0))
         return self._weights(rows, *self.solved(rows, white))
 
-    def weights_of(self, rows: Rows, solution: Solution) -> Weights:
+    def weights_of(self, rows: TorqueRows, solution: Solution) -> Weights:
         """Weights by what a set of effects leaves."""
         return self._weights(rows, solution.at, solution.theta)
 
-    def solved(self, rows: Rows, white: Weights) -> tuple[np.ndarray, np.ndarray]:
+    def solved(self, rows: TorqueRows, white: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Columns of the re-tuned model, with clocks that agree, and their numbers."""
         s = self._solution(
             rows, white, np.arange(self.size - self.binding.chain.nq), self.of("fit")
@@ -131,7 +131,7 @@ class LedStudy(Study):
 
     # ---- what was measured
 
-    def _read(self, cutoff_hz: float | None) -> list[Run]:
+    def _read(self, cutoff_hz: float | None) -> list[TorqueRun]:
         b = self.binding
         iu, _ = columns(b.dataset, b.chain)
         every = np.array(
@@ -210,7 +210,9 @@ class LedStudy(Study):
                 loss += ((theta[i] - mean) / std) ** 2 / 2
         return loss, theta, Weights(size, memory)
 
-    def _damped(self, rows: Rows, white: Weights, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    def _damped(
+        self, rows: TorqueRows, white: Weights, damping: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Columns and their numbers, those of the model pulled to where they are by a share of what
         the data say of each.
         """
@@ -248,12 +250,12 @@ class LedStudy(Study):
             [e[3] for e in every],
         )
 
-    def made(self, theta: np.ndarray, found: list[Unit]) -> Rows:
+    def made(self, theta: np.ndarray, found: list[Unit]) -> TorqueRows:
         if not found:  # else they were made for this free run
             self.linearise(theta)
         return self._columns(theta, found)
 
-    def _columns(self, theta: np.ndarray, found: list[Unit]) -> Rows:
+    def _columns(self, theta: np.ndarray, found: list[Unit]) -> TorqueRows:
         """Rows of the free runs as they were taken at theta."""
         rows = []
         for k in range(len(self.runs)):
@@ -261,7 +263,7 @@ class LedStudy(Study):
             rows.append(
                 np.concatenate([made, *(u.columns[k] for u in found), target[:, :, None]], 2)
             )
-        return Rows(theta, found, rows)
+        return TorqueRows(theta, found, rows)
 
     def _own_rows(self, k: int, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns and target of a run without effects."""
@@ -283,7 +285,7 @@ class LedStudy(Study):
             self._made[name] = now, made, target
         return self._made[name][1:]
 
-    def _unasked(self, run: Run) -> np.ndarray:
+    def _unasked(self, run: TorqueRun) -> np.ndarray:
         return np.zeros(
             (0, run.q.shape[1], 3 * run.q.shape[1])
         )  # made anew along every free run: see `made`
@@ -302,7 +304,7 @@ class LedStudy(Study):
         self.unsure = [np.zeros((len(r.t), self.binding.chain.nq)) for r in self.runs]
         self.noise = self.measured
 
-    def _late(self, run: Run, theta: np.ndarray) -> np.ndarray:
+    def _late(self, run: TorqueRun, theta: np.ndarray) -> np.ndarray:
         """What a delay of each goal by one sample changes, [time n n]."""
         n, h = run.q.shape[1], run.step
         early, late = (
@@ -312,7 +314,7 @@ class LedStudy(Study):
         made[:2] = made[-2:] = 0.0
         return made
 
-    def _turning_columns(self, run: Run) -> np.ndarray:
+    def _turning_columns(self, run: TorqueRun) -> np.ndarray:
         turn = self.plant.turn
         apart = [
             np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn)
@@ -320,7 +322,9 @@ class LedStudy(Study):
         ]
         return np.concatenate([x[:, :, None] * np.eye(x.shape[1]) for x in apart], 2)
 
-    def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Weights]:
+    def rows_with_effects(
+        self, theta: np.ndarray, chosen: bool = False
+    ) -> tuple[TorqueRows, Weights]:
         """Rows with every unit, and the weights that the re-tuned model leaves: a free run with
         every law at once is no model.
         """
@@ -339,7 +343,7 @@ class LedStudy(Study):
 
     def asked(self, kinds: Sequence[type[Effect]], theta: np.ndarray) -> list[Unit]:
         """The units of these effects; programs of several are compiled side by side."""
-        raw = [RawRun(**{f.name: getattr(r, f.name) for f in fields(Run)}) for r in self.free]
+        raw = [RawRun(**{f.name: getattr(r, f.name) for f in fields(TorqueRun)}) for r in self.free]
         return [
             unit
             for found in _EFFECTS.map(
@@ -348,7 +352,9 @@ class LedStudy(Study):
             for unit in found
         ]
 
-    def _of_kind(self, kind: type[Effect], raw: Sequence[Run], theta: np.ndarray) -> list[Unit]:
+    def _of_kind(
+        self, kind: type[Effect], raw: Sequence[TorqueRun], theta: np.ndarray
+    ) -> list[Unit]:
         if issubclass(kind, InputEffect):
             return self._driven(kind, theta)
         if issubclass(kind, OutputEffect):
@@ -465,7 +471,7 @@ def _settled(e: Experiment) -> Experiment:
     )
 
 
-def _moved(run: Run, x: np.ndarray) -> Run:
+def _moved(run: TorqueRun, x: np.ndarray) -> TorqueRun:
     """A run whose motion is moved by x [time n]."""
     speed = np.gradient(x, run.step, axis=0)
     return replace(
@@ -473,9 +479,9 @@ def _moved(run: Run, x: np.ndarray) -> Run:
     )
 
 
-def _led(r: Run, begins: int, linear: np.ndarray) -> LoopRun:
+def _led(r: TorqueRun, begins: int, linear: np.ndarray) -> LoopRun:
     """A run whose rows are those of the free run from sample `begins` on."""
-    own = {f.name: getattr(r, f.name) for f in fields(Run)}
+    own = {f.name: getattr(r, f.name) for f in fields(TorqueRun)}
     kept = slice(max(r.kept.start, begins), r.kept.stop, r.kept.step)
     return LoopRun(**own | {"u": mean_input(r.u, linear), "kept": kept})
 

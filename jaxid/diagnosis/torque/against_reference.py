@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.diagnosis.how_far import closed
-from jaxid.diagnosis.reasons import HeldOut, NotMostHeldOut
+from jaxid.diagnosis.reasons import NotMostHeldOut, TorqueHeldOut
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.algebra import solve
 from jaxid.diagnosis.torque.answer import Answer
@@ -60,5 +60,5 @@ def verdict_against(
         return Verdict("unknown", (NotMostHeldOut(names, share, max(left)),))
     fitted = usual if usual > LIMITS.seen else 0.0
     whole = max(left) <= LIMITS.left * usual
-    reason = HeldOut(names, share, max(left), whole=whole, fitted=fitted, reference=True)
+    reason = TorqueHeldOut(names, share, max(left), whole=whole, fitted=fitted, reference=True)
     return Verdict("named" if whole else "partly", (reason,))

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.repeats import shrunk
-from jaxid.diagnosis.torque.rows import Run
+from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.numerics.boxed import scaled, WEAK, within_box
 
 
@@ -113,7 +113,7 @@ class Gram:
 
 
 def gram(
-    runs: Sequence[Run],
+    runs: Sequence[TorqueRun],
     rows: Sequence[np.ndarray],
     unsure: Sequence[np.ndarray],
     weights: Weights,
@@ -135,7 +135,7 @@ def gram(
 
 
 @dataclass(frozen=True)
-class Known:
+class ColumnPrior:
     """What is known of columns beforehand: information matrix [p p] about `mean` [p]."""
 
     information: np.ndarray
@@ -158,7 +158,7 @@ class Departure:
         return float(apart @ self.information @ apart)
 
 
-def departure(known: Known, inside: np.ndarray) -> Departure:
+def departure(known: ColumnPrior, inside: np.ndarray) -> Departure:
     """Of the numbers `inside` [p], whatever the other ones are: these may drift between two
     recordings.
     """
@@ -191,7 +191,7 @@ class Solution:
 def solve(
     g: np.ndarray,
     at: np.ndarray,
-    known: Known,
+    known: ColumnPrior,
     start: np.ndarray,
     lower: np.ndarray,
     upper: np.ndarray,

@@ -18,9 +18,9 @@ from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, MissingForce, Ra
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import BODY, Unit
-from jaxid.diagnosis.torque.study import Rows, Study
+from jaxid.diagnosis.torque.study import TorqueRows, TorqueStudy
 from jaxid.dynamics.parameter import resolve, specs
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Score, Trace
 from jaxid.fitting.scores import score
 from jaxid.identification.payload import NO_MASS, usual_gain_std
@@ -42,8 +42,8 @@ NOISE, REPEATED = (
 class Answer:
     """One model of a study, ready to be looked at: its columns and numbers."""
 
-    study: Study
-    rows: Rows
+    study: TorqueStudy
+    rows: TorqueRows
     at: np.ndarray
     numbers: np.ndarray
     units: tuple[Unit, ...] = ()
@@ -68,7 +68,7 @@ class Answer:
 
     def rms(self, which: Sequence[int], joint: int) -> float:
         """Root mean square of what it leaves at a joint, N m, each row counted by how well it is
-        known: that over `Study.typical` is the gap.
+        known: that over `TorqueStudy.typical` is the gap.
         """
         return self.gap(which, joint) * self.study.typical(which, joint)
 
@@ -77,7 +77,7 @@ class Answer:
         return r.rows(self.study.plant.drive(r, self.rows.theta))
 
 
-def of_model(study: Study, rows: Rows, model: Model) -> Answer:
+def of_model(study: TorqueStudy, rows: TorqueRows, model: Model) -> Answer:
     return Answer(
         study,
         rows,
@@ -88,7 +88,7 @@ def of_model(study: Study, rows: Rows, model: Model) -> Answer:
 
 
 def estimates(
-    study: Study, chooser: Chooser, model: Model
+    study: TorqueStudy, chooser: Chooser, model: Model
 ) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...], Covariance]:
     """Numbers of the nominal model, effects with theirs, and the covariance of the former as far
     as the data determine them.
@@ -129,7 +129,7 @@ def estimates(
 
 
 def _effect(
-    study: Study, unit: Unit, values: np.ndarray, covariance: np.ndarray, bound: np.ndarray
+    study: TorqueStudy, unit: Unit, values: np.ndarray, covariance: np.ndarray, bound: np.ndarray
 ) -> EffectEstimate:
     if unit.fields == BODY:
         return EffectEstimate(
@@ -158,17 +158,17 @@ def _effect(
     return EffectEstimate(unit.effect, unit.location, found | shape)
 
 
-def _kind(study: Study, unit: Unit) -> Any:
+def _kind(study: TorqueStudy, unit: Unit) -> Any:
     return next(k for k in study.kinds if k.name == unit.effect)
 
 
-def _bounds(study: Study, unit: Unit, field: str) -> tuple[float, float]:
+def _bounds(study: TorqueStudy, unit: Unit, field: str) -> tuple[float, float]:
     spec = specs(_kind(study, unit)())[field]
     reference = study.binding.references[unit.joints[0]]
     return resolve(spec.lower, reference), resolve(spec.upper, reference)
 
 
-def _unit(study: Study, unit: Unit, field: str) -> str:
+def _unit(study: TorqueStudy, unit: Unit, field: str) -> str:
     own = specs(_kind(study, unit)())
     template = own[field].unit if field in own else "{I}" if field == "inertia" else "rad"
     return study.binding.chain.signature.unit(template, unit.joints[0])
@@ -215,7 +215,9 @@ def _body(
     return out
 
 
-def ranking(study: Study, chooser: Chooser, rows: Rows, which: Sequence[int]) -> tuple[Ranked, ...]:
+def ranking(
+    study: TorqueStudy, chooser: Chooser, rows: TorqueRows, which: Sequence[int]
+) -> tuple[Ranked, ...]:
     """Every set that was tried, best on held-out runs first, by the effect that is new in it."""
     nominal = of_model(study, rows, chooser.nominal).gap(which)
     best: dict[tuple[str, str], tuple[Model, Unit, list[Unit]]] = {}
@@ -247,7 +249,7 @@ def ranking(study: Study, chooser: Chooser, rows: Rows, which: Sequence[int]) ->
 
 
 def how_far(
-    study: Study,
+    study: TorqueStudy,
     before: Answer,
     retuned: Answer,
     after: Answer,
@@ -315,7 +317,9 @@ def how_far(
     )
 
 
-def _by_regime(study: Study, models: Sequence[Answer], which: Sequence[int]) -> tuple[Share, ...]:
+def _by_regime(
+    study: TorqueStudy, models: Sequence[Answer], which: Sequence[int]
+) -> tuple[Share, ...]:
     out, found = [], [missing(models[0], k, 0) for k in which]
     for j, joint in enumerate(study.binding.chain.signature.joints):
         masks = [location.regimes(m, j) for m in found]
@@ -370,10 +374,15 @@ def missing(answer: Answer, k: int, seed: int, draws: int = DRAWS) -> Missing:
 
 
 def places(
-    study: Study, nominal: Answer, final: Answer, verdict: str, which: Sequence[int], seed: int
+    study: TorqueStudy,
+    nominal: Answer,
+    final: Answer,
+    verdict: str,
+    which: Sequence[int],
+    seed: int,
 ) -> tuple[tuple[Finding, ...], tuple[MissingForce, ...], tuple[Regime, ...]]:
     """Findings, pictures and regimes of some runs."""
-    joints, bench = study.binding.chain.signature.joints, Bench(study.binding)
+    joints, bench = study.binding.chain.signature.joints, ProblemBuilder(study.binding)
     before = [missing(nominal, k, seed) for k in which]
     after = [missing(final, k, seed, 1) for k in which]
     named: dict[str, str] = {}
@@ -389,7 +398,7 @@ def places(
     return tuple(found), tuple(location.pictures(bench, before, after)), tuple(rows)
 
 
-def traces(study: Study, nominal: Answer, final: Answer, label: str) -> tuple[Trace, ...]:
+def traces(study: TorqueStudy, nominal: Answer, final: Answer, label: str) -> tuple[Trace, ...]:
     """Measured torque, low-passed, and what the models need for the measured motion."""
     out = []
     for k in sorted(

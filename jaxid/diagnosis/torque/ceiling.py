@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxid.diagnosis.how_far import closed
-from jaxid.diagnosis.torque.algebra import gram, Known, solve, Weights
+from jaxid.diagnosis.torque.algebra import ColumnPrior, gram, solve, Weights
 from jaxid.diagnosis.torque.answer import Answer
-from jaxid.diagnosis.torque.rows import Run
-from jaxid.diagnosis.torque.study import Rows, Study
+from jaxid.diagnosis.torque.rows import TorqueRun
+from jaxid.diagnosis.torque.study import TorqueRows, TorqueStudy
 
 
 #: Bumps over the travel and over the speeds of a joint.
@@ -23,8 +23,8 @@ FIRM = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 
 
 def ceiling(
-    study: Study,
-    rows: Rows,
+    study: TorqueStudy,
+    rows: TorqueRows,
     weights: Weights,
     base: Answer,
     fit: Sequence[int],
@@ -74,13 +74,13 @@ def ceiling(
     for firm in FIRM:
         told = np.zeros(size)
         told[p:] = firm * np.mean(np.diag(g)[p:-1]) + 1e-300
-        s = solve(g, at, Known(np.diag(told), np.zeros(size)), start, -bounds, bounds)
+        s = solve(g, at, ColumnPrior(np.diag(told), np.zeros(size)), start, -bounds, bounds)
         found.append((gap(s.theta, choose), s.theta))
     best = min(found, key=lambda f: f[0])[1]
     return closed(base.gap(judge) ** 2, gap(best, judge) ** 2)
 
 
-def _edges(study: Study) -> list[tuple[np.ndarray, np.ndarray]]:
+def _edges(study: TorqueStudy) -> list[tuple[np.ndarray, np.ndarray]]:
     fit = [study.runs[k] for k in study.of("fit")]
     q, qd = (np.concatenate([getattr(r, name) for r in fit]) for name in ("q", "qd"))
     out = []
@@ -95,7 +95,10 @@ def _edges(study: Study) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _bumps(
-    run: Run, load: np.ndarray, edges: Sequence[tuple[np.ndarray, np.ndarray]], turn: np.ndarray
+    run: TorqueRun,
+    load: np.ndarray,
+    edges: Sequence[tuple[np.ndarray, np.ndarray]],
+    turn: np.ndarray,
 ) -> np.ndarray:
     """[time n k]: hats over position times hats over speed, and the load against the motion."""
     out = []

@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.diagnosis.torque.algebra import better, Departure, Gram, Known, Solution, solve
+from jaxid.diagnosis.torque.algebra import better, ColumnPrior, Departure, Gram, Solution, solve
 from jaxid.diagnosis.torque.library import Unit
 
 
@@ -68,7 +68,7 @@ class Chooser:
         size: int,
         fit: Gram,
         held: Gram,
-        known: Known,
+        known: ColumnPrior,
         start: np.ndarray,
         lower: np.ndarray,
         upper: np.ndarray,

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.diagnosis.torque.rows import Run
+from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.dynamics.effect import Command, JointEffect, neutral, Signals
-from jaxid.dynamics.parameter import Reference, resolve, specs, with_fields
+from jaxid.dynamics.parameter import resolve, specs, TypicalMagnitudes, with_fields
 from jaxid.numerics.precision import float64
 
 
@@ -35,11 +35,11 @@ class Load(NamedTuple):
     transmitted: np.ndarray
 
 
-def unloaded(run: Run) -> Load:
+def unloaded(run: TorqueRun) -> Load:
     return Load(0 * run.q, 0 * run.q)
 
 
-def force(effect: JointEffect, run: Run, load: Load, turn: np.ndarray) -> np.ndarray:
+def force(effect: JointEffect, run: TorqueRun, load: Load, turn: np.ndarray) -> np.ndarray:
     """Opposing force [time n] of an effect whose numbers are [n], under a load; sign(qd) goes over
     smoothly within the speeds `turn` [n].
     """
@@ -113,7 +113,7 @@ def strengths(kind: type[JointEffect], n: int, room: int) -> tuple[str, ...]:
 
 
 def shapes(
-    kind: type[JointEffect], reference: Reference, linear: Sequence[str]
+    kind: type[JointEffect], reference: TypicalMagnitudes, linear: Sequence[str]
 ) -> list[dict[str, float]]:
     """The grid of the numbers that shape an effect at a joint with these typical magnitudes, from
     its probes; `linear`: its strengths.
@@ -136,7 +136,7 @@ def shapes(
 def at_every_joint(
     kind: type[JointEffect],
     grids: Sequence[Sequence[Mapping[str, float]]],
-    runs: Sequence[Run],
+    runs: Sequence[TorqueRun],
     load: Sequence[Load],
     turn: np.ndarray,
 ) -> list[dict[str, list[np.ndarray]]]:
@@ -168,7 +168,7 @@ def coupled(
     kind: type[JointEffect],
     shape: Mapping[str, float],
     place: int,
-    run: Run,
+    run: TorqueRun,
     load: Load,
     turn: np.ndarray,
 ):

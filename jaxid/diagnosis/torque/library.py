@@ -21,7 +21,7 @@ from jaxid.diagnosis.torque.forces import (
     with_numbers,
 )
 from jaxid.diagnosis.torque.plant import ArmPlant, Beside, Plant
-from jaxid.diagnosis.torque.rows import Run
+from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.dynamics.base_parameters import standard_torque
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect, neutral
@@ -80,7 +80,7 @@ def shows(kind: type[Effect], chain: Chain) -> bool:
 def units(
     plant: Plant,
     kinds: Iterable[type[Effect]],
-    runs: Sequence[Run],
+    runs: Sequence[TorqueRun],
     theta: np.ndarray,
     payloads: bool,
     beside: Sequence[Beside] | None = None,
@@ -140,7 +140,7 @@ def _placed(x: np.ndarray, joint: int, n: int) -> np.ndarray:
 
 
 def _laws(
-    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[Load]
+    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[TorqueRun], load: Sequence[Load]
 ) -> list[Unit]:
     """A law of each joint's own motion, at every point of its grid."""
     b, n = plant.binding, plant.binding.chain.nq
@@ -168,7 +168,7 @@ def _rotor(
     kind: Any,
     grids: Sequence[Sequence[dict[str, float]]],
     k: int,
-    runs: Sequence[Run],
+    runs: Sequence[TorqueRun],
     load: Sequence[Load],
     turn: np.ndarray,
 ) -> dict[str, list[np.ndarray]]:
@@ -190,7 +190,7 @@ def _rotor(
 
 
 def _shared(
-    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[Load]
+    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[TorqueRun], load: Sequence[Load]
 ) -> list[Unit]:
     """A gear that a joint shares with the next: its friction, and the inertia of what turns with
     both.
@@ -212,7 +212,7 @@ def _shared(
 
 
 def _driven(
-    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], theta: np.ndarray
+    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[TorqueRun], theta: np.ndarray
 ) -> list[Unit]:
     """What a drive makes of its command, seen from the torque that the model needs: the measured
     one would explain itself.
@@ -234,7 +234,7 @@ def _bodies(
     plant: Plant,
     kind: type[BodyEffect],
     places: Sequence[str],
-    runs: Sequence[Run],
+    runs: Sequence[TorqueRun],
     theta: np.ndarray,
     payloads: bool,
 ) -> list[Unit]:
@@ -264,7 +264,11 @@ def _bodies(
 
 
 def _payloads(
-    plant: ArmPlant, effect: str, links: dict[str, int], runs: Sequence[Run], theta: np.ndarray
+    plant: ArmPlant,
+    effect: str,
+    links: dict[str, int],
+    runs: Sequence[TorqueRun],
+    theta: np.ndarray,
 ) -> list[Unit]:
     """Any body at each of these links, by its ten numbers."""
     mass, reach = _size(plant, theta)
@@ -298,12 +302,14 @@ def _size(plant: ArmPlant, theta: np.ndarray) -> tuple[float, float]:
     return 30.0, max(0.3 * reach, 0.1)
 
 
-def _tilt(plant: ArmPlant, effect: str, place: str, runs: Sequence[Run], theta: np.ndarray) -> Unit:
+def _tilt(
+    plant: ArmPlant, effect: str, place: str, runs: Sequence[TorqueRun], theta: np.ndarray
+) -> Unit:
     """A base that stands askew, by two angles; the first link's own moments begin to show in it."""
     n = plant.binding.chain.nq
     phi = plant.phi(theta)
 
-    def slope(r: Run, field: str, numbers: np.ndarray) -> np.ndarray:
+    def slope(r: TorqueRun, field: str, numbers: np.ndarray) -> np.ndarray:
         tilted = (
             with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + s * TILT})
             for s in (-0.5, 0.5)
@@ -350,7 +356,7 @@ def _derivatives(
     plant: Plant,
     kind: type[BodyEffect],
     places: Sequence[str],
-    runs: Sequence[Run],
+    runs: Sequence[TorqueRun],
     theta: np.ndarray,
 ) -> list[Unit]:
     """What changes the mechanism, to first order in each of its numbers."""

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.diagnosis.torque.forces import force, Load, unloaded, with_numbers
-from jaxid.diagnosis.torque.rows import Run
+from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.dynamics.base_parameters import STANDARD, standard_torque, torque_columns
 from jaxid.dynamics.effect import JointEffect
 from jaxid.dynamics.parameter import specs
-from jaxid.dynamics.parameter_vector import Form
+from jaxid.dynamics.parameter_vector import ChainForm
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
@@ -43,21 +43,21 @@ class Plant(abc.ABC):
     def size(self) -> int:
         return len(self.free)
 
-    def drive(self, run: Run, theta: np.ndarray) -> np.ndarray:
+    def drive(self, run: TorqueRun, theta: np.ndarray) -> np.ndarray:
         """Joint torque that the drive makes of the recorded inputs, [time n]."""
         return drive_torque(self.binding.layout, theta, run.u, np.concatenate([run.q, run.qd], 1))
 
     @abc.abstractmethod
-    def linearised(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def linearised(self, run: TorqueRun, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Target [time n] and columns [time n size] at the numbers theta (of the whole layout):
         columns times the free numbers meet the target where nothing is missing.
         """
 
     @abc.abstractmethod
-    def rigid(self, run: Run, theta: np.ndarray) -> np.ndarray:
+    def rigid(self, run: TorqueRun, theta: np.ndarray) -> np.ndarray:
         """Torque [time n] that the mechanism takes without friction."""
 
-    def load(self, run: Run, theta: np.ndarray, beside: Beside | None = None) -> Load:
+    def load(self, run: TorqueRun, theta: np.ndarray, beside: Beside | None = None) -> Load:
         """What passes the gears: the measured torque would explain itself."""
         friction, rotor = beside or Beside(np.zeros(1), np.zeros(1))
         rigid = self.rigid(run, theta)
@@ -95,7 +95,7 @@ class ArmPlant(Plant):
                 [np.asarray(arm.inertia()), np.asarray(arm.Ia)[:, None]], 1
             ).ravel()
 
-    def columns(self, run: Run) -> np.ndarray:
+    def columns(self, run: TorqueRun) -> np.ndarray:
         """Standard columns [time n 11 n]."""
         return torque_columns(self.arm, run.q, run.qd, run.qdd)
 
@@ -119,7 +119,7 @@ class ArmPlant(Plant):
         chain = self.binding.layout.model(theta)
         return [(i, e) for i, e in enumerate(chain.effects) if isinstance(e, JointEffect)]
 
-    def _held_friction(self, run: Run, theta: np.ndarray) -> np.ndarray:
+    def _held_friction(self, run: TorqueRun, theta: np.ndarray) -> np.ndarray:
         """Friction of numbers that are not fitted."""
         at = theta.copy()
         at[[self.free[k] for k in self.laws if self._strength(self.free[k])]] = 0.0
@@ -133,7 +133,7 @@ class ArmPlant(Plant):
     def _strength(self, i: int) -> bool:
         return self.binding.layout.entries[i].spec.value == 0
 
-    def _law(self, run: Run, theta: np.ndarray, entry: Any) -> np.ndarray:
+    def _law(self, run: TorqueRun, theta: np.ndarray, entry: Any) -> np.ndarray:
         effect: Any = self.binding.chain.effects[entry.owner]
         own = {
             f: theta[
@@ -171,7 +171,7 @@ class AnyPlant(Plant):
         with float64():
             return inverse_of(self.form.model(theta).body(), run)
 
-    def _missing(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _missing(self, run: TorqueRun, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         n, series = len(run.q), [run.padded(x) for x in (run.u, run.q, run.qd, run.qdd)]
         with float64():
             program = shared(
@@ -181,7 +181,7 @@ class AnyPlant(Plant):
         return np.asarray(missing)[:n], np.asarray(slope)[:n]
 
 
-def inverse_of(body: Any, run: Run) -> np.ndarray:
+def inverse_of(body: Any, run: TorqueRun) -> np.ndarray:
     """Torque [time n] that a mechanism takes along a run."""
     with float64():
         program = shared("inverse", jax.tree.structure(body), lambda: jax.jit(_inverse))
@@ -194,7 +194,7 @@ def _inverse(body: Any, q: Any, qd: Any, qdd: Any) -> Any:
     return jax.vmap(body.inverse)(q, qd, qdd)
 
 
-def _slopes(form: Form, free: tuple[int, ...]) -> Any:
+def _slopes(form: ChainForm, free: tuple[int, ...]) -> Any:
     """(missing torque [time n], its slope by the free numbers [time n free])."""
     from jaxid.dynamics.effect import Command
 

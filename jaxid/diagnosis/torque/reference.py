@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
-from jaxid.diagnosis.torque.algebra import Known
+from jaxid.diagnosis.torque.algebra import ColumnPrior
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
@@ -32,7 +32,7 @@ CLOSE = 1e-4
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceNumbers:
     """Numbers of a model by name, and their covariance [n n]."""
 
     names: tuple[str, ...]
@@ -42,7 +42,7 @@ class Reference:
     regrouped: bool = False  # whether they are base parameters, in which numbers that a fit holds are counted, too
 
     @classmethod
-    def read(cls, given: Any) -> Reference:
+    def read(cls, given: Any) -> ReferenceNumbers:
         """From a result, its dictionary, or its JSON file. Raises `UsageError` for anything
         else.
         """
@@ -59,7 +59,7 @@ class Reference:
             return _fitted(content)
         raise UsageError(f"{WANTED}; this one is of kind {content.get('kind')!r}")
 
-    def known(self, binding: Binding) -> Known:
+    def known(self, binding: Binding) -> ColumnPrior:
         """What it says of the numbers that a binding's fit determines. Raises `UsageError` where it
         says nothing of them.
         """
@@ -82,7 +82,7 @@ class Reference:
         if self.regrouped:
             counted = _counted(binding)
             mean[place] -= [counted.get(n, 0.0) for n in shared]
-        return Known(information, mean)
+        return ColumnPrior(information, mean)
 
     def taken(
         self, residual: Residual | None, chain: Chain, dataset: Dataset, goals: bool
@@ -136,7 +136,7 @@ def _loaded(path: str | Path) -> Any:
         raise UsageError(f"--reference {path}: not JSON ({error}); {WANTED}") from error
 
 
-def _identified(content: Mapping[str, Any]) -> Reference:
+def _identified(content: Mapping[str, Any]) -> ReferenceNumbers:
     """Base parameters and friction of an identification, those that its data determine."""
     names = list(content["names"])
     own = {e["name"]: (e["value"], e["identifiable"]) for e in content["base_parameters"]}
@@ -148,7 +148,7 @@ def _identified(content: Mapping[str, Any]) -> Reference:
         }
     at = [i for i, n in enumerate(names) if n in own and own[n][1]]
     covariance = np.array(content["covariance"], float)[np.ix_(at, at)]
-    return Reference(
+    return ReferenceNumbers(
         tuple(names[i] for i in at),
         np.array([own[names[i]][0] for i in at], float),
         covariance,
@@ -157,7 +157,7 @@ def _identified(content: Mapping[str, Any]) -> Reference:
     )
 
 
-def _fitted(content: Mapping[str, Any]) -> Reference:
+def _fitted(content: Mapping[str, Any]) -> ReferenceNumbers:
     """Numbers of a fit or a diagnosis, each with its standard deviation."""
     told = {
         k: v for k, v in content["parameters"].items() if isinstance(v, Mapping) and v.get("std")
@@ -170,7 +170,7 @@ def _fitted(content: Mapping[str, Any]) -> Reference:
     covariance = np.array(given.get("matrix", []) if isinstance(given, Mapping) else given, float)
     if covariance.shape != (len(std), len(std)):
         covariance = np.diag(std**2)
-    return Reference(
+    return ReferenceNumbers(
         tuple(told),
         values,
         covariance,

@@ -18,7 +18,7 @@ from jaxid.data.repeats import repeats
 
 if TYPE_CHECKING:
     from jaxid.diagnosis.torque.algebra import Solution, Weights
-    from jaxid.diagnosis.torque.study import Rows, Study
+    from jaxid.diagnosis.torque.study import TorqueRows, TorqueStudy
 
 #: Where the likeliest covariance is looked for first: one share of each number, in units of what is
 #: left of a row.
@@ -27,7 +27,9 @@ SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 100.0, 121)])
 STEPS = 60
 
 
-def spread_between(study: Study, rows: Rows, weights: Weights, solution: Solution) -> np.ndarray:
+def spread_between(
+    study: TorqueStudy, rows: TorqueRows, weights: Weights, solution: Solution
+) -> np.ndarray:
     """A root of the covariance of the nominal model's numbers from repeat to repeat [plant.size k]:
     the likeliest one for what repeats that are not kept for the report differ by. No column where
     nothing is repeated, or repeats differ by their noise.
@@ -74,7 +76,7 @@ def without(left: np.ndarray, columns: np.ndarray, spread: np.ndarray) -> np.nda
     return left - O @ np.linalg.solve(np.eye(O.shape[1]) + O.T @ O, O.T @ left)
 
 
-def _groups(study: Study) -> list[list[int]]:
+def _groups(study: TorqueStudy) -> list[list[int]]:
     place = {r.experiment.name: k for k, r in enumerate(study.runs)}
     kept = [e for e in study.binding.dataset.experiments if e.split != "report" and e.name in place]
     return [[place[e.name] for e in group] for group in repeats(kept)]
@@ -126,7 +128,7 @@ class _Apart:
 
 
 def _apart(
-    study: Study, rows: Rows, weights: Weights, s: Solution, group: Sequence[int]
+    study: TorqueStudy, rows: TorqueRows, weights: Weights, s: Solution, group: Sequence[int]
 ) -> list[_Apart]:
     length, p = min(len(rows.rows[k]) for k in group), study.plant.size
     left = np.array([rows.residual(k, s.at, s.theta)[:length] for k in group])

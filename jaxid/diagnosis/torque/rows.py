@@ -29,7 +29,7 @@ TURN = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class TorqueRun:
     """One recording: motion and inputs at all samples of an even grid, and which samples become
     rows.
     """
@@ -82,7 +82,7 @@ class Run:
         )
 
 
-def read_runs(binding: Binding, cutoff_hz: float | None) -> list[Run]:
+def read_runs(binding: Binding, cutoff_hz: float | None) -> list[TorqueRun]:
     """Every recording of a binding, fit runs first. Raises `UsageError` for a cutoff that a run's
     sampling does not allow.
     """
@@ -98,7 +98,9 @@ def read_runs(binding: Binding, cutoff_hz: float | None) -> list[Run]:
     return [_read(b, e, iy, cutoff, room) for e in even]
 
 
-def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, room: int) -> Run:
+def _read(
+    binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, room: int
+) -> TorqueRun:
     chain = binding.chain
     iu, _ = columns(binding.dataset, chain)
     rate = (len(e.t) - 1) / e.duration
@@ -114,7 +116,7 @@ def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, 
     ends = filter_ends(e.t, cutoff_hz)
     every = max(1, int(rate / (ROWS_PER_CUTOFF * cutoff_hz)))
     kept = slice(ends, len(e.t) - ends, every)
-    return Run(
+    return TorqueRun(
         experiment=e,
         q=q,
         qd=qd,
@@ -134,7 +136,7 @@ def _moving(binding: Binding, q: np.ndarray) -> np.ndarray:
     return np.ptp(q, axis=0) > LIMITS.standing * np.maximum(noise, 1e-9)
 
 
-def turning_speeds(runs: Sequence[Run]) -> np.ndarray:
+def turning_speeds(runs: Sequence[TorqueRun]) -> np.ndarray:
     """Speed over which each joint's dry friction turns [n]: see `TURN`."""
     return np.maximum(
         TURN * np.percentile(np.abs(np.concatenate([r.qd for r in runs])), 99, axis=0), 1e-9

@@ -11,11 +11,11 @@ import numpy as np
 from jaxid.diagnosis.how_far import closed
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.reasons import (
-    HeldOut,
     NothingPredicts,
     NotMostHeldOut,
     Remark,
     TorqueAtTheNoise,
+    TorqueHeldOut,
     Undetermined,
 )
 from jaxid.diagnosis.result import Diagnosis, Which
@@ -35,9 +35,9 @@ from jaxid.diagnosis.torque.answer import (
 from jaxid.diagnosis.torque.ceiling import ceiling
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import Unit, units
-from jaxid.diagnosis.torque.reference import Reference
+from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.rows import MOTION
-from jaxid.diagnosis.torque.study import Rows, Study
+from jaxid.diagnosis.torque.study import TorqueRows, TorqueStudy
 from jaxid.diagnosis.verdict import level, Verdict
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.model_file import sha256_of
@@ -62,7 +62,7 @@ class Found:
     """
 
     chooser: Chooser
-    rows: Rows
+    rows: TorqueRows
     weights: Weights
     chosen: Model
     nominal: Answer
@@ -86,7 +86,7 @@ def diagnose_by_torque(
     max_effects: int,
     cutoff_hz: float | None,
     seed: int,
-    reference: Reference | None,
+    reference: ReferenceNumbers | None,
     progress: Progress | None,
 ) -> Diagnosis:
     """See `jaxid.diagnose` with the residual `inverse_dynamics`."""
@@ -94,7 +94,7 @@ def diagnose_by_torque(
     given = None if reference is None else reference.known(binding)
     say = progress or (lambda *_: None)
     say("torque", 0, 4, "rows")
-    study = Study(binding, kinds, cutoff_hz, given, given is not None)
+    study = TorqueStudy(binding, kinds, cutoff_hz, given, given is not None)
     say("torque", 1, 4, f"{sum(r.rows(r.q[:, :1]).shape[0] for r in study.runs)} rows, effects")
     found = _searched(study, max_effects)
     say("torque", 2, 4, f"{len(found.chooser.tried)} sets of effects compared")
@@ -103,7 +103,7 @@ def diagnose_by_torque(
     return _answered(study, found, max_effects, seed, began)
 
 
-def _searched(study: Study, most: int) -> Found:
+def _searched(study: TorqueStudy, most: int) -> Found:
     fit, choose, judge = study.of("fit"), study.of("validation"), study.of("report")
     theta, found = study.theta, None
     for again in range(PASSES):
@@ -145,7 +145,11 @@ def _searched(study: Study, most: int) -> Found:
 
 
 def _at_floor(
-    study: Study, rows: Rows, chooser: Chooser, fit: Sequence[int], choose: Sequence[int]
+    study: TorqueStudy,
+    rows: TorqueRows,
+    chooser: Chooser,
+    fit: Sequence[int],
+    choose: Sequence[int],
 ) -> bool:
     """Whether the re-tuned model reaches the noise, at every joint, on data that were and that were
     not fitted.
@@ -167,7 +171,7 @@ def _differs(found: Found) -> bool:
     return outside > max(LIMITS.different * inside, LIMITS.left)
 
 
-def _difference(study: Study, found: Found, most: int) -> Found | None:
+def _difference(study: TorqueStudy, found: Found, most: int) -> Found | None:
     """What is different in the runs that were not fitted: effects that act in those alone, beside
     numbers that all runs share. Found on the validation runs, judged on the report runs; None where
     nothing is, and where what is left of them with laws that were found is not what those leave of
@@ -186,7 +190,7 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
         np.concatenate([x[:, :, base.at], *(u.columns[k] for u in acting), x[:, :, -1:]], 2)
         for k, x in enumerate(found.rows.rows)
     ]
-    own = Rows(found.rows.theta, acting, rows)
+    own = TorqueRows(found.rows.theta, acting, rows)
     chooser = _second(study, own, found, most)
     chosen = chooser.run()
     if not chosen.units:
@@ -212,7 +216,7 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
     )
 
 
-def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
+def _second(study: TorqueStudy, rows: TorqueRows, found: Found, most: int) -> Chooser:
     """The search for what acts in the runs that were not fitted."""
     base, p = found.final, study.plant.size
     both = [*base.units, *rows.units]
@@ -247,7 +251,7 @@ def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
 # ---- the answer
 
 
-def _judged(study: Study, found: Found) -> Verdict:
+def _judged(study: TorqueStudy, found: Found) -> Verdict:
     """What is named comes down to the noise on runs that chose and on runs that did not."""
     nominal, final, split = found.nominal, found.final, [found.choose, found.judge]
     sets = [w for w in split if w] or [found.fit]
@@ -274,7 +278,7 @@ def _judged(study: Study, found: Found) -> Verdict:
     # what repeats would differ by.
     fitted = nominal.gap(found.fit)
     least = max(1.0, fitted) if found.different and np.isfinite(fitted) else 1.0
-    held = HeldOut(
+    held = TorqueHeldOut(
         names, share, max(after), found.different, fitted=least if least > LIMITS.seen else 0.0
     )
     if better and max(after) <= LIMITS.left * least:
@@ -284,7 +288,7 @@ def _judged(study: Study, found: Found) -> Verdict:
     return Verdict("unknown", (NotMostHeldOut(names, share, max(after)),))
 
 
-def _astray(study: Study, answer: Answer) -> tuple[str, ...]:
+def _astray(study: TorqueStudy, answer: Answer) -> tuple[str, ...]:
     """A sentence where a model predicts held-out torque worse than none would."""
     noise = {
         c: s for (c, _), s in zip(study.binding.chain.torque_channels, study.noise, strict=True)
@@ -300,7 +304,7 @@ def _said(unit: Unit) -> str:
     )
 
 
-def _answered(study: Study, found: Found, most: int, seed: int, began: float) -> Diagnosis:
+def _answered(study: TorqueStudy, found: Found, most: int, seed: int, began: float) -> Diagnosis:
     b = study.binding
     judged = _judged(study, found)
     verdict, claimed = judged.name, judged.claims
@@ -389,7 +393,7 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
     )
 
 
-def _before(study: Study, nominal: Answer) -> tuple[Answer, str]:
+def _before(study: TorqueStudy, nominal: Answer) -> tuple[Answer, str]:
     """The model with the values that the dataset states; what it does not state is re-tuned."""
     b, numbers = study.binding, nominal.numbers.copy()
     stated = [k for k, i in enumerate(study.plant.free) if i in b.stated]
@@ -403,7 +407,7 @@ def _before(study: Study, nominal: Answer) -> tuple[Answer, str]:
 
 
 def _fit(
-    study: Study,
+    study: TorqueStudy,
     answer: Answer,
     own: dict[str, Estimate],
     spread: Covariance,
@@ -451,7 +455,7 @@ def _fit(
     )
 
 
-def _of_the_gains(study: Study, named: Sequence[EffectEstimate]) -> list[str]:
+def _of_the_gains(study: TorqueStudy, named: Sequence[EffectEstimate]) -> list[str]:
     """What intervals of a load hold of the drive gains."""
     if not any(e.effect == "payload" for e in named):
         return []
@@ -464,7 +468,7 @@ def _of_the_gains(study: Study, named: Sequence[EffectEstimate]) -> list[str]:
     ]
 
 
-def _notes(study: Study, found: Found) -> list[str]:
+def _notes(study: TorqueStudy, found: Found) -> list[str]:
     run = study.runs[0]
     notes = [
         f"torque and every column low-passed without phase at {run.cutoff_hz:.3g} Hz, positions at "

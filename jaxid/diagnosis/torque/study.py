@@ -11,10 +11,10 @@ import numpy as np
 from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.torque.algebra import (
     BLOCKS,
+    ColumnPrior,
     Departure,
     departure,
     gram,
-    Known,
     Solution,
     solve,
     weighted,
@@ -25,11 +25,11 @@ from jaxid.diagnosis.torque.forces import force, Load, with_numbers
 from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.plant import Beside, Plant, plant_of
 from jaxid.diagnosis.torque.repeats import spread_between, without
-from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
+from jaxid.diagnosis.torque.rows import read_runs, TorqueRun, turning_speeds
 from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.dynamics.parameter import specs
-from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
@@ -47,7 +47,7 @@ SAMPLES = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class TorqueRows:
     """The rows of every run for one linearisation: nominal columns, then those of the units, then
     the target.
     """
@@ -66,7 +66,7 @@ class Rows:
         return x[:, :, -1] - x[:, :, at] @ numbers
 
 
-class Study:
+class TorqueStudy:
     """Rows of a binding's recordings and everything that does not depend on which effects are
     chosen.
     """
@@ -76,15 +76,15 @@ class Study:
         binding: Binding,
         kinds: Iterable[type[Effect]],
         cutoff_hz: float | None,
-        known: Known | None,
+        known: ColumnPrior | None,
         payloads: bool,
     ):
         self.binding, self.kinds = binding, list(kinds)
-        self.runs: list[Run] = self._read(cutoff_hz)
+        self.runs: list[TorqueRun] = self._read(cutoff_hz)
         self.plant: Plant = self._plant()
         self.given, self.payloads = known, payloads
         self.unasked = [self._unasked(r) for r in self.runs]
-        self._plain: tuple[Rows, Weights, Solution] | None = None
+        self._plain: tuple[TorqueRows, Weights, Solution] | None = None
         self.noise = np.ones(binding.chain.nq)
         self.unsure = [np.zeros((len(r.t), binding.chain.nq)) for r in self.runs]
         self.between: list[
@@ -95,7 +95,7 @@ class Study:
         self.measured = self._noise()
         self.settle(self.theta)
 
-    def _read(self, cutoff_hz: float | None) -> list[Run]:
+    def _read(self, cutoff_hz: float | None) -> list[TorqueRun]:
         return read_runs(self.binding, cutoff_hz)
 
     def _plant(self) -> Plant:
@@ -103,13 +103,13 @@ class Study:
 
     def _begin(self) -> np.ndarray:
         """Numbers at which a model that is not linear in them is linearised first."""
-        return start_values(Bench(self.binding), self.plant.free, 0)[0]
+        return start_values(ProblemBuilder(self.binding), self.plant.free, 0)[0]
 
     def asked(self, kinds: Sequence[type[Effect]], theta: np.ndarray) -> list[Unit]:
         """All units of these effects, along what the model takes with the numbers theta."""
         return units(self.plant, kinds, self.runs, theta, self.payloads, self.beside)
 
-    def _unasked(self, run: Run) -> np.ndarray:
+    def _unasked(self, run: TorqueRun) -> np.ndarray:
         """Columns of which nothing is asked [samples n 3n]: how else dry friction may turn about
         with a joint's motion, and that a torque may be held from one sample to the next or not, in
         steps of it. What would pass for them says nothing.
@@ -148,7 +148,7 @@ class Study:
     def upper(self) -> np.ndarray:
         return self.binding.upper[self.plant.free]
 
-    def known(self, size: int, theta: np.ndarray, found: Sequence[Unit] = ()) -> Known:
+    def known(self, size: int, theta: np.ndarray, found: Sequence[Unit] = ()) -> ColumnPrior:
         """What is known of all columns beforehand: stated priors, and how large effects may be. A
         reference counts where models are compared; weights are those of numbers that are free to
         take in what differs.
@@ -166,9 +166,9 @@ class Study:
         )
         diagonal = np.arange(p, size)
         information[diagonal, diagonal] = np.where(np.isfinite(spread), spread, np.inf) ** -2.0
-        return Known(information, mean)
+        return ColumnPrior(information, mean)
 
-    def made(self, theta: np.ndarray, found: list[Unit]) -> Rows:
+    def made(self, theta: np.ndarray, found: list[Unit]) -> TorqueRows:
         """Rows with the model linearised at theta."""
         rows = []
         for k, run in enumerate(self.runs):
@@ -185,7 +185,7 @@ class Study:
                     2,
                 )
             )
-        return Rows(theta, found, rows)
+        return TorqueRows(theta, found, rows)
 
     def _nominal(self) -> np.ndarray:
         """The nominal model fitted to the fit runs, each joint weighted by what is left of it."""
@@ -217,8 +217,8 @@ class Study:
         return out
 
     def some(
-        self, rows: Rows, which: Sequence[int]
-    ) -> tuple[list[Run], list[np.ndarray], list[np.ndarray]]:
+        self, rows: TorqueRows, which: Sequence[int]
+    ) -> tuple[list[TorqueRun], list[np.ndarray], list[np.ndarray]]:
         """Some runs, their rows, and to within what these are known."""
         return (
             [self.runs[k] for k in which],
@@ -227,21 +227,21 @@ class Study:
         )
 
     def _solved(
-        self, rows: Rows, weights: Weights, which: Sequence[int] | None = None
+        self, rows: TorqueRows, weights: Weights, which: Sequence[int] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         at = np.arange(rows.rows[0].shape[2] - 1)
         s = self._solution(rows, weights, at, self.of("fit") if which is None else which)
         return s.at, s.theta
 
     def _solution(
-        self, rows: Rows, weights: Weights, at: np.ndarray, which: Sequence[int]
+        self, rows: TorqueRows, weights: Weights, at: np.ndarray, which: Sequence[int]
     ) -> Solution:
         size = rows.rows[0].shape[2] - 1
         g = gram(*self.some(rows, which), weights, 1).total
         start, low, high = self.bounds(rows)
         return solve(g, at, self.known(size, rows.theta, rows.units), start, low, high)
 
-    def bounds(self, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def bounds(self, rows: TorqueRows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Start, lower and upper bound of every column."""
         low = [x for u in rows.units for x in u.least]
         high = [x for u in rows.units for x in u.most]
@@ -253,14 +253,16 @@ class Study:
             np.concatenate([self.upper, above, high]),
         )
 
-    def _weights(self, rows: Rows, at: np.ndarray, numbers: np.ndarray) -> Weights:
+    def _weights(self, rows: TorqueRows, at: np.ndarray, numbers: np.ndarray) -> Weights:
         which = self.of("fit")
         left = [rows.residual(k, at, numbers) for k in which]
         return weighted(left, [self.runs[k].moves for k in which], [self.unsure[k] for k in which])
 
     # ---- effects
 
-    def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Weights]:
+    def rows_with_effects(
+        self, theta: np.ndarray, chosen: bool = False
+    ) -> tuple[TorqueRows, Weights]:
         """Rows with every unit, and the weights that the richest model of the fit runs leaves. Its
         numbers also tell the torques that effects depend on; `chosen`: theta is that of a model
         with effects and tells them better.
@@ -279,10 +281,10 @@ class Study:
                 np.concatenate([x[:, :, :-1], *(u.columns[k] for u in more), x[:, :, -1:]], 2)
                 for k, x in enumerate(rows.rows)
             ]
-            rows = Rows(theta, [*rows.units, *more], every)
+            rows = TorqueRows(theta, [*rows.units, *more], every)
         return rows, weights
 
-    def _without_torque(self, theta: np.ndarray) -> tuple[Rows, Weights, Solution]:
+    def _without_torque(self, theta: np.ndarray) -> tuple[TorqueRows, Weights, Solution]:
         """Rows with the units that depend on the motion alone, weights, and the richest model."""
         plain = [k for k in self.kinds if not k.by_torque]
         rows = self.made(theta, self.asked(plain, theta))
@@ -294,7 +296,7 @@ class Study:
         s = self._solution(rows, weights, rich, self.of("fit"))
         return rows, replace(weights, spread=spread_between(self, rows, weights, s)), s
 
-    def _rich(self, rows: Rows) -> np.ndarray:
+    def _rich(self, rows: TorqueRows) -> np.ndarray:
         """Columns of the nominal model and of every law at every joint at one of its shapes."""
         shapes: dict[tuple[str, str], list[np.ndarray]] = {}
         ends = rows.size + np.cumsum([0, *(len(u.fields) for u in rows.units)])
@@ -314,7 +316,7 @@ class Study:
 
     def chooser(
         self,
-        rows: Rows,
+        rows: TorqueRows,
         weights: Weights,
         fit: Sequence[int],
         held: Sequence[int],
@@ -348,7 +350,7 @@ class Study:
         )
 
     def by_joint(
-        self, rows: Rows, weights: Weights, which: Sequence[int]
+        self, rows: TorqueRows, weights: Weights, which: Sequence[int]
     ) -> Callable[[Solution], np.ndarray]:
         """What a solution leaves of each block and joint of some runs, [blocks n]."""
         share = {
@@ -414,7 +416,7 @@ class Study:
         fit = [self.unsure[k] for k in self.of("fit") or range(len(self.runs))]
         self.noise = np.hypot(self.measured, np.sqrt(np.mean(np.concatenate(fit) ** 2, axis=0)))
 
-    def _dry(self, effects: Sequence[JointEffect], run: Run, load: Load) -> np.ndarray:
+    def _dry(self, effects: Sequence[JointEffect], run: TorqueRun, load: Load) -> np.ndarray:
         """Dry friction [time n] at the speed nothing along a run."""
         creep = 1e-3 * self.plant.turn
         ways = [replace(run, qd=np.broadcast_to(way * creep, run.qd.shape)) for way in (1.0, -1.0)]
@@ -439,7 +441,7 @@ class Study:
         known = np.concatenate([self.noise_of(k)[:, joint] for k in which])
         return float(1 / np.sqrt(np.mean(1 / known**2)))
 
-    def _longest(self) -> Run:
+    def _longest(self) -> TorqueRun:
         return max(
             (self.runs[k] for k in self.of("fit") or range(len(self.runs))), key=lambda r: len(r.q)
         )

@@ -15,8 +15,8 @@ from jaxid.hardware.dynamixel import registers as x
 from jaxid.hardware.dynamixel.bus import Bus, BusError, PROBES, tried
 from jaxid.hardware.dynamixel.tick import TickClock
 from jaxid.hardware.limits import Clamp, Refused
-from jaxid.hardware.link import busy, farewell, in_driver, Leash, Link, Stop
-from jaxid.hardware.transfer import Table
+from jaxid.hardware.link import busy, farewell, in_driver, Leash, Link, StopRequest
+from jaxid.hardware.transfer import PathTable
 
 
 def main(fd: int) -> None:
@@ -55,7 +55,7 @@ class Session:
         self.goal: list[int] | None = None
         self.told: list[int] | None = None
         self.restore: dict[int, int] = {}
-        self.table = Table()
+        self.table = PathTable()
 
     def _inspect(self, identity: int, baud: int) -> dict[str, Any]:
         model = self.bus.ping(identity)
@@ -126,7 +126,7 @@ class Session:
         """Samples for as long as the supervisor is there; orders come in between."""
         while (order := self.leash.next_order())["kind"] != "begin":
             if order["kind"] == "quit":
-                raise Stop("finished")
+                raise StopRequest("finished")
         deadline = time.monotonic()
         while True:
             self.leash.wait(deadline)
@@ -143,7 +143,7 @@ class Session:
                     self.link.send("done", **self._play(order))
                     deadline = time.monotonic()
                 elif order["kind"] == "quit":
-                    raise Stop("finished")
+                    raise StopRequest("finished")
             if time.monotonic() < deadline:  # an order came before the next question was due
                 continue
             self._cycle()

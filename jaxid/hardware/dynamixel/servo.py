@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxid.data.limits import Limits
 from jaxid.errors import UsageError
-from jaxid.hardware.device import approach, Measured, News, Plan, Sample
+from jaxid.hardware.device import approach, DeviceReading, News, PathPlan, Sample
 from jaxid.hardware.dynamixel import registers as x
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.link import Driver
@@ -290,15 +290,15 @@ class Dynamixel:
     def _step(self) -> int:
         return 5 if self.mode is None else 6
 
-    def measured(self, values: Sequence[float]) -> Measured:
+    def measured(self, values: Sequence[float]) -> DeviceReading:
         n = self._step()
         pick = lambda k: [values[n * j + k] for j in range(self.joints)]
-        return Measured(pick(0), pick(1), pick(2), pick(4))
+        return DeviceReading(pick(0), pick(1), pick(2), pick(4))
 
     def alarm(self, values: Sequence[float], moving: bool) -> str | None:
         return None  # the driver tells of hardware errors by itself
 
-    def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> Plan:
+    def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> PathPlan:
         step = self.command_step
         path = trajectory.sampled(step)
         speed = limits.speed or (math.inf,) * self.joints
@@ -334,7 +334,7 @@ class Dynamixel:
         table = self._counts(np.concatenate([lead, first, path, end]))
         floor = lambda v, j: math.floor(v / self._scale(j) + 1e-9)
         shift = self.zero if self.mode == "position" else [0] * self.joints
-        return Plan(
+        return PathPlan(
             kind=self.mode or "",
             table=table,
             step=step,
@@ -349,17 +349,17 @@ class Dynamixel:
         shift = np.array(self.zero if self.mode == "position" else [0] * self.joints)
         return values / np.array([self._scale(j) for j in range(self.joints)]) + shift
 
-    def load(self, plan: Plan) -> None:
+    def load(self, plan: PathPlan) -> None:
         assert self._driver is not None
         self._path = Sender(plan.table, self._driver.send)
 
-    def arm(self, plan: Plan, data_age: float) -> None:
+    def arm(self, plan: PathPlan, data_age: float) -> None:
         assert self._driver is not None
         self._path = None
         self._patience = max(SILENT_S, 1.5 * data_age)
         self._driver.send("arm", mode=plan.kind, data_age=data_age)
 
-    def play(self, plan: Plan) -> None:
+    def play(self, plan: PathPlan) -> None:
         assert self._driver is not None
         self._driver.send("play", **plan.order())
 

@@ -18,13 +18,13 @@ from collections.abc import Callable
 
 from jaxid.errors import UsageError
 from jaxid.hardware.dynamixel import registers as x
-from jaxid.hardware.emulators.dynamixel_servo import Bench, PLANT
-from jaxid.hardware.emulators.orders import Log, Orders
+from jaxid.hardware.emulators.dynamixel_servo import PLANT, ServoBus
+from jaxid.hardware.emulators.orders import EventLog, Orders
 from jaxid.hardware.emulators.plant import read_plant
 from jaxid.hardware.emulators.protocol2 import Packets
 
 
-class Bus:
+class EmulatedBus:
     """See the module. `run` serves until `quit` is ordered, the port is unplugged, or the process
     is ended.
     """
@@ -51,9 +51,9 @@ class Bus:
             raise UsageError(
                 f"a servo has no baud rate {baud}; it has {', '.join(map(str, codes))}"
             )
-        self.log = Log(log)
+        self.log = EventLog(log)
         body, settings = read_plant(plant, len(identities), PLANT)
-        self.bench = Bench(identities, body, settings, self.log, time.monotonic)
+        self.bench = ServoBus(identities, body, settings, self.log, time.monotonic)
         for servo in self.bench.servos.values():
             servo.set(x.BAUD_RATE, codes[baud])
             servo.set(x.RETURN_DELAY, return_delay)
@@ -193,6 +193,8 @@ def serve(
 ) -> None:
     """Serves until told to quit; prints the name of the port once it is there."""
     files = (None if plant is None else str(plant), None if log is None else str(log))
-    bus = Bus(identities, *files, latency=latency, return_delay=return_delay, baud=baud, seed=seed)
+    bus = EmulatedBus(
+        identities, *files, latency=latency, return_delay=return_delay, baud=baud, seed=seed
+    )
     print(bus.path, flush=True)
     bus.run()

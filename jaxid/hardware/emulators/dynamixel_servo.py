@@ -14,8 +14,8 @@ from typing import Any
 
 from jaxid.hardware.dynamixel import registers as x
 from jaxid.hardware.emulators import protocol2 as p2
-from jaxid.hardware.emulators.orders import Log
-from jaxid.hardware.emulators.plant import Plant
+from jaxid.hardware.emulators.orders import EventLog
+from jaxid.hardware.emulators.plant import EmulatedPlant
 
 
 MODEL = 1020
@@ -34,10 +34,10 @@ EEPROM, READ_ONLY, END = 64, (*range(0, 7), *range(120, 147)), 147
 FREE = range(168, 256)  # indirect addresses, memory like any other here
 
 
-class Servo:
+class EmulatedServo:
     """One servo's memory; `drive` is its current in A at the moment."""
 
-    def __init__(self, identity: int, joint: int, plant: Plant):
+    def __init__(self, identity: int, joint: int, plant: EmulatedPlant):
         self.identity, self.joint, self.plant = identity, joint, plant
         self.memory = bytearray(256)
         self.pending: tuple[int, bytes] | None = None
@@ -156,7 +156,7 @@ class Servo:
         return 0
 
 
-class Bench:
+class ServoBus:
     """All servos of a bus and what they move. `answer` takes a packet and gives the bytes of the
     answers.
     """
@@ -164,16 +164,16 @@ class Bench:
     def __init__(
         self,
         identities: list[int],
-        plant: Plant,
+        plant: EmulatedPlant,
         settings: Mapping[str, Any],
-        log: Log,
+        log: EventLog,
         clock: Callable[[], float],
     ):
         self.plant, self.log, self.clock = plant, log, clock
         self.torque_constant = float(settings.get("torque_constant", TORQUE_CONSTANT))
         self._random = random.Random(settings.get("seed", 0))
         self._noise = float(settings.get("noise", {}).get("q", 0.0))
-        self.servos = {i: Servo(i, j, plant) for j, i in enumerate(identities)}
+        self.servos = {i: EmulatedServo(i, j, plant) for j, i in enumerate(identities)}
         for s in self.servos.values():
             s.noise = lambda: self._random.gauss(0.0, self._noise)
             s.triggered = lambda identity: self.log("watchdog", id=identity)
@@ -288,13 +288,13 @@ class Bench:
             out += struct.pack("<H", p2.crc16(out))
         return [out] if asked else []
 
-    def _alert(self, servo: Servo) -> int:
+    def _alert(self, servo: EmulatedServo) -> int:
         return p2.ALERT if servo.get(x.HARDWARE_ERROR) else 0
 
-    def _status(self, servo: Servo, code: int = 0, content: bytes = b"") -> bytes:
+    def _status(self, servo: EmulatedServo, code: int = 0, content: bytes = b"") -> bytes:
         return p2.packet(servo.identity, bytes([p2.STATUS, code | self._alert(servo)]) + content)
 
-    def _read(self, servo: Servo, address: int, size: int) -> tuple[int, bytes]:
+    def _read(self, servo: EmulatedServo, address: int, size: int) -> tuple[int, bytes]:
         code, content = servo.read(address, size)
         if address == x.BLOCK.address and code == 0:
             names = {
@@ -311,7 +311,7 @@ class Bench:
             )
         return code, content
 
-    def _write(self, servo: Servo, address: int, content: bytes) -> int:
+    def _write(self, servo: EmulatedServo, address: int, content: bytes) -> int:
         code = servo.write(address, content)
         self.log("write", id=servo.identity, address=address, data=list(content), error=code)
         return code

@@ -16,7 +16,7 @@ from typing import Any, TextIO
 from jaxid.errors import nearest
 
 
-class Log:
+class EventLog:
     """One JSON line for each thing that happened, with the time `at` (monotonic s); to a file, or
     nowhere.
     """
@@ -38,7 +38,7 @@ class Orders:
     started it.
     """
 
-    def __init__(self, table: dict[str, Callable[[list[str]], None]], log: Log):
+    def __init__(self, table: dict[str, Callable[[list[str]], None]], log: EventLog):
         self.table, self.log = table, log
         self._buffer = b""
         self.open = True

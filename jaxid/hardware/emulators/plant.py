@@ -20,7 +20,7 @@ STEP = 5e-4
 COUPLED_STEP = 2e-3  # of a whole arm, which has to keep up with real time
 
 
-class Plant(Protocol):
+class EmulatedPlant(Protocol):
     """Joints and what they move. `q`, `qd`: rad, rad/s, one number a joint."""
 
     q: list[float]
@@ -166,7 +166,7 @@ class Modelled:
 
 def read_plant(
     path: str | os.PathLike[str] | None, joints: int, defaults: Mapping[str, Sequence[float]]
-) -> tuple[Plant, dict[str, Any]]:
+) -> tuple[EmulatedPlant, dict[str, Any]]:
     """The plant a file describes, and the whole of the file.
 
     `None` is a pendulum a joint with the `defaults`, `"ideal"` the same equation in plain Python. A

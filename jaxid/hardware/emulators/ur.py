@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable
 
 from jaxid.errors import UsageError
-from jaxid.hardware.emulators.orders import Log, Orders
+from jaxid.hardware.emulators.orders import EventLog, Orders
 from jaxid.hardware.emulators.plant import read_plant
 from jaxid.hardware.emulators.ur_arm import Arm, JOINTS, PLANT, SIZES, STEP, VARIABLES
 from jaxid.hardware.ur.rtde import (
@@ -78,7 +78,7 @@ class Emulator:
             raise UsageError(
                 f"an emulator listens on loopback only (127.0.0.1, 127.0.0.2 …), not on {host}"
             )
-        self.log = Log(log)
+        self.log = EventLog(log)
         body, settings = read_plant(plant, JOINTS, PLANT)
         self.arm = Arm(body, settings, self.log)
         self.arm.tick()

@@ -14,8 +14,8 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jaxid.hardware.emulators.orders import Log
-from jaxid.hardware.emulators.plant import Plant
+from jaxid.hardware.emulators.orders import EventLog
+from jaxid.hardware.emulators.plant import EmulatedPlant
 
 
 JOINTS = 6
@@ -105,7 +105,7 @@ class Arm:
     what they read.
     """
 
-    def __init__(self, plant: Plant, settings: Mapping[str, Any], log: Log):
+    def __init__(self, plant: EmulatedPlant, settings: Mapping[str, Any], log: EventLog):
         self.plant, self.log = plant, log
         self.gain = _six(settings.get("drive_gain", DRIVE_GAIN))
         inertia = _six(settings.get("parameters", {}).get("inertia", PLANT["inertia"]))

@@ -8,8 +8,8 @@ import time
 from typing import Any
 
 from jaxid.hardware.limits import Clamp, Refused
-from jaxid.hardware.link import busy, farewell, in_driver, Leash, Link, Stop
-from jaxid.hardware.transfer import Table
+from jaxid.hardware.link import busy, farewell, in_driver, Leash, Link, StopRequest
+from jaxid.hardware.transfer import PathTable
 
 
 DECELERATION = 5.0  # rad/s^2, of servoStop
@@ -23,7 +23,7 @@ def main(fd: int) -> None:
     link = in_driver(fd)
     leash = Leash(link)
     control: Any = None
-    table = Table()
+    table = PathTable()
     try:
         while True:
             order = leash.next_order() if control is None else _idle(leash, control)
@@ -38,7 +38,7 @@ def main(fd: int) -> None:
             elif order["kind"] == "play":
                 link.send("done", **_play(link, leash, control, order, table))
             elif order["kind"] == "quit":
-                raise Stop("finished")
+                raise StopRequest("finished")
     except BaseException as error:  # whatever the library raises is a reason to stop, and is told
         farewell(link, error, "the motion driver failed: ")
     finally:
@@ -71,7 +71,7 @@ def _idle(leash: Leash, control: Any) -> dict[str, Any]:
 
 
 def _play(
-    link: Link, leash: Leash, control: Any, order: dict[str, Any], table: Table
+    link: Link, leash: Leash, control: Any, order: dict[str, Any], table: PathTable
 ) -> dict[str, Any]:
     """Plays `table`, a row every `step` s; a late row delays the rest, so that no catching up can
     ever make a jump.
@@ -92,7 +92,7 @@ def _play(
         if not control.servoJ(list(sent), 0.0, 0.0, step, order["lookahead"], order["gain"]):
             taken = f"the robot did not take command {k + 1} of {table.rows} within {time.monotonic() - asked:.2f} s"
             if max(pause, overrun) > 0.5 * leash.longest_s:
-                raise Stop(
+                raise StopRequest(
                     f"{busy(max(pause, overrun))}, and the controller's watchdog stops the arm meanwhile: {taken}"
                 )
             raise RuntimeError(f"{taken}; is a program or a stop in the way?")

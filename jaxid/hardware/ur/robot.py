@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxid.data.limits import Limits
 from jaxid.errors import UsageError
-from jaxid.hardware.device import approach, Measured, News, Plan, Sample
+from jaxid.hardware.device import approach, DeviceReading, News, PathPlan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.link import Driver, ENDS
 from jaxid.hardware.pauses import kept_from_running, waited
@@ -175,8 +175,8 @@ class UR:
                 )
         return news
 
-    def measured(self, values: Sequence[float]) -> Measured:
-        return Measured(values[:6], values[6:12], values[12:18], values[48:54])
+    def measured(self, values: Sequence[float]) -> DeviceReading:
+        return DeviceReading(values[:6], values[6:12], values[12:18], values[48:54])
 
     def alarm(self, values: Sequence[float], moving: bool) -> str | None:
         scaling, fraction, _, mode, safety = (
@@ -199,7 +199,7 @@ class UR:
         """The largest distance (rad) between a joint and where the controller wants it."""
         return max(abs(a - b) for a, b in zip(values[:6], values[18:24], strict=True))
 
-    def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> Plan:
+    def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> PathPlan:
         step = self.command_step
         program = values[JOINTS * len(VECTORS) + SCALARS.index("runtime_state")]
         if program == 2:
@@ -218,7 +218,7 @@ class UR:
         begin = len(lead) + len(rest)
         marks = [(begin, "play_start"), (begin + len(path) - 1, "play_end")]
         table = np.concatenate([lead, rest, path, end])
-        return Plan(
+        return PathPlan(
             kind="position",
             table=table,
             step=step,
@@ -229,17 +229,17 @@ class UR:
             marks=marks,
         )
 
-    def load(self, plan: Plan) -> None:
+    def load(self, plan: PathPlan) -> None:
         self._driver = Driver("jaxid.hardware.ur.driver", f"UR at {self.host}")
         self._path = Sender(plan.table, self._driver.send)
 
-    def arm(self, plan: Plan, data_age: float) -> None:
+    def arm(self, plan: PathPlan, data_age: float) -> None:
         assert self._driver is not None
         self._path = None
         self._driver.send("arm", host=self.host, frequency=self.rate, data_age=data_age)
         self._patience = max(0.4, 1.5 * data_age)
 
-    def play(self, plan: Plan) -> None:
+    def play(self, plan: PathPlan) -> None:
         assert self._driver is not None
         self._playing, self._heard, self._waited = (
             True,

@@ -12,13 +12,13 @@ import numpy as np
 from jaxid.dynamics.export_law import StandsFor
 from jaxid.robots.bodies import BODY
 from jaxid.robots.export.law_code import kind_of, own_number
-from jaxid.robots.export.outcome import Named, Number, Outcome
+from jaxid.robots.export.outcome import ExportOutcome, Named, Number
 from jaxid.robots.export.sheet import (
-    Body,
     body_before,
-    Change,
     from_numbers,
+    LinkInertia,
     numbers_of,
+    RobotChange,
     Sheet,
     turned_gravity,
 )
@@ -50,9 +50,9 @@ PLAIN = {"viscous": "damping", "coulomb": "frictionloss", "armature": "armature"
 FORCE = ("lowest", "highest")
 
 
-def carried(sheet: Sheet, found: Outcome) -> Sheet:
+def carried(sheet: Sheet, found: ExportOutcome) -> Sheet:
     """The sheet after everything that the result names. Each effect and each number has at least
-    one `Change`.
+    one `RobotChange`.
     """
     done = set()
     for effect in found.effects:
@@ -69,7 +69,7 @@ def carried(sheet: Sheet, found: Outcome) -> Sheet:
     return sheet
 
 
-def _final(sheet: Sheet, change: Change) -> Change:
+def _final(sheet: Sheet, change: RobotChange) -> RobotChange:
     """The change with the number that stands there in the end: several may act on one."""
     if change.place not in sheet.after or not hasattr(sheet.after[change.place], change.quantity):
         return change
@@ -77,7 +77,7 @@ def _final(sheet: Sheet, change: Change) -> Change:
     return replace(change, value=value, before=getattr(sheet.before[change.place], change.quantity))
 
 
-def _numbers(sheet: Sheet, found: Outcome, done: set[str]) -> None:
+def _numbers(sheet: Sheet, found: ExportOutcome, done: set[str]) -> None:
     links: dict[str, dict[str, float]] = {}
     for name, number in found.parameters.items():
         field, _, place = name.partition("@")
@@ -105,7 +105,7 @@ def _numbers(sheet: Sheet, found: Outcome, done: set[str]) -> None:
                 was = numbers_of(sheet.tree, link)[field]
                 sheet.record(
                     [
-                        Change(
+                        RobotChange(
                             effect=field,
                             location=link,
                             quantity="inertial",
@@ -125,7 +125,7 @@ def _joint_number(sheet: Sheet, effect: str, joint: str, quantity: str, number: 
     sheet.set(joint, **{quantity: number.value})
     sheet.record(
         [
-            Change(
+            RobotChange(
                 effect=effect,
                 location=joint,
                 quantity=quantity,
@@ -153,7 +153,7 @@ def _plain_number(sheet: Sheet, name: str, number: Number) -> None:
     else:
         sheet.record(
             [
-                Change(
+                RobotChange(
                     effect=name,
                     location="",
                     quantity="",
@@ -171,7 +171,7 @@ def _torque(sheet: Sheet, effect: str, location: str, joint: str, number: Number
     sheet.set(joint, torque=sheet.after[joint].torque - number.value)
     sheet.record(
         [
-            Change(
+            RobotChange(
                 effect=effect,
                 location=location,
                 quantity="torque",
@@ -185,7 +185,7 @@ def _torque(sheet: Sheet, effect: str, location: str, joint: str, number: Number
     )
 
 
-def _base(sheet: Sheet, found: Outcome) -> None:
+def _base(sheet: Sheet, found: ExportOutcome) -> None:
     own = {
         k: found.parameters[f"base_{k}"]
         for k in ("roll", "pitch")
@@ -201,7 +201,7 @@ def _base(sheet: Sheet, found: Outcome) -> None:
     sheet.gravity = sheet.gravity[0], g
     sheet.record(
         [
-            Change(
+            RobotChange(
                 effect=f"base_{k}",
                 location="base",
                 quantity="gravity",
@@ -216,7 +216,7 @@ def _base(sheet: Sheet, found: Outcome) -> None:
     )
 
 
-def _left_out(sheet: Sheet, found: Outcome) -> None:
+def _left_out(sheet: Sheet, found: ExportOutcome) -> None:
     """Laws of the file that the model did without."""
     named = {e.effect for e in found.effects}
     for name in found.robot.get("without", ()):
@@ -229,7 +229,7 @@ def _left_out(sheet: Sheet, found: Outcome) -> None:
                     note = "the model was asked to do without it, and the data did not ask for it"
                     sheet.record(
                         [
-                            Change(
+                            RobotChange(
                                 effect=name,
                                 location=joint,
                                 quantity=quantity,
@@ -256,7 +256,7 @@ def _law(sheet: Sheet, effect: Named) -> None:
     units = ", ".join(dict.fromkeys(n.unit for n in effect.numbers.values() if n.unit))
     place = sheet.joint(effect.location)
     sheet.record(
-        [Change(effect.effect, effect.location, effect.effect, place, values, None, units)]
+        [RobotChange(effect.effect, effect.location, effect.effect, place, values, None, units)]
     )
 
 
@@ -314,9 +314,9 @@ def _units(sheet: Sheet, joint: str) -> dict[str, str]:
 
 def _change(
     effect: Named, quantity: str, joint: str, number: str, note: str = "", unit: str | None = None
-) -> Change:
+) -> RobotChange:
     doubt = effect.numbers[number].doubt
-    return Change(
+    return RobotChange(
         effect=effect.effect,
         location=effect.location,
         quantity=quantity,
@@ -362,12 +362,14 @@ def _payload(sheet: Sheet, effect: Named, own: StandsFor) -> None:
     )
 
 
-def with_point(body: Body, mass: float, at: np.ndarray) -> Body:
+def with_point(body: LinkInertia, mass: float, at: np.ndarray) -> LinkInertia:
     """A body with a point mass more."""
     m = body.mass + mass
     com = (body.mass * body.com + mass * at) / m if m else body.com
     moved = lambda m, d: m * (d @ d * np.eye(3) - np.outer(d, d))
-    return Body(m, com, body.inertia + moved(body.mass, body.com - com) + moved(mass, at - com))
+    return LinkInertia(
+        m, com, body.inertia + moved(body.mass, body.com - com) + moved(mass, at - com)
+    )
 
 
 def _gravity_offset(sheet: Sheet, effect: Named, own: StandsFor) -> None:

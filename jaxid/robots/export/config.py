@@ -9,12 +9,12 @@ from dataclasses import replace
 from typing import Any
 
 from jaxid.robots.export.law_code import c_code, code, lawful
-from jaxid.robots.export.sheet import Body, JointNumbers, Sheet
+from jaxid.robots.export.sheet import JointNumbers, LinkInertia, Sheet
 from jaxid.robots.export.target import by_joint, CODE, coded, Field, joined, NONE, rows_of, Written
 
 
 QUANTITIES = (*JointNumbers.__dataclass_fields__, "force")
-Writer = Callable[[Sheet, Mapping[str, dict[str, Any]], Mapping[str, Body]], str]
+Writer = Callable[[Sheet, Mapping[str, dict[str, Any]], Mapping[str, LinkInertia]], str]
 
 
 def written(
@@ -61,7 +61,7 @@ def written(
     return out
 
 
-def central(body: Body) -> list[float]:
+def central(body: LinkInertia) -> list[float]:
     """Ixx Iyy Izz Ixy Ixz Iyz about the centre of mass."""
     I = body.inertia
     return [float(v) for v in (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])]

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.robots.export.config import written
-from jaxid.robots.export.outcome import Outcome
-from jaxid.robots.export.sheet import Body, Sheet
+from jaxid.robots.export.outcome import ExportOutcome
+from jaxid.robots.export.sheet import LinkInertia, Sheet
 from jaxid.robots.export.target import Field, limit, Written
 
 
@@ -37,12 +37,14 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
-def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
+def write(sheet: Sheet, _found: ExportOutcome, _path: Path | None) -> Written:
     """`drake_apply.py`."""
     return written(sheet, FIELDS, ELSEWHERE, "drake_apply.py", _text, VERSION, "numpy")
 
 
-def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[str, Body]) -> str:
+def _text(
+    sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[str, LinkInertia]
+) -> str:
     lines = [
         f'"""What was found, on a MultibodyPlant; written for {VERSION}, not run."""',
         "",

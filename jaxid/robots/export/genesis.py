@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxid.robots.export.config import written
-from jaxid.robots.export.outcome import Outcome
-from jaxid.robots.export.sheet import Body, Sheet
+from jaxid.robots.export.outcome import ExportOutcome
+from jaxid.robots.export.sheet import LinkInertia, Sheet
 from jaxid.robots.export.target import Field, Written
 
 
@@ -33,12 +33,14 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
-def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
+def write(sheet: Sheet, _found: ExportOutcome, _path: Path | None) -> Written:
     """`genesis_apply.py`."""
     return written(sheet, FIELDS, ELSEWHERE, "genesis_apply.py", _text, VERSION, "torch")
 
 
-def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
+def _text(
+    sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, LinkInertia]
+) -> str:
     lines = [
         f'"""What was found, on an entity of a built scene; written for {VERSION}, not run. SI units."""',
         "",

@@ -16,8 +16,8 @@ from jaxid.errors import UsageError
 from jaxid.models.effects import ConstantTorque, PowerLawFriction, StribeckFriction
 from jaxid.robots.arms import table_of
 from jaxid.robots.export.apply import carried
-from jaxid.robots.export.outcome import Named, Number, number, Outcome
-from jaxid.robots.export.sheet import body_before, Change, from_ten, of_tree, Sheet
+from jaxid.robots.export.outcome import ExportOutcome, Named, Number, number
+from jaxid.robots.export.sheet import body_before, from_ten, of_tree, RobotChange, Sheet
 from jaxid.robots.tree import Tree, turned
 
 
@@ -29,7 +29,7 @@ ROUNDS, CLOSE = 5000, 1e-8
 FADES = 0.1
 
 
-def identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
+def identified(found: ExportOutcome, tree: Tree, path: Path | None) -> Sheet:
     """The sheet of an identification. Raises `UsageError` where its parameters are not those of the
     file's joints.
     """
@@ -129,7 +129,7 @@ def _entry(name: str, entry: Any) -> Number:
     )
 
 
-def _bodies(sheet: Sheet, found: Outcome, tree: Tree) -> None:
+def _bodies(sheet: Sheet, found: ExportOutcome, tree: Tree) -> None:
     from jaxid.models import SerialArm
 
     arm: Any = SerialArm(table_of(tree))
@@ -183,7 +183,7 @@ def _bodies(sheet: Sheet, found: Outcome, tree: Tree) -> None:
         unit = str(rows[name].get("unit") or "")[:40]
         sheet.record(
             [
-                Change(
+                RobotChange(
                     effect=name,
                     location=tree.joints[j],
                     quantity=quantity,

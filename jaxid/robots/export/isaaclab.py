@@ -9,8 +9,8 @@ from typing import Any
 
 from jaxid.models.effects import StribeckFriction
 from jaxid.robots.export.config import written
-from jaxid.robots.export.outcome import Outcome
-from jaxid.robots.export.sheet import Body, Sheet
+from jaxid.robots.export.outcome import ExportOutcome
+from jaxid.robots.export.sheet import LinkInertia, Sheet
 from jaxid.robots.export.target import Field, limit, Written
 
 
@@ -35,7 +35,7 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
-def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
+def write(sheet: Sheet, _found: ExportOutcome, _path: Path | None) -> Written:
     """`isaaclab_actuators.py`: a function of the physics step, for delays are counted in those."""
     return written(
         sheet=sheet,
@@ -49,7 +49,9 @@ def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
     )
 
 
-def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
+def _text(
+    sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, LinkInertia]
+) -> str:
     lines = [
         f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is not named here."""',
         "",

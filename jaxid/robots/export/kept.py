@@ -9,12 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.numerics.stated_numbers import Known, smallest_change
-from jaxid.robots.export.outcome import AS_STATED, Named, Number, number, Outcome
+from jaxid.numerics.stated_numbers import BoundedEstimates, smallest_change
+from jaxid.robots.export.outcome import AS_STATED, ExportOutcome, Named, Number, number
 from jaxid.wording import value_with_std
 
 
-def kept(found: Outcome) -> Outcome:
+def kept(found: ExportOutcome) -> ExportOutcome:
     """The result with those of the file's numbers that its data do not refute as the file has them,
     and the others as they are beside these, with the digits that they bear: what trades for a
     number that stays is moved along with it.
@@ -49,7 +49,7 @@ def _name(e: Named, field: str) -> str:
     return f"{e.effect}.{field}@{e.location}"
 
 
-def _stated(found: Outcome) -> dict[str, float]:
+def _stated(found: ExportOutcome) -> dict[str, float]:
     """What the file, or the dataset, states of the numbers that were fitted, by their names."""
     rows, out = found.content.get("stated"), {}
     for row in rows if isinstance(rows, list) else []:
@@ -62,12 +62,12 @@ def _stated(found: Outcome) -> dict[str, float]:
     return out
 
 
-def _unexplained(found: Outcome) -> bool:
+def _unexplained(found: ExportOutcome) -> bool:
     which = found.content.get("which")
     return isinstance(which, Mapping) and which.get("verdict") == "unknown"
 
 
-def _known(found: Outcome, every: Mapping[str, Number]) -> tuple[list[str], Known]:
+def _known(found: ExportOutcome, every: Mapping[str, Number]) -> tuple[list[str], BoundedEstimates]:
     """(names, what is known of them): all that the covariance holds, else those with a standard
     deviation, as independent.
     """
@@ -85,7 +85,7 @@ def _known(found: Outcome, every: Mapping[str, Number]) -> tuple[list[str], Know
     for k, name in enumerate(alone, start=len(held)):
         whole[k, k] = _variance(every[name])
     value, lower, upper = (_each(every, names, k) for k in ("value", "lower", "upper"))
-    return names, Known(value=value, covariance=whole, lower=lower, upper=upper)
+    return names, BoundedEstimates(value=value, covariance=whole, lower=lower, upper=upper)
 
 
 def _variance(n: Number) -> float:

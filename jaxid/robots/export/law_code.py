@@ -10,7 +10,7 @@ from jaxid.dynamics.export_law import ExportLaw, in_python, SIGNALS, StandsFor
 from jaxid.dynamics.law_in_c import in_c
 from jaxid.dynamics.parameter import specs
 from jaxid.models.effects import LIBRARY
-from jaxid.robots.export.sheet import Change
+from jaxid.robots.export.sheet import RobotChange
 
 
 #: Port -> table of the module, and what an entry of it is.
@@ -64,7 +64,7 @@ def why_not(effect: str) -> str:
     return law if isinstance(law, str) else ""
 
 
-def code(changes: Iterable[Change], head: str, tail: str = "", library: str = "numpy") -> str:
+def code(changes: Iterable[RobotChange], head: str, tail: str = "", library: str = "numpy") -> str:
     """A Python module with the laws of these changes: tables FORCE, DRY, COMMAND, TORQUE,
     READING.
     """
@@ -86,7 +86,7 @@ def code(changes: Iterable[Change], head: str, tail: str = "", library: str = "n
     return "\n".join(body) + tail
 
 
-def c_code(changes: Iterable[Change], head: str) -> str:
+def c_code(changes: Iterable[RobotChange], head: str) -> str:
     """A header of C with a function for each law of these changes that remembers nothing."""
     functions = []
     for change in changes:
@@ -104,7 +104,7 @@ def c_code(changes: Iterable[Change], head: str) -> str:
     return "\n".join([f"/* {head} */\n\n#include <math.h>\n", *functions])
 
 
-def _numbers(change: Change) -> dict[str, float]:
+def _numbers(change: RobotChange) -> dict[str, float]:
     """The effect's numbers; one that a result lacks is neutral."""
     kind = kind_of(change.quantity)
     assert kind is not None
@@ -120,6 +120,6 @@ def _term(law: ExportLaw, numbers: Mapping[str, float]) -> str:
     return f"{name}({given})"
 
 
-def lawful(changes: Iterable[Change]) -> list[Change]:
+def lawful(changes: Iterable[RobotChange]) -> list[RobotChange]:
     """Those changes that have code and a place."""
     return [c for c in changes if c.place and isinstance(c.value, Mapping) and law_of(c.quantity)]

@@ -18,17 +18,17 @@ from jaxid.robots.export.mjcf_code import callback, snippet, spec_code
 from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY, OF_LAW
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile
 from jaxid.robots.export.mjcf_friction import friction_field, UNTRIED
-from jaxid.robots.export.outcome import AS_STATED, Outcome
-from jaxid.robots.export.sheet import Body, Change, from_ten, JointNumbers, Sheet
+from jaxid.robots.export.outcome import AS_STATED, ExportOutcome
+from jaxid.robots.export.sheet import from_ten, JointNumbers, LinkInertia, RobotChange, Sheet
 from jaxid.robots.export.target import (
     APPROXIMATE,
     CODE,
     coded,
     EXACT,
+    ExportRow,
     Field,
     joined,
     nearer,
-    Row,
     row,
     Trial,
     value_of,
@@ -53,7 +53,9 @@ class Op:
     attributes: Mapping[str, Any]
 
 
-def write(sheet: Sheet, found: Outcome, path: Path | None, trial: Trial | None = None) -> Written:
+def write(
+    sheet: Sheet, found: ExportOutcome, path: Path | None, trial: Trial | None = None
+) -> Written:
     """The patched file, `apply.py`, and `effects.py` for laws that no attribute says. What nothing
     asked for (how hard friction is) is written only where the recording is nearer with it in
     MuJoCo, which `trial` says.
@@ -92,7 +94,7 @@ class _Patch:
     def __init__(self, sheet: Sheet, file: MjcfFile, holding: frozenset[str]):
         self.sheet, self.file, self.holding = sheet, file, holding
         self.ops: list[Op] = []
-        self.rows: list[Row] = []
+        self.rows: list[ExportRow] = []
         self.notes: list[str] = []
         self.lacking = coded(CALLBACK)
 
@@ -119,12 +121,14 @@ class _Patch:
             )
         return out
 
-    def _row(self, change: Change, fields: Mapping[tuple[str, str], Field | None]) -> Row:
+    def _row(
+        self, change: RobotChange, fields: Mapping[tuple[str, str], Field | None]
+    ) -> ExportRow:
         own = fields.get((change.quantity, change.place))
         if own is not None:
             return row(self.sheet, change, own)
         if (change.quantity, change.place) in fields:
-            return Row(
+            return ExportRow(
                 change.effect,
                 change.location,
                 "",
@@ -138,10 +142,12 @@ class _Patch:
         )
         if (known or change.quantity == "inertial") and change.value == change.before:
             note = change.note or AS_STATED
-            return Row(change.effect, change.location, "", change.value, change.unit, EXACT, note)
+            return ExportRow(
+                change.effect, change.location, "", change.value, change.unit, EXACT, note
+            )
         return self.lacking(change)
 
-    def _why(self, change: Change) -> str:
+    def _why(self, change: RobotChange) -> str:
         joint = change.place
         if change.quantity == "inertial":
             return f"body {joint!r} has no name of its own in the file: give it one"
@@ -305,7 +311,7 @@ class _Patch:
                 if k in other and k not in named:
                     note = "the law of [controller], under which the recording was made"
                     sheet.changes.append(
-                        Change(
+                        RobotChange(
                             effect=k,
                             location=joint,
                             quantity=k,
@@ -319,7 +325,7 @@ class _Patch:
             if {"lowest", "highest"} & other and not {"force", "lowest", "highest"} & named:
                 note = "the limit of [controller], under which the recording was made"
                 sheet.changes.append(
-                    Change(
+                    RobotChange(
                         effect="saturation",
                         location=joint,
                         quantity="force",
@@ -440,7 +446,7 @@ class _Patch:
 
     # ---- bodies, gravity
 
-    def _body(self, link: str, before: Body, after: Body) -> Field | None:
+    def _body(self, link: str, before: LinkInertia, after: LinkInertia) -> Field | None:
         found = self.file.body(link)
         if found is None:
             return None
@@ -482,14 +488,14 @@ class _Patch:
             joined(note, "what is fixed to it keeps its own numbers" if lumped else ""),
         )
 
-    def _own_body(self, link: str) -> Body:
+    def _own_body(self, link: str) -> LinkInertia:
         from jaxid.robots.mjcf import pose
         from jaxid.robots.mjcf_spec import library
 
         m, mj = self.file.model, library()
         b = mj.mj_name2id(m, mj.mjtObj.mjOBJ_BODY, link)
         R = pose(np.zeros(3), m.body_iquat[b])[:3, :3]
-        return Body(
+        return LinkInertia(
             float(m.body_mass[b]), m.body_ipos[b].copy(), R @ np.diag(m.body_inertia[b]) @ R.T
         )
 

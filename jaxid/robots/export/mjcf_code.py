@@ -9,8 +9,8 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from jaxid.robots.export.law_code import code, law_of, lawful
-from jaxid.robots.export.outcome import Outcome
-from jaxid.robots.export.sheet import Change, Sheet
+from jaxid.robots.export.outcome import ExportOutcome
+from jaxid.robots.export.sheet import RobotChange, Sheet
 from jaxid.robots.export.target import coded, Field, rows_of, Written
 from jaxid.robots.export.xml_text import number, numbers
 
@@ -117,7 +117,7 @@ def _plain(v: Any) -> str:
     )
 
 
-def callback(changes: list[Change]) -> str:
+def callback(changes: list[RobotChange]) -> str:
     """What calls the laws, before each step."""
     laws = [law_of(c.quantity) for c in changes]
     ports = {law.port for law in laws if law is not None}
@@ -164,7 +164,7 @@ def callback(changes: list[Change]) -> str:
     return "\n".join([*lines, ""])
 
 
-def snippet(sheet: Sheet, found: Outcome) -> Written:
+def snippet(sheet: Sheet, found: ExportOutcome) -> Written:
     """Attributes to copy, where no file is known to patch."""
     lines = [
         "<!-- Copy these attributes to the joints and actuators of your file; angles in radians. Written for MuJoCo 4.0. -->"

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.robots.export.config import written
-from jaxid.robots.export.outcome import Outcome
-from jaxid.robots.export.sheet import Body, Sheet
+from jaxid.robots.export.outcome import ExportOutcome
+from jaxid.robots.export.sheet import LinkInertia, Sheet
 from jaxid.robots.export.target import Field, limit, NONE, Written
 
 
@@ -46,14 +46,16 @@ ELSEWHERE: dict[str, str] = dict.fromkeys(
 )
 
 
-def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
+def write(sheet: Sheet, _found: ExportOutcome, _path: Path | None) -> Written:
     """`mjlab_actuators.py`: a function of the physics step, for delays are counted in those."""
     return written(
         sheet, FIELDS, ELSEWHERE, "mjlab_actuators.py", _text, VERSION, "torch", how=NONE
     )
 
 
-def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
+def _text(
+    sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, LinkInertia]
+) -> str:
     lines = [
         f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is not named here."""',
         "",

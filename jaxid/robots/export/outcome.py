@@ -63,7 +63,7 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ExportOutcome:
     """`names` and `covariance` of the numbers, [n n], nan where unknown. `content` is the JSON
     itself.
     """
@@ -77,7 +77,7 @@ class Outcome:
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     content: Mapping[str, Any] = field(default_factory=dict)
 
-    def renamed(self, joints: Mapping[str, str]) -> Outcome:
+    def renamed(self, joints: Mapping[str, str]) -> ExportOutcome:
         """The same with its locations under other joints' names."""
         other = lambda place: joints.get(place, place)
         numbers = {
@@ -98,7 +98,7 @@ class Outcome:
         return self.robot.get("drive")
 
 
-def outcome(content: Any) -> Outcome:
+def outcome(content: Any) -> ExportOutcome:
     """The numbers of a fit, a diagnosis or an identification. Raises `UsageError` for anything else
     and for a failed fit.
     """
@@ -126,7 +126,7 @@ def outcome(content: Any) -> Outcome:
     names, matrix = _covariance(
         content.get("covariance"), content.get("names") if kind == "identification" else None
     )
-    return Outcome(
+    return ExportOutcome(
         kind=kind,
         model=_name(content.get("model"), "model"),
         parameters={_name(k, "parameters"): _number(k, v) for k, v in parameters.items()},

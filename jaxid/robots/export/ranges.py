@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxid.numerics.drawn import beside_the_others, draws
 from jaxid.numerics.truncated import positive
-from jaxid.robots.export.outcome import Number, Outcome
+from jaxid.robots.export.outcome import ExportOutcome, Number
 
 
 #: Standard deviations to either side of a 95 % interval of a normal distribution.
@@ -48,7 +48,7 @@ class Ranges:
     notes: tuple[str, ...] = ()
 
 
-def ranges_of(found: Outcome, to: str, written: Outcome | None = None) -> Ranges:
+def ranges_of(found: ExportOutcome, to: str, written: ExportOutcome | None = None) -> Ranges:
     """The ranges of a result's numbers. Numbers that the data do not determine have none, and are
     listed. `written`: the result with the numbers as they go into a file.
     """
@@ -87,7 +87,7 @@ def _lowest(name: str, n: Number) -> float:
     return max(0.0, n.lower) if name.partition("@")[0] in POSITIVE else n.lower
 
 
-def _draws(found: Outcome, numbers: Mapping[str, Number]) -> dict[str, Any]:
+def _draws(found: ExportOutcome, numbers: Mapping[str, Number]) -> dict[str, Any]:
     """Numbers drawn together, within their bounds: a row of `values` for each draw."""
     names = list(numbers)
     every = list(numbers.values())
@@ -108,7 +108,7 @@ def _digits(x: float) -> float:
 
 
 def _one_by_one(
-    found: Outcome, written: Outcome, rows: Mapping[str, Mapping[str, Any]]
+    found: ExportOutcome, written: ExportOutcome, rows: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Mapping[str, Any]]:
     """The rows with what each number may be beside the others as they are written."""
     names, C = _shared(found, list(rows))
@@ -125,7 +125,7 @@ def _one_by_one(
     return out
 
 
-def _identified(found: Outcome) -> dict[str, Number]:
+def _identified(found: ExportOutcome) -> dict[str, Number]:
     """Base parameters and friction, by the names that a fit would have."""
     out: dict[str, Number] = {}
     listed, friction = found.content.get("base_parameters"), found.content.get("friction")
@@ -148,7 +148,7 @@ def _number(entry: Any) -> Number | None:
     return Number(float(entry["value"]), spread, str(entry.get("unit") or "")[:40])
 
 
-def _shared(found: Outcome, wanted: Iterable[str]) -> tuple[list[str], np.ndarray]:
+def _shared(found: ExportOutcome, wanted: Iterable[str]) -> tuple[list[str], np.ndarray]:
     """(names, covariance) of those of the wanted numbers that the result's covariance holds."""
     asked = set(wanted)
     size = np.diag(found.covariance) if found.covariance.size else np.zeros(0)
@@ -156,7 +156,9 @@ def _shared(found: Outcome, wanted: Iterable[str]) -> tuple[list[str], np.ndarra
     return [found.names[i] for i in keep], found.covariance[np.ix_(keep, keep)]
 
 
-def _intervals(found: Outcome, numbers: Mapping[str, Number]) -> dict[str, tuple[float, float]]:
+def _intervals(
+    found: ExportOutcome, numbers: Mapping[str, Number]
+) -> dict[str, tuple[float, float]]:
     """95 % of each number that has a standard deviation.
 
     What stands at a bound has half of its own, by its root mean square from there; a number that
@@ -191,7 +193,7 @@ def _side(n: Number) -> float:
 
 
 def _correlation(
-    found: Outcome, wanted: Iterable[str]
+    found: ExportOutcome, wanted: Iterable[str]
 ) -> tuple[list[str], list[list[float | None]]]:
     """(names, matrix) of those numbers that the covariance holds."""
     names, C = _shared(found, wanted)

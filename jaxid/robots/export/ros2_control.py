@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.robots.export.config import written
-from jaxid.robots.export.outcome import Outcome
-from jaxid.robots.export.sheet import Body, Sheet
+from jaxid.robots.export.outcome import ExportOutcome
+from jaxid.robots.export.sheet import LinkInertia, Sheet
 from jaxid.robots.export.target import Field, limit, Written
 
 
@@ -28,7 +28,7 @@ MODEL = "a controller has no field for it: put it into the model (jaxid export -
 ELSEWHERE: dict[str, str] = {}
 
 
-def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
+def write(sheet: Sheet, _found: ExportOutcome, _path: Path | None) -> Written:
     """`controllers.yaml`."""
     out = written(sheet, FIELDS, ELSEWHERE, "controllers.yaml", _text, VERSION, "c")
     out.notes.append(
@@ -40,7 +40,9 @@ def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
     return out
 
 
-def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
+def _text(
+    sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, LinkInertia]
+) -> str:
     lines = [
         f"# Gains as they were found; written for {VERSION}, not run.",
         "joint_trajectory_controller:",

@@ -12,11 +12,11 @@ from jaxid.errors import nearest, UsageError
 from jaxid.robots.export import mjcf
 from jaxid.robots.export.apply import carried
 from jaxid.robots.export.kept import kept
-from jaxid.robots.export.outcome import Outcome, outcome
+from jaxid.robots.export.outcome import ExportOutcome, outcome
 from jaxid.robots.export.ranges import ranges_of
 from jaxid.robots.export.sheet import of_tree, Sheet
 from jaxid.robots.export.stepped import shifted, stepped
-from jaxid.robots.export.target import joined, NEARER, Row, Trial
+from jaxid.robots.export.target import ExportRow, joined, NEARER, Trial
 from jaxid.robots.export.targets import TARGETS
 from jaxid.robots.floating import based
 from jaxid.robots.followers import led_as
@@ -35,7 +35,7 @@ class Exported(Printed):
     """
 
     to: str
-    rows: tuple[Row, ...]
+    rows: tuple[ExportRow, ...]
     files: Mapping[str, str]
     notes: tuple[str, ...]
     source: Mapping[str, Any]
@@ -108,7 +108,7 @@ def export(
     return Exported(to, rows, files, notes, source, more.table if more else None)
 
 
-def _with_step(row: Row, tree: Tree | None) -> Row:
+def _with_step(row: ExportRow, tree: Tree | None) -> ExportRow:
     """The row with the step for which its value holds."""
     if tree is None or tree.steps is None or row.kept or not row.field:
         return row
@@ -151,7 +151,7 @@ def read_tree(path: Path) -> Tree:
         raise UsageError(f"{path}: {error}") from error
 
 
-def _file(found: Outcome, robot: str | Path | None, beside: Path | None) -> Path | None:
+def _file(found: ExportOutcome, robot: str | Path | None, beside: Path | None) -> Path | None:
     """The robot's file, None where there is none to patch."""
     if robot is not None:
         path = Path(robot)
@@ -176,7 +176,7 @@ def _file(found: Outcome, robot: str | Path | None, beside: Path | None) -> Path
     return path
 
 
-def _sheet(found: Outcome, tree: Tree | None, path: Path | None) -> Sheet:
+def _sheet(found: ExportOutcome, tree: Tree | None, path: Path | None) -> Sheet:
     joints = _joints(found)
     if tree is None:
         sheet = of_tree(None, joints, found.robot)
@@ -190,7 +190,7 @@ def _sheet(found: Outcome, tree: Tree | None, path: Path | None) -> Sheet:
     return carried(sheet, found)
 
 
-def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
+def _as_recorded(found: ExportOutcome, tree: Tree, path: Path | None) -> Tree:
     """The tree with the joints held that the result had held. Raises `UsageError` where its joints
     are others.
     """
@@ -213,22 +213,22 @@ def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
     )
 
 
-def _leads(found: Outcome) -> list[str]:
+def _leads(found: ExportOutcome) -> list[str]:
     """Joints that moved by themselves in the result, as far as it says them."""
     drive = found.robot.get("drive")
     return found.robot.get("leads") or (list(drive["joints"]) if drive else [])
 
 
 def _in_steps(
-    found: Outcome, tree: Tree | None, path: Path | None
-) -> tuple[Outcome, tuple[str, ...]]:
+    found: ExportOutcome, tree: Tree | None, path: Path | None
+) -> tuple[ExportOutcome, tuple[str, ...]]:
     """The result in the terms of the file's simulator, and what is to be said of that."""
     if tree is None or found.kind == "identification":
         return found, ()
     return stepped(found, of_tree(_as_recorded(found, tree, path), _joints(found), found.robot))
 
 
-def _joints(found: Outcome) -> list[str]:
+def _joints(found: ExportOutcome) -> list[str]:
     """Joints that a result speaks of, where no file says them."""
     if found.robot.get("joints"):
         return list(found.robot["joints"])
@@ -255,13 +255,13 @@ def _joints(found: Outcome) -> list[str]:
     )
 
 
-def _identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
+def _identified(found: ExportOutcome, tree: Tree, path: Path | None) -> Sheet:
     from jaxid.robots.export.identified import identified
 
     return identified(found, tree, path)
 
 
-def _caveats(found: Outcome) -> list[str]:
+def _caveats(found: ExportOutcome) -> list[str]:
     """What the result itself says against taking its numbers for the robot's."""
     out, which = [], found.content.get("which")
     if isinstance(which, Mapping):
@@ -282,7 +282,7 @@ def _caveats(found: Outcome) -> list[str]:
     return out
 
 
-def _of_file(found: Outcome, path: Path | None) -> dict[str, Any]:
+def _of_file(found: ExportOutcome, path: Path | None) -> dict[str, Any]:
     return {
         **found.robot,
         "file": "" if path is None else str(path),
@@ -290,7 +290,7 @@ def _of_file(found: Outcome, path: Path | None) -> dict[str, Any]:
     }
 
 
-def _numbers(found: Outcome) -> dict[str, Any]:
+def _numbers(found: ExportOutcome) -> dict[str, Any]:
     """What `jaxid replay` needs to run jaxid's own model beside: the numbers alone."""
     value = lambda table: {k: {"value": n.value, "std": n.std} for k, n in table.items()}
     effects = [

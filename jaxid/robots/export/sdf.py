@@ -8,8 +8,8 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from jaxid.robots.export.config import central, written
-from jaxid.robots.export.outcome import Outcome
-from jaxid.robots.export.sheet import Body, Sheet
+from jaxid.robots.export.outcome import ExportOutcome
+from jaxid.robots.export.sheet import LinkInertia, Sheet
 from jaxid.robots.export.target import Field, limit, Written
 from jaxid.robots.export.xml_text import number, numbers as listed
 
@@ -35,12 +35,14 @@ ELSEWHERE = {
 }
 
 
-def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
+def write(sheet: Sheet, _found: ExportOutcome, _path: Path | None) -> Written:
     """`joints.sdf`."""
     return written(sheet, FIELDS, ELSEWHERE, "joints.sdf", _text, VERSION, "c")
 
 
-def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[str, Body]) -> str:
+def _text(
+    sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[str, LinkInertia]
+) -> str:
     lines = [
         f"<!-- Copy these elements to the joints and links of your model; written for {VERSION}, not run. -->"
     ]

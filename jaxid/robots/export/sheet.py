@@ -46,7 +46,7 @@ class JointNumbers:
 
 
 @dataclass(frozen=True)
-class Body:
+class LinkInertia:
     """Mass (kg), centre of mass (m) in the link's frame, inertia about it along the frame's axes [3
     3].
     """
@@ -62,7 +62,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Change:
+class RobotChange:
     """One effect, or one fitted number, and what of the robot it changed: `quantity` at `place` (a
     joint or a link).
 
@@ -90,9 +90,9 @@ class Sheet:
     tree: Tree | None
     before: dict[str, JointNumbers]
     after: dict[str, JointNumbers]
-    bodies: dict[str, tuple[Body, Body]] = field(default_factory=dict)
+    bodies: dict[str, tuple[LinkInertia, LinkInertia]] = field(default_factory=dict)
     gravity: tuple[np.ndarray, np.ndarray] | None = None
-    changes: list[Change] = field(default_factory=list)
+    changes: list[RobotChange] = field(default_factory=list)
     driven: bool = False
     own_law: bool = True
     sampled: float = 0.0
@@ -125,7 +125,7 @@ class Sheet:
         """Joints of which a number is another one than before."""
         return {j: n for j, n in self.after.items() if n != self.before[j]}
 
-    def record(self, changes: Iterable[Change]) -> None:
+    def record(self, changes: Iterable[RobotChange]) -> None:
         self.changes += changes
 
 
@@ -173,7 +173,7 @@ def _of_file(tree: Tree, joint: str) -> dict[str, float]:
     }
 
 
-def body_before(tree: Tree, link: str) -> Body:
+def body_before(tree: Tree, link: str) -> LinkInertia:
     """The body of a link as the model starts with it: the nearest one that can exist, with what is
     fixed to it.
     """
@@ -190,7 +190,7 @@ def numbers_of(tree: Tree, link: str) -> dict[str, float]:
     }
 
 
-def from_numbers(n: Mapping[str, float]) -> Body:
+def from_numbers(n: Mapping[str, float]) -> LinkInertia:
     G = np.array(
         [
             [n["gyration_xx"], 0.0, 0.0],
@@ -199,12 +199,12 @@ def from_numbers(n: Mapping[str, float]) -> Body:
         ]
     )
     S = n["mass"] * G @ G.T
-    return Body(
+    return LinkInertia(
         n["mass"], np.array([n["com_x"], n["com_y"], n["com_z"]]), np.trace(S) * np.eye(3) - S
     )
 
 
-def from_ten(ten: np.ndarray) -> tuple[Body, float]:
+def from_ten(ten: np.ndarray) -> tuple[LinkInertia, float]:
     """The nearest body that can exist to ten numbers about the frame's origin, and how far off it
     is: the largest difference of a number over the largest number.
     """

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from jaxid.robots.export.law_code import own_number
-from jaxid.robots.export.outcome import Named, Number, Outcome
+from jaxid.robots.export.outcome import ExportOutcome, Named, Number
 from jaxid.robots.export.sheet import JointNumbers, Sheet
 from jaxid.robots.steps import nearest, Steps
 
@@ -20,7 +20,7 @@ REFUTED = 3.0
 DELAY = "delay"
 
 
-def stepped(found: Outcome, sheet: Sheet) -> tuple[Outcome, tuple[str, ...]]:
+def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[str, ...]]:
     """The result with its armatures less, and its delays more, what the steps of the file's
     simulator make of them; and what is to be said of that. `sheet`: the robot before.
     """
@@ -47,7 +47,7 @@ def stepped(found: Outcome, sheet: Sheet) -> tuple[Outcome, tuple[str, ...]]:
     return replace(found, parameters=numbers, effects=effects), (note,) if changed else ()
 
 
-def _stated(found: Outcome) -> dict[str, float]:
+def _stated(found: ExportOutcome) -> dict[str, float]:
     rows = found.content.get("stated")
     out = {}
     for row in rows if isinstance(rows, list) else []:
@@ -66,7 +66,7 @@ def _in_file(stated: float, n: Number, added: float) -> float:
     return max(0.0, n.value - added) if refuted else near
 
 
-def _added(steps: Steps, found: Outcome, joint: str, before: JointNumbers) -> float:
+def _added(steps: Steps, found: ExportOutcome, joint: str, before: JointNumbers) -> float:
     def value(kind: str, otherwise: float) -> float:
         own = found.parameters.get(f"{kind}@{joint}")
         return otherwise if own is None else own.value

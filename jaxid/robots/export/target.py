@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxid.robots.export.law_code import law_of, why_not
 from jaxid.robots.export.outcome import AS_STATED
-from jaxid.robots.export.sheet import Change, Sheet
+from jaxid.robots.export.sheet import RobotChange, Sheet
 
 
 #: From the files of a patch (name -> text) and the name of the robot's among them to how far its
@@ -36,7 +36,7 @@ EXACT, APPROXIMATE, CODE, NONE = "exact", "approximate", "code", "none"
 
 
 @dataclass(frozen=True)
-class Row:
+class ExportRow:
     """One effect or number and the field that carries it: `how` is exact, approximate, code (no
     field; the code is in a file) or none.
     """
@@ -62,7 +62,7 @@ class Row:
 class Written:
     """Rows and files (name -> text) of one framework; `notes` are for the reader."""
 
-    rows: list[Row] = field(default_factory=list)
+    rows: list[ExportRow] = field(default_factory=list)
     files: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -82,7 +82,7 @@ class Field:
     one: bool = False
 
 
-def value_of(sheet: Sheet, change: Change) -> Any:
+def value_of(sheet: Sheet, change: RobotChange) -> Any:
     """The number of a change as it stands in the end: both limits of a force, a vector of gravity,
     else one number.
     """
@@ -105,8 +105,8 @@ def scaled(value: Any, factor: float) -> Any:
 
 
 def rows_of(
-    sheet: Sheet, fields: Mapping[str, Field], lacking: Callable[[Change], Row]
-) -> list[Row]:
+    sheet: Sheet, fields: Mapping[str, Field], lacking: Callable[[RobotChange], ExportRow]
+) -> list[ExportRow]:
     """A row for each change; `lacking` makes that of a quantity without a field."""
     return [
         row(sheet, c, fields[c.quantity]) if c.quantity in fields else lacking(c)
@@ -114,7 +114,7 @@ def rows_of(
     ]
 
 
-def row(sheet: Sheet, change: Change, own: Field) -> Row:
+def row(sheet: Sheet, change: RobotChange, own: Field) -> ExportRow:
     name = own.name.replace("{joint}", change.place).replace("{link}", change.place)
     unit = change.unit if own.unit is None else own.unit
     value, how, note = scaled(value_of(sheet, change), own.factor), own.how, own.note
@@ -126,7 +126,7 @@ def row(sheet: Sheet, change: Change, own: Field) -> Row:
                 APPROXIMATE,
                 joined(f"one limit for both directions: the larger of {low:g} and {high:g}", note),
             )
-    return Row(
+    return ExportRow(
         change.effect,
         change.location,
         name,
@@ -143,7 +143,7 @@ def limit(force: Iterable[float]) -> float | None:
     return max(finite) if finite else None
 
 
-def was(change: Change, factor: float = 1.0) -> str:
+def was(change: RobotChange, factor: float = 1.0) -> str:
     """What stood there before."""
     if (
         not isinstance(change.before, float)
@@ -163,16 +163,18 @@ def coded(
     more: Mapping[str, str] | None = None,
     how: str = CODE,
     remembers: bool = True,
-) -> Callable[[Change], Row]:
+) -> Callable[[RobotChange], ExportRow]:
     """Makes the rows of what has no field: `code` where `file` holds its law, else `none` with the
     reason. `more`: quantities that are said elsewhere than in a field, with a sentence; `how` that
     counts. `remembers`: whether the file can hold laws with a memory.
     """
 
-    def lacking(change: Change) -> Row:
+    def lacking(change: RobotChange) -> ExportRow:
         if more and change.quantity in more:
             note = joined(more[change.quantity], change.note)
-            return Row(change.effect, change.location, "", change.value, change.unit, how, note)
+            return ExportRow(
+                change.effect, change.location, "", change.value, change.unit, how, note
+            )
         law = law_of(change.quantity)
         if law is not None and change.place:
             held = bool(file) and (remembers or not law.memory)
@@ -182,7 +184,7 @@ def coded(
             elif held:
                 who = f"no field has it: {file} has it, for a plugin of your own"
             note = joined(who, law.words, change.note)
-            return Row(
+            return ExportRow(
                 change.effect,
                 change.location,
                 "",
@@ -191,7 +193,7 @@ def coded(
                 CODE if held else NONE,
                 note,
             )
-        return Row(
+        return ExportRow(
             change.effect,
             change.location,
             "",
@@ -204,7 +206,7 @@ def coded(
     return lacking
 
 
-def reason(change: Change) -> str:
+def reason(change: RobotChange) -> str:
     if why := why_not(change.quantity):
         return why
     if not change.quantity:

@@ -9,8 +9,8 @@ import numpy as np
 from jaxid.dynamics.urdf import read_links
 from jaxid.errors import UsageError
 from jaxid.robots.export.law_code import code, lawful
-from jaxid.robots.export.outcome import Outcome
-from jaxid.robots.export.sheet import Body, from_ten, JointNumbers, Sheet
+from jaxid.robots.export.outcome import ExportOutcome
+from jaxid.robots.export.sheet import from_ten, JointNumbers, LinkInertia, Sheet
 from jaxid.robots.export.target import (
     APPROXIMATE,
     coded,
@@ -47,7 +47,7 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
-def write(sheet: Sheet, found: Outcome, path: Path | None) -> Written:
+def write(sheet: Sheet, found: ExportOutcome, path: Path | None) -> Written:
     """The patched file, and `effects.py` for laws that no field says."""
     fields = dict(FIELDS)
     out = Written()
@@ -155,7 +155,7 @@ def _origin(element: Element) -> np.ndarray:
     return T
 
 
-def _inertial(patch: XmlText, element: Element, body: Body) -> None:
+def _inertial(patch: XmlText, element: Element, body: LinkInertia) -> None:
     I = body.inertia
     tensor: dict[str, str] = dict(
         zip(

@@ -21,11 +21,11 @@ from jaxid.data.dataset import (
     ParameterPrior,
 )
 from jaxid.fitting.fitter import AbstractFitter
-from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.problem.binding import bind
 from jaxid.problem.frequency_response import estimate, FrequencyResponseError
-from jaxid.problem.problem import Problem
-from jaxid.study.papers.result import Claim, judged, Part, PARTLY, Table, UNKNOWN
+from jaxid.problem.problem import FitProblem
+from jaxid.study.papers.result import judged, PaperClaim, PaperPart, PaperTable, PARTLY, UNKNOWN
 from jaxid.study.papers.searches import course, dispersion, lines, mean_sd, race, Searched
 from jaxid.study.papers.twins import flexible_link as twin
 from jaxid.wording import listed, number
@@ -134,10 +134,10 @@ def pushed(shape: str, t: np.ndarray) -> Float[np.ndarray, " time"]:
     return np.where(x < 1, PEAKS[shape] * of, 0.0)
 
 
-def problem(modes: int = 4, linear: bool = True) -> Problem:
+def problem(modes: int = 4, linear: bool = True) -> FitProblem:
     """The paper's loss (6) of the data; its numbers are where a fit would begin."""
     binding = bind(None, data(modes, linear))
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     return bench.problem(
         RESIDUAL, "fit", binding.free, start_values(bench, binding.free, 0)[0], loss="sum_of_norms"
     )
@@ -157,7 +157,7 @@ def methods(size: int = 100, generations: int = 100) -> dict[str, AbstractFitter
 # ---- the study
 
 
-class Size(NamedTuple):
+class FlexibleLinkSize(NamedTuple):
     """How much is computed: the paper's population, generations and ten seeds but for more seeds in
     full; `step` (s) of the pulse with dry friction.
     """
@@ -168,10 +168,10 @@ class Size(NamedTuple):
     generations: int = 100
 
 
-SIZES = {"small": Size(10, 2e-3), "full": Size(30, 1e-3)}
+SIZES = {"small": FlexibleLinkSize(10, 2e-3), "full": FlexibleLinkSize(30, 1e-3)}
 
 
-def study(size: Size) -> Iterator[Part]:
+def study(size: FlexibleLinkSize) -> Iterator[PaperPart]:
     """Four parts: comparison, response, validation, dry friction in a frequency response."""
     p = problem()
     runs = race(p, methods(size.population, size.generations), range(size.seeds))
@@ -181,7 +181,7 @@ def study(size: Size) -> Iterator[Part]:
     yield bent(size.step)
 
 
-def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
+def comparison(p: FitProblem, runs: Sequence[Searched]) -> PaperPart:
     """Figure 4 and Table 2."""
     rows = [
         (
@@ -197,7 +197,7 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
         for r in runs
     ]
     truth = p.loss(p.z(truth_of(p)))
-    table = Table(
+    table = PaperTable(
         "The objective (6) after all generations",
         (
             "method",
@@ -214,7 +214,7 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
         "in the paper. "
         f"J at the truth is {number(truth)}. The paper states no value of J.",
     )
-    best = Table(
+    best = PaperTable(
         "Table 2: the best answers",
         ("", *(f"{k} ({UNITS[k]})" for k in BOUNDS)),
         (
@@ -241,10 +241,10 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
         "drawn from the "
         "whole box, which is searched linearly).",
     )
-    return Part("Which algorithm", text, (table, best), pictures, claims(de, ga, pso, tame))
+    return PaperPart("Which algorithm", text, (table, best), pictures, claims(de, ga, pso, tame))
 
 
-def truth_of(p: Problem) -> np.ndarray:
+def truth_of(p: FitProblem) -> np.ndarray:
     theta, names = p.base.copy(), list(p.runs.layout.names)
     for k in BOUNDS:
         theta[names.index(k)] = twin.DE[k]
@@ -260,7 +260,7 @@ def arrival(history: Sequence[tuple[int, float]], share: float = 1.05) -> int:
     return next(k for k, (_, loss) in enumerate(history) if loss <= share * history[-1][1])
 
 
-def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[Claim, ...]:
+def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[PaperClaim, ...]:
     three = {"DE": de, "GA": ga, "PSO": pso}
     means, spreads = (
         {k: f(r.losses) for k, r in three.items()} for f in (np.mean, lambda x: np.std(x, ddof=1))
@@ -321,7 +321,7 @@ def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[C
     )
 
 
-def response(p: Problem, runs: Mapping[str, Searched]) -> Part:
+def response(p: FitProblem, runs: Mapping[str, Searched]) -> PaperPart:
     """Figure 5: angle and frequency response with the best answers."""
     known = data()
     t, measured = known.experiments[0].t, known.experiments[0].y[:, 0]
@@ -334,7 +334,7 @@ def response(p: Problem, runs: Mapping[str, Searched]) -> Part:
             (label, share(lines_ - lane, lines_), share(measured - phi, measured), peak(f, lane))
         )
     error = {row[0]: row[1] + row[2] for row in rows}
-    table = Table(
+    table = PaperTable(
         "The two terms of the objective",
         ("method", "‖response error‖ / ‖response‖", "‖angle error‖ / ‖angle‖", "peak (Hz)"),
         tuple(rows),
@@ -357,17 +357,17 @@ def response(p: Problem, runs: Mapping[str, Searched]) -> Part:
         f"sum has {closest}",
         rows[0][1] < 0.05 and rows[0][2] < 0.05,
     )
-    high = Claim(
+    high = PaperClaim(
         "above the peak measured and modelled responses differ much",
         "",
         "",
         UNKNOWN,
         "a matter of the rig's accelerometer; the twin's noise is the same share of the gain at all lines",
     )
-    return Part("Response with the best answers", (), (table,), pictures, (claim, high))
+    return PaperPart("Response with the best answers", (), (table,), pictures, (claim, high))
 
 
-def modelled(p: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def modelled(p: FitProblem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gain at the lines and angle at the samples, from the columns of the residual: rows that count
     there have a weight.
     """
@@ -383,7 +383,7 @@ def peak(f: np.ndarray, gain: np.ndarray) -> float:
     return float(f[int(np.argmax(gain))])
 
 
-def validation(numbers: dict[str, float]) -> Part:
+def validation(numbers: dict[str, float]) -> PaperPart:
     """Figures 7 to 9 and Table 3: three torques that were not fitted."""
     t, rng = np.arange(2000) * 1e-3, np.random.default_rng(1)
     runs = []
@@ -440,7 +440,7 @@ def validation(numbers: dict[str, float]) -> Part:
                 ],
             )
         )
-    table = Table(
+    table = PaperTable(
         "Table 3: errors on torques that were not fitted",
         (
             "torque",
@@ -463,14 +463,14 @@ def validation(numbers: dict[str, float]) -> Part:
         f"at least {worst:.1f} % of the angle is explained",
         worst > 90,
     )
-    printed = Claim(
+    printed = PaperClaim(
         "normalised errors of Table 3",
         "2.86 to 6.09 (angle), 1.51 to 1.71 (response)",
         f"{listed([number(r[3]) for r in rows])} at 1 kHz, {number(float(np.mean(ratios)))} times those at 100 Hz",
         UNKNOWN,
         "(7) lacks 1/N and the paper does not state its sampling rate",
     )
-    return Part("Validation", (), (table,), tuple(pictures), (claim, printed))
+    return PaperPart("Validation", (), (table,), tuple(pictures), (claim, printed))
 
 
 def nrmse(error: np.ndarray, measured: np.ndarray) -> float:
@@ -478,7 +478,7 @@ def nrmse(error: np.ndarray, measured: np.ndarray) -> float:
     return float(np.sqrt(np.sum(error**2)) / abs(np.mean(measured)))
 
 
-def bent(h: float) -> Part:
+def bent(h: float) -> PaperPart:
     """Beyond the paper: a measured response of a hub with dry friction, compared with the model's
     linear one.
     """
@@ -508,7 +508,7 @@ def bent(h: float) -> Part:
         )
         for k in BOUNDS
     )
-    table = Table(
+    table = PaperTable(
         "Numbers found from one pulse, the response estimated from it",
         ("", "truth", "linear response", "off, %", "simulated response", "off, %"),
         rows,
@@ -530,7 +530,7 @@ def bent(h: float) -> Part:
         ],
         yscale="log",
     )
-    claim = Claim(
+    claim = PaperClaim(
         "the identified E of 57 GPa is the strip's",
         "5.70e10 Pa",
         "fitted as in the paper, by (6) with the linear response, to such a pulse, E comes out "
@@ -544,4 +544,4 @@ def bent(h: float) -> Part:
         f"The response that is estimated from a pulse with dry friction peaks at {number(peak(f, np.abs(Y / U)))} Hz, the linear "
         f"one of the same link at {number(peak(f, free))} Hz.",
     )
-    return Part("Dry friction in a frequency response", text, (table,), (picture,), (claim,))
+    return PaperPart("Dry friction in a frequency response", text, (table,), (picture,), (claim,))

@@ -16,7 +16,16 @@ from jaxid.identification.payload import payload_of, published_rows
 from jaxid.identification.regression import friction_columns, LAWS
 from jaxid.models import UR10
 from jaxid.numerics.precision import float64
-from jaxid.study.papers.result import Claim, FAILS, HOLDS, judged, Part, PARTLY, Table, UNKNOWN
+from jaxid.study.papers.result import (
+    FAILS,
+    HOLDS,
+    judged,
+    PaperClaim,
+    PaperPart,
+    PaperTable,
+    PARTLY,
+    UNKNOWN,
+)
 from jaxid.study.papers.searches import lines, mean_sd
 from jaxid.study.papers.twins.serial_arm import torques
 from jaxid.wording import listed, number
@@ -195,7 +204,7 @@ def static_poses(rng: np.random.Generator, poses: int = 30, seconds: float = 1.0
 SIZES = {"small": 8, "full": 40}
 
 
-def study(seeds: int) -> Iterator[Part]:
+def study(seeds: int) -> Iterator[PaperPart]:
     """Four parts: friction and prediction, payload, what each choice brings, motion."""
     twin = made(3)
     yield friction(twin)
@@ -204,7 +213,7 @@ def study(seeds: int) -> Iterator[Part]:
     yield motion(twin)
 
 
-def friction(twin: Twin) -> Part:
+def friction(twin: Twin) -> PaperPart:
     """Tables II and VIII: the torque predicted on another motion, by a linear and by the power
     law.
     """
@@ -227,7 +236,7 @@ def friction(twin: Twin) -> Part:
         ("nonlinear, paper (Table VIII)", *TABLE_8[1]),
     ]
     rows += [("prediction, paper (Table II)", *map(float, NOISE))]
-    table = Table(
+    table = PaperTable(
         "RMSE of the torque by joint (N m), unloaded arm",
         ("", *(f"joint {j + 1}" for j in range(6))),
         tuple(rows),
@@ -263,7 +272,7 @@ def friction(twin: Twin) -> Part:
             f"RMSE without the noise {number(error['power'].min())} to {number(error['power'].max())} N m",
             bool(np.all(error["power"] < NOISE)),
         ),
-        Claim(
+        PaperClaim(
             "the optimised excitation has a condition number of 79.67",
             "79.67",
             f"{number(float(condition))} of this random one, weighted by the noise",
@@ -271,10 +280,10 @@ def friction(twin: Twin) -> Part:
             "its coefficients (Table IV) are not in the text, and how columns are scaled neither",
         ),
     )
-    return Part("Friction and prediction", (), (table,), (picture,), claims)
+    return PaperPart("Friction and prediction", (), (table,), (picture,), claims)
 
 
-def payload(twin: Twin, seeds: Sequence[int]) -> Part:
+def payload(twin: Twin, seeds: Sequence[int]) -> PaperPart:
     """Table VII, over and over."""
     found: dict[tuple[str, str], list[float]] = {}
     times: dict[str, list[float | None]] = {}
@@ -310,7 +319,7 @@ def payload(twin: Twin, seeds: Sequence[int]) -> Part:
         )
         for (kind, method), e in found.items()
     )
-    table = Table(
+    table = PaperTable(
         "Error of the payload's mass, %",
         ("noise", "method", "mean ± sd", "median of its size", "largest", "paper, one run"),
         rows,
@@ -351,7 +360,7 @@ def payload(twin: Twin, seeds: Sequence[int]) -> Part:
             f"mass is {sd:.2g} %",
             len(fired) > len(seeds) / 2,
         ),
-        Claim(
+        PaperClaim(
             "guidance forces fall by 13, 26 and 44 % once the payload is compensated",
             "−12.99, −25.75, −44.24 %",
             "",
@@ -359,10 +368,10 @@ def payload(twin: Twin, seeds: Sequence[int]) -> Part:
             "forces of a hand on the arm: neither they nor a law of the hand are published",
         ),
     )
-    return Part("The payload, again and again", (), (table,), (), claims)
+    return PaperPart("The payload, again and again", (), (table,), (), claims)
 
 
-def choices(twin: Twin, seeds: Sequence[int]) -> Part:
+def choices(twin: Twin, seeds: Sequence[int]) -> PaperPart:
     """What the paper credits: the friction law and the commanded motion."""
     t, (q, qd, qdd) = twin.t, twin.motion
     error: dict[tuple[str, str], list[float]] = {}
@@ -385,7 +394,7 @@ def choices(twin: Twin, seeds: Sequence[int]) -> Part:
         (way, law, mean_sd(np.array(e)), float(np.median(np.abs(e))))
         for (way, law), e in error.items()
     )
-    table = Table(
+    table = PaperTable(
         "Error of the payload's mass by the recursion as printed, %",
         ("motion", "friction law", "mean ± sd", "median of its size"),
         rows,
@@ -404,7 +413,7 @@ def choices(twin: Twin, seeds: Sequence[int]) -> Part:
             f"rms error {size[best]:.2g} % with it, {size[linear]:.2g} % with the linear law",
             clear(best, linear),
         ),
-        Claim(
+        PaperClaim(
             "commanded motion improves it over measured motion",
             "",
             f"rms error {size[best]:.2g} % commanded, {size[plain]:.2g} % measured and differenced, {size[fourier]:.2g} % "
@@ -413,7 +422,9 @@ def choices(twin: Twin, seeds: Sequence[int]) -> Part:
             "no difference is counted within the scatter of these runs",
         ),
     )
-    return Part("What the friction law and the commanded motion bring", (), (table,), (), claims)
+    return PaperPart(
+        "What the friction law and the commanded motion bring", (), (table,), (), claims
+    )
 
 
 def differenced(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -439,7 +450,7 @@ def harmonics(
     )
 
 
-def motion(twin: Twin) -> Part:
+def motion(twin: Twin) -> PaperPart:
     """Figure 1: measured against commanded acceleration."""
     t, (q, _, qdd) = twin.t, twin.motion
     read = q + ENCODER * np.random.default_rng(0).standard_normal(q.shape)
@@ -460,4 +471,4 @@ def motion(twin: Twin) -> Part:
         rms(plain) > 0.3 * float(np.sqrt(np.mean(qdd**2))),
         "of plain differences; not of derivatives that keep the harmonics",
     )
-    return Part("Measured and commanded motion", (), (), (picture,), (claim,))
+    return PaperPart("Measured and commanded motion", (), (), (picture,), (claim,))

@@ -20,7 +20,7 @@ from jaxid.serialise import SCHEMA
 HOLDS, FAILS, PARTLY, UNKNOWN = "holds", "does not hold", "partly", "cannot be checked"
 
 
-class Claim(NamedTuple):
+class PaperClaim(NamedTuple):
     """A claim of a paper, its number (empty where it gives none), ours, and what follows; `why`
     where it cannot be checked.
     """
@@ -32,12 +32,12 @@ class Claim(NamedTuple):
     why: str = ""
 
 
-def judged(claim: str, paper: str, ours: str, true: bool, why: str = "") -> Claim:
+def judged(claim: str, paper: str, ours: str, true: bool, why: str = "") -> PaperClaim:
     """A claim that our numbers decide."""
-    return Claim(claim, paper, ours, HOLDS if true else FAILS, why)
+    return PaperClaim(claim, paper, ours, HOLDS if true else FAILS, why)
 
 
-class Table(NamedTuple):
+class PaperTable(NamedTuple):
     """Rows of text and numbers under the names of their columns."""
 
     title: str
@@ -62,14 +62,14 @@ class Picture(NamedTuple):
     draw: Callable[[Figure], object]
 
 
-class Part(NamedTuple):
+class PaperPart(NamedTuple):
     """One experiment of a paper; every sentence of `text` is made from its numbers."""
 
     title: str
     text: tuple[str, ...] = ()
-    tables: tuple[Table, ...] = ()
+    tables: tuple[PaperTable, ...] = ()
     pictures: tuple[Picture, ...] = ()
-    claims: tuple[Claim, ...] = ()
+    claims: tuple[PaperClaim, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -90,12 +90,12 @@ class Reproduction:
     doi: str
     about: str
     budget: str
-    parts: tuple[Part, ...]
+    parts: tuple[PaperPart, ...]
     wall_time_s: float
     notes: tuple[str, ...] = ()
 
     @property
-    def claims(self) -> tuple[Claim, ...]:
+    def claims(self) -> tuple[PaperClaim, ...]:
         return tuple(claim for part in self.parts for claim in part.claims)
 
     @property

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from jaxid.fitting.fitter import AbstractFitter, Minimum
 from jaxid.fitting.population import AbstractPopulation
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.report import plot
 from jaxid.report.compared import COLORS, DIVERGED
 from jaxid.study.papers.result import Picture
@@ -48,7 +48,7 @@ class Searched(NamedTuple):
 
 
 def race(
-    problem: Problem,
+    problem: FitProblem,
     methods: Mapping[str, AbstractFitter],
     seeds: Sequence[int],
     budget: int | None = None,
@@ -72,13 +72,13 @@ def race(
     return out
 
 
-def random_start(problem: Problem, seed: int) -> Float[np.ndarray, " size"]:
+def random_start(problem: FitProblem, seed: int) -> Float[np.ndarray, " size"]:
     return problem.lower + (problem.upper - problem.lower) * np.random.default_rng(seed).uniform(
         size=problem.size
     )
 
 
-def numbers_of(problem: Problem, z: np.ndarray) -> dict[str, float]:
+def numbers_of(problem: FitProblem, z: np.ndarray) -> dict[str, float]:
     """The fitted numbers at z, by name."""
     theta = problem.theta(z)
     return {problem.runs.layout.names[i]: float(theta[i]) for i in problem.free}

@@ -18,7 +18,16 @@ from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.sequential import stretches
 from jaxid.report import plot
 from jaxid.report.compared import COLORS
-from jaxid.study.papers.result import Claim, FAILS, HOLDS, judged, Part, Picture, Table, UNKNOWN
+from jaxid.study.papers.result import (
+    FAILS,
+    HOLDS,
+    judged,
+    PaperClaim,
+    PaperPart,
+    PaperTable,
+    Picture,
+    UNKNOWN,
+)
 from jaxid.study.papers.searches import course, lines, numbers_of, race, Searched
 from jaxid.study.papers.space_recursion import (
     alone,
@@ -46,7 +55,7 @@ from jaxid.study.papers.twins import space_arm as twin
 from jaxid.wording import listed, number
 
 
-class Size(NamedTuple):
+class SpaceManipulatorSize(NamedTuple):
     """How much is computed: generations off-line, those of a search on the linear part and its
     noise seeds, seeds and evaluations of a race, and blocks of data of which the load changes
     half-way.
@@ -60,10 +69,13 @@ class Size(NamedTuple):
     blocks: int
 
 
-SIZES = {"small": Size(80, 40, 3, 4, 6_000, 12), "full": Size(200, 100, 10, 20, 20_000, 14)}
+SIZES = {
+    "small": SpaceManipulatorSize(80, 40, 3, 4, 6_000, 12),
+    "full": SpaceManipulatorSize(200, 100, 10, 20, 20_000, 14),
+}
 
 
-def study(size: Size) -> Iterator[Part]:
+def study(size: SpaceManipulatorSize) -> Iterator[PaperPart]:
     """Five parts: recursion, Table 5, evaluations, a change, the base."""
     yield recursion(size.offline)
     yield linear_system(size.linear, size.noises)
@@ -72,7 +84,7 @@ def study(size: Size) -> Iterator[Part]:
     yield base()
 
 
-def recursion(offline: int) -> Part:
+def recursion(offline: int) -> PaperPart:
     """Figures 7 to 9, Table 4: RDE while data arrive."""
     p, blocks = streamed(True)
     methods = {k: v for k, v in populations(offline).items() if k in ("DE", "RDE")}
@@ -95,7 +107,7 @@ def recursion(offline: int) -> Part:
         )
         for k, steps in runs.items()
     )
-    table = Table(
+    table = PaperTable(
         "The objective on all data, as a multiple of its least, and the body's numbers",
         (
             "method",
@@ -112,7 +124,7 @@ def recursion(offline: int) -> Part:
         "Times without compiling.",
     )
     end = runs["RDE"][-1].numbers
-    found = Table(
+    found = PaperTable(
         "Table 4: the numbers after the last recursion",
         ("", "truth", "RDE"),
         tuple((k, v, end[k]) for k, v in twin.NUMBERS.items()),
@@ -185,7 +197,7 @@ def recursion(offline: int) -> Part:
             max(map(abs, dry.values())) < 0.2,
         ),
     )
-    return Part("RDE while data arrive", (), (table, found), pictures, claims)
+    return PaperPart("RDE while data arrive", (), (table, found), pictures, claims)
 
 
 def _recursions(figure: Figure, objective: Mapping[str, np.ndarray], least: float) -> None:
@@ -196,7 +208,7 @@ def _recursions(figure: Figure, objective: Mapping[str, np.ndarray], least: floa
     plot.legend(figure, axes.get_legend_handles_labels()[0], 4, "outside upper center")
 
 
-def linear_system(count: int, seeds: int) -> Part:
+def linear_system(count: int, seeds: int) -> PaperPart:
     """Table 5: the rigid torque alone, which is linear in the body's numbers."""
     errors: dict[str, list[float]] = {}
     loops: dict[str, list[int]] = {}
@@ -226,7 +238,7 @@ def linear_system(count: int, seeds: int) -> Part:
         )
         for k, e in errors.items()
     )
-    table = Table(
+    table = PaperTable(
         "Table 5: the last recursion on the rigid torque alone",
         (
             "method",
@@ -277,10 +289,10 @@ def linear_system(count: int, seeds: int) -> Part:
             n["PSO"] <= 2 * n["RDE"],
         ),
     )
-    return Part("The linear part: LS, GA and PSO beside RDE", (), (table,), (), claims)
+    return PaperPart("The linear part: LS, GA and PSO beside RDE", (), (table,), (), claims)
 
 
-def evaluations(seeds: int, cap: int) -> Part:
+def evaluations(seeds: int, cap: int) -> PaperPart:
     """Without noise: evaluations to a thousandth of the torque, from random beginnings."""
     motion = twin.path(1)
     tau = twin.torque(motion)
@@ -300,7 +312,7 @@ def evaluations(seeds: int, cap: int) -> Part:
     runs = race(p, methods, range(seeds), cap)
     rows = tuple(_reached(r, goal, seeds, cap) for r in runs)
     typical = {r.label: float(np.median(n)) if (n := r.reached(goal)) else np.inf for r in runs}
-    table = Table(
+    table = PaperTable(
         "Evaluations until the torque error is a thousandth of the torque",
         ("method", "reached", "evaluations, median", "range", "s a run"),
         rows,
@@ -317,7 +329,7 @@ def evaluations(seeds: int, cap: int) -> Part:
             said or "none arrived",
             typical["RDE"] < min(typical["DE"], typical["ADE"]),
         ),
-        Claim(
+        PaperClaim(
             "the literal wording (the step takes the place of the best vector) guides the population to the optimum",
             "",
             f"reached by {len(runs[[r.label for r in runs].index('RDE, literal')].reached(goal))} of {seeds} within "
@@ -329,7 +341,7 @@ def evaluations(seeds: int, cap: int) -> Part:
     picture = course(
         "race", "Torque error over evaluations, median and range", runs, "loss, best so far"
     )
-    return Part("What a search costs", text, (table,), (picture,), claims)
+    return PaperPart("What a search costs", text, (table,), (picture,), claims)
 
 
 def _reached(r: Searched, goal: float, seeds: int, cap: int) -> tuple[Any, ...]:
@@ -344,7 +356,7 @@ def _reached(r: Searched, goal: float, seeds: int, cap: int) -> tuple[Any, ...]:
     )
 
 
-def change(count: int, offline: int) -> Part:
+def change(count: int, offline: int) -> PaperPart:
     """A load that is dropped in part while data arrive: windows and forgetting against growing
     data.
     """
@@ -374,7 +386,7 @@ def change(count: int, offline: int) -> Part:
         )
         for k, steps in runs.items()
     )
-    table = Table(
+    table = PaperTable(
         "Largest error of the body's numbers, % of their range",
         (
             "method",
@@ -412,10 +424,10 @@ def change(count: int, offline: int) -> Part:
         ),
     )
     text = (f"Within 2 % of the range at the end: {listed(list(exact)) or 'none'}.",)
-    return Part("Following a change", text, (table,), (picture,), claims)
+    return PaperPart("Following a change", text, (table,), (picture,), claims)
 
 
-def base() -> Part:
+def base() -> PaperPart:
     """The paper's assumption that torques hardly move the base."""
     motion = twin.path(1)
     rows = []
@@ -434,7 +446,7 @@ def base() -> Part:
                 100 * left,
             )
         )
-    table = Table(
+    table = PaperTable(
         "A floating base, fitted as if it stood still",
         (
             "base",
@@ -459,7 +471,7 @@ def base() -> Part:
             f"{100 * mass:+.0f} %",
             abs(mass) < 0.05,
         ),
-        Claim(
+        PaperClaim(
             "identified values of Table 4 and Table 5",
             "values lost",
             "",
@@ -467,4 +479,4 @@ def base() -> Part:
             "the tables' values are not in the public copies",
         ),
     )
-    return Part("The base that is assumed to stand still", text, (table,), (), claims)
+    return PaperPart("The base that is assumed to stand still", text, (table,), (), claims)

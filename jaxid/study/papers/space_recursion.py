@@ -16,10 +16,10 @@ from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.fitting.fitter import Minimum
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.population import AbstractPopulation
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.sequential import follow, stretches
 from jaxid.problem.binding import bind
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics
 from jaxid.study.papers.searches import numbers_of, random_start
 from jaxid.study.papers.twins import space_arm as twin
@@ -50,7 +50,7 @@ GOAL = 1e-3
 
 def problem_of(
     motions: Sequence[twin.Motion], torques: Sequence[np.ndarray], noise: float, seed: int = 0
-) -> Problem:
+) -> FitProblem:
     """The torque error of the fixed-base model, a piece a motion. Torques without friction are
     those of a model without.
     """
@@ -83,12 +83,12 @@ def dataset(
     )
 
 
-def built(data: Dataset) -> Problem:
+def built(data: Dataset) -> FitProblem:
     binding = bind(None, data, splits=False)
-    return Bench(binding).problem(InverseDynamics(), "fit", binding.free, binding.theta)
+    return ProblemBuilder(binding).problem(InverseDynamics(), "fit", binding.free, binding.theta)
 
 
-def streamed(friction: bool, seed: int = 0, path: int = 1) -> tuple[Problem, list[twin.Motion]]:
+def streamed(friction: bool, seed: int = 0, path: int = 1) -> tuple[FitProblem, list[twin.Motion]]:
     """A problem of blocks, 1 % torque noise."""
     motion = twin.path(path, (FIRST + RECURSIONS * BLOCK) / 20.0 - 0.05)
     blocks = twin.cut(motion, BLOCK)
@@ -121,7 +121,7 @@ def populations(generations: int) -> dict[str, AbstractPopulation]:
     }
 
 
-def named(p: Problem, numbers: Mapping[str, float]) -> np.ndarray:
+def named(p: FitProblem, numbers: Mapping[str, float]) -> np.ndarray:
     theta, names = p.base.copy(), list(p.runs.layout.names)
     for k, v in numbers.items():
         theta[names.index(k)] = v
@@ -137,7 +137,7 @@ def torque_of(numbers: Mapping[str, float], motion: twin.Motion) -> np.ndarray:
 # ---- methods that follow data
 
 
-class Step(NamedTuple):
+class SpaceStep(NamedTuple):
     """One recursion: loss on its own data, numbers, evaluations, and seconds it took without
     compiling.
     """
@@ -151,11 +151,11 @@ class Step(NamedTuple):
 
 def followed(
     method: AbstractPopulation,
-    p: Problem,
+    p: FitProblem,
     loops: int,
     window: int | None = None,
     forgetting: float = 1.0,
-) -> list[Step]:
+) -> list[SpaceStep]:
     start = [(p.lower + p.upper) / 2]
     steps = follow(
         method, stretches(p, FIRST // BLOCK, window, forgetting), start, jax.random.key(0), loops
@@ -163,13 +163,13 @@ def followed(
     return [step_of(p, m) for m in steps]
 
 
-def step_of(p: Problem, m: Minimum, loops: int | None = None) -> Step:
-    return Step(
+def step_of(p: FitProblem, m: Minimum, loops: int | None = None) -> SpaceStep:
+    return SpaceStep(
         m.loss, numbers_of(p, m.z), m.evaluations, m.seconds[-1] if m.seconds else 0.0, loops
     )
 
 
-def least_squares(p: Problem) -> Minimum:
+def least_squares(p: FitProblem) -> Minimum:
     return fitters.LeastSquares().minimise(p, [(p.lower + p.upper) / 2], jax.random.key(0))
 
 
@@ -177,21 +177,21 @@ def arrived(m: Minimum, least: float) -> int | None:
     return next((k for k, (_, loss) in enumerate(m.history) if loss <= 1.01 * least), None)
 
 
-def alone(method: AbstractPopulation, p: Problem, ls: Minimum, seed: int) -> Step:
+def alone(method: AbstractPopulation, p: FitProblem, ls: Minimum, seed: int) -> SpaceStep:
     m = method.minimise(p, [], jax.random.key(seed))
     return step_of(p, m, arrived(m, p.loss(ls.z)))
 
 
 def carried(
-    method: AbstractPopulation, parts: Sequence[Problem], ls: Sequence[Minimum], seed: int
-) -> Step:
+    method: AbstractPopulation, parts: Sequence[FitProblem], ls: Sequence[Minimum], seed: int
+) -> SpaceStep:
     """The last of the recursions."""
     start = [(parts[0].lower + parts[0].upper) / 2]
     *_, last = follow(method, parts, start, jax.random.key(seed), 20)
     return step_of(parts[-1], last, arrived(last, parts[-1].loss(ls[-1].z)))
 
 
-def descended(p: Problem, window: int) -> list[Step]:
+def descended(p: FitProblem, window: int) -> list[SpaceStep]:
     """Five steps of Levenberg and Marquardt a block, from where the block before ended; the first
     from random starts.
     """
@@ -206,6 +206,8 @@ def descended(p: Problem, window: int) -> list[Step]:
         )
         z = path.z
         out.append(
-            Step(own.loss(z), numbers_of(p, z), LOOPS * (1 + p.size), time.perf_counter() - began)
+            SpaceStep(
+                own.loss(z), numbers_of(p, z), LOOPS * (1 + p.size), time.perf_counter() - began
+            )
         )
     return out

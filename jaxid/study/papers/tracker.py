@@ -16,21 +16,21 @@ from jaxid import fitters
 from jaxid.api import diagnose, fit, simulate
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec, ParameterPrior
 from jaxid.fitting.fitter import AbstractFitter
-from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.fitting.result import Fit
 from jaxid.models.effects import ActuatorCurve, CoulombFriction, DeadZone, Saturation
 from jaxid.problem.binding import bind
-from jaxid.problem.problem import Problem
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import OutputError
 from jaxid.study.papers.result import (
-    Claim,
     FAILS,
     HOLDS,
     judged,
-    Part,
+    PaperClaim,
+    PaperPart,
+    PaperTable,
     PARTLY,
     Picture,
-    Table,
     UNKNOWN,
 )
 from jaxid.study.papers.searches import course, dispersion, lines, race, Searched
@@ -101,10 +101,10 @@ def data(*, linear: bool = False, whole: bool = False, **twins: Any) -> Dataset:
     )
 
 
-def problem(known: Dataset) -> Problem:
+def problem(known: Dataset) -> FitProblem:
     """The paper's cost (7) of both angles, in radians."""
     binding = bind(None, known)
-    bench = Bench(binding)
+    bench = ProblemBuilder(binding)
     return bench.problem(
         OutputError(),
         "fit",
@@ -114,7 +114,7 @@ def problem(known: Dataset) -> Problem:
     )
 
 
-class Size(NamedTuple):
+class TrackerSize(NamedTuple):
     """How much is computed; `generations` are 100 for each unknown in full, the default that the
     paper's settings name. `candidates` of the diagnosis, None: all.
     """
@@ -126,7 +126,7 @@ class Size(NamedTuple):
 
 #: What the paper's own sentences and joints suggest.
 CANDIDATES = (ActuatorCurve.name, DeadZone.name, Saturation.name, CoulombFriction.name)
-SIZES = {"small": Size(60, CANDIDATES), "full": Size(400, None)}
+SIZES = {"small": TrackerSize(60, CANDIDATES), "full": TrackerSize(400, None)}
 
 
 def methods(generations: int) -> dict[str, AbstractFitter]:
@@ -141,7 +141,7 @@ def methods(generations: int) -> dict[str, AbstractFitter]:
 # ---- the study
 
 
-def study(size: Size) -> Iterator[Part]:
+def study(size: TrackerSize) -> Iterator[PaperPart]:
     """Five parts: motors, comparison, overlay, what the numbers are worth, and the paper's
     contradiction.
     """
@@ -156,7 +156,7 @@ def study(size: Size) -> Iterator[Part]:
     yield contradiction(size.candidates)
 
 
-def motors() -> Part:
+def motors() -> PaperPart:
     """Table 1 against formula (6)."""
     volts = np.array([v for v, _ in twin.TABLE[1:]])
     rows = tuple((float(v), float(twin.table(v)), float(twin.formula(v))) for v in volts)
@@ -173,17 +173,17 @@ def motors() -> Part:
             )
         ],
     )
-    table = Table("Table 1", ("voltage (V)", "measured (N m)", "formula (6) (N m)"), rows)
+    table = PaperTable("Table 1", ("voltage (V)", "measured (N m)", "formula (6) (N m)"), rows)
     claim = judged(
         "formula (6) is the model of the motors measured in Table 1",
         "",
         f"it is off by up to {100 * worst:.0f} % of the measured",
         worst < 0.1,
     )
-    return Part("The motors", (), (table,), (picture,), (claim,))
+    return PaperPart("The motors", (), (table,), (picture,), (claim,))
 
 
-def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
+def comparison(p: FitProblem, runs: Sequence[Searched]) -> PaperPart:
     """Figure 9, Tables 4 and 5."""
     F = {r.label: np.rad2deg(r.losses) for r in runs}
     rows = tuple(
@@ -199,14 +199,14 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
         for r in runs
     )
     truth = float(np.rad2deg(p.loss(p.z(numbered(p, twin.GA)))))
-    cost = Table(
+    cost = PaperTable(
         "Table 5: the cost F (7), degrees, both angles of both tests",
         ("method", "mean", "median", "least", "most", "evaluations", "s a run"),
         rows,
         f"{len(runs[0].found)} runs, population 20. F at the truth is {number(truth)} degrees, all of it noise.",
     )
     named = [(k, *v) for k, v in ANSWERS.items()]
-    found = Table(
+    found = PaperTable(
         "Table 4: the best answers",
         ("", *(f"{k} ({UNITS[k]})" for k in BOUNDS)),
         (
@@ -233,7 +233,7 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
             f"{number(float(np.median(F[pso.label])))}, for {ga.evaluations} and {pso.evaluations} evaluations",
             F[ga.label].mean() < F[pso.label].mean(),
         ),
-        Claim(
+        PaperClaim(
             "the value of F",
             "4194.63 (GA), 8496.2 (PSO)",
             f"{number(F[ga.label].mean())}, {number(F[pso.label].mean())}",
@@ -257,17 +257,17 @@ def comparison(p: Problem, runs: Sequence[Searched]) -> Part:
             180 / np.pi,
         ),
     )
-    return Part("GA against PSO", text, (cost, found), pictures, claims)
+    return PaperPart("GA against PSO", text, (cost, found), pictures, claims)
 
 
-def numbered(p: Problem, numbers: dict[str, float]) -> np.ndarray:
+def numbered(p: FitProblem, numbers: dict[str, float]) -> np.ndarray:
     theta, names = p.base.copy(), list(p.runs.layout.names)
     for k, v in numbers.items():
         theta[names.index(k)] = v
     return theta
 
 
-def overlay(p: Problem, known: Dataset, runs: Sequence[Searched], best: Fit) -> Part:
+def overlay(p: FitProblem, known: Dataset, runs: Sequence[Searched], best: Fit) -> PaperPart:
     """Figures 10 to 13: each driven axis, and its error."""
     answers = {r.label: r.best.z for r in runs} | {"least squares": p.z(best.theta)}
     seen = {k: p.predictions(z) for k, z in answers.items()}
@@ -292,7 +292,7 @@ def overlay(p: Problem, known: Dataset, runs: Sequence[Searched], best: Fit) -> 
                 panels,
             )
         )
-    table = Table(
+    table = PaperTable(
         "Error of each driven axis",
         ("axis", "method", "rms (degrees)", "most (degrees)"),
         tuple(rows),
@@ -305,10 +305,10 @@ def overlay(p: Problem, known: Dataset, runs: Sequence[Searched], best: Fit) -> 
         f"rms error at most {number(worst)} degrees at 0.1 degree of noise",
         worst < 0.2,
     )
-    return Part("Overlay and error of each axis", (), (table,), tuple(pictures), (claim,))
+    return PaperPart("Overlay and error of each axis", (), (table,), tuple(pictures), (claim,))
 
 
-def worth(best: Fit) -> Part:
+def worth(best: Fit) -> PaperPart:
     """What the paper does not say: standard deviations, and a rotor's inertia in its place."""
     t = np.arange(1001) * 0.01
     misled = fit(None, data(rotor=twin.GA["J_alpha"] - twin.GEOMETRIC))
@@ -327,7 +327,7 @@ def worth(best: Fit) -> Part:
     new = recorded("both", both, t, 7, rotor=twin.GA["J_alpha"] - twin.GEOMETRIC)
     there = simulate(None, replace(data(), experiments=(new,)), misled).runs[0]
     error = float(np.sqrt(np.mean(np.rad2deg(new.y[:, 0] - np.asarray(there["theta"])) ** 2)))
-    table = Table(
+    table = PaperTable(
         "Least squares",
         ("", "truth", "found", "standard deviation", "found, rotor in its place"),
         rows,
@@ -350,10 +350,10 @@ def worth(best: Fit) -> Part:
         f"{number(misled.loss)} where the rotor does not yaw with the barrel",
         abs(wrong) < 0.2,
     )
-    return Part("What the four numbers are worth", text, (table,), (), (claim,))
+    return PaperPart("What the four numbers are worth", text, (table,), (), (claim,))
 
 
-def contradiction(candidates: tuple[str, ...] | None) -> Part:
+def contradiction(candidates: tuple[str, ...] | None) -> PaperPart:
     """Motors as in Table 1, fitted with formula (6): what the diagnosis says."""
     known = data(whole=True, motors=twin.table)
     found = diagnose(None, known, effects=candidates)
@@ -364,7 +364,7 @@ def contradiction(candidates: tuple[str, ...] | None) -> Part:
         for k in BOUNDS
         if k in found.final.parameters
     ]
-    table = Table(
+    table = PaperTable(
         "The numbers",
         ("", "truth", "re-tuned with formula (6)", "with the effects named"),
         tuple(rows),
@@ -379,13 +379,13 @@ def contradiction(candidates: tuple[str, ...] | None) -> Part:
     actuator = bool(found.which.effects) and all(
         e.location.startswith("u_") for e in found.which.effects
     )
-    claim = Claim(
+    claim = PaperClaim(
         "(beyond the paper) the contradiction between Table 1 and (6) is found from the motion alone",
         "",
         f"{found.which.verdict}: {listed(named) or 'nothing'}",
         (HOLDS if found.which.verdict == "named" else PARTLY) if actuator else FAILS,
     )
-    return Part(
+    return PaperPart(
         "Table 1 against formula (6), seen in the motion", text, (table,), picture, (claim,)
     )
 
