@@ -44,8 +44,12 @@ def relative_errors(
     """
     from jaxid.data.signals import zero_phase
 
-    smooth = lambda trace, y: zero_phase(trace.t, y[:, None], cutoff)
-    whole = lambda trace: trace.experiment.split("#")[0]
+    def smooth(trace, y):
+        return zero_phase(trace.t, y[:, None], cutoff)
+
+    def whole(trace):
+        return trace.experiment.split("#")[0]
+
     found: dict[str, dict[str, float]] = {}
     for name in dict.fromkeys(whole(t) for t in traces):
         own = [t for t in traces if whole(t) == name and joint in (None, t.channel)]
@@ -95,7 +99,10 @@ def diagnosed(name: str) -> list[dict[str, Any]]:
         },
         {"what": "CPU time", "result": f"{spent:.0f} s"},
     ]
-    percent = lambda e: ", ".join(f"{v:.3g} %" for v in e.values())
+
+    def percent(e):
+        return ", ".join(f"{v:.3g} %" for v in e.values())
+
     joints = list(dict.fromkeys(t.channel for t in d.traces))
     for experiment, e in relative_errors(d.traces, cutoff).items():
         rows.append(

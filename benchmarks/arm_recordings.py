@@ -30,7 +30,10 @@ def main() -> dict[str, Any]:
         if not (DATA / name).is_dir():
             raise FileNotFoundError(f"{name} is not in {DATA.name}; set JAXID_DATA")
         found = jaxid.identify(None, jaxid.load_dataset(DATA / name), cutoff_hz=cutoff)
-        percent = lambda values: ", ".join(f"{100 * v:.3g}" for v in values)
+
+        def percent(values):
+            return ", ".join(f"{100 * v:.3g}" for v in values)
+
         rows.append(
             {
                 "recording": name,

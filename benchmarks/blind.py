@@ -78,8 +78,13 @@ def score(
     """What was claimed against the key."""
     named = [(e.effect, e.location) for e in diagnosis.which.effects]
     mates = [(e.effect, e.location) for e in diagnosis.which.confusable_with]
-    text = lambda p: f"{p[0]} at {p[1]}"
-    alike = lambda p: next((g for g in groups if text(p) in g), {text(p)})
+
+    def text(p):
+        return f"{p[0]} at {p[1]}"
+
+    def alike(p):
+        return next((g for g in groups if text(p) in g), {text(p)})
+
     truth = (
         [p for p in case["effects"] if text(p) not in absorbed]
         if case["kind"] != "outsider"
@@ -134,7 +139,10 @@ def later(case: dict[str, Any], diagnosis: Diagnosis, u: np.ndarray, y: np.ndarr
     library = [k for n in absent if chain.offers(k := catalogue.effect_class(n))]
     bench = ProblemBuilder(bind(model, data, without=case["without"], candidates=library))
     before, after = held_out(bench, "report", [diagnosis.nominal.theta, diagnosis.final.theta])
-    square = lambda r: float(np.mean(r**2))
+
+    def square(r):
+        return float(np.mean(r**2))
+
     return [
         shrink(square(b), square(a)) for b, a in zip(before.residual, after.residual, strict=True)
     ]
@@ -239,7 +247,10 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             part = [r for r in rows if r["model"] == model and r["kind"] == kind]
             if not part:
                 continue
-            count = lambda key, part=part: f"{sum(bool(r[key]) for r in part)} of {len(part)}"
+
+            def count(key, part=part):
+                return f"{sum(bool(r[key]) for r in part)} of {len(part)}"
+
             shares = [r["shrinkage"] for r in part if r["shrinkage"] is not None]
             missed = [
                 f"{r['case']}: {r['verdict']} {' + '.join(r['named'])}"
@@ -247,7 +258,10 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 if not r["right"]
             ]
             if kind == "outsider":
-                said = lambda verdict, part=part: sum(r["verdict"] == verdict for r in part)
+
+                def said(verdict, part=part):
+                    return sum(r["verdict"] == verdict for r in part)
+
                 named = f"of {len(part)}: {said('named')} named, {said('partly')} partly, {said('unknown')} unknown"
                 row = {"right": named, "in set": "", "wrong": ""}
             else:

@@ -67,7 +67,10 @@ def medium(plant: Plant, j: int, rng: np.random.Generator) -> dict[str, dict[str
     """
     T, V, J = plant.torque[j], plant.speed[j], plant.inertia[j]
     U = 1.0 if plant.model == "servo" else T  # size of a command
-    any_of: Any = lambda a, b: (rng.uniform(a, b),)
+
+    def any_of(a, b):
+        return (rng.uniform(a, b),)
+
     out: dict[str, Any] = {
         "dead_zone": {"dead_zone": 0.08 * U},
         "saturation": {"limit": 0.35 * U},
@@ -256,10 +259,11 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
         if n in medium(plant, 0, np.random.default_rng(0))
         and not (plant.n == 1 and n == "coupled_friction")
     ]
+
     # A seed of its own for every case, so that a part of the plan is the same as in the whole.
-    own_seed = lambda *words: np.random.default_rng(
-        [seed, zlib.crc32(" ".join((model, *words)).encode())]
-    )
+    def own_seed(*words):
+        return np.random.default_rng([seed, zlib.crc32(" ".join((model, *words)).encode())])
+
     for kind in STRENGTH:
         for e in alone if kind in kinds else []:
             there = kind != "mujoco" or twins_mujoco.expressed(model, e)
@@ -365,9 +369,12 @@ def recordings(
     u = np.concatenate(drives)
     keys = dict.fromkeys(k for c in cases for k in (*c["numbers"], *NEUTRAL))
     width, runs = plant.n, first + more
-    column = lambda c, k: np.broadcast_to(
-        np.asarray(c["numbers"].get(k, NEUTRAL.get(k, 0.0)), float), (width,)
-    )
+
+    def column(c, k):
+        return np.broadcast_to(
+            np.asarray(c["numbers"].get(k, NEUTRAL.get(k, 0.0)), float), (width,)
+        )
+
     numbers = {k: np.repeat(np.array([column(c, k) for c in cases]), runs, 0) for k in keys}
     simulator = twins_mujoco if kind.startswith("mujoco") else twins
     y = simulator.recorded(plant, u, numbers, rng)

@@ -84,9 +84,11 @@ def score(c: dict[str, Any], found: Any) -> dict[str, Any]:
         e in alike and (j == joint or e == "gravity_offset" or kind == "gravity_offset")
         for e, j in (*every, *mates)
     )
-    there = lambda j: (
-        j == joint or kind == "payload"
-    )  # a load moves the first moments of the links before it, too
+
+    # a load moves the first moments of the links before it, too
+    def there(j):
+        return j == joint or kind == "payload"
+
     retuned = verdict == "none" and any(p in RETUNED.get(kind, ()) and there(j) for p, j in told)
     if kind == "none":
         right = verdict == "none"
@@ -278,8 +280,13 @@ def main() -> dict[str, Any]:
         )
     seed = exact[-1]["seed"]
     before = list(dict.fromkeys(r["seed"] for r in exact if r["seed"] != seed))
-    own = lambda seed: [r for r in exact if r["seed"] == seed]
-    count = lambda seed, what: sum(r[what] for r in own(seed))
+
+    def own(seed):
+        return [r for r in exact if r["seed"] == seed]
+
+    def count(seed, what):
+        return sum(r[what] for r in own(seed))
+
     by_seed = ", ".join(
         f"{count(s, 'right')} of {len(own(s))} ({count(s, 'wrong')} wrong; seed {s})"
         for s in before

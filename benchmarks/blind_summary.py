@@ -50,11 +50,20 @@ def main() -> dict[str, Any]:
     }
     single, weak, poor, pairs = (of.get(k, []) for k in ("effect", "weak", "poor", "pair"))
     models = list(dict.fromkeys(r["model"] for r in rows))
-    size = lambda r: len(r["named"]) + len(r["mates"])
+
+    def size(r):
+        return len(r["named"]) + len(r["mates"])
+
     later = [r for r in of.get("many", []) if r.get("later") is not None]
-    right = lambda r: r["right"]
+
+    def right(r):
+        return r["right"]
+
     alone = [r for r in single if len(r["truth"]) == len(r["named"]) == 1]
-    placed = lambda r: r["named"][0].split(" at ")[1] == r["truth"][0].split(" at ")[1]
+
+    def placed(r):
+        return r["named"][0].split(" at ")[1] == r["truth"][0].split(" at ")[1]
+
     with_oracle = [
         r
         for r in (*single, *weak, *poor)
@@ -196,7 +205,9 @@ def picture(rows: Sequence[Row], path: Path) -> None:
     """Withheld effect against what was named, all models, one effect at medium strength."""
     from matplotlib.figure import Figure
 
-    bare = lambda place: place.split(" at ")[0]
+    def bare(place):
+        return place.split(" at ")[0]
+
     counts: Counter[tuple[str, str]] = Counter()
     for r in rows:
         truth = bare(r["truth"][0]) if r["truth"] else "nothing (absorbed)"

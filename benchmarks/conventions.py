@@ -65,7 +65,10 @@ class Recording:
 
     def dataset(self, **settings: Any) -> Dataset:
         """As a dataset of its model."""
-        names = lambda ports: [n for n, _ in ports]
+
+        def names(ports):
+            return [n for n, _ in ports]
+
         return Dataset.from_arrays(
             [self.t] * len(self.u),
             inputs={n: list(self.u[:, :, i]) for i, n in enumerate(names(self.plant.inputs))},
@@ -113,7 +116,10 @@ def torque(
     plant: Plant, q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, effect: str
 ) -> np.ndarray:
     """What a motion [time n] takes, with friction and an effect that the model lacks."""
-    wide = lambda x: np.broadcast_to(np.asarray(x, float), (plant.n,))
+
+    def wide(x):
+        return np.broadcast_to(np.asarray(x, float), (plant.n,))
+
     p = {
         k: wide(plant.nominal.get(k, NEUTRAL.get(k, 0.0)))[None] for k in (*plant.nominal, *NEUTRAL)
     }
@@ -131,7 +137,10 @@ def broken(
     u, y, t = r.u.copy(), r.y.copy(), r.t
     j = r.plant.n - 1  # of joints; gravity acts on the last one
     out, tau = r.plant.outputs[j][0], r.plant.inputs[j][0]
-    new = lambda u=u, y=y, t=t, rest=False: Recording(r.plant, t, u, y, rest)
+
+    def new(u=u, y=y, t=t, rest=False):
+        return Recording(r.plant, t, u, y, rest)
+
     if kind == "sign":
         u[:, :, j] *= -1
         return new(), tau, -1.0
@@ -286,7 +295,10 @@ def main(
                         f"{'':18} diagnosed: {verdict}{'  STANDS IN' if wrong else ''}", flush=True
                     )
         hits, count = len(counted["found"]), len(counted["found"]) + len(counted["missed"])
-        listed = lambda key, own=counted: ", ".join(dict.fromkeys(own[key])) or "-"
+
+        def listed(key, own=counted):
+            return ", ".join(dict.fromkeys(own[key])) or "-"
+
         asked = len(counted["diagnosed"])
         rows.append(
             {"model": model, "found": f"{hits} of {count}"}

@@ -61,7 +61,10 @@ def datasets(
         for _ in range(runs)
     ]
     u = np.repeat(np.array(each)[None], len(withheld), 0).reshape(-1, count, plant.n)
-    own = lambda c, k: c.get(k, plant.nominal.get(k, (NEUTRAL.get(k, 0.0),) * plant.n))
+
+    def own(c, k):
+        return c.get(k, plant.nominal.get(k, (NEUTRAL.get(k, 0.0),) * plant.n))
+
     numbers = {
         k: np.repeat([own(c, k) for c in withheld], runs, 0).astype(float)
         for k in {**NEUTRAL, **plant.nominal}

@@ -58,7 +58,10 @@ def load() -> Dataset:
     import pyarrow.parquet as pq
 
     tables = [pq.read_table(folder() / f"{name}.parquet").to_pydict() for name in FILES]
-    column = lambda name: [np.array(t.get(name, np.zeros(len(t["t"])))) for t in tables]
+
+    def column(name):
+        return [np.array(t.get(name, np.zeros(len(t["t"])))) for t in tables]
+
     data = Dataset.from_arrays(
         column("t"),
         {"force": [GAIN * u for u in column("u_V")]},

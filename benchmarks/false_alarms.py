@@ -134,7 +134,10 @@ def forms(
     rng = np.random.default_rng(seed)
     drawn = []
     for k in range(count):
-        pick = lambda options: options[int(rng.integers(len(options)))]
+
+        def pick(options):
+            return options[int(rng.integers(len(options)))]
+
         short = rng.random() < 0.15
         drawn.append(
             Form(

@@ -45,7 +45,10 @@ SIZES = ((6, 100), (60, 100), (6, 1000))
 
 def valley(dim: int) -> FunctionProblem:
     """Rosenbrock's function as a sum of squares."""
-    residual = lambda z: jnp.concatenate([10 * (z[1:] - z[:-1] ** 2), 1 - z[:-1]])
+
+    def residual(z):
+        return jnp.concatenate([10 * (z[1:] - z[:-1] ** 2), 1 - z[:-1]])
+
     return FunctionProblem(residual, np.full(dim, -2.0), np.full(dim, 2.0))
 
 

@@ -65,7 +65,10 @@ def recording() -> jaxid.Dataset:
     inertia, gravity, damping = TRUTH.values()
     q, x = np.zeros(len(t)), np.zeros(2)
     for k in range(len(t) - 1):
-        rhs = lambda _, x, u=u[k]: [x[1], (u - damping * x[1] - gravity * np.sin(x[0])) / inertia]
+
+        def rhs(_, x, u=u[k]):
+            return [x[1], (u - damping * x[1] - gravity * np.sin(x[0])) / inertia]
+
         x = solve_ivp(rhs, (t[k], t[k + 1]), x, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
         q[k + 1] = x[0]
     spec = ModelSpec(
@@ -265,7 +268,10 @@ def main(starts: int = 50) -> dict:
     reached, evaluations, clock = [], [], []
     for z in points[:seeds]:
         began = time.process_time()
-        jac: Any = lambda z: both(z)[1]
+
+        def jac(z):
+            return both(z)[1]
+
         found = least_squares(
             lambda z: both(z)[0],
             z,
@@ -290,7 +296,10 @@ def main(starts: int = 50) -> dict:
     for seed in range(max(2, seeds // 3)):
         began = time.process_time()
         box = list(zip(problem.lower, problem.upper, strict=True))
-        loss = lambda x: problem.losses(x.T)
+
+        def loss(x):
+            return problem.losses(x.T)
+
         found = differential_evolution(
             loss, box, maxiter=130, vectorized=True, updating="deferred", polish=False, rng=seed
         )

@@ -231,7 +231,10 @@ def row(
         k: 100 * (p.value / truth[k] - 1) for k, p in found.final.parameters.items() if k in truth
     }
     worst = max(wrong, key=lambda k: abs(wrong[k]))
-    numbers = lambda e: ", ".join(f"{k} {p.value:.3g}" for k, p in e.parameters.items())
+
+    def numbers(e):
+        return ", ".join(f"{k} {p.value:.3g}" for k, p in e.parameters.items())
+
     hidden = [u for u in found.unseen if not u.absorbed and u.moved]
     return {
         "rig": rig,

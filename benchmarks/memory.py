@@ -85,14 +85,18 @@ def write(folder: Path, command: str, rows: int) -> None:
     import pyarrow.parquet
 
     folder.mkdir(parents=True)
-    put = lambda name, columns: pyarrow.parquet.write_table(
-        pyarrow.table(columns), folder / f"{name}.parquet"
-    )
-    entry = lambda name, more: f'[[experiments]]\nfile = "{name}.parquet"\n{more}\n'
+
+    def put(name, columns):
+        return pyarrow.parquet.write_table(pyarrow.table(columns), folder / f"{name}.parquet")
+
+    def entry(name, more):
+        return f'[[experiments]]\nfile = "{name}.parquet"\n{more}\n'
+
     head = 'name = "long"\ndescription = "made by benchmarks/memory.py"\n[model]\nname = "{}"\n'
-    channel = lambda name, role, unit, more="": (
-        f'[channels.{name}]\nrole = "{role}"\nunit = "{unit}"\n{more}'
-    )
+
+    def channel(name, role, unit, more=""):
+        return f'[channels.{name}]\nrole = "{role}"\nunit = "{unit}"\n{more}'
+
     if command == "identify":
         put("fit", arm(rows, 0))
         put("validation", arm(max(2000, rows // 10), 1))
@@ -118,7 +122,10 @@ def measured(command: str, folder: Path, code: Path) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as out, open(f"{out}/said", "w+") as said:
         words = [command, str(folder), "--out", f"{out}/o", "--quiet", *COMMANDS[command]]
         began = time.perf_counter()
-        limited = lambda: resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
+
+        def limited():
+            return resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
+
         child = subprocess.Popen(
             [sys.executable, "-c", program, *words], stderr=said, preexec_fn=limited
         )

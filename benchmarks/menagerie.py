@@ -151,7 +151,10 @@ def forces_of_mujoco(
     """Forces [motions n] at the leading joints that the motions need in MuJoCo's own reading."""
     mujoco, model = library(), model_of(file)
     data = mujoco.MjData(model)
-    name = lambda j: mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j) or f"joint{j}"
+
+    def name(j):
+        return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j) or f"joint{j}"
+
     number = {name(j): j for j in range(model.njnt)}
     own = [number[joint] for joint in tree.joints]
     at, dof = model.jnt_qposadr[own], model.jnt_dofadr[own]

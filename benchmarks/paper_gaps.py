@@ -83,10 +83,13 @@ def joint() -> Dataset:
     """Dry friction, and 0.09 N m (s/rad)^0.5 that the model takes for viscous friction."""
     plant, rng = twins.PLANTS["joint"], np.random.default_rng(1)
     t = np.arange(int(8 * plant.rate)) / plant.rate
-    waves = lambda: sum(
-        a * np.sin(2 * np.pi * f * rng.uniform(0.8, 1.2) * t + 2 * np.pi * rng.uniform())
-        for a, f in ((0.25, 0.25), (0.1, 0.9))
-    )
+
+    def waves():
+        return sum(
+            a * np.sin(2 * np.pi * f * rng.uniform(0.8, 1.2) * t + 2 * np.pi * rng.uniform())
+            for a, f in ((0.25, 0.25), (0.1, 0.9))
+        )
+
     u = np.array([waves() for _ in SPLITS])[:, :, None]
     numbers: dict[str, float] = {"J": 0.06, "coulomb": 0.04, "power": 0.09, "exponent": 0.5}
     y = twins.recorded(plant, u, {k: np.full((4, 1), x) for k, x in numbers.items()}, rng)
@@ -142,7 +145,10 @@ def beam(t: np.ndarray, u: np.ndarray) -> np.ndarray:
     edges = [0, *(np.flatnonzero(np.diff(u)) + 1), len(t) - 1]
     for a, b in zip(edges, edges[1:], strict=False):
         tau = float(u[a])
-        field = lambda _, x, tau=tau: np.concatenate([x[n + 1 :], acceleration(x, tau)])
+
+        def field(_, x, tau=tau):
+            return np.concatenate([x[n + 1 :], acceleration(x, tau)])
+
         path = solve_ivp(field, (t[a], t[b]), x, "Radau", t[a : b + 1], rtol=1e-8, atol=1e-10).y
         for k in range(a, b + 1):
             now = acceleration(path[:, k - a], float(u[k]))
@@ -218,8 +224,13 @@ def row(
 ) -> dict[str, Any]:
     found = diagnose(model, data, without=rubbing(model), seed=0)
     name, before = worst(found.nominal.parameters, truth)
-    numbers = lambda e: ", ".join(f"{k} {p.value:.3g}" for k, p in e.parameters.items())
-    listed = lambda effects: ", ".join(f"{e.effect} at {e.location}" for e in effects)
+
+    def numbers(e):
+        return ", ".join(f"{k} {p.value:.3g}" for k, p in e.parameters.items())
+
+    def listed(effects):
+        return ", ".join(f"{e.effect} at {e.location}" for e in effects)
+
     unseen = [u for u in found.unseen if not u.absorbed]
     return {
         "rig": rig,

@@ -120,17 +120,20 @@ def kills(home: Path) -> tuple[str, str, str]:
     assert [r["loss"] for r in plain] == [1 + number(k) for k in read_study(study).tasks]
     shutil.rmtree(home / "out")
     solver = str(Path(SOLVE[0]))
-    command = lambda study: [
-        sys.executable,
-        solver,
-        "run",
-        str(study),
-        "--workers",
-        "2",
-        "--",
-        "--sleep",
-        "0.2",
-    ]
+
+    def command(study):
+        return [
+            sys.executable,
+            solver,
+            "run",
+            str(study),
+            "--workers",
+            "2",
+            "--",
+            "--sleep",
+            "0.2",
+        ]
+
     hits, studies, lost = many_kills(home, study, command, times(200), 6.0, plain)
     return (
         f"kill -9 at {hits} random moments of a 200-task study",
@@ -141,16 +144,19 @@ def kills(home: Path) -> tuple[str, str, str]:
 
 def kills_of_fits(home: Path) -> tuple[str, str, str]:
     study = write_study(home, "effects = [[], ['dead_zone']]", "seeds = 60", store="out")
-    command = lambda study: [
-        sys.executable,
-        "-m",
-        "jaxid.cli",
-        "batch",
-        str(study),
-        "--workers",
-        "2",
-        "--quiet",
-    ]
+
+    def command(study):
+        return [
+            sys.executable,
+            "-m",
+            "jaxid.cli",
+            "batch",
+            str(study),
+            "--workers",
+            "2",
+            "--quiet",
+        ]
+
     subprocess.run(command(study), check=True)
     plain = table(home / "out")
     shutil.rmtree(home / "out")

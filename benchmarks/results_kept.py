@@ -116,7 +116,10 @@ def started(command: str, home: Path, out: Path, seed: int, told: Path, ready: b
 
 def kept(result: Any, path: Path) -> Any:
     """The result; what of it draws no pictures is kept in a file."""
-    plain = lambda fit: replace(fit, traces=(), history=())
+
+    def plain(fit):
+        return replace(fit, traces=(), history=())
+
     if isinstance(result, Diagnosis):
         fits = {"nominal": plain(result.nominal), "final": plain(result.final)}
         stored = replace(result, rivals=None, traces=(), missing_force=(), regimes=(), **fits)

@@ -198,9 +198,16 @@ def times(which: str, column: int, factor: float, offset: float = 0.0):
     return change
 
 
-LATE = lambda u, y: ([x[:-1] for x in u], [x[1:] for x in y])
-SIZE = lambda u, y: ([np.abs(x) for x in u], y)
-SWAPPED = lambda u, y: ([x[:, ::-1].copy() for x in u], y)
+def LATE(u, y):
+    return ([x[:-1] for x in u], [x[1:] for x in y])
+
+
+def SIZE(u, y):
+    return ([np.abs(x) for x in u], y)
+
+
+def SWAPPED(u, y):
+    return ([x[:, ::-1].copy() for x in u], y)
 
 
 def drifting(u, y):

@@ -254,13 +254,20 @@ def motion(plant, t: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray, de
         command = u[k] if k >= 0 else 0 * u[0]
         while b - a > 1e-10:
             way = next_way(x, command)
-            slope = lambda s, x, w=way, c=command: np.concatenate(
-                [x[n:], accelerations(x, c, w)[0]]
-            )
+
+            def slope(s, x, w=way, c=command):
+                return np.concatenate([x[n:], accelerations(x, c, w)[0]])
+
             if way:
-                stop = lambda s, x, w=way: w * x[n] + (1e-12 if s == start else 0.0)
+
+                def stop(s, x, w=way):
+                    return w * x[n] + (1e-12 if s == start else 0.0)
+
             else:
-                stop = lambda s, x, c=command: plant.dry(0.0) - abs(accelerations(x, c, 0)[1])
+
+                def stop(s, x, c=command):
+                    return plant.dry(0.0) - abs(accelerations(x, c, 0)[1])
+
             start = a
             stop.terminal, stop.direction = True, -1  # pyright: ignore[reportFunctionMemberAccess]
             end = solve_ivp(slope, (a, b), x, rtol=1e-8, atol=1e-10, first_step=b - a, events=stop)

@@ -51,7 +51,10 @@ class Arm:
         n = n or int(rng.integers(2, 4))
         axes = [str(rng.choice(["0 1 0", "0 1 0", "1 0 0", "0 0 1"])) for _ in range(n)]
         axes[0], axes[1] = "0 1 0", axes[1] if n > 2 else "0 1 0"
-        between = lambda low, high: rng.uniform(low, high, n)
+
+        def between(low, high):
+            return rng.uniform(low, high, n)
+
         outer = np.arange(n)[::-1] + 1.0
         kp = between(20, 40) * outer
         return cls(

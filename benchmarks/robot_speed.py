@@ -206,9 +206,10 @@ def by_mujoco(
         if kind not in change:
             continue
         low, high = np.clip([b.lower[i], b.upper[i]], -1e3, 1e3)
-        modifier = lambda spec, p, kind=kind, place=place: change[kind](
-            spec, place, float(p.value[0])
-        )
+
+        def modifier(spec, p, kind=kind, place=place):
+            return change[kind](spec, place, float(p.value[0]))
+
         start = float(np.clip(b.theta[i], low, high))
         parameters.add(
             sysid.Parameter(name, nominal=start, min_value=low, max_value=high, modifier=modifier)

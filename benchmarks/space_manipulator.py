@@ -166,7 +166,10 @@ def chase(seeds: int) -> list[dict]:
     motion = path(2, BLOCK * BLOCKS / RATE)
     share = np.where(np.arange(len(motion[0])) < BLOCK * (CHANGE - 1), 1.0, DROPPED)
     tau = torque(motion, share)
-    cut = lambda a: [a[k * BLOCK : (k + 1) * BLOCK] for k in range(BLOCKS)]
+
+    def cut(a):
+        return [a[k * BLOCK : (k + 1) * BLOCK] for k in range(BLOCKS)]
+
     motions = list(zip(*(cut(a) for a in motion), strict=True))
     size: Any = {"popsize": 60, "generations": 60, "stall": 0}
     methods: dict[str, tuple[AbstractPopulation, int | None]] = {

@@ -70,22 +70,27 @@ def fits(home: Path) -> list[dict]:
     from tests.test_batch import write_dataset, write_study
 
     write_dataset(home / "small")
-    hand = lambda count, *more: [
-        sys.executable,
-        __file__,
-        "by_hand",
-        str(home / "small"),
-        str(count),
-        *more,
-    ]
-    batch = lambda count: [
-        sys.executable,
-        "-m",
-        "jaxid.cli",
-        "batch",
-        str(write_study(home, f"seeds = {count}")),
-        "--quiet",
-    ]
+
+    def hand(count, *more):
+        return [
+            sys.executable,
+            __file__,
+            "by_hand",
+            str(home / "small"),
+            str(count),
+            *more,
+        ]
+
+    def batch(count):
+        return [
+            sys.executable,
+            "-m",
+            "jaxid.cli",
+            "batch",
+            str(write_study(home, f"seeds = {count}")),
+            "--quiet",
+        ]
+
     programs = {
         "one hand-written program": hand,
         "its search alone": lambda count: hand(count, "search"),

@@ -145,7 +145,10 @@ def _jointed(
     """A link on joint j, with what its numbers put into the joint: a rotor behind a spring, with
     play, or a swinging mass.
     """
-    v = lambda name: float(p[name][j]) if name in p else 0.0
+
+    def v(name):
+        return float(p[name][j]) if name in p else 0.0
+
     joint = (
         f'<joint name="motor{j}" axis="{axis}" damping="{v("viscous") + v("back_emf")!r}" stiffness="{v("spring")!r}" '
         f'armature="{{}}" frictionloss="{max(v("coulomb"), 1e-9)!r}"/>'

@@ -128,7 +128,10 @@ def estimates(
     w = 1 / NOISE
     A = (twin.W * w[:, None]).reshape(-1, 58)
     cov = np.linalg.inv(A.T @ A)
-    solve = lambda tau: cov @ (A.T @ (tau * w).ravel())
+
+    def solve(tau):
+        return cov @ (A.T @ (tau * w).ravel())
+
     unloaded, with_load = solve(a), solve(b)
     out: dict[str, tuple[float, float | None]] = {}
     # Where noise has a memory a user sees it in the residual: the covariance grows with its

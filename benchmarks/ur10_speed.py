@@ -143,7 +143,10 @@ def batches() -> list[dict[str, Any]]:
         Q, V, X = (jnp.asarray(np.ascontiguousarray(x.T)) for x in (q, qd, qdd))
         rows = [jnp.asarray(x) for x in (q, qd, tau)]
         small = [x[:, :3000] for x in (Q, V, X)]
-        run = lambda f, *x: lambda: jax.block_until_ready(f(*x))
+
+        def run(f, *x):
+            return lambda: jax.block_until_ready(f(*x))
+
         for f, x in ((inverse, (Q, V, X)), (columns, small), (forward, rows)):
             run(f, *x)()
         table_rows = []

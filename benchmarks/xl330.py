@@ -57,7 +57,10 @@ def data(held_out: int | None = None) -> jaxid.Dataset:
     import pandas as pd
 
     logs = [one for _, one in pd.read_parquet(file()).groupby("log")]
-    column = lambda name: [one[name].to_numpy(float) for one in logs]
+
+    def column(name):
+        return [one[name].to_numpy(float) for one in logs]
+
     kp = [float(one.kp.iloc[0]) for one in logs]
     dataset = jaxid.Dataset.from_arrays(
         column("t"),
@@ -99,9 +102,12 @@ def diagnosed() -> dict[str, Any]:
     dataset = data(200)
     d = jaxid.diagnose(None, dataset)
     found = errors(d.final, dataset)
-    mean = lambda report: float(
-        np.mean([found[e.name] for e in dataset.experiments if (e.split == "report") == report])
-    )
+
+    def mean(report):
+        return float(
+            np.mean([found[e.name] for e in dataset.experiments if (e.split == "report") == report])
+        )
+
     return {
         "friction": f"{d.which.verdict}: {', '.join(str(e) for e in d.which.effects)}",
         "MAE of the fitted logs, rad": mean(False),
@@ -118,7 +124,10 @@ def main() -> dict:
             dataset = data(held_out)
             fit = jaxid.fit(None, dataset, effects=effects)
             found = errors(fit, dataset)
-            part = lambda split: [found[e.name] for e in dataset.experiments if e.split == split]
+
+            def part(split):
+                return [found[e.name] for e in dataset.experiments if e.split == split]
+
             row = {"friction": label, "MAE of the fitted logs, rad": float(np.mean(part("fit")))}
             row["MAE of the logs with gain 200, held out, rad"] = (
                 "" if held_out is None else float(np.mean(part("report")))

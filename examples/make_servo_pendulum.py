@@ -103,7 +103,10 @@ def chirp(t: np.ndarray, peak: float) -> np.ndarray:
 def excitations() -> dict[str, tuple[str, np.ndarray, np.ndarray]]:
     """Recording -> (split, t, command)."""
     rng = np.random.default_rng(20)
-    time = lambda seconds: np.arange(round(seconds * RATE) + 1) / RATE
+
+    def time(seconds):
+        return np.arange(round(seconds * RATE) + 1) / RATE
+
     t10, t9 = time(10), time(9)
     mixed = 0.6 * multisine(t10, rng, 1.6, 0.3, 2.0) + 0.5 * steps(t10, rng, 1.2)
     return {

@@ -55,7 +55,10 @@ class Bounded(NamedTuple):
         typical = np.minimum(typical, (upper - lower) / 4)
         z = np.clip(z, lower + margin * typical, upper - margin * typical)
         middle, half = (lower + upper) / 2, (upper - lower) / 2
-        angle = lambda z: np.arcsin(np.clip((z - middle) / half, -1, 1))
+
+        def angle(z):
+            return np.arcsin(np.clip((z - middle) / half, -1, 1))
+
         inward = np.where(z < middle, 1.0, -1.0) * min(1.0, abs(scale)) * typical
         step = np.abs(angle(z + inward) - angle(z)) * max(1.0, abs(scale)) * np.sign(scale)
         return cls(middle, half, angle(z), np.diag(step))
@@ -345,11 +348,18 @@ def _programs(
     key = "optimistix", type(fitter), repr(fitter), problem.loss_name, problem.size, str(f_struct)
     if key not in problem.programs:
         rest = {"options": options, "tags": tags}
-        init = lambda x, args: _spanned(
-            solver, x, solver.init(fn, x, args, options, f_struct, aux_struct, tags)
-        )
-        step = lambda x, args, state: _mended(*solver.step(fn, x, args, state=state, **rest))
-        over = lambda x, args, state: solver.terminate(fn, x, args, state=state, **rest)
+
+        def init(x, args):
+            return _spanned(
+                solver, x, solver.init(fn, x, args, options, f_struct, aux_struct, tags)
+            )
+
+        def step(x, args, state):
+            return _mended(*solver.step(fn, x, args, state=state, **rest))
+
+        def over(x, args, state):
+            return solver.terminate(fn, x, args, state=state, **rest)
+
         functions: Any = (init, step, over)
         problem.programs[key] = tuple(eqx.filter_jit(f) for f in functions)
     return problem.programs[key]

@@ -90,9 +90,10 @@ class Shade(AbstractPopulation):
         won = (losses < state.losses) * jnp.where(jnp.isfinite(gain), gain, 0.0)
         any_won, total = jnp.sum(won) > 0, jnp.maximum(jnp.sum(won), 1e-300)
         lehmer = jnp.sum(won * state.F**2) / jnp.maximum(jnp.sum(won * state.F), 1e-300)
-        keep = lambda memory, value: memory.at[state.slot].set(
-            jnp.where(any_won, value, memory[state.slot])
-        )
+
+        def keep(memory, value):
+            return memory.at[state.slot].set(jnp.where(any_won, value, memory[state.slot]))
+
         return self._drawn(
             state._replace(
                 population=jnp.where(better[:, None], candidates, state.population),

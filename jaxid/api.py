@@ -79,24 +79,27 @@ def fit(
         along = RecursionSettings(window, 1.0 if forgetting is None else forgetting, block_s)
     if len(limbs := limbs_of(model, dataset)) > 1:
         chosen = tuple(effects)
-        work = lambda robot, data: fit(
-            robot,
-            data,
-            fitter=fitter,
-            residual=residual,
-            loss=loss,
-            effects=effects_at(chosen, robot),
-            without=without,
-            seed=seed,
-            budget=budget,
-            progress=progress,
-            solver=solver,
-            as_recorded=as_recorded,
-            cutoff_hz=cutoff_hz,
-            window=window,
-            forgetting=forgetting,
-            block_s=block_s,
-        )
+
+        def work(robot, data):
+            return fit(
+                robot,
+                data,
+                fitter=fitter,
+                residual=residual,
+                loss=loss,
+                effects=effects_at(chosen, robot),
+                without=without,
+                seed=seed,
+                budget=budget,
+                progress=progress,
+                solver=solver,
+                as_recorded=as_recorded,
+                cutoff_hz=cutoff_hz,
+                window=window,
+                forgetting=forgetting,
+                block_s=block_s,
+            )
+
         return each(limbs, work, dataset)
     refuse_too_large(foreseen("fit", model, dataset))
     effects, without = tuple(effects), tuple(without)
@@ -202,17 +205,20 @@ def diagnose(
 
     if len(limbs := limbs_of(model, dataset)) > 1:
         asked = None if effects is None else tuple(effects)
-        work = lambda robot, data, tell: diagnose(
-            robot,
-            data,
-            max_effects=max_effects,
-            effects=asked,
-            without=without,
-            residual=residual,
-            seed=seed,
-            progress=tell,
-            as_recorded=as_recorded,
-        )
+
+        def work(robot, data, tell):
+            return diagnose(
+                robot,
+                data,
+                max_effects=max_effects,
+                effects=asked,
+                without=without,
+                residual=residual,
+                seed=seed,
+                progress=tell,
+                as_recorded=as_recorded,
+            )
+
         return diagnose_each(limbs, work, dataset, progress)
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")

@@ -157,9 +157,12 @@ class FlexibleArm(Mechanism):
             (self.L2, self.E2, self.b2, self.h2, self.rho2, self.m_p, self.J_p),
         )
         each = (jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(*sizes, strict=True))
-        own = lambda L, E, b, h, rho, m, J: LinkIntegrals.of(
-            Beam(L, E * b * h**3 / 12, rho * b * h, m, J), self.n_elements, count
-        )
+
+        def own(L, E, b, h, rho, m, J):
+            return LinkIntegrals.of(
+                Beam(L, E * b * h**3 / 12, rho * b * h, m, J), self.n_elements, count
+            )
+
         both = jax.vmap(own)(*each)  # side by side: half the program
         return LinkIntegrals(*(v[0] for v in both)), LinkIntegrals(*(v[1] for v in both))
 

@@ -197,7 +197,10 @@ class Robot(Staged):
         self.joints, self.parent, self.slides = tree.joints, tree.parent, tree.slides
         self.carriers = tuple(k for k, link in enumerate(tree.links) if link)
         self.links = tuple(tree.links[k] for k in self.carriers)
-        rounded = lambda a: tuple(tuple(float(v) for v in row) for row in a)
+
+        def rounded(a):
+            return tuple(tuple(float(v) for v in row) for row in a)
+
         self.axes, self.anchors = rounded(tree.axis), rounded(tree.anchor[list(self.carriers)])
         self.reference, self.shift = tuple(map(float, tree.reference)), tuple(map(float, c))
         self.lifted = None if tree.lifted is None else rounded(tree.lifted)
@@ -481,7 +484,10 @@ class Robot(Staged):
             self.all_joints(qdd, True),
         )
         E = dynamics.frames(plan, body, q - np.array(self.reference))
-        force = lambda a: dynamics.inverse_dynamics(plan, body, E, base, qd, a)
+
+        def force(a):
+            return dynamics.inverse_dynamics(plan, body, E, base, qd, a)
+
         tau = balanced(force, qdd, body) if self.floats else force(qdd)
         return self._leading(tau + self.armature * qdd + self._spring(q))
 
@@ -497,7 +503,10 @@ class Robot(Staged):
         q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
         zero, E = 0.0 * q[0], dynamics.frames(plan, body, q - np.array(self.reference))
         rest = dynamics.still((zero, zero, zero))
-        forces = lambda a: dynamics.inverse_dynamics(plan, body, E, rest, 0 * qd, a)
+
+        def forces(a):
+            return dynamics.inverse_dynamics(plan, body, E, rest, 0 * qd, a)
+
         return self._leading(balanced(forces, qd, body))
 
     def drive(self, signature, u, q, qd):

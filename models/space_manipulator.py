@@ -191,8 +191,11 @@ class SpaceManipulator(Rigid):
         q1, v1 = super().close(h, x[:2], free, dtau, qd, shift)
         if not self.floating:
             return q1, v1, x[2]
+
         # The base turns by the mean of its rates at both ends, corrected by the middle (Simpson).
-        rate = lambda q, v: dot(self._reduced(q)[1][None], v)
+        def rate(q, v):
+            return dot(self._reduced(q)[1][None], v)
+
         middle = (x[0] + q1) / 2 + h / 8 * (x[1] - v1)
         speed = 1.5 * (q1 - x[0]) / h - (x[1] + v1) / 4
         return q1, v1, x[2] + h / 6 * (rate(x[0], x[1]) + 4 * rate(middle, speed) + rate(q1, v1))

@@ -60,7 +60,10 @@ def cart(seed: int) -> tuple[np.ndarray, ...]:
     x, position = np.zeros(2), []
     for u in force:
         position.append(x[0])
-        field = lambda time, s, u=u: [s[1], (u - 40 * s[0] - 900 * s[0] ** 3 - 1.5 * s[1]) / 2]
+
+        def field(time, s, u=u):
+            return [s[1], (u - 40 * s[0] - 900 * s[0] ** 3 - 1.5 * s[1]) / 2]
+
         x = solve_ivp(field, (0, 0.01), x, rtol=1e-8, atol=1e-10).y[:, -1]
     return t, force, np.array(position) + 1e-4 * rng.standard_normal(t.size)
 

@@ -146,7 +146,12 @@ _ = _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=Fals
 
 # %%
 free = np.abs(twin.direct(np.maximum(f, f[1])))  # at rest there is no response
-at = lambda x: f[band][int(np.argmax(x[band]))]
+
+
+def at(x):
+    return f[band][int(np.argmax(x[band]))]
+
+
 print(
     f"the estimated response peaks at {at(np.abs(measured)):.1f} Hz, the linear one at {at(free):.1f} Hz"
 )

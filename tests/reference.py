@@ -257,9 +257,14 @@ def drive(t: np.ndarray, u: np.ndarray, truth: Truth, hold: str = "zero") -> lis
                 / (t[min(k + 1, len(t) - 1)] - t[k])
             )
 
-        command: Any = lambda x, base=base, slope=slope, origin=origin: base + slope * (x - origin)
+        def command(x, base=base, slope=slope, origin=origin):
+            return base + slope * (x - origin)
+
         if np.any(truth.lag_s > 0):  # first order, exact for a constant command
-            command = lambda x, z=lagged, u=base, a=a: u + (z - u) * np.exp(-(x - a) / truth.lag_s)
+
+            def command(x, z=lagged, u=base, a=a):
+                return u + (z - u) * np.exp(-(x - a) / truth.lag_s)
+
             lagged = command(b)
         out.append(Piece(a, b, lambda x, c=command: driven(c(x), truth)))
     return out
@@ -358,9 +363,12 @@ def _breaks_away(plant, truth, piece, n, j, held):
 def _through(plant, truth, piece, q, v, mode, rtol, atol):
     n, t = len(q), piece.begin
     if not truth.is_dry:
-        free = lambda x, s: np.concatenate(
-            [s[n:], _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], np.ones(n))[0]]
-        )
+
+        def free(x, s):
+            return np.concatenate(
+                [s[n:], _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], np.ones(n))[0]]
+            )
+
         s = solve_ivp(
             free, (t, piece.end), np.concatenate([q, v]), "DOP853", rtol=rtol, atol=atol
         ).y[:, -1]

@@ -29,7 +29,9 @@ class Memory:
 
 
 def lugre(level, presliding, relaxation=0.0) -> Memory:
-    rate = lambda z, q, v: (v - abs(v) * z[0]) / presliding
+    def rate(z, q, v):
+        return (v - abs(v) * z[0]) / presliding
+
     return Memory(
         1,
         lambda z, q, v: rate(z, q, v)[None],
@@ -54,7 +56,10 @@ def warm_friction(change, time) -> Memory:
 def swinging_mass(inertia, frequency, damping_ratio) -> Memory:
     """States: position and speed of the mass."""
     w = 2 * np.pi * np.asarray(frequency)
-    pull = lambda z, q, v: w * w * (q - z[0]) + 2 * damping_ratio * w * (v - z[1])
+
+    def pull(z, q, v):
+        return w * w * (q - z[0]) + 2 * damping_ratio * w * (v - z[1])
+
     return Memory(
         2, lambda z, q, v: np.stack([z[1], pull(z, q, v)]), lambda z, r, q, v: inertia * r[1]
     )
@@ -143,7 +148,10 @@ def simulate(
         "qdd": np.zeros((len(at), 2, n)),
     }
     for piece in drive(t, u, truth):
-        f = lambda x, s, p=piece: rates(p.torque(x), s)
+
+        def f(x, s, p=piece):
+            return rates(p.torque(x), s)
+
         run = solve_ivp(
             f,
             (piece.begin, piece.end),

@@ -22,7 +22,10 @@ def one_run(data: jaxid.Dataset, path: Path) -> jaxid.Dataset:
     t = table["t"].to_numpy()
     u = np.stack([k * table[f"i{j + 1}"].to_numpy() for j, k in enumerate(gains)], 1)
     y = np.stack([table[f"q{j + 1}"].to_numpy() for j in range(6)], 1)
-    series = lambda name, x: {f"{name}{j + 1}": x[:, j] for j in range(6)}
+
+    def series(name, x):
+        return {f"{name}{j + 1}": x[:, j] for j in range(6)}
+
     units = {f"tau{j + 1}": "N m" for j in range(6)} | {f"q{j + 1}": "rad" for j in range(6)}
     return jaxid.Dataset.from_arrays(
         t, series("tau", u), series("q", y), units=units, model="ur10e"
@@ -36,7 +39,10 @@ def test_a_reference_of_the_same_arm_shows_no_load(warmer):
     before = jaxid.identify(
         arm, recorded([run(arm, s) for s in (11, 12, 13)]), friction="linear", as_recorded=True
     )
-    less = lambda q, qd, qdd, rigid: (warmer - 1) * (2.0 * qd + 1.5 * np.tanh(qd / 0.003))
+
+    def less(q, qd, qdd, rigid):
+        return (warmer - 1) * (2.0 * qd + 1.5 * np.tanh(qd / 0.003))
+
     runs = [run(arm, s, more=less) for s in (1, 2, 3)]
     d = asked(arm, runs, reference=ReferenceNumbers.read(before))
     different = {e.effect for e in d.which.effects}

@@ -120,7 +120,10 @@ def test_smooth_residuals_of_short_windows_have_a_variance_like_what_is_seen(mon
         parts.append(noise_model.RecordResidual(r[:, None], J))
         seen.append(np.mean(r**2))
     inverse = np.linalg.inv(sum(p.J[:, 0].T @ p.J[:, 0] for p in parts))
-    variance = lambda: float(noise_model.autoregressions(parts, inverse)[0].covariance(1)[0])
+
+    def variance():
+        return float(noise_model.autoregressions(parts, inverse)[0].covariance(1)[0])
+
     assert variance() <= 1.001 * noise_model.LARGEST * np.mean(seen)
     monkeypatch.setattr(noise_model, "LARGEST", np.inf)
     assert variance() > 100 * np.mean(seen)

@@ -612,7 +612,10 @@ def test_a_study_on_a_full_disk(home):
     room.
     """
     study = write_study(home, "seeds = 500")
-    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    def limit():
+        return resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
     code, status, err = fleet(study, preexec_fn=limit)
     assert code == 2 and not status and "cannot be written" in err and "Traceback" not in err
     saved = len(acknowledged(study))
@@ -625,9 +628,10 @@ def test_read_only_store(home, monkeypatch):
     study = write_study(home)
     run_study(study, workers=1, solver=SOLVE, check=False)
     connect = sqlite3.connect
-    only = lambda name, **more: connect(
-        name.replace("mode=rwc", "mode=ro").replace("mode=rw", "mode=ro"), **more
-    )
+
+    def only(name, **more):
+        return connect(name.replace("mode=rwc", "mode=ro").replace("mode=rw", "mode=ro"), **more)
+
     monkeypatch.setattr(stores.sqlite3, "connect", only)
     assert study_status(study)[2].done == 4
     with pytest.raises(StoreError, match="cannot be written .*readonly.*check its permissions"):
@@ -770,10 +774,13 @@ def test_nothing_listens_and_solvers_are_threads_of_one_core(home):
 def running_scheduler(tmp_path):
     """A scheduler and two workers as processes of their own: (address, pids of the workers)."""
     file = tmp_path / "scheduler.json"
-    part = lambda name, *more: subprocess.Popen(
-        [sys.executable, "-m", f"distributed.cli.dask_{name}", "--no-dashboard", *more],
-        stderr=subprocess.DEVNULL,
-    )
+
+    def part(name, *more):
+        return subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.dask_{name}", "--no-dashboard", *more],
+            stderr=subprocess.DEVNULL,
+        )
+
     parts = [part("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))]
     own = (
         "--scheduler-file",
@@ -830,7 +837,10 @@ def test_overhead_of_the_coordinator(home):
     ms a task.
     """
     course = []
-    heard = lambda p: course.append((p.new, time.process_time()))
+
+    def heard(p):
+        return course.append((p.new, time.process_time()))
+
     run_study(write_study(home, "seeds = 1000"), workers=2, solver=SOLVE, check=False, heard=heard)
     began, ended = next(c for c in course if c[0]), course[-1]
     assert ended[0] == 1000 and (ended[1] - began[1]) / (ended[0] - began[0]) < 5e-3

@@ -51,7 +51,9 @@ def test_every_effect_speaks(name):
 
 
 def test_numbers_bear_as_many_digits_as_are_known():
-    known = lambda value, std: words(estimate("dead_zone", value, std), "plain")
+    def known(value, std):
+        return words(estimate("dead_zone", value, std), "plain")
+
     for value, std, told in (
         (0.2969, 0.0026, "0.297"),
         (0.31, 0.15, "0.3"),

@@ -365,9 +365,9 @@ def test_effects_that_cannot_be_believed_are_said_so():
     from jaxid.diagnosis.believable import doubts
     from jaxid.fitting.result import Covariance, EffectEstimate, Estimate
 
-    number = lambda value, std, lower=-1.0, upper=1.0, at_bound=False: Estimate(
-        value, std, "1", lower, upper, at_bound
-    )
+    def number(value, std, lower=-1.0, upper=1.0, at_bound=False):
+        return Estimate(value, std, "1", lower, upper, at_bound)
+
     off = EffectEstimate("torque_scale", "tau", {"gain": number(-0.895, 0.001, -0.9, 5.0)})
     nothing = EffectEstimate(
         "torque_ripple",
@@ -386,9 +386,12 @@ def test_effects_that_cannot_be_believed_are_said_so():
     assert not doubts(sound)
     # A sine and a cosine of unknown phase: neither is sure, both together are.
     names = ("torque_ripple.sine@q", "torque_ripple.cosine@q")
-    together = lambda share: Covariance(
-        names, np.array([[0.49**2, share * 0.49 * 0.3], [share * 0.49 * 0.3, 0.3**2]])
-    )
+
+    def together(share):
+        return Covariance(
+            names, np.array([[0.49**2, share * 0.49 * 0.3], [share * 0.49 * 0.3, 0.3**2]])
+        )
+
     assert str(nothing) in doubts([nothing], together(0.0)) and not doubts(
         [nothing], together(-0.999)
     )
@@ -404,9 +407,10 @@ def test_an_effect_beside_a_number_at_its_bound_may_stand_in_for_it():
     effect = EffectEstimate(
         "constant_torque", "q", {"torque": Estimate(0.1, 0.001, "N m", -1.0, 1.0)}
     )
-    at = lambda value, lower, upper, at_bound=True: Estimate(
-        value, 0.01, "m", lower, upper, at_bound
-    )
+
+    def at(value, lower, upper, at_bound=True):
+        return Estimate(value, 0.01, "m", lower, upper, at_bound)
+
     pushed = {"com_x@l1": at(0.28, -0.1, 0.28)}
     (why,) = beside_bounds([effect], pushed, ()).values()
     assert why.startswith("com_x@l1 was pushed to its bound (0.280 m)")
@@ -540,9 +544,12 @@ def test_a_law_is_read_otherwise_where_no_delay_comes_near(as_read, other, late,
     assert not law.is_open(driven(rate=False, kd=(1.5,)), data) and not law.is_open(
         driven(rate=True, kd=(0.0,)), data
     )
-    left = lambda d, effects: (
-        late if effects else other if "reference_velocity" in d.controller.settings else as_read
-    )
+
+    def left(d, effects):
+        return (
+            late if effects else other if "reference_velocity" in d.controller.settings else as_read
+        )
+
     found = law.law_reading(data, left, ("q_cmd",))
     assert (found and found.decisive) == decisive
     if found is not None:

@@ -79,9 +79,10 @@ def moved(seed: int, size: float, force) -> tuple[list[np.ndarray], list[np.ndar
             rng.uniform(0, 2 * pi, 6),
             size * rng.uniform(0.3, 1.0, 6),
         )
-        wave = lambda t, k, w=w, p=phase, a=a: (
-            a * w**k * np.sin(w * t[:, None] + p + k * pi / 2)
-        ).sum(1)
+
+        def wave(t, k, w=w, p=phase, a=a):
+            return (a * w**k * np.sin(w * t[:, None] + p + k * pi / 2)).sum(1)
+
         q.append(wave(T, 0) + 1e-4 * size * rng.standard_normal(len(T)))
         f.append(force(wave(T + h / 2, 1), wave(T + h / 2, 2)))
     return q, f
@@ -139,14 +140,18 @@ def spun(fault: str, angle: bool = False) -> jaxid.Dataset:
     for seed in range(3):
         rng = np.random.default_rng(seed)
         f, phase = rng.uniform(0.15, 2.0, 7), rng.uniform(0, 6.28, 7)
-        wave = lambda t, f=f, p=phase: (
-            8 / np.sqrt(7) * np.sin(2 * np.pi * np.multiply.outer(t, f) + p).sum(-1)
-        )
+
+        def wave(t, f=f, p=phase):
+            return 8 / np.sqrt(7) * np.sin(2 * np.pi * np.multiply.outer(t, f) + p).sum(-1)
+
         v = wave(t + 0.0025)  # a held input acts by its mean over the step
         a = (wave(t + 0.003) - wave(t + 0.002)) / 1e-3
         tau = 0.02 * a + 0.06 * v + 0.25 * np.tanh(v / 0.02) + 0.01 * v * np.abs(v)
         runs.append((tau, wave(t) + 0.02 * rng.standard_normal(len(t))))
-    late = lambda x: np.concatenate([x[:1], x[:1], x[:-2]])
+
+    def late(x):
+        return np.concatenate([x[:1], x[:1], x[:-2]])
+
     change = {"sign": np.negative, "row_shift": late, "unsigned": np.abs}.get(fault, lambda x: x)
     rates = [y for _, y in runs]
     turned = (

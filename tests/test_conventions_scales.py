@@ -157,10 +157,16 @@ def test_the_slow_part_of_a_signal_tells_its_sign_and_size(factor):
     """What the model has 15 % otherwise, beside noise and a zero; a signal of its own says nothing."""
     t = np.arange(0.0, 8.0, 0.005)
     rng = np.random.default_rng(0)
-    wave = lambda k: sum((2 * pi * f) ** k * np.sin(2 * pi * f * t + f) for f in (0.4, 0.9, 1.7))
+
+    def wave(k):
+        return sum((2 * pi * f) ** k * np.sin(2 * pi * f * t + f) for f in (0.4, 0.9, 1.7))
+
     q = wave(0)
     other = np.sin(2 * pi * 1.3 * t)
-    run = lambda size: Run(t, q[:, None], np.stack([-size * wave(2), other], 1))
+
+    def run(size):
+        return Run(t, q[:, None], np.stack([-size * wave(2), other], 1))
+
     model, rig = run(0.2), run(0.23 * factor)
     rig.signals[:, 0] += 0.5 + 0.2 * np.std(rig.signals[:, 0]) * rng.standard_normal(len(t))
     found = followed([rig], [model], 0, 10.0)

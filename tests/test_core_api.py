@@ -203,10 +203,13 @@ def test_diffrax_solves_every_model_as_its_own_stepping_does(kind):
             2e-5 if kind is FlexibleArm else 2e-4
         )  # whose highest modes turn a quarter of the way in the longer one
         body = chain.body().prepare(h)
-        step = lambda carry, k: (
-            chain.advance(body, carry, Command(k * h, h, u, u, lambda d: u))[0],
-            None,
-        )
+
+        def step(carry, k):
+            return (
+                chain.advance(body, carry, Command(k * h, h, u, u, lambda d: u))[0],
+                None,
+            )
+
         start = chain.start(jnp.full(chain.nq, 0.2), jnp.full(chain.nq, 0.1), u, body)
         own = jax.jit(
             lambda start: jax.lax.scan(step, start, jnp.arange(round(0.1 / float(h))))[0]
@@ -318,7 +321,9 @@ def test_fitters_of_optimistix_reach_the_noise(data, fitter):
 
 
 def test_the_simplex_of_optimistix_finds_the_bottom_of_a_bent_valley():
-    valley = lambda z: jnp.stack([10 * (z[1] - z[0] ** 2), 1 - z[0]])
+    def valley(z):
+        return jnp.stack([10 * (z[1] - z[0] ** 2), 1 - z[0]])
+
     found = fitter_of("optimistix_nelder_mead").minimise(
         FunctionProblem(valley, [-3.0, -3.0], [3.0, 3.0]),
         [np.array([-1.2, 1.0])],
@@ -442,14 +447,17 @@ def test_a_fit_gives_its_model_and_a_table(data):
 def test_an_effect_of_ones_own_is_a_candidate_that_is_found():
     t = np.arange(0, 8, 0.01)
     u = np.concatenate([(1 + 0.4 * k) * np.sin((3 + k) * t[:200]) for k in range(4)])
-    free = lambda y: jaxid.Dataset.from_arrays(
-        t,
-        {"tau": u},
-        {"q": y},
-        initial={"q": 0.0, "qd": 0.0},
-        noise_std={"q": NOISE},
-        model="pendulum",
-    )
+
+    def free(y):
+        return jaxid.Dataset.from_arrays(
+            t,
+            {"tau": u},
+            {"q": y},
+            initial={"q": 0.0, "qd": 0.0},
+            noise_std={"q": NOISE},
+            model="pendulum",
+        )
+
     true = {
         **as_parameters(TRUTH),
         "effects": [{"effect": "supply_droop", "location": "tau", "parameters": {"droop": 0.15}}],

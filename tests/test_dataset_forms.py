@@ -124,7 +124,10 @@ def test_dates_are_times(tmp_path):
 
 def test_frames_with_dates_and_durations():
     frame = pd.DataFrame({"t": pd.to_timedelta(T, unit="s"), "tau": TAU, "q": Q})
-    take = lambda f: Dataset.from_frame(f, ["tau"], ["q"]).experiments[0].t
+
+    def take(f):
+        return Dataset.from_frame(f, ["tau"], ["q"]).experiments[0].t
+
     np.testing.assert_allclose(take(frame), T, atol=1e-9)
     dated = frame.assign(t=pd.Timestamp("2026-01-01") + frame["t"])
     np.testing.assert_allclose(take(dated), T, atol=1e-9)

@@ -611,15 +611,20 @@ def test_an_interval_holds_a_further_run():
 
     def runs(count: int, spread: float) -> tuple[HeldOut, HeldOut]:
         sizes = np.exp(spread * rng.normal(size=count))
-        noise = lambda: [rng.normal(size=(300, 1)) for _ in sizes]
+
+        def noise():
+            return [rng.normal(size=(300, 1)) for _ in sizes]
+
         before = [r + 30.0 for r in noise()]
         after = [r + 0.5 * s for r, s in zip(noise(), sizes, strict=True)]
         return HeldOut(before, before, 900.0, 300 * count), HeldOut(after, after, 1.25, 300 * count)
 
-    square = lambda r: float(np.mean(r**2))
-    shares = lambda b, a: [
-        shrink(square(x), square(y)) for x, y in zip(b.residual, a.residual, strict=True)
-    ]
+    def square(r):
+        return float(np.mean(r**2))
+
+    def shares(b, a):
+        return [shrink(square(x), square(y)) for x, y in zip(b.residual, a.residual, strict=True)]
+
     for spread in (0.0, 1.5):
         hits = []
         for _ in range(60):
@@ -636,15 +641,18 @@ def test_runs_that_begin_in_motion_are_not_taken_for_a_gap():
     runs = recording("joint", 4).experiments
     later = [(e.t[400:] - e.t[400], e.u[400:, 0], e.y[400:, 0]) for e in runs]
     t, u, q = zip(*later, strict=True)
-    cut = lambda **more: jaxid.Dataset.from_arrays(
-        t,
-        {"tau": u},
-        {"q": q},
-        units={"tau": "N m", "q": "rad"},
-        noise_std={"q": NOISE},
-        model="joint",
-        **more,
-    )
+
+    def cut(**more):
+        return jaxid.Dataset.from_arrays(
+            t,
+            {"tau": u},
+            {"q": q},
+            units={"tau": "N m", "q": "rad"},
+            noise_std={"q": NOISE},
+            model="joint",
+            **more,
+        )
+
     stated, parts = cut(split=[e.split for e in runs]), cut()
     d, by_parts = (jaxid.diagnose(None, data, effects=CHOICE) for data in (stated, parts))
     assert d.which.verdict == by_parts.which.verdict == "none"
@@ -720,11 +728,17 @@ def test_an_interval_holds_where_the_model_before_is_wrong_for_long(left):
     hits, none = [], 0
     for _ in range(40):
         before, after = run()
-        held = lambda r: HeldOut([r], [r], float(np.mean(r**2)), len(r))
+
+        def held(r):
+            return HeldOut([r], [r], float(np.mean(r**2)), len(r))
+
         interval, _, _ = interval_of_further_run(held(before), held(after))
         none += interval is None
         if interval is not None:
-            square = lambda r: float(np.mean(r**2))
+
+            def square(r):
+                return float(np.mean(r**2))
+
             hits += [interval[0] <= shrink(*map(square, run())) <= interval[1] for _ in range(20)]
     assert none == 0 if left == 0.0 else 5 < none < 35
     assert 0.9 < np.mean(hits) < 0.99
@@ -787,7 +801,10 @@ def test_a_delay_at_either_end_of_a_plant_is_the_same_to_any_recording():
     )
     pool = candidates(bench, names)
     into, out, spring = (next(c for c in pool if c.effect == n) for n in names)
-    named = lambda *effects: cast(Any, SimpleNamespace(effects=effects))
+
+    def named(*effects):
+        return cast(Any, SimpleNamespace(effects=effects))
+
     assert mirrored(bench, named(into), pool) == [out] and mirrored(
         bench, named(out, spring), pool
     ) == [into]
@@ -955,7 +972,10 @@ def test_what_the_data_leave_open_stays_where_the_user_put_it():
     """Only the sum of the first two numbers is seen, and the third: the two share what they have to
     move, the third stays.
     """
-    residual = lambda z: 1e3 * jnp.stack([z[0] + z[1] - 1.0, z[2] - 0.3])
+
+    def residual(z):
+        return 1e3 * jnp.stack([z[0] + z[1] - 1.0, z[2] - 0.3])
+
     problem = Named(residual, -np.full(3, 5.0), np.full(3, 5.0))
     astray = descend([(problem, np.array([4.0, -2.0, 0.1]))], 20, 1e-9)[0]
     assert np.allclose(astray.z, [3.5, -2.5, 0.3], atol=0.01)
@@ -976,16 +996,19 @@ def test_a_number_that_went_as_far_as_the_data_let_it_is_put_back():
     goal = 0.2 * multisine(t, [1.0], seed=3, periods=2, lines=6)[:, 0]
     truth = {"torque_constant": 0.2, "gain_scale": 1e-3}
     spec = ModelSpec("servo", parameters={n: ParameterPrior(v) for n, v in truth.items()})
-    recorded = lambda q: jaxid.Dataset.from_arrays(
-        [t],
-        {"q_cmd": [goal]},
-        {"q": [q]},
-        units={"q_cmd": "rad", "q": "rad"},
-        split="fit",
-        at_rest=True,
-        noise_std={"q": NOISE},
-        model=spec,
-    )
+
+    def recorded(q):
+        return jaxid.Dataset.from_arrays(
+            [t],
+            {"q_cmd": [goal]},
+            {"q": [q]},
+            units={"q_cmd": "rad", "q": "rad"},
+            split="fit",
+            at_rest=True,
+            noise_std={"q": NOISE},
+            model=spec,
+        )
+
     numbers = {"parameters": {n: {"value": v} for n, v in truth.items()}, "effects": []}
     q = jaxid.simulate(None, recorded(goal), numbers).runs[0]["q"]
     bench = ProblemBuilder(
@@ -994,7 +1017,10 @@ def test_a_number_that_went_as_far_as_the_data_let_it_is_put_back():
         )
     )
     b = bench.binding
-    problem = lambda free, theta: bench.problem(OutputError(), "fit", free, theta)
+
+    def problem(free, theta):
+        return bench.problem(OutputError(), "fit", free, theta)
+
     gain, constant = (b.layout.index(n) for n in ("gain_scale", "torque_constant"))
     theta = b.theta.copy()
     theta[[gain, constant]] = 2e-3, 0.1
@@ -1097,9 +1123,12 @@ def test_what_leads_a_screen_and_what_may_equal_it_is_refitted_however_many_ther
         )
     )
     ranked = [(1 / (1 + k), c, []) for k, n in enumerate(names) for c in candidates(bench, [n])]
-    kept = lambda free, torque: [
-        c.effect for _, c, _ in shortlist.shortlist(bench, free, torque, lambda c: False, False)
-    ]
+
+    def kept(free, torque):
+        return [
+            c.effect for _, c, _ in shortlist.shortlist(bench, free, torque, lambda c: False, False)
+        ]
+
     assert kept(ranked, []) == names  # one screen only
     monkeypatch.setattr(shortlist, "MINIMUM", 1)
     assert kept(ranked, ranked[4:5]) == [

@@ -88,7 +88,10 @@ def settings_of(effect: str, case: str) -> list[dict[str, np.ndarray]]:
     """The examples of an effect, or its first probes where it has none; each number by joint."""
     kind = effect_class(effect)
     at = references(case)
-    by_joint = lambda value: np.array([resolve(value, r) for r in at])
+
+    def by_joint(value):
+        return np.array([resolve(value, r) for r in at])
+
     examples = kind.examples or kind.probes[:3]
     return [{name: by_joint(value) for name, value in one.items()} for one in examples]
 
@@ -243,10 +246,16 @@ def by_law(effect: str, values: dict[str, np.ndarray], viscous: float = 0.0) -> 
         pytest.skip(f"{effect}: no equation beside its own; write one in tests/reference.py")
     numbers = {name: spec.value for name, spec in specs(kind).items()} | values
     if law.port == "force":
-        force = lambda q, v: by_text(law, numbers, q=q, qd=v)
+
+        def force(q, v):
+            return by_text(law, numbers, q=q, qd=v)
+
         return ref.Truth(viscous=viscous, force=force)
     if law.port == "dry":
-        level = lambda q, v, drive: by_text(law, numbers, q=q, qd=v, load=drive)
+
+        def level(q, v, drive):
+            return by_text(law, numbers, q=q, qd=v, load=drive)
+
         return ref.Truth(viscous=viscous, level=level)
     return ref.Truth(viscous=viscous, arrives=lambda u: by_text(law, numbers, u=u))
 
@@ -529,7 +538,10 @@ def test_delay_on_equal_steps_is_the_same_interpolation(steps, seed):
 def test_a_sensor_that_is_late_in_a_run_that_begins_in_motion(effect):
     """Before the run the signal ran straight, with the speed that it begins with."""
     t, late, q0, v0 = np.arange(81) * 0.005, 0.03, 0.4, 2.5
-    swing = lambda t, x: [x[1], -0.9 * np.sin(x[0]) / 0.08, (x[0] - x[2]) / late]
+
+    def swing(t, x):
+        return [x[1], -0.9 * np.sin(x[0]) / 0.08, (x[0] - x[2]) / late]
+
     found = solve_ivp(
         swing, (0, 0.4), [q0, v0, q0 - late * v0], dense_output=True, rtol=1e-11, atol=1e-12
     ).sol

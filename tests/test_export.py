@@ -464,7 +464,10 @@ def test_code_does_what_the_effects_do(arm):
         state = effect.start(jnp.zeros(1))
         for now in t[:120]:
             q, qd, load = 0.3 * np.sin(9 * now), 2.7 * np.cos(9 * now), 0.8
-            one = lambda v: jnp.array([v])
+
+            def one(v):
+                return jnp.array([v])
+
             nothing: Any = None
             s = Signals(one(now), one(q), one(qd), one(load), jnp.asarray(h), nothing, one(qd))
             force, minus, plus, state = effect(s, state)
@@ -608,7 +611,10 @@ def test_base_parameters_go_to_the_nearest_bodies_that_can_exist(tmp_path):
 
     arm: Any = SerialArm(table_of(read_mjcf(path)))
     base = arm.base()
-    split = lambda name: (name.rstrip("0123456789"), int(name[-1]) - 1)
+
+    def split(name):
+        return (name.rstrip("0123456789"), int(name[-1]) - 1)
+
     phi = np.array(
         [float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)]
     )
@@ -675,7 +681,10 @@ def test_an_identified_chain_of_a_file_that_branches(tmp_path, names):
     tree = read_urdf_tree(path)
     arm: Any = SerialArm(table_of(tree.locked({"pan": 0.0})))
     base = arm.base()
-    split = lambda name: (name.rstrip("0123456789"), int(name[-1]) - 1)
+
+    def split(name):
+        return (name.rstrip("0123456789"), int(name[-1]) - 1)
+
     phi = np.array(
         [float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)]
     )

@@ -129,8 +129,13 @@ class Bfgs(AbstractFitter):
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         low, high, data = problem.lower, problem.upper, problem.data
         scale = 0.05 * np.maximum(np.abs(starts[0]), 1e-3 * (high - low))
-        inside = lambda x: jnp.clip(starts[0] + scale * x, low, high)
-        loss = lambda x, data: problem.pure_losses(inside(x)[None], data)[0]
+
+        def inside(x):
+            return jnp.clip(starts[0] + scale * x, low, high)
+
+        def loss(x, data):
+            return problem.pure_losses(inside(x)[None], data)[0]
+
         with float64():
             solver = optimistix.BFGS(1e-8, 1e-8)
             x0 = jnp.zeros(problem.size)

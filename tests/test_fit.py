@@ -511,9 +511,10 @@ def test_a_number_whose_derivative_is_undefined_has_no_deviation(monkeypatch):
     problem = FunctionProblem(
         lambda z: 1e2 * jnp.stack([z[0] - 1, 2 * z[0] - 2, z[0] + z[1] - 1]), [-5.0] * 2, [5.0] * 2
     )
-    broken = lambda jobs: (
-        part._replace(J=np.where([False, True], np.nan, part.J)) for part in rows(jobs)
-    )
+
+    def broken(jobs):
+        return (part._replace(J=np.where([False, True], np.nan, part.J)) for part in rows(jobs))
+
     monkeypatch.setattr("jaxid.fitting.covariance.rows", broken)
     found = covariance(cast(Any, problem), np.array([1.0, 0.0]))
     assert found.identifiable.tolist() == [True, False] and np.isnan(found.std[1])

@@ -90,9 +90,12 @@ def test_a_look_at_the_same_minimum_ends_on_the_way_there(data):
 
 def test_a_look_finds_a_lower_minimum_beside_the_end():
     """Three valleys, 0.4 apart, of which the outer ones are the lower ones."""
-    course = lambda z: jnp.stack(
-        [20 * (z[0] - 0.6) * (z[0] - 1.0) * (z[0] - 1.4), 1 - 3 * (z[0] - 1.0) ** 2]
-    )
+
+    def course(z):
+        return jnp.stack(
+            [20 * (z[0] - 0.6) * (z[0] - 1.0) * (z[0] - 1.4), 1 - 3 * (z[0] - 1.0) ** 2]
+        )
+
     problem, fitter, key = (
         FunctionProblem(course, [0.0], [2.0]),
         LevenbergMarquardt(restarts=0),

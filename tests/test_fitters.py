@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from functools import cache
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -86,7 +85,10 @@ def valley() -> tuple[FunctionProblem, float]:
 
 def waves() -> tuple[FunctionProblem, float]:
     """Rastrigin's function as a sum of squares: 81 local minima, the lowest 0 at 0."""
-    residual = lambda z: jnp.concatenate([z, jnp.sqrt(10.0) * 2**0.5 * jnp.sin(jnp.pi * z)])
+
+    def residual(z):
+        return jnp.concatenate([z, jnp.sqrt(10.0) * 2**0.5 * jnp.sin(jnp.pi * z)])
+
     return stepwise(FunctionProblem(residual, [-4.6, -4.6], [4.2, 4.2])), 0.0
 
 
@@ -187,10 +189,12 @@ def test_survives_nan(kind):
     """A third of the box gives nan, the start too; the minimum lies close to the edge of that
     region.
     """
-    residual = lambda z: (
-        jnp.where(z[0] > 0.5, jnp.nan, 1.0)
-        * jnp.stack([z[0] - 0.45, 3 * (z[1] + 0.2), z[0] * z[1] + 0.09])
-    )
+
+    def residual(z):
+        return jnp.where(z[0] > 0.5, jnp.nan, 1.0) * jnp.stack(
+            [z[0] - 0.45, 3 * (z[1] + 0.2), z[0] * z[1] + 0.09]
+        )
+
     problem = stepwise(FunctionProblem(residual, [-1, -1], [1, 1]))
     found = fitter_for(kind).minimise(problem, [np.array([0.9, 0.9])], jax.random.key(0), 3000)
     check(problem, found, 3000)
@@ -360,7 +364,10 @@ def test_descent_needs_no_more_steps_than_scipy(pendulum):
         )
         path = descend([(problem, z)], 60, 1e-10)[0]
         box = problem.lower, problem.upper
-        jac: Any = lambda z: both(z)[1]
+
+        def jac(z):
+            return both(z)[1]
+
         trf = least_squares(lambda z: both(z)[0], z, jac, bounds=box, x_scale="jac", ftol=1e-10)
         ours += path.linearisations
         theirs += trf.nfev

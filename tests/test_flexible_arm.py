@@ -177,7 +177,10 @@ def test_the_matrices_are_those_of_the_energies():
     rng = np.random.default_rng(0)
     with float64():
         arm = arm_of(gravity=9.81, J_p=1e-3)
-        lagrangian = lambda p, pd: arm.kinetic_energy(p, pd) - arm.potential_energy(p)
+
+        def lagrangian(p, pd):
+            return arm.kinetic_energy(p, pd) - arm.potential_energy(p)
+
         for _ in range(2):
             p, pd = (
                 jnp.array(rng.normal(size=6) * [1, 1, 0.1, 0.02, 0.1, 0.02]),

@@ -69,7 +69,10 @@ def test_the_assembled_matrices_are_those_of_the_energies():
                 beam.kinetic_energy(b, 1.0, p, psid) - beam.kinetic_energy(b, 1.0, p, psid, False)
             )
         )(psi)
-    close = lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * np.abs(b).max())
+
+    def close(a, b):
+        return np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * np.abs(b).max())
+
     close(turning[0, 0], m.inertia)
     close(turning[0, 1:], m.coupling)
     close(turning[1:, 1:], m.M)
@@ -284,11 +287,15 @@ def test_the_step_against_an_implicit_solver_on_the_vector_field():
     y = s.outputs([values])[0, :, 0]
     with float64():
         model = s.layout.model(jnp.asarray(s.theta(values)))
-        held = lambda time: jnp.asarray(u)[
-            jnp.clip(jnp.floor(time / 1e-3 + 1e-9).astype(int), 0, 300)
-        ][None]
+
+        def held(time):
+            return jnp.asarray(u)[jnp.clip(jnp.floor(time / 1e-3 + 1e-9).astype(int), 0, 300)][None]
+
         ode = model.ode()
-        field = lambda time, x, args: ode(time, x, (None, held))
+
+        def field(time, x, args):
+            return ode(time, x, (None, held))
+
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(field),
             diffrax.Kvaerno5(),

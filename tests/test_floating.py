@@ -132,8 +132,13 @@ def test_a_rollout_is_mujocos():
 
         def step(y, k):
             args = (None, lambda t: jnp.asarray(u)[k // 10])
-            slope = lambda y: ode(0.0, y, args)
-            add = lambda y, s, d: jax.tree.map(lambda a, b: a + s * b, y, d)
+
+            def slope(y):
+                return ode(0.0, y, args)
+
+            def add(y, s, d):
+                return jax.tree.map(lambda a, b: a + s * b, y, d)
+
             k1 = slope(y)
             k2 = slope(add(y, h / 2, k1))
             k3 = slope(add(y, h / 2, k2))
@@ -168,7 +173,10 @@ def test_gradients_are_finite_also_at_rest():
     robot = craft()
     with float64():
         still = jnp.zeros(7)
-        field = lambda robot, q: jnp.sum(robot.vector_field(0.0, (q, still), still + 0.1)[1])
+
+        def field(robot, q):
+            return jnp.sum(robot.vector_field(0.0, (q, still), still + 0.1)[1])
+
         slope = jax.jit(jax.grad(lambda q: field(robot, q)))(still + 0.2)
         mass = jax.jit(jax.grad(lambda m: field(replace_mass(robot, m), still + 0.2)))(
             jnp.asarray(robot.mass)

@@ -272,10 +272,15 @@ def test_a_recording_from_elsewhere_is_aligned_by_its_signal():
     """An accelerometer at 417 Hz, 3.2 s behind, 200 ppm fast, against the angle at 200 Hz."""
     rng = np.random.default_rng(1)
     f, phase = np.array([0.4, 0.9, 1.7, 2.9]), rng.uniform(0, 6, 4)
-    angle = lambda t: np.sum(np.sin(2 * np.pi * f * t[:, None] + phase) / f, axis=1)
-    bend = lambda t: np.sum(
-        -((2 * np.pi * f) ** 2) * np.sin(2 * np.pi * f * t[:, None] + phase) / f, axis=1
-    )
+
+    def angle(t):
+        return np.sum(np.sin(2 * np.pi * f * t[:, None] + phase) / f, axis=1)
+
+    def bend(t):
+        return np.sum(
+            -((2 * np.pi * f) ** 2) * np.sin(2 * np.pi * f * t[:, None] + phase) / f, axis=1
+        )
+
     t = np.arange(4000) / 200
     true = np.arange(6000) / 417 + 1.0
     other = (true - 3.2) / (1 + 200e-6)
@@ -622,7 +627,10 @@ def test_a_sensor_and_a_file_join_the_main_clock(tmp_path):
     logger.
     """
     rng = np.random.default_rng(3)
-    motion = lambda t: np.sin(2 * np.pi * 0.5 * t) + 0.4 * np.sin(2 * np.pi * 1.3 * t + 1)
+
+    def motion(t):
+        return np.sin(2 * np.pi * 0.5 * t) + 0.4 * np.sin(2 * np.pi * 1.3 * t + 1)
+
     tip = Stream("tip", (Column("tip", "rad"),), "sensor time, column 'ms'")
     true = np.arange(0, 12, 0.004) + 0.5
     np.savetxt(

@@ -247,7 +247,9 @@ def test_the_dataset_is_what_the_servo_did(servo, tmp_path):
 
 
 def test_a_current_stays_a_current_unless_a_gain_is_stated(servo, tmp_path):
-    device = lambda: Dynamixel(servo.address, mode="current", rate=RATE)
+    def device():
+        return Dynamixel(servo.address, mode="current", rate=RATE)
+
     with pytest.raises(
         UsageError, match="needs the torque 'tau', and the device has a current.*State the gain"
     ):
@@ -385,7 +387,10 @@ def test_the_end_of_the_recorder_stops_the_servo(servo, tmp_path, number):
     process = run_cli(servo, tmp_path)
     sent = time.monotonic()
     process.send_signal(number)
-    off = lambda log: [e for e in writes(log, 64) if e["at"] >= sent and e["data"] == [0]]
+
+    def off(log):
+        return [e for e in writes(log, 64) if e["at"] >= sent and e["data"] == [0]]
+
     servo.wait_for(lambda log: bool(off(log)), 3.0)
     after = off(servo.log())[0]["at"] - sent
     print(f"torque off after {1e3 * after:.0f} ms")

@@ -221,9 +221,11 @@ def run_cli(robot: Emulator, out: Path, *more: str) -> subprocess.Popen:
     ]
     command += ["--play", str(file), "--live", "--limits", str(limits), *more]
     before = servoing(robot.log())
-    background = lambda: signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # as a shell starts a background job
+
+    # as a shell starts a background job
+    def background():
+        return signal.signal(signal.SIGINT, signal.SIG_IGN)
+
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=background
     )

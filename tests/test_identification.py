@@ -524,7 +524,10 @@ def test_an_arm_from_a_urdf(tmp_path):
         (a * w[:, None] * np.cos(angle)).sum(1),
         -(a * w[:, None] ** 2 * np.sin(angle)).sum(1),
     )
-    state = lambda s: np.r_[s[:2], np.cos(s[2]), np.sin(s[2])]
+
+    def state(s):
+        return np.r_[s[:2], np.cos(s[2]), np.sin(s[2])]
+
     tau = (
         np.array(
             [pin.rnea(model, data, state(s), v, x) for s, v, x in zip(q, qd, qdd, strict=True)]

@@ -113,7 +113,10 @@ def joint_state(typestore, k: int, names=("shoulder", "elbow")):
     stamp = kinds["builtin_interfaces/msg/Time"](sec=5, nanosec=int(T[k] * 1e9 + 0.5))
     header = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="")
     order = [0, 1] if k % 2 else [1, 0]  # drivers may change the order
-    pick = lambda values: np.array([values[j] for j in order])
+
+    def pick(values):
+        return np.array([values[j] for j in order])
+
     return kinds["sensor_msgs/msg/JointState"](
         header=header,
         name=[names[j] for j in order],

@@ -69,9 +69,10 @@ AXES = (0, 0, None, None)
 
 def test_lanes_equal_vmap_in_values_and_tangents():
     A, x, table, steps = numbers()
-    slope = lambda A, x, table, steps: jax.jvp(
-        lambda A, x: looped(A, x, table, steps), (A, x), (jnp.ones_like(A), x)
-    )
+
+    def slope(A, x, table, steps):
+        return jax.jvp(lambda A, x: looped(A, x, table, steps), (A, x), (jnp.ones_like(A), x))
+
     with float64():
         for f in (looped, slope):
             expected = jax.jit(jax.vmap(f, AXES))(A, x, table, steps)
@@ -111,7 +112,10 @@ def scalars(A, x, table, steps):
 
 def test_a_large_step_is_left_to_vmap_where_its_matrices_would_be_taken_apart(monkeypatch):
     A, x, table, steps = numbers()
-    text = lambda f: str(jax.make_jaxpr(over_lanes(f, AXES))(A, x, table, steps))
+
+    def text(f):
+        return str(jax.make_jaxpr(over_lanes(f, AXES))(A, x, table, steps))
+
     with float64():
         apart, single = text(looped).count("f64[6] "), text(scalars)
         monkeypatch.setattr(lanes, "LARGEST_STEP", 10)
@@ -145,9 +149,12 @@ def test_models_move_alike(mechanism, effects):
             w=jnp.ones((n, nq)),
         )
         where = np.tile(np.array([0, 0, n - 1, 0], np.int32), (3, 1))
-        run = lambda theta, start, where, samples, steps: simulate_lane(
-            layout.model(theta), samples, where, start, steps, 512, EVEN, False
-        )
+
+        def run(theta, start, where, samples, steps):
+            return simulate_lane(
+                layout.model(theta), samples, where, start, steps, 512, EVEN, False
+            )
+
         args = theta, np.zeros((3, 2 * nq)), where, samples, n
         found, expected = (
             jax.jit(f(run, (0, 0, 0, None, None)))(*args) for f in (over_lanes, jax.vmap)
@@ -188,9 +195,11 @@ def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
         where = np.tile(np.array([0, 0, n - 1, 0], np.int32), (2, 1))
 
         def run(theta, start, where, samples):
-            lane = lambda theta, start: simulate_lane(
-                layout.model(theta), samples, where, start, steps, 64, EVEN, False
-            )
+            def lane(theta, start):
+                return simulate_lane(
+                    layout.model(theta), samples, where, start, steps, 64, EVEN, False
+                )
+
             if nq > 2:  # the step of a whole arm is mapped anyway
                 return lane(theta, start), lane(theta, start + 0.1)
             return jax.jvp(lane, (theta, start), (0.1 * theta, start + 0.1))

@@ -38,10 +38,13 @@ def swing(t: np.ndarray, u: np.ndarray, inertia, drive) -> np.ndarray:
         out.append(x[0])
         step = t[min(k + 1, len(t) - 1)] - t[k]
         if step:
-            field = lambda s, x, k=k: [
-                x[1],
-                (drive(u[k]) - 0.9 * np.sin(x[0]) - 0.05 * x[1]) / inertia(s),
-            ]
+
+            def field(s, x, k=k):
+                return [
+                    x[1],
+                    (drive(u[k]) - 0.9 * np.sin(x[0]) - 0.05 * x[1]) / inertia(s),
+                ]
+
             x = solve_ivp(field, (t[k], t[k] + step), x, "RK45", rtol=1e-9, atol=1e-12).y[:, -1]
     return np.array(out)
 
@@ -69,7 +72,10 @@ def test_a_curve_is_that_of_interpolation():
         np.array([0, k, 2 * k, 9]),
         np.cumsum([0, k * (1 + low), k * (1 + middle), (9 - 2 * k) * (1 + high)]),
     )
-    law = lambda u: float(np.sign(u) * np.interp(abs(u), *knots))
+
+    def law(u):
+        return float(np.sign(u) * np.interp(abs(u), *knots))
+
     grid = np.linspace(-2, 2, 101)
     own: Any = {"low": low, "middle": middle, "high": high, "reach": reach}
     with float64():

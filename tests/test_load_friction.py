@@ -91,7 +91,9 @@ def test_a_simulation_and_the_differential_equation_have_it(load):
         mechanism = Pendulum()
         chain = Chain(mechanism, [friction(load)])
         J = float(mechanism.inverse(jnp.zeros(1), jnp.zeros(1), jnp.ones(1))[0])
-        weight = lambda q: float(mechanism.inverse(jnp.array([q]), jnp.zeros(1), jnp.zeros(1))[0])
+
+        def weight(q):
+            return float(mechanism.inverse(jnp.array([q]), jnp.zeros(1), jnp.zeros(1))[0])
 
         def acceleration(q: float, tau: float) -> float:
             net = tau

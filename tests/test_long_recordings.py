@@ -77,7 +77,10 @@ def test_windows_give_what_whole_records_give(monkeypatch, effects):
 def test_problems_share_the_measurements_without_what_finer_steps_add():
     """A diagnosis makes thousands of problems: one array each would be a gigabyte."""
     bench, residual = ProblemBuilder(bind(None, recording())), OutputError()
-    made = lambda: bench.problem(residual, "fit", bench.binding.free, bench.binding.theta)
+
+    def made():
+        return bench.problem(residual, "fit", bench.binding.free, bench.binding.theta)
+
     recorded = made().targets
     for off in (1e-3, 2e-3):
         bench.take_off(residual, "fit", np.full_like(recorded, off))
@@ -130,7 +133,10 @@ def arm(count=3000):
         + np.tanh(np.gradient(q, t, axis=0) / 0.01)
         + 0.05 * rng.standard_normal(q.shape)
     )
-    name = lambda x, s: {f"{s}{j + 1}": x[:, j] for j in range(6)}
+
+    def name(x, s):
+        return {f"{s}{j + 1}": x[:, j] for j in range(6)}
+
     return jaxid.Dataset.from_arrays(t, name(tau, "tau"), name(q, "q"), model="ur10")
 
 

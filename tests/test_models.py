@@ -85,10 +85,13 @@ def space(floating: bool, share: float = 1.0) -> Any:
     x, y, th, q1, q2 = q = sp.symbols("x y th q1 q2")
     qd = sp.symbols("xd yd thd q1d q2d")
     p = SPACE | {k: share * SPACE[k] for k in ("m2", "hx", "hy", "I2")}
-    turn = lambda a: sp.Matrix([[sp.cos(a), -sp.sin(a)], [sp.sin(a), sp.cos(a)]])
-    rate: Any = lambda e: sum(
-        (sp.diff(e, c) * v for c, v in zip(q, qd, strict=True)), sp.zeros(2, 1)
-    )
+
+    def turn(a):
+        return sp.Matrix([[sp.cos(a), -sp.sin(a)], [sp.sin(a), sp.cos(a)]])
+
+    def rate(e):
+        return sum((sp.diff(e, c) * v for c, v in zip(q, qd, strict=True)), sp.zeros(2, 1))
+
     centre = sp.Matrix([x, y])
     first = centre + turn(th) * sp.Matrix([p["base_x"], p["base_y"]])
     link = first + turn(th + q1) * sp.Matrix([p["c1"], 0])
@@ -152,9 +155,10 @@ def test_the_tracker_is_the_papers_corrected_equation(rotor):
 def test_the_tracker_under_voltage():
     """Equation (6), and Table 1, which contradicts it."""
     signature = Tracker.signatures[1]
-    drive = lambda model, v: np.asarray(
-        model.drive(signature, jnp.array([v, -v]), jnp.zeros(2), jnp.zeros(2))
-    )
+
+    def drive(model, v):
+        return np.asarray(model.drive(signature, jnp.array([v, -v]), jnp.zeros(2), jnp.zeros(2)))
+
     with float64():
         for v, paper, table in (
             (1.0, 0.0, 0.0),

@@ -117,7 +117,9 @@ def test_a_place_whose_gap_is_no_number_is_not_at_the_noise():
 
 @pytest.mark.parametrize("bad", NONE)
 def test_a_score_that_is_no_number_is_no_model(bad):
-    score = lambda x: Score(x, x, x, "rad")
+    def score(x):
+        return Score(x, x, x, "rad")
+
     assert lost({"fit": {"q": score(0.01)}, "report": {"q": score(bad)}}, {"q": 0.001})
     assert not lost({"fit": {"q": score(0.01)}, "report": {"q": score(0.01)}}, {"q": 0.001})
 
@@ -155,7 +157,10 @@ def test_no_effect_is_significant_by_what_is_no_number(losses):
 
     broken = made(*losses, "drag at q")
     with pytest.MonkeyPatch.context() as patch:
-        worth = lambda after, before, factor: before.loss - after.loss
+
+        def worth(after, before, factor):
+            return before.loss - after.loss
+
         patch.setattr(selection, "worth", worth)
         patch.setattr(selection, "inflation", lambda held: 1.0)
         assert not selection.significant(made(50.0, 50.0), broken)
@@ -173,7 +178,10 @@ def chooser(held: np.ndarray) -> Chooser:
     ]
     for u in every:
         u.spread, u.least = np.full(1, np.inf), np.full(1, -np.inf)
-    gram_of = lambda blocks: Gram(blocks, np.zeros(len(blocks), int), 400.0, False)
+
+    def gram_of(blocks):
+        return Gram(blocks, np.zeros(len(blocks), int), 400.0, False)
+
     wide = np.full(3, np.inf)
     return Chooser(
         units=every,
@@ -305,7 +313,10 @@ def test_a_run_beside_which_another_diverges_grows_without_end(bad):
 @pytest.mark.parametrize("bad", NONE)
 def test_no_reading_is_claimed_by_what_is_no_number(bad):
     """What the model leaves of the recording, or what noise does."""
-    fitted = lambda worst: SimpleNamespace(worst=worst, left=worst)
+
+    def fitted(worst):
+        return SimpleNamespace(worst=worst, left=worst)
+
     for worst, noise in ((bad, 0.01), (0.5, bad)):
         fit: Any = SimpleNamespace(noise=lambda *a, n=noise: n, driven=True)
         told = decide._claimed(

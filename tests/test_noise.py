@@ -145,13 +145,16 @@ def test_a_repeat_that_stops_before_the_other_is_one():
     """
     wander = [MOTION + 0.01 * k * np.sin(T) + noise(1e-5, k) for k in range(2)]
     both = dataset(*wander, noise_std=1e-5)
-    short = lambda count: replace(
-        both,
-        experiments=(
-            both.experiments[0],
-            both.experiments[1].piece(0, count, name="b", split="fit"),
-        ),
-    )
+
+    def short(count):
+        return replace(
+            both,
+            experiments=(
+                both.experiments[0],
+                both.experiments[1].piece(0, count, name="b", split="fit"),
+            ),
+        )
+
     expected = np.sqrt(np.mean(np.var(np.stack([y[: len(T) - 7] for y in wander]), axis=0, ddof=1)))
     assert noise_floor(short(len(T) - 7))["q"].std == pytest.approx(expected)
     assert noise_floor(short(len(T) // 2 - 1))["q"].source == "stated"
@@ -244,7 +247,10 @@ def test_what_repeats_differ_by_adds_up_along_a_run_not_within_windows():
     """Friction that differs from time to time: after ten seconds the joint is elsewhere, a second
     after each start it is not.
     """
-    slow = lambda k: k * 0.01 * T**2
+
+    def slow(k):
+        return k * 0.01 * T**2
+
     runs = [MOTION + slow(k) + noise(1e-4, k + 1) for k in (-1, 0, 1)]
     whole, parts = (
         noise_floor(dataset(*runs))["q"],

@@ -77,7 +77,10 @@ def poses(load: np.ndarray | None, seed: int) -> Dataset:
     qd = np.where(phase < 1, speed, 0.0)[:, None] * (after - before)
     qdd = np.gradient(qd, t, axis=0)
     tau = torque((t, q, qd, qdd), load) + 0.02 * NOISE * rng.normal(size=q.shape)
-    names = lambda k: [f"{k}{j + 1}" for j in range(6)]
+
+    def names(k):
+        return [f"{k}{j + 1}" for j in range(6)]
+
     return Dataset.from_arrays(
         t,
         dict(zip(names("tau"), tau.T, strict=True)),
@@ -173,7 +176,10 @@ def test_a_fourier_series_keeps_the_harmonics():
     rng = np.random.default_rng(0)
     read = q + 1e-6 * rng.standard_normal(q.shape)
     inside = slice(100, 900)
-    rms = lambda x: float(np.sqrt(np.mean((x - qdd)[inside] ** 2)) / np.std(qdd))
+
+    def rms(x):
+        return float(np.sqrt(np.mean((x - qdd)[inside] ** 2)) / np.std(qdd))
+
     assert rms(harmonic_motion(t, read, 10.0)[2][:, 0]) < 1e-3
     assert rms(differentiate(t, read, 10.0)[2][:, 0]) > 0.1
     with pytest.raises(UsageError, match="whole periods"):
@@ -193,7 +199,10 @@ def test_identification_by_the_harmonics(tmp_path):
     step = t[1] - t[0]
     t, q, qd, qdd = np.append(t, t[-1] + step), *(np.concatenate([x, x[:1]]) for x in (q, qd, qdd))
     tau = torque((t, q, qd, qdd)) + 0.02 * NOISE * rng.normal(size=q.shape)
-    names = lambda k: [f"{k}{j + 1}" for j in range(6)]
+
+    def names(k):
+        return [f"{k}{j + 1}" for j in range(6)]
+
     read = q + 1e-5 * rng.normal(size=q.shape)
     data = Dataset.from_arrays(
         t,

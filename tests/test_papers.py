@@ -94,7 +94,9 @@ def test_refusals(tmp_path, capsys):
 
 
 def sample() -> Reproduction:
-    draw = lambda figure: figure.add_subplot().plot([0, 1], [1, 2])
+    def draw(figure):
+        return figure.add_subplot().plot([0, 1], [1, 2])
+
     part = PaperPart(
         "A <b>part</b>",
         ("One sentence.",),
@@ -268,9 +270,9 @@ def test_the_motors_of_the_tracker():
 def test_the_arm_of_paper_000_conserves_energy_and_moves_its_base():
     """No torque and no friction: qd' M qd / 2 stays; with a base that floats too."""
     for base in (None, (250.0, 60.0)):
-        energy = lambda x, base=base: (
-            x[2:] @ space_arm.mass_matrix(x[None, :2], base)[0] @ x[2:] / 2
-        )
+
+        def energy(x, base=base):
+            return x[2:] @ space_arm.mass_matrix(x[None, :2], base)[0] @ x[2:] / 2
 
         def field(t, x, base=base):
             q, qd = x[None, :2], x[None, 2:]

@@ -96,7 +96,10 @@ def workers_of(folder: Path) -> list[psutil.Process]:
 def test_a_local_cluster_listens_nowhere(home):
     seen: list[set] = []
     study = write_study(home, "seeds = 30")
-    heard = lambda progress: seen.append(listening(psutil.Process()))
+
+    def heard(progress):
+        return seen.append(listening(psutil.Process()))
+
     before = listening(psutil.Process())
     result = run_study(
         study,
@@ -500,9 +503,12 @@ def test_the_recipe_without_slurm(home, tmp_path):
     }
     environment = os.environ | {"HOME": str(tmp_path)} | path
     both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    shell = lambda text: subprocess.Popen(
-        ["bash", "-c", f"{settings}\nexec {text}"], cwd=home, env=environment, **both
-    )
+
+    def shell(text):
+        return subprocess.Popen(
+            ["bash", "-c", f"{settings}\nexec {text}"], cwd=home, env=environment, **both
+        )
+
     subprocess.run(["bash", "-ec", certificate], env=environment, check=True, capture_output=True)
     assert stat.S_IMODE((tmp_path / "dask-tls" / "key.pem").stat().st_mode) == 0o600
     write_study(home, "seeds = 2")

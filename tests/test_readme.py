@@ -36,9 +36,15 @@ def test_it_is_short():
 
 def told_alike(lines: str, told: str) -> None:
     """The same words, and numbers that differ by no more than computers do."""
-    words = lambda s: re.sub(r"\s+", " ", NUMBER.sub("#", s)).strip()
+
+    def words(s):
+        return re.sub(r"\s+", " ", NUMBER.sub("#", s)).strip()
+
     assert words(lines) in words(told)
-    numbers = lambda s: [float(x) for x in NUMBER.findall(s)]
+
+    def numbers(s):
+        return [float(x) for x in NUMBER.findall(s)]
+
     for part in re.split(r"\n(?=[A-Z])", lines.strip()):
         (label,) = re.findall(r"^[A-Z ]{4,8}(?=  )", part)
         other = next(p for p in re.split(r"\n(?=[A-Z])", told) if p.startswith(label))
@@ -149,9 +155,10 @@ def one_hinge(folder: Path) -> Any:
     for k, split in enumerate(("fit", "validation", "report")):
         data, rows = mujoco.MjData(model), ["t,shoulder_cmd,shoulder"]
         tones, phases = rng.uniform(0.1, 0.35, 4), rng.uniform(0, 6, 4)
-        goal = lambda t, a=tones, p=phases: (
-            float(np.sum(a * np.sin(np.array([0.8, 1.9, 3.1, 5.2]) * t + p))) * min(1, t)
-        )
+
+        def goal(t, a=tones, p=phases):
+            return float(np.sum(a * np.sin(np.array([0.8, 1.9, 3.1, 5.2]) * t + p))) * min(1, t)
+
         for i in range(1200):
             target = goal(i / 200)
             rows.append(

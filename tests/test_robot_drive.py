@@ -132,7 +132,10 @@ def test_what_the_files_steps_add_refutes_no_number_of_it():
     assert isinstance(b.chain.mechanism, Robot)
     steps = b.chain.mechanism.tree.tree.steps
     i = b.layout.index("armature@lift")
-    number = lambda name: float(b.theta[b.layout.index(name)])
+
+    def number(name):
+        return float(b.theta[b.layout.index(name)])
+
     added = 0.005 * (number("damping@lift") + number("kd@lift"))
     assert steps.step == 0.01 and added > 1e-3
     std = 0.01 * added
@@ -198,8 +201,13 @@ def test_a_law_read_at_the_samples_is_in_phase():
     true = 20 * (held - 0.2 * np.sin(2 * fine[:, None] + [0.0, 1.0])) - 0.5 * 0.4 * np.cos(
         2 * fine[:, None] + [0.0, 1.0]
     )
-    basis = lambda t: np.stack([np.sin(2 * t), np.cos(2 * t), np.ones_like(t)], 1)
-    fit = lambda t, tau: np.linalg.lstsq(basis(t), tau, rcond=None)[0][:2]
+
+    def basis(t):
+        return np.stack([np.sin(2 * t), np.cos(2 * t), np.ones_like(t)], 1)
+
+    def fit(t, tau):
+        return np.linalg.lstsq(basis(t), tau, rcond=None)[0][:2]
+
     inner = slice(2, -2)
     expected = fit(fine, true)
     assert (
@@ -518,7 +526,10 @@ def test_readings_that_count_in_no_loss_keep_their_place():
 def test_forces_that_a_model_lacks_become_its_free_run():
     h, m, d, k = 0.005, 0.05, 0.4, 20.0
     t = np.arange(600) * h
-    every = lambda x: np.full((len(t), 1, 1), x)
+
+    def every(x):
+        return np.full((len(t), 1, 1), x)
+
     force = np.sin(3 * t)[:, None, None] * np.array([1.0, -2.0])
     moves = np.ones((len(t), 1))
     x = loop_of(h, every(m), every(d), np.zeros((len(t), 1)), every(k), moves).free_run(force)
@@ -556,9 +567,10 @@ def test_a_step_under_goals_is_one_evaluation_of_second_order():
     assert 3.5 < apart / less < 5 and less < 1e-4
     body: Any = b.chain.body()
     x = jnp.zeros(2), jnp.ones(2)
-    program = lambda body: str(
-        jax.make_jaxpr(lambda x: body.damped(0.01, x, x[0], x[1], x[0], x[0])[1])(x)
-    )
+
+    def program(body):
+        return str(jax.make_jaxpr(lambda x: body.damped(0.01, x, x[0], x[1], x[0], x[0])[1])(x))
+
     assert "length=4" not in program(body) and "length=4" in program(
         Robot(body.tree.tree, driven=False)
     )

@@ -252,9 +252,12 @@ def test_a_doubt_counts_beside_what_noise_leaves():
     names, shift = ["damping@lift", "damping@bend"], np.array([0.045, 0.035])
     C = 1e-6 * np.array([[1.0, 0.99], [0.99, 1.0]]) + np.diag(shift**2)
     std = np.sqrt(np.diag(C))
-    fitted = lambda times: {
-        n: (1.0, 1.0 - k * s, e) for n, s, e, k in zip(names, shift, std, times, strict=True)
-    }
+
+    def fitted(times):
+        return {
+            n: (1.0, 1.0 - k * s, e) for n, s, e, k in zip(names, shift, std, times, strict=True)
+        }
+
     assert left(result(fitted((1.0, 1.0)), C)) == left(result(fitted((1.0, -0.5)), C)) == set(names)
     assert left(result(fitted((1.0, 4.0)), C)) == {names[0]}
 

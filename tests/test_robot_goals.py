@@ -181,13 +181,17 @@ def test_a_descent_ends_where_runs_diverge(everywhere, monkeypatch):
     """
     model = robot(limb("lift", 0.1))
     b = bind(model, moving(model, swinging(4.0)))
-    made = lambda free: ProblemBuilder(b, differences=1).problem(
-        OutputError(), "fit", free, b.theta
-    )
+
+    def made(free):
+        return ProblemBuilder(b, differences=1).problem(OutputError(), "fit", free, b.theta)
+
     p, more = made(b.free), made([*b.free, b.layout.index("kp@lift")])
     known, k = Slopes.taken(p, p.z(b.theta)), more.names.index("kp@lift")
     start, whole = more.z(b.theta), secant.residuals
-    lost = lambda z: everywhere or z[k] != start[k]
+
+    def lost(z):
+        return everywhere or z[k] != start[k]
+
     monkeypatch.setattr(
         secant,
         "residuals",
@@ -217,7 +221,10 @@ def test_numbers_of_effects_are_in_doubt_by_what_two_simulators_differ_by():
     decider.between = [apart[:, None]]
     ((name, more),) = decider.passes_for(h).items()
     assert name == b.layout.names[c.index[0]] and abs(more - 0.01) < 1e-4
-    std = lambda: effect_estimates(bench.binding, h, [c])[0].parameters["torque"].std or 0.0
+
+    def std():
+        return effect_estimates(bench.binding, h, [c])[0].parameters["torque"].std or 0.0
+
     by_noise = std()
     bench.doubt({name: more})
     assert abs(std() - np.hypot(by_noise, 0.01)) < 1e-4

@@ -171,9 +171,10 @@ def test_files_that_are_no_robot_are_told_from_robots(tmp_path):
     (tmp_path / "robot.xml").write_text('<mujoco><include file="drives.xml"/></mujoco>')
     keys = tmp_path / "keys.xml"
     keys.write_text('<mujoco><keyframe><key name="home" qpos="0 0"/></keyframe></mujoco>')
-    body = lambda inside: (
-        f'<mujoco><worldbody><body name="a">{inside}{INERTIAL}</body></worldbody></mujoco>'
-    )
+
+    def body(inside):
+        return f'<mujoco><worldbody><body name="a">{inside}{INERTIAL}</body></worldbody></mujoco>'
+
     for file, text, words in (
         (part, None, "robot.xml includes it"),
         (keys, None, "holds no <body>"),

@@ -257,9 +257,10 @@ def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
     ):
         assert "further from these than as it was stated" in sentence
     shown = [n for n in far.per_channel if f"{n}: rms error" in terminal]
-    change = lambda g: (
-        max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / g.noise
-    )
+
+    def change(g):
+        return max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / g.noise
+
     assert len(shown) == min(3, len(far.per_channel))
     assert max(change(g) for g in far.per_channel.values()) == max(
         change(far.per_channel[n]) for n in shown
@@ -355,17 +356,19 @@ def test_a_refuted_number_is_the_answer_where_no_effect_is_missing():
 
 
 def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
-    own = lambda joint: StatedNumber(
-        joint,
-        "",
-        "armature",
-        0.028,
-        0.004,
-        0.001,
-        -24.0,
-        f"armature of {joint}: 0.004 kg m^2, …",
-        "kg m^2",
-    )
+    def own(joint):
+        return StatedNumber(
+            joint,
+            "",
+            "armature",
+            0.028,
+            0.004,
+            0.001,
+            -24.0,
+            f"armature of {joint}: 0.004 kg m^2, …",
+            "kg m^2",
+        )
+
     (words,) = text.stated_sentences([own("elbow"), own("wrist"), own("gripper")])
     assert all(f"armature of {joint} 0.0280 → " in words for joint in ("elbow", "wrist", "gripper"))
 
@@ -396,9 +399,10 @@ def test_reasons_claim_nothing_of_what_is_doubted():
 
 def test_one_law_at_many_joints_is_said_once():
     value = Estimate(0.2, 0.01, "N m s^2/rad^2", 0.0, 1e6)
-    drag = lambda *at: tuple(
-        EffectEstimate("quadratic_drag", q, {"coefficient": value}) for q in at
-    )
+
+    def drag(*at):
+        return tuple(EffectEstimate("quadratic_drag", q, {"coefficient": value}) for q in at)
+
     lag = (EffectEstimate("actuator_lag", "tau1"),)
     assert (
         text.at_places(drag("q1", "q2") + lag)

@@ -94,11 +94,13 @@ def fast(arm: Any) -> Any:
 
     @jax.jit
     def run(q, qd, x):
-        one = lambda q, qd, x: (
-            arm.inverse(q, qd, x),
-            arm.vector_field(0.0, (q, qd), x)[1],
-            arm.matrices(q, qd)[0],
-        )
+        def one(q, qd, x):
+            return (
+                arm.inverse(q, qd, x),
+                arm.vector_field(0.0, (q, qd), x)[1],
+                arm.matrices(q, qd)[0],
+            )
+
         return jax.vmap(one)(q, qd, x)
 
     def call(*arrays: np.ndarray) -> list[np.ndarray]:

@@ -33,7 +33,10 @@ def servo(stated: dict[str, float]) -> tuple[StatedNumber, ...]:
         k: Estimate(float(v), float(np.sqrt(C[k, k])), unit, 0.0, 100 * float(v))
         for k, (v, unit) in enumerate(zip(FITTED, UNITS, strict=True))
     }
-    off = lambda k, name: (float(FITTED[k]) - stated[name]) / float(np.sqrt(C[k, k]))
+
+    def off(k, name):
+        return (float(FITTED[k]) - stated[name]) / float(np.sqrt(C[k, k]))
+
     rows = {
         k: StatedNumber(
             "axis",

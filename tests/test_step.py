@@ -165,9 +165,10 @@ def test_pendulum_keeps_its_energy():
 
 def test_arm_keeps_its_energy():
     q, v = motion(Chain(PlanarArm(), ()), [1.0, 0.5], [0.0, 0.0], 5e-4, 40_000)
-    heights = lambda q: (
-        9.81 * (-(4 * 0.25 + 2.5 * 0.5) * np.cos(q[0]) - 2.5 * 0.2 * np.cos(q[0] + q[1]))
-    )
+
+    def heights(q):
+        return 9.81 * (-(4 * 0.25 + 2.5 * 0.5) * np.cos(q[0]) - 2.5 * 0.2 * np.cos(q[0] + q[1]))
+
     e = energy(ref.planar_arm(), q[::100], v[::100], heights)
     assert np.ptp(e) <= 1e-8 * np.max(np.abs(e))
 

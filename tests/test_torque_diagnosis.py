@@ -82,7 +82,10 @@ def recorded(
     runs: list[tuple[np.ndarray, ...]], splits: tuple[str, ...] = ("fit", "validation", "report")
 ) -> jaxid.Dataset:
     n = runs[0][1].shape[1]
-    series = lambda name, k: {f"{name}{j + 1}": [r[k][:, j] for r in runs] for j in range(n)}
+
+    def series(name, k):
+        return {f"{name}{j + 1}": [r[k][:, j] for r in runs] for j in range(n)}
+
     units = {f"tau{j + 1}": "N m" for j in range(n)} | {f"q{j + 1}": "rad" for j in range(n)}
     return jaxid.Dataset.from_arrays(
         [r[0] for r in runs], series("tau", 1), series("q", 2), units=units, split=list(splits)
@@ -170,9 +173,10 @@ def test_nothing_is_named_where_nothing_is_missing(arm):
 
 def test_an_outsider_gets_no_name():
     """Damping that depends on the position of another joint is in no library."""
-    outsider = lambda q, qd, qdd, rigid: np.stack(
-        [2.5 * np.sin(4 * q[:, 1]) * qd[:, 0], 0 * q[:, 0], 0 * q[:, 0]], 1
-    )
+
+    def outsider(q, qd, qdd, rigid):
+        return np.stack([2.5 * np.sin(4 * q[:, 1]) * qd[:, 0], 0 * q[:, 0], 0 * q[:, 0]], 1)
+
     d = asked(ARMS["three"], [run(ARMS["three"], s, more=outsider) for s in (7, 8, 9)])
     assert d.which.verdict == "unknown", d.which.text
     assert d.how_far.ceiling is not None and d.how_far.ceiling < 0.9

@@ -24,9 +24,10 @@ def swung(u: np.ndarray, mgl: float, spring: float, more: tuple[float, ...]) -> 
     viscous = VISCOUS + np.array(more)
     for k in range(len(T)):
         out.append(x[0])
-        slope = lambda x, k=k, c=viscous: np.array(
-            [x[1], (u[:, k] - mgl * np.sin(x[0]) - spring * x[0] - c * x[1]) / J]
-        )
+
+        def slope(x, k=k, c=viscous):
+            return np.array([x[1], (u[:, k] - mgl * np.sin(x[0]) - spring * x[0] - c * x[1]) / J])
+
         for _ in range(4):
             a = slope(x)
             b = slope(x + h / 2 * a)

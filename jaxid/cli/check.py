@@ -40,7 +40,9 @@ def check(dataset, out, model, without, as_recorded, as_json, quiet) -> int:
     from jaxid.fitters.short_fit import left_by_short_fit
     from jaxid.serialise import finite
 
-    work = lambda: check_folder(model, dataset, without or (), as_recorded, left_by_short_fit)
+    def work():
+        return check_folder(model, dataset, without or (), as_recorded, left_by_short_fit)
+
     if out is not None:
         writable_folder(out)
         with Output(out, as_json, quiet) as output:

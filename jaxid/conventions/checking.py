@@ -216,7 +216,10 @@ def _beginnings(data: Dataset) -> Dataset:
     if all(len(e.t) <= LONGEST for e in data.experiments):
         return data
     part = slice(0, LONGEST)
-    cut = lambda x: None if x is None else x[part]
+
+    def cut(x):
+        return None if x is None else x[part]
+
     return replace(
         data,
         experiments=tuple(

@@ -114,10 +114,13 @@ def _run(dataset: Dataset, e: Experiment, mending: Mending) -> Experiment:
         known &= found.known
     there = np.flatnonzero(known)
     span = slice(int(there[0]), int(there[-1]) + 1)
-    take = lambda channels, k: [read[c.name][k][span] for c in channels]
-    stack = lambda parts, dtype: (
-        np.stack(parts, 1) if parts else np.zeros((span.stop - span.start, 0), dtype)
-    )
+
+    def take(channels, k):
+        return [read[c.name][k][span] for c in channels]
+
+    def stack(parts, dtype):
+        return np.stack(parts, 1) if parts else np.zeros((span.stop - span.start, 0), dtype)
+
     return replace(
         e,
         t=e.t[span],

@@ -121,7 +121,10 @@ class SampledMotion:
             own = samples[(samples >= first) & (samples < first + len(s.at))] - first
             sources.append(replace(s, at=s.at[own]))
             first += len(s.at)
-        take = lambda name, kept: getattr(self, name)[kept]
+
+        def take(name, kept):
+            return getattr(self, name)[kept]
+
         return replace(
             self,
             **{k: take(k, samples) for k in ("q", "qd", "qdd")},
@@ -144,7 +147,10 @@ def measured(binding: Binding, each: int = 1) -> SampledMotion | None:
     parts = [p for k, e in enumerate(runs) if (p := _part(binding, e, share, k, each)) is not None]
     if not parts:
         return None
-    join = lambda name: np.concatenate([getattr(p, name) for p in parts])
+
+    def join(name):
+        return np.concatenate([getattr(p, name) for p in parts])
+
     qd, held = join("qd"), join("held")
     speed = np.abs(parts[0].mean(np.abs(qd)))
     weight = 1.0 * (speed > STILL * np.percentile(speed, 95, axis=0))
@@ -419,9 +425,12 @@ class ForceFit:
         theta = b.theta.copy()
         theta[free] = x[:p]
         left = r * (norm / self.norm(m if more is None else more(x[p : p + k]), theta))
-        rms = lambda keep: float(
-            np.sqrt(np.sum(left[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep])))
-        )
+
+        def rms(keep):
+            return float(
+                np.sqrt(np.sum(left[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep])))
+            )
+
         return ReadingFit(x, rms(train), rms(m.held) if m.held.any() else rms(train), r, J)
 
     def noise(self, fitted: ReadingFit, binding: Binding, m: SampledMotion) -> float:

@@ -220,7 +220,10 @@ def _scaled_sets(names: Names) -> list[tuple[str, ...]]:
     units = list(zip(every, map(names.unit, every), strict=True))
     sets = [(name,) for name, unit in units if unit != "1"]
     for unit in dict.fromkeys(unit for _, unit in units if unit != "1"):
-        own = lambda group: tuple(name for name in group if names.unit(name) == unit)
+
+        def own(group):
+            return tuple(name for name in group if names.unit(name) == unit)
+
         sets += [own(names.joints), own(names.inputs), own((*names.joints, *names.inputs))]
     return list(dict.fromkeys(s for s in sets if s))
 
@@ -261,8 +264,13 @@ def refinement(
             lambda x: reading.value + x
         )
     if reading.kind == "scale":
-        factor = lambda x: reading.value * float(np.exp(np.clip(x, -2.0, 2.0)))
-        change = lambda m, x: _scaled_together(names, m, reading.channels, 1 / factor(x[0]))
+
+        def factor(x):
+            return reading.value * float(np.exp(np.clip(x, -2.0, 2.0)))
+
+        def change(m, x):
+            return _scaled_together(names, m, reading.channels, 1 / factor(x[0]))
+
         return change, factor
     return None
 

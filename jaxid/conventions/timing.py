@@ -85,9 +85,10 @@ def lateness(
         steps = [fit.spread(whole, m, first + k) for k in range(2 * len(columns))]
         told = 1 if as_one else nu  # as often as there is something told
         steps = [*steps[:1] * nu, *steps[1:] * nu] if as_one else steps
-        good = lambda pair, most: (
-            float(np.clip(pair[0], -most, most)) if np.isfinite(pair[1]) else 0.0
-        )
+
+        def good(pair, most):
+            return float(np.clip(pair[0], -most, most)) if np.isfinite(pair[1]) else 0.0
+
         drift = np.array([good(p, MOST_DRIFT) for p in steps[nu:]])
         sure = (
             together((m.drift + drift)[:told], np.array([s for _, s in steps[nu:]])[:told], least)
@@ -293,7 +294,10 @@ def _told(fit: ForceFit, m: SampledMotion) -> tuple[list[Late], Told, Told]:
     ):  # chambers of one cylinder, motors of one belt
         late, _ = lateness(fit, m, as_one=True)
         told = late[:1]
-    column = lambda name: np.array([getattr(x, name) for x in told])
+
+    def column(name):
+        return np.array([getattr(x, name) for x in told])
+
     return (
         late,
         together(column("rows"), column("std")),

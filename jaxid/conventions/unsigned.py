@@ -55,7 +55,10 @@ def _signed(fit: ForceFit, m: SampledMotion, which: list[int]) -> SampledMotion 
     those of the acceleration.
     """
     sources, theta, norm = [], fit.binding.theta.copy(), fit.norm(m)
-    alone = lambda j: replace(m, mix=m.mix * (np.arange(len(m.mix)) == j))
+
+    def alone(j):
+        return replace(m, mix=m.mix * (np.arange(len(m.mix)) == j))
+
     without = replace(m, mix=0 * m.mix)
 
     def signs(wanted: np.ndarray) -> np.ndarray:

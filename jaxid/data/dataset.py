@@ -145,7 +145,10 @@ class Experiment:
         """The samples with their past."""
         if self.past is None:
             return self
-        join = lambda a, b: np.concatenate([a, b])
+
+        def join(a, b):
+            return np.concatenate([a, b])
+
         both = {k: join(getattr(self.past, k), getattr(self, k)) for k in ("t", "u", "y")}
         if self.scatter is not None and self.past.scatter is not None:
             both["scatter"] = join(self.past.scatter, self.scatter)
@@ -425,7 +428,10 @@ class Dataset:
 
         runs = [f"{e.name} ({e.split}, {len(e.t)} samples)" for e in self.experiments]
         runs += [f"{r.name} ({r.split}, {len(r.omega)} lines)" for r in self.responses]
-        of = lambda channels: ", ".join(f"{c.name} ({c.unit})" for c in channels) or "none"
+
+        def of(channels):
+            return ", ".join(f"{c.name} ({c.unit})" for c in channels) or "none"
+
         more = f" and {len(runs) - 6} more" if len(runs) > 6 else ""
         return one_line(
             f"Dataset {self.name}: inputs {of(self.inputs)}; outputs {of(self.outputs)}; runs {', '.join(runs[:6])}{more}"

@@ -228,9 +228,10 @@ def _resampled(s: Signal, t: np.ndarray, own: np.ndarray, entry: Any) -> Signal:
         inside, values = own[good], s.values[good]
         integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(inside))])
         ends = np.append(t[1:], t[-1])
-        reach = lambda at: (
-            np.interp(at, inside, integral) + np.maximum(at - inside[-1], 0) * values[-1]
-        )
+
+        def reach(at):
+            return np.interp(at, inside, integral) + np.maximum(at - inside[-1], 0) * values[-1]
+
         width = np.maximum(ends - t, 1e-300)
         mean = np.where(ends > t, (reach(ends) - reach(t)) / width, values[-1])
         return Signal(mean, np.zeros(len(t), bool), known, s.held)

@@ -53,7 +53,10 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
     left = [joints[f"q{old}"] for old, new in numbers.items() if new > len(names)]
     if all(old == new for old, new in numbers.items()) and not left:
         return dataset
-    new_name = lambda name: renamed(name, numbers)
+
+    def new_name(name):
+        return renamed(name, numbers)
+
     outside = {c.name for c in dataset.channels if number_of(new_name(c.name)) > len(names)}
     channels = [
         replace(c, name=new_name(c.name), role="auxiliary" if c.name in outside else c.role)
@@ -181,12 +184,18 @@ def _experiment(
     columns = {new_name(c.name): e.u[:, i] for i, c in enumerate(dataset.inputs)}
     columns |= {new_name(c.name): e.y[:, i] for i, c in enumerate(dataset.outputs)}
     columns |= {new_name(k): v for k, v in e.auxiliary.items()}
-    of = lambda role: [c.name for c in channels if c.role == role]
-    stack = lambda names: (
-        np.stack([columns[n] for n in names], 1) if names else np.zeros((len(e.t), 0))
-    )
+
+    def of(role):
+        return [c.name for c in channels if c.role == role]
+
+    def stack(names):
+        return np.stack([columns[n] for n in names], 1) if names else np.zeros((len(e.t), 0))
+
     old = {new_name(c.name): i for i, c in enumerate(dataset.outputs)}
-    by_output = lambda a: None if a is None else a[:, [old[n] for n in of("output")]]
+
+    def by_output(a):
+        return None if a is None else a[:, [old[n] for n in of("output")]]
+
     initial = None
     if e.initial is not None:
         known = set(columns)

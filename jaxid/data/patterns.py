@@ -61,7 +61,10 @@ def _matching(folder: Path, pattern: str, suffixes: tuple[str, ...]) -> list[str
         ]
     except (ValueError, OSError) as error:
         return f"is no pattern ({error})"
-    counted = lambda name: [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", name)]
+
+    def counted(name):
+        return [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", name)]
+
     there = (
         sorted(p.name for p in folder.iterdir() if p.suffix.lower() in suffixes)[:12]
         if folder.is_dir()

@@ -456,7 +456,10 @@ def distinct(
     for k, (name, column) in enumerate(zip(names, columns, strict=True)):
         places.setdefault(name, []).append(k + 1)
         out[name if len(places[name]) == 1 else f"{name} (column {k + 1})"] = column
-    equal = lambda a, b: list(columns[a - 1]) == list(columns[b - 1])
+
+    def equal(a, b):
+        return list(columns[a - 1]) == list(columns[b - 1])
+
     return out, {
         name: at
         for name, at in places.items()

@@ -69,10 +69,19 @@ def with_scatter(
         (stamps[c.name].spread if c.name in stamps else 0.0, noise[c.name].std)
         for c in dataset.outputs
     ]
-    scatter = lambda e: np.stack(
-        [s * _speed(e.t, y, n) if s else 0 * y for (s, n), y in zip(spreads, e.y.T, strict=True)], 1
-    )
-    with_own = lambda e: replace(e, scatter=scatter(e), past=with_own(e.past) if e.past else None)
+
+    def scatter(e):
+        return np.stack(
+            [
+                s * _speed(e.t, y, n) if s else 0 * y
+                for (s, n), y in zip(spreads, e.y.T, strict=True)
+            ],
+            1,
+        )
+
+    def with_own(e):
+        return replace(e, scatter=scatter(e), past=with_own(e.past) if e.past else None)
+
     return replace(dataset, experiments=tuple(with_own(e) for e in dataset.experiments))
 
 
@@ -131,9 +140,10 @@ def _by_differences(
         q, rate, bend = differentiate(e.t, y, cutoff)[:3]
         ends = filter_ends(e.t, cutoff)
         inside = slice(ends, len(d) - ends)
-        seen = lambda x, w=weights: np.sum(
-            w**2 * np.lib.stride_tricks.sliding_window_view(x, order + 1), 1
-        )
+
+        def seen(x, w=weights):
+            return np.sum(w**2 * np.lib.stride_tricks.sliding_window_view(x, order + 1), 1)
+
         causes = (rate**2, np.abs(rate), (q - q.mean()) ** 2, bend**2, e.t - e.t[0])
         parts.append(tuple(x[inside] for x in (d**2, *(seen(c) for c in causes))))
     square, *causes = (np.concatenate(x) for x in zip(*parts, strict=True))

@@ -95,7 +95,10 @@ def where_it_lies(
     before = missing_forces(bench, nominal.theta, starts, seed)
     found, rows, pictures = [], [], []
     if before:
-        also = lambda: missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+
+        def also():
+            return missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+
         after = before if final is nominal else also()
         forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
         given = {j: force for j, force in forces.items() if force is not None}

@@ -68,9 +68,9 @@ class Equivalences:
     classes: tuple[tuple[Place, ...], ...]
 
     def to_dict(self) -> dict[str, Any]:
-        plain = lambda places: [
-            {"effect": p.effect, "location": p.location, "left": p.left} for p in places
-        ]
+        def plain(places):
+            return [{"effect": p.effect, "location": p.location, "left": p.left} for p in places]
+
         return {
             "schema": 1,
             "kind": "equivalences",

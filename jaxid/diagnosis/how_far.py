@@ -71,7 +71,10 @@ def measure(
         note += f" The {' and '.join(still)} runs stand still and tell nothing."
     gaps = [r.gap for r in runs]
     per_channel = {}
-    rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+    def rms(parts):
+        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
     _, iy = columns(b.dataset, b.chain)
     for c, (name, unit) in enumerate(b.chain.signature.outputs):
         sigma = float(b.sigma[c])
@@ -217,9 +220,15 @@ def interval_of_further_run(
     widens (a logarithmic normal of as much scatter).
     """
     if len(after.residual) >= BLOCKS:
-        squares = lambda held: np.array([np.mean(r**2) for r in held.residual])
+
+        def squares(held):
+            return np.array([np.mean(r**2) for r in held.residual])
+
         return _from_runs(squares(before), squares(after), after.count), "runs", ""
-    above = lambda held: [np.mean(r**2, axis=1, keepdims=True) - 1 for r in held.residual]
+
+    def above(held):
+        return [np.mean(r**2, axis=1, keepdims=True) - 1 for r in held.residual]
+
     a, b = above(before), above(after)
     every = np.concatenate(a)
     gap = max(float(np.mean(every)), 1e-9)

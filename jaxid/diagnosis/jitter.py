@@ -29,7 +29,9 @@ class Scatter:
     alike: Binding
 
     def effects(self) -> tuple[Candidate, ...]:
-        index = lambda channel: tuple(self.alike.layout.of_effect(JITTER, channel))
+        def index(channel):
+            return tuple(self.alike.layout.of_effect(JITTER, channel))
+
         return tuple(Candidate(JITTER, channel, index(channel)) for channel in self.stamps)
 
     def verdict(self, verdict: Verdict) -> Verdict:
@@ -63,7 +65,10 @@ class Scatter:
         seen = weights > 0
         wider = 2 * float(np.sum(np.log(before[seen] / weights[seen])))
         held = held_out(alike, "validation", [h.theta], residual)[0]
-        squares = lambda held: float(sum(np.sum(r**2) for r in held.residual))
+
+        def squares(held):
+            return float(sum(np.sum(r**2) for r in held.residual))
+
         evidence = (squares(held) - squares(h.validation) - wider) / 2
         gap = float(np.sqrt(max(h.validation.loss, 0.0)))
         text = f"validation gap {times(gap)} times the noise that the stamps make"

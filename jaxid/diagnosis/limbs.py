@@ -42,9 +42,10 @@ def diagnose_each(
     began = time.perf_counter()
     names = [robot.signatures[0].joints for robot, _ in limbs]
     words = [f"limb {k + 1} of {len(limbs)} ({', '.join(own)})" for k, own in enumerate(names)]
-    of = lambda k, tell: (
-        lambda stage, done, total, text: tell(f"{words[k]}: {stage}", done, total, text)
-    )
+
+    def of(k, tell):
+        return lambda stage, done, total, text: tell(f"{words[k]}: {stage}", done, total, text)
+
     jobs = [
         lambda tell, k=k, r=robot, d=data: work(r, d, of(k, tell))
         for k, (robot, data) in enumerate(limbs)
@@ -75,7 +76,10 @@ def joined(
 ) -> Diagnosis:
     """One diagnosis of those of limbs with these joints."""
     first = parts[0]
-    every = lambda field: tuple(x for d in parts for x in getattr(d, field))
+
+    def every(field):
+        return tuple(x for d in parts for x in getattr(d, field))
+
     which = _which(parts, names)
     notes = tuple(
         dict.fromkeys(
@@ -122,7 +126,9 @@ def verdict_of(verdicts: Sequence[str]) -> str:
 
 
 def _which(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]]) -> Which:
-    every = lambda field: tuple(x for d in parts for x in getattr(d.which, field))
+    def every(field):
+        return tuple(x for d in parts for x in getattr(d.which, field))
+
     ranking = tuple(
         sorted(every("ranking"), key=lambda r: -r.evidence if np.isfinite(r.evidence) else np.inf)
     )
@@ -174,7 +180,10 @@ def _runs(fars: Sequence[HowFar], weights: Sequence[float]) -> tuple[Share, ...]
     """The gaps of each run, over all limbs."""
     if any(len(f.per_run) != len(fars[0].per_run) for f in fars):
         return ()
-    mean = lambda own, gap: _mean([getattr(s, gap) for s in own], weights)
+
+    def mean(own, gap):
+        return _mean([getattr(s, gap) for s in own], weights)
+
     return tuple(
         replace(
             own[0],

@@ -172,7 +172,10 @@ def torque_starts(
     jobs, owners = [], []
     for k, (effects, thetas) in enumerate(sets):
         index = [i for c in effects for i in c.index]
-        own = lambda theta, index=index: tuple(theta[index])
+
+        def own(theta, index=index):
+            return tuple(theta[index])
+
         p = bench.problem(InverseDynamics(decimate=1), "fit", [*base_free, *index], thetas[0])
         for theta in list({own(t): t for t in reversed(thetas)}.values())[-2:]:
             jobs.append((p, p.z(theta)))

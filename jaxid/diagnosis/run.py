@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 import jax
 import numpy as np
@@ -216,20 +215,23 @@ def _run(
     dataset = _looked_at(nominal, dataset, library)
     if residual is None and led(nominal) and dataset.experiments:
         plain = bind(model, dataset, without=without)
-        answer: Any = lambda wide, names, search, step: _diagnosed(
-            Question(
-                binding=wide,
-                residual=OutputError(),
-                allowed=tuple(names),
-                max_effects=max_effects,
-                seed=seed,
-                progress=progress,
-                known=known,
-                still=(),
-                search=search,
-                step=step,
-            )
-        )[0]
+
+        def answer(wide, names, search, step):
+            return _diagnosed(
+                Question(
+                    binding=wide,
+                    residual=OutputError(),
+                    allowed=tuple(names),
+                    max_effects=max_effects,
+                    seed=seed,
+                    progress=progress,
+                    known=known,
+                    still=(),
+                    search=search,
+                    step=step,
+                )
+            )[0]
+
         if dear(plain):
             by_torque = possible(nominal, allowed, InverseDynamics.name)
             found = diagnose_by_torque(
@@ -364,9 +366,10 @@ def _diagnosed(
         bench.compile_ahead(
             InverseDynamics(decimate=1), binding.theta, binding.free
         )  # what WHERE asks in the end
-        keep = lambda fit, now: question.known.offer(
-            lambda: _so_far(question, bench, fit(), now, began)
-        )
+
+        def keep(fit, now):
+            return question.known.offer(lambda: _so_far(question, bench, fit(), now, began))
+
         (nominal_fit, search), compile_time = question.search(bench, keep), bench.compile_time()
         binding = bench.binding
     if progress:
@@ -375,9 +378,10 @@ def _diagnosed(
     claim, nominal = judge.claim(), judge.nominal
     verdict, named, final, how_far = claim.verdict, claim.named, claim.final, claim.how_far
     estimates = effect_estimates(binding, final, named)
-    assembled = lambda: fit_of(
-        bench, final, residual, seed, compile_time, time.perf_counter() - began
-    )
+
+    def assembled():
+        return fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+
     final_fit = assembled() if named or question.search is None else nominal_fit
     against = doubts(estimates, final_fit.covariance) if verdict.name in ("named", "partly") else {}
     if verdict.name in ("named", "partly") and question.search is not None:
@@ -518,9 +522,10 @@ def _search(question: Question) -> tuple[ProblemBuilder, Fit, Search, float]:
         )
 
     searcher = Searcher(bench, residual, nominal, progress)
-    offer = lambda search: question.known.offer(
-        lambda: _so_far(question, bench, first(), search, began)
-    )
+
+    def offer(search):
+        return question.known.offer(lambda: _so_far(question, bench, first(), search, began))
+
     offer(Search(searcher.nominal, searcher.nominal))
     blind = "validation" in question.still  # nothing to choose by
     pool = [] if blind else candidates(bench, question.allowed)

@@ -68,7 +68,10 @@ def best(
     """
     near = equals(bench, before, found)
     fewest = min((h.size for h in near), default=0)
-    physics = lambda h: not is_timing(bench, h.effects[-1])
+
+    def physics(h):
+        return not is_timing(bench, h.effects[-1])
+
     return min(
         (h for h in near if h.size == fewest),
         key=lambda h: (physics(h), joint_loss(h)),
@@ -84,10 +87,14 @@ def equals(
     """
     # A run that diverges says nothing, and has no place in an order.
     found = [h for h in found if np.isfinite(joint_loss(h))]
-    good = lambda h: significant(before, h)  # dear, so that it is asked last
-    both = lambda h: (
-        h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
-    )
+
+    # dear, so that it is asked last
+    def good(h):
+        return significant(before, h)
+
+    def both(h):
+        return h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
+
     top = next(filter(good, sorted(found, key=lambda h: h.validation.loss)), None)
     if top is None:
         return []
@@ -113,11 +120,19 @@ def simpler(bench: ProblemBuilder, before: Hypothesis, h: Hypothesis, top: Hypot
     if h.size >= top.size or h.validation.loss >= LIMITS.alike * max(1.0, top.validation.loss):
         return False
     if joint_loss(h) < LIMITS.alike * max(1.0, joint_loss(top)):
-        explained = lambda x: joint_loss(before) - joint_loss(x)
+
+        def explained(x):
+            return joint_loss(before) - joint_loss(x)
+
         if set(h.effects) < set(top.effects) or explained(h) > LIMITS.as_good * explained(top):
             return True
-    place = lambda h: (h.effects[-1].location, h.effects[:-1])
-    kind = lambda h: family_of(bench, h.effects[-1])
+
+    def place(h):
+        return (h.effects[-1].location, h.effects[:-1])
+
+    def kind(h):
+        return family_of(bench, h.effects[-1])
+
     p = top.path.problem
     own = np.flatnonzero(np.isin(p.free, top.effects[-1].index))
     at_bound = np.any((top.path.z[own] <= p.lower[own]) | (top.path.z[own] >= p.upper[own]))
@@ -203,7 +218,10 @@ def not_borne_out(
 
 def at_floor(h: Hypothesis) -> bool:
     """Nothing is left to explain: the noise, and white."""
-    level = lambda count: 1 + 4 * np.sqrt(2 / max(1, count))
+
+    def level(count):
+        return 1 + 4 * np.sqrt(2 / max(1, count))
+
     low = h.fit_loss <= level(h.path.count) and h.validation.loss <= level(h.validation.count)
     return bool(
         low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2
@@ -230,9 +248,10 @@ def rivals_among(
     and what the data cannot tell from it (else the best of those known that are not the first with
     more or less in it).
     """
-    nested = lambda a, b: (
-        key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
-    )
+
+    def nested(a, b):
+        return key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
+
     ranked = sorted((h for h in known if h.effects and np.isfinite(h.fit_loss)), key=joint_loss)
     first = chosen if chosen.effects else next(iter(ranked), None)
     if first is None or (not chosen.effects and at_floor(chosen)):

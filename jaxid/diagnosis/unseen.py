@@ -264,9 +264,10 @@ class Looker:
             pairs = zip(found[: len(full)], found[len(full) :], strict=True)
         best: dict[Candidate, Probe] = {}
         told: dict[Candidate, float] = {}
-        share = lambda left, change: float(
-            np.linalg.norm(left) / max(np.linalg.norm(change), 1e-300)
-        )
+
+        def share(left, change):
+            return float(np.linalg.norm(left) / max(np.linalg.norm(change), 1e-300))
+
         for k, ((c, full), both) in enumerate(zip(probes, pairs, strict=True)):
             change, small = (np.nan_to_num(r - self.before, nan=1e100, posinf=1e100) for r in both)
             stirred = float(np.linalg.norm(change))
@@ -474,7 +475,10 @@ class Looker:
         i = int(self.p.free[k])
         entry, slope = self.bench.binding.layout.entries[i], self.p.dtheta(self.z)[k]
         low, high = int(np.nanargmin(shift)), int(np.nanargmax(shift))
-        say = lambda g: f"{self.theta[i] + slope * shift[g]:.5g} {entry.unit} in {pieces[g][0]}"
+
+        def say(g):
+            return f"{self.theta[i] + slope * shift[g]:.5g} {entry.unit} in {pieces[g][0]}"
+
         return (
             f"{entry.name} is not the same in all of the recordings ({say(low)}, {say(high)}; far beyond chance): something "
             "changed, or the model lacks what acts differently there."

@@ -75,7 +75,10 @@ class Verdict:
 
     def unclaimed(self) -> Verdict:
         """The same, as what comes nearest in place of what the model lacks."""
-        plainer = lambda r: replace(r, claimed=False) if getattr(r, "claimed", False) else r
+
+        def plainer(r):
+            return replace(r, claimed=False) if getattr(r, "claimed", False) else r
+
         return Verdict(self.name, tuple(map(plainer, self.reasons)))
 
     def because(self, *reasons: Reason) -> Verdict:

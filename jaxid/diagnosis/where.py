@@ -148,7 +148,10 @@ def findings(
     b = bench.binding
     joints, outputs = b.chain.signature.joints, [n for n, _ in b.chain.signature.outputs]
     unit = b.chain.signature.unit("{F}")
-    energy_of = lambda j, masks: _excess(found, j, masks, given.get(joints[j]))
+
+    def energy_of(j, masks):
+        return _excess(found, j, masks, given.get(joints[j]))
+
     looked = [j for j, joint in enumerate(joints) if joint in only or not only]
     total = sum(energy_of(j, None) for j in looked)
     if not 0 < total < np.inf:

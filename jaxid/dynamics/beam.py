@@ -135,9 +135,11 @@ def matrices(beam: Beam, n_elements: int) -> Matrices:
     """The beam's matrices by assembly of closed-form elements (standard Hermite element)."""
     le, at = beam.length / n_elements, _places(n_elements)
     first = np.arange(n_elements)[:, None]
-    whole = lambda parts: jnp.einsum(
-        "eai,eab,ebj->ij", at, parts, at
-    )  # one product, however many elements
+
+    # one product, however many elements
+    def whole(parts):
+        return jnp.einsum("eai,eab,ebj->ij", at, parts, at)
+
     unit = (
         np.array([1, 0, 1, 0]) + np.array([0, 1, 0, 1]) * le
     )  # a slope coordinate counts le times

@@ -52,7 +52,10 @@ _REMEMBERING: dict[Any, tuple[bool, ...]] = {}
 def _widened(effect: Effect, places: int) -> Effect:
     """The effect with each of its fields an array of one number per place."""
     own = {name: getattr(effect, name) for name in specs(effect)}
-    done = lambda x: isinstance(x, np.ndarray) and x.shape == (places,) and x.dtype == np.float64
+
+    def done(x):
+        return isinstance(x, np.ndarray) and x.shape == (places,) and x.dtype == np.float64
+
     wide = {
         k: np.broadcast_to(np.asarray(x, np.float64), (places,))
         for k, x in own.items()
@@ -286,7 +289,10 @@ class Chain(eqx.Module):
 
     def sensed_anew(self, z: tuple, fresh: tuple, here: Array) -> tuple:
         """States z, with those of the sensors as in `fresh` where `here`."""
-        anew = lambda a, b: jax.tree.map(lambda a, b: jnp.where(here, a, b), a, b)
+
+        def anew(a, b):
+            return jax.tree.map(lambda a, b: jnp.where(here, a, b), a, b)
+
         return tuple(
             anew(a, b) if isinstance(e, OutputEffect) else b
             for e, a, b in zip(self.effects, fresh, z, strict=True)
@@ -422,7 +428,10 @@ class Chain(eqx.Module):
         # Smooth law, linearised at the prediction, at the middle velocity (v + w) / 2: stable at
         # any slope.
         free, w, A = body.damped(h, x, -F - lam, s.qd, slope, self._stiffness())
-        push = lambda dv: slope * dv if slope.ndim == 1 else dot(slope, dv)
+
+        def push(dv):
+            return slope * dv if slope.ndim == 1 else dot(slope, dv)
+
         dry, end, bend = solve_dry(v, w + dot(A, lam), A, minus, plus, lam, eps)
         # A joint that sticks stands exactly still: rounding left here would ruin every later
         # decision and gradient.

@@ -121,9 +121,9 @@ class WithInertia(Mechanism):
         return self.inner.rotors() + self.inertia
 
     def vector_field(self, t, x, tau):
-        rate = lambda tau: jax.jvp(
-            self.inner.port, (x[0],), (self.inner.vector_field(t, x[0], tau),)
-        )[1][1]
+        def rate(tau):
+            return jax.jvp(self.inner.port, (x[0],), (self.inner.vector_field(t, x[0], tau),))[1][1]
+
         a0 = rate(tau)
         compliance = jax.jacfwd(rate)(tau)
         a = dot(inverse(jnp.eye(tau.size) + compliance * self.inertia), a0)
@@ -238,7 +238,10 @@ class Compliant(Mechanism):
     def follow(self, x, q, qd):
         """The motors turn with the measured motion; links behind a spring stay where they are."""
         link, dlink = self.inner.port(x[0])
-        there = lambda motor, link: jnp.where(self.present, link, motor)
+
+        def there(motor, link):
+            return jnp.where(self.present, link, motor)
+
         return self.inner.follow(x[0], there(q, link), there(qd, dlink)), q, qd, x[3]
 
     def port(self, x):

@@ -68,7 +68,10 @@ class Law:
     @property
     def text(self) -> str:
         """One sentence for the notes of a result."""
-        values = lambda a: ", ".join(f"{x:g}" for x in a)
+
+        def values(a):
+            return ", ".join(f"{x:g}" for x in a)
+
         gains = {"kp": self.kp, "ki": self.ki, ("kv" if self.kind == "cascade" else "kd"): self.kd}
         stated = "; ".join(f"{name} = {values(a)}" for name, a in gains.items() if any(a))
         return f"{self.kind} controller, {stated}, sample time {self.sample_time:g} s"
@@ -178,7 +181,10 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
         raise UsageError(
             f"[controller]: kind {kind!r} needs {' and '.join(needed)}; {lacking[0]!r} is missing"
         )
-    number = lambda key, default=0.0: _per_joint(settings, key, default, n)
+
+    def number(key, default=0.0):
+        return _per_joint(settings, key, default, n)
+
     saturation, gain = number("saturation", COMMON["saturation"]), number("gain", COMMON["gain"])
     if min(saturation) <= 0 or 0.0 in gain:
         raise UsageError("[controller]: saturation is positive, gain is not zero")

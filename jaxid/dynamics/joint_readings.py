@@ -73,7 +73,10 @@ def _own_speeds(chain: Chain) -> dict[int, int]:
     key = s, jax.tree.structure(chain.mechanism)
     if key not in _OWN_SPEEDS:
         qd, y = _read(chain, np.linspace(0.1, 0.9, 3))
-        same = lambda k, j: np.allclose(y[:, k], qd[:, j], rtol=1e-12, atol=0)
+
+        def same(k, j):
+            return np.allclose(y[:, k], qd[:, j], rtol=1e-12, atol=0)
+
         _OWN_SPEEDS[key] = {j: k for j in range(chain.nq) for k in asked if same(k, j)}
     return _OWN_SPEEDS[key]
 
@@ -186,7 +189,10 @@ def stated_start(
 ) -> tuple[float | None, float | None]:
     """Position and velocity of a joint at the start of a run as `initial` states them."""
     nq, name = len(signature.joints), signature.joints[joint]
-    found = lambda keys: next((e.initial[k] for k in keys if e.initial and k in e.initial), None)
+
+    def found(keys):
+        return next((e.initial[k] for k in keys if e.initial and k in e.initial), None)
+
     own = ("q",) if nq == 1 else (f"q{joint + 1}",)
     return found((*own, name)), found(speed_names(signature.joints, joint))
 

@@ -149,7 +149,10 @@ def standard_dh(
     if len(a):
         c, s = np.cos(alpha[-1]), np.sin(alpha[-1])
         tool = np.array([[1, 0, 0, a[-1]], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
-    shifted = lambda column: [0.0, *list(column)[:-1]]
+
+    def shifted(column):
+        return [0.0, *list(column)[:-1]]
+
     return modified_dh(
         a=shifted(a),
         alpha=shifted(alpha),
@@ -170,7 +173,10 @@ def placements(geometry: Any, prismatic: Sequence[bool], q: Any) -> Placements:
     """
     numeric = isinstance(q, np.ndarray)
     trig = (lambda x: (np.sin(x), np.cos(x))) if numeric else sincos
-    column = lambda v: v.reshape(v.shape[0], *(1,) * (q.ndim - 1))
+
+    def column(v):
+        return v.reshape(v.shape[0], *(1,) * (q.ndim - 1))
+
     a, alpha, d, theta, b, gamma = (
         column(np.asarray(getattr(geometry, k)) if numeric else jnp.asarray(getattr(geometry, k)))
         for k in ("a", "alpha", "d", "theta", "b", "gamma")
@@ -181,7 +187,10 @@ def placements(geometry: Any, prismatic: Sequence[bool], q: Any) -> Placements:
     else:
         theta = theta + q
     (st, ct), (sa, ca), (sg, cg) = trig(theta), trig(alpha), trig(gamma)
-    turn = lambda v: (cg * v[0] - sg * v[1], sg * v[0] + cg * v[1], v[2] + 0 * st)
+
+    def turn(v):
+        return (cg * v[0] - sg * v[1], sg * v[0] + cg * v[1], v[2] + 0 * st)
+
     x = turn((ct, ca * st, sa * st))
     y = turn((-st, ca * ct, sa * ct))
     z = turn((0 * st, -sa + 0 * st, ca + 0 * st))

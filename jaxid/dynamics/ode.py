@@ -146,11 +146,14 @@ def _replaced(chain: Chain, values: Mapping[str, Any]) -> Chain:
 def _command(t: Any, u: Callable[[Any], Array]) -> Command:
     """The input as it is at one time: there is no step, and no other hold."""
     now = jnp.atleast_1d(jnp.asarray(u(t)))
-    late = lambda d: (
-        jnp.stack([jnp.atleast_1d(jnp.asarray(u(t - d[i])))[i] for i in range(now.shape[0])])
-        if now.size
-        else now
-    )
+
+    def late(d):
+        return (
+            jnp.stack([jnp.atleast_1d(jnp.asarray(u(t - d[i])))[i] for i in range(now.shape[0])])
+            if now.size
+            else now
+        )
+
     return Command(jnp.asarray(t), jnp.zeros(()), now, now, late)
 
 

@@ -9,7 +9,7 @@ read off the data of each joint.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
@@ -265,7 +265,10 @@ def _number(value: Any) -> Any:
 def specs(owner: Any) -> dict[str, ParameterSpec]:
     """Field name -> specification of a class or instance that declares parameters."""
     fields = {f.name: f for f in dataclasses.fields(owner)}
-    chosen = lambda name: fields[name].default if isinstance(owner, type) else getattr(owner, name)
+
+    def chosen(name):
+        return fields[name].default if isinstance(owner, type) else getattr(owner, name)
+
     found = {
         name: f.metadata["parameter"] for name, f in fields.items() if "parameter" in f.metadata
     }
@@ -319,5 +322,8 @@ def with_fields(owner: Any, values: dict[str, Any]) -> Any:
     if not values:
         return owner
     names = list(values)
-    where: Callable[[Any], list[Any]] = lambda m: [getattr(m, n) for n in names]
+
+    def where(m):
+        return [getattr(m, n) for n in names]
+
     return eqx.tree_at(where, owner, [values[n] for n in names])

@@ -67,7 +67,9 @@ def _with_numbers(chain: Chain, leaves: Sequence[tuple[int, str, int]], theta: A
         position += width or 1
 
     def replaced(chain: Chain) -> list[Any]:
-        owner_of = lambda i: chain.mechanism if i < 0 else chain.effects[i]
+        def owner_of(i):
+            return chain.mechanism if i < 0 else chain.effects[i]
+
         return [getattr(owner_of(owner), name) for owner, name, _ in leaves]
 
     return eqx.tree_at(replaced, chain, values)
@@ -94,7 +96,10 @@ class Layout:
             ],
             np.float64,
         )
-        shape = lambda name: np.shape(getattr(chain.mechanism, name))
+
+        def shape(name):
+            return np.shape(getattr(chain.mechanism, name))
+
         self._leaves = [
             (-1, name, shape(name)[0] if shape(name) else 0) for name in specs(chain.mechanism)
         ]

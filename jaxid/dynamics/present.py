@@ -43,7 +43,10 @@ def at_time(chain: Chain, t: Float[Array, ""], h: Float[Array, ""]) -> Chain:
     searched by its logarithm stays above 0.
     """
     numbers = chain.numbers
-    owner = lambda chain, i: chain.mechanism if i < 0 else chain.effects[i]
+
+    def owner(chain, i):
+        return chain.mechanism if i < 0 else chain.effects[i]
+
     before = jnp.stack(
         [jnp.ravel(getattr(owner(chain, e.owner), e.field))[e.place] for e in numbers]
     )

@@ -268,7 +268,10 @@ def regressor(
         else:
             u, v = (u[0], u[1], u[2] + (1 - pick) * own), (v[0], v[1], v[2] + pick * own)
         t = cross(u, w)
-        both = lambda i, j: u[i] * wd[j] + u[j] * wd[i] + t[i] * w[j] + t[j] * w[i]
+
+        def both(i, j):
+            return u[i] * wd[j] + u[j] * wd[i] + t[i] * w[j] + t[j] * w[i]
+
         turn = (
             u[0] * wd[0] + t[0] * w[0],
             both(0, 1),

@@ -37,7 +37,10 @@ def links_of(arm: Any) -> Links:
     node = nodes(arm, np.zeros((1, n)))[0]
     length = np.linalg.norm(np.diff(node, axis=0), axis=1)
     lines = [i for i in range(n) if length[i] > 1e-6]
-    between = lambda i, j: float(length[i + 1 : j].sum())
+
+    def between(i, j):
+        return float(length[i + 1 : j].sum())
+
     reach = float(length.sum())
     pairs = [(i, j) for i in lines for j in lines if i < j and between(i, j) > NEAR * reach]
     return Links(tuple(lines), tuple(pairs))

@@ -249,7 +249,10 @@ def _bounds(rivals: Rivals, limits: Limits | None) -> Bounds:
     seen = rivals.recorded
     n = len(seen.home)
     stated = (limits or Limits()).widened(n)
-    pick = lambda own, default: np.asarray(own if own is not None else default, float)
+
+    def pick(own, default):
+        return np.asarray(own if own is not None else default, float)
+
     wide = np.maximum(seen.upper - seen.lower, 1e-6)
     lower, upper = (
         pick(stated.lower, seen.lower - 0.02 * wide),

@@ -256,7 +256,10 @@ class InputDesign:
             np.tile(np.concatenate([self.start, np.zeros(nq)]), (len(lanes), 1)),
         )
         pick = positions[0] - positions[0][0]
-        shaped = lambda x: x[:, pick].reshape(count, k, len(t), ny)
+
+        def shaped(x):
+            return x[:, pick].reshape(count, k, len(t), ny)
+
         if not slopes:
             y = shaped(engine.outputs(values, starts, lanes))
             return y, np.zeros_like(y)

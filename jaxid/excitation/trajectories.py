@@ -212,7 +212,10 @@ def goodness(shape: Shape, task: TrajectoryTask, setting: SearchSetting) -> tupl
         )
         logs = terms_18(W.T @ W / setting.grid, setting.groups)
         near, weight = 30.0 * tightness(q, setting), np.log(WEIGHTS_18)
-        bound = lambda v: (jax.nn.logsumexp(SHARP * v) + jax.nn.logsumexp(-SHARP * v)) / SHARP
+
+        def bound(v):
+            return (jax.nn.logsumexp(SHARP * v) + jax.nn.logsumexp(-SHARP * v)) / SHARP
+
         both = (jnp.stack([f(v) for v in logs]) for f in (bound, lambda v: v[-1] - v[0]))
         smooth, exact = (jax.nn.logsumexp(v + weight) for v in both)
         return smooth + near, exact + near
@@ -258,14 +261,20 @@ def _descend(
         shapes, (m, v), (best, least) = carry
         (_, value), g = slope(shapes)
         better = value < least
-        keep = lambda new, old: jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+
+        def keep(new, old):
+            return jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+
         best, least = jax.tree.map(keep, shapes, best), jnp.where(better, value, least)
         g = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), g)
         m = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, m, g)
         v = jax.tree.map(lambda v, g: 0.99 * v + 0.01 * g * g, v, g)
         rate = RATE * 0.5 * (1 + jnp.cos(jnp.pi * k / total)) + 1e-3
         i = k + 1.0
-        move = lambda x, m, v: x - rate * (m / (1 - 0.9**i)) / (jnp.sqrt(v / (1 - 0.99**i)) + 1e-10)
+
+        def move(x, m, v):
+            return x - rate * (m / (1 - 0.9**i)) / (jnp.sqrt(v / (1 - 0.99**i)) + 1e-10)
+
         return (jax.tree.map(move, shapes, m, v), (m, v), (best, least)), None
 
     return jax.lax.scan(step, (shapes, *moments), first + jnp.arange(count))[0]

@@ -87,7 +87,10 @@ def urscript(made: Excitation) -> str:
     step = 1 / UR_RATES[0]
     t = np.arange(round(made.t[-1] / step) + 1) * step
     q = made.fourier(t)[0]
-    pose = lambda row: "[" + ", ".join(f"{v:.6f}" for v in row) + "]"
+
+    def pose(row):
+        return "[" + ", ".join(f"{v:.6f}" for v in row) + "]"
+
     lines = [
         "# Made by jaxid excite. Speed slider at 100 %, emergency stop in reach. This file was not tried on a controller.",
         "def jaxid_excitation():",

@@ -61,7 +61,10 @@ def search(
         )
         if logs[0].left < (cost + 10) * (1 + groups[0][0][0].size):
             current, stages = [[g[0]] for g in groups], ()
-    of = lambda flat: None if logs is None else [logs[k] for k, _ in flat]
+
+    def of(flat):
+        return None if logs is None else [logs[k] for k, _ in flat]
+
     for share, steps, keep in stages:
         if share == 1.0:
             for g, original in zip(current, groups, strict=True):
@@ -379,7 +382,10 @@ def next_trial(path: Path) -> np.ndarray:
     """
     assert path.gradient is not None and path.hessian is not None
     z, g, H = path.z, path.gradient, path.hessian
-    gain = lambda dz: -(g @ dz + dz @ H @ dz / 2)
+
+    def gain(dz):
+        return -(g @ dz + dz @ H @ dz / 2)
+
     dz, bounded = _bounded(path, path.radius)
     radius = path.radius
     for _ in range(RADII if bounded else 0):

@@ -205,11 +205,18 @@ def _products(a: np.ndarray, b: np.ndarray, order: int) -> np.ndarray:
         np.ascontiguousarray(a).reshape(len(a), -1),
         np.ascontiguousarray(b).reshape(len(b), -1),
     )
-    lag = lambda x, k: x[order - k : n - k].reshape(-1)  # of one piece of memory: no copies
+
+    # of one piece of memory: no copies
+    def lag(x, k):
+        return x[order - k : n - k].reshape(-1)
+
     found = np.zeros((order + 1, order + 1))
     found[0] = [lag(a, 0) @ lag(b, j) for j in range(order + 1)]
     found[1:, 0] = [lag(a, i) @ lag(b, 0) for i in range(1, order + 1)]
-    backwards = lambda x: x[::-1]
+
+    def backwards(x):
+        return x[::-1]
+
     more = (
         backwards(a[:order]) @ backwards(b[:order]).T
     )  # both lagged once more: a sample more in front, one less at the end

@@ -227,7 +227,10 @@ def start_values(
     linear = [i for i in told if i not in b.stated] or told
     if b.motions and linear and not b.chain.mechanism.hidden_states:
         quick = InverseDynamics(decimate=1)
-        of = lambda p: p if runs is None else p.part(runs, [1.0] * len(runs))
+
+        def of(p):
+            return p if runs is None else p.part(runs, [1.0] * len(runs))
+
         problem = of(bench.problem(quick, "fit", linear, b.theta))
         if shrinking(problem, problem.z(b.theta)):
             return guesses
@@ -269,9 +272,9 @@ def _begun(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> l
         if unknown:
             paths.update(zip(unknown, descend([jobs[k] for k in unknown], 8, 1e-8), strict=True))
 
-    follows = lambda n: (
-        n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size)
-    )
+    def follows(n):
+        return n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size)
+
     descended([own[0] for own in groups])
     descended([n for own in groups if not follows(own[0]) for n in own[1:]])
     starts = np.zeros((len(thetas), len(runs.heads), jobs[0][0].start0.shape[1]))

@@ -106,7 +106,10 @@ def profile_likelihood(
     for k, name in enumerate(chosen):
         left, right = tracks[2 * k], tracks[2 * k + 1]
         position = int(problem.free[left.k])
-        unit = lambda v, j=left.k: float(np.exp(v)) if problem.log[j] else float(v)
+
+        def unit(v, j=left.k):
+            return float(np.exp(v)) if problem.log[j] else float(v)
+
         values = [*reversed(left.values[1:]), *right.values]
         rise = [*reversed(left.rise[1:]), *right.rise]
         assert abs(unit(z[left.k]) - theta[position]) <= 1e-9 * max(1.0, abs(theta[position]))

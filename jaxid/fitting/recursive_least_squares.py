@@ -107,7 +107,10 @@ def replay_stretches(
     the `watched` parameters (None: never, or none watched).
     """
     refuse_forgetting(forgetting)
-    full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
+
+    def full(v, k):
+        return jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
+
     with float64():
         zero = jnp.zeros((), jnp.int32)
         state = RecursiveState(

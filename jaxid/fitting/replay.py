@@ -381,7 +381,10 @@ def _compared(
 ) -> tuple[list[dict[str, Any]], list[dict]]:
     joints, outputs = joints_of(data, tree), [c.name for c in data.outputs]
     rows, runs = [], []
-    rms = lambda x: float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")
+
+    def rms(x):
+        return float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")
+
     for i, e in enumerate(data.experiments):
         run: dict[str, np.ndarray] = {"t": e.t}
         for k, joint in enumerate(joints):
@@ -419,7 +422,10 @@ def _verdict(rows: list[dict[str, Any]], source: _Source | None, other: str) -> 
         them = "the other file" if other == "against" else "jaxid"
         text = f"{joint}: MuJoCo and {them} differ by {worst['difference']:.3g} {worst['unit']}, more than "
         text += f"{them}'s run differs from the recording ({worst[other]:.3g})"
-        at = lambda r: str(r.get("location", "")).split("_cmd")[0].split("_tau")[0] == joint
+
+        def at(r):
+            return str(r.get("location", "")).split("_cmd")[0].split("_tau")[0] == joint
+
         lacking = [
             f"{r.get('effect')} ({r.get('how')})"
             for r in (source.rows if source else ())

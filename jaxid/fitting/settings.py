@@ -116,7 +116,10 @@ def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[s
     default: Any = field.default
     value: Any = given
     bounds = _about(field)
-    number = lambda v: isinstance(v, int | float) and not isinstance(v, bool)
+
+    def number(v):
+        return isinstance(v, int | float) and not isinstance(v, bool)
+
     if isinstance(default, bool):
         fits, wanted = isinstance(value, bool), "True or False"
     elif isinstance(default, int):

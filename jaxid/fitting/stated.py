@@ -117,7 +117,10 @@ def judged(
             known.value[k] = row.stated + row.deviation * row.std
     change = smallest_change(known, stated)
     place = {i: k for k, i in enumerate(at)}
-    called = lambda i: _label(rows[i], plain)
+
+    def called(i):
+        return _label(rows[i], plain)
+
     undecided = {k: [at[k], *(at[m] for m in others)] for k, others in change.instead.items()}
     either = {
         i: listed(called(j) for j in group if j != i) for group in undecided.values() for i in group

@@ -120,7 +120,10 @@ class SensorSpec(_Strict):
         columns = []
         for name, c in self.channels.items():
             si = conversion(c.unit)
-            width = lambda v, si=si: None if v is None else v * si.factor
+
+            def width(v, si=si):
+                return None if v is None else v * si.factor
+
             columns.append(
                 Column(
                     name,

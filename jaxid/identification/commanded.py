@@ -27,9 +27,12 @@ def commanded(dataset: Dataset) -> Dataset:
             f"the commanded motion needs {', '.join(lacking)}: give the controller's target position of each joint as a channel "
             'of that name, role = "auxiliary"'
         )
-    by = lambda e: replace(
-        e, y=np.stack([np.asarray(e.auxiliary[f"{n}_cmd"], float) for n in names], 1)
-    )
+
+    def by(e):
+        return replace(
+            e, y=np.stack([np.asarray(e.auxiliary[f"{n}_cmd"], float) for n in names], 1)
+        )
+
     note = "the motion is the commanded one; what the drives lag behind it is in the torque error"
     return replace(
         dataset, experiments=tuple(map(by, dataset.experiments)), notes=(*dataset.notes, note)

@@ -76,7 +76,9 @@ class Triangles:
 
     @classmethod
     def made(cls, blocks: Blocks) -> Triangles:
-        one = lambda W, tau, j: np.linalg.qr(np.column_stack([W[:, j], tau[:, j]]), mode="r")
+        def one(W, tau, j):
+            return np.linalg.qr(np.column_stack([W[:, j], tau[:, j]]), mode="r")
+
         found = [np.stack([one(W, tau, j) for j in range(W.shape[1])]) for W, tau in blocks]
         return cls(tuple(found), tuple(len(W) for W, _ in blocks))
 
@@ -192,7 +194,10 @@ def estimate(
     follow theta in the covariance.
     """
     if slopes is not None:
-        wider = lambda W, D: np.concatenate([W, D], 2)
+
+        def wider(W, D):
+            return np.concatenate([W, D], 2)
+
         blocks = [(wider(W, D), tau) for (W, tau), D in zip(blocks, slopes, strict=True)]
         by = (
             None

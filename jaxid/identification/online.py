@@ -120,7 +120,10 @@ class OnlineIdentification:
                 f"the prior has shape {self.prior.shape}; this arm has {p} parameters ({self.names[0]} … {self.names[-1]})"
             )
         with float64():
-            full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
+
+            def full(v, k):
+                return jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
+
             leaves, structure = jax.tree.flatten(arm)
             shapes = tuple(np.shape(a) for a in leaves)
             settings = [

@@ -113,7 +113,10 @@ def by_algorithm(
     for r in fit:
         W = full_rows(r, law, exponent)
         rest = r.tau[:: spacing(r)] - W @ theta
-        columns = lambda at, r=r: torque_columns(arm, r.q[at], r.qd[at], r.qdd[at])[:, :, own]
+
+        def columns(at, r=r):
+            return torque_columns(arm, r.q[at], r.qd[at], r.qdd[at])[:, :, own]
+
         Y = r.solved(columns)
         if method == "algorithm2":
             still = np.all(np.abs(r.qd[r.kept][:: spacing(r)]) < AT_REST, 1)

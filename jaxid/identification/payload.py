@@ -109,12 +109,14 @@ class PayloadEstimate:
         return out
 
     def to_dict(self) -> dict[str, Any]:
-        quantity = lambda v, s, unit: {
-            "value": v,
-            "std": s,
-            "interval_95": [v - Z95 * s, v + Z95 * s],
-            "unit": unit,
-        }
+        def quantity(v, s, unit):
+            return {
+                "value": v,
+                "std": s,
+                "interval_95": [v - Z95 * s, v + Z95 * s],
+                "unit": unit,
+            }
+
         std = np.hypot(np.sqrt(np.diag(self.covariance)), self.gain_std * np.abs(self.phi))
         out: dict[str, Any] = {
             "mass": quantity(*self.mass, "kg"),
@@ -259,7 +261,10 @@ def published_rows(difference: np.ndarray, base: BaseParameters) -> np.ndarray |
     if len(base.standard) != 66 or any(name not in rows for name in needed):
         return None
     e = {name: float(difference[rows[name]]) for name in needed}
-    k = lambda row, name: float(base.K[rows[row], base.standard.index(name)])
+
+    def k(row, name):
+        return float(base.K[rows[row], base.standard.index(name)])
+
     a = np.array([k(row, "m6") for row in ("mx2", "mx3", "my4")])
     if not np.any(a) or not k("my5", "mz6"):
         return None

@@ -239,7 +239,10 @@ def full_rows(run: RegressionRun, law: FrictionLaw, exponent: np.ndarray) -> np.
     """W [rows n base + k n] of the rows of a run that are solved: inertia, then the law's columns,
     parameter by parameter over the joints.
     """
-    F = lambda at: friction_columns(law, run.qd[at], exponent)
+
+    def F(at):
+        return friction_columns(law, run.qd[at], exponent)
+
     return _joined(run.Y, run.solved(F))
 
 
@@ -247,7 +250,10 @@ def every_row(
     run: RegressionRun, law: FrictionLaw, exponent: np.ndarray
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
     """W of all samples that count, stretch by stretch: (which samples, filtered, unfiltered)."""
-    F = lambda at: friction_columns(law, run.qd[at], exponent)
+
+    def F(at):
+        return friction_columns(law, run.qd[at], exponent)
+
     pairs = zip(run.stretches(run.inertia), run.stretches(F), strict=True)
     for (at, Y, Y_raw), (_, smooth, raw) in pairs:
         yield at, _joined(Y, smooth), _joined(Y_raw, raw)
@@ -293,7 +299,10 @@ def exponent_slopes(
     """
     n = run.qd.shape[1]
     p = len(theta) - len(law.parameters) * n
-    slope = lambda qd: theta[p + n : p + 2 * n] * power(qd, exponent) * np.log(qd**2 + 1e-6) / 2
+
+    def slope(qd):
+        return theta[p + n : p + 2 * n] * power(qd, exponent) * np.log(qd**2 + 1e-6) / 2
+
     return run.solved(lambda at: slope(run.qd[at]))[:, :, None] * np.eye(n)
 
 

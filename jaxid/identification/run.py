@@ -340,9 +340,10 @@ def _nearer_the_file(
     law: FrictionLaw, free: Any, runs: Sequence[RegressionRun], chain: Chain, base: BaseParameters
 ) -> Any:
     by = [r for r in runs if r.split == "validation"]
-    error = lambda s: np.array(
-        [_errors(r.tau, next(iter(torques(r, [(law, *s[:2])])))[0])[0] for r in by]
-    )
+
+    def error(s):
+        return np.array([_errors(r.tau, next(iter(torques(r, [(law, *s[:2])])))[0])[0] for r in by])
+
     return nearer_the_file(
         lambda t: _solve(law, runs, None, "wls", chain, base, trust=t), error, free, BETTER
     )

@@ -107,10 +107,13 @@ def beside_the_file(
     the filtered torque.
     """
     n = len(arm.prismatic)
-    split = lambda name: (
-        name.rstrip("0123456789"),
-        int(name[len(name.rstrip("0123456789")) :]) - 1,
-    )
+
+    def split(name):
+        return (
+            name.rstrip("0123456789"),
+            int(name[len(name.rstrip("0123456789")) :]) - 1,
+        )
+
     phi = np.array(
         [float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)]
     )

@@ -35,7 +35,10 @@ def spread_of(
     typical = {k: np.sqrt(np.mean(own[kinds == k] ** 2)) for k in set(kinds.tolist())}
     largest = max(typical.values(), default=1.0) or 1.0
     bodies = np.array([max(typical[k], 1e-3 * largest) for k in kinds])
-    rms = lambda series: np.maximum(np.sqrt(np.mean(np.concatenate(series) ** 2, 0)), 1e-9)
+
+    def rms(series):
+        return np.maximum(np.sqrt(np.mean(np.concatenate(series) ** 2, 0)), 1e-9)
+
     torque, speed = rms([r.tau for r in fit]), rms([r.qd for r in fit])
     return np.concatenate([bodies, *(torque / speed ** POWERS[name] for name, _ in law.parameters)])
 

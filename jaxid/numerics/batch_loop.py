@@ -62,7 +62,10 @@ def loop_over_time(loop: Callable[[], Any]) -> Any:
     """loop(), marked: `over_lanes` evaluates it element by element. The loop is a `lax.while_loop`
     around one `lax.scan`.
     """
-    named = lambda: loop()
+
+    def named():
+        return loop()
+
     named.__name__ = _NAME
     return jax.jit(named)()
 
@@ -225,7 +228,10 @@ def _size(v: Any) -> int:
 def _dependent(jaxpr: Jaxpr, batched: Sequence[bool]) -> list[bool]:
     """Which results depend on the lane, given which arguments do."""
     env = dict(zip(jaxpr.invars, batched, strict=True))
-    read = lambda v: not is_literal(v) and env.get(v, False)
+
+    def read(v):
+        return not is_literal(v) and env.get(v, False)
+
     for eqn in jaxpr.eqns:
         inner, flags = called(eqn), [read(v) for v in eqn.invars]
         out = (
@@ -300,8 +306,13 @@ class _Lanes:
             zip(closed.jaxpr.constvars, (Value(c, False) for c in closed.consts), strict=True)
         )
         env.update(zip(closed.jaxpr.invars, args, strict=True))
-        constant: Any = lambda v: Value(jnp.asarray(v.val, v.aval.dtype), False)
-        read = lambda v: constant(v) if is_literal(v) else env[v]
+
+        def constant(v):
+            return Value(jnp.asarray(v.val, v.aval.dtype), False)
+
+        def read(v):
+            return constant(v) if is_literal(v) else env[v]
+
         readers = Counter(v for eqn in closed.jaxpr.eqns for v in eqn.invars if not is_literal(v))
         for eqn in closed.jaxpr.eqns:
             for v, value in zip(
@@ -389,7 +400,10 @@ class _Lanes:
         arrays = [_parts(a) for a in args]
         if name in ELEMENTWISE:
             done: dict[tuple[int, ...], Any] = {}
-            operation = lambda *x: eqn.primitive.bind(*x, **params)
+
+            def operation(*x):
+                return eqn.primitive.bind(*x, **params)
+
             out = np.empty(np.broadcast_shapes(*(a.shape for a in arrays)), object)
             wide = [np.broadcast_to(a, out.shape) for a in arrays]
             for place in np.ndindex(out.shape):

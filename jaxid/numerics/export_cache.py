@@ -61,7 +61,9 @@ class Traced:
     def _read_or_trace(
         self, name: str, leaves: list[Any], tree: Any, kind: Any
     ) -> Callable[..., Any]:
-        plain = lambda *leaves: self._plain(*jax.tree.unflatten(tree, leaves))
+        def plain(*leaves):
+            return self._plain(*jax.tree.unflatten(tree, leaves))
+
         folder = _folder()
         try:
             from jax import export

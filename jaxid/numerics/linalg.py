@@ -103,7 +103,10 @@ def eigh(a: Float[Array, "n n"]) -> tuple[Float[Array, " n"], Float[Array, "n n"
         return (state[0] < SWEEPS) & (jnp.max(jnp.abs(beside)) > least)
 
     both = jnp.concatenate([wide, jnp.eye(even, dtype=a.dtype)])
-    sweep = lambda state: (state[0] + 1, jax.lax.scan(meet, state[1], None, length=even - 1)[0])
+
+    def sweep(state):
+        return (state[0] + 1, jax.lax.scan(meet, state[1], None, length=even - 1)[0])
+
     both = jax.lax.while_loop(unsettled, sweep, (jnp.zeros((), int), both))[1]
     values = jnp.diagonal(both[:even])
     order = jnp.argsort(values)[:n]

@@ -117,7 +117,10 @@ def _of_lines(
     """
     x = samples.x[jnp.minimum(begin + 2 * jnp.arange(length // 2), last)]
     re, im = transfer(chain, jnp.where(x[:, 0] > 0, x[:, 0], 1.0), body=body)  # rows without a line
-    pick = lambda a: a[jnp.arange(length // 2), x[:, 1].astype(int), x[:, 2].astype(int)]
+
+    def pick(a):
+        return a[jnp.arange(length // 2), x[:, 1].astype(int), x[:, 2].astype(int)]
+
     re, im = pick(re), pick(im)
     if magnitude:
         re, im = jnp.sqrt(re * re + im * im), jnp.zeros_like(im)
@@ -265,7 +268,10 @@ class FrequencyResponseError(Residual):
             first += len(rows)
             statements.append(lines.statement)
         size = recorded.bucket(first)
-        pad = lambda a: np.concatenate([a, np.zeros((size - len(a), *a.shape[1:]))])
+
+        def pad(a):
+            return np.concatenate([a, np.zeros((size - len(a), *a.shape[1:]))])
+
         nu = len(inputs)
         zeros = np.zeros((size, nu))
         samples = Samples(
@@ -462,7 +468,10 @@ class FrequencyResponseError(Residual):
 def as_experiment(measured: Measured, dataset: Dataset) -> Experiment:
     """A response as a run of a split, for bookkeeping: its lines in place of time."""
     omega = np.unique(measured.omega)
-    blank = lambda n: np.zeros((omega.size, n))
+
+    def blank(n):
+        return np.zeros((omega.size, n))
+
     return Experiment(
         measured.name,
         measured.split,

@@ -136,7 +136,10 @@ def _joined(parts: Iterator[ResidualRows]) -> Iterator[ResidualRows]:
         found.setdefault((part.job, part.record), []).append(part)
     for key in list(found):
         own = found.pop(key)
-        both = lambda name, own=own: np.concatenate([getattr(part, name) for part in own])
+
+        def both(name, own=own):
+            return np.concatenate([getattr(part, name) for part in own])
+
         J = np.concatenate([np.moveaxis(part.J, -1, 0) for part in own], 1)
         yield own[0]._replace(r=both("r"), J=np.moveaxis(J, 0, -1), w=both("w"))
 

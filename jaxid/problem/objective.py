@@ -388,7 +388,10 @@ class FunctionProblem(AbstractProblem):
         pieces: bool = False,
     ):
         for j, (p, z) in enumerate(jobs):
-            both = lambda z, residual=p._residual: (residual(z), jax.jacfwd(residual)(z))
+
+            def both(z, residual=p._residual):
+                return (residual(z), jax.jacfwd(residual)(z))
+
             with float64():
                 z = np.asarray(z, np.float64)
                 r, J = (np.asarray(a) for a in p.compiled("rows", both, z)(z))
@@ -449,9 +452,10 @@ def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.
     values, |e_c|^2 / |e|_c for the norm of a channel).
     """
     if all(p.loss_name == "sum_of_squares" for p, _ in jobs):
-        means = lambda at, n: Linear(
-            2 * at.cost / n, 2 * at.gradient / n, 2 * at.hessian / n, at.count
-        )
+
+        def means(at, n):
+            return Linear(2 * at.cost / n, 2 * at.gradient / n, 2 * at.hessian / n, at.count)
+
         return [means(at, max(1, at.count)) for at in linearise(jobs, share)]
     columns = [len(p.data.norm) for p, _ in jobs]
     cost = [np.zeros(c) for c in columns]

@@ -433,9 +433,10 @@ def sums(
     starts = starts.at[:, data.start_rows, data.start_columns].set(z[:, nfree:])
     blocks = -(-pop // CANDIDATES)
     lanes = 4 * -(-pop // (4 * blocks))
-    pad = lambda a: jnp.concatenate(
-        [a, jnp.broadcast_to(a[-1:], (blocks * lanes - pop, *a.shape[1:]))]
-    )
+
+    def pad(a):
+        return jnp.concatenate([a, jnp.broadcast_to(a[-1:], (blocks * lanes - pop, *a.shape[1:]))])
+
     values, starts = (pad(a).reshape(blocks, lanes, *a.shape[1:]) for a in (values, starts))
     k = jnp.arange(length)
 

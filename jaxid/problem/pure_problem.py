@@ -187,9 +187,14 @@ class _Predict:
         steps: Array,
     ):
         place = {i: k for k, i in enumerate(self.free)}
-        own = lambda i: (
-            jnp.where(still_open[place[i]], values[place[i]], fixed[i]) if i in place else fixed[i]
-        )
+
+        def own(i):
+            return (
+                jnp.where(still_open[place[i]], values[place[i]], fixed[i])
+                if i in place
+                else fixed[i]
+            )
+
         chain = self.layout.model([own(i) for i in self.index])
         return self.lane(chain, samples, where, start, steps, self.length, self.reach, self.burn)
 
@@ -221,9 +226,10 @@ def _residual(problem: Problem, z: Vector, args: Any = None) -> Float[Array, " n
     values = _physical(problem, z)[: len(d.log)]
     starts = jnp.asarray(d.start0).at[d.start_rows, d.start_columns].set(z[len(d.log) :])
     samples = jax.tree.map(jnp.asarray, d.samples)
-    one = lambda still_open, fixed, start, where, steps: problem._predict(
-        values, still_open, fixed, start, where, samples, steps
-    )
+
+    def one(still_open, fixed, start, where, steps):
+        return problem._predict(values, still_open, fixed, start, where, samples, steps)
+
     with in_reverse():
         y = jax.vmap(one)(*(jnp.asarray(a) for a in (d.open, d.fixed, starts, d.where, d.steps)))
     record, k, column = problem._rows.T

@@ -185,19 +185,22 @@ class OutputError(Residual):
                 a + (cut - a) // 4
             )  # by then sensors and springs have forgotten how they began
             n = cut + head_samples(own) - settled
-            until = lambda b, c, number=number, e=e, p=p, a=a: replace(
-                record_of(
-                    number=number,
-                    e=e,
-                    p=p,
-                    a=a,
-                    b=b,
-                    dataset=dataset,
-                    chain=chain,
-                    burn=len(e) if remembers else 0,
-                ),
-                samples=p[c:b],
-            )
+
+            def until(b, c, number=number, e=e, p=p, a=a):
+                return replace(
+                    record_of(
+                        number=number,
+                        e=e,
+                        p=p,
+                        a=a,
+                        b=b,
+                        dataset=dataset,
+                        chain=chain,
+                        burn=len(e) if remembers else 0,
+                    ),
+                    samples=p[c:b],
+                )
+
             records.append(until(len(e), cut))
             lengths = tuple(dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16)))
             steps = (

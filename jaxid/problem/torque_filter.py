@@ -152,7 +152,10 @@ def evenly(e: Experiment) -> Experiment:
     if (grid := even_grid(e.t)) is None:
         return e
     near = np.clip(np.searchsorted(e.t, grid), 0, len(e.t) - 1)
-    take = lambda x: None if x is None else x[near]
+
+    def take(x):
+        return None if x is None else x[near]
+
     u = (
         np.stack([np.interp(grid, e.t, c) for c in e.u.T], 1)
         if e.u.size
@@ -230,9 +233,12 @@ def drive_torque(
         model = chain if theta is None else layout.model(theta)
         return u * np.asarray(drive_gains(model), float)
     form = layout.form
-    made = lambda: Traced(
-        lambda theta, *args: _driven(form.model(theta), *args), key_of(_driven, form.bare)
-    )
+
+    def made():
+        return Traced(
+            lambda theta, *args: _driven(form.model(theta), *args), key_of(_driven, form.bare)
+        )
+
     room = bucket(len(u)) - len(u)  # runs of other lengths meet the same program
     args = [np.pad(a, ((0, room), (0, 0))) for a in (u, motion[:, :nq], motion[:, nq : 2 * nq])]
     with float64():

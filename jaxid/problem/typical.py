@@ -33,7 +33,10 @@ def inertia_torque(
 def _inertia_program(layout: Layout) -> Traced:
     """`inertia_torque` by all numbers of a layout, one program for all chains of its structure."""
     form = layout.form
-    program = lambda theta, q, qdd: inertia_torque(form.model(theta), q, qdd)
+
+    def program(theta, q, qdd):
+        return inertia_torque(form.model(theta), q, qdd)
+
     return shared("inertia", form, lambda: Traced(program, key_of(inertia_torque, form.bare)))
 
 

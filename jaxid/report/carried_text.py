@@ -68,7 +68,10 @@ def replay_text(result: Replay) -> str:
     """Each joint's error in every run of a simulator beside the other's."""
     other, patched = result.other, any("before" in r for r in result.rows)
     columns = (*(["before"] if patched else []), "mujoco", other, "difference")
-    value = lambda v: "-" if v is None else number(v)
+
+    def value(v):
+        return "-" if v is None else number(v)
+
     rows = [
         (
             one_line(r["experiment"]),

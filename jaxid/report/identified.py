@@ -79,9 +79,10 @@ def friction_rows(result: Identification) -> list[tuple[str, str, list[str]]]:
     """(parameter, unit of the first joint, values by joint)."""
     joints = result.friction()
     keys = [k for k in joints[0] if k != "joint"]
-    told = lambda value, std: (
-        pair(value, std) if std is not None and np.isfinite(std) else "not determined"
-    )
+
+    def told(value, std):
+        return pair(value, std) if std is not None and np.isfinite(std) else "not determined"
+
     return [
         (k, joints[0][k]["unit"], [told(j[k]["value"], j[k]["std"]) for j in joints]) for k in keys
     ]

@@ -170,9 +170,9 @@ def layout(figure, kinds: Sequence[str], count: int):
 
 
 def legend(axes, added: bool, both: bool) -> list:
-    mark = lambda style, color, label, **more: axes.plot(
-        [], [], style, color=color, label=label, **more
-    )[0]
+    def mark(style, color, label, **more):
+        return axes.plot([], [], style, color=color, label=label, **more)[0]
+
     out = [mark("o", plot.VERMILLION, "missing, 95 % interval (hollow: seen too seldom)", ms=5)]
     out += [mark("^", plot.ORANGE, "the same moving backwards", ms=5)] if both else []
     if added:

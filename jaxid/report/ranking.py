@@ -23,9 +23,15 @@ def section(which: Which) -> Section | None:
         return None
     named = {(e.effect, e.location) for e in which.effects}
     confusable = {(e.effect, e.location) for e in which.confusable_with}
-    kind = lambda key: "named" if key in named else "confusable" if key in confusable else ""
+
+    def kind(key):
+        return "named" if key in named else "confusable" if key in confusable else ""
+
     rows = [(r, kind((r.effect, r.location))) for r in which.ranking]
-    told = lambda r: r.text.split(": ", 1)[-1]
+
+    def told(r):
+        return r.text.split(": ", 1)[-1]
+
     return Section(
         "ranking.html",
         {

@@ -57,7 +57,10 @@ def at_places(effects: Sequence[EffectEstimate]) -> str:
     many they are.
     """
     places = by_effect((e.effect, one_line(e.location)) for e in effects)
-    named = lambda at: listed(at) if len(at) <= PLACES else f"{len(at)} places"
+
+    def named(at):
+        return listed(at) if len(at) <= PLACES else f"{len(at)} places"
+
     return listed(
         f"{one_line(effect).replace('_', ' ')} at {named(at)}" for effect, at in places.items()
     )
@@ -105,14 +108,26 @@ def stated_sentences(
     refuted.sort(key=lambda s: -abs(s.deviation or 0.0))
     if len(refuted) <= 2:
         return [sentence(s.text) for s in refuted]
-    unit = lambda s: "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
+
+    def unit(s):
+        return "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
+
     every = [s.parameter for s in stated]
-    together = lambda s: " " in s.parameter  # "kp / inertia"
-    several = lambda s: (
-        not together(s) and (s.link or every.count(s.parameter) > 1)
-    )  # "armature of elbow_flex"
-    best = lambda s: s.fitted if s.beside is None else s.beside
-    name = lambda s: s.text.partition(":")[0] if several(s) else s.parameter
+
+    # "kp / inertia"
+    def together(s):
+        return " " in s.parameter
+
+    # "armature of elbow_flex"
+    def several(s):
+        return not together(s) and (s.link or every.count(s.parameter) > 1)
+
+    def best(s):
+        return s.fitted if s.beside is None else s.beside
+
+    def name(s):
+        return s.text.partition(":")[0] if several(s) else s.parameter
+
     shown = [
         f"{one_line(name(s))} {number(s.stated)} → {number(best(s), 4)}{unit(s)}"
         for s in refuted[:STATED]
@@ -264,9 +279,12 @@ def telling(how_far: HowFar) -> list[str]:
     """Channels, those first in which most happens: the error that goes or stays, against the
     noise.
     """
-    size = lambda g: (
-        max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / max(g.noise, 1e-300)
-    )
+
+    def size(g):
+        return max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / max(
+            g.noise, 1e-300
+        )
+
     order = {name: size(gap) for name, gap in how_far.per_channel.items()}
     return sorted(order, key=lambda name: -order[name] if math.isfinite(order[name]) else -math.inf)
 

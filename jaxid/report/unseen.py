@@ -26,7 +26,9 @@ def section(unseen: tuple[Unseen, ...]) -> Section | None:
 
 
 def size(unseen: Unseen) -> str:
-    plain = lambda unit: "" if unit == "1" else f" {unit}"
+    def plain(unit):
+        return "" if unit == "1" else f" {unit}"
+
     return ", ".join(
         f"{name} {wording.number(value)}{plain(unit)}"
         for name, (value, unit) in unseen.parameters.items()

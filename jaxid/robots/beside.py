@@ -44,7 +44,9 @@ def left_out(dataset: Dataset, names: Sequence[str]) -> Dataset:
     gone = set(names)
     iu = [i for i, c in enumerate(dataset.inputs) if c.name not in gone]
     iy = [i for i, c in enumerate(dataset.outputs) if c.name not in gone]
-    cut = lambda a: None if a is None else a[:, iy]
+
+    def cut(a):
+        return None if a is None else a[:, iy]
 
     def one(e: Experiment) -> Experiment:
         return replace(

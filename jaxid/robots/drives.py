@@ -212,7 +212,9 @@ class DriveLaw:
 
     @property
     def text(self) -> str:
-        listed = lambda a: ", ".join(f"{x:g}" for x in dict.fromkeys(a))
+        def listed(a):
+            return ", ".join(f"{x:g}" for x in dict.fromkeys(a))
+
         stated = "; ".join(
             f"{k} = {listed(a)}"
             for k, a in (("kp", self.kp), ("kd", self.kd), ("ki", self.ki))
@@ -256,7 +258,10 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
             raise UsageError(
                 f"[controller]: kind {kind!r} needs {' and '.join(NEEDED[kind])}; {key!r} is missing"
             )
-    number = lambda key: per_joint(settings, key, NUMBERS.get(key, 0.0), joints)
+
+    def number(key):
+        return per_joint(settings, key, NUMBERS.get(key, 0.0), joints)
+
     saturation, gain, delay = number("saturation"), number("gain"), number("delay")
     if min(saturation) <= 0 or 0.0 in gain:
         raise UsageError("[controller]: saturation is positive, gain is not zero")

@@ -136,8 +136,13 @@ def body(
     every = spread(plan, jnp.concatenate([jnp.stack(turns), place[:3], inertia.T]))
     empty = 1 - spread(plan, np.ones(len(slides)))
     every = every if plan.dense else every.at[np.array([0, 4, 8])].add(empty)
-    matrix = lambda k: tuple(tuple(every[k + 3 * i + j] for j in range(3)) for i in range(3))
-    parts = lambda v: tuple(spread(plan, v.T.copy()))
+
+    def matrix(k):
+        return tuple(tuple(every[k + 3 * i + j] for j in range(3)) for i in range(3))
+
+    def parts(v):
+        return tuple(spread(plan, v.T.copy()))
+
     return Body(
         R0=matrix(0),  # pyright: ignore
         R1=matrix(9),  # pyright: ignore
@@ -273,7 +278,10 @@ def mass_matrix(plan: TreePlan, body: Body, E: Placements) -> Float[Array, "n n"
     own = np.zeros((plan.levels * plan.slots, n))
     own[plan.at, np.arange(n)] = 1.0
     own = own.reshape(plan.levels, plan.slots, n)
-    column = lambda v: v[:, None]  # beside the joints that cause a force
+
+    # beside the joints that cause a force
+    def column(v):
+        return v[:, None]
 
     def inwards(carry, x):
         E, turn, slide, phi, own, route = x

@@ -69,7 +69,10 @@ def floating(tree: Tree) -> Tree:
             f'{tree.file}: [model.base] kind = "free" needs mass and inertia of the base ({tree.carrier}), which it '
             "does not state: add its <inertial>"
         )
-    six = lambda a, fill=0.0: np.concatenate([np.full((6, *a.shape[1:]), fill), a])
+
+    def six(a, fill=0.0):
+        return np.concatenate([np.full((6, *a.shape[1:]), fill), a])
+
     place = np.concatenate([np.tile(np.eye(4), (6, 1, 1)), tree.place])
     for k, up in enumerate(tree.parent):
         if up < 0:

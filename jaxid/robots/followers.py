@@ -7,10 +7,8 @@ recorded leads. Numbers of drives go over by virtual work: torque_lead = ratio t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-
-import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.robots.tree import Actuator, Coupling, Tree
@@ -26,7 +24,10 @@ def led(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     """
     outputs = {c.name for c in dataset.outputs}
     names = {c.name for c in dataset.channels}
-    shown = lambda joint: joint in outputs or f"{joint}_qd" in outputs
+
+    def shown(joint):
+        return joint in outputs or f"{joint}_qd" in outputs
+
     notes = []
     for leader in dict.fromkeys(c.leader for c in tree.couplings):
         coupled = [c.follower for c in tree.couplings if c.leader == leader and c.ratio != 0]
@@ -122,15 +123,24 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
     slides = tree.slides[tree.joint(c.leader)]
     if end == "_cmd":
         unit, scale = ("m" if slides else "rad"), 1 / c.ratio
-        at_leader: Callable[[np.ndarray], np.ndarray] = lambda x: (x - c.offset) / c.ratio
+
+        def at_leader(x):
+            return (x - c.offset) / c.ratio
+
     else:
         unit, scale = ("N" if slides else "N m"), c.ratio
-        at_leader = lambda x: x * c.ratio
+
+        def at_leader(x):
+            return x * c.ratio
+
     known = {"rad", "m"} if end == "_cmd" else {"N m", "N"}
     channel = next(channel for channel in dataset.channels if channel.name == old)
     if channel.unit not in known:
         return dataset
-    scaled = lambda size: None if size is None else size * abs(scale)
+
+    def scaled(size):
+        return None if size is None else size * abs(scale)
+
     moved = replace(
         channel,
         name=new,

@@ -35,11 +35,19 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
     """The channels and statements of some joints."""
     own, links = tree.only(joints), tree.only(joints).links
     names = {*own.joints, *links}
-    mine = lambda name: name in own.joints or name.rsplit("_", 1)[0] in own.joints
-    stray = lambda name: not any(name == j or name.rsplit("_", 1)[0] == j for j in tree.joints)
+
+    def mine(name):
+        return name in own.joints or name.rsplit("_", 1)[0] in own.joints
+
+    def stray(name):
+        return not any(name == j or name.rsplit("_", 1)[0] == j for j in tree.joints)
+
     law = None if dataset.controller is None else _law(dataset.controller, tree.leading, joints)
     rates = _rates(law, own.leading)
-    also = lambda c: stray(c.name) and (c.name.startswith("base_") or c.role == "auxiliary")
+
+    def also(c):
+        return stray(c.name) and (c.name.startswith("base_") or c.role == "auxiliary")
+
     keep = [c for c in dataset.channels if mine(c.name) or c.name in rates or also(c)]
     kept = {c.name for c in keep}
     iu = [i for i, c in enumerate(dataset.inputs) if c.name in kept]
@@ -105,7 +113,10 @@ def _rates(law: Controller | None, joints: Sequence[str]) -> tuple[str, ...]:
 def effects_at(effects: Sequence[Any], robot: Any) -> tuple[Any, ...]:
     """Those effects (`dead_zone@NAME_cmd`) that have no place, or one in this limb."""
     joints = robot.tree.tree.joints
-    at = lambda e: e.partition("@")[2] if isinstance(e, str) else ""
+
+    def at(e):
+        return e.partition("@")[2] if isinstance(e, str) else ""
+
     return tuple(
         e for e in effects if not at(e) or at(e) in joints or at(e).rsplit("_", 1)[0] in joints
     )

@@ -161,7 +161,10 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
         raise UsageError(
             f"the recording has a channel {clash[0]!r} beside the one that [model.joints] names so: rename one"
         )
-    new = lambda name: names.get(name, name)
+
+    def new(name):
+        return names.get(name, name)
+
     return replace(
         dataset,
         channels=tuple(replace(c, name=new(c.name)) for c in dataset.channels),
@@ -218,9 +221,10 @@ def for_a_robot(dataset: Dataset) -> Dataset:
     spec = dataset.model
     if spec is None or spec.name in (None, "robot"):
         return dataset
-    own = lambda numbers: {
-        k: v for k, v in numbers.items() if "@" in k or k == "smoothing_velocity"
-    }
+
+    def own(numbers):
+        return {k: v for k, v in numbers.items() if "@" in k or k == "smoothing_velocity"}
+
     constants, parameters = own(spec.constants), own(spec.parameters)
     gone = [k for k in (*spec.constants, *spec.parameters) if k not in (*constants, *parameters)]
     note = (

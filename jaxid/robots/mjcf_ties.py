@@ -129,7 +129,9 @@ class Ties:
         ]
 
     def tendons(self, tendons: Sequence[Tendon]) -> None:
-        body = lambda name: self.mj.mj_name2id(self.m, self.mj.mjtObj.mjOBJ_BODY, name)
+        def body(name):
+            return self.mj.mj_name2id(self.m, self.mj.mjtObj.mjOBJ_BODY, name)
+
         for tendon in tendons:
             bodies = [number for name in tendon.bodies if (number := body(name)) >= 0]
             moved = self.between(bodies) if bodies else []

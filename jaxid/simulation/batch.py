@@ -104,13 +104,18 @@ def _programs(form: ChainForm, lane: Lane, length: int, reach: int, burn: bool) 
         return lane(form.model(theta), samples, where, start, steps, length, reach, burn)
 
     def tangent(theta, start, dtheta, dstart, where, samples, steps):
-        f = lambda theta, start: predict(theta, start, where, samples, steps)
+        def f(theta, start):
+            return predict(theta, start, where, samples, steps)
+
         return jax.jvp(f, (theta, start), (dtheta, dstart))
 
     batch = over_lanes(predict, (0, 0, 0, None, None))
     tangents = over_lanes(tangent, (0, 0, 0, 0, 0, None, None))
     about = key_of(lane, form.bare, length, reach, burn)
-    traced = lambda f, name: Traced(f, about and f"{name}\n{about}")
+
+    def traced(f, name):
+        return Traced(f, about and f"{name}\n{about}")
+
     whole = traced(batch, "outputs"), traced(tangents, "tangents")
     parts = windowed(form, lane, reach, burn)
     part = traced(parts.outputs, "output windows"), traced(parts.tangents, "tangent windows")
@@ -391,11 +396,13 @@ class Engine:
         place = {int(i): k for k, i in enumerate(free)}
 
         def predict(values, still_open, fixed, start, where, samples, steps):
-            own = lambda i: (
-                jnp.where(still_open[place[i]], values[place[i]], fixed[i])
-                if i in place
-                else fixed[i]
-            )
+            def own(i):
+                return (
+                    jnp.where(still_open[place[i]], values[place[i]], fixed[i])
+                    if i in place
+                    else fixed[i]
+                )
+
             return programs.predict([own(int(i)) for i in index], start, where, samples, steps)
 
         return predict, programs.losses.setdefault((tuple(index), tuple(place)), {})

@@ -73,7 +73,9 @@ def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int
         begin = samples.t[first] + (low - first) * mean if reach == EVEN else samples.t[low]
         return samples.total[low, channel] + samples.u[low, channel] * (t - begin)
 
-    delayed = lambda d: (integral(now + h - d) - integral(now - d)) / h
+    def delayed(d):
+        return (integral(now + h - d) - integral(now - d)) / h
+
     return Command(now, h, samples.u[k], samples.other[k], delayed)
 
 
@@ -151,7 +153,10 @@ def _stepping(
                 carry.z, initial.z, k == lead
             )  # what was measured has gone through the sensors
             x = jax.tree.map(lambda a, b: jnp.where(k <= lead, a, b), x, carry.x)
-            anew = lambda a, b: jnp.where(k == lead, a, b)
+
+            def anew(a, b):
+                return jnp.where(k == lead, a, b)
+
             predictors = (
                 (initial.lam, initial.acc, initial.net),
                 (carry.lam, carry.acc, carry.net),
@@ -269,7 +274,10 @@ def _about(command: Command, samples: Samples, before: Array) -> Command:
     goal is then in phase with the motion. `before` is the step before it.
     """
     half = command.h / 2
-    mean = lambda a, now: (a[before] + now) / 2
+
+    def mean(a, now):
+        return (a[before] + now) / 2
+
     return command._replace(
         u=mean(samples.u, command.u),
         other=mean(samples.other, command.other),
@@ -287,7 +295,10 @@ def over_time(
     if reversible():
         return _over_static_time(step, carry, steps, length)
     loop = _blocks(step, carry, steps, length, width)
-    outputs = lambda: loop()[2]
+
+    def outputs():
+        return loop()[2]
+
     return loop_over_time(outputs) if marked else outputs()
 
 

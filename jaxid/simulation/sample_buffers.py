@@ -160,7 +160,10 @@ def build(
                 m[-1:],
                 0,
             )
-        tail = lambda a: np.concatenate([a, a[-1:]])
+
+        def tail(a):
+            return np.concatenate([a, a[-1:]])
+
         for part, a in zip(
             parts,
             (np.append(t, e.t[-1]), tail(h), tail(stated), tail(other), total, y, w, x),

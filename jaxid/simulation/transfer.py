@@ -52,9 +52,14 @@ def transfer(
             tau = body.drive(chain.signature, u, q, qd)
             return tau - opposing(q, qd, tau)
 
-        field = lambda x, u: ravel_pytree(body.vector_field(0.0, unravel(x), torque(x, u)))[0]
+        def field(x, u):
+            return ravel_pytree(body.vector_field(0.0, unravel(x), torque(x, u)))[0]
+
         moving = jnp.zeros(chain.nq, bool)
-        sensors = lambda x, u: chain.signature.read(body, unravel(x), torque(x, u), moving)
+
+        def sensors(x, u):
+            return chain.signature.read(body, unravel(x), torque(x, u), moving)
+
         A, B = jax.jacfwd(field, (0, 1))(x0, u0)
         C, D = jax.jacfwd(sensors, (0, 1))(x0, u0)
         X = jax.vmap(lambda w: solve(1j * w * jnp.eye(x0.size) - A, B))(omega)

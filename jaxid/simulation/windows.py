@@ -56,7 +56,9 @@ def windowed(form: ChainForm, lane: Lane, reach: int, burn: bool) -> WindowProgr
         return tuple(jax.tree.leaves(x)), y
 
     def tangent(theta, start, carry, dtheta, dstart, dcarry, where, samples, at, steps):
-        f = lambda theta, start, carry: predict(theta, start, carry, where, samples, at, steps)
+        def f(theta, start, carry):
+            return predict(theta, start, carry, where, samples, at, steps)
+
         (carry, y), (dcarry, dy) = jax.jvp(f, (theta, start, carry), (dtheta, dstart, dcarry))
         return carry, y, dcarry, dy
 

@@ -37,7 +37,10 @@ def check_study(path: str | Path) -> Study:
     for runs in study.runs:
         problems += _Check(runs, places).problems(data)
     if problems:
-        own = lambda p: (p.file != study.path.name, p.row or 0 if p.file == study.path.name else 0)
+
+        def own(p):
+            return (p.file != study.path.name, p.row or 0 if p.file == study.path.name else 0)
+
         raise StudyError(sorted(dict.fromkeys(problems), key=own))
     return study
 

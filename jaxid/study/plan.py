@@ -260,7 +260,10 @@ def parse_study(path: str | Path) -> tuple[Study, list[DatasetProblem]]:
             )
         )
     folders = _Folders(path.parent, places, document)
-    tasks_of = lambda k, e: tuple(_tasks(e, ("runs", k), folders)) if total <= MOST else ()
+
+    def tasks_of(k, e):
+        return tuple(_tasks(e, ("runs", k), folders)) if total <= MOST else ()
+
     parts = tuple(PlannedRuns(k, e, tasks_of(k, e)) for k, e in entries.items())
     tasks: dict[str, Task] = {}
     for part in parts:

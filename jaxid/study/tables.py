@@ -263,13 +263,16 @@ def _parquet(rows: list[dict[str, Any]], names: Sequence[str]) -> bytes:
     import pyarrow.parquet
 
     text, whole = ("dataset", "model", "effects", "fitter", "status"), ("seed", "evaluations")
-    kind = lambda name: (
-        pyarrow.string()
-        if name in text
-        else pyarrow.int64()
-        if name in whole
-        else pyarrow.float64()
-    )
+
+    def kind(name):
+        return (
+            pyarrow.string()
+            if name in text
+            else pyarrow.int64()
+            if name in whole
+            else pyarrow.float64()
+        )
+
     schema = pyarrow.schema([(name, kind(name)) for name in (*COLUMNS, *names)])
     plain = [{name: _encodable(value) for name, value in row.items()} for row in rows]
     buffer = io.BytesIO()

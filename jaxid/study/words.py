@@ -100,7 +100,10 @@ def result_text(result: StudyResult) -> str:
         parts.append(wording.table(header, [ranking_row(r) for r in rows]))
     if diagnosed := tables.verdicts(result)[:LINES]:
         header = ("diagnosed", "verdicts", "named")
-        counted = lambda c: ", ".join(f"{name or '-'} {n}" for name, n in c.most_common(4))
+
+        def counted(c):
+            return ", ".join(f"{name or '-'} {n}" for name, n in c.most_common(4))
+
         parts.append(
             wording.table(
                 header, [[_short(str(p)), counted(v), counted(n)] for p, v, n in diagnosed]

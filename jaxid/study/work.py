@@ -102,9 +102,12 @@ class Workshop:
             tuple(t["effects"] or ()),
             tuple(t["without"]),
         )
-        make = lambda: Benches(
-            bind(_model(t), self._dataset(t), effects=t["effects"] or (), without=t["without"])
-        )
+
+        def make():
+            return Benches(
+                bind(_model(t), self._dataset(t), effects=t["effects"] or (), without=t["without"])
+            )
+
         return _kept(self._benches, key, make)
 
 

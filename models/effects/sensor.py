@@ -178,9 +178,9 @@ class SensorDelay(RecordEffect):
     )
 
     def __call__(self, t, y, h, rate):
-        late = lambda x, d, r: (
-            interpolated(t, x, t - d, r) if h is None else shifted(x, d / h, r * h)
-        )
+        def late(x, d, r):
+            return interpolated(t, x, t - d, r) if h is None else shifted(x, d / h, r * h)
+
         return jnp.where(self.delay > 0, jax.vmap(late, (1, 0, 0), 1)(y, self.delay, rate), y)
 
     def transfer(self, omega):

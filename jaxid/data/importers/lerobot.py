@@ -199,7 +199,10 @@ def _read(path: Path) -> Episodes:
             f"its data lack one of {', '.join(_COLUMNS)} (there is: {there})",
             "Give a LeRobot data set of a robot",
         )
-    column = lambda name: np.concatenate([np.array(p[name].to_pylist(), float) for p in parts])
+
+    def column(name):
+        return np.concatenate([np.array(p[name].to_pylist(), float) for p in parts])
+
     state, action, t, episode = (column(w) for w in _COLUMNS)
     if state.ndim != 2 or state.shape != action.shape:
         message = f"states of shape {state.shape[1:]} and actions of shape {action.shape[1:]} are not of the same joints"
@@ -251,7 +254,10 @@ def _normalised(sets: Sequence[Episodes], j: int) -> str:
     """
     values = np.concatenate([a[:, j] for s in sets for a in (s.state, s.action)])
     low, high = float(values.min()), float(values.max())
-    touches = lambda end, at: abs(end - at) < 1e-3
+
+    def touches(end, at):
+        return abs(end - at) < 1e-3
+
     if high <= 100.001 and low >= -100.001 and (touches(high, 100) or touches(low, -100)):
         ends = "0..100" if low >= -0.001 and touches(high, 100) else "-100..100"
         return f"within {ends}, touching its end"

@@ -226,7 +226,10 @@ def _joint_values(kind: str, m: Message) -> tuple[list[str], Mapping[str, Sequen
             if kind == "LowState"
             else {"q": "q", "qd": "dq", "tau": "tau", "kp": "kp", "kd": "kd"}
         )
-        of = lambda motor, key: motor[key] if isinstance(motor, dict) else getattr(motor, key)
+
+        def of(motor, key):
+            return motor[key] if isinstance(motor, dict) else getattr(motor, key)
+
         values = {
             ours: [float(of(motor, theirs)) for motor in motors] for ours, theirs in names.items()
         }
@@ -235,11 +238,14 @@ def _joint_values(kind: str, m: Message) -> tuple[list[str], Mapping[str, Sequen
         ) == 20 else [f"motor_{k}" for k in range(len(motors))], values
     if kind == "JointTrajectoryControllerState":
         point = m.get("feedback") or m.get("actual")
-        part = lambda key: (
-            (point.get(key) if isinstance(point, dict) else getattr(point, key, None))
-            if point is not None
-            else None
-        )
+
+        def part(key):
+            return (
+                (point.get(key) if isinstance(point, dict) else getattr(point, key, None))
+                if point is not None
+                else None
+            )
+
         return list(m.get("joint_names")), {
             "q": _list_of(part("positions")),
             "qd": _list_of(part("velocities")),
@@ -390,9 +396,10 @@ def _commands(
 
 def _reference(m: Message) -> tuple[list[str], dict[str, Sequence[float]]]:
     point = m.get("reference") or m.get("desired")
-    part = lambda key: _list_of(
-        point.get(key) if isinstance(point, dict) else getattr(point, key, None)
-    )
+
+    def part(key):
+        return _list_of(point.get(key) if isinstance(point, dict) else getattr(point, key, None))
+
     return list(m.get("joint_names")), {"q": part("positions"), "qd": part("velocities")}
 
 
@@ -431,7 +438,10 @@ def _points(
 ) -> JointRows:
     """The points of trajectories at their times: a point is the goal from when it is due."""
     rows = []
-    of = lambda thing, key: thing[key] if isinstance(thing, dict) else getattr(thing, key)
+
+    def of(thing, key):
+        return thing[key] if isinstance(thing, dict) else getattr(thing, key)
+
     for m in messages:
         names = list(m.get("joint_names"))
         if not set(joints) <= set(names):

@@ -76,7 +76,10 @@ def runs_of(
 def _differing(t: np.ndarray, columns: Mapping[str, np.ndarray]) -> list[int]:
     """Rows whose time the next one repeats with other values; two blank cells are alike."""
     repeated = np.flatnonzero(np.diff(t) == 0)
-    alike = lambda v: np.array_equal(v[:1], v[1:], equal_nan=True)
+
+    def alike(v):
+        return np.array_equal(v[:1], v[1:], equal_nan=True)
+
     return [int(k) for k in repeated if not all(alike(v[k : k + 2]) for v in columns.values())]
 
 
@@ -125,7 +128,10 @@ def save_runs(
     notes = [*notes, *(n for r in runs for n in r.notes)]
     if left := sorted({c for r in runs for c in r.columns} - set(names)):
         notes.append(f"channels that not every run has were left out: {', '.join(left)}")
-    stem = lambda c: c if c in roles else re.sub(r"\d+", "", c)
+
+    def stem(c):
+        return c if c in roles else re.sub(r"\d+", "", c)
+
     role = {c: roles[stem(c)][0] or role_of(c) for c in names}
     outputs = [c for c in names if role[c] == "output"]
     still = [
@@ -142,7 +148,10 @@ def save_runs(
     registers = {
         c: found for c in names if (found := found_sign([r.columns[c] for r in runs])) is not None
     }
-    bits = lambda key: {c: number for c, (form, number) in registers.items() if form == key}
+
+    def bits(key):
+        return {c: number for c, (form, number) in registers.items() if form == key}
+
     sign_bit = bits("sign_bit")
     # An output that is brought round to 0 may be a counter that wraps, which `jaxid check` tells.
     signed_bits = {c: number for c, number in bits("signed_bits").items() if role[c] != "output"}
@@ -150,7 +159,10 @@ def save_runs(
         f"{c} {register_words(*registers[c])}; it was taken with it"
         for c in (*sign_bit, *signed_bits)
     ]
-    pick = lambda wanted: {c: [r.columns[c] for r in runs] for c in names if role[c] == wanted}
+
+    def pick(wanted):
+        return {c: [r.columns[c] for r in runs] for c in names if role[c] == wanted}
+
     blank = [c for c in names if any(np.isnan(r.columns[c]).any() for r in runs)]
     with warnings.catch_warnings():
         warnings.simplefilter(

@@ -49,7 +49,10 @@ class Difference:
     def accounts(self, binding: Binding) -> bool:
         """Whether MuJoCo's run of the file is the recording, down to the noise."""
         sigma = np.hypot(binding.sigma, self.floor)
-        count = lambda split: len(sigma) * sum(len(e.t) for e in binding.experiments(split))
+
+        def count(split):
+            return len(sigma) * sum(len(e.t) for e in binding.experiments(split))
+
         left = {
             split: np.mean((between.left / sigma) ** 2)
             for split, between in self.by_split.items()
@@ -147,7 +150,10 @@ class Alone:
         self.stated = dict(zip(plain.layout.names, plain.theta, strict=True))
         for name, value in zip(plain.layout.names, theta, strict=True):
             self.theta[wide.layout.index(name)] = value
-        in_wide = lambda index: frozenset(wide.layout.index(self.names[i]) for i in index)
+
+        def in_wide(index):
+            return frozenset(wide.layout.index(self.names[i]) for i in index)
+
         self.gains = in_wide(held_gains(plain))
         self.own = in_wide(plain.free) | self.gains
         decider.asked = self.own
@@ -185,12 +191,15 @@ class Alone:
         fewest = min(map(self.numbers, near), default=0)
         few = [h for h in near if self.numbers(h) == fewest]
         told = min(map(self.evidence, few), default=0.0) + LIMITS.decisive  # what is as likely
-        order = lambda h: (
-            h not in few,
-            h not in near,
-            not (self.of_numbers(h) and not self.of_law(h) and self.evidence(h) < told),
-            self.evidence(h),
-        )
+
+        def order(h):
+            return (
+                h not in few,
+                h not in near,
+                not (self.of_numbers(h) and not self.of_law(h) and self.evidence(h) < told),
+                self.evidence(h),
+            )
+
         return sorted(good, key=order)
 
     def of_numbers(self, h: Hypothesis) -> bool:
@@ -270,10 +279,13 @@ class Alone:
             either = " and ".join(map(str, self.instead.effects))
             return f"With all numbers as they stand {either} would account for the gap as well, by no fewer changes."
         layout, first = self.decider.bench.binding.layout, enough[0]
-        stated = lambda i: self.stated[layout.names[i]]
-        value = lambda i, h: (
-            f"{layout.names[i]} {h.theta[i] - self.theta[i] + stated(i):.3g} {layout.entries[i].unit} (stated {stated(i):.3g})"
-        )
+
+        def stated(i):
+            return self.stated[layout.names[i]]
+
+        def value(i, h):
+            return f"{layout.names[i]} {h.theta[i] - self.theta[i] + stated(i):.3g} {layout.entries[i].unit} (stated {stated(i):.3g})"
+
         own_numbers = [h for h in self._as_few(first, enough) if self.of_numbers(h)][:1]
         if self.of_numbers(first):
             own = listed([value(i, first) for c in first.effects for i in c.index])

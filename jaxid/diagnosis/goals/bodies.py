@@ -38,9 +38,11 @@ def body_units(b: Binding, runs: Sequence[TorqueRun], kind: Any, theta: np.ndarr
     for place in b.chain.offers(kind):
         j = places.index(place)
         reference = b.reference(kind, j)
-        force = lambda r, **numbers: inverse_of(
-            _with_body(kind, len(places), j, numbers)(mechanism), r
-        )  # noqa: B023
+
+        # noqa: B023
+        def force(r, **numbers):
+            return inverse_of(_with_body(kind, len(places), j, numbers)(mechanism), r)
+
         steps = {f: CHANGED * float(resolve(s.scale, reference)) for f, s in own.items()}
         columns = []
         for r in runs:

@@ -26,7 +26,10 @@ def alike_under_goals(
     kinds = [k for k in library if shown(k)]
     study = LedStudy(binding, kinds)
     rows, _ = study.rows_with_effects(study.theta)
-    flat = lambda parts: np.concatenate([x.reshape(-1, x.shape[2]) for x in parts])
+
+    def flat(parts):
+        return np.concatenate([x.reshape(-1, x.shape[2]) for x in parts])
+
     own = _span(flat([x[:, :, : rows.size] for x in rows.rows]))
     left: dict[tuple[str, str], float] = {}
     rest: dict[tuple[str, str], list[np.ndarray]] = {}
@@ -55,10 +58,12 @@ def _span(columns: np.ndarray) -> np.ndarray:
 
 def _alike(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> bool:
     """Whether each shape of one is what some shape of the other can do, and the other way round."""
-    inside = lambda x, y: (
-        np.linalg.norm(x - (q := _span(y)) @ (q.T @ x))
-        < LIMITS.equivalent_goals * np.linalg.norm(x)
-    )
+
+    def inside(x, y):
+        return np.linalg.norm(
+            x - (q := _span(y)) @ (q.T @ x)
+        ) < LIMITS.equivalent_goals * np.linalg.norm(x)
+
     return all(any(inside(x, y) for y in b) for x in a) and all(
         any(inside(y, x) for x in a) for y in b
     )

@@ -38,9 +38,13 @@ def _shown(study: Any, kind: type[Effect]) -> list[tuple[float, Unit]]:
     n, drive = b.chain.nq, Drive(plant, [kind])
     base, places = drive.theta(b.theta), b.chain.offers(kind)[:n]
     known = [plant.balance(run, b.theta) for run in study.runs]
-    torque = lambda theta: [
-        drive.torque(run, other, theta) for run, other in zip(study.runs, study.other, strict=True)
-    ]
+
+    def torque(theta):
+        return [
+            drive.torque(run, other, theta)
+            for run, other in zip(study.runs, study.other, strict=True)
+        ]
+
     asked = torque(base)
     splits = [which for which in (study.of("fit"), study.of("validation")) if which]
 
@@ -63,17 +67,23 @@ def _shown(study: Any, kind: type[Effect]) -> list[tuple[float, Unit]]:
         return np.sqrt(np.mean(np.concatenate(own) ** 2, 0))
 
     retuned = [plant.missing(run, study.theta) for run in study.runs]
-    rms = lambda which: np.sqrt(
-        np.mean(np.concatenate([study.runs[k].sampled(retuned[k]) for k in which]) ** 2, 0)
-    )
+
+    def rms(which):
+        return np.sqrt(
+            np.mean(np.concatenate([study.runs[k].sampled(retuned[k]) for k in which]) ** 2, 0)
+        )
+
     whole = [np.maximum(left([0.0] * len(study.runs), which), 1e-300) for which in splits]
     levels = np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in asked], 0)
-    shares = lambda levels: np.array(
-        [
-            [left(changed(x), w) / size for w, size in zip(splits, whole, strict=True)]
-            for x in levels
-        ]
-    )
+
+    def shares(levels):
+        return np.array(
+            [
+                [left(changed(x), w) / size for w, size in zip(splits, whole, strict=True)]
+                for x in levels
+            ]
+        )
+
     # [levels splits n]: each joint's best on what is fitted, then between its neighbours
     at = np.argmin(shares(levels)[:, 0], 0)
     low, high = (levels[np.clip(at + step, 0, len(levels) - 1), range(n)] for step in (-1, 1))

@@ -132,7 +132,10 @@ def refined(e: Experiment, times: int, linear: np.ndarray) -> Experiment:
     owner = np.minimum(np.arange(len(t)) // times, len(e.t) - 1)
     ramp = np.stack([np.interp(t, e.t, c) for c in e.u.T], 1) if e.u.size else e.u[owner]
     u = np.where(linear, ramp, e.u[owner])
-    take = lambda x: None if x is None else x[owner]
+
+    def take(x):
+        return None if x is None else x[owner]
+
     other = {k: np.interp(t, e.t, v) for k, v in e.auxiliary.items()}
     y = spline(e.t, e.y, t) if times > 1 else e.y
     return replace(

@@ -118,7 +118,10 @@ def _next(chooser: Chooser, chosen: Model) -> list[Model]:
     """Of each effect alone the set that is worth most on the fit runs and no worse on the held-out
     ones, best first.
     """
-    worth = lambda m: chooser.nominal.cost - m.cost - chooser.price(m.units)
+
+    def worth(m):
+        return chooser.nominal.cost - m.cost - chooser.price(m.units)
+
     found: dict[str, Model] = {}
     for m in sorted(chooser.tried, key=worth, reverse=True):
         kinds = {chooser.units[u].effect for u in m.units}

@@ -183,7 +183,9 @@ def _body(
     """
     m, inf = float(values[0]), float("inf")
     with_gains = covariance + gain_std**2 * np.diag(values**2)
-    told = lambda v, var, spread: np.sqrt(max(var, 0.0)) < LIMITS.determined * spread
+
+    def told(v, var, spread):
+        return np.sqrt(max(var, 0.0)) < LIMITS.determined * spread
 
     def quantity(value: float, variance: float, unit_: str, sure: bool) -> Estimate:
         return Estimate(

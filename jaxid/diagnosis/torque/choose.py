@@ -320,7 +320,10 @@ class Chooser:
         """The sets of laws at a joint that explain most of the fit runs for their size, beside what
         stands elsewhere.
         """
-        here = lambda u: self.units[u].joints == (joint,)
+
+        def here(u):
+            return self.units[u].joints == (joint,)
+
         others = tuple(u for u in chosen.units if not here(u))
         kinds, room = self._kinds(others), self.most
         best = {

@@ -346,7 +346,9 @@ def _slope(kind: type[BodyEffect], field: str) -> Any:
         return jax.vmap(body.inverse)(q, qd, qdd)
 
     def slope(place: Any, mechanism: Any, q: Any, qd: Any, qdd: Any) -> Any:
-        at = lambda v: torque(v, place, mechanism, q.shape[1], q, qd, qdd)
+        def at(v):
+            return torque(v, place, mechanism, q.shape[1], q, qd, qdd)
+
         return jax.jvp(at, (jnp.asarray(specs(kind)[field].value),), (jnp.ones(()),))[1]
 
     return jax.jit(slope)
@@ -368,7 +370,10 @@ def _derivatives(
     with float64():
         mechanism = b.layout.form.model(theta).mechanism
         structure = jax.tree.structure(mechanism)
-        program = lambda f: shared("slope", (kind, f, structure), lambda: _slope(kind, f))
+
+        def program(f):
+            return shared("slope", (kind, f, structure), lambda: _slope(kind, f))
+
         for place in places:
             columns, j = [], joints.index(place)
             for r in runs:

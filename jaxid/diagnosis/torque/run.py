@@ -231,7 +231,10 @@ def _second(study: TorqueStudy, rows: TorqueRows, found: Found, most: int) -> Ch
     low = np.concatenate([study.lower, below, *(u.least for u in both)])
     high = np.concatenate([study.upper, above, *(u.most for u in both)])
     known = study.known(len(start), rows.theta, both)
-    g = lambda which: gram(*study.some(rows, which), found.weights, BLOCKS)
+
+    def g(which):
+        return gram(*study.some(rows, which), found.weights, BLOCKS)
+
     left = study.by_joint(rows, found.weights, found.judge)
     both = [*found.fit, *found.choose]
     return Chooser(

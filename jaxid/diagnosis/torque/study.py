@@ -332,7 +332,10 @@ class TorqueStudy:
             told.mean[:p] = np.where(
                 np.diag(self.given.information) > 0, self.given.mean, told.mean[:p]
             )
-        g = lambda which: gram(*self.some(rows, which), weights, BLOCKS)
+
+        def g(which):
+            return gram(*self.some(rows, which), weights, BLOCKS)
+
         left = self.by_joint(rows, weights, held)
         return Chooser(
             units=rows.units,

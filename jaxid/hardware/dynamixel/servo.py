@@ -292,7 +292,10 @@ class Dynamixel:
 
     def measured(self, values: Sequence[float]) -> DeviceReading:
         n = self._step()
-        pick = lambda k: [values[n * j + k] for j in range(self.joints)]
+
+        def pick(k):
+            return [values[n * j + k] for j in range(self.joints)]
+
         return DeviceReading(pick(0), pick(1), pick(2), pick(4))
 
     def alarm(self, values: Sequence[float], moving: bool) -> str | None:
@@ -332,7 +335,10 @@ class Dynamixel:
         )
         begin = len(lead) + hold
         table = self._counts(np.concatenate([lead, first, path, end]))
-        floor = lambda v, j: math.floor(v / self._scale(j) + 1e-9)
+
+        def floor(v, j):
+            return math.floor(v / self._scale(j) + 1e-9)
+
         shift = self.zero if self.mode == "position" else [0] * self.joints
         return PathPlan(
             kind=self.mode or "",

@@ -157,7 +157,9 @@ class EmulatedBus:
             self._send(answer, when + self.latency)
 
     def _send(self, answer: bytes, when: float) -> None:
-        lucky = lambda name: self.random.random() < self.chance[name]
+        def lucky(name):
+            return self.random.random() < self.chance[name]
+
         if lucky("silent"):
             self.log("silenced")
             return

@@ -134,7 +134,10 @@ class EmulatedServo:
         goal = any(100 <= a < 120 for a in touched)
         if goal and self.get(x.BUS_WATCHDOG) < 0:
             return p2.RANGE
-        value = lambda r: int.from_bytes(content[: r.size], "little", signed=r.signed)
+
+        def value(r):
+            return int.from_bytes(content[: r.size], "little", signed=r.signed)
+
         if address == x.TORQUE_ENABLE.address and content[0] and self.get(x.HARDWARE_ERROR):
             return p2.RESULT_FAIL
         if address == x.GOAL_CURRENT.address and abs(value(x.GOAL_CURRENT)) > self.get(

@@ -132,7 +132,10 @@ class Modelled:
         def move(theta, carry, u, h, count):
             chain = layout.model(theta)
             body = chain.body()
-            command = lambda k: Command(k * h, h, u, u, lambda d: u)
+
+            def command(k):
+                return Command(k * h, h, u, u, lambda d: u)
+
             carry = jax.lax.fori_loop(
                 0, count, lambda k, c: chain.advance(body, c, command(k))[0], carry
             )

@@ -225,9 +225,10 @@ class Arm:
         """What the sensors read at the beginning of a step; the current is the one that acts until
         the next.
         """
-        noisy = lambda name, values: [
-            v + self._noise[name] * self._random.gauss(0, 1) for v in values
-        ]
+
+        def noisy(name, values):
+            return [v + self._noise[name] * self._random.gauss(0, 1) for v in values]
+
         program = self.running
         return {
             "timestamp": self.time,

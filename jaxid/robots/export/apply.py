@@ -366,7 +366,10 @@ def with_point(body: LinkInertia, mass: float, at: np.ndarray) -> LinkInertia:
     """A body with a point mass more."""
     m = body.mass + mass
     com = (body.mass * body.com + mass * at) / m if m else body.com
-    moved = lambda m, d: m * (d @ d * np.eye(3) - np.outer(d, d))
+
+    def moved(m, d):
+        return m * (d @ d * np.eye(3) - np.outer(d, d))
+
     return LinkInertia(
         m, com, body.inertia + moved(body.mass, body.com - com) + moved(mass, at - com)
     )

@@ -142,10 +142,13 @@ def _bodies(sheet: Sheet, found: ExportOutcome, tree: Tree) -> None:
             f"the base parameters of the result are not those of {tree.file}: {', '.join(lacking or rows)}"
         )
     beta = np.array([number(n, rows[n]) for n in base.names])
-    split = lambda name: (
-        name.rstrip("0123456789"),
-        int(name[len(name.rstrip("0123456789")) :]) - 1,
-    )
+
+    def split(name):
+        return (
+            name.rstrip("0123456789"),
+            int(name[len(name.rstrip("0123456789")) :]) - 1,
+        )
+
     start = np.array(
         [float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)]
     )

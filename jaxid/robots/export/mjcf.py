@@ -62,7 +62,10 @@ def write(
     """
     if path is None:
         return snippet(sheet, found)
-    patch = lambda holding: _Patch(deepcopy(sheet), MjcfFile(path), holding).written()
+
+    def patch(holding):
+        return _Patch(deepcopy(sheet), MjcfFile(path), holding).written()
+
     out = patch(frozenset())
     stick = [
         j
@@ -206,9 +209,11 @@ class _Patch:
         at = f"joint[{joint}]@"
         own: dict[str, Any] = {}
         file = self._file_numbers(joint)
-        more = lambda k: (
-            file[k] + getattr(now, k) - getattr(was_, k)
-        )  # mimic joints have a share of their own
+
+        # mimic joints have a share of their own
+        def more(k):
+            return file[k] + getattr(now, k) - getattr(was_, k)
+
         if changed & {"damping", "quadratic", "cubic"}:
             poly = [more(k) for k in ("damping", "quadratic", "cubic")]
             while len(poly) > 1 and poly[-1] == 0:
@@ -245,10 +250,15 @@ class _Patch:
         d = tree.damping[k]
         a, m = self.file.actuator_id(joint), self.file.model
         gear2 = float(m.actuator_gear[a, 0]) ** 2 if a >= 0 else 0.0
+
         # Armature and damping that stand at the actuator stay there.
-        extra = lambda name: (
-            float(np.ravel(getattr(m, name)[a])[0]) * gear2 if a >= 0 and hasattr(m, name) else 0.0
-        )
+        def extra(name):
+            return (
+                float(np.ravel(getattr(m, name)[a])[0]) * gear2
+                if a >= 0 and hasattr(m, name)
+                else 0.0
+            )
+
         return {
             "damping": d[0] - extra("actuator_damping"),
             "quadratic": d[1],

@@ -79,13 +79,19 @@ class ExportOutcome:
 
     def renamed(self, joints: Mapping[str, str]) -> ExportOutcome:
         """The same with its locations under other joints' names."""
-        other = lambda place: joints.get(place, place)
+
+        def other(place):
+            return joints.get(place, place)
+
         numbers = {
             f"{k.partition('@')[0]}@{other(k.partition('@')[2])}" if "@" in k else k: n
             for k, n in self.parameters.items()
         }
         inputs = {"tau", "force", "u"} if len(joints) == 1 else set()
-        at = lambda e: next(iter(joints.values())) if e.location in inputs else other(e.location)
+
+        def at(e):
+            return next(iter(joints.values())) if e.location in inputs else other(e.location)
+
         return replace(
             self,
             parameters=numbers,

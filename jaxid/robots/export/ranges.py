@@ -140,7 +140,9 @@ def _identified(found: ExportOutcome) -> dict[str, Number]:
 
 
 def _number(entry: Any) -> Number | None:
-    known = lambda v: isinstance(v, int | float) and not isinstance(v, bool)
+    def known(v):
+        return isinstance(v, int | float) and not isinstance(v, bool)
+
     if not isinstance(entry, Mapping) or not known(entry.get("value")):
         return None
     std = entry.get("std")

@@ -292,7 +292,10 @@ def _of_file(found: ExportOutcome, path: Path | None) -> dict[str, Any]:
 
 def _numbers(found: ExportOutcome) -> dict[str, Any]:
     """What `jaxid replay` needs to run jaxid's own model beside: the numbers alone."""
-    value = lambda table: {k: {"value": n.value, "std": n.std} for k, n in table.items()}
+
+    def value(table):
+        return {k: {"value": n.value, "std": n.std} for k, n in table.items()}
+
     effects = [
         {"effect": e.effect, "location": e.location, "parameters": value(e.numbers)}
         for e in found.effects

@@ -76,9 +76,12 @@ def write(sheet: Sheet, found: ExportOutcome, path: Path | None) -> Written:
 
 def _patch(patch: XmlText, sheet: Sheet, path: Path, text: str, fields: dict[str, Field]) -> None:
     root = patch.elements[0]
-    named = lambda tag, name: next(
-        (c for c in root.children if c.name == tag and c.attributes.get("name") == name), None
-    )
+
+    def named(tag, name):
+        return next(
+            (c for c in root.children if c.name == tag and c.attributes.get("name") == name), None
+        )
+
     for joint, now in sheet.changed.items():
         if element := named("joint", joint):
             _joint(patch, element, sheet, joint, sheet.before[joint], now)
@@ -150,7 +153,10 @@ def _origin(element: Element) -> np.ndarray:
 
     T, origin = np.eye(4), element.child("origin")
     if origin is not None:
-        vector = lambda key: [float(v) for v in origin.attributes.get(key, "0 0 0").split()]
+
+        def vector(key):
+            return [float(v) for v in origin.attributes.get(key, "0 0 0").split()]
+
         T[:3, :3], T[:3, 3] = rotation(*vector("rpy")), vector("xyz")
     return T
 

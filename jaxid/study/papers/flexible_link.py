@@ -265,7 +265,10 @@ def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[P
     means, spreads = (
         {k: f(r.losses) for k, r in three.items()} for f in (np.mean, lambda x: np.std(x, ddof=1))
     )
-    said = lambda values: ", ".join(f"{k} {number(float(v), 2)}" for k, v in values.items())
+
+    def said(values):
+        return ", ".join(f"{k} {number(float(v), 2)}" for k, v in values.items())
+
     lowest, widest, worst = (
         min(means, key=means.__getitem__),
         max(spreads, key=spreads.__getitem__),
@@ -499,7 +502,10 @@ def bent(h: float) -> PaperPart:
         ).parameters
         for k, w in ways.items()
     }
-    off = lambda way, k: found[way][k].value / twin.DE[k] - 1
+
+    def off(way, k):
+        return found[way][k].value / twin.DE[k] - 1
+
     rows = tuple(
         (
             f"{k} ({UNITS[k]})",

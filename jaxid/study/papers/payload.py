@@ -405,7 +405,10 @@ def choices(twin: Twin, seeds: Sequence[int]) -> PaperPart:
     best, linear = ("commanded", "power"), ("commanded", "linear")
     plain, fourier = ("measured, differenced", "power"), ("measured, Fourier", "power")
     size = {k: float(np.sqrt(np.mean(np.square(e)))) for k, e in error.items()}
-    clear = lambda a, b: size[a] < size[b] * (1 - 1 / np.sqrt(2 * len(seeds)))
+
+    def clear(a, b):
+        return size[a] < size[b] * (1 - 1 / np.sqrt(2 * len(seeds)))
+
     claims = (
         judged(
             "the nonlinear friction law improves the payload's mass",
@@ -455,7 +458,10 @@ def motion(twin: Twin) -> PaperPart:
     t, (q, _, qdd) = twin.t, twin.motion
     read = q + ENCODER * np.random.default_rng(0).standard_normal(q.shape)
     plain, smooth = differenced(read)[2], harmonics(t, read)[2]
-    rms = lambda x: float(np.sqrt(np.mean((x - qdd) ** 2)))
+
+    def rms(x):
+        return float(np.sqrt(np.mean((x - qdd) ** 2)))
+
     curves = {"measured, differenced": plain, "commanded": qdd, "measured, Fourier": smooth}
     picture = lines(
         "acceleration",

@@ -90,7 +90,10 @@ def recursion(offline: int) -> PaperPart:
     methods = {k: v for k, v in populations(offline).items() if k in ("DE", "RDE")}
     runs = {k: followed(m, p, LOOPS) for k, m in methods.items()}
     longer = followed(methods["RDE"], p, 5 * LOOPS)
-    whole = lambda s: p.loss(p.z(named(p, s.numbers)))
+
+    def whole(s):
+        return p.loss(p.z(named(p, s.numbers)))
+
     objective = {k: np.array([whole(s) for s in steps]) for k, steps in runs.items()}
     best = descend([(p, p.z(named(p, longer[-1].numbers)))], 50, 1e-12)[0]
     least = p.loss(best.z)
@@ -160,7 +163,10 @@ def recursion(offline: int) -> PaperPart:
     enough = whole(runs["RDE"][-1]) < 1.05 * more
     spent = sum(s.seconds for s in runs["RDE"])
     dry = {k: end[k] / v - 1 for k, v in twin.NUMBERS.items() if k not in twin.BODY}
-    pct = lambda values: ", ".join(f"{k} {100 * v:+.0f} %" for k, v in values.items())
+
+    def pct(values):
+        return ", ".join(f"{k} {100 * v:+.0f} %" for k, v in values.items())
+
     claims = (
         judged(
             "the objective decreases over the recursions",
@@ -254,9 +260,16 @@ def linear_system(count: int, seeds: int) -> PaperPart:
     )
     e = {k: float(np.median(v)) for k, v in errors.items()}
     n = {k: int(np.median(v)) for k, v in loops.items()}
-    pct = lambda *names: ", ".join(f"{k} {100 * e[k]:.2g} %" for k in names)
-    said = lambda k: f"{n[k]}" if n[k] < count else f"not in {count}"
-    near = lambda a, b: abs(e[a] - e[b]) <= 0.1 * max(e[a], e[b])
+
+    def pct(*names):
+        return ", ".join(f"{k} {100 * e[k]:.2g} %" for k in names)
+
+    def said(k):
+        return f"{n[k]}" if n[k] < count else f"not in {count}"
+
+    def near(a, b):
+        return abs(e[a] - e[b]) <= 0.1 * max(e[a], e[b])
+
     claims = (
         judged(
             "RDE is more precise than LS and GA (linear part)",

@@ -33,7 +33,10 @@ def torques(
     frames, forces, moments = [], [], []
     for j in range(joints):
         R, p = _frame(alpha[j], a[j], d[j], q[:, j])
-        into = lambda v, R=R: np.einsum("nji,nj->ni", R, v)
+
+        def into(v, R=R):
+            return np.einsum("nji,nj->ni", R, v)
+
         pull = into(pull + np.cross(turn, p) + np.cross(spin, np.cross(spin, p)))
         before = into(spin)
         turn = into(turn) + qdd[:, j, None] * z + np.cross(before, qd[:, j, None] * z)

@@ -37,7 +37,10 @@ def mass_matrix(
     """From the Jacobians of the bodies; `base` (kg, kg m^2) floats freely, None stands still."""
     a, b = q[:, 0], q[:, 0] + q[:, 1]
     n = len(q)
-    spin = lambda x, y: np.stack([-y, x], 1)
+
+    def spin(x, y):
+        return np.stack([-y, x], 1)
+
     first = np.broadcast_to([0.6, 0.2], (n, 2))
     link = np.stack([np.cos(a), np.sin(a)], 1)
     last = (
