@@ -21,7 +21,8 @@ class RandToBestDE(AbstractPopulation):
 
     name: ClassVar[str] = "ade"
     source: ClassVar[str] = (
-        "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935 (ADE); F, K, CR are not given there"
+        "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935 (ADE); F, K, CR are not given"
+        " there"
     )
 
     popsize: int = option(60, "members of the population", 4)

@@ -70,7 +70,8 @@ def labelled(
             )
         if seconds is not None and "seconds" not in inspect.signature(fitter.minimise).parameters:
             raise UsageError(
-                f"the fitter {fitter.name} has no limit of time (an argument `seconds` of minimise): give a budget"
+                f"the fitter {fitter.name} has no limit of time (an argument `seconds` of"
+                " minimise): give a budget"
             )
         label, count = (
             full if isinstance(given, str) or fitter.name in dict(out) else fitter.name,

@@ -43,8 +43,8 @@ class GeneticAlgorithm(AbstractPopulation):
 
     name: ClassVar[str] = "ga"
     source: ClassVar[str] = (
-        "Haupt and Haupt, Practical Genetic Algorithms, 2004 (blend); defaults of MATLAB ga as used by the sun-tracker study "
-        "(scattered)"
+        "Haupt and Haupt, Practical Genetic Algorithms, 2004 (blend); defaults of MATLAB ga as used"
+        " by the sun-tracker study (scattered)"
     )
 
     popsize: int = option(100, "members of the population", 4)

@@ -210,8 +210,8 @@ class InstrumentalVariables(AbstractFitter):
 
     name: ClassVar[str] = "iv"
     source: ClassVar[str] = (
-        "Janot, Vandanjon, Gautier, IEEE Trans. Control Systems Technology 22 (2014), IDIM-IV; correction by indirect inference, "
-        "Gourieroux, Monfort, Renault 1993"
+        "Janot, Vandanjon, Gautier, IEEE Trans. Control Systems Technology 22 (2014), IDIM-IV;"
+        " correction by indirect inference, Gourieroux, Monfort, Renault 1993"
     )
     residual_name: ClassVar[str] = "inverse_dynamics"
 
@@ -224,8 +224,9 @@ class InstrumentalVariables(AbstractFitter):
         runs = _torque_runs(problem, self.name)
         if runs.dataset is None or runs.dataset.controller is None:
             raise UsageError(
-                "iv simulates the recording's controller, and the dataset states none: state it under [controller] with its "
-                "reference q_cmd, or use fitter lm with the residual output_error"
+                "iv simulates the recording's controller, and the dataset states none: state it"
+                " under [controller] with its reference q_cmd, or use fitter lm with the residual"
+                " output_error"
             )
         law_of(runs.dataset, runs.layout.chain.signature)
         at, plain = linearised(problem, starts[0], self.name)
@@ -235,7 +236,10 @@ class InstrumentalVariables(AbstractFitter):
         for number in range(self.iterations):
             made = _instruments(problem, theta)
             if made is None:
-                why = "the closed-loop simulation diverges at the estimate; check [controller] (gains, sample_time, gain)"
+                why = (
+                    "the closed-loop simulation diverges at the estimate; check [controller]"
+                    " (gains, sample_time, gain)"
+                )
                 return Minimum(at, PENALTY, False, why, number + 1)
             instruments = made
             if self.corrected:
@@ -290,11 +294,13 @@ def at_theta(problem: FitProblem, theta: np.ndarray) -> np.ndarray:
 def _torque_runs(problem: FitProblem, name: str) -> Runs:
     if problem.loss_name != "sum_of_squares":
         raise UsageError(
-            f"{name} minimises sums of squares; the loss {problem.loss_name!r} needs a population (fitter de)"
+            f"{name} minimises sums of squares; the loss {problem.loss_name!r} needs a population"
+            " (fitter de)"
         )
     if problem.runs.setting is None or problem.start_rows.size:
         raise UsageError(
-            f"{name} is linear: it needs the residual inverse_dynamics; for the others use fitter lm"
+            f"{name} is linear: it needs the residual inverse_dynamics; for the others use"
+            " fitter lm"
         )
     return problem.runs
 
@@ -321,8 +327,8 @@ def linearised(problem: FitProblem, guess: np.ndarray, name: str) -> tuple[np.nd
     if bent.any():
         names = ", ".join(problem.runs.layout.names[i] for i in problem.free[bent])
         raise UsageError(
-            f"{name} needs a model that is linear in its parameters; this one is not in {names}. Use fitter lm, or fix what "
-            "makes it nonlinear under [model.constants]"
+            f"{name} needs a model that is linear in its parameters; this one is not in {names}."
+            " Use fitter lm, or fix what makes it nonlinear under [model.constants]"
         )
     return theta, blocks
 
@@ -422,7 +428,8 @@ def finish(
     linear = np.concatenate([r.ravel() for r in _blocks(problem, at).errors(theta)])
     if np.linalg.norm(plain - linear) > LINEAR * max(np.linalg.norm(plain), 1e-300):
         raise UsageError(
-            f"{name} needs a model that is linear in its parameters over their whole range: use fitter lm"
+            f"{name} needs a model that is linear in its parameters over their whole range: use"
+            " fitter lm"
         )
     found = sandwich(problem, z, blocks, instruments, theta)
     return LinearMinimum(

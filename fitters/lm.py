@@ -31,7 +31,8 @@ class LevenbergMarquardt(AbstractFitter):
 
     name: ClassVar[str] = "lm"
     source: ClassVar[str] = (
-        "Levenberg 1944, Marquardt 1963, More 1978; bounds by an active set; reweighting of Lawson 1961"
+        "Levenberg 1944, Marquardt 1963, More 1978; bounds by an active set; reweighting of Lawson"
+        " 1961"
     )
     linearises: ClassVar[bool] = True
 

@@ -180,7 +180,8 @@ class AbstractOptimistix(AbstractFitter):
         square = isinstance(solver, optx.AbstractLeastSquaresSolver)
         if square and problem.loss_name != "sum_of_squares":
             raise UsageError(
-                f"{self.name} minimises sums of squares, not {problem.loss_name}: take optimistix_bfgs"
+                f"{self.name} minimises sums of squares, not {problem.loss_name}: take"
+                " optimistix_bfgs"
             )
         simplex, slope = isinstance(solver, optx.NelderMead), 1 + problem.size
         bounded = Bounded.around(problem, start, scale, 0.0 if simplex else 0.05)
@@ -375,7 +376,8 @@ class Optimistix(AbstractOptimistix):
 
     name: ClassVar[str] = "optimistix"
     source: ClassVar[str] = (
-        "Rader, Lyons, Kidger, Optimistix: modular optimisation in JAX and Equinox, arXiv 2402.09983, 2024"
+        "Rader, Lyons, Kidger, Optimistix: modular optimisation in JAX and Equinox, arXiv"
+        " 2402.09983, 2024"
     )
 
     solver: Any = option(None, "a solver of optimistix, given in Python")

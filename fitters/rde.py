@@ -51,7 +51,8 @@ class RecursiveDE(AbstractPopulation):
 
     name: ClassVar[str] = "rde"
     source: ClassVar[str] = (
-        "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935; metric and settings: this library"
+        "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935; metric and settings: this"
+        " library"
     )
     guided: ClassVar[bool] = True
 

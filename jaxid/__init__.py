@@ -11,7 +11,9 @@ from pathlib import Path as _Path
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 from jaxid.lazy import Moved as _Moved
-from jaxid.numerics import forked as _forked  # noqa: F401  it has to be there when a process is forked
+
+# Forks are watched from the beginning.
+from jaxid.numerics import forked as _forked  # noqa: F401
 
 
 if _TYPE_CHECKING:

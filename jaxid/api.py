@@ -279,8 +279,8 @@ def simulate(
 
     if isinstance(model, Fit | Mapping):
         warnings.warn(
-            "jaxid.simulate(parameters, dataset, model=...) is now jaxid.simulate(model, dataset, parameters=...); the old order "
-            "goes with the next version",
+            "jaxid.simulate(parameters, dataset, model=...) is now jaxid.simulate(model, dataset,"
+            " parameters=...); the old order goes with the next version",
             DeprecationWarning,
             stacklevel=2,
         )

@@ -97,7 +97,8 @@ def enrolled(effect: Any) -> str:
     kind = effect if isinstance(effect, type) else type(effect)
     if not issubclass(kind, Effect):
         raise UsageError(
-            f"an effect is an id (`dead_zone@tau`), a class or one of an effect, not {kind.__name__}"
+            "an effect is an id (`dead_zone@tau`), a class or one of an effect, not"
+            f" {kind.__name__}"
         )
     if not isinstance(effect, type):
         kind = kind_with(kind, tuple((k, getattr(effect, k)) for k in settings(kind)))
@@ -108,7 +109,8 @@ def enrolled(effect: Any) -> str:
     ):
         if kind.name in library:
             raise UsageError(
-                f"{kind.__name__} has the name {kind.name!r} of an effect of the library: give it another one"
+                f"{kind.__name__} has the name {kind.name!r} of an effect of the library: give it"
+                " another one"
             )
         OWN_EFFECTS[kind.name] = kind
     return kind.name

@@ -23,7 +23,10 @@ class NotSaved(OSError):
 
     def __str__(self) -> str:
         room = "" if self.free is None else f", {self.free:,} are free"
-        return f"{self.filename}: not written ({self.strerror}): {self.needed:,} bytes are needed{room}"
+        return (
+            f"{self.filename}: not written ({self.strerror}): {self.needed:,} bytes are"
+            f" needed{room}"
+        )
 
 
 def nearest(word: str, choices) -> str:
@@ -100,7 +103,10 @@ def explain(error: Exception) -> tuple[int, str]:
         return FAILED, "not enough memory"
     return (
         FAILED,
-        f"internal error, {type(error).__name__}: {error} (JAXID_TRACEBACK=1 shows where; please report it)",
+        (
+            f"internal error, {type(error).__name__}: {error} (JAXID_TRACEBACK=1 shows where;"
+            " please report it)"
+        ),
     )
 
 

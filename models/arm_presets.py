@@ -49,7 +49,8 @@ class UR10(AbstractArm):
     name: ClassVar[str] = "ur10"
     signatures: ClassVar[tuple[Signature, ...]] = _SIX
     source: ClassVar[str] = (
-        "doi 10.1017/S026357472400105X: Tables III and VI (F_c2 := 0; made physically consistent with the maker's masses)"
+        "doi 10.1017/S026357472400105X: Tables III and VI (F_c2 := 0; made physically consistent"
+        " with the maker's masses)"
     )
 
     def __init__(self):
@@ -75,7 +76,8 @@ class UR10e(AbstractArm):
     name: ClassVar[str] = "ur10e"
     signatures: ClassVar[tuple[Signature, ...]] = _SIX
     source: ClassVar[str] = (
-        "Universal Robots, DH parameters for calculations of kinematics and dynamics (standard table)"
+        "Universal Robots, DH parameters for calculations of kinematics and dynamics (standard"
+        " table)"
     )
 
     def __init__(self):

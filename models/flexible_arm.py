@@ -104,12 +104,14 @@ class FlexibleArm(Mechanism):
         (CoulombFriction, {"level": "coulomb"}),
     )
     equations: ClassVar[str] = (
-        "M(p) pdd + h(p, pd) + D ed + K e + (viscous qd + coulomb sign qd, 0) = (tau, 0),  p = (q1, q2, e1, e2)\n"
-        "from T - V of both links, of the second motor at the end of the first and of the payload; D = alpha M_e + beta K_e\n"
-        "strain = h/2 times the curvature at the clamped end; tip_x along the straight arm, tip_y across"
+        "M(p) pdd + h(p, pd) + D ed + K e + (viscous qd + coulomb sign qd, 0) = (tau, 0),  p = (q1,"
+        " q2, e1, e2)\nfrom T - V of both links, of the second motor at the end of the first and of"
+        " the payload; D = alpha M_e + beta K_e\nstrain = h/2 times the curvature at the clamped"
+        " end; tip_x along the straight arm, tip_y across"
     )
     source: ClassVar[str] = (
-        "the beam of paper 002 (Machines 12(6), 409, 2024) twice; De Luca, Siciliano 1991 for the kinematics"
+        "the beam of paper 002 (Machines 12(6), 409, 2024) twice; De Luca, Siciliano 1991 for the"
+        " kinematics"
     )
     hidden_states: ClassVar[bool] = True
 
@@ -412,9 +414,10 @@ def _inertia_forces(
         - rate**2 * leaned
         - (across * pull[0] - rate**2 * leaned - 2 * rate * dot(bent, z))
     )
-    return M, move[0] * ax + move[1] * ay + turn * about + (
-        link.shift * pull[1] - rate**2 * bent
-    ) @ own
+    return (
+        M,
+        move[0] * ax + move[1] * ay + turn * about + (link.shift * pull[1] - rate**2 * bent) @ own,
+    )
 
 
 def _carried(link: LinkIntegrals, turn, move, pull, e, z, pd, own, M, h):

@@ -66,10 +66,11 @@ class FlexibleLink(Mechanism):
         (CoulombFriction, {"level": "tau_c"}),
     )
     equations: ClassVar[str] = (
-        "M qdd + h + C qd + K q + (v phid + tau_c sign phid) e1 = tau e1,  q = (phi, u1, theta1, ... un, thetan)\n"
-        "C = diag(0, alpha M_psi + beta K_psi);  h = 0, or with nonlinear = true\n"
-        "h_phi = 2 phid psi' M_psi psid,  h_psi = -phid^2 (M_psi - K_G) psi,  K_G times stiffening\n"
-        "tip_acceleration = L phidd + undd (and - un phid^2 with rotating_sensor = true)"
+        "M qdd + h + C qd + K q + (v phid + tau_c sign phid) e1 = tau e1,  q = (phi, u1, theta1,"
+        " ... un, thetan)\nC = diag(0, alpha M_psi + beta K_psi);  h = 0, or with nonlinear ="
+        " true\nh_phi = 2 phid psi' M_psi psid,  h_psi = -phid^2 (M_psi - K_G) psi,  K_G times"
+        " stiffening\ntip_acceleration = L phidd + undd (and - un phid^2 with rotating_sensor ="
+        " true)"
     )
     source: ClassVar[str] = (
         "paper 002, Machines 12(6), 409, 2024: equations (3) to (6), Table 1 for the bounds"

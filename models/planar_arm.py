@@ -28,9 +28,10 @@ class PlanarArm(Rigid):
         (CoulombFriction, {"level": "coulomb"}),
     )
     equations: ClassVar[str] = (
-        "M(q) qdd + C(q, qd) qd + g(q) + viscous qd + coulomb sign(qd) = tau, with k = m2 l1 c2:\n"
-        "M11 = I1 + m1 c1^2 + m2 l1^2 + M22 + 2 k cos q2, M12 = M22 + k cos q2, M22 = I2 + m2 c2^2\n"
-        "g1 = gravity ((m1 c1 + m2 l1) sin q1 + m2 c2 sin(q1 + q2)), g2 = gravity m2 c2 sin(q1 + q2)"
+        "M(q) qdd + C(q, qd) qd + g(q) + viscous qd + coulomb sign(qd) = tau, with k = m2 l1"
+        " c2:\nM11 = I1 + m1 c1^2 + m2 l1^2 + M22 + 2 k cos q2, M12 = M22 + k cos q2, M22 = I2 + m2"
+        " c2^2\ng1 = gravity ((m1 c1 + m2 l1) sin q1 + m2 c2 sin(q1 + q2)), g2 = gravity m2 c2"
+        " sin(q1 + q2)"
     )
     source: ClassVar[str] = "textbook"
 

@@ -50,9 +50,10 @@ class Robot(Staged):
         "Featherstone 2008; joints, drives and dissipation with MuJoCo's meaning"
     )
     equations: ClassVar[str] = (
-        "M(q) qdd + bias(q, qd) + armature qdd + stiffness (q - springref) + damping qd + frictionloss sign(qd) = tau\n"
-        "tau the recorded torque, or gain clip(kp (goal(t - delay) - q) + kd (rate - qd) + offset, lowest, highest);\n"
-        "recursive Newton-Euler and composite rigid bodies over the tree, mimic joints eliminated"
+        "M(q) qdd + bias(q, qd) + armature qdd + stiffness (q - springref) + damping qd +"
+        " frictionloss sign(qd) = tau\ntau the recorded torque, or gain clip(kp (goal(t - delay) -"
+        " q) + kd (rate - qd) + offset, lowest, highest);\nrecursive Newton-Euler and composite"
+        " rigid bodies over the tree, mimic joints eliminated"
     )
     builtin: tuple[tuple[type, dict[str, str]], ...] = eqx.field(
         static=True,

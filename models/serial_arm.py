@@ -143,8 +143,9 @@ class AbstractArm(Staged):
     payload_z: Array = constant(0.0, unit="m")
 
     equations: ClassVar[str] = (
-        "M(q) qdd + C(q, qd) qd + g(q) + Ia qdd + (F_c + F_v |qd|^exponent) sign(qd) + offset = drive_gain tau\n"
-        "by recursive Newton-Euler (torque) and composite rigid bodies (mass matrix)"
+        "M(q) qdd + C(q, qd) qd + g(q) + Ia qdd + (F_c + F_v |qd|^exponent) sign(qd) + offset ="
+        " drive_gain tau\nby recursive Newton-Euler (torque) and composite rigid bodies (mass"
+        " matrix)"
     )
     builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
         (DriveGain, {"gain": "drive_gain"}),
@@ -318,7 +319,12 @@ class SerialArm(AbstractArm):
         if not self.friction:
             return super().nominal_effects()
         level, viscous = np.array(self.friction).T
-        return [DriveGain(), CoulombFriction(level), PowerLawFriction(viscous), ConstantTorque()]  # pyright: ignore
+        return [
+            DriveGain(),
+            CoulombFriction(level),
+            PowerLawFriction(viscous),
+            ConstantTorque(),
+        ]  # pyright: ignore
 
     @classmethod
     def from_urdf(

@@ -34,9 +34,9 @@ class Servo(Rigid):
         (CoulombFriction, {"level": "coulomb"}),
     )
     equations: ClassVar[str] = (
-        "(mass length^2 + armature) qdd + mass gravity length sin(q - q_offset) + viscous qd + coulomb sign qd = tau\n"
-        "tau = torque_constant U - back_emf qd, 0 while released;  U = supply_voltage duty, at most current_limit\n"
-        "duty = gain_scale kp (q_cmd - q), at most 1"
+        "(mass length^2 + armature) qdd + mass gravity length sin(q - q_offset) + viscous qd +"
+        " coulomb sign qd = tau\ntau = torque_constant U - back_emf qd, 0 while released;  U ="
+        " supply_voltage duty, at most current_limit\nduty = gain_scale kp (q_cmd - q), at most 1"
     )
     source: ClassVar[str] = (
         "DC motor behind a gear; structure of Duclusaud et al., arXiv 2410.08650"

@@ -68,14 +68,15 @@ class SpaceManipulator(Rigid):
         (StribeckLevels, {"F_c": "F_c", "F_s": "F_s", "v_s": "v_s", "F_v": "F_v"}),
     )
     equations: ClassVar[str] = (
-        "c = cos q2, s = sin q2:\n"
-        "tau2 = I2 (qdd1 + qdd2) + l1 (hx (c qdd1 + s qd1^2) + hy (-s qdd1 + c qd1^2)) + f2\n"
-        "tau1 = (I1 + m2 l1^2) qdd1 + (tau2 - f2)\n"
-        "       + l1 (hx (c (qdd1 + qdd2) - s (qd1 + qd2)^2) + hy (-s (qdd1 + qdd2) - c (qd1 + qd2)^2)) + f1\n"
-        "f = (F_c + (F_s - F_c) exp(-(qd / v_s)^2)) sign qd + F_v qd;  floating base: M_r = M_mm - M_mb M_bb^-1 M_bm"
+        "c = cos q2, s = sin q2:\ntau2 = I2 (qdd1 + qdd2) + l1 (hx (c qdd1 + s qd1^2) + hy (-s qdd1"
+        " + c qd1^2)) + f2\ntau1 = (I1 + m2 l1^2) qdd1 + (tau2 - f2)\n       + l1 (hx (c (qdd1 +"
+        " qdd2) - s (qd1 + qd2)^2) + hy (-s (qdd1 + qdd2) - c (qd1 + qd2)^2)) + f1\nf = (F_c + (F_s"
+        " - F_c) exp(-(qd / v_s)^2)) sign qd + F_v qd;  floating base: M_r = M_mm - M_mb M_bb^-1"
+        " M_bm"
     )
     source: ClassVar[str] = (
-        "paper 000 (Int. J. Adv. Robotic Systems, 2016, doi 10.5772/63935); its lost equations rederived"
+        "paper 000 (Int. J. Adv. Robotic Systems, 2016, doi 10.5772/63935); its lost equations"
+        " rederived"
     )
 
     m2: Array = param(30.0, 5.0, 100.0, unit="kg", meaning="mass of the last body", log=True)
@@ -180,9 +181,10 @@ class SpaceManipulator(Rigid):
         # bias = dM/dt qd - d/dq (qd' M qd) / 2
         slopes = [jax.jvp(self.mass, (q,), (e,))[1] for e in jnp.eye(2)]
         rate = slopes[0] * qd[0] + slopes[1] * qd[1]
-        return self.mass(q), dot(rate, qd) - jnp.stack(
-            [jnp.sum(qd * dot(s, qd)) for s in slopes]
-        ) / 2
+        return (
+            self.mass(q),
+            dot(rate, qd) - jnp.stack([jnp.sum(qd * dot(s, qd)) for s in slopes]) / 2,
+        )
 
     def free(self, h, x, tau):
         return super().free(h, x[:2], tau)

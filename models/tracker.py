@@ -46,10 +46,10 @@ class Tracker(Lagrangian):
         (ViscousFriction, {"coefficient": "b_{joint}"}),
     )
     equations: ClassVar[str] = (
-        "with k = m l + 2 m_c u:\n"
-        "T_theta = (J_theta + (m + m_c) R^2 - k R cos a + J cos^2 a) thetadd + s ad thetad + b_theta thetad\n"
-        "T_alpha = J_alpha add - s thetad^2 / 2 + b_alpha ad + (m l / 2 + m_c u) gravity cos a,  s = (k R - 2 J cos a) sin a\n"
-        "a = alpha, J = J_alpha - rotor_alpha;  driven by voltage: T = gain (v - v0 sign v) for |v| >= v0, else 0"
+        "with k = m l + 2 m_c u:\nT_theta = (J_theta + (m + m_c) R^2 - k R cos a + J cos^2 a)"
+        " thetadd + s ad thetad + b_theta thetad\nT_alpha = J_alpha add - s thetad^2 / 2 + b_alpha"
+        " ad + (m l / 2 + m_c u) gravity cos a,  s = (k R - 2 J cos a) sin a\na = alpha, J ="
+        " J_alpha - rotor_alpha;  driven by voltage: T = gain (v - v0 sign v) for |v| >= v0, else 0"
     )
     source: ClassVar[str] = (
         "paper 003, equations (4) with its printed m + 2 m_c u corrected, (5), (6), Tables 1 and 2"

@@ -139,7 +139,10 @@ AS_RECORDED = click.option(
     "--forgetting",
     type=click.FloatRange(0, 1, min_open=True),
     metavar="LAMBDA",
-    help="Fit along the data block by block, what is known counting LAMBDA times as much each time; 1 forgets nothing.",
+    help=(
+        "Fit along the data block by block, what is known counting LAMBDA times as much each time;"
+        " 1 forgets nothing."
+    ),
 )
 @click.option(
     "--block",

@@ -81,7 +81,8 @@ def batch(study, workers, scheduler, cluster, interface, status, retry, as_json,
         terminal.say(words.result_text(result))
     if result.interrupted:
         terminal.complain(
-            f"interrupted; {s.done + s.failed} of {s.total} tasks are saved, the same command goes on from there"
+            f"interrupted; {s.done + s.failed} of {s.total} tasks are saved, the same command goes"
+            " on from there"
         )
         return INTERRUPTED
     if result.unsaved:
@@ -89,7 +90,8 @@ def batch(study, workers, scheduler, cluster, interface, status, retry, as_json,
         return FAILED
     if s.failed:
         terminal.complain(
-            f"{s.failed} of {s.total} tasks failed; {result.study.store / 'report.html'} says why, --retry runs them again"
+            f"{s.failed} of {s.total} tasks failed; {result.study.store / 'report.html'} says why,"
+            " --retry runs them again"
         )
         return FAILED
     return SUCCESS

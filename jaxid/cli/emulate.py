@@ -10,7 +10,9 @@ from jaxid.cli.app import Commands
 _PLANT = click.option(
     "--plant",
     metavar="FILE",
-    help="TOML or JSON: model, parameters, effects, noise; `ideal` starts at once without any model.",
+    help=(
+        "TOML or JSON: model, parameters, effects, noise; `ideal` starts at once without any model."
+    ),
 )
 _LOG = click.option(
     "--log",

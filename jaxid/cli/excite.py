@@ -212,7 +212,10 @@ def excitation_text(made: Excitation, out: Path | None) -> str:
     from jaxid.wording import table
 
     c = made.content
-    head = f"{c['model']}: {c['kind_of_excitation']} of {c['duration_s']:g} s, condition number {c['condition_number']:.4g}"
+    head = (
+        f"{c['model']}: {c['kind_of_excitation']} of {c['duration_s']:g} s, condition number"
+        f" {c['condition_number']:.4g}"
+    )
     head += f" ({c['condition_number_scaled']:.4g} with columns of equal length)"
     rows = []
     for e in made.limits:
@@ -244,7 +247,8 @@ def excitation_text(made: Excitation, out: Path | None) -> str:
     clear = c.get("clearance")
     if clear:
         parts.append(
-            f"links stay {clear['links_m']:.3f} m apart and {clear['height_m']:.3f} m above the base's plane"
+            f"links stay {clear['links_m']:.3f} m apart and {clear['height_m']:.3f} m above the"
+            " base's plane"
         )
     parts += [f"note: {n}" for n in c["notes"]]
     parts += [] if out is None else [f"written to {out}; play it with: jaxid record … --play {out}"]
@@ -265,5 +269,6 @@ def design_next(diagnosis: Diagnosis, out: Path, limits: Limits | None, silent: 
         return
     if not silent:
         terminal.say(
-            f"{made.content['notes'][-1]}\nwritten to {out}; play it with: jaxid record … --play {out}"
+            f"{made.content['notes'][-1]}\nwritten to {out}; play it with: jaxid record … --play"
+            f" {out}"
         )

@@ -75,7 +75,8 @@ def export(result, to, robot, ranges, data, out, as_json, quiet) -> int:
         return SUCCESS
     if any(r.kept for r in found.rows):
         terminal.complain(
-            f"nothing to carry into {to}: the data refute no number of the file ({out / 'export.json'} has each)"
+            f"nothing to carry into {to}: the data refute no number of the file"
+            f" ({out / 'export.json'} has each)"
         )
     else:
         terminal.complain(
@@ -98,7 +99,8 @@ def read_result(path: Path) -> Any:
         if isinstance(error, UsageError):
             raise
         raise UsageError(
-            f"{path}: not JSON ({str(error)[:100]}); give the JSON that jaxid fit, diagnose or identify wrote"
+            f"{path}: not JSON ({str(error)[:100]}); give the JSON that jaxid fit, diagnose or"
+            " identify wrote"
         ) from error
 
 

@@ -28,8 +28,10 @@ if TYPE_CHECKING:
     default="wls",
     show_default=True,
     metavar="M",
-    help="ls, wls, iv, rls (recursive), tls, constrained (bodies that can exist, friction that brakes); with --reference "
-    "paper001, algorithm1, algorithm2: the payload as in paper 001.",
+    help=(
+        "ls, wls, iv, rls (recursive), tls, constrained (bodies that can exist, friction that"
+        " brakes); with --reference paper001, algorithm1, algorithm2: the payload as in paper 001."
+    ),
 )
 @click.option(
     "--friction",
@@ -37,7 +39,10 @@ if TYPE_CHECKING:
     default="auto",
     show_default=True,
     metavar="LAW",
-    help="linear, power, stribeck, or auto: the simplest that no richer law beats on every held-out run.",
+    help=(
+        "linear, power, stribeck, or auto: the simplest that no richer law beats on every held-out"
+        " run."
+    ),
 )
 @click.option(
     "--cutoff",
@@ -63,8 +68,10 @@ if TYPE_CHECKING:
     "--gain-std",
     type=click.FloatRange(0, 1),
     metavar="S",
-    help="Relative standard deviation of the drive gains, for the payload's interval; default: 0.05 where torques are made of "
-    "currents, else 0.",
+    help=(
+        "Relative standard deviation of the drive gains, for the payload's interval; default: 0.05"
+        " where torques are made of currents, else 0."
+    ),
 )
 @click.option(
     "--motion",
@@ -72,7 +79,10 @@ if TYPE_CHECKING:
     default="measured",
     show_default=True,
     metavar="W",
-    help="measured, commanded (the channels q1_cmd … in the place of q1 …), or fourier: the measured one by its harmonics.",
+    help=(
+        "measured, commanded (the channels q1_cmd … in the place of q1 …), or fourier: the measured"
+        " one by its harmonics."
+    ),
 )
 @click.option(
     "--root", metavar="LINK", help="First link of the chain in the URDF that --model names."

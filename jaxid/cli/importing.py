@@ -49,7 +49,10 @@ def header_row(_ctx, _param, value: str | None) -> int | None:
     "channels",
     multiple=True,
     metavar="NAME=COLUMN:UNIT[:ROLE]",
-    help="Tables: a channel, or t; repeat it. COLUMN: name, number, or pattern, 'q*=positions[*]:rad'.",
+    help=(
+        "Tables: a channel, or t; repeat it. COLUMN: name, number, or pattern,"
+        " 'q*=positions[*]:rad'."
+    ),
 )
 @click.option(
     "--join",

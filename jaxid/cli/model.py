@@ -29,7 +29,10 @@ def MODEL(command: Callable) -> Callable:
             model.tip = tip
         return command(*args, model=model, **more)
 
-    text = "Model id (see `jaxid models`), a robot's file, or FILE.py[:CLASS] of your own; default: the dataset's."
+    text = (
+        "Model id (see `jaxid models`), a robot's file, or FILE.py[:CLASS] of your own; default:"
+        " the dataset's."
+    )
     tipped = click.option(
         "--tip", metavar="LINK", help="Of a robot's file, only the joints up to this link move."
     )(with_tip)

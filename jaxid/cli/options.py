@@ -107,7 +107,8 @@ def read_parameters(path: Path) -> dict[str, Any]:
         raise UsageError(f"--parameters {path}: cannot be read ({error.strerror})") from error
     except json.JSONDecodeError as error:
         raise UsageError(
-            f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg}; {wanted}"
+            f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg};"
+            f" {wanted}"
         ) from error
     except UsageError:
         raise
@@ -123,7 +124,8 @@ def read_parameters(path: Path) -> dict[str, Any]:
         inside = effect.get("parameters", {}) if isinstance(effect, dict) else None
         if not isinstance(inside, dict) or not isinstance(effect.get("effect"), str):
             raise UsageError(
-                f"--parameters {path}: effects[{i}] needs an `effect`, a `location` and `parameters`"
+                f"--parameters {path}: effects[{i}] needs an `effect`, a `location` and"
+                " `parameters`"
             )
         groups.append((f"effects[{i}].parameters", inside))
     for group, parameters in groups:
@@ -135,6 +137,7 @@ def read_parameters(path: Path) -> dict[str, Any]:
                 or not abs(value) < float("inf")
             ):
                 raise UsageError(
-                    f'--parameters {path}: {group}.{name} needs a finite number, as in {{"value": 0.08}}'
+                    f'--parameters {path}: {group}.{name} needs a finite number, as in {{"value":'
+                    " 0.08}"
                 )
     return content

@@ -128,7 +128,8 @@ class Progress:
             self._told = now
             part = f" {done} of {total}" if total else ""
             complain(
-                f"{one_line(stage)}{part}{', ' if text else ''}{one_line(text)} ({now - self._began:.0f} s)"
+                f"{one_line(stage)}{part}{', ' if text else ''}{one_line(text)}"
+                f" ({now - self._began:.0f} s)"
             )
 
     def _advance(self, stage: str, done: int, total: int, text: str) -> None:

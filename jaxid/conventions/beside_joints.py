@@ -250,6 +250,8 @@ def _unit(dataset: Dataset, channel: str, followed: Followed) -> Shown | None:
         text,
         lines(dataset, channel, mending.forms[channel]),
         decisive=decisive,
-        headline=f"{channel} is {factor:.5g} times too large ({what}); everything below divides by that",
+        headline=(
+            f"{channel} is {factor:.5g} times too large ({what}); everything below divides by that"
+        ),
     )
     return Shown(finding, mending if decisive else Mending())

@@ -23,8 +23,9 @@ def impossible(mechanism: Any) -> list[DataFinding]:
 
 def _finding(file: str, link: str, fault: str) -> DataFinding:
     text = (
-        f"{file}: {fault}. No body has it, and MuJoCo refuses the file. The nearest body that can exist is simulated. "
-        f"Correct <inertia> of link {link!r} in the file: a sign may be lost, or its axes may be those of another frame."
+        f"{file}: {fault}. No body has it, and MuJoCo refuses the file. The nearest body that can"
+        f" exist is simulated. Correct <inertia> of link {link!r} in the file: a sign may be lost,"
+        " or its axes may be those of another frame."
     )
     # It is so whatever is asked for: nothing can be simulated as the file has it.
     return DataFinding(
@@ -34,5 +35,8 @@ def _finding(file: str, link: str, fault: str) -> DataFinding:
         text,
         decisive=True,
         applied=True,
-        headline=f"link {link!r} of {file} has an inertia that no body has; everything below has the nearest body that can exist",
+        headline=(
+            f"link {link!r} of {file} has an inertia that no body has; everything below has the"
+            " nearest body that can exist"
+        ),
     )

@@ -73,7 +73,8 @@ def run_check(
         name = "robot"
         found += bodies.impossible(prepared(model, dataset)[0])
         notes.append(
-            "a robot on a free base is not compared with its recording: found is what the samples show by themselves"
+            "a robot on a free base is not compared with its recording: found is what the samples"
+            " show by themselves"
         )
     elif dataset.experiments and _has_model(model, dataset):
         binding, why = _bound(model, data, tuple(without))
@@ -323,7 +324,9 @@ def _confirmed(
         said = (
             ""
             if held
-            else f" A simulation does not bear it out ({before:.3g} to {after:.3g} times the noise)."
+            else (
+                f" A simulation does not bear it out ({before:.3g} to {after:.3g} times the noise)."
+            )
         )
         said += (
             " It was simulated beside any friction and spring that the model may lack."

@@ -197,9 +197,15 @@ def _shown(other: RunSamples, copy: RunSamples, same: Same) -> Shown:
     if whole and count == len(other.samples):
         holds = f"{name} holds {of} sample for sample"
     elif whole:
-        holds = f"{name} holds {count} samples of {of}, from {there[same.at]:.4g} s on, sample for sample"
+        holds = (
+            f"{name} holds {count} samples of {of}, from {there[same.at]:.4g} s on, sample for"
+            " sample"
+        )
     else:
-        holds = f"{name} holds {count} samples of {of} from {t[same.first]:.4g} s to {t[same.stop - 1]:.4g} s, sample for sample"
+        holds = (
+            f"{name} holds {count} samples of {of} from {t[same.first]:.4g} s to"
+            f" {t[same.stop - 1]:.4g} s, sample for sample"
+        )
     noise = ", noise and all" if sure else ""
     doubt = (
         ""
@@ -211,8 +217,8 @@ def _shown(other: RunSamples, copy: RunSamples, same: Same) -> Shown:
         "copy",
         name,
         float(count),
-        f"{holds}{noise}: one recording under two names, neither a validation of the other nor a repeat. Leave {what} out."
-        f"{doubt}",
+        f"{holds}{noise}: one recording under two names, neither a validation of the other nor a"
+        f" repeat. Leave {what} out.{doubt}",
         decisive=sure,
         headline=f"{holds}; everything below leaves {'it' if whole else 'these samples'} out",
     )

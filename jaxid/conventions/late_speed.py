@@ -182,12 +182,19 @@ def _shown(dataset: Dataset, speed: Channel, late: Lateness) -> Shown | None:
     whose = f"{speed.name} is the rate of {late.position.name}"
     if late.seconds > 0:
         remedy = (
-            f"it was averaged or filtered on its way. Use {late.position.name} alone: it has the speed in it without delay"
+            f"it was averaged or filtered on its way. Use {late.position.name} alone: it has the"
+            " speed in it without delay"
             f"{'' if speed.role == 'auxiliary' else ', and give ' + speed.name + ' the role auxiliary'}."
         )
     else:
-        remedy = f"the position was filtered on its way. Use {speed.name} alone, or record {first} as its sensor reads it."
-    text = f"{whose}, and {first} stands {by} ({rows}) later than {second}, whatever the model: {remedy}"
+        remedy = (
+            f"the position was filtered on its way. Use {speed.name} alone, or record {first} as"
+            " its sensor reads it."
+        )
+    text = (
+        f"{whose}, and {first} stands {by} ({rows}) later than {second}, whatever the model:"
+        f" {remedy}"
+    )
     line = 'role = "auxiliary"' if channel.role == "output" and late.seconds > 0 else ""
     finding = DataFinding(
         "filtered",

@@ -62,8 +62,9 @@ def law_reading(
     decisive = late is None or after <= GONE * late
     beside = "" if late is None else f", {times(late)} with a delay of the goals beside it"
     text = (
-        f"The law's kd seems to act on the joint's own rate, not on the goal's less the joint's: {times(after)} times the noise "
-        f"is left so, {times(before)} as [controller] is read{beside}."
+        "The law's kd seems to act on the joint's own rate, not on the goal's less the joint's:"
+        f" {times(after)} times the noise is left so, {times(before)} as [controller] is"
+        f" read{beside}."
     )
     return DataFinding(
         "law",

@@ -226,7 +226,7 @@ def _short(value: float) -> str:
 def exchange_lines(dataset: Dataset, a: str, b: str) -> str:
     """The `column` lines that make two channels take each other's samples."""
     column = {
-        c.name: (c.stated.column if c.stated and c.stated.column else c.name)
+        c.name: c.stated.column if c.stated and c.stated.column else c.name
         for c in dataset.channels
     }
     return f'column = "{column[b]}"  # of {a}\ncolumn = "{column[a]}"  # of {b}'

@@ -474,9 +474,11 @@ class ForceFit:
             -(parts[:, 0].sum() - a) / (total - d) for a, d in parts if total - d > 1e-3 * total
         ]
         n = len(rest)
-        return whole, float(
-            np.sqrt((n - 1) / n * np.sum((np.array(rest) - np.mean(rest)) ** 2))
-        ) if n > 2 else np.inf
+        return whole, (
+            float(np.sqrt((n - 1) / n * np.sum((np.array(rest) - np.mean(rest)) ** 2)))
+            if n > 2
+            else np.inf
+        )
 
 
 def _unit_force(kind: type[JointEffect], q: np.ndarray, qd: np.ndarray) -> np.ndarray:

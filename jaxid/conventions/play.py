@@ -175,9 +175,10 @@ def _beside_motion(
 def _shown(a: Channel, b: Channel, ends: Ends) -> Shown:
     size = f"{ends.size:.3g} ± {1.96 * ends.std:.1g} {a.unit}"
     text = (
-        f"The difference of {b.name} and {a.name} goes between two ends {size} apart as the motion turns, {ends.turns} times, "
-        f"and is nearly constant at each: play between the two (backlash), read off without any fit, with what winds up "
-        "under load in it. It does not go with speed, acceleration or drive, as a delay or a soft shaft would."
+        f"The difference of {b.name} and {a.name} goes between two ends {size} apart as the motion"
+        f" turns, {ends.turns} times, and is nearly constant at each: play between the two"
+        " (backlash), read off without any fit, with what winds up under load in it. It does not"
+        " go with speed, acceleration or drive, as a delay or a soft shaft would."
     )
     finding = DataFinding(
         "play",

@@ -114,7 +114,8 @@ def _crosswise(
             "swapped_channels",
             a,
             1.0,
-            f"Each of {a} and {b} goes with the other one of {c} and {d}: {a} and {b} are exchanged.{doubt}",
+            f"Each of {a} and {b} goes with the other one of {c} and {d}: {a} and {b} are"
+            f" exchanged.{doubt}",
             exchange_lines(dataset, a, b),
             decisive=True,
             same_as=() if told is not None else (("swapped_channels", c),),
@@ -192,7 +193,10 @@ def _shown(
     unit = "off by a factor" if what == FREE else "in another unit"
     has = f"has {what}" if kind == "sign" else f"seems to be {unit} ({what})"
     doubt = "" if sure else f" It could be {mate} as well."
-    text = f"The rate of the position is {ratio:.4g} times the speed that was recorded, for {channel} {has}.{doubt}"
+    text = (
+        f"The rate of the position is {ratio:.4g} times the speed that was recorded, for {channel}"
+        f" {has}.{doubt}"
+    )
     taken = "negated" if kind == "sign" else f"times {1 / value:.6g}"
     finding = DataFinding(
         kind,

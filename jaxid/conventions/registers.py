@@ -32,8 +32,9 @@ def register(dataset: Dataset, channel: Channel) -> Shown | None:
         else f"a negative number of {bits} bits (two's complement) was read as 2^{bits} more"
     )
     text = (
-        f"{name} jumps by {place if key == 'sign_bit' else 2 * place} in the numbers recorded where it goes through 0, and "
-        f"nowhere else: it is a register that was read without its sign, {what}."
+        f"{name} jumps by {place if key == 'sign_bit' else 2 * place} in the numbers recorded where"
+        " it goes through 0, and nowhere else: it is a register that was read without its sign,"
+        f" {what}."
     )
     finding = DataFinding(
         "unsigned",
@@ -42,7 +43,9 @@ def register(dataset: Dataset, channel: Channel) -> Shown | None:
         text,
         lines(dataset, name, forms),
         decisive=True,
-        headline=f"{name} is a register whose sign was not read; everything below takes it with its sign",
+        headline=(
+            f"{name} is a register whose sign was not read; everything below takes it with its sign"
+        ),
     )
     return Shown(finding, Mending({name: forms}))
 

@@ -83,7 +83,10 @@ def not_at_rest(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
         return
     _, speed, name, e = worst
     unit = next(c.unit for c in dataset.outputs if c.name == name)
-    text = f"at_rest = true, but {name} moves at {speed:.3g} {unit}/s when {e.name} begins: remove at_rest, or state the speed."
+    text = (
+        f"at_rest = true, but {name} moves at {speed:.3g} {unit}/s when {e.name} begins: remove"
+        " at_rest, or state the speed."
+    )
     yield Shown(
         DataFinding(
             "not_at_rest",
@@ -130,9 +133,10 @@ def does_not_move(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
         if flicker:
             several = len(flicker) > 1
             text = (
-                f"{c.name} does not move in {', '.join(flicker[:4])}{' …' if len(flicker) > 4 else ''}: its readings flicker by "
-                f"no more than its noise ({floor:.2g} {c.unit}). Leave {'these runs' if several else 'this run'} out, or record "
-                "motion."
+                f"{c.name} does not move in"
+                f" {', '.join(flicker[:4])}{' …' if len(flicker) > 4 else ''}: its readings flicker"
+                f" by no more than its noise ({floor:.2g} {c.unit}). Leave"
+                f" {'these runs' if several else 'this run'} out, or record motion."
             )
             yield Shown(DataFinding("does_not_move", c.name, 0.0, text), Mending())
     ends = [
@@ -144,8 +148,9 @@ def does_not_move(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
         start = float(e.t[0])
         share = (e.t[-1] - end) / e.duration
         text = (
-            f"{e.name} stands still from {end:.3g} s on, {100 * share:.0f} % of it: what is kept from its end "
-            "for choosing and reporting says nothing. Take the part that moves, or record on."
+            f"{e.name} stands still from {end:.3g} s on, {100 * share:.0f} % of it: what is kept"
+            " from its end for choosing and reporting says nothing. Take the part that moves, or"
+            " record on."
         )
         yield Shown(
             DataFinding("does_not_move", e.name, end, text, f"window_s = [{start:.4g}, {end:.4g}]"),
@@ -175,7 +180,10 @@ def constant_inputs(dataset: Dataset) -> Iterator[Shown]:
     for c in dataset.inputs:
         values = [v for _, v in series(dataset, c)]
         if values and c.unit != "1" and np.ptp(np.concatenate(values)) == 0:
-            text = f"input {c.name} is {values[0][0]:.4g} {c.unit} in every sample: nothing of its law can be told. Vary it."
+            text = (
+                f"input {c.name} is {values[0][0]:.4g} {c.unit} in every sample: nothing of its law"
+                " can be told. Vary it."
+            )
             yield Shown(DataFinding("does_not_move", c.name, float(values[0][0]), text), Mending())
 
 

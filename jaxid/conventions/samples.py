@@ -136,7 +136,10 @@ def _counter(channel: Channel, jump: float, usual: float) -> float | None:
 def _wrapped(dataset: Dataset, channel: Channel, period: float, count: int) -> Shown:
     forms = {"unwrap": True if channel.unit == "rad" and period == 2 * pi else period}
     what = "one turn" if forms["unwrap"] is True else f"{period:.6g} {channel.unit}"
-    text = f"{channel.name} jumps by {what} between neighbouring samples, {count} time{'s' * (count > 1)}: it is wrapped."
+    text = (
+        f"{channel.name} jumps by {what} between neighbouring samples, {count}"
+        f" time{'s' * (count > 1)}: it is wrapped."
+    )
     finding = DataFinding(
         "wrapped",
         channel.name,
@@ -163,8 +166,9 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
         (e.name, t[lone][0]) for (e, t, _), lone in zip(parts, found, strict=True) if lone.any()
     )
     text = (
-        f"{count} of {total} samples of {channel.name} lie far off their neighbours (by up to {off:.3g} {channel.unit}; the "
-        f"first at {first:.4g} s of {name}): left out, they count in no loss."
+        f"{count} of {total} samples of {channel.name} lie far off their neighbours (by up to"
+        f" {off:.3g} {channel.unit}; the first at {first:.4g} s of {name}): left out, they count in"
+        " no loss."
     )
     finding = DataFinding(
         "glitch",
@@ -173,7 +177,10 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
         text,
         lines(dataset, channel.name, {"drop_glitches": True}),
         decisive=True,
-        headline=f"{count} sample{'s' * (count > 1)} of {channel.name} are glitches; everything below leaves them out",
+        headline=(
+            f"{count} sample{'s' * (count > 1)} of {channel.name} are glitches; everything below"
+            " leaves them out"
+        ),
     )
     return Shown(finding, Mending({channel.name: {"drop_glitches": True}}))
 
@@ -214,7 +221,10 @@ def repeated_rows(dataset: Dataset, channel: Channel) -> Shown | None:
     every = {every_row(y) for e, y in series(dataset, channel) if len(y) == min(len(e), LONGEST)}
     if len(every) != 1 or (n := every.pop()) < 2:
         return None
-    text = f"{channel.name} has a new value at every {n}. row only: it is sampled {n} times more slowly than it is logged."
+    text = (
+        f"{channel.name} has a new value at every {n}. row only: it is sampled {n} times more"
+        " slowly than it is logged."
+    )
     finding = DataFinding(
         "repeated_rows",
         channel.name,
@@ -222,7 +232,10 @@ def repeated_rows(dataset: Dataset, channel: Channel) -> Shown | None:
         text,
         lines(dataset, channel.name, {"sampled_every": n}),
         decisive=True,
-        headline=f"{channel.name} is sampled at every {n}. row; everything below leaves out the rows that repeat",
+        headline=(
+            f"{channel.name} is sampled at every {n}. row; everything below leaves out the rows"
+            " that repeat"
+        ),
     )
     return Shown(finding, Mending({channel.name: {"sampled_every": n}}))
 
@@ -261,8 +274,8 @@ def saturated(dataset: Dataset, channel: Channel) -> Shown | None:
         else "the range of the sensor or of the log: record within it, or leave these runs out"
     )
     text = (
-        f"{channel.name} stays at {' and '.join(ends)} {channel.unit} for {count} of {total} samples, in {len(where)} stretches "
-        f"that it runs into: {remedy}."
+        f"{channel.name} stays at {' and '.join(ends)} {channel.unit} for {count} of {total}"
+        f" samples, in {len(where)} stretches that it runs into: {remedy}."
     )
     return Shown(DataFinding("saturated", channel.name, float(where[0][0]), text), Mending())
 
@@ -302,9 +315,10 @@ def filtered(dataset: Dataset, channel: Channel, step: float) -> Shown | None:
         return None
     corner = float(np.median([f for f in ends if f is not None]))
     text = (
-        f"the noise of {channel.name} ends at about {corner:.3g} Hz, far below what {1 / step:.4g} samples a second show: it was "
-        f"filtered. A causal filter delays it by some {1 / (2 * pi * corner):.2g} s or more, which is sensor_lag at "
-        f"{channel.name}; how large its noise is is not known."
+        f"the noise of {channel.name} ends at about {corner:.3g} Hz, far below what {1 / step:.4g}"
+        " samples a second show: it was filtered. A causal filter delays it by some"
+        f" {1 / (2 * pi * corner):.2g} s or more, which is sensor_lag at {channel.name}; how large"
+        " its noise is is not known."
     )
     return Shown(DataFinding("filtered", channel.name, corner, text), Mending())
 

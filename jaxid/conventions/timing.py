@@ -211,8 +211,8 @@ def _early(
     by = f"{1e3 * rows * step:.3g} ± {1.96e3 * std * step:.1g} ms ({rows:.2g} rows)"
     moves = "moves" if len(names.joints) == 1 else "move"
     text = (
-        f"{joints} {moves} {by} before {name}, the cause, and no machine does that: {name} is reported late, by a filter, a bus "
-        "or a log."
+        f"{joints} {moves} {by} before {name}, the cause, and no machine does that: {name} is"
+        " reported late, by a filter, a bus or a log."
     )
     finding = DataFinding(
         "row_shift",
@@ -222,7 +222,10 @@ def _early(
         lines(binding.dataset, name, forms),
         (rows - 1.96 * std, rows + 1.96 * std),
         decisive=sure,
-        headline=f"{name} is reported {1e3 * rows * step:.3g} ms late; everything below takes it that much earlier",
+        headline=(
+            f"{name} is reported {1e3 * rows * step:.3g} ms late; everything below takes it that"
+            " much earlier"
+        ),
     )
     return Shown(finding, Mending({name: forms}) if sure else Mending(), True)
 
@@ -334,8 +337,9 @@ def _clock(binding: Binding, m: SampledMotion, names: Names, drift: float, std: 
     ppm, spread = way * 1e6 * drift, 1e6 * std
     forms = {"clock_ppm": float(f"{ppm:.4g}")}
     text = (
-        f"The clocks of {listed(tuple(names.inputs))} and {listed(tuple(names.joints))} drift apart by {abs(ppm):.4g} ± "
-        f"{spread:.2g} ppm, {abs(drift) * m.since.max() / m.step:.2g} rows within a run: no delay grows like that."
+        f"The clocks of {listed(tuple(names.inputs))} and {listed(tuple(names.joints))} drift apart"
+        f" by {abs(ppm):.4g} ± {spread:.2g} ppm, {abs(drift) * m.since.max() / m.step:.2g} rows"
+        " within a run: no delay grows like that."
     )
     other = names.joints if channels is names.inputs else names.inputs
     several = len(channels) > 1
@@ -349,7 +353,10 @@ def _clock(binding: Binding, m: SampledMotion, names: Names, drift: float, std: 
         (ppm - 1.96 * spread, ppm + 1.96 * spread),
         decisive=True,
         same_as=tuple(("clock", c) for c in other),
-        headline=f"the clock of {listed(tuple(channels))} drifts by {ppm:.4g} ppm; everything below takes that away",
+        headline=(
+            f"the clock of {listed(tuple(channels))} drifts by {ppm:.4g} ppm; everything below"
+            " takes that away"
+        ),
     )
     return Shown(finding, Mending({c: dict(forms) for c in channels}), True)
 
@@ -366,8 +373,8 @@ def _shifted(binding: Binding, names: Names, k: int, rows: int, late: float, std
     if rows > 0:
         moves = "moves" if len(names.joints) == 1 else "move"
         text = (
-            f"{listed(tuple(names.joints))} {moves} {by} before {name}, the cause: row k seems to hold the {name} of the step "
-            "before it."
+            f"{listed(tuple(names.joints))} {moves} {by} before {name}, the cause: row k seems to"
+            f" hold the {name} of the step before it."
         )
         headline = f"{name} stands {step} late; everything below takes it that much earlier"
         same = tuple(("row_shift", j) for j in names.joints) if len(names.inputs) == 1 else ()
@@ -384,8 +391,9 @@ def _shifted(binding: Binding, names: Names, k: int, rows: int, late: float, std
         )
         return Shown(finding, Mending({name: forms}), True)
     text = (
-        f"The motion follows {name} {by} later: whole rows, as of a log that writes the output late, or a delay of the drive "
-        f"or the sensor ({InputDelay.name}, {SensorDelay.name}). The recording cannot tell; nothing is shifted."
+        f"The motion follows {name} {by} later: whole rows, as of a log that writes the output"
+        f" late, or a delay of the drive or the sensor ({InputDelay.name}, {SensorDelay.name}). The"
+        " recording cannot tell; nothing is shifted."
     )
     finding = DataFinding(
         "row_shift",

@@ -42,9 +42,10 @@ def unsigned(binding: Binding, fit: ForceFit, m: SampledMotion, names: Names) ->
         name, left = one_way[0], fit.fit(signed).worst
         if left < GONE * plain.worst:
             text = (
-                f"{listed(tuple(one_way))} never changes its sign, and the motion asks for both: the sensor seems to read its "
-                f"size alone (with the signs that the motion asks for, what is missing falls from {100 * plain.worst:.2g} to "
-                f"{100 * left:.2g} %). Record the signed reading, or multiply by the sign of the command."
+                f"{listed(tuple(one_way))} never changes its sign, and the motion asks for both:"
+                " the sensor seems to read its size alone (with the signs that the motion asks"
+                f" for, what is missing falls from {100 * plain.worst:.2g} to {100 * left:.2g} %)."
+                " Record the signed reading, or multiply by the sign of the command."
             )
             return Shown(DataFinding("unsigned", name, None, text), Mending())
     return None

@@ -17,7 +17,8 @@ def finding_text(f: DataFinding) -> str:
     parts = [f"{f.kind}: {one_line(f.text)}"]
     if f.gap_before is not None and f.gap_if_mended is not None:
         parts.append(
-            f"The gap goes from {wording.times(f.gap_before)} to {wording.times(f.gap_if_mended)} times the noise."
+            f"The gap goes from {wording.times(f.gap_before)} to {wording.times(f.gap_if_mended)}"
+            " times the noise."
         )
     if f.same_as:
         same = wording.listed(f"{kind} of {channel}" for kind, channel in f.same_as[:6])

@@ -92,8 +92,8 @@ def refuse_too_large(wanted: Need) -> None:
     if wanted.bytes > SHARE * room:
         part = max(0.0, (SHARE * room - BASE) / max(wanted.bytes - BASE, 1.0))
         remedy = (
-            f"Take fewer rows: about {wanted.rows * part:,.0f} fit (`rows` or `window_s` of [[experiments]], or a lower sampling "
-            "rate), or give it more memory"
+            f"Take fewer rows: about {wanted.rows * part:,.0f} fit (`rows` or `window_s` of"
+            " [[experiments]], or a lower sampling rate), or give it more memory"
             if wanted.rows * part >= 1000
             else "Give it more memory"
         )
@@ -122,8 +122,9 @@ def shortened(dataset: Dataset, wanted: Need) -> Dataset:
     experiments = tuple(first(e) for e in dataset.experiments)
     left = sum(len(e) for e in experiments)
     note = (
-        f"{wanted}: more than there is room or an hour for. The first part of each run is looked at, {left:,} rows in all "
-        f"({100 * part:.2g} %); choose others with `rows` or `window_s` of [[experiments]]"
+        f"{wanted}: more than there is room or an hour for. The first part of each run is looked"
+        f" at, {left:,} rows in all ({100 * part:.2g} %); choose others with `rows` or `window_s`"
+        " of [[experiments]]"
     )
     return replace(dataset, experiments=experiments, notes=(*dataset.notes, note))
 
@@ -240,5 +241,8 @@ def too_large_to_read(path: Path) -> tuple[str, str] | None:
     room, limit = available()
     if needed <= SHARE * room:
         return None
-    message = f"{what} take about {needed / 1e9:.1f} GB to read, and {room / 1e9:.1f} GB are free here ({limit})"
+    message = (
+        f"{what} take about {needed / 1e9:.1f} GB to read, and {room / 1e9:.1f} GB are free here"
+        f" ({limit})"
+    )
     return message, "Write a file with fewer rows or columns, or split it into several datasets"

@@ -434,7 +434,8 @@ class Dataset:
 
         more = f" and {len(runs) - 6} more" if len(runs) > 6 else ""
         return one_line(
-            f"Dataset {self.name}: inputs {of(self.inputs)}; outputs {of(self.outputs)}; runs {', '.join(runs[:6])}{more}"
+            f"Dataset {self.name}: inputs {of(self.inputs)}; outputs {of(self.outputs)}; runs"
+            f" {', '.join(runs[:6])}{more}"
         )
 
     def _repr_html_(self) -> str:

@@ -186,8 +186,10 @@ def _fresh(values: np.ndarray, every: int) -> np.ndarray:
     if len(changes) and counts[first] < 0.9 * len(changes):
         usual = int(round(float(np.median(np.diff(changes))))) if len(changes) > 1 else 1
         raise FormError(
-            f"it changes at {len(changes)} rows, {len(changes) - counts[first]} of them not every {every}th",
-            f"Correct sampled_every (its value stays for {usual} rows as a rule), or name the rows by `valid`",
+            f"it changes at {len(changes)} rows, {len(changes) - counts[first]} of them not every"
+            f" {every}th",
+            f"Correct sampled_every (its value stays for {usual} rows as a rule), or name the rows"
+            " by `valid`",
         )
     return np.arange(len(values)) % every == first
 

@@ -62,7 +62,10 @@ def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
     file = "dataset.toml"
     try:
         if folder.is_file():
-            remedy = f"Import it first: jaxid import SOURCE {folder} --out DIR (jaxid import --help lists the sources)"
+            remedy = (
+                f"Import it first: jaxid import SOURCE {folder} --out DIR (jaxid import --help"
+                " lists the sources)"
+            )
             raise _refuse(str(folder), "this is a file, and a dataset is a folder", remedy)
         if not folder.is_dir():
             raise _refuse(

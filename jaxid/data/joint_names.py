@@ -86,11 +86,13 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
             for r in dataset.responses
         ),
         model=replace(dataset.model, joints=order),
-        controller=None
-        if dataset.controller is None
-        else replace(
-            dataset.controller,
-            settings=_settings(dataset.controller.settings, numbers, new_name, len(names)),
+        controller=(
+            None
+            if dataset.controller is None
+            else replace(
+                dataset.controller,
+                settings=_settings(dataset.controller.settings, numbers, new_name, len(names)),
+            )
         ),
         notes=(*dataset.notes, note),
     )
@@ -117,8 +119,9 @@ def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int
             missing.append(name)
     if missing:
         raise UsageError(
-            f"the recording has no joint {', '.join(missing)} of the chain {', '.join(names)}; it has {', '.join(own.values())}. "
-            "Name its joints as the chain does under [model.joints] of dataset.toml, q1 = 'NAME' …, or the chain's end with --tip"
+            f"the recording has no joint {', '.join(missing)} of the chain {', '.join(names)}; it"
+            f" has {', '.join(own.values())}. Name its joints as the chain does under"
+            " [model.joints] of dataset.toml, q1 = 'NAME' …, or the chain's end with --tip"
         )
     behind = iter(range(len(names) + 1, len(names) + len(own) + 1))
     return found | {k: next(behind) for k in sorted(own) if k not in found}

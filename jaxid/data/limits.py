@@ -91,7 +91,8 @@ class Limits:
                 continue
             if len(value) not in (1, joints):
                 raise UsageError(
-                    f"limit {f.name} has {len(value)} numbers for {joints} joints; write 1 or {joints}"
+                    f"limit {f.name} has {len(value)} numbers for {joints} joints; write 1 or"
+                    f" {joints}"
                 )
             wide[f.name] = value * joints if len(value) == 1 else value
         return replace(self, **wide)
@@ -150,7 +151,13 @@ class Limits:
             if not math.isfinite(value):
                 return f"measured {name}{number} is {value}"
             if upper is not None and value > upper[j] + margin * max(abs(upper[j]), 1e-3):
-                return f"measured {name}{number} = {value:.4g} {unit} is above its limit of {upper[j]:.4g} {unit}"
+                return (
+                    f"measured {name}{number} = {value:.4g} {unit} is above its limit of"
+                    f" {upper[j]:.4g} {unit}"
+                )
             if lower is not None and value < lower[j] - margin * max(abs(lower[j]), 1e-3):
-                return f"measured {name}{number} = {value:.4g} {unit} is below its limit of {lower[j]:.4g} {unit}"
+                return (
+                    f"measured {name}{number} = {value:.4g} {unit} is below its limit of"
+                    f" {lower[j]:.4g} {unit}"
+                )
         return None

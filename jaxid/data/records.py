@@ -123,7 +123,10 @@ def read_record(
         span = t[index[[0, -1]]]
         index = index[(t[index] >= start) & (t[index] < stop)]
         if len(index) == 0:
-            message = f"no sample lies in window_s = [{start:g}, {stop:g}]; time runs from {span[0]:g} to {span[1]:g} s"
+            message = (
+                f"no sample lies in window_s = [{start:g}, {stop:g}]; time runs from {span[0]:g} to"
+                f" {span[1]:g} s"
+            )
             harvest.problems.append(
                 DatasetProblem(table.file, None, clock, message, "Correct window_s")
             )
@@ -141,7 +144,10 @@ def read_record(
         r.name: _channel(table, r, index, t[index], harvest) for r in readings if _there(table, r)
     }
     if len(index) < MINIMUM_SAMPLES and not torn:
-        message = f"{len(index)} samples in experiment {name!r}; fewer than {MINIMUM_SAMPLES} say too little"
+        message = (
+            f"{len(index)} samples in experiment {name!r}; fewer than {MINIMUM_SAMPLES} say too"
+            " little"
+        )
         harvest.problems.append(
             DatasetProblem(table.file, None, None, message, "Record or select a longer run")
         )
@@ -216,7 +222,10 @@ def _known_span(
     )
     there = np.flatnonzero(known)
     if len(there) < MINIMUM_SAMPLES:
-        message = f"shifted against one another, the channels of {name!r} have {len(there)} samples in common"
+        message = (
+            f"shifted against one another, the channels of {name!r} have {len(there)} samples in"
+            " common"
+        )
         harvest.problems.append(
             DatasetProblem(
                 table.file, None, None, message, "Correct `shift`, `delay_s` or `clock_ppm`"
@@ -234,7 +243,8 @@ def _known_span(
             )
         if s.held:
             harvest.notes.append(
-                f"{name}: {s.held} of {len(s.values)} samples of {channel} not taken; the last good one holds there"
+                f"{name}: {s.held} of {len(s.values)} samples of {channel} not taken; the last good"
+                " one holds there"
             )
     return slice(first, end), [c - first for c in cuts if first < c < end]
 
@@ -375,7 +385,10 @@ def _time(
     if len(back):
         sample = int(index[back[0] + 1])
         what = "stands still" if step[back[0]] == 0 else "runs backwards"
-        text = f"time {what} at {table.place(sample)}: {float(t[back[0] + 1])!r} s after {float(t[back[0]])!r} s"
+        text = (
+            f"time {what} at {table.place(sample)}: {float(t[back[0] + 1])!r} s after"
+            f" {float(t[back[0]])!r} s"
+        )
         if len(back) > 1:
             text += f"; {len(back)} times in all"
         remedy = "Give increasing times, or choose one run of the file with `where` or `rows`"
@@ -388,7 +401,10 @@ def _time(
     if len(gaps) and not entry.split_at_gaps:
         sample = int(index[gaps[0] + 1])
         width = step[gaps[0]]
-        text = f"a gap of {width:.4g} s before {table.place(sample)}, {width / median:.0f} median steps of {median:.4g} s"
+        text = (
+            f"a gap of {width:.4g} s before {table.place(sample)}, {width / median:.0f} median"
+            f" steps of {median:.4g} s"
+        )
         if len(gaps) > 1:
             text += f"; {len(gaps)} gaps in all"
         remedy = "Choose a part with `rows` or `window_s`, or say split_at_gaps = true"
@@ -398,8 +414,9 @@ def _time(
     if len(long):
         worst = long[np.argmax(step[long])]
         harvest.warnings.append(
-            f"{name}: {len(long)} time step{'s' * (len(long) > 1)} over {LONG_STEP:g} medians ({median:.4g} s), "
-            f"the longest {step[worst]:.4g} s before {table.place(int(index[worst + 1]))} of {table.file}"
+            f"{name}: {len(long)} time step{'s' * (len(long) > 1)} over {LONG_STEP:g} medians"
+            f" ({median:.4g} s), the longest {step[worst]:.4g} s before"
+            f" {table.place(int(index[worst + 1]))} of {table.file}"
         )
     return [int(g) + 1 for g in gaps]
 

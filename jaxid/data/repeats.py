@@ -112,7 +112,7 @@ def _sentence(dataset: Dataset, found: OneWay) -> str:
         for off, c in zip(found.apart, dataset.outputs, strict=True)
     ]
     return (
-        f"{len(names)} runs of one input change one way, run by run: {told}. The last differs from the first by "
-        f"{listed(moved)} (root mean square). That is a drift, as of friction that falls while a machine warms up, and no "
-        "scatter: the noise floor leaves it out."
+        f"{len(names)} runs of one input change one way, run by run: {told}. The last differs from"
+        f" the first by {listed(moved)} (root mean square). That is a drift, as of friction that"
+        " falls while a machine warms up, and no scatter: the noise floor leaves it out."
     )

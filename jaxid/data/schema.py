@@ -103,7 +103,8 @@ class ChannelEntry(Strict):
     def _together(self) -> ChannelEntry:
         if (self.columns is None) != (self.weights is None):
             raise ValueError(
-                "`columns` and `weights` go together: columns = ['m5', 'm6'], weights = [32.0, 32.0]"
+                "`columns` and `weights` go together: columns = ['m5', 'm6'], weights = [32.0,"
+                " 32.0]"
             )
         if self.columns is not None and self.column is not None:
             raise ValueError("both `column` and `columns` say what to read: keep one of them")
@@ -117,7 +118,8 @@ class ChannelEntry(Strict):
             )
         if self.columns is not None and len(self.columns) != len(self.weights or ()):
             raise ValueError(
-                f"{len(self.columns)} columns have {len(self.weights or ())} weights: write one for each"
+                f"{len(self.columns)} columns have {len(self.weights or ())} weights: write one for"
+                " each"
             )
         return self
 
@@ -169,7 +171,8 @@ class ExperimentEntry(Strict):
     def _kinds(self) -> ExperimentEntry:
         if self.files is not None and (self.file or self.name is not None):
             raise ValueError(
-                f"`files` are several runs, and {'`file`' if self.file else '`name`'} is of one: keep one of them"
+                f"`files` are several runs, and {'`file`' if self.file else '`name`'} is of one:"
+                " keep one of them"
             )
         response = {"input", "output", "columns", "phase_unit"}
         record = {

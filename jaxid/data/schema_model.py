@@ -35,7 +35,8 @@ class PriorEntry(Strict):
         given = [v for v in (self.lower, self.value, self.upper) if v is not None]
         if given != sorted(given) or (self.lower is not None and self.lower == self.upper):
             raise ValueError(
-                "lower, value and upper must rise in this order (a known value belongs in [model.constants])"
+                "lower, value and upper must rise in this order (a known value belongs in"
+                " [model.constants])"
             )
         if self.log and self.lower is not None and self.lower <= 0:
             raise ValueError(
@@ -120,17 +121,20 @@ class ModelEntry(Strict):
             self.robot is not None or self.urdf is not None or self.dh is not None
         ):
             raise ValueError(
-                "file holds a model of your own, beside which robot, urdf and dh do not stand: keep one of them"
+                "file holds a model of your own, beside which robot, urdf and dh do not stand: keep"
+                " one of them"
             )
         if self.robot is not None and (
             self.name not in (None, "robot") or self.urdf is not None or self.dh is not None
         ):
             raise ValueError(
-                "robot names the file of a robot, beside which name, urdf and dh do not stand: keep one of them"
+                "robot names the file of a robot, beside which name, urdf and dh do not stand: keep"
+                " one of them"
             )
         if self.name not in (None, "robot") and self.base is not None:
             raise ValueError(
-                'base belongs to a robot: write robot = "robot.xml" (or a URDF) in place of the name'
+                'base belongs to a robot: write robot = "robot.xml" (or a URDF) in place of the'
+                " name"
             )
         both = sorted(set(self.constants) & set(self.parameters))
         if both:

@@ -148,7 +148,10 @@ def start_state(
     return (
         q0,
         qd0,
-        f"start state from a polynomial of degree {degree} through the first {count} samples ({scale:.3g} s)",
+        (
+            f"start state from a polynomial of degree {degree} through the first {count} samples"
+            f" ({scale:.3g} s)"
+        ),
     )
 
 
@@ -178,7 +181,8 @@ def _on_grid(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool
     t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
     if t.ndim != 1 or len(t) != len(x) or len(t) < 4:
         raise ValueError(
-            f"t {t.shape} and a signal {x.shape}; expected [time] and [time] or [time n], at least 4 samples"
+            f"t {t.shape} and a signal {x.shape}; expected [time] and [time] or [time n], at least"
+            " 4 samples"
         )
     grid, uniform = _grid(t)
     return grid, x if uniform else _spline(t, x, grid), uniform
@@ -223,7 +227,8 @@ def _sections(grid: np.ndarray, cutoff_hz: float, order: int) -> np.ndarray:
     rate = 1 / float(grid[1] - grid[0])
     if not 0 < cutoff_hz < rate / 2:
         raise ValueError(
-            f"cutoff {cutoff_hz:g} Hz is not between 0 and half the sampling frequency, {rate / 2:g} Hz"
+            f"cutoff {cutoff_hz:g} Hz is not between 0 and half the sampling frequency,"
+            f" {rate / 2:g} Hz"
         )
     return np.asarray(butter(order, cutoff_hz, fs=rate, output="sos"))
 
@@ -256,7 +261,10 @@ def _statement(t: np.ndarray, cutoff_hz: float, order: int, uniform: bool) -> st
         if uniform
         else f" on a uniform grid of {np.median(np.diff(t)):.4g} s (sampling is irregular)"
     )
-    return f"zero-phase Butterworth low-pass of order {order}, run forwards and backwards, cutoff {cutoff_hz:g} Hz{grid}"
+    return (
+        f"zero-phase Butterworth low-pass of order {order}, run forwards and backwards, cutoff"
+        f" {cutoff_hz:g} Hz{grid}"
+    )
 
 
 def _ends_text(t: np.ndarray, cutoff_hz: float) -> str:

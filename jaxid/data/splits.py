@@ -76,8 +76,9 @@ def _cut(
             run.piece(start, len(run), name=f"{base}#{second}", split=second, past=everything)
         )
         told.append(
-            f"{base} cut {_place(run, stop)}, {start - stop} samples ({run.t[start] - run.t[stop]:.3g} s) left out, "
-            f"{len(run) - start} samples for {second}"
+            f"{base} cut {_place(run, stop)}, {start - stop} samples"
+            f" ({run.t[start] - run.t[stop]:.3g} s) left out, {len(run) - start} samples for"
+            f" {second}"
         )
     if told:
         notes.append(f"{rule} ({'; '.join(told)})")

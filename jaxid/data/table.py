@@ -86,9 +86,12 @@ class Table:
             None if self.rows is None else 1,
             column,
             f"there is no column {column!r} for {role}{nearest(column, self.columns)}",
-            "Add the column, or name the one to read with `column` (of a channel) or `time` (top level)"
-            if self.rows is not None
-            else "Name a column that exists",
+            (
+                "Add the column, or name the one to read with `column` (of a channel) or `time`"
+                " (top level)"
+                if self.rows is not None
+                else "Name a column that exists"
+            ),
         )
 
     def numbers(self, column: str) -> NumericColumn:
@@ -393,14 +396,18 @@ def _header_fault(
                 1,
                 None,
                 f"columns separated by {word}{comma}",
-                "`jaxid import csv` reads it as it is; or save it with commas between columns and decimal points",
+                "`jaxid import csv` reads it as it is; or save it with commas between columns and"
+                " decimal points",
             )
     if not any(header):
         return DatasetProblem(
             file, 1, None, "the first row is empty", "Let the first row name the columns"
         )
     if all(_cell(name)[1] is None for name in header):
-        remedy = "Let the first row name the columns, or name them by number: time = 1, and column = 2 for a channel"
+        remedy = (
+            "Let the first row name the columns, or name them by number: time = 1, and column = 2"
+            " for a channel"
+        )
         return DatasetProblem(file, 1, None, "the first row holds numbers, not names", remedy)
     if not lines:
         return DatasetProblem(file, 1, None, "a header without samples", "Give at least 20 samples")
@@ -441,7 +448,10 @@ def ragged_rows(
     more = f"; so {len(ragged)} rows" if len(ragged) > 1 else ""
     comma = ", decimal commas perhaps" if found == 2 * width else ""
     what = "an empty row" if found == 0 else f"{found} fields where the header has {width}{comma}"
-    remedy = "Give one field a column in every row; `jaxid import csv` reads a file that begins with other lines"
+    remedy = (
+        "Give one field a column in every row; `jaxid import csv` reads a file that begins with"
+        " other lines"
+    )
     return DatasetProblem(file, rows[sample], None, what + more, remedy)
 
 

@@ -30,9 +30,11 @@ def seconds(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarr
     t, start = since_start(cells, numbers, unit)
     if start is None:
         counted = len(t) > 0 and np.isfinite(t).any() and not np.isfinite(numbers).any()
-        return t, "the time is a duration" if counted or getattr(
-            getattr(cells, "dtype", None), "kind", ""
-        ) == "m" else ""
+        return t, (
+            "the time is a duration"
+            if counted or getattr(getattr(cells, "dtype", None), "kind", "") == "m"
+            else ""
+        )
     return t, f"time counts from the first sample, {_when(np.datetime64(start, 'ns'))}"
 
 

@@ -118,7 +118,10 @@ def _stamps(runs: Sequence[Experiment], column: int, noise: float, name: str) ->
     (first, std, share), (second, _, _) = [f for f in found if f is not None]
     if abs(first - second) > ALIKE * first:
         return None
-    noise_text = f"its noise grows with speed and is {np.sqrt(1 + share):.3g} times that at standstill in root mean square"
+    noise_text = (
+        f"its noise grows with speed and is {np.sqrt(1 + share):.3g} times that at standstill in"
+        " root mean square"
+    )
     return Stamps(
         first,
         std,

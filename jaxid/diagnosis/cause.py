@@ -34,7 +34,10 @@ class Amount:
         if form == "%":
             return percent(self.value)
         if form == "period":  # rad/m counts phase along metres
-            return f"{number(2 * np.pi / self.value, self.digits)} {self.unit.partition('/')[2] or 'rad'}"
+            return (
+                f"{number(2 * np.pi / self.value, self.digits)}"
+                f" {self.unit.partition('/')[2] or 'rad'}"
+            )
         return number(self.value, self.digits) + self.unit
 
 

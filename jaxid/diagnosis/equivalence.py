@@ -185,7 +185,10 @@ def _under_goals(
     places = {key: Place(*key, share) for key, share in left.items()}
     pairs = {frozenset(places[key] for key in pair) for pair in alike}
     absorbed = tuple(p for p in places.values() if p.left <= LIMITS.equivalent_goals)
-    text += f"; to first order; not compared, for they have a motion of their own: {', '.join(apart) or 'none'}"
+    text += (
+        "; to first order; not compared, for they have a motion of their own:"
+        f" {', '.join(apart) or 'none'}"
+    )
     return Equivalences(
         model,
         text,
@@ -327,7 +330,10 @@ def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, 
         )
     law = getattr(owner, "drive_law", None)
     how = "open loop" if law is None else law.text
-    text = f"sines of 0.3 to 8 Hz, steps and rests, {SECONDS:g} s at {RATE} Hz, travel {best[2]:.2g}, {how}, from rest"
+    text = (
+        f"sines of 0.3 to 8 Hz, steps and rests, {SECONDS:g} s at {RATE} Hz, travel {best[2]:.2g},"
+        f" {how}, from rest"
+    )
     moving = {
         n: v for n, v in best[1].items() if np.ptp(v)
     }  # what stands still by design has another signature without it

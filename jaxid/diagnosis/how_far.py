@@ -93,16 +93,18 @@ def measure(
     )  # what is left where the starts of the runs are moved within what is known
     if gaps[2] > LIMITS.unseen_gap and beyond < gaps[2] / 2:
         note += (
-            f" Of the {gaps[2]:.3g} that are left all but {beyond:.3g} is what the starts of the {split} runs leave open: they "
-            "begin in motion, and their first samples tell only so much. Runs that begin at rest (at_rest), with a stated "
-            "start (initial) or with a longer initial_window_s tell more."
+            f" Of the {gaps[2]:.3g} that are left all but {beyond:.3g} is what the starts of the"
+            f" {split} runs leave open: they begin in motion, and their first samples tell only so"
+            " much. Runs that begin at rest (at_rest), with a stated start (initial) or with a"
+            " longer initial_window_s tell more."
         )
     if verdict == "none":
         reason = "the verdict is none: there is no gap to shrink"
         if beyond > LIMITS.unseen_gap:
             note += (
-                f" The {split} runs are {times(gaps[2])} times the noise away all the same: they go where fit and validation "
-                "runs do not, with numbers that those do not determine. Fit runs that go there tell more."
+                f" The {split} runs are {times(gaps[2])} times the noise away all the same: they go"
+                " where fit and validation runs do not, with numbers that those do not determine."
+                " Fit runs that go there tell more."
             )
     elif (unknown := not_measured(gaps[0], gaps[2])) is not None:
         reason = unknown
@@ -116,7 +118,10 @@ def measure(
             shrinkage = min(exact, 1.0)
             interval, made_of, reason = interval_of_further_run(runs[0], runs[2])
             interval = interval and (interval[0], min(interval[1], 1.0))
-    text = f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
+    text = (
+        f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after"
+        " re-tuning the old parameters alone"
+    )
     text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
     by_runs = by_run(bench, split, [whole_runs(bench, residual, split, r) for r in runs])
     return HowFar(
@@ -148,7 +153,10 @@ def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str
     if not stated:
         return (
             theta,
-            "The dataset states no parameter values, so the gap before is that of the re-tuned model.",
+            (
+                "The dataset states no parameter values, so the gap before is that of the re-tuned"
+                " model."
+            ),
         )
     theta[stated] = binding.theta[stated]
     return theta, ""
@@ -241,8 +249,9 @@ def interval_of_further_run(
     n = len(blocks)
     if n < BLOCKS:
         reason = (
-            f"no interval: residuals remember themselves for {length // 2} samples, so the report data hold only "
-            f"{n} independent {'block' if n == 1 else 'blocks'} and {BLOCKS} are needed"
+            f"no interval: residuals remember themselves for {length // 2} samples, so the report"
+            f" data hold only {n} independent {'block' if n == 1 else 'blocks'} and {BLOCKS} are"
+            " needed"
         )
         return None, "", reason
     further = (len(a) + 1) / len(

@@ -149,9 +149,10 @@ def check_asked(nominal: Chain, asked: Sequence[str], residual: str = "") -> Non
     model, why = nominal.mechanism.name, []
     for name in asked:
         if name in nominal.contents:
-            (taken, *_) = [e.name for e in nominal.effects if name in (e.name, *e.contains)]
+            taken, *_ = [e.name for e in nominal.effects if name in (e.name, *e.contains)]
             why.append(
-                f"{name} is part of {model} already (left out with `without`, {taken} becomes a candidate)"
+                f"{name} is part of {model} already (left out with `without`, {taken} becomes a"
+                " candidate)"
             )
         elif not possible(nominal, [name]):
             why.append(f"{model} cannot take {name}")

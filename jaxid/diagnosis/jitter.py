@@ -42,7 +42,8 @@ class Scatter:
         stamps = Remark(f"{found[0].upper()}{found[1:]}.")
         if verdict.name == "none":
             rest = Remark(
-                "Beside that the model lacks nothing: what is left is that noise, on data that were not fitted."
+                "Beside that the model lacks nothing: what is left is that noise, on data that were"
+                " not fitted."
             )
             return Verdict("named", (stamps, rest))
         return Verdict(verdict.name, (stamps, *verdict.reasons))

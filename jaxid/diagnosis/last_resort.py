@@ -51,7 +51,8 @@ def asked_last(
         return found
     laws = "such laws are asked last, for they take in what many simpler ones do"
     note = (
-        f"without {' and '.join(names)} the answer was {before} with {times(found.how_far.gap_after)} times the noise left; "
+        f"without {' and '.join(names)} the answer was {before} with"
+        f" {times(found.how_far.gap_after)} times the noise left; "
         + (laws if new & {*names} else f"{laws}, and so one of these came up again beside them")
     )
     return dataclasses.replace(again, notes=(*again.notes, note))

@@ -157,7 +157,10 @@ def _how_far(parts: Sequence[Diagnosis], verdict: str) -> HowFar:
         min(shrink(before**2, after**2), 1.0) if named and before > max(1.0, after) else None
     )
     split = fars[0].split
-    text = f"gap on {split} data: {times(before)} times the noise before, {times(retuned)} after re-tuning the old parameters alone"
+    text = (
+        f"gap on {split} data: {times(before)} times the noise before, {times(retuned)} after"
+        " re-tuning the old parameters alone"
+    )
     return HowFar(
         gap_before=before,
         gap_retuned=retuned,

@@ -75,8 +75,9 @@ def advice(
     if still:
         kept = " and ".join(still)
         return (
-            f"What is kept as {kept} data has to move: record another run, state in dataset.toml the split of runs that move, or "
-            "cut the standstill off with window_s, so that the parts of one run fall where it moves."
+            f"What is kept as {kept} data has to move: record another run, state in dataset.toml"
+            " the split of runs that move, or cut the standstill off with window_s, so that the"
+            " parts of one run fall where it moves."
         )
     text = _advice(verdict, named, mates, unseen, repeated)
     if read_twice and SECOND.search(text):
@@ -88,7 +89,10 @@ def advice(
     if rivals is None or not rivals.recorded.top.any() or not open_:
         return text
     a, b = rivals.names
-    return f'{text} The option --next DIR designs the input that best tells "{a}" from "{b}", and writes it to be played.'
+    return (
+        f'{text} The option --next DIR designs the input that best tells "{a}" from "{b}", and'
+        " writes it to be played."
+    )
 
 
 def _advice(
@@ -99,14 +103,20 @@ def _advice(
     repeated: bool,
 ) -> str:
     if verdict == "none":
-        text = "No further experiment is needed for this model: it reaches the noise floor on data that were not fitted."
+        text = (
+            "No further experiment is needed for this model: it reaches the noise floor on data"
+            " that were not fitted."
+        )
         others = [u for u in unseen if not u.absorbed]
         if others:
             first = others[0]
             text += f" Motions of another kind may need more: {first} would not show in these"
             if first.moved:
                 m = first.moved[0]
-                text += f" ({m.name} would pass for it: {m.without:.3g} {m.unit} fitted, {m.beside:.3g} with it)"
+                text += (
+                    f" ({m.name} would pass for it: {m.without:.3g} {m.unit} fitted, {m.beside:.3g}"
+                    " with it)"
+                )
             text += f"; to see it: {catalogue.effect_class(first.effect).excitation}."
         return text
     wanted = list(dict.fromkeys([*named, *mates]))
@@ -114,8 +124,8 @@ def _advice(
         kind = catalogue.effect_class(wanted[0])
         look = f"{kind.check[:1].lower()}{kind.check[1:].rstrip('.')}"
         return (
-            f"The data leave open at which place {kind.name} acts. At the machine: {look}. As far as motions can tell, these do: "
-            f"{kind.excitation}."
+            f"The data leave open at which place {kind.name} acts. At the machine: {look}. As far"
+            f" as motions can tell, these do: {kind.excitation}."
         )
     if mates:
         parts = [f"for {name}: {catalogue.effect_class(name).excitation}" for name in wanted]
@@ -130,6 +140,6 @@ def _advice(
         else "What is missing is not known yet."
     )
     return (
-        f"{rest} {repeat} slow ramps through zero speed, a standstill under several loads, and one run each at half and full "
-        "speed."
+        f"{rest} {repeat} slow ramps through zero speed, a standstill under several loads, and one"
+        " run each at half and full speed."
     )

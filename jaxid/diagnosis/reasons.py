@@ -71,8 +71,8 @@ class WithinAStep(Reason):
     gap: float
     where: ClassVar[str] = "where its counts begin within a step"
     form = (
-        "What is left ({gap:times} times the noise) is one offset of an encoder for each run, of at most half a step: {where}. "
-        "Less that, the model is at the noise: there is no gap."
+        "What is left ({gap:times} times the noise) is one offset of an encoder for each run, of at"
+        " most half a step: {where}. Less that, the model is at the noise: there is no gap."
     )
 
     @property
@@ -83,15 +83,18 @@ class WithinAStep(Reason):
 @dataclass(frozen=True)
 class NothingExplains(Reason):
     gap: float
-    form = "There is a gap ({gap:times} times the noise on validation data), and no effect of the library explains it."
+    form = (
+        "There is a gap ({gap:times} times the noise on validation data), and no effect of the"
+        " library explains it."
+    )
 
 
 @dataclass(frozen=True)
 class CutShort(Reason):
     named: bool
     form = (
-        "The search ended at what it may simulate: {what}. Leave out effects that cannot be missing (--effects names the "
-        "others), and it gets further."
+        "The search ended at what it may simulate: {what}. Leave out effects that cannot be missing"
+        " (--effects names the others), and it gets further."
     )
 
     @property
@@ -123,8 +126,8 @@ class LacksInPart(Reason):
     left: float
     claimed: bool = True
     form = (
-        "{lead} {names}, which explains {closed:floor} of the gap on validation data; a clear remainder ({left:times} "
-        "times the noise) stays unexplained."
+        "{lead} {names}, which explains {closed:floor} of the gap on validation data; a clear"
+        " remainder ({left:times} times the noise) stays unexplained."
     )
 
     @property
@@ -139,8 +142,9 @@ class FollowsFitRuns(Reason):
     left: float
     claimed: bool = True
     form = (
-        "{lead} {names}: with it the fit runs are followed down to the noise. The validation runs go where the fit runs "
-        "do not: there {closed:percent} of the gap is explained and {left:times} times the noise is left."
+        "{lead} {names}: with it the fit runs are followed down to the noise. The validation runs"
+        " go where the fit runs do not: there {closed:percent} of the gap is explained and"
+        " {left:times} times the noise is left."
     )
 
     @property
@@ -154,8 +158,8 @@ class NotMost(Reason):
     closed: float
     left: float
     form = (
-        "No effect explains most of the gap: {names} explains {closed:percent} of it on validation data and leaves {left:times} "
-        "times the noise."
+        "No effect explains most of the gap: {names} explains {closed:percent} of it on validation"
+        " data and leaves {left:times} times the noise."
     )
 
 
@@ -179,15 +183,18 @@ class NearerOnValidation(Reason):
 
     names: str
     closed: float
-    form = "On validation data alone {names} closes {closed:percent} of it; fit and validation data together do not bear that out."
+    form = (
+        "On validation data alone {names} closes {closed:percent} of it; fit and validation data"
+        " together do not bear that out."
+    )
 
 
 @dataclass(frozen=True)
 class StandsStill(Reason):
     splits: tuple[str, ...]
     form = (
-        "The data kept for {kept} still: any model predicts them, so that nothing can be judged on them, neither whether there "
-        "is a gap nor what would close it."
+        "The data kept for {kept} still: any model predicts them, so that nothing can be judged on"
+        " them, neither whether there is a gap nor what would close it."
     )
 
     @property
@@ -205,8 +212,8 @@ class LittleOnReport(Reason):
     after: float
     retuned: float
     form = (
-        "On the report data {after:times} times the noise is left with it, {retuned:times} without: that is not most of what "
-        "little there is, so it is not claimed."
+        "On the report data {after:times} times the noise is left with it, {retuned:times} without:"
+        " that is not most of what little there is, so it is not claimed."
     )
 
 
@@ -215,7 +222,10 @@ class FartherOnReport(Reason):
     after: float
     retuned: float
     before: float
-    form = "On the report data that model is {after:times} times the noise away, {retuned:times} without{stated}: it is not claimed."
+    form = (
+        "On the report data that model is {after:times} times the noise away, {retuned:times}"
+        " without{stated}: it is not claimed."
+    )
 
     @property
     def sentence(self) -> str:
@@ -239,8 +249,8 @@ class PartOnReport(Reason):
 class WithinWhatIsKnown(Reason):
     after: float
     form = (
-        "The report data are {after:times} times the noise away, but go where fit and validation data leave numbers of the model "
-        "open; within what is known of these it holds there too."
+        "The report data are {after:times} times the noise away, but go where fit and validation"
+        " data leave numbers of the model open; within what is known of these it holds there too."
     )
 
 
@@ -254,8 +264,8 @@ class NextToTheNoise(Reason):
     after: float
     retuned: float
     form = (
-        "{names} would follow fit and validation data more closely, but leaves {after:times} times the noise of the report data, "
-        "{retuned:times} without: not claimed."
+        "{names} would follow fit and validation data more closely, but leaves {after:times} times"
+        " the noise of the report data, {retuned:times} without: not claimed."
     )
 
 
@@ -264,9 +274,10 @@ class ReportNotReached(Reason):
     gap: float
     places: tuple[tuple[str, float], ...]
     form = (
-        "The model follows fit and validation data down to the noise, but not the report data: re-tuned it is {gap:times} times "
-        "the noise away there, and what the fit leaves open of its numbers does not account for it{worst}. What is missing does "
-        "not show in the data that were fitted."
+        "The model follows fit and validation data down to the noise, but not the report data:"
+        " re-tuned it is {gap:times} times the noise away there, and what the fit leaves open of"
+        " its numbers does not account for it{worst}. What is missing does not show in the data"
+        " that were fitted."
     )
 
     @property
@@ -299,7 +310,10 @@ class Stopped(Reason):
 @dataclass(frozen=True)
 class Undetermined(Reason):
     what: str
-    form = "The re-tuned model is {what}: these data do not determine it, and no effect is named beside it."
+    form = (
+        "The re-tuned model is {what}: these data do not determine it, and no effect is named"
+        " beside it."
+    )
 
 
 @dataclass(frozen=True)
@@ -313,8 +327,8 @@ class TorqueAtTheNoise(Reason):
 class NothingPredicts(Reason):
     gap: float
     form = (
-        "There is a gap ({gap:times} times the noise), and no effect of the library predicts the runs that were not fitted "
-        "better."
+        "There is a gap ({gap:times} times the noise), and no effect of the library predicts the"
+        " runs that were not fitted better."
     )
 
 
@@ -332,10 +346,13 @@ class TorqueHeldOut(Reason):
     whole: bool = True
     fitted: float = 0.0
     reference: bool = False
-    form = "{what} {names:listed}; with it {left:times} times the noise is left on held-out data{more}."
+    form = (
+        "{what} {names:listed}; with it {left:times} times the noise is left on held-out"
+        " data{more}."
+    )
     in_part: ClassVar[str] = (
-        "{what} {names:listed}, which explains {closed:percent} of the gap on held-out data; a clear remainder stays un"
-        "explained: {left:times} times the noise is left on held-out data."
+        "{what} {names:listed}, which explains {closed:percent} of the gap on held-out data; a"
+        " clear remainder stays unexplained: {left:times} times the noise is left on held-out data."
     )
 
     @property
@@ -355,6 +372,7 @@ class NotMostHeldOut(Reason):
     closed: float
     left: float
     form = (
-        "No effect explains most of the gap: {names:listed} explains {closed:percent} of it on held-out data; {left:times} times "
-        "the noise is left on held-out data, so that it is not claimed."
+        "No effect explains most of the gap: {names:listed} explains {closed:percent} of it on"
+        " held-out data; {left:times} times the noise is left on held-out data, so that it is not"
+        " claimed."
     )

@@ -212,9 +212,9 @@ class HowFar:
             "gap_after": self.gap_after,
             "noise_floor": self.noise_floor,
             "shrinkage": self.shrinkage,
-            "shrinkage_interval_95": None
-            if self.shrinkage_interval_95 is None
-            else list(self.shrinkage_interval_95),
+            "shrinkage_interval_95": (
+                None if self.shrinkage_interval_95 is None else list(self.shrinkage_interval_95)
+            ),
             "interval_reason": self.interval_reason,
             "interval_from": self.interval_from,
             "split": self.split,

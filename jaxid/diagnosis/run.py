@@ -316,8 +316,8 @@ def _run(
             )
             left = times(found.how_far.gap_after)
             note = (
-                f"{why}, and by free runs the answer was {verdict} with {left} times the noise left: models are compared over "
-                "windows, each with its own start"
+                f"{why}, and by free runs the answer was {verdict} with {left} times the noise"
+                " left: models are compared over windows, each with its own start"
             )
             found = dataclasses.replace(again, notes=(*again.notes, note))
     if asked is None and not still:
@@ -491,7 +491,8 @@ def _search(question: Question) -> tuple[ProblemBuilder, Fit, Search, float]:
     )
     if not np.isfinite(nominal.cost):
         raise Diverged(
-            "the nominal model cannot be fitted: the simulation diverges at every candidate; give other start values or bounds",
+            "the nominal model cannot be fitted: the simulation diverges at every candidate; give"
+            " other start values or bounds",
             by_torque(binding),
             DIVERGES,
         )
@@ -587,7 +588,10 @@ def _so_far(
         bench, search.nominal, search.nominal, "unknown", (), question.seed
     )
     ranking = tuple(ranked(search))
-    text = f"Stopped before the effects of the library were compared: {len(ranking) or 'none'} had been."
+    text = (
+        f"Stopped before the effects of the library were compared: {len(ranking) or 'none'} had"
+        " been."
+    )
     return Diagnosis(
         model=binding.chain.mechanism.name,
         dataset=binding.dataset.name,

@@ -30,7 +30,10 @@ def in_lead(known: Iterable[Hypothesis]) -> str:
     lead = min((h for h in known if h.effects), key=joint_loss, default=None)
     if lead is None:
         return ""
-    return f"so far {listed(map(str, lead.effects))}: {times(np.sqrt(joint_loss(lead)))} times the noise left"
+    return (
+        f"so far {listed(map(str, lead.effects))}: {times(np.sqrt(joint_loss(lead)))} times the"
+        " noise left"
+    )
 
 
 def significant(before: Hypothesis, after: Hypothesis) -> bool:

@@ -22,21 +22,23 @@ class Thresholds:
     decisive: float = _of(
         9.0,
         "chi-square units",
-        "A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.",
+        "A difference of held-out evidence below this many chi-square units (3 sigma) decides"
+        " nothing.",
         "convention: three standard deviations",
     )
     conflict: float = _of(
         0.5,
         "share of what is left",
-        "A hypothesis that leaves less than this share of what the best one on validation data leaves of the fit "
-        "runs, and less over both (mean logarithm), is preferred to it: validation runs may go where the fit runs "
-        "tell little of any hypothesis.",
+        "A hypothesis that leaves less than this share of what the best one on validation data"
+        " leaves of the fit runs, and less over both (mean logarithm), is preferred to it:"
+        " validation runs may go where the fit runs tell little of any hypothesis.",
         "blind cases whose validation runs went where fit runs did not",
     )
     alike: float = _of(
         1.02,
         "ratio of mean squares",
-        "A law of fewer numbers is as good if it leaves less than so much more: the noise itself is not known better.",
+        "A law of fewer numbers is as good if it leaves less than so much more: the noise itself is"
+        " not known better.",
         "not recorded",
     )
     gain: float = _of(
@@ -54,14 +56,16 @@ class Thresholds:
     explained: float = _of(
         1.1,
         "mean square, noise 1",
-        "Validation runs, refitted together with fit runs that show no gap, are explained where an effect leaves less; so is a "
-        "gap above `far` where a candidate in front leaves less of fit and validation runs.",
+        "Validation runs, refitted together with fit runs that show no gap, are explained where an"
+        " effect leaves less; so is a gap above `far` where a candidate in front leaves less of fit"
+        " and validation runs.",
         "a blind effect that only validation runs showed, seed not kept",
     )
     overwhelming: float = _of(
         200.0,
         "chi-square units",
-        "So much higher do `explained` validation runs have to stand without the effect, where fit runs show no gap at all.",
+        "So much higher do `explained` validation runs have to stand without the effect, where fit"
+        " runs show no gap at all.",
         "the same case as `explained`",
     )
     at_floor: float = _of(
@@ -79,54 +83,60 @@ class Thresholds:
     form: float = _of(
         1e-5,
         "share of a mean square",
-        "Two simulations of one law differ by so much of what it does (0.3 % of its size, in mean square).",
+        "Two simulations of one law differ by so much of what it does (0.3 % of its size, in mean"
+        " square).",
         "controls by MuJoCo, seed 40: two simulators of one law",
     )
     as_good: float = _of(
         0.99,
         "share of what is explained",
-        "A hypothesis that explains so much of what another one explains is as good, where both are at the noise.",
+        "A hypothesis that explains so much of what another one explains is as good, where both are"
+        " at the noise.",
         "not recorded",
     )
     # evidence
     plausible_start: float = _of(
         3.0,
         "standard deviations",
-        "A start may be moved by so many of its own standard deviations to take its uncertainty out of a comparison.",
+        "A start may be moved by so many of its own standard deviations to take its uncertainty out"
+        " of a comparison.",
         "convention: three standard deviations",
     )
     refit_together: float = _of(
         1.1,
         "mean square, noise 1",
-        "A model that leaves more than so many times the noise (mean square) is refitted to the fit runs and "
-        "those of a split at once, in so many iterations.",
+        "A model that leaves more than so many times the noise (mean square) is refitted to the fit"
+        " runs and those of a split at once, in so many iterations.",
         "not recorded",
     )
     # verdict
     named: float = _of(
         0.97,
         "share of the gap",
-        "What is `named` closes at least this share of the gap (mean square above the floor) on validation data.",
+        "What is `named` closes at least this share of the gap (mean square above the floor) on"
+        " validation data.",
         "not recorded",
     )
     partly: float = _of(
         0.5,
         "share of the gap",
-        "What is said `partly` closes at least this share of the gap (mean square above the floor) on validation data.",
+        "What is said `partly` closes at least this share of the gap (mean square above the floor)"
+        " on validation data.",
         "convention: more than half",
     )
     seen: float = _of(
         1.2,
         "times the noise",
-        "Gap of the re-tuned model on report data, times the noise, above which they can withdraw a verdict.",
+        "Gap of the re-tuned model on report data, times the noise, above which they can withdraw a"
+        " verdict.",
         "recordings whose report runs alone showed a gap",
     )
     left: float = _of(
         1.5,
         "times the noise",
-        "Near the noise: what is `named` closes that share of the gap on fit and report data too, or leaves no "
-        "more than so many times the noise there; with `none` no run and no direction of motion of the report "
-        "data leaves more.",
+        "Near the noise: what is `named` closes that share of the gap on fit and report data too,"
+        " or leaves no more than so many times the noise there; with `none` no run and no direction"
+        " of motion of the report data leaves more.",
         "flexible link with an effect of no library that got a name; a tracker of paper_gaps.py",
     )
     still: float = _of(
@@ -139,48 +149,53 @@ class Thresholds:
     switched_off: float = _of(
         0.2,
         "share of the command",
-        "A drive that is said to give no more than this share of what it is told is one that is all but switched off.",
+        "A drive that is said to give no more than this share of what it is told is one that is all"
+        " but switched off.",
         "a pendulum whose zero was horizontal: a drive reduced by 89.5 % took that in",
     )
     # how far
     unseen_gap: float = _of(
         1.5,
         "times the noise",
-        "A model without a gap on fit and validation data is told of one this large (in multiples of the noise) on report data.",
+        "A model without a gap on fit and validation data is told of one this large (in multiples"
+        " of the noise) on report data.",
         "report runs of models with inner states that went elsewhere",
     )
     # run
     remainder: float = _of(
         10.0,
         "times the noise",
-        "Free runs that forget how they began are not trusted where they find no answer, or one that leaves so "
-        "many times the noise.",
+        "Free runs that forget how they began are not trusted where they find no answer, or one"
+        " that leaves so many times the noise.",
         "planar arms that swing over the top",
     )
     # search
     standing_out: float = _of(
         25.0,
         "chi-square units",
-        "What is refitted where a model is close above the noise already: candidates that explain so much of the sum of squares.",
+        "What is refitted where a model is close above the noise already: candidates that explain"
+        " so much of the sum of squares.",
         "blind pairs with a small second effect, as `close_above`",
     )
     far: float = _of(
         10.0,
         "mean square, noise 1",
-        "A model that leaves more is not worth descending to the end yet, and may be in a local minimum; of candidates beside it "
-        "those in front are asked first.",
+        "A model that leaves more is not worth descending to the end yet, and may be in a local"
+        " minimum; of candidates beside it those in front are asked first.",
         "not recorded",
     )
     local_minimum: float = _of(
         0.5,
         "share of what is left",
-        "A model was in a local minimum if less than this share is left from where a richer one ended.",
+        "A model was in a local minimum if less than this share is left from where a richer one"
+        " ended.",
         "two controls of the servo, seeds 28 and 29, that were named out of a local minimum",
     )
     followed: float = _of(
         1.5,
         "ratio of mean squares",
-        "What leaves at most so many times what the best of a batch leaves of the fit runs is followed on validation runs.",
+        "What leaves at most so many times what the best of a batch leaves of the fit runs is"
+        " followed on validation runs.",
         "not recorded",
     )
     followed_near: float = _of(
@@ -192,16 +207,16 @@ class Thresholds:
     left_open: float = _of(
         0.3,
         "mean square, noise 1",
-        "Validation runs that are so much further away than they need be with what the fit runs leave open (mean "
-        "squares) settle it.",
+        "Validation runs that are so much further away than they need be with what the fit runs"
+        " leave open (mean squares) settle it.",
         "not recorded",
     )
     # prior pull
     pull_cost: float = _of(
         2.0,
         "half of a chi-square unit",
-        "A direction is left open where going all the way back costs less than this (half of the sum of squares, "
-        "in noise variances).",
+        "A direction is left open where going all the way back costs less than this (half of the"
+        " sum of squares, in noise variances).",
         "servo cases of seed 26, whose fit runs left a delay and a scale of the sensor open",
     )
     pull_short: float = _of(
@@ -213,101 +228,114 @@ class Thresholds:
     pull_hopeless: float = _of(
         10.0,
         "ratio of mean squares",
-        "A path that leaves so many times what the best of them leaves is not moved: nothing comes of it.",
+        "A path that leaves so many times what the best of them leaves is not moved: nothing comes"
+        " of it.",
         "not recorded",
     )
     # shortlist
     screen_share: float = _of(
         0.02,
         "share of the best",
-        "Candidates within this share of the best screen value are refitted, at least MINIMUM and at most MAXIMUM of them.",
+        "Candidates within this share of the best screen value are refitted, at least MINIMUM and"
+        " at most MAXIMUM of them.",
         "not recorded",
     )
     # unseen
     told: float = _of(
         3.0,
         "standard deviations",
-        "Closer simulations than this (standard deviations of the noise, all samples together) are not told apart.",
+        "Closer simulations than this (standard deviations of the noise, all samples together) are"
+        " not told apart.",
         "convention: three standard deviations",
     )
     sign: float = _of(
         8.0,
         "standard deviations",
-        "A candidate that stands out by so many is a sign: a fine encoder and what steps leave behind reach 6.",
+        "A candidate that stands out by so many is a sign: a fine encoder and what steps leave"
+        " behind reach 6.",
         "stepped commands to a joint with a fine encoder: 6 without anything missing",
     )
     chance: float = _of(
         1e-12,
         "probability",
-        "A number that differs between parts of the recordings with less than this by chance is a sign: steps reach 1e-7.",
+        "A number that differs between parts of the recordings with less than this by chance is a"
+        " sign: steps reach 1e-7.",
         "stepped commands to a joint: 1e-7 without anything missing",
     )
     hidden_share: float = _of(
         0.05,
         "share of a number",
-        "An effect hides in a number that it moves by this share of its value, or of its typical change, and by `hidden_beyond`.",
+        "An effect hides in a number that it moves by this share of its value, or of its typical"
+        " change, and by `hidden_beyond`.",
         "not recorded",
     )
     hidden_beyond: float = _of(
         2.0,
         "standard deviations",
-        "An effect hides in a number that it moves by so many of those that the fit states, and by `hidden_share`.",
+        "An effect hides in a number that it moves by so many of those that the fit states, and by"
+        " `hidden_share`.",
         "convention: 95 %",
     )
     # where
     own_energy: float = _of(
         0.3,
         "share of its energy",
-        "What named effects supply is what was missing if taking it away leaves less by so many times its own energy.",
+        "What named effects supply is what was missing if taking it away leaves less by so many"
+        " times its own energy.",
         "not recorded",
     )
     own_share: float = _of(
         0.5,
         "share of what is missing",
-        "Taking away what named effects supply has to leave less by that share of what is missing above the noise, too.",
+        "Taking away what named effects supply has to leave less by that share of what is missing"
+        " above the noise, too.",
         "not recorded",
     )
     own_regime: float = _of(
         0.9,
         "share of its energy",
-        "What a named effect supplies lies in a regime if that share of it does; else it lies wherever the effect acts.",
+        "What a named effect supplies lies in a regime if that share of it does; else it lies"
+        " wherever the effect acts.",
         "not recorded",
     )
     # equivalence
     absorbed: float = _of(
         5e-4,
         "share of a weak effect",
-        "An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK of a probe) "
-        "changes: as much as a first-order re-tuning leaves of one that is absorbed exactly goes with its "
-        "strength, what it cannot absorb does not.",
+        "An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK"
+        " of a probe) changes: as much as a first-order re-tuning leaves of one that is absorbed"
+        " exactly goes with its strength, what it cannot absorb does not.",
         "not recorded",
     )
     parallel: float = _of(
         0.999,
         "cosine",
-        "Two effects whose weak changes point this much the same way are each fitted to the other's recording.",
+        "Two effects whose weak changes point this much the same way are each fitted to the other's"
+        " recording.",
         "not recorded",
     )
     equivalent: float = _of(
         0.02,
         "share of what re-tuning leaves",
-        "Of two `parallel` effects both fits have to leave less than this of what re-tuning alone leaves, for them to be alike.",
+        "Of two `parallel` effects both fits have to leave less than this of what re-tuning alone"
+        " leaves, for them to be alike.",
         "not recorded",
     )
     # goals, equivalence
     equivalent_goals: float = _of(
         0.02,
         "share of what re-tuning leaves",
-        "An effect of which re-tuning leaves less than this share is taken up; two are alike where each leaves "
-        "less of the other.",
+        "An effect of which re-tuning leaves less than this share is taken up; two are alike where"
+        " each leaves less of the other.",
         "not recorded",
     )
     # goals, limits
     limit_leaves: float = _of(
         0.7,
         "share of the missing force",
-        "A limit of a drive that leaves at most this of the force which the file lacks at its joint is simulated, which "
-        "decides: a filter of the motion smears where a drive meets its limit.",
+        "A limit of a drive that leaves at most this of the force which the file lacks at its joint"
+        " is simulated, which decides: a filter of the motion smears where a drive meets its"
+        " limit.",
         "two saturated joints of blind_robots.py; tuned on one of them",
     )
     # torque, choose
@@ -326,21 +354,24 @@ class Thresholds:
     shows_itself: float = _of(
         1e-6,
         "share of a column",
-        "A column of which less than this share lies outside of what is there already shows nothing of its own.",
+        "A column of which less than this share lies outside of what is there already shows nothing"
+        " of its own.",
         "not recorded",
     )
     # torque, run
     different: float = _of(
         2.0,
         "ratio of errors",
-        "Held-out runs that are so many times further away than those that were fitted are asked what is different in them.",
+        "Held-out runs that are so many times further away than those that were fitted are asked"
+        " what is different in them.",
         "a loaded against an unloaded arm",
     )
     # torque, answer
     determined: float = _of(
         0.5,
         "share of what is known",
-        "A number whose standard deviation is more than this share of what is known of it beforehand is not determined.",
+        "A number whose standard deviation is more than this share of what is known of it"
+        " beforehand is not determined.",
         "not recorded",
     )
     # torque, rows

@@ -308,8 +308,8 @@ class Looker:
             ((s, c) for c, s in told.items() if s > LIMITS.sign), key=lambda found: -found[0]
         )
         signs = [
-            f"{c} would explain something that stands out by {s:.2g} standard deviations, although the gap as a whole is at the "
-            "noise."
+            f"{c} would explain something that stands out by {s:.2g} standard deviations, although"
+            " the gap as a whole is at the noise."
             for s, c in strongest[:1]
         ]
         return list(best.values()), signs
@@ -480,8 +480,8 @@ class Looker:
             return f"{self.theta[i] + slope * shift[g]:.5g} {entry.unit} in {pieces[g][0]}"
 
         return (
-            f"{entry.name} is not the same in all of the recordings ({say(low)}, {say(high)}; far beyond chance): something "
-            "changed, or the model lacks what acts differently there."
+            f"{entry.name} is not the same in all of the recordings ({say(low)}, {say(high)}; far"
+            " beyond chance): something changed, or the model lacks what acts differently there."
         )
 
     def _halves(self) -> Iterator[tuple[str, slice, ResidualRows, slice]]:

@@ -308,7 +308,10 @@ def output_findings(
                 continue  # a run that diverges is worst nowhere
             cause = (causes or {}).get(name)
             seen = f"{words(cause, 'seen')}; " if cause and words(cause, "seen") else ""
-            text = f"{name}: {seen}the free run is worst {during(window, e)} ({number(rms)} {unit} rms)"
+            text = (
+                f"{name}: {seen}the free run is worst {during(window, e)} ({number(rms)} {unit}"
+                " rms)"
+            )
             told_by = variable(cause) if cause else "time"
             limits = span(cause) if cause else None
             out.append(

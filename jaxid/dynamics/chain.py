@@ -363,12 +363,15 @@ class Chain(eqx.Module):
         after, tau = self.advance(body, carry, command)
         v0, v1 = body.port(carry.x)[1], body.port(after.x)[1]
         y, z = self.sense(body, carry, tau, (v0 == 0) & (v1 == 0), command)
-        return after._replace(
-            z=tuple(
-                b if isinstance(e, OutputEffect) else a
-                for e, a, b in zip(self.effects, after.z, z, strict=True)
-            )
-        ), y
+        return (
+            after._replace(
+                z=tuple(
+                    b if isinstance(e, OutputEffect) else a
+                    for e, a, b in zip(self.effects, after.z, z, strict=True)
+                )
+            ),
+            y,
+        )
 
     def sense(
         self,

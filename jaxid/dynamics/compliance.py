@@ -159,8 +159,8 @@ class Compliant(Mechanism):
     signatures: ClassVar[tuple] = ()
     builtin: ClassVar[tuple] = ()
     equations: ClassVar[str] = (
-        "share J qdd_motor = tau - t,  (M - share J) qdd_link + bias = t\n"
-        "t = soft(gap, play / 2) / compliance + damping d(gap)/dt,  gap = q_motor - q_link; no pull across a play"
+        "share J qdd_motor = tau - t,  (M - share J) qdd_link + bias = t\nt = soft(gap, play / 2) /"
+        " compliance + damping d(gap)/dt,  gap = q_motor - q_link; no pull across a play"
     )
     source: ClassVar[str] = "Spong, ASME J. Dyn. Syst. 109(4), 1987 (the elastic joint)"
     hidden_states: ClassVar[bool] = True

@@ -151,8 +151,9 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
     """
     if dataset.controller is None:
         raise UsageError(
-            "the dataset states no controller. State it under [controller] (kind, gains, sample_time) with the reference "
-            "q_cmd as an auxiliary channel, or use the residual output_error, which needs none"
+            "the dataset states no controller. State it under [controller] (kind, gains,"
+            " sample_time) with the reference q_cmd as an auxiliary channel, or use the residual"
+            " output_error, which needs none"
         )
     n = len(signature.joints)
     if (
@@ -203,9 +204,11 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
         saturation=saturation,
         offset=number("offset"),
         velocity=_word(settings, "velocity"),
-        reference_velocity="none"
-        if kind == "cascade" and "reference_velocity" not in settings
-        else _word(settings, "reference_velocity"),
+        reference_velocity=(
+            "none"
+            if kind == "cascade" and "reference_velocity" not in settings
+            else _word(settings, "reference_velocity")
+        ),
         references=_channels(dataset, settings, "reference", signature, True),
         disturbances=_channels(dataset, settings, "disturbance", signature, False),
         sample_time=float(period) if period is not None else float(np.median(np.diff(first.t))),
@@ -252,8 +255,9 @@ def _channels(
         if None in found:
             missing = candidates[found.index(None)][0]
             raise UsageError(
-                f"the controller's reference is not recorded: add an auxiliary channel {missing!r}, or name one by "
-                f"[controller] {key} (auxiliary channels: {', '.join(have) or 'none'})"
+                f"the controller's reference is not recorded: add an auxiliary channel {missing!r},"
+                f" or name one by [controller] {key} (auxiliary channels:"
+                f" {', '.join(have) or 'none'})"
             )
         return tuple(c or "" for c in found)
     names = [stated] if isinstance(stated, str) else list(stated)
@@ -264,7 +268,8 @@ def _channels(
     for name in names:
         if name not in have and name:
             raise UsageError(
-                f"[controller]: {key} names {name!r}, no auxiliary channel{nearest(str(name), have)}"
+                f"[controller]: {key} names {name!r}, no auxiliary"
+                f" channel{nearest(str(name), have)}"
             )
     return tuple(str(name) for name in names)
 

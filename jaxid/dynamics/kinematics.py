@@ -110,7 +110,8 @@ def modified_dh(
     wrong = [f"{k} has {len(v)}" for k, v in columns.items() if len(v) != n]
     if wrong or n == 0:
         raise UsageError(
-            f"a table of {n} joints needs {n} entries in every column; {', '.join(wrong) or 'it is empty'}"
+            f"a table of {n} joints needs {n} entries in every column;"
+            f" {', '.join(wrong) or 'it is empty'}"
         )
     number = {k: np.asarray(v, np.float64) for k, v in columns.items()}
     table = ArmTable(

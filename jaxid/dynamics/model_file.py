@@ -105,9 +105,15 @@ def _fault(name: str, file: str, error: BaseException) -> str:
     rows = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     line = f", line {rows[-1]}" if rows else ""
     if isinstance(error, ModuleNotFoundError):
-        return f"{name}{line}: there is no module {error.name!r}. A model is one file: what it imports has to be installed"
+        return (
+            f"{name}{line}: there is no module {error.name!r}. A model is one file: what it imports"
+            " has to be installed"
+        )
     if isinstance(error, SystemExit):
-        return f"{name}{line}: the file ends Python (SystemExit). Remove that, or put it under `if __name__ == '__main__':`"
+        return (
+            f"{name}{line}: the file ends Python (SystemExit). Remove that, or put it under `if"
+            " __name__ == '__main__':`"
+        )
     return f"{name}{line}: {type(error).__name__}: {error}. Correct the file"
 
 
@@ -144,7 +150,8 @@ def _only(module: ModuleType, file: str) -> type:
     if len(set(found.values())) > 1:
         first = next(iter(found))
         raise UsageError(
-            f"{file} holds several models, {', '.join(found)}: name one of them, as in {file}:{first}"
+            f"{file} holds several models, {', '.join(found)}: name one of them, as in"
+            f" {file}:{first}"
         )
     return next(iter(found.values()))
 
@@ -172,12 +179,14 @@ def _refuse_unusable(kind: type, file: str) -> None:
     )
     if lacking:
         raise UsageError(
-            f"{kind.__name__} in {file} lacks {', '.join(f'`{n}`' for n in lacking)}: write it as README shows"
+            f"{kind.__name__} in {file} lacks {', '.join(f'`{n}`' for n in lacking)}: write it as"
+            " README shows"
         )
     name = getattr(kind, "name", None)
     if name in {m.name for m in MODELS}:
         raise UsageError(
-            f"{kind.__name__} in {file} has the name {name!r} of a model of jaxid: give it another `name`"
+            f"{kind.__name__} in {file} has the name {name!r} of a model of jaxid: give it another"
+            " `name`"
         )
     try:
         kind()

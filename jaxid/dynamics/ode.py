@@ -53,7 +53,8 @@ class ODE(eqx.Module):
             sensed = isinstance(e, OutputEffect) and jax.tree.leaves(e.start(y, y))
             if isinstance(e, RecordEffect) or sensed:
                 raise UsageError(
-                    f"{e.name} acts on a recorded series and has no differential equation: chain.without({e.name!r})"
+                    f"{e.name} acts on a recorded series and has no differential equation:"
+                    f" chain.without({e.name!r})"
                 )
         self.parameters = _ready(chain)
         # The numbers themselves may be traced: their names are not.
@@ -206,9 +207,10 @@ def check_smooth(chain: Chain) -> None:
     """
     if chain.smoothing_velocity == 0 and (dry := dry_effects(chain)):
         raise UsageError(
-            f"{chain.mechanism.name} has dry friction with true sticking ({', '.join(dry)}), for which there is no differential "
-            "equation. Smooth it over a velocity in rad/s or m/s: chain.smoothed(1e-3) in Python, smoothing_velocity = 1e-3 "
-            f"under [model.constants] in dataset.toml; or leave it out: without {', '.join(dry)}"
+            f"{chain.mechanism.name} has dry friction with true sticking ({', '.join(dry)}), for"
+            " which there is no differential equation. Smooth it over a velocity in rad/s or m/s:"
+            " chain.smoothed(1e-3) in Python, smoothing_velocity = 1e-3 under [model.constants] in"
+            f" dataset.toml; or leave it out: without {', '.join(dry)}"
         )
 
 

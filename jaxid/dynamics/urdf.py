@@ -122,7 +122,8 @@ def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
     lost = sorted(set(robot.inertia) - reached)
     if lost:
         raise UsageError(
-            f"{path}: link {lost[0]!r} does not hang on the root {root!r}: its joints form a closed loop"
+            f"{path}: link {lost[0]!r} does not hang on the root {root!r}: its joints form a closed"
+            " loop"
         )
     return robot, root
 
@@ -164,7 +165,8 @@ def _read(path: Path, text: str | None = None) -> _Robot:
         for link in (joint.parent, joint.child):
             if link not in robot.inertia:
                 raise UsageError(
-                    f"{path}: joint {joint.name!r} names link {link!r}{nearest(link, robot.inertia)}"
+                    f"{path}: joint {joint.name!r} names link"
+                    f" {link!r}{nearest(link, robot.inertia)}"
                 )
         if any(joint.child == other.child for other in robot.joints.values()):
             raise UsageError(
@@ -265,7 +267,8 @@ def _joint(element: Any, path: Path) -> _Joint:
     kind = _text(element, "type", path, f"joint {name!r}")
     if kind not in (*MOVING, "fixed"):
         raise UsageError(
-            f"{path}: joint {name!r} is of type {kind!r}; jaxid knows {', '.join((*MOVING, 'fixed'))}"
+            f"{path}: joint {name!r} is of type {kind!r}; jaxid knows"
+            f" {', '.join((*MOVING, 'fixed'))}"
         )
     ends = []
     for tag in ("parent", "child"):
@@ -338,8 +341,9 @@ def _root(robot: _Robot, root: str | None, path: Any) -> str:
         raise UsageError(f"{path}: it has no <link> (a file that xacro made of macros alone?)")
     if len(roots) != 1:
         raise UsageError(
-            f"{path}: {len(roots)} links have no parent ({', '.join(roots) or 'a closed loop'}); name where the chain begins: "
-            'root = "LINK" under [model] of dataset.toml, or --root LINK'
+            f"{path}: {len(roots)} links have no parent ({', '.join(roots) or 'a closed loop'});"
+            ' name where the chain begins: root = "LINK" under [model] of dataset.toml, or'
+            " --root LINK"
         )
     return roots[0]
 
@@ -355,8 +359,10 @@ def _tip(robot: _Robot, root: str, tip: str | None, path: Any) -> str:
         if len(moving) > 1:
             branches = ", ".join(j.child for j in moving)
             raise UsageError(
-                f'{path}: behind {link!r} several branches move ({branches}); name its last link: tip = "LINK" under '
-                f"[model] of dataset.toml, or --tip LINK. Ends to choose from: {', '.join(_ends(robot, root))}"
+                f"{path}: behind {link!r} several branches move ({branches}); name its last link:"
+                ' tip = "LINK" under '
+                "[model] of dataset.toml, or --tip LINK. Ends to choose from:"
+                f" {', '.join(_ends(robot, root))}"
             )
         if not moving:
             return link

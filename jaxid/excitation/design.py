@@ -94,7 +94,8 @@ def excite(
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, FRICTIONS)}")
     if not (duration_s > 0 and rate_hz > 0 and duration_s * rate_hz <= 1e6):
         raise UsageError(
-            f"{duration_s:g} s at {rate_hz:g} Hz: give a positive duration and rate, at most a million samples"
+            f"{duration_s:g} s at {rate_hz:g} Hz: give a positive duration and rate, at most a"
+            " million samples"
         )
     base = base_frequency_hz if base_frequency_hz is not None else 1 / duration_s
     if (
@@ -103,18 +104,20 @@ def excite(
         or round(duration_s * base) < 1
     ):
         raise UsageError(
-            f"{duration_s:g} s hold {duration_s * base:.4g} periods of {base:g} Hz; a motion ends at rest after whole ones"
+            f"{duration_s:g} s hold {duration_s * base:.4g} periods of {base:g} Hz; a motion ends"
+            " at rest after whole ones"
         )
     if harmonics * base > rate_hz / 8:
         raise UsageError(
-            f"the highest line, {harmonics * base:.3g} Hz, needs a rate of at least {8 * harmonics * base:.3g} Hz"
+            f"the highest line, {harmonics * base:.3g} Hz, needs a rate of at least"
+            f" {8 * harmonics * base:.3g} Hz"
         )
     mechanism, table = mechanism_of(model)
     chain = _with(Chain(mechanism), parameters)
     if criterion == "paper001" and (not hasattr(mechanism, "base") or harmonics < 3):
         raise UsageError(
-            "criterion paper001 sorts the columns of a serial arm (ur10, panda, a URDF …) and needs 3 harmonics, for its sums "
-            "take two of each joint; use condition or d_optimal"
+            "criterion paper001 sorts the columns of a serial arm (ur10, panda, a URDF …) and needs"
+            " 3 harmonics, for its sums take two of each joint; use condition or d_optimal"
         )
     bounds = bounds_of(mechanism.name, chain.signature, limits, table)
     t = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
@@ -268,8 +271,9 @@ def _motion(
     if not fit:
         best = tried[0]
         raise UsageError(
-            f"no start kept the arm clear of itself and of the floor (nearest links {best['links']:.3g} m apart, lowest point at "
-            f"{best['height']:.3g} m): tighten the ranges with --limits, or state where the floor is with --floor"
+            "no start kept the arm clear of itself and of the floor (nearest links"
+            f" {best['links']:.3g} m apart, lowest point at {best['height']:.3g} m): tighten the"
+            " ranges with --limits, or state where the floor is with --floor"
         )
     fourier, clear = found[fit[0]][1], tried[fit[0]]
     q, qd, qdd = fourier(t)
@@ -306,18 +310,20 @@ def _motion(
         "condition_number": float(np.linalg.cond(rows)),
         "condition_number_weighted": float(np.linalg.cond(weighted)),
         "condition_number_scaled": float(np.linalg.cond(rows / np.where(size > 0, size, 1.0))),
-        "condition_number_of_starts": [float(np.exp(v)) for v, _ in found]
-        if criterion == "condition"
-        else None,
+        "condition_number_of_starts": (
+            [float(np.exp(v)) for v, _ in found] if criterion == "condition" else None
+        ),
         **(
             {} if criterion != "paper001" else {"paper001": objective_18(weighted, groups, fourier)}
         ),
         "columns": len(names),
         "torque_noise": {"std": noise.tolist(), "source": stated},
         "expected_std": {name: float(s) for name, s in zip(names, std, strict=True)},
-        "clearance": None
-        if geometry is None
-        else {"links_m": clear["links"], "height_m": clear["height"], "radius_m": radius},
+        "clearance": (
+            None
+            if geometry is None
+            else {"links_m": clear["links"], "height_m": clear["height"], "radius_m": radius}
+        ),
         "speed_coverage": coverage(joints, bounds, qd),
         "fourier": {
             "a": fourier.a,
@@ -326,7 +332,10 @@ def _motion(
             "omega": fourier.omega,
         },
         "notes": [
-            "q_j = middle_j + sum_l a_lj / (omega l) sin(omega l t) - b_lj / (omega l) cos(omega l t)",
+            (
+                "q_j = middle_j + sum_l a_lj / (omega l) sin(omega l t) - b_lj / (omega l)"
+                " cos(omega l t)"
+            ),
             "torques in run_1 are the model's own, nothing here was measured",
             *(
                 []
@@ -346,7 +355,10 @@ def _motion(
         channels,
         (experiment,),
         model=ModelSpec(arm.name),
-        description=f"Designed motion for {arm.name} ({units}); torques are the model's own: a plan, not a recording",
+        description=(
+            f"Designed motion for {arm.name} ({units}); torques are the model's own: a plan, not a"
+            " recording"
+        ),
     )
     return Excitation(dataset, commands, rates, tuple(limits), about, fourier)
 
@@ -495,7 +507,8 @@ def described(
     if gains is not None:
         if family.slew is not None:
             raise UsageError(
-                f"{chain.mechanism.name} takes positions: a gain (N m/A) has no meaning; leave out --gain"
+                f"{chain.mechanism.name} takes positions: a gain (N m/A) has no meaning; leave out"
+                " --gain"
             )
         auxiliary = {
             _current(name): u[:, k] / gains[k] for k, (name, _) in enumerate(signature.inputs)
@@ -520,8 +533,11 @@ def described(
         "assumed_values": {name: float(v) for name, v in zip(bench.names, values, strict=True)},
         "speed_coverage": coverage(signature.joints, bounds, qd),
         "notes": [
-            "outputs in run_1 are simulated at the assumed values, nothing here was measured; a drive played in open loop moves "
-            "as the machine does, not as the simulation: begin with a small --amplitude",
+            (
+                "outputs in run_1 are simulated at the assumed values, nothing here was measured; a"
+                " drive played in open loop moves as the machine does, not as the simulation: begin"
+                " with a small --amplitude"
+            ),
             *(
                 [f"assumed to be 0: {', '.join(zero)}. State a guess with --parameters FIT.json"]
                 if zero
@@ -529,7 +545,8 @@ def described(
             ),
             *(
                 [
-                    f"{dark} combinations of the parameters show in no output: fix some under [model.constants]"
+                    f"{dark} combinations of the parameters show in no output: fix some under"
+                    " [model.constants]"
                 ]
                 if dark
                 else []
@@ -549,7 +566,8 @@ def described(
 def widened(name: str, values: Sequence[float], count: int) -> np.ndarray:
     if len(values) not in (1, count) or min(values) <= 0:
         raise UsageError(
-            f"--{name} has {len(values)} numbers for {count} inputs; write 1 or {count}, all above 0"
+            f"--{name} has {len(values)} numbers for {count} inputs; write 1 or {count}, all"
+            " above 0"
         )
     return np.broadcast_to(np.asarray(values, float), (count,)).copy()
 

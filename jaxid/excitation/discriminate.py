@@ -135,25 +135,28 @@ def separate(
     """
     if rivals is None:
         raise UsageError(
-            "no input is designed: there are no two hypotheses to tell apart, or torques were compared (`jaxid excite` designs a "
-            "motion)"
+            "no input is designed: there are no two hypotheses to tell apart, or torques were"
+            " compared (`jaxid excite` designs a motion)"
         )
     began = time.perf_counter()
     chain, seen = rivals.layout.chain, rivals.recorded
     inputs = chain.signature.inputs
     if not inputs or not seen.top.any():
         raise UsageError(
-            f"nothing drives the recorded {chain.mechanism.name}: release it from other poses instead"
+            f"nothing drives the recorded {chain.mechanism.name}: release it from other poses"
+            " instead"
         )
     if not chain.joint_outputs:
         raise UsageError(
-            "the joints are not all measured: limits cannot be kept by simulation; record them as outputs too"
+            "the joints are not all measured: limits cannot be kept by simulation; record them as"
+            " outputs too"
         )
     rate = 1 / float(np.median(np.diff(seen.t)))
     duration = duration_s or min(10.0, float(seen.t[-1] - seen.t[0]))
     if duration * rate < 50:
         raise UsageError(
-            f"{duration:g} s at {rate:g} Hz are {duration * rate:.0f} samples; give a longer duration"
+            f"{duration:g} s at {rate:g} Hz are {duration * rate:.0f} samples; give a longer"
+            " duration"
         )
     t = np.arange(round(duration * rate) + 1) / rate
     top = (
@@ -187,12 +190,18 @@ def separate(
     made = described(plain, u, plan, "separation", None)
     a, b = rivals.names
     so_far = f"{before:.3g}" if np.isfinite(before) else "unknown"
-    far = f'after this run "{a}" and "{b}" are {after:.3g} standard deviations apart, by the recorded command {so_far}'
+    far = (
+        f'after this run "{a}" and "{b}" are {after:.3g} standard deviations apart, by the recorded'
+        f" command {so_far}"
+    )
     if not after >= TOLD:
-        far += "; no input within these limits tells them apart: allow more (limits, amplitude, duration), or take the simpler one"
+        far += (
+            "; no input within these limits tells them apart: allow more (limits, amplitude,"
+            " duration), or take the simpler one"
+        )
     started = (
-        f"outputs in run_1 are simulated with {a}, nothing here was measured; a drive played in open loop moves as the machine "
-        "does, not as the simulation: begin with a small amplitude"
+        f"outputs in run_1 are simulated with {a}, nothing here was measured; a drive played in"
+        " open loop moves as the machine does, not as the simulation: begin with a small amplitude"
     )
     made.content["notes"] = [started, far]
     made.content["separates"] = [a, b]

@@ -150,8 +150,9 @@ def largest_inputs(chain: Chain, bounds: Bounds) -> np.ndarray:
         return 0.9 * half
     if not chain.direct:
         raise UsageError(
-            f"{chain.mechanism.name} takes {', '.join(f'{n} ({u})' for n, u in chain.signature.inputs)}: state how large they "
-            "may be with --amplitude"
+            f"{chain.mechanism.name} takes"
+            f" {', '.join(f'{n} ({u})' for n, u in chain.signature.inputs)}: state how large they"
+            " may be with --amplitude"
         )
     phase = np.linspace(0, 2 * np.pi, 65)[:, None]
     q, qd = bounds.home + half * np.sin(phase), bounds.speed * np.cos(phase)
@@ -353,5 +354,6 @@ def choose(
             return family.inputs(best)[0], float(bench.worth(dy, criterion)[0])
         best[:, gain] = np.minimum(best[:, gain], 0.0) + np.log(0.8)
     raise UsageError(
-        "no input was found that keeps the limits: widen them (--limits), or allow less input (--amplitude)"
+        "no input was found that keeps the limits: widen them (--limits), or allow less input"
+        " (--amplitude)"
     )

@@ -92,7 +92,10 @@ def urscript(made: Excitation) -> str:
         return "[" + ", ".join(f"{v:.6f}" for v in row) + "]"
 
     lines = [
-        "# Made by jaxid excite. Speed slider at 100 %, emergency stop in reach. This file was not tried on a controller.",
+        (
+            "# Made by jaxid excite. Speed slider at 100 %, emergency stop in reach. This file was"
+            " not tried on a controller."
+        ),
         "def jaxid_excitation():",
         f"  movej({pose(q[0])}, a=0.5, v=0.3)",
         "  sleep(1.0)",

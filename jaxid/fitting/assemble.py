@@ -165,7 +165,8 @@ def assemble(
             table[split] = response_scores(bench, residual, split, problem, result.z)
             if not table[split]:
                 notes.append(
-                    f"the {split} data show no line of a frequency response: only their course over time is compared"
+                    f"the {split} data show no line of a frequency response: only their course over"
+                    " time is compared"
                 )
         if not binding.experiments(split):
             continue

@@ -239,7 +239,8 @@ class ParameterChange:
                 continue
             if not of_a_body(layout, found["size"]):
                 raise UsageError(
-                    f"momentum tells of bodies, and {effect.name}@{place} changes no number of one: take it out"
+                    f"momentum tells of bodies, and {effect.name}@{place} changes no number of one:"
+                    " take it out"
                 )
             own.append(layout.index(place))
             sizes.append(found["size"])
@@ -283,7 +284,8 @@ def fit_change(
     moments = series.moments(len(free))
     if not len(moments):
         raise UsageError(
-            f"no run is long enough for {len(free)} numbers on both sides of a change: record more, or fit fewer"
+            f"no run is long enough for {len(free)} numbers on both sides of a change: record more,"
+            " or fit fewer"
         )
     sides = change.sides(series, theta)
     s = float(moments[np.argmin(series.squares(sides, moments))])
@@ -350,13 +352,14 @@ def unexplained(binding: Binding, change: ParameterChange, left: float) -> str:
     bodies = dict.fromkeys(name.partition("@")[2] for name in named)
     others = [f"{k}@{body}" for body in bodies for k in BODY if f"{k}@{body}" not in named]
     more = (
-        f"; what was not named is taken as unchanged: {', '.join(f'step_change@{n}' for n in others)}"
+        "; what was not named is taken as unchanged:"
+        f" {', '.join(f'step_change@{n}' for n in others)}"
         if others
         else ""
     )
     return (
-        f"the change leaves {left:.3g} times the noise (mean square): these numbers are not the whole of it, their intervals and "
-        f"that of the moment do not hold{more}"
+        f"the change leaves {left:.3g} times the noise (mean square): these numbers are not the"
+        f" whole of it, their intervals and that of the moment do not hold{more}"
     )
 
 
@@ -405,7 +408,10 @@ def said(
     gained = ", ".join(f"{v:.3g}" for v in series.gained(sides.L0, sides.L1, s))
     return [
         f"changed at {s:.3f} ± {HALF * std:.3f} s (95 %): {'; '.join(values)}",
-        f"with it the angular momentum of the whole gained ({gained}) N m s: each side of the moment keeps its own",
+        (
+            f"with it the angular momentum of the whole gained ({gained}) N m s: each side of the"
+            " moment keeps its own"
+        ),
     ]
 
 
@@ -444,9 +450,10 @@ def noticed(binding: Binding, residual: Momentum, fit: Fit) -> Fit:
         return fit
     places = " ".join(f"--effect step_change@{binding.layout.names[i]}" for i in own)
     text = (
-        f"at about {found[0]:.2f} s something changed: with bodies and momentum of their own, the parts before and after explain "
-        f"{100 * found[1]:.3g} % of what is left. Something was caught, let go or touched, and these numbers are those of "
-        f"neither part: {places} finds both, or cut the run there (window_s)"
+        f"at about {found[0]:.2f} s something changed: with bodies and momentum of their own, the"
+        f" parts before and after explain {100 * found[1]:.3g} % of what is left. Something was"
+        f" caught, let go or touched, and these numbers are those of neither part: {places} finds"
+        " both, or cut the run there (window_s)"
     )
     return replace(
         fit, converged=False, stalled=True, stopped_because=text, notes=(text, *fit.notes)

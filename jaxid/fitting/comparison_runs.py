@@ -62,7 +62,8 @@ def run_comparison(
         raise UsageError(f"starts are {' or '.join(STARTS)}, not {starts!r}")
     if not tolerance > 0:
         raise UsageError(
-            f"a tolerance of {tolerance:g} cannot be met; give a share of the best loss above 0, such as 1e-3"
+            f"a tolerance of {tolerance:g} cannot be met; give a share of the best loss above 0,"
+            " such as 1e-3"
         )
     if (budget is not None and budget < 1) or (seconds is not None and seconds <= 0):
         raise UsageError("budget and seconds are above 0")

@@ -117,7 +117,10 @@ def looked_again(
                 and isinstance(fitter, AbstractPopulation)
                 and not old.failed
             ):
-                said = f"a descent from beside it ends lower, at loss {new.loss:.4g}: try hybrid or lm ({old.stopped_because})"
+                said = (
+                    f"a descent from beside it ends lower, at loss {new.loss:.4g}: try hybrid or lm"
+                    f" ({old.stopped_because})"
+                )
                 out[k] = dataclasses.replace(
                     old, converged=False, stalled=not _limited(old), stopped_because=said, **spent
                 )
@@ -229,7 +232,8 @@ def ending(
         t = still[0]
         return Ending(
             "failed",
-            f"{t.channel} moves by {np.ptp(t.measured):.3g} {t.unit} and the fitted model keeps it still",
+            f"{t.channel} moves by {np.ptp(t.measured):.3g} {t.unit} and the fitted model keeps it"
+            " still",
         )
     if problem.free.size > 1 and cov.at_bound[own].all():
         return Ending(

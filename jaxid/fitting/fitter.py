@@ -176,7 +176,10 @@ class Log:
         loss = self.problem.loss(z)
         if loss >= PENALTY:
             converged = stalled = False
-            stopped = "the simulation diverges at every candidate; give other start values or narrower bounds"
+            stopped = (
+                "the simulation diverges at every candidate; give other start values or narrower"
+                " bounds"
+            )
         return Minimum(
             z=z,
             loss=loss,

@@ -39,13 +39,15 @@ TURNS = 8
 
 #: Said where the torque equation stands in for a free run.
 DIVERGES = (
-    "the free run diverges at every candidate, as that of an arm does which was recorded under position control: the torque that "
-    "the measured motion needs is compared instead (inverse_dynamics)"
+    "the free run diverges at every candidate, as that of an arm does which was recorded under"
+    " position control: the torque that the measured motion needs is compared instead"
+    " (inverse_dynamics)"
 )
 
 LOST = (
-    "no numbers were found with which the free run follows the recording (off by {} of the motion's standard deviation), as "
-    "for an arm recorded under position control: the torque that the measured motion needs is compared instead (inverse_dynamics)"
+    "no numbers were found with which the free run follows the recording (off by {} of the motion's"
+    " standard deviation), as for an arm recorded under position control: the torque that the"
+    " measured motion needs is compared instead (inverse_dynamics)"
 )
 
 #: (residual, None for the free run; numbers to begin with, None for guesses; evaluations spent
@@ -156,7 +158,8 @@ def believed(bench: ProblemBuilder, fit: Fit, fitter: AbstractFitter, fitted: Fi
         return _together(
             windows,
             fit,
-            f"{said}: models are compared over windows, each with its own start; free_run stands beside",
+            f"{said}: models are compared over windows, each with its own start; free_run stands"
+            " beside",
         )
     again = fitted(None, windows.theta, fit.evaluations + windows.evaluations)
     better = not again.failed and (fit.failed or again.loss < fit.loss)
@@ -189,11 +192,14 @@ def _lost(bench: ProblemBuilder, fit: Fit, windows: Fit) -> str:
         return "a free run diverges from a start beside its own"
     if grown > SENSITIVE:
         return (
-            f"a difference at the start of a run grows {grown:.2g} times within it, and the free run could be followed to "
-            f"{percent(_off(fit))} of the motion only"
+            f"a difference at the start of a run grows {grown:.2g} times within it, and the free"
+            f" run could be followed to {percent(_off(fit))} of the motion only"
         )
     if decays(bench.binding):
-        return f"a free swing through several amplitudes, which one free run follows to {percent(_off(fit))} of the motion"
+        return (
+            "a free swing through several amplitudes, which one free run follows to"
+            f" {percent(_off(fit))} of the motion"
+        )
     return ""
 
 

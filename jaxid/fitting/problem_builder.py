@@ -125,8 +125,10 @@ class ProblemBuilder:
         b = self.binding
         if residual.torques and (own := b.gains & {int(i) for i in free}):
             raise UsageError(
-                f"inverse_dynamics compares torques, and {', '.join(b.layout.names[i] for i in sorted(own))} make the torque: "
-                "the smaller, the less is left. Take them out of [controller] fit, or use the residual output_error"
+                "inverse_dynamics compares torques, and"
+                f" {', '.join(b.layout.names[i] for i in sorted(own))} make the torque: the"
+                " smaller, the less is left. Take them out of [controller] fit, or use the"
+                " residual output_error"
             )
         if isinstance(residual, Momentum) and len(free):
             free = told_by(b.layout, list(free))

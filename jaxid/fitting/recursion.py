@@ -60,7 +60,8 @@ class RecursionSettings:
             raise UsageError(f"a window of {self.window} blocks holds nothing; give at least 1")
         if not 0 < self.forgetting <= 1:
             raise UsageError(
-                f"forgetting is {self.forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)"
+                f"forgetting is {self.forgetting:g}; it lies above 0 and at most at 1 (1 forgets"
+                " nothing)"
             )
         if self.block_s is not None and not self.block_s > 0:
             raise UsageError(f"blocks of {self.block_s:g} s hold nothing")
@@ -155,13 +156,14 @@ def fit_recursively(
     residual = residual or default_residual(binding)
     if recursion.window is None and loss != "sum_of_squares":
         raise UsageError(
-            f"what earlier blocks say is carried on in squares: use sum_of_squares, or a window, with {loss}"
+            "what earlier blocks say is carried on in squares: use sum_of_squares, or a window,"
+            f" with {loss}"
         )
     blocks = binding.dataset.split("fit")
     if len(blocks) < 2:
         raise UsageError(
-            f"a recursion needs at least two blocks of {SHORTEST} samples, and the fit data give {len(blocks)}: "
-            "state shorter ones (--block)"
+            f"a recursion needs at least two blocks of {SHORTEST} samples, and the fit data give"
+            f" {len(blocks)}: state shorter ones (--block)"
         )
     benches = Benches(binding)
     bench = benches.of(samples.STEP)
@@ -169,7 +171,8 @@ def fit_recursively(
     whole = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
     if whole.pieces != len(blocks):
         raise UsageError(
-            f"{residual.name} divides runs by itself: use output_error or inverse_dynamics with a window or forgetting"
+            f"{residual.name} divides runs by itself: use output_error or inverse_dynamics with a"
+            " window or forgetting"
         )
     found: list[tuple[Any, Any]] = []
 
@@ -234,13 +237,19 @@ def statement(recursion: RecursionSettings, count: int) -> str:
             if recursion.forgetting == 1
             else f", each block {recursion.forgetting:g} times the one after it"
         )
-        return f"{count} recursions; each fits its last {recursion.window} blocks{weighed}; the numbers are the last one's"
+        return (
+            f"{count} recursions; each fits its last {recursion.window} blocks{weighed}; the"
+            " numbers are the last one's"
+        )
     forgets = (
         "nothing is forgotten"
         if recursion.forgetting == 1
         else f"what is known counts {recursion.forgetting:g} times as much with every block"
     )
-    return f"{count} recursions of one block each, what earlier blocks say carried on ({forgets}); the numbers are the last one's"
+    return (
+        f"{count} recursions of one block each, what earlier blocks say carried on ({forgets}); the"
+        " numbers are the last one's"
+    )
 
 
 def followed(

@@ -104,7 +104,8 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
         there = read_tree_loosely(against)
         if there.leading != tree.leading:
             raise UsageError(
-                f"{against} has the joints {', '.join(there.leading)}, {robot} has {', '.join(tree.leading)}"
+                f"{against} has the joints {', '.join(there.leading)}, {robot} has"
+                f" {', '.join(tree.leading)}"
             )
         simulated = in_mujoco(data, against, there, None, starts, notes)
     before = _before(data, source, starts)
@@ -175,9 +176,11 @@ def _by_jaxid(
     spec = data.model
     data = replace(
         data,
-        model=None
-        if spec is None
-        else replace(spec, name=None, geometry=None, parameters={}, joints={}),
+        model=(
+            None
+            if spec is None
+            else replace(spec, name=None, geometry=None, parameters={}, joints={})
+        ),
     )
     try:
         simulation = simulate_dataset(content, data, model)
@@ -265,13 +268,15 @@ def in_mujoco(
     law, spec = None, data.model
     if inputs and not (goals or torques) and not (spec is not None and spec.free):
         raise UsageError(
-            f"nothing that was recorded drives {path.name}: of its joints add goals ({joints[0]}_cmd) or torques "
-            f"({joints[0]}_tau) as inputs (the recording has {', '.join(inputs)}), or say free = true"
+            f"nothing that was recorded drives {path.name}: of its joints add goals"
+            f" ({joints[0]}_cmd) or torques ({joints[0]}_tau) as inputs (the recording has"
+            f" {', '.join(inputs)}), or say free = true"
         )
     if goals and not _own_actuators(tree, joints):
         law = _law(data, joints, source, path)
         notes.append(
-            f"{path.name} has no position actuators for these joints: the law of [controller] drives"
+            f"{path.name} has no position actuators for these joints: the law of [controller]"
+            " drives"
         )
         law = _with_gains(law, joints, gains or {})
     elif goals:
@@ -285,13 +290,15 @@ def in_mujoco(
         else robot
     )
     drive = Driven(
-        "goal"
-        if goals and law is None
-        else "law"
-        if law is not None
-        else "torque"
-        if torques
-        else "free",
+        (
+            "goal"
+            if goals and law is None
+            else "law"
+            if law is not None
+            else "torque"
+            if torques
+            else "free"
+        ),
         law,
         reference,
     )
@@ -329,8 +336,8 @@ def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: P
     """The law of [controller], with the numbers that the result found."""
     if data.controller is None:
         raise UsageError(
-            f"{path} has no position actuator for every recorded joint, and the dataset states no law: add [controller] "
-            "(kind, kp, kd)"
+            f"{path} has no position actuator for every recorded joint, and the dataset states no"
+            " law: add [controller] (kind, kp, kd)"
         )
     law = stated_law(data.controller, joints, float(np.median(np.diff(data.experiments[0].t))))
     found = source.content.get("result", {}).get("parameters", {}) if source is not None else {}
@@ -371,7 +378,8 @@ def _worse(rows: list[dict[str, Any]]) -> list[str]:
         now, was = (sum(r[k] ** 2 for r in own) for k in ("mujoco", "before"))
         if now > was:
             out.append(
-                f"{joint}: in MuJoCo the patched file is further from the recording than the original: do not take it over"
+                f"{joint}: in MuJoCo the patched file is further from the recording than the"
+                " original: do not take it over"
             )
     return out
 
@@ -420,7 +428,10 @@ def _verdict(rows: list[dict[str, Any]], source: _Source | None, other: str) -> 
         if worst is None or not worst["difference"] > worst[other]:
             continue
         them = "the other file" if other == "against" else "jaxid"
-        text = f"{joint}: MuJoCo and {them} differ by {worst['difference']:.3g} {worst['unit']}, more than "
+        text = (
+            f"{joint}: MuJoCo and {them} differ by {worst['difference']:.3g} {worst['unit']}, more"
+            " than "
+        )
         text += f"{them}'s run differs from the recording ({worst[other]:.3g})"
 
         def at(r):

@@ -186,7 +186,8 @@ def fit_seeds(
                     f"stopped before it was refined with steps of {step / 2:.3g} s",
                 )
                 notes[seed].append(
-                    f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step / 2:.3g} s"
+                    f"halving the step moved the simulation by {moved:.2g} of the noise or gap:"
+                    f" refitted at {step / 2:.3g} s"
                 )
         level, step = finer, step / 2
         fitter = fitter.nearby()

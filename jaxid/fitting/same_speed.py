@@ -65,7 +65,7 @@ def _as_well(bench: ProblemBuilder, theta: np.ndarray, row: StatedNumber, kd: in
 def _open(row: StatedNumber) -> StatedNumber:
     text = (
         f"damping of {row.joint} as stated can be neither confirmed nor refuted by itself: the "
-        f"law brakes the same speed, and the data tell only kd + damping"
+        "law brakes the same speed, and the data tell only kd + damping"
     )
     return replace(row, deviation=None, text=text)
 
@@ -76,7 +76,7 @@ def _sum(row: StatedNumber, kd: float) -> StatedNumber:
     text = (
         f"kd + damping of {row.joint}: {value_with_std(whole)}, stated {number(kd)} + "
         f"{number(row.stated)}{unit} ({number(abs(row.deviation or 0.0), 2)} standard deviations): "
-        f"the law brakes the joint's own speed, and the data tell only the sum"
+        "the law brakes the joint's own speed, and the data tell only the sum"
     )
     return replace(
         row,

@@ -48,8 +48,9 @@ def refuse_scale_free(problem: FitProblem, z: np.ndarray) -> None:
     """Raises `UsageError` where the torque equation holds no scale."""
     if names := shrinking(problem, z):
         raise UsageError(
-            f"the torque equation tells only the ratios of {', '.join(names)}: halved together they halve both of its sides, and "
-            f"zero fits best. State one of them under [model.constants], as in `{names[0]} = 1.0`, or give it a `prior`"
+            f"the torque equation tells only the ratios of {', '.join(names)}: halved together they"
+            " halve both of its sides, and zero fits best. State one of them under"
+            f" [model.constants], as in `{names[0]} = 1.0`, or give it a `prior`"
         )
 
 

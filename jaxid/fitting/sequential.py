@@ -38,7 +38,8 @@ def stretches(
         )
     if not 0 < forgetting <= 1:
         raise UsageError(
-            f"forgetting is {forgetting}; it is a factor above 0, and at most 1 (nothing is forgotten)"
+            f"forgetting is {forgetting}; it is a factor above 0, and at most 1 (nothing is"
+            " forgotten)"
         )
     if not 1 <= first <= problem.pieces:
         raise UsageError(f"the first step holds {first} pieces; there are 1 to {problem.pieces}")

@@ -91,7 +91,8 @@ def parsed(text: str) -> tuple[str, dict[str, Any]]:
             values[keyword.arg] = ast.literal_eval(keyword.value)
         except (ValueError, TypeError, RecursionError, MemoryError) as error:
             raise UsageError(
-                f"{text!r}: {keyword.arg} = {ast.unparse(keyword.value)} is no number, text (in quotes), true or false"
+                f"{text!r}: {keyword.arg} = {ast.unparse(keyword.value)} is no number, text (in"
+                " quotes), true or false"
             ) from error
     return call.func.id, values
 
@@ -148,7 +149,8 @@ def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[s
         fits, wanted = False, "the text of a fitter, in quotes"
     if not fits:
         raise UsageError(
-            f"{fitter}: {field.name} = {value!r}; it is {wanted}, as in {field.name}={_plain(default)!r}"
+            f"{fitter}: {field.name} = {value!r}; it is {wanted}, as in"
+            f" {field.name}={_plain(default)!r}"
         )
     several: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
     for v in several:

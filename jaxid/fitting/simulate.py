@@ -126,7 +126,8 @@ def _label(effect: Any) -> str:
         return effect
     if not isinstance(effect, Mapping) or "effect" not in effect:
         raise UsageError(
-            'an effect must look like {"effect": "dead_zone", "location": "tau", "parameters": {...}}'
+            'an effect must look like {"effect": "dead_zone", "location": "tau", "parameters":'
+            " {...}}"
         )
     place = effect.get("location")
     return effect["effect"] + (f"@{place}" if place else "")

@@ -175,7 +175,10 @@ def _refuted(
     off = f"{number(abs(deviation), 2)} standard deviations"
     if abs(value - row.fitted) > max(std, SHOWN * abs(row.fitted)):
         told = value_with_std(replace(estimate, value=value, std=std))
-        text = f"{called}: {told} with the other numbers as stated, stated {number(row.stated, 4)}{own} ({off})"
+        text = (
+            f"{called}: {told} with the other numbers as stated, stated"
+            f" {number(row.stated, 4)}{own} ({off})"
+        )
     elif plain:
         text = sentence_of(row.parameter, row.stated, estimate, deviation)
     else:
@@ -185,7 +188,10 @@ def _refuted(
 
 def _undecided(row: StatedNumber, called: str, others: str) -> StatedNumber:
     """A row of a number that the data refute only together with others."""
-    text = f"{called} as stated can be neither confirmed nor refuted by itself: the data tell it only together with {others}"
+    text = (
+        f"{called} as stated can be neither confirmed nor refuted by itself: the data tell it only"
+        f" together with {others}"
+    )
     return replace(row, deviation=None, text=text)
 
 
@@ -236,9 +242,15 @@ def _together(
     off = f"{number(abs(deviation), 2)} standard deviations"
     if form.name in ("ratio", "product") and form.stated:
         share = form.value / form.stated - 1
-        text = f"{name} is {percent(abs(share))} {'higher' if share > 0 else 'lower'} than stated ({off}): {only}"
+        text = (
+            f"{name} is {percent(abs(share))} {'higher' if share > 0 else 'lower'} than stated"
+            f" ({off}): {only}"
+        )
     else:
-        text = f"{name} is {number(form.value)} ± {number(std, 2)} {row.unit}, stated {number(form.stated)} ({off}): {only}"
+        text = (
+            f"{name} is {number(form.value)} ± {number(std, 2)} {row.unit}, stated"
+            f" {number(form.stated)} ({off}): {only}"
+        )
     unit = row.unit if form.name in ("sum", "difference") else ""
     signed = float(np.copysign(deviation, form.value - form.stated))
     return StatedNumber(
@@ -271,7 +283,10 @@ def _forms(value: np.ndarray, stated: np.ndarray, alike: bool) -> list[_Form]:
 
 def sentence_of(name: str, value: float, estimate: Estimate, deviation: float | None) -> str:
     """What the data say of one number as it is stated."""
-    own = f"your stated {name} {number(value)}{'' if estimate.unit in ('', '1') else ' ' + estimate.unit}"
+    own = (
+        f"your stated {name}"
+        f" {number(value)}{'' if estimate.unit in ('', '1') else ' ' + estimate.unit}"
+    )
     if deviation is None or not np.isfinite(deviation):
         return f"{own} can be neither confirmed nor refuted: the data do not determine it"
     off = number(abs(deviation), 2)

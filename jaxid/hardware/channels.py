@@ -80,9 +80,13 @@ def _serve(
         column = next((c for c in named if have[c].role == "input"), next(iter(named), None))
         if column is not None and gain is None:
             return (
-                f"it needs the torque {name!r}, and the device has a current, {column!r}. State the gain you assume in N m/A "
-                "(--gain); it stays visible in dataset.toml as `scale`"
-            ), None
+                (
+                    f"it needs the torque {name!r}, and the device has a current, {column!r}. State"
+                    " the gain you assume in N m/A (--gain); it stays visible in dataset.toml as"
+                    " `scale`"
+                ),
+                None,
+            )
         if column is not None:
             k = (int(place) - 1) if place else 0
             if k >= len(gain) and len(gain) != 1:
@@ -90,9 +94,10 @@ def _serve(
             scale = float(gain[k if len(gain) > 1 else 0])
             entry = {"role": role, "unit": unit, "column": column, "scale": scale}
             resolution = have[column].resolution
-            return entry | (
-                {} if resolution is None else {"resolution": abs(scale) * resolution}
-            ), column
+            return (
+                entry | ({} if resolution is None else {"resolution": abs(scale) * resolution}),
+                column,
+            )
     several = sorted(
         c for c in have if c.rstrip("0123456789") in (stem, "current" if stem == "tau" else stem)
     )

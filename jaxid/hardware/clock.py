@@ -83,8 +83,9 @@ def from_arrivals(device: np.ndarray, host: np.ndarray, blocks: int = 16) -> Clo
     offset_std = float(np.hypot(sigma / np.sqrt(len(first)), drift_std * abs(center)))
     late = host - (level + slope * x + device)
     text = (
-        f"arrival times: earliest of {len(first)} stretches, drift {1e6 * slope:+.1f} ± {1e6 * drift_std:.1f} ppm, "
-        f"lateness median {1e3 * np.median(late):.2f} ms, longest {1e3 * late.max():.1f} ms"
+        f"arrival times: earliest of {len(first)} stretches, drift {1e6 * slope:+.1f} ±"
+        f" {1e6 * drift_std:.1f} ppm, lateness median {1e3 * np.median(late):.2f} ms, longest"
+        f" {1e3 * late.max():.1f} ms"
     )
     return ClockMap(float(level - slope * center), float(slope), offset_std, float(drift_std), text)
 
@@ -157,8 +158,8 @@ def from_signals(
     std = np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)) * variance)
     shift, drift = (float(v) for v in fit.x)
     text = (
-        f"signals aligned with correlation {np.sqrt(likeness):.3f}: drift {1e6 * drift:+.0f} ± {1e6 * std[1]:.0f} ppm, "
-        f"offset known to {1e3 * std[0]:.2f} ms in the middle"
+        f"signals aligned with correlation {np.sqrt(likeness):.3f}: drift {1e6 * drift:+.0f} ±"
+        f" {1e6 * std[1]:.0f} ppm, offset known to {1e3 * std[0]:.2f} ms in the middle"
     )
     offset = coarse + shift - drift * center
     return ClockMap(
@@ -217,8 +218,9 @@ def within_tick(
     blur = float(np.clip(np.sqrt(max(spread**2 - floor**2, 0.0)), 0.05 * resolution, floor))
     drift_std = float(spread / np.sqrt(count) / max(float(tick.std()), 1e-12))
     text = (
-        f"device counter of {1e3 * resolution:g} ms, refined to {1e3 * blur:.2f} ms by the times of the {word}s: drift "
-        f"{1e6 * slope:+.1f} ± {1e6 * drift_std:.1f} ppm, question to answer median {1e3 * np.median(received - sent):.2f} ms"
+        f"device counter of {1e3 * resolution:g} ms, refined to {1e3 * blur:.2f} ms by the times of"
+        f" the {word}s: drift {1e6 * slope:+.1f} ± {1e6 * drift_std:.1f} ppm, question to answer"
+        f" median {1e3 * np.median(received - sent):.2f} ms"
     )
     offset_std = float(np.hypot(spread / np.sqrt(count), drift_std * abs(center)))
     clock = ClockMap(level - slope * center, slope, offset_std, drift_std, text)

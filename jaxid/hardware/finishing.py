@@ -118,7 +118,8 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
         if stream.clock == COMMANDS:
             extra[stream.name] = _told(table, stream, other, timed)
             clocks[stream.name] = (
-                "sent by the host, and as late as a question; in the table, means from each row to the next"
+                "sent by the host, and as late as a question; in the table, means from each row to"
+                " the next"
             )
             continue
         if len(other.device) < 4:
@@ -257,7 +258,8 @@ def _timed(stream: Stream, rows: StreamRows) -> _Timed:
     period = stream.period or median
     if period and median > 1.5 * period:
         notes.append(
-            f"the device sends {1 / median:.1f} samples a second where {1 / period:.1f} were asked for"
+            f"the device sends {1 / median:.1f} samples a second where {1 / period:.1f} were"
+            " asked for"
         )
         period = median
     # A device that sends by itself has lost what is not there; one that is asked may have been
@@ -277,7 +279,8 @@ def _timed(stream: Stream, rows: StreamRows) -> _Timed:
     if gaps:
         worst = max(gaps, key=lambda g: g[2])
         notes.append(
-            f"{len(gaps)} gaps of {missing.sum()} samples together, the longest from {worst[0]:.3f} to {worst[1]:.3f} s"
+            f"{len(gaps)} gaps of {missing.sum()} samples together, the longest from {worst[0]:.3f}"
+            f" to {worst[1]:.3f} s"
         )
     repeated = len(rows.device) - len(keep) - back
     return _Timed(
@@ -359,8 +362,8 @@ def _onto(
     for c in stream.columns:
         table[c.name] = np.interp(t, at, rows[c.name][order])
     notes.append(
-        f"sensor {stream.name}: {1 / step:.1f} samples a second, interpolated linearly at the main times; "
-        "its own samples are kept in a file beside"
+        f"sensor {stream.name}: {1 / step:.1f} samples a second, interpolated linearly at the main"
+        " times; its own samples are kept in a file beside"
     )
     return inside
 

@@ -25,7 +25,8 @@ def opened(port: str, baud: int) -> Any:
     except Exception as error:  # SerialException, OSError, ValueError, termios.error
         if getattr(error, "errno", None) in (errno.EAGAIN, errno.EBUSY):
             raise UsageError(
-                f"port {port} is in use by another program{_holder(port)}: wait until that has ended, or end it"
+                f"port {port} is in use by another program{_holder(port)}: wait until that has"
+                " ended, or end it"
             ) from None
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise UsageError(

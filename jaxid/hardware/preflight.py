@@ -28,7 +28,8 @@ def next_run(out: Path, append: bool) -> int:
     if out.is_dir() and any(out.iterdir()):
         if not append:
             raise UsageError(
-                f"{out} exists and is not empty; choose another folder, or add a run to it with --append"
+                f"{out} exists and is not empty; choose another folder, or add a run to it with"
+                " --append"
             )
         if not (out / "run_1.json").is_file() or not (out / "dataset.toml").is_file():
             raise UsageError(f"{out} was not made by a recording, so no run can be added to it")
@@ -43,7 +44,8 @@ def refuse_other_columns(out: Path, columns: Sequence[str]) -> None:
     lacking = [name for name, c in channels.items() if c.get("column", name) not in columns]
     if lacking:
         raise UsageError(
-            f"{out} has channels that this recording lacks ({', '.join(lacking)}); record into another folder"
+            f"{out} has channels that this recording lacks ({', '.join(lacking)}); record into"
+            " another folder"
         )
 
 
@@ -56,11 +58,13 @@ def check_words(device: Device, play: Trajectory | None, seconds: float | None, 
         raise UsageError(f"{seconds:g} seconds cannot be recorded")
     if play is not None and play.kind not in device.kinds:
         raise UsageError(
-            f"{device.name} takes {' or '.join(device.kinds)} commands, the trajectory holds {play.kind}"
+            f"{device.name} takes {' or '.join(device.kinds)} commands, the trajectory holds"
+            f" {play.kind}"
         )
     if play is not None and seconds is not None and seconds < play.duration:
         raise UsageError(
-            f"the trajectory takes {play.duration:g} s: record at least so long, or give a shorter one"
+            f"the trajectory takes {play.duration:g} s: record at least so long, or give a"
+            " shorter one"
         )
     if play is not None and play.joints != device.joints:
         raise UsageError(
@@ -75,7 +79,8 @@ def refuse_path(play: Trajectory, bounds: Limits, device: Device) -> None:
     if problems:
         text = "\n".join(f"- {p}" for p in problems)
         raise UsageError(
-            f"the trajectory {play.source} cannot be played on {device.name}; nothing was moved:\n{text}"
+            f"the trajectory {play.source} cannot be played on {device.name}; nothing was"
+            f" moved:\n{text}"
         )
 
 
@@ -88,7 +93,8 @@ def refuse_size(out: Path, streams: Sequence[Stream], seconds: float) -> None:
     free = shutil.disk_usage(next(p for p in out.resolve().parents if p.is_dir())).free
     if need > free:
         raise UsageError(
-            f"{seconds:g} s need {need / 1e9:.3g} GB, and {free / 1e9:.3g} GB are free for {out}: make room, or record less"
+            f"{seconds:g} s need {need / 1e9:.3g} GB, and {free / 1e9:.3g} GB are free for {out}:"
+            " make room, or record less"
         )
 
 
@@ -104,8 +110,8 @@ def dry_text(device: Device, play: Trajectory, plan: PathPlan, sample: Sample) -
     )
     way = f", beginning {start:.3g} rad from where it stands" if play.kind == "position" else ""
     return (
-        f"dry run: the path ({play.duration:.1f} s, {play.kind}) keeps all limits{way}; "
-        f"with the way there it takes {plan.duration:.1f} s. Nothing was moved or recorded; --live does it."
+        f"dry run: the path ({play.duration:.1f} s, {play.kind}) keeps all limits{way}; with the"
+        f" way there it takes {plan.duration:.1f} s. Nothing was moved or recorded; --live does it."
     )
 
 
@@ -132,16 +138,20 @@ def about(
     where = getattr(device, "where", device.name)
     return {
         "name": out.resolve().name,
-        "description": f"recorded from {device.name}"
-        + (f" while playing {play.source or 'a path'}" if play else ""),
+        "description": (
+            f"recorded from {device.name}"
+            + (f" while playing {play.source or 'a path'}" if play else "")
+        ),
         "source": {
             "hardware": f"{device.name} at {where}",
             "recorded": now.isoformat(timespec="seconds"),
             "by": "jaxid record",
         },
-        "provenance": "emulated or simulated (loopback or pseudo terminal)"
-        if getattr(device, "local", False)
-        else "real device",
+        "provenance": (
+            "emulated or simulated (loopback or pseudo terminal)"
+            if getattr(device, "local", False)
+            else "real device"
+        ),
         "split": split,
         "model": model,
         "joint": joint,

@@ -79,7 +79,8 @@ class SensorSpec(_Strict):
             raise ValueError("a `port` needs `columns`, the names of the numbers in a line")
         if self.file is not None and (self.match is None or self.time is None):
             raise ValueError(
-                "a `file` needs `time` and `match`: its clock is not the main one, and a shared motion tells its offset"
+                "a `file` needs `time` and `match`: its clock is not the main one, and a shared"
+                " motion tells its offset"
             )
         used = [c.column for c in self.channels.values()] + (
             [self.time.column] if self.time else []

@@ -123,8 +123,8 @@ def record(
             refuse_path(play, bounds, device)
             if streams[0].period is not None and streams[0].period > bounds.data_age / 2:
                 raise UsageError(
-                    f"{1 / streams[0].period:g} samples a second are too few to move with a data_age of {bounds.data_age:g} s: "
-                    "raise the rate"
+                    f"{1 / streams[0].period:g} samples a second are too few to move with a"
+                    f" data_age of {bounds.data_age:g} s: raise the rate"
                 )
         watch = _first_samples(device)
         assert watch.last is not None
@@ -198,7 +198,8 @@ def record(
                 if sensor.malformed:
                     recorder.event(
                         "note",
-                        f"sensor {sensor.spec.name}: {sensor.malformed} lines were not readable and left out",
+                        f"sensor {sensor.spec.name}: {sensor.malformed} lines were not readable and"
+                        " left out",
                     )
             recorder.event("end", reason, complete=complete)
             try:
@@ -293,7 +294,10 @@ def _run(
         allowed, text = bounds.data_age if watch.moving else SILENCE_S, str(error)
         why = "" if BUSY in text else watch.pauses.said(allowed)
         if BUSY in text + why and watch.moving:
-            why += f" (data_age allows {allowed:g} s while it moves: close other programs, or raise it with --limits)"
+            why += (
+                f" (data_age allows {allowed:g} s while it moves: close other programs, or raise it"
+                " with --limits)"
+            )
         if not why:
             raise
         raise HardwareError(text + (why if why.startswith(" ") else f"; {why}")) from error
@@ -390,7 +394,10 @@ def _judge(device: Device, bounds: Limits, sample: Sample, watch: _RecordingWatc
         ):
             distance = tracking(sample.values)
             if distance > min(bounds.tracking):
-                why = f"a joint is {distance:.3g} rad from where it was told to be; the limit is {min(bounds.tracking):.3g} rad"
+                why = (
+                    f"a joint is {distance:.3g} rad from where it was told to be; the limit is"
+                    f" {min(bounds.tracking):.3g} rad"
+                )
     if why is not None:
         raise HardwareError(f"{device.name}: {why}")
 
@@ -422,7 +429,8 @@ def _hear(
         if message.get("longest_s", 0) > 0.02:
             recorder.event(
                 "note",
-                f"commands were up to {1e3 * message['longest_s']:.0f} ms late; the path was played that much slower",
+                f"commands were up to {1e3 * message['longest_s']:.0f} ms late; the path was played"
+                " that much slower",
             )
     elif kind == "note":
         recorder.event("note", message["text"])

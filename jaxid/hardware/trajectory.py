@@ -47,7 +47,8 @@ class Trajectory:
             raise UsageError(f"{where}: kind is {self.kind!r}; it is one of {', '.join(KINDS)}")
         if t.ndim != 1 or values.ndim != 2 or len(t) != len(values) or len(t) < 2:
             raise UsageError(
-                f"{where}: t {t.shape} and commands {values.shape}; expected [time] and [time joints], 2 or more"
+                f"{where}: t {t.shape} and commands {values.shape}; expected [time] and [time"
+                " joints], 2 or more"
             )
         if not np.isfinite(t).all() or not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values).all(axis=1) | ~np.isfinite(t))[0])
@@ -57,7 +58,8 @@ class Trajectory:
         if np.diff(t).min() <= 0:
             row = int(np.argmin(np.diff(t)))
             raise UsageError(
-                f"{where}: time does not rise at row {row + 3} (t = {t[row + 1]:g} s); sort the file"
+                f"{where}: time does not rise at row {row + 3} (t = {t[row + 1]:g} s); sort the"
+                " file"
             )
         object.__setattr__(self, "t", t - t[0])
         object.__setattr__(self, "values", values)
@@ -96,8 +98,9 @@ class Trajectory:
             found = next((name for name in names if name in columns), None)
             if found is None:
                 raise UsageError(
-                    f"trajectory {path}: there is no column {names[0]!r} (there is: {', '.join(columns)}); "
-                    f"a {kind} command needs one column for each of {joints} joints"
+                    f"trajectory {path}: there is no column {names[0]!r} (there is:"
+                    f" {', '.join(columns)}); a {kind} command needs one column for each of"
+                    f" {joints} joints"
                 )
             chosen.append(np.asarray(columns[found], float))
         return cls(t, np.stack(chosen, axis=1), kind, str(path))
@@ -146,7 +149,8 @@ class Trajectory:
             t,
             values,
             kind,
-            f"multisine, {lines} lines from {frequencies[0]:g} to {frequencies[1]:g} Hz, seed {seed}",
+            f"multisine, {lines} lines from {frequencies[0]:g} to {frequencies[1]:g} Hz, seed"
+            f" {seed}",
         )
 
     def sampled(self, step: float) -> np.ndarray:
@@ -236,8 +240,10 @@ class Trajectory:
         )
         k = 1 + int(np.argmax(np.diff(self.t) >= SPARSE_S))
         return (
-            f"column t is {guess}. Read as seconds, row {k + FIRST_ROW} comes {self.t[k] - self.t[k - 1]:g} s after the last and "
-            f"{len(self.t)} rows take {self.duration / 3600:.3g} h; if that is meant, write rows less than {SPARSE_S:g} s apart"
+            f"column t is {guess}. Read as seconds, row {k + FIRST_ROW} comes"
+            f" {self.t[k] - self.t[k - 1]:g} s after the last and {len(self.t)} rows take"
+            f" {self.duration / 3600:.3g} h; if that is meant, write rows less than {SPARSE_S:g} s"
+            " apart"
         )
 
     def _worst(self, word, at, values, lower, upper, unit, remedy):

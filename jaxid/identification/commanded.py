@@ -24,8 +24,8 @@ def commanded(dataset: Dataset) -> Dataset:
     ]
     if lacking:
         raise UsageError(
-            f"the commanded motion needs {', '.join(lacking)}: give the controller's target position of each joint as a channel "
-            'of that name, role = "auxiliary"'
+            f"the commanded motion needs {', '.join(lacking)}: give the controller's target"
+            ' position of each joint as a channel of that name, role = "auxiliary"'
         )
 
     def by(e):

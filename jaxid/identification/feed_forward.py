@@ -69,7 +69,8 @@ class FeedForward:
         values = np.array([e["value"] for e in content["base_parameters"]], float)
         if [e["name"] for e in content["base_parameters"]] != list(base.names):
             raise UsageError(
-                f"the identification's base parameters are not those of {model.name}: give the arm it was made with"
+                f"the identification's base parameters are not those of {model.name}: give the arm"
+                " it was made with"
             )
         law = LAWS[content["friction_law"]]
         levels = np.array(

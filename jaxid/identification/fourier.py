@@ -27,8 +27,8 @@ def harmonic_motion(
     count = int(span * highest_hz)
     if count < 1 or 2 * count + 1 > len(t) / 2:
         raise UsageError(
-            f"a record of {span:.3g} s and {len(t)} samples has no Fourier series up to {highest_hz:.3g} Hz: record longer, or "
-            "lower the motion's cutoff"
+            f"a record of {span:.3g} s and {len(t)} samples has no Fourier series up to"
+            f" {highest_hz:.3g} Hz: record longer, or lower the motion's cutoff"
         )
     w = 2 * np.pi / span * np.arange(1, count + 1)
     angle = np.outer(t - t[0], w)
@@ -43,8 +43,9 @@ def harmonic_motion(
     worst = int(np.argmax(left / np.maximum(scatter, 1e-9)))
     if left[worst] > LEFT * max(float(scatter[worst]), 1e-9) + 1e-6 * float(np.ptp(q[:, worst])):
         raise UsageError(
-            f"the motion is no Fourier series of {span:.5g} s up to {highest_hz:.3g} Hz: that leaves {left[worst]:.2g} of joint "
-            f"{worst + 1}, whose readings scatter by {scatter[worst]:.2g}. Cut the run to whole periods (window_s), or raise the "
-            "motion's cutoff, or leave --motion at measured"
+            f"the motion is no Fourier series of {span:.5g} s up to {highest_hz:.3g} Hz: that"
+            f" leaves {left[worst]:.2g} of joint {worst + 1}, whose readings scatter by"
+            f" {scatter[worst]:.2g}. Cut the run to whole periods (window_s), or raise the motion's"
+            " cutoff, or leave --motion at measured"
         )
     return smooth, c @ (a * wide) - s @ (b * wide), -s @ (a * wide**2) - c @ (b * wide**2)

@@ -117,7 +117,8 @@ class OnlineIdentification:
         self.prior = np.zeros(p) if prior is None else np.asarray(prior, np.float64)
         if self.prior.shape != (p,):
             raise UsageError(
-                f"the prior has shape {self.prior.shape}; this arm has {p} parameters ({self.names[0]} … {self.names[-1]})"
+                f"the prior has shape {self.prior.shape}; this arm has {p} parameters"
+                f" ({self.names[0]} … {self.names[-1]})"
             )
         with float64():
 

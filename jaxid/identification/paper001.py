@@ -49,8 +49,8 @@ def unloaded(
     """
     if before is None:
         raise UsageError(
-            f"method {method} finds a payload from the unloaded arm's parameters: give its identification as a reference "
-            "(--reference UNLOADED/identification.json)"
+            f"method {method} finds a payload from the unloaded arm's parameters: give its"
+            " identification as a reference (--reference UNLOADED/identification.json)"
         )
     law = LAWS[str(before.get("friction_law", "linear"))]
     friction = before["friction"]
@@ -127,15 +127,16 @@ def by_algorithm(
     rows = sum(len(tau) for _, tau in blocks)
     if rows * n < 3 * count:
         raise UsageError(
-            "algorithm2 compares torques at rest, and the arm hardly rests here (all joints below 0.01 rad/s in "
-            f"{rows} rows): record static poses, or use paper001 or algorithm1"
+            "algorithm2 compares torques at rest, and the arm hardly rests here (all joints below"
+            f" 0.01 rad/s in {rows} rows): record static poses, or use paper001 or algorithm1"
         )
     blocks = [b for b in blocks if len(b[1])]
     A = np.concatenate([Y.reshape(-1, count) for Y, _ in blocks])
     size = np.linalg.norm(A, axis=0)
     if (size <= 0).any() or np.linalg.cond(A / size) > 1e6:
         raise UsageError(
-            f"{method} does not find the payload from this motion: it shows some of the load's numbers only together"
+            f"{method} does not find the payload from this motion: it shows some of the load's"
+            " numbers only together"
         )
     phi = (
         np.linalg.lstsq(A / size, np.concatenate([b.ravel() for _, b in blocks]), rcond=None)[0]

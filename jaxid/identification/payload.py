@@ -77,8 +77,9 @@ class PayloadEstimate:
             return ""
         with_gains = replace(self, gain_std=USUAL_GAIN_STD).mass[1]
         return (
-            "the interval takes the drive gains, which make torque of current, as exact: their relative error is one of the mass "
-            f"(gain_std = {USUAL_GAIN_STD:g} would make it ± {with_gains:.2g} kg)"
+            "the interval takes the drive gains, which make torque of current, as exact: their"
+            f" relative error is one of the mass (gain_std = {USUAL_GAIN_STD:g} would make it ±"
+            f" {with_gains:.2g} kg)"
         )
 
     @property
@@ -89,8 +90,8 @@ class PayloadEstimate:
         if not self.gain_std > 0:
             return ""
         return (
-            f"the interval counts the drive gains, which make torque of current, as known to within {100 * self.gain_std:g} % "
-            "(--gain-std states another tolerance)"
+            "the interval counts the drive gains, which make torque of current, as known to within"
+            f" {100 * self.gain_std:g} % (--gain-std states another tolerance)"
         )
 
     def com(self) -> list[tuple[float, float]]:
@@ -167,7 +168,8 @@ def read_reference(reference: Any) -> dict[str, Any]:
         or "covariance" not in reference
     ):
         raise UsageError(
-            "a reference is the identification.json of the unloaded arm (jaxid identify … --out UNLOADED)"
+            "a reference is the identification.json of the unloaded arm (jaxid identify … --out"
+            " UNLOADED)"
         )
     return dict(reference)
 
@@ -186,7 +188,8 @@ def payload_by_difference(
     p = len(base.kept)
     if list(reference["names"])[: len(base.names)] != list(base.names):
         raise UsageError(
-            f"the reference identifies {reference.get('model')}, not {loaded.model} with the same geometry; use the same model"
+            f"the reference identifies {reference.get('model')}, not {loaded.model} with the same"
+            " geometry; use the same model"
         )
     before = np.array([entry["value"] for entry in reference["base_parameters"]], float)
     spread = np.array(reference["covariance"], float)[:p, :p]
@@ -207,7 +210,8 @@ def payload_of(
     size = np.sqrt(np.diag(H))
     if (size <= 0).any() or np.linalg.eigvalsh(H / size / size[:, None]).min() < 1e-12:
         raise UsageError(
-            "the last link's parameters do not all show in this arm's base parameters: the payload is not determined"
+            "the last link's parameters do not all show in this arm's base parameters: the payload"
+            " is not determined"
         )
     inverse = np.linalg.inv(H / size / size[:, None]) / size / size[:, None]
     phi = inverse @ (A.T @ b)

@@ -152,8 +152,8 @@ def read_run(
     rate = 1 / float(np.median(np.diff(e.t)))
     if cutoff_hz >= rate / 2.5:
         raise UsageError(
-            f"experiment {e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high, give at most "
-            f"{rate / 4:.3g}"
+            f"experiment {e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is"
+            f" too high, give at most {rate / 4:.3g}"
         )
     if fourier:
         q, qd, qdd = harmonic_motion(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
@@ -164,7 +164,8 @@ def read_run(
     kept = slice(ends, len(e.t) - ends)
     if len(e.t) - 2 * ends < 20:
         raise UsageError(
-            f"experiment {e.name!r} has {len(e.t)} samples, too few for a filter of {cutoff_hz:g} Hz"
+            f"experiment {e.name!r} has {len(e.t)} samples, too few for a filter of"
+            f" {cutoff_hz:g} Hz"
         )
     smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
     run = RegressionRun(
@@ -328,8 +329,9 @@ def instruments(
     missing = [c for c in commands if c not in e.auxiliary]
     if missing:
         raise UsageError(
-            f"method iv takes its instruments from the commanded motion; experiment {e.name!r} has no channel {missing[0]} "
-            f"(auxiliary channels {commands[0]} … {commands[-1]}, rad). Record it, or use --method wls"
+            f"method iv takes its instruments from the commanded motion; experiment {e.name!r} has"
+            f" no channel {missing[0]} (auxiliary channels {commands[0]} … {commands[-1]}, rad)."
+            " Record it, or use --method wls"
         )
     q = np.stack([e.auxiliary[c] for c in commands], 1)
     qd = np.gradient(q, e.t, axis=0)

@@ -113,7 +113,8 @@ def identify(
     data = in_chain_order(data, joint_names(arm))
     if not hasattr(arm, "base"):
         raise UsageError(
-            f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit"
+            f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use"
+            " jaxid fit"
         )
     refuse_too_large(need("identify", data, chain.nq))
     base = arm.base()
@@ -187,14 +188,14 @@ def identify(
         exponents=exponent if law.nonlinear else None,
         condition_number=found.condition,
         condition_number_scaled=found.condition_scaled,
-        filter=way + "; torque and columns alike: "
-        f"the same at {cutoff_hz:g} Hz; sign(qd) as tanh(qd / 0.01)",
+        filter=way
+        + f"; torque and columns alike: the same at {cutoff_hz:g} Hz; sign(qd) as tanh(qd / 0.01)",
         weights=np.mean(weights, 0),
         experiments=tuple(scores[chosen]),
         laws=tuple(LawTrial(t.law, t.fit, t.held_out, t.law == law.name) for t in trials),
-        standard=None
-        if phi is None
-        else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
+        standard=(
+            None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True))
+        ),
         dataset=dataset.name,
         dataset_sha256=dataset.sha256,
         notes=(
@@ -534,8 +535,9 @@ def _units(chain: Chain, base: BaseParameters, law: FrictionLaw) -> Iterable[str
 def _notes(found: LinearEstimate, names: Sequence[str], method: str, law: FrictionLaw) -> list[str]:
     if method == "paper001":
         return [
-            "the recursion of paper 001 as printed, over the recorded rows: standard deviations are those of its P, which takes "
-            f"xi = {XI:g} for the torque's noise and P0 = {P0:g} for what the load may change; exponents are the reference's"
+            "the recursion of paper 001 as printed, over the recorded rows: standard deviations"
+            f" are those of its P, which takes xi = {XI:g} for the torque's noise and P0 = {P0:g}"
+            " for what the load may change; exponents are the reference's"
         ]
     how = "white" if found.white else f"coloured (memory {found.memory} rows)"
     notes = [
@@ -549,6 +551,7 @@ def _notes(found: LinearEstimate, names: Sequence[str], method: str, law: Fricti
         notes.append("exponents by variable projection")
     if method == "constrained":
         notes.append(
-            "inertial parameters of bodies that can exist; standard deviations are those without that constraint"
+            "inertial parameters of bodies that can exist; standard deviations are those without"
+            " that constraint"
         )
     return notes

@@ -72,14 +72,20 @@ def _answer(
     joint = name[len(name.rstrip("0123456789")) :]
     what = f"your stated {name} {number(value)} {unit}".rstrip()
     if at is None or not alone:
-        text = f"{what} can be neither confirmed nor refuted: the motion shows it only together with other numbers of the arm"
+        text = (
+            f"{what} can be neither confirmed nor refuted: the motion shows it only together with"
+            " other numbers of the arm"
+        )
     elif deviation is None:
         text = f"{what} can be neither confirmed nor refuted: the data do not determine it"
     else:
         led = (
             f"{what}{f' (with what regroups with it {number(stated)})' if len(members) > 1 else ''}"
         )
-        far = f"{number(abs(deviation), 2)} standard deviations from {number(found)} ± {number(std, 2)} {unit}"
+        far = (
+            f"{number(abs(deviation), 2)} standard deviations from {number(found)} ±"
+            f" {number(std, 2)} {unit}"
+        )
         text = (
             f"{led} is {far}"
             if abs(deviation) > MANY
@@ -139,7 +145,9 @@ def beside_the_file(
                 "std": float(std[i]),
                 "deviation": deviation,
                 "unit": result.units[i],
-                "text": f"{name}: {result.theta[i]:.4g} {result.units[i]}, the file says {theta[i]:.4g}",
+                "text": (
+                    f"{name}: {result.theta[i]:.4g} {result.units[i]}, the file says {theta[i]:.4g}"
+                ),
             }
         )
     joints = []

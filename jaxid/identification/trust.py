@@ -16,8 +16,9 @@ from jaxid.identification.regression import FrictionLaw, RegressionRun
 #: To within so many times their size the numbers of a file may be known: validation runs decide.
 TRUST = (10.0, 3.0, 1.0, 0.3, 0.1)
 NEAR_THE_FILE = (
-    "the file's inertial numbers, and friction of nothing, count as known to within {:g} times the size of such numbers: every "
-    "validation run is predicted better so than by what the fit runs alone say"
+    "the file's inertial numbers, and friction of nothing, count as known to within {:g} times the"
+    " size of such numbers: every validation run is predicted better so than by what the fit runs"
+    " alone say"
 )
 #: Parameter of friction -> with which power of the speed its torque goes.
 POWERS = {"F_c": 0, "offset": 0, "F_s": 0, "F_v": 1, "F_3": 3}

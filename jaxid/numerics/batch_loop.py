@@ -125,7 +125,10 @@ def _note(reason: str) -> None:
     """Says once in a process that lanes are mapped by `jax.vmap`."""
     if not _noted:
         _noted.append(reason)
-        told = f"JAX {jax.__version__} writes programs in a form that jaxid does not know ({reason.splitlines()[0][:200]})"
+        told = (
+            f"JAX {jax.__version__} writes programs in a form that jaxid does not know"
+            f" ({reason.splitlines()[0][:200]})"
+        )
         warnings.warn(
             f"{told}; the numbers are the same, but it takes longer", RuntimeWarning, stacklevel=4
         )
@@ -188,9 +191,10 @@ def _filled(shape: tuple[int, ...], elements: Sequence[Any]) -> np.ndarray:
 
 
 ELEMENTWISE = frozenset(
-    "add sub mul div rem neg sign abs max min floor ceil round exp exp2 expm1 log log1p sqrt rsqrt cbrt square pow integer_pow "
-    "tanh sin cos tan asin acos atan atan2 sinh cosh asinh acosh atanh logistic erf erfc erf_inv is_finite nextafter not and or "
-    "xor eq ne lt le gt ge select_n clamp convert_element_type add_any copy stop_gradient".split()
+    "add sub mul div rem neg sign abs max min floor ceil round exp exp2 expm1 log log1p sqrt rsqrt"
+    " cbrt square pow integer_pow tanh sin cos tan asin acos atan atan2 sinh cosh asinh acosh atanh"
+    " logistic erf erfc erf_inv is_finite nextafter not and or xor eq ne lt le gt ge select_n clamp"
+    " convert_element_type add_any copy stop_gradient".split()
 )
 #: What XLA does not work out once more for each reader.
 EXPENSIVE = frozenset(

@@ -20,8 +20,9 @@ def begin_to_compute() -> None:
     _computed = True
     if _broken:
         raise UsageError(
-            "this process was forked from one that had already used JAX, and would wait for its threads for ever: use spawn "
-            '(`multiprocessing.get_context("spawn")`), or `jaxid batch`, or fork before the first fit'
+            "this process was forked from one that had already used JAX, and would wait for its"
+            ' threads for ever: use spawn (`multiprocessing.get_context("spawn")`), or `jaxid'
+            " batch`, or fork before the first fit"
         )
 
 

@@ -79,7 +79,8 @@ class CacheFolder:
         except OSError as error:
             _say_once(
                 "damaged",
-                f"a damaged program in the cache is not used ({file}), nor can it be removed: {error.strerror}",
+                f"a damaged program in the cache is not used ({file}), nor can it be removed:"
+                f" {error.strerror}",
             )
 
     def write(self, name: str, content: bytes) -> None:
@@ -156,8 +157,9 @@ def _is_own_folder(path: Path, close: bool = True) -> bool:
         if not _is_own(status):
             _say_once(
                 "foreign",
-                f"the cache folder {path} belongs to {_owner(status)} and is not used: a program from it would run as you. Type "
-                "`export JAXID_CACHE_DIR=~/.cache/jaxid_own` (any folder of your own), or make it yours with `chown`",
+                f"the cache folder {path} belongs to {_owner(status)} and is not used: a program"
+                " from it would run as you. Type `export JAXID_CACHE_DIR=~/.cache/jaxid_own` (any"
+                " folder of your own), or make it yours with `chown`",
             )
             return False
         if close and hasattr(os, "geteuid") and stat.S_IMODE(status.st_mode) & 0o077:

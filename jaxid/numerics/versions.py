@@ -30,7 +30,10 @@ def check_jax() -> None:
     lower, upper = bounds_of("jax", requirements)
     if lower is None or upper is None:
         return
-    told = f"JAX {found} is installed, and jaxid was not run with it; type: {remedy(f'<={upper},>={lower}')}"
+    told = (
+        f"JAX {found} is installed, and jaxid was not run with it; type:"
+        f" {remedy(f'<={upper},>={lower}')}"
+    )
     if release(found) < release(lower):
         raise UsageError(told)
     if release(found) > release(upper):

@@ -145,7 +145,8 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     if model is None:
         if spec is None or (spec.name is None and spec.file is None):
             raise UsageError(
-                f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})"
+                "the dataset names no model: give one (there is:"
+                f" {', '.join(catalogue.model_names())})"
             )
         model = spec.file or spec.name
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
@@ -190,8 +191,9 @@ def _check_drive(chain: Chain) -> None:
     if nu not in (0, nq) and type(chain.mechanism).drive is Mechanism.drive:
         counted = f"{nu} input{'s' * (nu > 1)}, {nq} joint{'s' * (nq > 1)}"
         raise UsageError(
-            f"{counted}: write `drive` in {type(chain.mechanism).__name__}, the law that makes joint torques of inputs, as in "
-            "`def drive(self, signature, u, q, qd): return jnp.stack([...])`, one entry for each joint"
+            f"{counted}: write `drive` in {type(chain.mechanism).__name__}, the law that makes"
+            " joint torques of inputs, as in `def drive(self, signature, u, q, qd): return"
+            " jnp.stack([...])`, one entry for each joint"
         )
 
 
@@ -215,8 +217,8 @@ def _check_gains(chain: Chain, spec: ModelSpec | None) -> None:
         unit = missing[0][1]
         lines = ", ".join(f"{name} = …" for _, _, name in missing)
         raise UsageError(
-            f"{channels}: in {unit}, and nothing says how much joint torque one {unit} makes. State it in N m/{unit} (torque "
-            f"constant times gear ratio) under [model.constants]: {lines}"
+            f"{channels}: in {unit}, and nothing says how much joint torque one {unit} makes. State"
+            f" it in N m/{unit} (torque constant times gear ratio) under [model.constants]: {lines}"
         )
 
 
@@ -229,12 +231,14 @@ def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
             _check_units(mechanism.name, dataset, (*s.outputs, *(() if free else s.inputs)))
             return s
     wanted = "; or ".join(
-        f"inputs {', '.join(n for n, _ in s.inputs)} and outputs {', '.join(n for n, _ in s.outputs)}"
+        f"inputs {', '.join(n for n, _ in s.inputs)} and outputs"
+        f" {', '.join(n for n, _ in s.outputs)}"
         for s in mechanism.signatures
     )
     raise UsageError(
-        f"model {mechanism.name} needs {wanted}; the dataset has inputs {', '.join(sorted(inputs)) or 'none'} and outputs "
-        f"{', '.join(sorted(outputs)) or 'none'}. {_remedy(mechanism, dataset)}"
+        f"model {mechanism.name} needs {wanted}; the dataset has inputs"
+        f" {', '.join(sorted(inputs)) or 'none'} and outputs"
+        f" {', '.join(sorted(outputs)) or 'none'}. {_remedy(mechanism, dataset)}"
     )
 
 
@@ -247,7 +251,10 @@ def _remedy(mechanism: Mechanism, dataset: Dataset) -> str:
     for role, channels in wanted.items():
         if found := [name for name, _ in channels if name in beside]:
             each = f" (and so {wording.listed(found[1:])})" if len(found) > 1 else ""
-            return f'{wording.listed(found)}: recorded as auxiliary; state role = "{role}" under [channels.{found[0]}]{each}'
+            return (
+                f'{wording.listed(found)}: recorded as auxiliary; state role = "{role}" under'
+                f" [channels.{found[0]}]{each}"
+            )
     return "Rename channels with `column`, or choose another model"
 
 
@@ -257,7 +264,8 @@ def _check_units(model: str, dataset: Dataset, needed: Iterable[tuple[str, str]]
     for name, unit in needed:
         if si_unit(units[name]) != si_unit(unit):
             raise UsageError(
-                f"{name!r} is in {units[name]}, but model {model!r} needs {unit}. Correct the unit, or convert it under "
+                f"{name!r} is in {units[name]}, but model {model!r} needs {unit}. Correct the unit,"
+                " or convert it under "
                 f'[channels.{name}]: scale = … (in {unit} per {units[name]}) and unit = "{unit}"'
             )
 
@@ -275,14 +283,16 @@ def parse_effect(
         kinds = [catalogue.effect_class(n) for n in catalogue.effect_names()]
         able = [k.name for k in kinds if k.name not in chain.contents and chain.offers(k)]
         raise UsageError(
-            f"{name} has no place in {chain.mechanism.name}, which can take: {', '.join(able) or 'none'}"
+            f"{name} has no place in {chain.mechanism.name}, which can take:"
+            f" {', '.join(able) or 'none'}"
         )
     held = chain.mechanism.held() if any(e.name == name for e in chain.effects) else frozenset()
     layout = Layout(chain)
     frees = bool(held) and any(layout.names[i] in held for i in layout.of_effect(name))
     if name in chain.contents and not frees:
         raise UsageError(
-            f"{name} is part of {chain.mechanism.name} already: it is fitted without being asked for"
+            f"{name} is part of {chain.mechanism.name} already: it is fitted without being"
+            " asked for"
         )
     if place and place not in places:
         raise UsageError(f"{name} cannot act at {place!r}{nearest(place, places)}")
@@ -447,8 +457,8 @@ def _held_friction(
             names = wording.listed([layout.names[i] for i in own])
             values = wording.listed([f"{v:g}" for v in dict.fromkeys(theta[own].tolist())])
             said.append(
-                f"held and not fitted: {names} = {values}; --effect {effect.name} fits them, [model.parameters."
-                f"{layout.names[own[0]]}] one by one"
+                f"held and not fitted: {names} = {values}; --effect {effect.name} fits them,"
+                f" [model.parameters.{layout.names[own[0]]}] one by one"
             )
     return said
 
@@ -474,8 +484,8 @@ def _stated_scales(
         if prior.log is not None:
             if prior.log and not lower[i] > 0:
                 raise UsageError(
-                    f"{name}: log = true searches its logarithm, and its lower bound is {lower[i]:g}: state `lower` above 0 "
-                    f"under [model.parameters.{name}]"
+                    f"{name}: log = true searches its logarithm, and its lower bound is"
+                    f" {lower[i]:g}: state `lower` above 0 under [model.parameters.{name}]"
                 )
             layout.log[i] = prior.log
             said.append(

@@ -159,7 +159,8 @@ class ClosedLoopOutputError(Residual):
         shifted = {e.name for e in commands if e.acts_on == "timing"}
         if shifted:
             raise UsageError(
-                f"closed_loop does not simulate {' and '.join(sorted(shifted))}: use output_error for them"
+                f"closed_loop does not simulate {' and '.join(sorted(shifted))}: use output_error"
+                " for them"
             )
         step = min(step, 1.01 * law.sample_time)
         samples, positions = recorded.build(dataset, experiments, chain, noise, step, size=shape[0])

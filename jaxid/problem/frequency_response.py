@@ -309,7 +309,8 @@ class FrequencyResponseError(Residual):
         chain = layout.chain
         if len(chain.signature.inputs) != 1:
             raise UsageError(
-                "a frequency response from records needs a model with one input; measure responses, or output_error"
+                "a frequency response from records needs a model with one input; measure responses,"
+                " or output_error"
             )
         outputs = [n for n, _ in chain.signature.outputs]
         output = (
@@ -322,8 +323,8 @@ class FrequencyResponseError(Residual):
         spacing = np.concatenate([np.diff(e.t) for e in experiments])
         if len(counts) > 1 or np.ptp(spacing) > 1e-3 * np.median(spacing):
             raise UsageError(
-                "a frequency response from records needs runs of equal length at one sampling rate; cut them with `rows` or "
-                "`window_s`, or use output_error"
+                "a frequency response from records needs runs of equal length at one sampling rate;"
+                " cut them with `rows` or `window_s`, or use output_error"
             )
         (count,) = counts
         (iu,), iy = recorded.columns(dataset, chain)
@@ -339,7 +340,8 @@ class FrequencyResponseError(Residual):
             )
             if not bins.size and e.split == "fit":
                 raise UsageError(
-                    f"{e.name}: the input excites no line between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz"
+                    f"{e.name}: the input excites no line between {self.band_hz[0]:g} and"
+                    f" {self.band_hz[1]:g} Hz"
                 )
             omega = 2 * np.pi * bins / (count * np.median(np.diff(e.t)))
             std = noise[output] * np.sqrt(count / 2) / np.abs(U)
@@ -392,16 +394,19 @@ class FrequencyResponseError(Residual):
             engine=engine,
             records=tuple(range(len(records))),
             heads=(),
-            statement=f"{part} response of the records against the {kind} one, {lines} lines where the input has at least "
-            f"{self.least_input:.0%} of its largest amplitude, no window{'; ' * bool(timed)}{', '.join(self.timed)}"
-            f"{' in time' * bool(timed)}",
+            statement=(
+                f"{part} response of the records against the {kind} one, {lines} lines where the"
+                f" input has at least {self.least_input:.0%} of its largest amplitude, no"
+                f" window{'; ' * bool(timed)}{', '.join(self.timed)}{' in time' * bool(timed)}"
+            ),
         )
 
     def _mixed(self, dataset, experiments, layout, noise, step, shape, timed) -> Runs:
         """Measured lines (in the first record's rows) beside records that are compared in time."""
         if not self.linear:
             raise UsageError(
-                "measured responses are compared with the linear one: say linear=True, or leave `timed` empty"
+                "measured responses are compared with the linear one: say linear=True, or leave"
+                " `timed` empty"
             )
         chain, split = layout.chain, experiments[0].split
         outputs, inputs = (
@@ -460,8 +465,10 @@ class FrequencyResponseError(Residual):
             engine=engine,
             records=tuple(range(len(records))),
             heads=(),
-            statement=f"{'gain of the' if self.magnitude else 'complex'} linear frequency response "
-            f"({'; '.join(dict.fromkeys(statements))}), {', '.join(self.timed)} in time",
+            statement=(
+                f"{'gain of the' if self.magnitude else 'complex'} linear frequency response "
+                f"({'; '.join(dict.fromkeys(statements))}), {', '.join(self.timed)} in time"
+            ),
         )
 
 

@@ -149,7 +149,8 @@ class Momentum(InverseDynamics):
         refuse_others(chain)
         if chain.timed and self.moment is None:
             raise UsageError(
-                "when a number changes is not known to the residual momentum: jaxid fit finds it, state it nowhere else"
+                "when a number changes is not known to the residual momentum: jaxid fit finds it,"
+                " state it nowhere else"
             )
         experiments = [
             part for e in experiments for part in sides(evenly(e), self.moment, self.cutoff_hz)
@@ -216,8 +217,8 @@ def refuse_others(chain: Chain) -> None:
     tree = getattr(getattr(chain.mechanism, "tree", None), "tree", None)
     if tree is None or not tree.floats:
         raise UsageError(
-            'the residual momentum is of a robot on a free base: state [model] robot = "robot.xml" (or a URDF) and [model.base] '
-            'kind = "free"'
+            'the residual momentum is of a robot on a free base: state [model] robot = "robot.xml"'
+            ' (or a URDF) and [model.base] kind = "free"'
         )
 
 
@@ -227,8 +228,8 @@ def told_by(layout: Layout, free: Sequence[int]) -> list[int]:
     own = [i for i in free if of_a_body(layout, i)]
     if not own:
         raise UsageError(
-            "momentum tells of bodies, and no number of one is fitted: name those of the unknown body under [model.parameters], "
-            'as in "mass@LINK" = {}, "com_x@LINK" = {}'
+            "momentum tells of bodies, and no number of one is fitted: name those of the unknown"
+            ' body under [model.parameters], as in "mass@LINK" = {}, "com_x@LINK" = {}'
         )
     return own
 

@@ -316,7 +316,8 @@ class FunctionProblem(AbstractProblem):
             or not np.all(self.lower < self.upper)
         ):
             raise UsageError(
-                "`lower` and `upper` are vectors of the same length, and every lower is below its upper"
+                "`lower` and `upper` are vectors of the same length, and every lower is below its"
+                " upper"
             )
         if loss not in LOSSES:
             raise UsageError(f"unknown loss {loss!r}; there is: {', '.join(LOSSES)}")

@@ -115,7 +115,8 @@ class FitProblem(AbstractProblem):
         )
         if known and loss != "sum_of_squares":
             raise UsageError(
-                f"a prior is one more square: it has no place in {loss}; leave it out, or use sum_of_squares"
+                f"a prior is one more square: it has no place in {loss}; leave it out, or use"
+                " sum_of_squares"
             )
         n = self.free.size
         self.known = NumberPrior(np.zeros(n), np.zeros((n, n)), np.zeros(n))

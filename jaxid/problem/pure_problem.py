@@ -211,12 +211,14 @@ def _checked(problem: Problem, z: Any) -> Vector:
     z = jnp.asarray(z)
     if z.dtype != jnp.float64:
         raise UsageError(
-            f"z is {z.dtype}, and a simulation needs float64: before anything else of JAX is used, type "
-            'jax.config.update("jax_enable_x64", True), or set JAX_ENABLE_X64=1 in the environment'
+            f"z is {z.dtype}, and a simulation needs float64: before anything else of JAX is used,"
+            ' type jax.config.update("jax_enable_x64", True), or set JAX_ENABLE_X64=1 in the'
+            " environment"
         )
     if z.shape != (problem.size,):
         raise UsageError(
-            f"z has the shape {z.shape}; there are {problem.size} free numbers: {', '.join(problem.names)}"
+            f"z has the shape {z.shape}; there are {problem.size} free numbers:"
+            f" {', '.join(problem.names)}"
         )
     return z
 

@@ -251,12 +251,13 @@ class MultipleShooting(Residual):
         memory = WINDOW_PAST if states else 0
         if layout.chain.mechanism.hidden_states:
             raise UsageError(
-                f"windows cannot start inside a run of {layout.chain.mechanism.name}: its inner state is not measured; "
-                "use the residual output_error"
+                f"windows cannot start inside a run of {layout.chain.mechanism.name}: its inner"
+                " state is not measured; use the residual output_error"
             )
         if states and motions is None:
             raise UsageError(
-                "windows need measured joint positions when an effect has states; use the residual output_error"
+                "windows need measured joint positions when an effect has states; use the residual"
+                " output_error"
             )
         measured = _states(motions if states else None)
         samples, positions = recorded.build(
@@ -477,7 +478,8 @@ def resolve_residual(
         name = residual if isinstance(residual, str | None) else residual.name
         if name not in (InverseDynamics.name, "momentum"):
             raise UsageError(
-                "a cutoff is the low-pass of inverse_dynamics and momentum: give residual='inverse_dynamics' (--residual) with it"
+                "a cutoff is the low-pass of inverse_dynamics and momentum: give"
+                " residual='inverse_dynamics' (--residual) with it"
             )
         if not cutoff_hz > 0:
             raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")

@@ -33,7 +33,8 @@ def with_solver(binding: Binding, solver: Any, residual: Residual | None) -> Bin
         )
     if residual is not None and not (residual.free_run or residual.windows):
         raise UsageError(
-            f"a solver simulates free runs (output_error, multiple_shooting); {residual.name} has its own way"
+            f"a solver simulates free runs (output_error, multiple_shooting); {residual.name} has"
+            " its own way"
         )
     check_smooth(binding.chain)
     return replace(binding, layout=Layout(binding.layout.chain, solver))

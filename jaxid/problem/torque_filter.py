@@ -100,7 +100,10 @@ def torque_setting(
         from scipy.signal import firwin
 
         taps = np.asarray(firwin(10 * decimate + 1, 0.8 / decimate), np.float64)
-        statement += f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every {decimate}th sample"
+        statement += (
+            f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every"
+            f" {decimate}th sample"
+        )
     level = np.ones(chain.nq)
     if iu:
         torques = [
@@ -134,11 +137,13 @@ def check_motion(chain: Chain) -> None:
 
     if chain.mechanism.hidden_states:
         raise UsageError(
-            f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error"
+            f"{chain.mechanism.name} has an inner state that the measured motion does not show: use"
+            " output_error"
         )
     if not all_read(chain):
         raise UsageError(
-            f"inverse dynamics needs every joint's position or speed measured ({', '.join(chain.signature.joints)})"
+            "inverse dynamics needs every joint's position or speed measured"
+            f" ({', '.join(chain.signature.joints)})"
         )
 
 

@@ -29,14 +29,18 @@ def section(diagnosis: Diagnosis) -> Section:
             "which": which_card(diagnosis),
             "far": far_card(diagnosis),
             "remark": how_far.text[:1].upper() + how_far.text[1:],
-            "picture": None
-            if which.verdict == "none" or not text.measured(how_far)
-            else gap_picture(how_far, which.verdict),
+            "picture": (
+                None
+                if which.verdict == "none" or not text.measured(how_far)
+                else gap_picture(how_far, which.verdict)
+            ),
             "effects_added": bool(which.effects),
             "channels": [(name, how_far.per_channel[name]) for name in text.telling(how_far)],
-            "measured": f"Measured on {how_far.split} data, {_used(how_far)}. "
-            if text.measured(how_far)
-            else "",
+            "measured": (
+                f"Measured on {how_far.split} data, {_used(how_far)}. "
+                if text.measured(how_far)
+                else ""
+            ),
         },
     )
 
@@ -86,7 +90,8 @@ def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     if first.text and not told:  # a sentence of its own may leave these out
         sentences.insert(
             1,
-            f"{wording.percent(first.share_of_gap)} of the gap, {wording.times(first.times_noise_floor)} times the noise.",
+            f"{wording.percent(first.share_of_gap)} of the gap,"
+            f" {wording.times(first.times_noise_floor)} times the noise.",
         )
     return place(first), sentences
 

@@ -57,7 +57,10 @@ def of_fit(fit: Fit) -> Section:
                 ("evaluations", str(fit.evaluations)),
                 (
                     "time",
-                    f"{wording.number(fit.wall_time_s)} s, {wording.number(fit.compile_time_s)} s of it compiling",
+                    (
+                        f"{wording.number(fit.wall_time_s)} s, {wording.number(fit.compile_time_s)}"
+                        " s of it compiling"
+                    ),
                 ),
                 *version_facts(),
             ],

@@ -36,7 +36,8 @@ def export_text(exported: Exported, folder: Any = "") -> str:
     ]
     same = by_effect((one_line(r.effect), one_line(r.location)) for r in exported.rows if r.kept)
     notes = dict.fromkeys(
-        f"{one_line(r.effect)}{f' at {one_line(r.location)}' if r.location else ''}: {one_line(r.note)}"
+        f"{one_line(r.effect)}{f' at {one_line(r.location)}' if r.location else ''}:"
+        f" {one_line(r.note)}"
         for r in exported.rows
         if r.how != "exact" and not r.kept
     )
@@ -48,7 +49,8 @@ def export_text(exported: Exported, folder: Any = "") -> str:
     )
     kept = (
         [
-            f"as the file has them, which the data allow: {'; '.join(f'{k} at {listed(at)}' for k, at in same.items())}"
+            "as the file has them, which the data allow:"
+            f" {'; '.join(f'{k} at {listed(at)}' for k, at in same.items())}"
         ]
         if same
         else []

@@ -51,11 +51,15 @@ def section(c: Comparison) -> Section:
             "convergence": plot.svg(
                 "convergence", (plot.WIDE, 3.6), lambda figure: _convergence(c, figure)
             ),
-            "scatter": plot.svg(
-                "scatter", (plot.WIDE, 1.1 + 0.52 * len(c.best)), lambda figure: _scatter(c, figure)
-            )
-            if c.best
-            else None,
+            "scatter": (
+                plot.svg(
+                    "scatter",
+                    (plot.WIDE, 1.1 + 0.52 * len(c.best)),
+                    lambda figure: _scatter(c, figure),
+                )
+                if c.best
+                else None
+            ),
             "cost": plot.svg("cost", (plot.WIDE, 3.2), lambda figure: _cost(c, figure)),
         },
     )
@@ -136,9 +140,11 @@ def width(known: BestKnown) -> float:
     return (
         known.std
         if known.std
-        else max(known.upper - known.lower, 1e-300)
-        if np.isfinite(known.upper - known.lower)
-        else 1.0
+        else (
+            max(known.upper - known.lower, 1e-300)
+            if np.isfinite(known.upper - known.lower)
+            else 1.0
+        )
     )
 
 

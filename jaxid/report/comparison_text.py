@@ -30,7 +30,10 @@ def comparison_headline(c: Comparison) -> str:
     others = (
         f", like {listed(s.fitter for s in equal[1:])} (at no less cost)" if len(equal) > 1 else ""
     )
-    return f"{best.fitter} reached the best known loss in {best.successes} of {best.runs} runs{others}."
+    return (
+        f"{best.fitter} reached the best known loss in {best.successes} of {best.runs}"
+        f" runs{others}."
+    )
 
 
 def comparison_setting(c: Comparison) -> str:
@@ -38,9 +41,11 @@ def comparison_setting(c: Comparison) -> str:
     limits = [f"{c.budget} evaluations"] if c.budget is not None else []
     limits += [f"{short(c.limit_s)} s"] if c.limit_s is not None else []
     return (
-        f"Every fitter on {c.residual}, {c.loss_name.replace('_', ' ')}, with at most {' and '.join(limits)} a run, from"
+        f"Every fitter on {c.residual}, {c.loss_name.replace('_', ' ')}, with at most"
+        f" {' and '.join(limits)} a run, from"
         f" {'random starts within the bounds' if c.starts == 'random' else 'the start that the data suggest'}."
-        f" The target is {number(c.target, 5)}: the best known loss {number(c.best_loss, 5)} plus {percent(c.tolerance)}."
+        f" The target is {number(c.target, 5)}: the best known loss {number(c.best_loss, 5)} plus"
+        f" {percent(c.tolerance)}."
     )
 
 

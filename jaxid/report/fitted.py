@@ -51,7 +51,10 @@ def headline(fit: Fit) -> str:
         if fit.converged
         else f" ({'stalled' if fit.state == 'stalled' else 'not converged'}: {fit.stopped_because})"
     )
-    return f"{channel} is reproduced to {wording.number(worst.rmse)} {worst.unit} rms on {split} data{tail}."
+    return (
+        f"{channel} is reproduced to {wording.number(worst.rmse)} {worst.unit} rms on {split}"
+        f" data{tail}."
+    )
 
 
 def history_picture(fit: Fit):

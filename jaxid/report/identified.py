@@ -47,7 +47,10 @@ def headline(result: Identification) -> str:
     worst = max(rest, key=lambda e: e.relative_error)
     kind = "held-out motion" if worst.split != "fit" else "the fitted motion"
     if not worst.relative_error < 1:
-        return f"Torque is not predicted: on {kind} the model is off by {error(worst.relative_error)} of it, worse than no model."
+        return (
+            f"Torque is not predicted: on {kind} the model is off by {error(worst.relative_error)}"
+            " of it, worse than no model."
+        )
     return f"Torque is predicted to {error(worst.relative_error)} on {kind}."
 
 
@@ -59,7 +62,10 @@ def not_predicted(result: Identification) -> str:
     if worst.relative_error < 1:
         return ""
     run, off = f"{worst.file} ({worst.split})", error(worst.relative_error)
-    return f" Do not rely on it: in {run} the model is off by {off} of the torque, worse than no model."
+    return (
+        f" Do not rely on it: in {run} the model is off by {off} of the torque, worse than no"
+        " model."
+    )
 
 
 def error(relative: float, decimals: int = 2) -> str:

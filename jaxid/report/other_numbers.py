@@ -68,7 +68,10 @@ def _clause(s: StatedNumber) -> str:
     unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
     place = one_line(_place(s))
     what = f"the {place}'s {_word(s)}" if place else _word(s)
-    return f"{what} is {number(s.fitted if s.beside is None else s.beside, 3)}{unit}, not {s.stated:.4g}"
+    return (
+        f"{what} is {number(s.fitted if s.beside is None else s.beside, 3)}{unit}, not"
+        f" {s.stated:.4g}"
+    )
 
 
 def _place(s: StatedNumber) -> str:

@@ -40,9 +40,11 @@ def section(which: Which) -> Section | None:
             "rounds": [
                 round_of(own, beside, k) for k, (beside, own) in enumerate(rounds(rows).items())
             ],
-            "above": [kind for _, kind in rows].index("named")
-            if any(kind == "named" for _, kind in rows)
-            else 0,
+            "above": (
+                [kind for _, kind in rows].index("named")
+                if any(kind == "named" for _, kind in rows)
+                else 0
+            ),
         },
     )
 

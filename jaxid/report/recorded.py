@@ -50,8 +50,10 @@ def _rate(t: np.ndarray) -> float:
 def _noise(channel) -> str:
     stated = [
         f"noise {wording.number(channel.noise_std, 2)} {channel.unit}" if channel.noise_std else "",
-        f"resolution {wording.number(channel.resolution, 2)} {channel.unit}"
-        if channel.resolution
-        else "",
+        (
+            f"resolution {wording.number(channel.resolution, 2)} {channel.unit}"
+            if channel.resolution
+            else ""
+        ),
     ]
     return ", ".join(filter(None, stated))

@@ -80,9 +80,10 @@ def where_sentence(finding: Finding) -> str:
         return one_line(finding.text)
     start, end = finding.window_s
     return (
-        f"At {one_line(finding.location)} during {regime_words(finding.regime)}"
-        f" (seen in {one_line(finding.channel)}, strongest from {short(start)} to {short(end)} s):"
-        f" {percent(finding.share_of_gap)} of the gap, {times(finding.times_noise_floor)} times the noise."
+        f"At {one_line(finding.location)} during {regime_words(finding.regime)} (seen in"
+        f" {one_line(finding.channel)}, strongest from {short(start)} to {short(end)} s):"
+        f" {percent(finding.share_of_gap)} of the gap, {times(finding.times_noise_floor)} times the"
+        " noise."
     )
 
 
@@ -135,8 +136,8 @@ def stated_sentences(
     more = f", and {len(refuted) - STATED} more" if len(refuted) > STATED else ""
     off = dict.fromkeys(number(abs(s.deviation or 0.0), 2) for s in (refuted[-1], refuted[0]))
     return [
-        f"{len(refuted)} of {len(stated)} numbers that you stated are not those of the data: {', '.join(shown)}{more}"
-        f" ({' to '.join(off)} standard deviations off)."
+        f"{len(refuted)} of {len(stated)} numbers that you stated are not those of the data:"
+        f" {', '.join(shown)}{more} ({' to '.join(off)} standard deviations off)."
     ]
 
 
@@ -203,7 +204,10 @@ def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
         if WithinAStep.where in which.text:
             return f"Nothing is missing. {which.text}"
         retuned = how_far is not None and how_far.gap_before > NEAR * how_far.gap_retuned
-        return f"Nothing is missing: the model{', its own numbers re-tuned,' if retuned else ' already'} reaches the noise."
+        return (
+            "Nothing is missing: the"
+            f" model{', its own numbers re-tuned,' if retuned else ' already'} reaches the noise."
+        )
     return which.text or "There is a gap, and no known effect explains most of it."
 
 
@@ -225,12 +229,12 @@ def how_far_sentence(how_far: HowFar, verdict: str) -> str:
     if verdict == "none":
         stated = f"; as it was stated, {before}" if before != retuned else ""
         away = (
-            f" The {how_far.split} data go where the data that were fitted leave numbers of the model open; within what is known "
-            "of these it reaches the noise there too."
+            f" The {how_far.split} data go where the data that were fitted leave numbers of the"
+            " model open; within what is known of these it reaches the noise there too."
         )
         return (
-            f"What is left, its own numbers re-tuned, is {retuned} times the noise; 1 is the noise itself{stated}."
-            f"{away if not how_far.gap_retuned <= NEAR else ''}"
+            f"What is left, its own numbers re-tuned, is {retuned} times the noise; 1 is the noise"
+            f" itself{stated}.{away if not how_far.gap_retuned <= NEAR else ''}"
         )
     if verdict == "unknown":
         worse = before != retuned and how_far.gap_retuned > how_far.gap_before
@@ -239,9 +243,15 @@ def how_far_sentence(how_far: HowFar, verdict: str) -> str:
             if worse
             else ""
         )
-        return f"The gap is {before} times the noise, {retuned} after re-tuning the model's own parameters.{led}"
+        return (
+            f"The gap is {before} times the noise, {retuned} after re-tuning the model's own"
+            f" parameters.{led}"
+        )
     if math.isnan(how_far.gap_before) or math.isnan(how_far.gap_after):
-        return f"The gap is {before} times the noise before, {after} after ({retuned} re-tuned alone); – could not be measured."
+        return (
+            f"The gap is {before} times the noise before, {after} after ({retuned} re-tuned alone);"
+            " – could not be measured."
+        )
     course = "falls" if how_far.gap_after < how_far.gap_before else "does not fall, but goes"
     return f"The gap {course} from {before} to {after} times the noise ({retuned} re-tuned alone)."
 
@@ -318,7 +328,10 @@ def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
         course += f", {retuned} {unit} re-tuned"
     elif verdict in ("named", "partly") and gap.rmse_after > gap.rmse_retuned and retuned != after:
         course += f", further off than re-tuned alone ({retuned} {unit})"
-    return f"{one_line(name)}: rms error {course} (noise {number(gap.noise, 2)} {unit}, {one_line(gap.noise_source)})"
+    return (
+        f"{one_line(name)}: rms error {course} (noise {number(gap.noise, 2)} {unit},"
+        f" {one_line(gap.noise_source)})"
+    )
 
 
 def sentence(text: str) -> str:
@@ -341,12 +354,17 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     verdict = first_of_all(diagnosis, which_sentence(which, how_far))
     parts = [
         *map(wrapped, data_lines(diagnosis.data)),
-        f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}{COMPARED.get(diagnosis.final.simulation, '')}",
+        (
+            f"{one_line(diagnosis.dataset)}, model"
+            f" {one_line(diagnosis.model)}{COMPARED.get(diagnosis.final.simulation, '')}"
+        ),
         joint_table(how_far.per_joint),
         paragraph("STATED", stated_sentences(diagnosis.final.stated, diagnosis.which.effects)),
-        ""
-        if which.verdict == "none"
-        else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
+        (
+            ""
+            if which.verdict == "none"
+            else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2]))
+        ),
         paragraph("WHICH", [verdict, *meaning(which), confusable_sentence(which)]),
         paragraph(
             "HOW FAR",
@@ -408,8 +426,8 @@ def fit_text(fit: Fit) -> str:
     parts = [
         *map(wrapped, data_lines(fit.data)),
         wrapped(
-            f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state} ({fit.stopped_because}),"
-            f" loss {number(fit.loss)} (1 = down to the noise)"
+            f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state}"
+            f" ({fit.stopped_because}), loss {number(fit.loss)} (1 = down to the noise)"
         ),
         joint_table(fit.per_joint),
         table(
@@ -433,7 +451,8 @@ def fit_text(fit: Fit) -> str:
     parts += [paragraph("stated", [s.text]) for s in fit.stated]
     parts += [paragraph("note", [note]) for note in fit.notes]
     parts.append(
-        f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling"
+        f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)}"
+        " s of it compiling"
     )
     return "\n".join(filter(None, parts))
 
@@ -486,7 +505,10 @@ def identification_text(result: Identification) -> str:
     joints = result.labels
     parts = [
         *data_lines(result.data),
-        f"{result.dataset}, model {result.model}: {result.method}, friction law {result.law}. {headline(result)}",
+        (
+            f"{result.dataset}, model {result.model}: {result.method}, friction law {result.law}."
+            f" {headline(result)}"
+        ),
         *(f"{answer[0].upper()}{answer[1:]}." for answer in result.answers),
         table(
             ("recording", "data", "all joints", *joints, "unfiltered"),
@@ -513,7 +535,8 @@ def identification_text(result: Identification) -> str:
     if result.payload is not None:
         parts.append(table(("payload", "value", "95 % interval"), payload_rows(result)))
     parts.append(
-        f"condition number {result.condition_number:.4g} ({result.condition_number_scaled:.4g} with columns of equal length)"
+        f"condition number {result.condition_number:.4g} ({result.condition_number_scaled:.4g} with"
+        " columns of equal length)"
     )
     parts += [f"note: {n}" for n in (result.filter, *result.notes)]
     return "\n".join(parts)

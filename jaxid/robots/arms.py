@@ -42,7 +42,8 @@ def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
     gravity = np.array(tree.gravity)
     if np.any(np.abs(gravity[:2]) > 1e-9):
         raise UsageError(
-            f"{tree.file}: gravity is not along z; identify needs an upright world (tilt the base by [model.base])"
+            f"{tree.file}: gravity is not along z; identify needs an upright world (tilt the base"
+            " by [model.base])"
         )
     named = {
         "gravity": float(-gravity[2]),
@@ -70,8 +71,9 @@ def table_of(tree: Tree) -> ArmTable:
     """The chain of a tree that has one limb, frames turned so that z is each joint's axis."""
     if tree.couplings or any(up != k - 1 for k, up in enumerate(tree.parent)):
         raise UsageError(
-            f"{tree.file}: the recorded joints are {len(tree.limbs())} limbs or branch; identify takes one chain "
-            f"at a time: name its end by --tip (or [model] tip): {', '.join(tree.ends)}"
+            f"{tree.file}: the recorded joints are {len(tree.limbs())} limbs or branch; identify"
+            " takes one chain at a time: name its end by --tip (or [model] tip):"
+            f" {', '.join(tree.ends)}"
         )
     geometry, inertia, before = [], [], np.eye(4)
     for k in range(tree.n):

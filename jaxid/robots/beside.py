@@ -56,9 +56,9 @@ def left_out(dataset: Dataset, names: Sequence[str]) -> Dataset:
             scatter=cut(e.scatter),
             left_out=cut(e.left_out),
             auxiliary={k: v for k, v in e.auxiliary.items() if k not in gone},
-            initial=None
-            if e.initial is None
-            else {k: v for k, v in e.initial.items() if k not in gone},
+            initial=(
+                None if e.initial is None else {k: v for k, v in e.initial.items() if k not in gone}
+            ),
             past=None if e.past is None else one(e.past),
         )
 
@@ -85,8 +85,9 @@ def with_rates(dataset: Dataset, tree: Tree) -> Dataset:
     for name in (names := rates_of(stated, joints)):
         if name not in have:
             raise UsageError(
-                f"[controller] reference_velocity: the recording has no channel {name!r}{nearest(name, have)}; give it "
-                'role = "auxiliary", or write reference_velocity = "none"'
+                "[controller] reference_velocity: the recording has no channel"
+                f' {name!r}{nearest(name, have)}; give it role = "auxiliary", or write'
+                ' reference_velocity = "none"'
             )
     return as_inputs(dataset, names)
 
@@ -102,7 +103,8 @@ def rates_of(stated: object, joints: Sequence[str]) -> tuple[str, ...]:
     if isinstance(stated, str) and ("*" in stated or len(joints) == 1):
         return tuple(stated.replace("*", j) for j in joints)
     raise UsageError(
-        f'[controller]: reference_velocity is {stated!r}; it is "none", "difference", or channels: a name with * for that of the '
+        f'[controller]: reference_velocity is {stated!r}; it is "none", "difference", or channels:'
+        " a name with * for that of the "
         f"joint, a list of {len(joints)} (in the order {', '.join(joints)}), or a table by joint"
     )
 
@@ -129,17 +131,22 @@ def with_base(dataset: Dataset, tree: Tree) -> Dataset:
     if not recorded or rides(dataset) or kind == "free":
         return dataset
     if kind != "prescribed":
-        note = f'{", ".join(recorded)} recorded and not used: [model.base] kind = "prescribed" lets the base move so'
+        note = (
+            f'{", ".join(recorded)} recorded and not used: [model.base] kind = "prescribed" lets'
+            " the base move so"
+        )
         return dataset if note in dataset.notes else replace(dataset, notes=(*dataset.notes, note))
     for c in dataset.channels:
         if c.name in recorded and (c.unit != "rad" or c.role == "output"):
             raise UsageError(
-                f'{c.name} is the angle of the base: give it role = "auxiliary" and unit = "rad" (or "deg")'
+                f'{c.name} is the angle of the base: give it role = "auxiliary" and unit = "rad"'
+                ' (or "deg")'
             )
     taken = [f"base_{k}" for k in ANGLES if f"base_{k}" in tree.joints]
     if taken:
         raise UsageError(
-            f"{tree.file}: a joint is called {taken[0]!r}, which is the name of an angle of a base that moves: rename it"
+            f"{tree.file}: a joint is called {taken[0]!r}, which is the name of an angle of a base"
+            " that moves: rename it"
         )
     own = {c.name for c in dataset.inputs} & set(recorded)
     kept = [i for i, c in enumerate(dataset.inputs) if c.name not in own]
@@ -147,9 +154,11 @@ def with_base(dataset: Dataset, tree: Tree) -> Dataset:
 
     def one(e: Experiment) -> Experiment:
         motion = [
-            _motion(e.t, read(e, f"base_{k}"))
-            if f"base_{k}" in recorded
-            else np.zeros((3, len(e.t)))
+            (
+                _motion(e.t, read(e, f"base_{k}"))
+                if f"base_{k}" in recorded
+                else np.zeros((3, len(e.t)))
+            )
             for k in ANGLES
         ]
         columns = [m[order] for order in range(3) for m in motion]

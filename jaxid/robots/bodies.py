@@ -94,5 +94,8 @@ def fault(link: str, inertia: np.ndarray) -> str | None:
     if moments[0] < -DIGITS * size:
         return f"link {link!r} has a negative principal moment of inertia ({listed} kg m^2)"
     if moments[0] + moments[1] < moments[2] * (1 - DIGITS):
-        return f"link {link!r} has principal moments of inertia {listed} kg m^2, of which the largest exceeds the sum of the others"
+        return (
+            f"link {link!r} has principal moments of inertia {listed} kg m^2, of which the largest"
+            " exceeds the sum of the others"
+        )
     return None

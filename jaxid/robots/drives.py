@@ -138,7 +138,8 @@ class DriveLaw:
         """
         if self.kind == "pid":
             raise UsageError(
-                "the torque of a pid law is not known without its integral's start; record the torque, or fit instead"
+                "the torque of a pid law is not known without its integral's start; record the"
+                " torque, or fit instead"
             )
         number = {k: np.array(v) for k, v in self.numbers.items()}
         jump = np.diff(t, prepend=t[0]) / 2 if held and self.period <= 0 else 0.0
@@ -256,7 +257,8 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     for key in NEEDED[kind]:
         if key not in settings:
             raise UsageError(
-                f"[controller]: kind {kind!r} needs {' and '.join(NEEDED[kind])}; {key!r} is missing"
+                f"[controller]: kind {kind!r} needs {' and '.join(NEEDED[kind])}; {key!r} is"
+                " missing"
             )
 
     def number(key):
@@ -271,12 +273,14 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
         )
     if settings.get("disturbance"):
         raise UsageError(
-            "[controller]: a disturbance is not simulated where the goal drives; make the goals auxiliary channels"
+            "[controller]: a disturbance is not simulated where the goal drives; make the goals"
+            " auxiliary channels"
         )
     every = settings.get("sample_time", period)
     if not isinstance(every, int | float) or every < 0:
         raise UsageError(
-            f"[controller]: sample_time is {every!r}; it is a number of seconds, 0 where the law is continuous"
+            f"[controller]: sample_time is {every!r}; it is a number of seconds, 0 where the law is"
+            " continuous"
         )
     velocity, rate, rates = _words(settings, float(every), kind, joints)
     fit: Any = settings.get("fit", ())
@@ -322,8 +326,8 @@ def _spread(stated: Any, can: Sequence[str]) -> dict[str, float]:
         plain = isinstance(value, int | float) and not isinstance(value, bool)
         if name not in can or not (plain and 0 < value < np.inf):
             raise UsageError(
-                f"[controller]: spread is {stated!r}; it is a positive number for all that is fitted, or a table of them for "
-                f"{', '.join(can)}"
+                f"[controller]: spread is {stated!r}; it is a positive number for all that is"
+                f" fitted, or a table of them for {', '.join(can)}"
             )
     return {name: float(value) for name, value in spread.items()}
 
@@ -339,7 +343,8 @@ def _words(
         )
     if period <= 0 and velocity != "measured":
         raise UsageError(
-            f'[controller]: a continuous law (sample_time = 0) has no {velocity}: write velocity = "measured"'
+            f"[controller]: a continuous law (sample_time = 0) has no {velocity}: write velocity ="
+            ' "measured"'
         )
     wanted = settings.get(
         "reference_velocity", "none" if period <= 0 or kind == "cascade" else "difference"
@@ -348,7 +353,8 @@ def _words(
         return velocity, False, rates_of(wanted, joints)
     if period <= 0 and wanted != "none":
         raise UsageError(
-            '[controller]: a continuous law (sample_time = 0) has no difference: write reference_velocity = "none"'
+            "[controller]: a continuous law (sample_time = 0) has no difference: write"
+            ' reference_velocity = "none"'
         )
     return velocity, wanted == "difference", ()
 
@@ -376,8 +382,8 @@ def per_joint(
         isinstance(v, int | float) and not isinstance(v, bool) and v == v for v in values
     ):
         raise UsageError(
-            f"[controller]: {key} is {value!r}; it is a number, a list of {len(joints)} (in the order {', '.join(joints)}), or a "
-            "table by joint"
+            f"[controller]: {key} is {value!r}; it is a number, a list of {len(joints)} (in the"
+            f" order {', '.join(joints)}), or a table by joint"
         )
     return tuple(float(v) for v in values)
 
@@ -390,8 +396,9 @@ def file_law(tree: Tree) -> DriveLaw:
     lacking = [j for j in joints if j not in tree.actuators or tree.actuators[j].kind != "position"]
     if lacking:
         raise UsageError(
-            f"{tree.file or 'the robot'} states no position actuator for {', '.join(lacking)}: state the law that turns goals "
-            'into torque under [controller] (kind = "pd", kp, kd), or give torques as NAME_tau'
+            f"{tree.file or 'the robot'} states no position actuator for {', '.join(lacking)}:"
+            ' state the law that turns goals into torque under [controller] (kind = "pd", kp,'
+            " kd), or give torques as NAME_tau"
         )
     own = [tree.actuators[j] for j in joints]
     control = tuple(a.control for a in own)

@@ -51,7 +51,8 @@ def floating(tree: Tree) -> Tree:
     bodies = [n for n in tree.notes if AS_FIXED in n]
     if len(bodies) > 1:
         raise UsageError(
-            f"{tree.file}: {len(bodies)} bodies of it are free to move; one base can float: take the others out"
+            f"{tree.file}: {len(bodies)} bodies of it are free to move; one base can float: take"
+            " the others out"
         )
     if tree.lifted is not None:
         raise UsageError(
@@ -59,15 +60,16 @@ def floating(tree: Tree) -> Tree:
         )
     if taken := [n for n in FLOATS if n in tree.joints]:
         raise UsageError(
-            f"{tree.file}: a joint is called {taken[0]!r}, which is the name of a coordinate of a free base: rename it"
+            f"{tree.file}: a joint is called {taken[0]!r}, which is the name of a coordinate of a"
+            " free base: rename it"
         )
     root = np.array(tree.root).reshape(4, 4)
     into = np.linalg.inv(root)
     trunk = turned(np.array(tree.trunk), into)
     if not trunk[9] > 0:
         raise UsageError(
-            f'{tree.file}: [model.base] kind = "free" needs mass and inertia of the base ({tree.carrier}), which it '
-            "does not state: add its <inertial>"
+            f'{tree.file}: [model.base] kind = "free" needs mass and inertia of the base'
+            f" ({tree.carrier}), which it does not state: add its <inertial>"
         )
 
     def six(a, fill=0.0):
@@ -126,16 +128,19 @@ def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
     outputs = [c.name for c in dataset.outputs]
     if lacking := [a for a in ANGLES if a not in outputs]:
         raise UsageError(
-            f"a free base needs its attitude as outputs {', '.join(ANGLES)} (rad; Rz(yaw) Ry(pitch) Rx(roll) of its body's frame "
-            f'in the world, unwrapped), and {", ".join(lacking)} is missing: record it, or give it role = "output"'
+            f"a free base needs its attitude as outputs {', '.join(ANGLES)} (rad; Rz(yaw) Ry(pitch)"
+            " Rx(roll) of its body's frame "
+            f"in the world, unwrapped), and {', '.join(lacking)} is missing: record it, or give it"
+            ' role = "output"'
         )
     at = outputs.index("base_pitch")
     for e in dataset.experiments:
         steepest = float(np.max(np.abs(e.y[:, at])))
         if steepest > STEEPEST:
             raise UsageError(
-                f"experiment {e.name!r}: the base pitches to {steepest:.3g} rad, and at 1.57 roll and yaw are no coordinates any "
-                "more: turn the frame of the base in the file so that it pitches less, or cut the run there (window_s)"
+                f"experiment {e.name!r}: the base pitches to {steepest:.3g} rad, and at 1.57 roll"
+                " and yaw are no coordinates any more: turn the frame of the base in the file so"
+                " that it pitches less, or cut the run there (window_s)"
             )
 
 
@@ -143,6 +148,7 @@ def refuse_free(command: str, dataset: Dataset) -> None:
     """Raises `UsageError` for a command that takes no robot on a free base."""
     if wanted(dataset):
         raise UsageError(
-            f'jaxid {command} takes no robot on a free base ([model.base] kind = "free"). Fit it (jaxid fit), identify it by its '
-            "momentum (jaxid fit --residual momentum) or simulate it; or state a base that is fixed"
+            f'jaxid {command} takes no robot on a free base ([model.base] kind = "free"). Fit it'
+            " (jaxid fit), identify it by its momentum (jaxid fit --residual momentum) or simulate"
+            " it; or state a base that is fixed"
         )

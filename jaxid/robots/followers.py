@@ -38,7 +38,8 @@ def led(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
             tree = led_by(tree, lead)
             back = next(c for c in tree.couplings if c.follower == leader)
             notes.append(
-                f"{lead} is recorded and stands for {leader}, as the file couples them: {_equation(back)}"
+                f"{lead} is recorded and stands for {leader}, as the file couples them:"
+                f" {_equation(back)}"
             )
     return _with_drives(tree), tuple(notes)
 
@@ -161,7 +162,10 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
         return replace(e, u=u, auxiliary=auxiliary, past=None if e.past is None else one(e.past))
 
     what = "goal" if end == "_cmd" else "torque"
-    note = f"the {what} of {c.follower} is taken as that of {c.leader}, as the file couples them: {_equation(c)}"
+    note = (
+        f"the {what} of {c.follower} is taken as that of {c.leader}, as the file couples them:"
+        f" {_equation(c)}"
+    )
     return replace(
         dataset,
         channels=tuple(moved if channel.name == old else channel for channel in dataset.channels),

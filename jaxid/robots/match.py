@@ -144,7 +144,8 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
         joints = {c: tree.leading[k - 1] for c, k in zip(numbered, places, strict=True)}
         listed = ", ".join(f"{c} = {j}" for c, j in joints.items())
         notes += [
-            f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"
+            f"joints by the order of the file, as the recording does not name them: {listed} (else"
+            " state [model.joints])"
         ]
     elif not joints and numbered and {c.name for c in dataset.outputs} <= set(tree.joints):
         joints = {
@@ -159,7 +160,8 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
     clash = sorted({new for new in names.values() if new in have and new not in names})
     if clash:
         raise UsageError(
-            f"the recording has a channel {clash[0]!r} beside the one that [model.joints] names so: rename one"
+            f"the recording has a channel {clash[0]!r} beside the one that [model.joints] names so:"
+            " rename one"
         )
 
     def new(name):
@@ -228,7 +230,8 @@ def for_a_robot(dataset: Dataset) -> Dataset:
     constants, parameters = own(spec.constants), own(spec.parameters)
     gone = [k for k in (*spec.constants, *spec.parameters) if k not in (*constants, *parameters)]
     note = (
-        f"dataset.toml states {', '.join(gone)} of {spec.name}, which is not the model asked for: not used"
+        f"dataset.toml states {', '.join(gone)} of {spec.name}, which is not the model asked for:"
+        " not used"
         if gone
         else ""
     )
@@ -302,19 +305,22 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     goals, torques = ([j for j in joints if f"{j}{end}" in inputs] for end in ("_cmd", "_tau"))
     if goals and torques:
         raise UsageError(
-            "both goals (NAME_cmd) and torques (NAME_tau) are inputs: the goal is an input where it drives the model, and "
-            'auxiliary where a torque does; give one of them role = "auxiliary"'
+            "both goals (NAME_cmd) and torques (NAME_tau) are inputs: the goal is an input where it"
+            " drives the model, and auxiliary where a torque does; give one of them role ="
+            ' "auxiliary"'
         )
     free = spec is not None and spec.free
     for what, own, end in (("goal", goals, "_cmd"), ("torque", torques, "_tau")):
         lacking = [j for j in joints if j not in own]
         if own and lacking:
             raise UsageError(
-                f"no {what} is recorded of {', '.join(lacking)}: add {lacking[0]}{end}, or take the joint's output out"
+                f"no {what} is recorded of {', '.join(lacking)}: add {lacking[0]}{end}, or take the"
+                " joint's output out"
             )
     if not (goals or torques or free):
         raise UsageError(
-            f"nothing drives the robot: add goals ({joints[0]}_cmd) or torques ({joints[0]}_tau) as inputs, or say free = true"
+            f"nothing drives the robot: add goals ({joints[0]}_cmd) or torques ({joints[0]}_tau) as"
+            " inputs, or say free = true"
         )
     out = type(robot)(tree, driven=False, rides=rides(dataset) and bool(goals or torques))
     if goals:
@@ -333,7 +339,8 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     for name, unit in (*signature.outputs, *(() if free else signature.inputs)):
         if (have := units.get(name, unit)) != unit:
             raise UsageError(
-                f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}: correct its unit"
+                f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}:"
+                " correct its unit"
             )
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
 
@@ -351,26 +358,30 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     for follower, leader in followers.items():
         if leader not in measured:
             raise UsageError(
-                f"{follower} is recorded and {leader}, which it follows, is not: record {leader}, or work its position out "
+                f"{follower} is recorded and {leader}, which it follows, is not: record {leader},"
+                " or work its position out "
                 f'of that of {follower} (`scale`, `offset`) and give {follower} role = "auxiliary"'
             )
     _refuse_ties(tree, measured)
     if not measured:
         raise UsageError(
-            f"no channel is a joint of {tree.file or 'the robot'}: its joints are {', '.join(tree.leading)}, the outputs of the "
-            f"recording {', '.join(sorted(outputs)) or 'none'}. Name channels so, or map them under [model.joints]: q1 = "
+            f"no channel is a joint of {tree.file or 'the robot'}: its joints are"
+            f" {', '.join(tree.leading)}, the outputs of the "
+            f"recording {', '.join(sorted(outputs)) or 'none'}. Name channels so, or map them under"
+            " [model.joints]: q1 = "
             f'"{tree.leading[0]}"'
         )
     unknown = sorted(n for n in outputs - set(tree.joints) - {f"{j}_qd" for j in tree.joints})
     if unknown and unknown[0] in ANGLES:
         raise UsageError(
-            f'output {unknown[0]!r} is how the base turns: [model.base] kind = "free" compares it; of a base that is moved '
-            '(kind = "prescribed") give it role = "auxiliary"'
+            f'output {unknown[0]!r} is how the base turns: [model.base] kind = "free" compares it;'
+            ' of a base that is moved (kind = "prescribed") give it role = "auxiliary"'
         )
     if unknown:
         raise UsageError(
-            f"output {unknown[0]!r} is no joint of {tree.file or 'the robot'}{nearest(unknown[0], tree.leading)}; map it under "
-            '[model.joints], or give it role = "auxiliary"'
+            f"output {unknown[0]!r} is no joint of"
+            f" {tree.file or 'the robot'}{nearest(unknown[0], tree.leading)}; map it under"
+            ' [model.joints], or give it role = "auxiliary"'
         )
     held: dict[str, float] = {}
     for joint in tree.leading:
@@ -378,7 +389,8 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
             continue
         if f"{joint}_cmd" in names and f"{POSE}{joint}" not in constants and joint not in names:
             raise UsageError(
-                f"{joint} has a goal and no measured position: record it, or state where it was held under [model.constants]: "
+                f"{joint} has a goal and no measured position: record it, or state where it was"
+                " held under [model.constants]: "
                 f'"{POSE}{joint}" = 0.0'
             )
         series = [e.auxiliary[joint] for e in dataset.experiments if joint in e.auxiliary]
@@ -388,7 +400,10 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
         listed = ", ".join(f"{j} at {v:.4g}" for j, v in held.items())
         notes = (
             *notes,
-            f"not recorded and held: {listed} (state {POSE}NAME under [model.constants] where that is wrong)",
+            (
+                f"not recorded and held: {listed} (state {POSE}NAME under [model.constants] where"
+                " that is wrong)"
+            ),
         )
     if tree.ties:
         listed = "; ".join(f"{t.what}, of {', '.join(t.joints)}" for t in tree.ties)
@@ -408,9 +423,10 @@ def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:
         hanging = [j for j in (*measured, *tie.joints) if j in tie.joints and j in moves]
         if hanging:
             raise UsageError(
-                f"{tree.file or 'the robot'}: {tie.what}, acts on {', '.join(tie.joints)}, and {hanging[0]} is recorded; jaxid "
-                'takes joints that are driven by themselves. Give these joints role = "auxiliary" (and take their goals out): '
-                "they are then held where they were on average"
+                f"{tree.file or 'the robot'}: {tie.what}, acts on {', '.join(tie.joints)}, and"
+                f" {hanging[0]} is recorded; jaxid takes joints that are driven by themselves. Give"
+                ' these joints role = "auxiliary" (and take their goals out): they are then held'
+                " where they were on average"
             )
 
 
@@ -421,8 +437,8 @@ def _placed(robot: Any, spec: ModelSpec | None) -> Any:
     if kind == "free":
         if base:
             raise UsageError(
-                f'[model.base] {next(iter(base))}: a base of kind = "free" is where its channels base_roll, base_pitch and '
-                "base_yaw show it; leave the angle out"
+                f'[model.base] {next(iter(base))}: a base of kind = "free" is where its channels'
+                " base_roll, base_pitch and base_yaw show it; leave the angle out"
             )
         return robot
     return with_fields(robot, {f"base_{k}": np.float64(v) for k, v in base.items()})

@@ -74,7 +74,8 @@ class _Reader:
                 kind = int(m.jnt_type[j])
                 if kind == mj.mjtJoint.mjJNT_FREE:
                     self.notes.append(
-                        f"joint {self.name('JOINT', j)!r} is free: the base is taken as fixed where the file puts it"
+                        f"joint {self.name('JOINT', j)!r} is free: the base is taken as fixed where"
+                        " the file puts it"
                     )
                     if free == [0]:
                         trunk, root, free, base = np.zeros(10), T, [b], self.name("BODY", b)
@@ -123,7 +124,8 @@ class _Reader:
             ]
             if np.any(np.concatenate([np.ravel(p) for p in poly])):
                 raise self.refuse(
-                    f"joint {self.name('JOINT', k)!r} has a spring that is not linear, which is not simulated"
+                    f"joint {self.name('JOINT', k)!r} has a spring that is not linear, which is not"
+                    " simulated"
                 )
         damping = np.column_stack([m.dof_damping[dof], m.dof_dampingpoly[dof]])[:, :3]
         limited = m.jnt_limited[j].astype(bool)
@@ -226,7 +228,8 @@ class _Reader:
         """A ball joint is held where the file puts it, and everything behind it with it."""
         name = self.name("JOINT", j)
         self.notes.append(
-            f"joint {name!r} is a ball joint: held where the file puts it (jaxid takes hinge and slide joints)"
+            f"joint {name!r} is a ball joint: held where the file puts it (jaxid takes hinge and"
+            " slide joints)"
         )
         self.ties.add(f"ball joint {name!r}", self.ties.behind(j))
 
@@ -306,7 +309,8 @@ class _Reader:
                     self.mj.mjtTrn(int(m.actuator_trntype[a])).name.removeprefix("mjTRN_").lower()
                 )
                 self.notes.append(
-                    f"actuator {self.name('ACTUATOR', a)!r} acts on a {what}, not on a joint: left out"
+                    f"actuator {self.name('ACTUATOR', a)!r} acts on a {what}, not on a joint:"
+                    " left out"
                 )
         out: dict[str, Actuator] = {}
         for a, j in on.items():
@@ -342,7 +346,8 @@ class _Reader:
             kind = "velocity" if b1 == 0 and abs(gain[0] + b2) <= 1e-9 * abs(b2) else "other"
         if kind == "position" and abs(g - 1) > 1e-9:
             self.notes.append(
-                f"actuator {self.name('ACTUATOR', a)!r} has a gear of {g:g}: its goal is a position of the joint, ctrl / {g:g}"
+                f"actuator {self.name('ACTUATOR', a)!r} has a gear of {g:g}: its goal is a position"
+                f" of the joint, ctrl / {g:g}"
             )
         force = (
             tuple(map(float, m.actuator_forcerange[a])) if m.actuator_forcelimited[a] else endless

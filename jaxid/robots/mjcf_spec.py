@@ -55,8 +55,8 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
         raise UsageError(f"{path}: it holds no <body>, so it is no robot{as_a_part(path)}")
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         raise UsageError(
-            f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is not read; state '
-            f"<inertial> in each body and remove it. {written_by_mujoco(path)}"
+            f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is'
+            f" not read; state <inertial> in each body and remove it. {written_by_mujoco(path)}"
         )
     lacking = from_meshes(spec)
     if lacking:
@@ -150,8 +150,10 @@ def written_by_mujoco(path: Path) -> str:
     """A sentence with the command that states all inertias in a copy, where the meshes are."""
     copy = path.with_name(f"{path.stem}_inertial.xml").as_posix()
     return (
-        f'MuJoCo writes a copy with all of them: python -c "import mujoco; s = mujoco.MjSpec.from_file({path.as_posix()!r}); '
-        f"s.compiler.saveinertial = True; s.compiler.inertiafromgeom = 2; s.compile(); open({copy!r}, 'w').write(s.to_xml())\""
+        'MuJoCo writes a copy with all of them: python -c "import mujoco; s ='
+        f" mujoco.MjSpec.from_file({path.as_posix()!r}); "
+        "s.compiler.saveinertial = True; s.compiler.inertiafromgeom = 2; s.compile();"
+        f" open({copy!r}, 'w').write(s.to_xml())\""
     )
 
 

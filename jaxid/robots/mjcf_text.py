@@ -24,7 +24,8 @@ def expanded(path: Path, text: str | None = None) -> str:
     root = _parsed(path, text)
     if root.tag not in ("mujoco", "mujocoinclude"):
         raise UsageError(
-            f"{path}: the outermost tag is <{root.tag}>, not <mujoco>; give an MJCF (or name a .urdf)"
+            f"{path}: the outermost tag is <{root.tag}>, not <mujoco>; give an MJCF (or name a"
+            " .urdf)"
         )
     budget = [LARGEST]
     _include(root, path, path.parent.resolve(), 0, budget)
@@ -36,7 +37,8 @@ def expanded(path: Path, text: str | None = None) -> str:
         found = next(root.iter(tag), None)
         if found is not None:
             raise UsageError(
-                f"{path}: <{tag}> {found.get('name') or found.get('prefix') or ''} is {what}, which is not read"
+                f"{path}: <{tag}> {found.get('name') or found.get('prefix') or ''} is {what}, which"
+                " is not read"
             )
     for parent in list(root.iter()):
         for child in [
@@ -66,7 +68,8 @@ def _parsed(path: Path, text: str | None) -> Element:
                 raise UsageError(f"{path}: not a file")
             if size > LARGEST:
                 raise UsageError(
-                    f"{path}: {size / 1e6:.0f} MB; a robot's file has at most {LARGEST / 1e6:.0f} MB"
+                    f"{path}: {size / 1e6:.0f} MB; a robot's file has at most"
+                    f" {LARGEST / 1e6:.0f} MB"
                 )
             text = path.read_text(encoding="utf-8-sig")
         root = xml_root(text)
@@ -104,7 +107,8 @@ def _include(element: Element, path: Path, folder: Path, depth: int, budget: lis
             )
         if depth >= DEEPEST:
             raise UsageError(
-                f"{path}: includes {name!r} more than {DEEPEST} files deep; does a file include itself?"
+                f"{path}: includes {name!r} more than {DEEPEST} files deep; does a file include"
+                " itself?"
             )
         root = _parsed(target, None)
         budget[0] -= target.stat().st_size

@@ -36,22 +36,28 @@ def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
         "joints": list(tree.joints[6 * tree.floats :]),
         "leads": list(tree.driven),
         "held": {k: float(v) for k, v in tree.held.items()},
-        "base": {
-            k: float(np.asarray(getattr(mechanism, f"base_{k}"))) for k in ("roll", "pitch", "yaw")
-        }
-        | ({"kind": "free"} if tree.floats else {}),
-        "drive": None
-        if law is None
-        else {
-            "origin": "[controller]" if law.origin == "[controller]" else "file",
-            "kind": law.kind,
-            "velocity": law.velocity,
-            "rate": law.rate,
-            "period": law.period,
-            "joints": {
-                j: {k: float(getattr(law, k)[i]) for k in LAW} for i, j in enumerate(tree.driven)
-            },
-        },
+        "base": (
+            {
+                k: float(np.asarray(getattr(mechanism, f"base_{k}")))
+                for k in ("roll", "pitch", "yaw")
+            }
+            | ({"kind": "free"} if tree.floats else {})
+        ),
+        "drive": (
+            None
+            if law is None
+            else {
+                "origin": "[controller]" if law.origin == "[controller]" else "file",
+                "kind": law.kind,
+                "velocity": law.velocity,
+                "rate": law.rate,
+                "period": law.period,
+                "joints": {
+                    j: {k: float(getattr(law, k)[i]) for k in LAW}
+                    for i, j in enumerate(tree.driven)
+                },
+            }
+        ),
     }
 
 

@@ -57,4 +57,7 @@ def _in_degrees(tree: Tree, joints: list[str]) -> str:
     small = bool(at) and all(np.degrees(tree.upper[k] - tree.lower[k]) <= 4 * np.pi for k in at)
     if "<compiler" in text and "angle" in text or not small:
         return ""
-    return f'. {path.name} states no angle, so its ranges are degrees: were radians meant, add <compiler angle="radian"/>'
+    return (
+        f". {path.name} states no angle, so its ranges are degrees: were radians meant, add"
+        ' <compiler angle="radian"/>'
+    )

@@ -242,8 +242,9 @@ class Tree:
         """Joints between the base and a link."""
         if link not in self.links:
             raise UsageError(
-                f"{self.file}: no joint moves a link {link!r}{nearest(link, [n for n in self.links if n])}; "
-                f"the ends are {', '.join(self.ends)}"
+                f"{self.file}: no joint moves a link"
+                f" {link!r}{nearest(link, [n for n in self.links if n])}; the ends are"
+                f" {', '.join(self.ends)}"
             )
         k, out = self.links.index(link), []
         while k >= 0:

@@ -53,7 +53,8 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
     massless = _massless(joints, parent, bodies, couplings)
     if len(massless) == len(joints):
         raise UsageError(
-            f"{path}: nothing of mass hangs on joint {massless[0].name!r}; give link {massless[0].child!r} an <inertial>"
+            f"{path}: nothing of mass hangs on joint {massless[0].name!r}; give link"
+            f" {massless[0].child!r} an <inertial>"
         )
     damping = np.zeros((len(joints), 3))
     damping[:, 0] = dissipation[:, 0]
@@ -86,7 +87,8 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
             (name, f) for name, phi in robot.inertia.items() if (f := fault(name, phi))
         ),
         notes=tuple(
-            f"joint {j.name}: by the file nothing of mass hangs on it (link {j.child} has no <inertial>), held at 0"
+            f"joint {j.name}: by the file nothing of mass hangs on it (link {j.child} has no"
+            " <inertial>), held at 0"
             for j in massless
         ),
     )
@@ -132,6 +134,7 @@ def _couplings(path: Path, joints: list[Any]) -> tuple[Coupling, ...]:
             )
         if c.leader in followers:
             raise UsageError(
-                f"{path}: joint {c.follower!r} mimics {c.leader!r}, which mimics another; name the last one in each"
+                f"{path}: joint {c.follower!r} mimics {c.leader!r}, which mimics another; name the"
+                " last one in each"
             )
     return tuple(out)

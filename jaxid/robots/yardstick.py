@@ -53,7 +53,10 @@ def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
         joint = (
             place if tree is None or place in tree.joints else tree.joints[tree.links.index(place)]
         )
-        text = f"{kind.replace('_', ' ')} of {place or mechanism.name}: {fitted:.4g} {estimate.unit}, stated {value:.4g}{more}"
+        text = (
+            f"{kind.replace('_', ' ')} of {place or mechanism.name}: {fitted:.4g} {estimate.unit},"
+            f" stated {value:.4g}{more}"
+        )
         if deviation is not None:
             text += f" ({abs(deviation):.1f} standard deviations)"
         rows[i] = {

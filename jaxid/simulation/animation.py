@@ -151,9 +151,12 @@ def _outlines(model: Chain, samples: Samples, start: Array, last: int) -> Any:
         if x is None:  # an effect wraps the mechanism: its rigid pose
             x = model.mechanism.start(*body.port(carry.x))
         shape = model.mechanism.outline(x, model.signature)
-        return model.step(
-            body, carry, command_at(samples, k, jnp.asarray(0), jnp.asarray(last), 0)
-        )[0], shape
+        return (
+            model.step(body, carry, command_at(samples, k, jnp.asarray(0), jnp.asarray(last), 0))[
+                0
+            ],
+            shape,
+        )
 
     carry = model.start(start[:nq], start[nq:], samples.u[0])
     return jax.lax.scan(step, carry, jnp.arange(last + 1))[1]

@@ -143,6 +143,7 @@ def solved_step(
     q, _ = body.port(carry.x)
     y, sensed = chain.sense(body, carry, tau, jnp.zeros(q.shape, bool), command)
     pairs = zip(chain.effects, z, sensed, strict=True)
-    return carry._replace(
-        x=x, z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in pairs)
-    ), y
+    return (
+        carry._replace(x=x, z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in pairs)),
+        y,
+    )

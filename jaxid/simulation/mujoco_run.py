@@ -209,7 +209,8 @@ class MujocoRobot:
         dt, steps = float(m.opt.timestep), int(np.ceil((t[-1] - t[0]) / m.opt.timestep)) + 1
         if steps > MOST_STEPS:
             raise UsageError(
-                f"{t[-1] - t[0]:g} s in steps of {dt:g} s are {steps:,} steps, more than MuJoCo is asked for here"
+                f"{t[-1] - t[0]:g} s in steps of {dt:g} s are {steps:,} steps, more than MuJoCo is"
+                " asked for here"
             )
         inputs = _Inputs(t - t[0], u, linear)
         push = self._pusher(d, joints, dof, drive, inputs, at)
@@ -226,7 +227,8 @@ class MujocoRobot:
                     d.qpos[place], d.qvel[moving] = value, 0.0
                 if _diverged(mj, d):
                     self.notes.append(
-                        f"MuJoCo's run diverged after {now:.3g} s: a smaller timestep, or armature, may help"
+                        f"MuJoCo's run diverged after {now:.3g} s: a smaller timestep, or armature,"
+                        " may help"
                     )
                     break
                 after = d.qpos[at]

@@ -168,8 +168,10 @@ def _stepping(
             if advance is None
             else advance(chain, body, carry, command)
         )
-        return carry, y if wanted is None else jnp.stack(
-            [y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))]
+        return carry, (
+            y
+            if wanted is None
+            else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])
         )
 
     return body, initial, step

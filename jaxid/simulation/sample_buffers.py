@@ -76,9 +76,9 @@ def refuse_endless(experiments: Sequence[Experiment], step: float) -> None:
         if between.sum() > ENDLESS and between.sum() > APART * len(e.t):
             median = float(np.median(np.diff(e.t)))
             raise UsageError(
-                f"experiment {e.name!r}, step {median:.4g} s: is t in ms? A simulation takes steps of {1e3 * step:.3g} ms, "
-                f"here {between.sum():.3g}. Give t in seconds; samples that are so far apart indeed do not show how a "
-                "mechanism moves"
+                f"experiment {e.name!r}, step {median:.4g} s: is t in ms? A simulation takes steps"
+                f" of {1e3 * step:.3g} ms, here {between.sum():.3g}. Give t in seconds; samples"
+                " that are so far apart indeed do not show how a mechanism moves"
             )
 
 

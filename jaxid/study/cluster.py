@@ -139,11 +139,13 @@ def running_cluster(address: str) -> Iterator[Cluster]:
             else "it speaks otherwise"
         )
         raise UsageError(
-            f"--scheduler {address}: no scheduler answers there ({why}); start one with `dask scheduler`"
+            f"--scheduler {address}: no scheduler answers there ({why}); start one with `dask"
+            " scheduler`"
         ) from None
     if kind != "Scheduler":
         raise UsageError(
-            f"--scheduler {address}: that is a {kind.lower()}, no scheduler; `dask scheduler` tells its address"
+            f"--scheduler {address}: that is a {kind.lower()}, no scheduler; `dask scheduler` tells"
+            " its address"
         )
     client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     cluster = Cluster(client, client.run)

@@ -41,14 +41,18 @@ def section(result: StudyResult) -> Section:
             "ranking": [ranking_row(r) for r in tables.rankings(result)],
             "tolerance": wording.percent(tables.TOLERANCE),
             "left_out": len(problems) - len(shown),
-            "losses": plot.svg(
-                "losses", (9.2, 1.1 + 0.42 * len(shown)), lambda f: _losses(shown, fitters, f)
-            )
-            if shown
-            else None,
-            "seconds": plot.svg("seconds", (9.2, 2.8), lambda f: _seconds(result, fitters, f))
-            if shown
-            else None,
+            "losses": (
+                plot.svg(
+                    "losses", (9.2, 1.1 + 0.42 * len(shown)), lambda f: _losses(shown, fitters, f)
+                )
+                if shown
+                else None
+            ),
+            "seconds": (
+                plot.svg("seconds", (9.2, 2.8), lambda f: _seconds(result, fitters, f))
+                if shown
+                else None
+            ),
             "problems": [(str(p), *problem_row(runs)) for p, runs in shown.items()],
             "verdicts": [
                 (str(p), _counted(v), _counted(n))

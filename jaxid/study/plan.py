@@ -97,7 +97,8 @@ class RunsEntry(_StrictTable):
         for seed in value if isinstance(value, list) else [value]:
             if not (0 if isinstance(value, list) else 1) <= seed <= SEEDS:
                 raise ValueError(
-                    f"is {seed}: a number of seeds is 1 or more, a list holds seeds from 0 to {SEEDS}"
+                    f"is {seed}: a number of seeds is 1 or more, a list holds seeds from 0 to"
+                    f" {SEEDS}"
                 )
         return value
 
@@ -350,7 +351,7 @@ def _meaningless(
 
 def _tasks(entry: RunsEntry, key: tuple[str | int, ...], folders: _Folders) -> Iterator[Task]:
     found = [folders.dataset(name, (*key, "datasets")) for name in entry.datasets]
-    models = [folders.model(name, (*key, "models")) for name in (entry.models or [None])]
+    models = [folders.model(name, (*key, "models")) for name in entry.models or [None]]
     now = jaxid_version()
     for data, model, effects, fitter in itertools.product(
         found, models, entry.effects or [None], entry.fitters or [None]

@@ -128,7 +128,8 @@ def run_study(
         damaged = store.acquire()
         if store.salvaged is not None:
             notes.append(
-                f"the store was damaged: {store.salvaged} results were saved from it, the old file lies beside it"
+                f"the store was damaged: {store.salvaged} results were saved from it, the old file"
+                " lies beside it"
             )
         if damaged:
             notes.append(f"{damaged} results were damaged on the disk; their tasks run again")
@@ -167,7 +168,10 @@ def run_study(
             except NotSaved as error:
                 return replace(
                     result,
-                    unsaved=f"{error}. All results are in study.sqlite: make room, start the same command again",
+                    unsaved=(
+                        f"{error}. All results are in study.sqlite: make room, start the same"
+                        " command again"
+                    ),
                 )
         return result
 

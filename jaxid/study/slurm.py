@@ -50,7 +50,8 @@ def address_of(interface: str | None) -> str:
     usable = {name: a[0] for name, a in found.items() if a}
     if interface is None:
         raise UsageError(
-            f"--cluster slurm: name the network between the nodes with --interface (there is: {', '.join(usable)})"
+            "--cluster slurm: name the network between the nodes with --interface (there is:"
+            f" {', '.join(usable)})"
         )
     if interface not in usable:
         raise UsageError(
@@ -70,7 +71,8 @@ def slurm_cluster(store: Path, workers: int | None, interface: str | None) -> It
     """
     if shutil.which("sbatch") is None:
         raise UsageError(
-            "--cluster slurm: there is no `sbatch` here; start it on a login node of the cluster, or use --cluster local"
+            "--cluster slurm: there is no `sbatch` here; start it on a login node of the cluster,"
+            " or use --cluster local"
         )
     if workers is None:
         raise UsageError(

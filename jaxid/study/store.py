@@ -128,8 +128,8 @@ class Store:
             raise StoreError(f"{self.path}: is not the store of a study; name another `store`")
         if version > SCHEMA:
             raise StoreError(
-                f"{self.path}: was written by a newer jaxid (schema {version}, this one knows {SCHEMA}); update jaxid, or name "
-                "another `store`"
+                f"{self.path}: was written by a newer jaxid (schema {version}, this one knows"
+                f" {SCHEMA}); update jaxid, or name another `store`"
             )
         if self.writable:
             # No shared memory (WAL needs it), so that a store may lie on a network file system;
@@ -179,7 +179,8 @@ class Store:
         rows = list(read_damaged(aside))
         with self._transaction():
             self.db.executemany(
-                "INSERT OR IGNORE INTO results (key, status, arrays, body, crc) VALUES (?, ?, ?, ?, ?)",
+                "INSERT OR IGNORE INTO results (key, status, arrays, body, crc) VALUES (?, ?, ?,"
+                " ?, ?)",
                 [(r.key, r.status, r.arrays, r.body, r.crc) for r in rows],
             )
         self.salvaged = len(rows)
@@ -209,11 +210,13 @@ class Store:
             held = self.db.execute("SELECT host, pid, started, renewed FROM lease").fetchone()
             if held is not None and alive(held):
                 raise StoreError(
-                    f"{self.path}: this study is being run by process {held[1]} on {held[0].split('/')[0]}; "
-                    "`jaxid batch STUDY.toml --status` shows how far it is"
+                    f"{self.path}: this study is being run by process {held[1]} on"
+                    f" {held[0].split('/')[0]}; `jaxid batch STUDY.toml --status` shows how far"
+                    " it is"
                 )
             self.db.execute(
-                "INSERT OR REPLACE INTO lease (id, owner, host, pid, started, renewed, running) VALUES (1, ?, ?, ?, ?, ?, 0)",
+                "INSERT OR REPLACE INTO lease (id, owner, host, pid, started, renewed, running)"
+                " VALUES (1, ?, ?, ?, ?, ?, 0)",
                 (owner, host, os.getpid(), process_start(os.getpid()), now),
             )
         self.owner = owner
@@ -255,7 +258,8 @@ class Store:
                     f"{self.path}: another process has taken this study over; this one stops"
                 )
             self.db.executemany(
-                "INSERT OR IGNORE INTO results (key, status, arrays, body, crc) VALUES (?, ?, ?, ?, ?)",
+                "INSERT OR IGNORE INTO results (key, status, arrays, body, crc) VALUES (?, ?, ?,"
+                " ?, ?)",
                 [(r.key, r.status, r.arrays, r.body, r.crc) for r in rows],
             )
 
@@ -360,21 +364,24 @@ class Store:
         if code.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")):
             verb = "written" if self.writable else "read"
             return StoreError(
-                f"{self.path}: cannot be {verb} ({error}); check its permissions, or name another `store`"
+                f"{self.path}: cannot be {verb} ({error}); check its permissions, or name another"
+                " `store`"
             )
         if code.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
             return StoreError(
                 f"{self.path}: is locked by another process for more than {BUSY_S:g} s; try again"
             )
         return StoreError(
-            f"{self.path}: is damaged ({error}); run the study again: what can be read is kept, the rest is computed anew"
+            f"{self.path}: is damaged ({error}); run the study again: what can be read is kept, the"
+            " rest is computed anew"
         )
 
     def _cannot_write(self, why: str, unsaved: int) -> StoreError:
         lost = f"{unsaved} finished tasks could not be saved; " if unsaved else ""
         return StoreError(
-            f"{self.path}: cannot be written, {why}; {lost}everything saved before is intact. "
-            "Make room (or free the quota) and start the same command again: it goes on where it stopped"
+            f"{self.path}: cannot be written, {why}; {lost}everything saved before is intact. Make"
+            " room (or free the quota) and start the same command again: it goes on where it"
+            " stopped"
         )
 
 

@@ -21,7 +21,10 @@ LINES = 30
 
 def status_text(study: Study, outcomes: dict[str, Outcome], status: Status) -> str:
     """One sentence and one line for each dataset, model and fitter."""
-    head = f"{study.name}: {status.done} of {status.total} tasks done, {status.failed} failed, {status.running} running"
+    head = (
+        f"{study.name}: {status.done} of {status.total} tasks done, {status.failed} failed,"
+        f" {status.running} running"
+    )
     return "\n".join([head, _progress_table(study, outcomes)])
 
 
@@ -31,7 +34,10 @@ def progress_text(p: StudyProgress) -> str:
     rate = p.new / max(p.seconds, 1e-9)
     left = f", {duration((total - n) / rate)} left" if p.new else ""
     failed = sum(o.failed for o in p.outcomes.values())
-    head = f"{p.study.name}: {n} of {total} tasks done, {failed} failed, {p.running} running, {duration(p.seconds)}{left}"
+    head = (
+        f"{p.study.name}: {n} of {total} tasks done, {failed} failed, {p.running} running,"
+        f" {duration(p.seconds)}{left}"
+    )
     return "\n".join([head, _progress_table(p.study, p.outcomes)])
 
 

@@ -88,7 +88,8 @@ class Workshop:
                 data = jaxid.load_dataset(t["dataset"])
             if data.sha256 != t["dataset_sha256"]:
                 raise UsageError(
-                    f"{t['dataset']} on {socket.gethostname()} is not the dataset that the study began with"
+                    f"{t['dataset']} on {socket.gethostname()} is not the dataset that the study"
+                    " began with"
                 )
             return data
 
@@ -119,7 +120,8 @@ def _model(t: dict[str, Any]) -> Any:
     model = own_model(name)()
     if sha256_of(model) != t["model_sha256"]:
         raise UsageError(
-            f"{name} on {socket.gethostname()} is not the file that the study began with: start it again"
+            f"{name} on {socket.gethostname()} is not the file that the study began with: start it"
+            " again"
         )
     return model
 

@@ -62,11 +62,13 @@ class DeadZone(InputEffect):
     )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = (
-        "whenever something is commanded: all of a command below {width} is lost, and {width} of a larger one"
+        "whenever something is commanded: all of a command below {width} is lost, and {width} of a"
+        " larger one"
     )
     plain: ClassVar[str] = "Small commands do nothing: the drive needs {width} before it answers."
     check: ClassVar[str] = (
-        "Raise the command slowly from zero and note where it begins to act; look for a dead band in the drive's settings."
+        "Raise the command slowly from zero and note where it begins to act; look for a dead band"
+        " in the drive's settings."
     )
     export_law: ClassVar = ExportLaw("command", "u - clip(u, -width, width)")
     width: Array = param(
@@ -252,7 +254,8 @@ class SupplyDroop(InputEffect):
         "voltage drop at the inner resistance of the supply, to first order in the current drawn"
     )
     excitation: ClassVar[str] = (
-        "a staircase of command amplitudes: half of the largest command loses a quarter of what the largest loses"
+        "a staircase of command amplitudes: half of the largest command loses a quarter of what the"
+        " largest loses"
     )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "at large commands, with their square"
@@ -298,7 +301,8 @@ class BackEmf(InputEffect):
     offered: ClassVar = staticmethod(_one_a_joint)
     equation: ClassVar[str] = "u -> u - constant qd"
     signature: ClassVar[str] = (
-        "missing torque proportional to velocity, and none where the command is inside a dead zone or limit"
+        "missing torque proportional to velocity, and none where the command is inside a dead zone"
+        " or limit"
     )
     source: ClassVar[str] = "textbook: induced voltage of a motor"
     excitation: ClassVar[str] = (

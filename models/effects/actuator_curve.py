@@ -21,26 +21,31 @@ class ActuatorCurve(InputEffect):
 
     name: ClassVar[str] = "actuator_curve"
     equation: ClassVar[str] = (
-        "u -> u + sign(u) (low min(|u|, k) + middle clip(|u| - k, 0, k) + high max(|u| - 2 k, 0)),  k = reach / 3"
+        "u -> u + sign(u) (low min(|u|, k) + middle clip(|u| - k, 0, k) + high max(|u| - 2 k, 0)), "
+        " k = reach / 3"
     )
     signature: ClassVar[str] = (
-        "missing torque that is a function of the command alone and bends where the drive's curve does"
+        "missing torque that is a function of the command alone and bends where the drive's curve"
+        " does"
     )
     source: ClassVar[str] = (
         "piecewise linear interpolation; paper 003, Table 1 against its equation (6)"
     )
     excitation: ClassVar[str] = (
-        "a staircase of command amplitudes, held until the speed is steady, from zero to the largest, both signs"
+        "a staircase of command amplitudes, held until the speed is steady, from zero to the"
+        " largest, both signs"
     )
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = (
         "with the command, by a law of its own below and above a third and two thirds of {reach}"
     )
     plain: ClassVar[str] = (
-        "The drive does not give what is commanded in proportion: its curve bends (slope off by {low:%}, {middle:%}, {high:%})."
+        "The drive does not give what is commanded in proportion: its curve bends (slope off by"
+        " {low:%}, {middle:%}, {high:%})."
     )
     check: ClassVar[str] = (
-        "Measure the torque or the steady speed at a staircase of commands, and put that curve into the simulator."
+        "Measure the torque or the steady speed at a staircase of commands, and put that curve into"
+        " the simulator."
     )
     last_resort: ClassVar[bool] = True
     resembles: ClassVar[tuple[str, ...]] = ("torque_scale", "dead_zone", "saturation")

@@ -191,7 +191,8 @@ class FlexibleMode(JointEffect):
     name: ClassVar[str] = "flexible_mode"
     resembles: ClassVar[tuple[str, ...]] = ("joint_elasticity",)
     equation: ClassVar[str] = (
-        "f = inertia p'';  p'' = w^2 (q - p) + 2 damping_ratio w (qd - p'),  p the mass's position, w = 2 pi frequency"
+        "f = inertia p'';  p'' = w^2 (q - p) + 2 damping_ratio w (qd - p'),  p the mass's position,"
+        " w = 2 pi frequency"
     )
     signature: ClassVar[str] = "a residual in a narrow band of frequencies that rings after steps"
     source: ClassVar[str] = "textbook; exact solution while the joint keeps its speed over the step"

@@ -68,7 +68,8 @@ class CoulombFriction(JointEffect):
         "Dry friction of {level} opposes every motion and holds the joint at standstill."
     )
     check: ClassVar[str] = (
-        "Find the smallest torque that starts the motion, both ways; look at bearings, seals, brakes that drag."
+        "Find the smallest torque that starts the motion, both ways; look at bearings, seals,"
+        " brakes that drag."
     )
     stands_for: ClassVar = StandsFor("frictionloss", "level", fitted="frictionloss")
     export_law: ClassVar = ExportLaw("dry", "level + 0 * q")
@@ -112,7 +113,8 @@ class AsymmetricFriction(JointEffect):
     axis: ClassVar[str] = "speed"
     seen: ClassVar[str] = "otherwise forwards than backwards"
     plain: ClassVar[str] = (
-        "Friction differs between forwards and backwards (half the difference: {dry} dry, {viscous} viscous)."
+        "Friction differs between forwards and backwards (half the difference: {dry} dry, {viscous}"
+        " viscous)."
     )
     check: ClassVar[str] = (
         "Run the same speed both ways; look at preload, screws, belts, gears that bind one way."
@@ -170,7 +172,8 @@ class StribeckFriction(JointEffect):
     axis: ClassVar[str] = "speed"
     seen: ClassVar[str] = "at speeds below about {speed}"
     plain: ClassVar[str] = (
-        "Friction is higher when it moves slowly: {extra} more at the start, gone at a few times {speed}."
+        "Friction is higher when it moves slowly: {extra} more at the start, gone at a few times"
+        " {speed}."
     )
     check: ClassVar[str] = "Look at lubrication; expect stick-slip in slow motion."
     export_law: ClassVar = ExportLaw("dry", "extra * exp(-(qd / speed) ** 2)")
@@ -222,13 +225,14 @@ class LoadDependentFriction(JointEffect):
     transmits: ClassVar[bool] = True
     by_torque: ClassVar[bool] = True
     equation: ClassVar[str] = (
-        "f = mu |load| sign(qd); load = drive: the drive torque at the joint; transmitted: M qdd + bias without the rotor; "
-        "combined: drive_share drive + (1 - drive_share) transmitted"
+        "f = mu |load| sign(qd); load = drive: the drive torque at the joint; transmitted: M qdd +"
+        " bias without the rotor; combined: drive_share drive + (1 - drive_share) transmitted"
     )
     signature: ClassVar[str] = "a step at reversal whose height follows the load"
     source: ClassVar[str] = (
-        "load-dependent models of geared servos (Duclusaud et al., arXiv 2410.08650; combined: their directional model, "
-        "|K_m tau_m - K_e tau_e| with K_m = mu drive_share, K_e = mu (1 - drive_share))"
+        "load-dependent models of geared servos (Duclusaud et al., arXiv 2410.08650; combined:"
+        " their directional model, |K_m tau_m - K_e tau_e| with K_m = mu drive_share, K_e = mu (1 -"
+        " drive_share))"
     )
     excitation: ClassVar[str] = "the same motion under two or three payloads or poses"
     axis: ClassVar[str] = "load"
@@ -237,7 +241,8 @@ class LoadDependentFriction(JointEffect):
         "Friction grows with the load: {mu:%} of the torque that passes the gear."
     )
     check: ClassVar[str] = (
-        "Compare the same motion with and without load; look at the efficiency of the gear (worm and screw drives)."
+        "Compare the same motion with and without load; look at the efficiency of the gear (worm"
+        " and screw drives)."
     )
     export_law: ClassVar = ExportLaw("dry", "mu * abs(load)")
     mu: Array = param(
@@ -324,7 +329,8 @@ class PositionDependentFriction(JointEffect):
     name: ClassVar[str] = "position_dependent_friction"
     refines: ClassVar[str] = "coulomb_friction"
     equation: ClassVar[str] = (
-        "f = (sine sin(order q) + cosine cos(order q)) sign(qd), beside the dry level, never below zero in all"
+        "f = (sine sin(order q) + cosine cos(order q)) sign(qd), beside the dry level, never below"
+        " zero in all"
     )
     signature: ClassVar[str] = (
         "a step of the missing torque at reversal whose height repeats with position"
@@ -393,7 +399,8 @@ class CoupledFriction(JointEffect):
         "missing torque at a joint that follows the speed of its neighbour, the same at both"
     )
     source: ClassVar[str] = (
-        "wrists with coupled motors (Staubli TX series), e.g. Gautier, Janot, Vandanjon, IEEE TCST 21(2), 2013"
+        "wrists with coupled motors (Staubli TX series), e.g. Gautier, Janot, Vandanjon, IEEE TCST"
+        " 21(2), 2013"
     )
     excitation: ClassVar[str] = (
         "one joint moving while the other rests, then both with equal and with opposite speeds"

@@ -42,11 +42,12 @@ class LuGreFriction(JointEffect):
         "f = level (z + relaxation dz/dt);  dz/dt = (qd - |qd| z) / presliding,  |z| <= 1"
     )
     signature: ClassVar[str] = (
-        "hysteresis after each reversal over a fixed distance, not a fixed time; motion below breakaway"
+        "hysteresis after each reversal over a fixed distance, not a fixed time; motion below"
+        " breakaway"
     )
     source: ClassVar[str] = (
-        "Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40(3), 1995, equations (1) to (3), constant g: "
-        "level = g, presliding = g / sigma_0, relaxation = sigma_1 / sigma_0"
+        "Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40(3), 1995, equations (1) to (3),"
+        " constant g: level = g, presliding = g / sigma_0, relaxation = sigma_1 / sigma_0"
     )
     excitation: ClassVar[str] = "micro-reversals of a few milliradians around rest, and slow ramps"
     axis: ClassVar[str] = "position"

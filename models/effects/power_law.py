@@ -31,7 +31,8 @@ class PowerLawFriction(JointEffect):
         "f = coefficient (qd^2 + rest^2)^((exponent - 1) / 2) qd, rest = 0.001 rad/s (m/s)"
     )
     signature: ClassVar[str] = (
-        "missing torque that rises steeply at low speed and flattens at high speed (exponent below 1)"
+        "missing torque that rises steeply at low speed and flattens at high speed (exponent"
+        " below 1)"
     )
     source: ClassVar[str] = "paper 001, equation (2): F_v |qd|^alpha sign(qd)"
     excitation: ClassVar[str] = "constant speeds over two decades in both directions"

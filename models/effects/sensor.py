@@ -23,7 +23,8 @@ class SensorBias(OutputEffect):
     name: ClassVar[str] = "sensor_bias"
     equation: ClassVar[str] = "y -> y + bias"
     signature: ClassVar[str] = (
-        "a constant offset; where gravity or a spring acts, a motion that belongs to another position"
+        "a constant offset; where gravity or a spring acts, a motion that belongs to another"
+        " position"
     )
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = (
@@ -99,13 +100,15 @@ class SensorLag(OutputEffect):
     )
     source: ClassVar[str] = "textbook; exact solution for a ramp"
     excitation: ClassVar[str] = (
-        "one multisine with energy up to ten times the bandwidth, with a second sensor or a clock pulse"
+        "one multisine with energy up to ten times the bandwidth, with a second sensor or a clock"
+        " pulse"
     )
     axis: ClassVar[str] = "reading"
     seen: ClassVar[str] = "wherever the reading changes faster than in {lag}"
     plain: ClassVar[str] = "The reading is filtered: it follows with a time constant of {lag}."
     check: ClassVar[str] = (
-        "Look up the filter of the sensor, and switch it off for the recording; a drive that answers late looks alike."
+        "Look up the filter of the sensor, and switch it off for the recording; a drive that"
+        " answers late looks alike."
     )
     export_law: ClassVar = ExportLaw("reading", memory=LAG)
     lag: Array = param(0.0, 0.0, 0.1, scale=0.003, unit="s", meaning="time constant of the sensor")
@@ -154,7 +157,8 @@ class SensorDelay(RecordEffect):
     )
     source: ClassVar[str] = "exact but for the interpolation (four points)"
     excitation: ClassVar[str] = (
-        "a pulse that both the command and this channel record, or closed loop with the command logged"
+        "a pulse that both the command and this channel record, or closed loop with the command"
+        " logged"
     )
     axis: ClassVar[str] = "reading"
     seen: ClassVar[str] = "wherever the reading changes"
@@ -198,7 +202,8 @@ class TimestampJitter(RecordEffect):
 
     name: ClassVar[str] = "timestamp_jitter"
     equation: ClassVar[str] = (
-        "y -> y(t + e), e normal: mean y + spread^2 / 2 d2y/dt2, noise spread |dy/dt| beside the sensor's"
+        "y -> y(t + e), e normal: mean y + spread^2 / 2 d2y/dt2, noise spread |dy/dt| beside the"
+        " sensor's"
     )
     signature: ClassVar[str] = "white residuals whose variance grows with the square of speed"
     source: ClassVar[str] = "second-order expansion"

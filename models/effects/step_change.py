@@ -25,22 +25,28 @@ class StepChange(NumberEffect):
         "p -> p + size for t >= time; in the step that holds `time`, by the share of it that is left"
     )
     signature: ClassVar[str] = (
-        "a residual that is noise before one moment and none of it after, in every regime of the motion"
+        "a residual that is noise before one moment and none of it after, in every regime of the"
+        " motion"
     )
     source: ClassVar[str] = (
         "textbook: change point; paper 000, section 1 (a target that is captured)"
     )
     excitation: ClassVar[str] = (
-        "the same motion before and after the event, twice as long as what determines the number once"
+        "the same motion before and after the event, twice as long as what determines the number"
+        " once"
     )
     axis: ClassVar[str] = "time"
     seen: ClassVar[str] = "from {time} on"
     plain: ClassVar[str] = "At {time} something changed for good: the number named gains {size}."
     check: ClassVar[str] = (
-        "Look in the log or the video for what happened then: a load picked up or lost, a part that broke."
+        "Look in the log or the video for what happened then: a load picked up or lost, a part that"
+        " broke."
     )
     last_resort: ClassVar[bool] = True
-    export_law: ClassVar = "a file has one value for all of a run, and holds that of before: for the robot as it is since then add size"
+    export_law: ClassVar = (
+        "a file has one value for all of a run, and holds that of before: for the robot as it is"
+        " since then add size"
+    )
     size: Array = param(
         0.0,
         -10 * NUMBER,

@@ -48,7 +48,8 @@ class InputDelay(InputEffect):
     seen: ClassVar[str] = "wherever the command changes"
     plain: ClassVar[str] = "Commands take effect {delay} late."
     check: ClassVar[str] = (
-        "Time a step of the command against the first motion; look at buses, filters and the control period between."
+        "Time a step of the command against the first motion; look at buses, filters and the"
+        " control period between."
     )
     acts_on: ClassVar[str] = "timing"
     stands_for: ClassVar = StandsFor("delay", "delay", fitted="delay")
@@ -103,14 +104,18 @@ class InputHold(InputEffect):
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "wherever the command changes from sample to sample"
     plain: ClassVar[str] = (
-        "Between its samples the command does not run as stated: {share:%} of it follows the other hold (steps "
-        "against straight lines)."
+        "Between its samples the command does not run as stated: {share:%} of it follows the other"
+        " hold (steps against straight lines)."
     )
     check: ClassVar[str] = (
-        "Look up whether the drive keeps a command until the next one or ramps to it, and state it as the channel's hold."
+        "Look up whether the drive keeps a command until the next one or ramps to it, and state it"
+        " as the channel's hold."
     )
     acts_on: ClassVar[str] = "timing"
-    export_law: ClassVar = "hold or interpolate the commands between their samples as the effect says; no model file says it"
+    export_law: ClassVar = (
+        "hold or interpolate the commands between their samples as the effect says; no model file"
+        " says it"
+    )
     stated_as: ClassVar[str] = "hold"
     share: Array = param(
         0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one"

@@ -42,20 +42,23 @@ class JointElasticity(BodyEffect):
     resembles: ClassVar[tuple[str, ...]] = ("flexible_mode",)
     stage: ClassVar[int] = 2
     equation: ClassVar[str] = (
-        "t = gap / compliance + damping d(gap)/dt,  gap = q_motor - q_link,  motor_share J qdd_motor = u - f - t"
+        "t = gap / compliance + damping d(gap)/dt,  gap = q_motor - q_link,  motor_share J"
+        " qdd_motor = u - f - t"
     )
     signature: ClassVar[str] = (
         "a residual in a narrow band of frequencies that rings after steps; the load sags"
     )
     source: ClassVar[str] = "Spong, ASME J. Dyn. Syst. 109(4), 1987"
     excitation: ClassVar[str] = (
-        "steps or a chirp through the resonance, with a free decay after it; a second encoder at the link"
+        "steps or a chirp through the resonance, with a free decay after it; a second encoder at"
+        " the link"
     )
     axis: ClassVar[str] = "time"
     seen: ClassVar[str] = "around the resonance of motor and link, after steps and knocks"
     plain: ClassVar[str] = "The gear gives like a spring: {compliance} between motor and link."
     check: ClassVar[str] = (
-        "Block the motor, load the link and measure how far it gives; look at belts, harmonic drives, couplings."
+        "Block the motor, load the link and measure how far it gives; look at belts, harmonic"
+        " drives, couplings."
     )
     export_law: ClassVar = (
         "needs a second joint: the motor's body, and behind it a hinge with a spring"
@@ -113,7 +116,8 @@ class Backlash(BodyEffect):
     name: ClassVar[str] = "backlash"
     stage: ClassVar[int] = 2
     equation: ClassVar[str] = (
-        "t = soft(gap, play / 2) / contact_compliance + damping;  motor_share J qdd_motor = u - f - t"
+        "t = soft(gap, play / 2) / contact_compliance + damping;  motor_share J qdd_motor = u -"
+        " f - t"
     )
     signature: ClassVar[str] = (
         "light motion of the motor alone after each change of sign of the load, then a knock"
@@ -130,7 +134,10 @@ class Backlash(BodyEffect):
     check: ClassVar[str] = (
         "Block the motor and move the link by hand; look at gears, keys, couplings and belts."
     )
-    export_law: ClassVar = "needs a second joint: the motor's body, and behind it a hinge with limits of half the play to either side"
+    export_law: ClassVar = (
+        "needs a second joint: the motor's body, and behind it a hinge with limits of half the play"
+        " to either side"
+    )
     play: Array = param(
         0.0, 0.0, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{X}", meaning="full width of the gap"
     )
@@ -190,10 +197,12 @@ class Hysteresis(JointEffect):
     axis: ClassVar[str] = "position"
     seen: ClassVar[str] = "after every reversal, over about {width}"
     plain: ClassVar[str] = (
-        "The joint winds up: {level} builds up over {width} after each reversal and stays, at any speed."
+        "The joint winds up: {level} builds up over {width} after each reversal and stays, at any"
+        " speed."
     )
     check: ClassVar[str] = (
-        "Load and unload slowly and draw torque against angle; look at cables, belts, harmonic drives."
+        "Load and unload slowly and draw torque against angle; look at cables, belts, harmonic"
+        " drives."
     )
     export_law: ClassVar = ExportLaw("force", memory=HYSTERESIS)
     level: Array = param(

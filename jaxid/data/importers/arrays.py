@@ -21,8 +21,9 @@ from jaxid.extras import needed
 
 Arrays = dict[str, Any]
 _MATLAB_TIME = (
-    "In MATLAB write its arrays by themselves: s = struct('t', ts.Time, 'q', ts.Data); save('plain.mat', '-struct', 's') "
-    "(a timetable: s = table2struct(timetable2table(tt), 'ToScalar', true))"
+    "In MATLAB write its arrays by themselves: s = struct('t', ts.Time, 'q', ts.Data);"
+    " save('plain.mat', '-struct', 's') (a timetable: s = table2struct(timetable2table(tt),"
+    " 'ToScalar', true))"
 )
 _EXCEL = "In the spreadsheet choose Save as, CSV UTF-8, and import that: jaxid import csv"
 
@@ -158,7 +159,10 @@ def _npz(path: Path) -> Arrays:
             try:
                 _flat(name, loaded[name], out)
             except ValueError:
-                what = f"{name!r} holds Python objects (a pickle, which can run any program and is not read)"
+                what = (
+                    f"{name!r} holds Python objects (a pickle, which can run any program and is not"
+                    " read)"
+                )
                 raise refused(
                     path, what, "Write plain arrays: numpy.savez('log.npz', t=t, q=q)"
                 ) from None
@@ -269,7 +273,8 @@ def _mat73(path: Path) -> Arrays:
     if objects and not any(np.ndim(v) for v in out.values()):
         raise refused(
             path,
-            f"{objects[0]!r} is a MATLAB object (timeseries, timetable, table), which only MATLAB reads",
+            f"{objects[0]!r} is a MATLAB object (timeseries, timetable, table), which only MATLAB"
+            " reads",
             _MATLAB_TIME,
         )
     return out

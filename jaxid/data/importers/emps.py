@@ -71,9 +71,15 @@ def import_emps(
         auxiliary=auxiliary,
         units={name: "V" if name == "pulses" else "m" for name in auxiliary},
         name="emps",
-        description="EMPS: DC-motor ball-screw axis, recorded in closed loop; the measured drive force is the input",
+        description=(
+            "EMPS: DC-motor ball-screw axis, recorded in closed loop; the measured drive force is"
+            " the input"
+        ),
         source={
-            "source": "Janot, Gautier, Brunot, Data Set and Reference Models of EMPS, 2019 (nonlinearbenchmark.org)",
+            "source": (
+                "Janot, Gautier, Brunot, Data Set and Reference Models of EMPS, 2019"
+                " (nonlinearbenchmark.org)"
+            ),
             "files": ", ".join(p.name for p in paths),
         },
         names=[p.stem.lower() for p in paths],

@@ -42,7 +42,8 @@ def joined_files(sources: Sequence[Source]) -> list[Joined]:
     stems = Counter(s.path.stem for s in sources)
     if twice := [stem for stem, count in stems.items() if count > 1]:
         raise UsageError(
-            f"--join: two files are called {twice[0]!r}, so their columns cannot be told apart; rename one"
+            f"--join: two files are called {twice[0]!r}, so their columns cannot be told apart;"
+            " rename one"
         )
     every = [series_of(s.columns, None) for s in sources]
     counts = Counter(name for series in every for name in series)
@@ -117,7 +118,8 @@ def join_columns(
     taken = {c: held(t[inside], own, v) for c, v in values.items()}
     drift = _drift(t[inside], own)
     notes.append(
-        f"{source.path.name} joined on the time: its last value at each of {inside.sum()} samples ({drift})"
+        f"{source.path.name} joined on the time: its last value at each of {inside.sum()} samples"
+        f" ({drift})"
     )
     if lost := int(np.sum(~inside)):
         notes.append(f"{lost} samples before or after {source.path.name} left out")
@@ -130,14 +132,20 @@ def _drift(t: np.ndarray, own: np.ndarray) -> str:
         return "of the same stamps"
     steps = float(np.median(np.diff(t))), float(np.median(np.diff(own)))
     if abs(steps[1] / steps[0] - 1) > 0.02 or len(t) < 20:
-        return f"sampled every {1e3 * steps[0]:.4g} and {1e3 * steps[1]:.4g} ms, so no drift between their clocks can be told"
+        return (
+            f"sampled every {1e3 * steps[0]:.4g} and {1e3 * steps[1]:.4g} ms, so no drift between"
+            " their clocks can be told"
+        )
     near = own[np.clip(np.searchsorted(own, t), 1, len(own) - 1)]
     near = np.where(np.abs(near - t) > steps[1] / 2, near - steps[1], near)
     apart = np.unwrap(near - t, period=steps[1])
     x = t - t.mean()
     slope = float(x @ apart / (x @ x))
     std = float(np.std(apart - apart.mean() - slope * x) / np.sqrt(x @ x))
-    size = f"their stamps move apart by {1e6 * slope:.2g} +- {1e6 * std:.1g} ppm, by {1e3 * apart[0]:.3g} ms at the start"
+    size = (
+        f"their stamps move apart by {1e6 * slope:.2g} +- {1e6 * std:.1g} ppm, by"
+        f" {1e3 * apart[0]:.3g} ms at the start"
+    )
     return size + (
         "; with clocks of their own: clock_ppm for its channels"
         if abs(slope) > 3 * std and abs(slope) > 1e-6

@@ -84,8 +84,9 @@ def import_lerobot(
     scales |= _ranged(ranges, names, units, everywhere, sets)
     if not units and everywhere is None and not scales:
         raise UsageError(
-            f"LeRobot files do not say their unit (joints: {', '.join(names)}): state it with --unit (rad, deg), for one joint "
-            "with --unit NAME=UNIT; normalised values are none and need --calibration FILE or --range NAME=LO:HI"
+            f"LeRobot files do not say their unit (joints: {', '.join(names)}): state it with"
+            " --unit (rad, deg), for one joint with --unit NAME=UNIT; normalised values are none"
+            " and need --calibration FILE or --range NAME=LO:HI"
         )
     kept: list[tuple[str, Scale]] = []
     notes: list[str] = []
@@ -96,7 +97,8 @@ def import_lerobot(
     shown = any(_normalised(sets, j) for j in arm)
     if everywhere == "deg" and not shown and not scales and all(_within(sets, j) for j in arm):
         notes.append(
-            "every joint stays within -100..100: normalised by the recorder they are no degrees (--calibration FILE)"
+            "every joint stays within -100..100: normalised by the recorder they are no degrees"
+            " (--calibration FILE)"
         )
     for j, name in enumerate(names):
         own = units.get(name)
@@ -124,15 +126,16 @@ def import_lerobot(
         first = refusals[0].partition(" ")[0]
         raise refused(
             sets[0].path,
-            f"values that are no {everywhere or 'angle'} but were normalised by the recorder: {', '.join(refusals)}",
-            f"Give the recorder's calibration (--calibration FILE), each joint's ends (--unit deg --range {first}=-110:110), "
-            f"or insist with --unit {first}=UNIT",
+            f"values that are no {everywhere or 'angle'} but were normalised by the recorder:"
+            f" {', '.join(refusals)}",
+            "Give the recorder's calibration (--calibration FILE), each joint's ends (--unit deg"
+            f" --range {first}=-110:110), or insist with --unit {first}=UNIT",
         )
     notes.append("times are frame_index / fps, nominal: the recorder keeps no measured ones")
     if 0 < sets[0].rate < 60:
         notes.append(
-            f"{sets[0].rate:g} samples a second are too few to see friction at reversals or anything faster than "
-            f"{sets[0].rate / 5:.0f} Hz"
+            f"{sets[0].rate:g} samples a second are too few to see friction at reversals or"
+            f" anything faster than {sets[0].rate / 5:.0f} Hz"
         )
     return _written(sets, kept, out, overwrite, notes)
 
@@ -205,7 +208,10 @@ def _read(path: Path) -> Episodes:
 
     state, action, t, episode = (column(w) for w in _COLUMNS)
     if state.ndim != 2 or state.shape != action.shape:
-        message = f"states of shape {state.shape[1:]} and actions of shape {action.shape[1:]} are not of the same joints"
+        message = (
+            f"states of shape {state.shape[1:]} and actions of shape {action.shape[1:]} are not of"
+            " the same joints"
+        )
         raise refused(
             path, message, "Give a data set whose actions are goals of the joints that are measured"
         )
@@ -292,7 +298,8 @@ def _units(
             raise UsageError(f"--unit {text}: {error}") from None
         if not sign and si not in ("rad", "m"):
             raise UsageError(
-                f"--unit {one} is no unit of a joint: rad, deg, m; normalised values need --calibration or --range"
+                f"--unit {one} is no unit of a joint: rad, deg, m; normalised values need"
+                " --calibration or --range"
             )
         if not sign:
             everywhere = one
@@ -363,7 +370,8 @@ def _calibrated(path: Path, names: Sequence[str], sets: Sequence[Episodes]) -> d
         ) from None
     if not motors:
         raise UsageError(
-            f"--calibration {path}: it names no motor with range_min and range_max; give LeRobot's own file"
+            f"--calibration {path}: it names no motor with range_min and range_max; give LeRobot's"
+            " own file"
         )
     lacking = [n for n in names if n not in motors]
     if lacking:

@@ -133,7 +133,8 @@ def parse_channel(text: str) -> Wanted:
     match = re.fullmatch(r"([A-Za-z_][\w]*(?:\*\w*)?)=(.+)", text)
     if match is None:
         raise UsageError(
-            f"--channel {text}: write NAME=COLUMN:UNIT or NAME=COLUMN:UNIT:ROLE (input, output, auxiliary)"
+            f"--channel {text}: write NAME=COLUMN:UNIT or NAME=COLUMN:UNIT:ROLE (input, output,"
+            " auxiliary)"
         )
     name, rest = match[1], match[2].split(":")
     role = rest.pop() if len(rest) > 1 and rest[-1] in ROLES else None
@@ -309,6 +310,7 @@ def _nominal(
         else (1.0, "")
     )
     notes.append(
-        f"{source.path.name}: its times are nominal, samples at {hz:g} Hz by {said}; none were recorded"
+        f"{source.path.name}: its times are nominal, samples at {hz:g} Hz by {said}; none were"
+        " recorded"
     )
     return np.arange(length) / hz

@@ -67,7 +67,10 @@ def proposal(asked: ImportRequest) -> str:
     )
     listed = _listed([*series_of(source.columns, None), *more], units)
     needs = _needed(part, time, no_time)
-    return f"{source.path.name}{words} holds: {listed}; {needs}: {command} ({_remarks(channels)}{registers})"
+    return (
+        f"{source.path.name}{words} holds: {listed}; {needs}: {command}"
+        f" ({_remarks(channels)}{registers})"
+    )
 
 
 def _listed(names: Sequence[str], units: Mapping[str, str]) -> str:
@@ -77,7 +80,8 @@ def _listed(names: Sequence[str], units: Mapping[str, str]) -> str:
     shown = [f"{n} ({units[n]})" if units.get(n) else n for n in names[:_SHOWN]]
     left = len(names) - len(shown)
     more = (
-        f", and {left} more, the last {names[-1]!r} (name any of them, or a pattern such as 'q*=q_*:rad')"
+        f", and {left} more, the last {names[-1]!r} (name any of them, or a pattern such as"
+        " 'q*=q_*:rad')"
         if left
         else ""
     )
@@ -86,7 +90,10 @@ def _listed(names: Sequence[str], units: Mapping[str, str]) -> str:
 
 def _needed(part: Source, time: str | None, no_time: bool) -> str:
     if no_time:
-        return "no column of times is found; state the sampling rate in place of HZ, and at least one channel with its unit"
+        return (
+            "no column of times is found; state the sampling rate in place of HZ, and at least one"
+            " channel with its unit"
+        )
     rate = stated_rate(part)
     if time is None and rate is not None:
         return (
@@ -104,8 +111,8 @@ def _remarks(channels: Sequence[Proposed]) -> str:
         )
     if drives := [c for c in channels if c.quantity == "current" and c.role == "input"]:
         said.append(
-            f"{drives[0].column} is a current: a model that takes a force needs its constant, N/A or N m/A, as `scale` "
-            'of a channel with unit = "N" or "N m" in dataset.toml'
+            f"{drives[0].column} is a current: a model that takes a force needs its constant, N/A"
+            ' or N m/A, as `scale` of a channel with unit = "N" or "N m" in dataset.toml'
         )
     if (left := len(channels) - _SHOWN) > 0:
         said.append(f"{left} more channels are left out of the command")

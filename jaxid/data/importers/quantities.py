@@ -22,8 +22,8 @@ _QUANTITY = {
 }
 _WORDS = {word: quantity for quantity, words in _QUANTITY.items() for word in words.split()}
 _GOAL = set(
-    "cmd command commands commanded des desired ref reference target targets goal goals setpoint set sp soll sollwert ziel "
-    "action vorgabe demand demanded leader".split()
+    "cmd command commands commanded des desired ref reference target targets goal goals setpoint"
+    " set sp soll sollwert ziel action vorgabe demand demanded leader".split()
 )
 _ACTUAL = set("act actual meas measured ist istwert state feedback fb present obs".split())
 _ERROR = set(

@@ -155,12 +155,14 @@ def _ur_rtde(path: Path) -> list[ImportedRun]:
     run = runs[0]
     if left:
         run.notes.append(
-            f"{run.name}: {len(left)} columns left out ({', '.join(left[:4])}{' …' if len(left) > 4 else ''})"
+            f"{run.name}: {len(left)} columns left out"
+            f" ({', '.join(left[:4])}{' …' if len(left) > 4 else ''})"
         )
     slow = columns.get("speed_scaling")
     if slow is not None and slow.min() < 0.999:
         run.notes.append(
-            f"{run.name}: the robot was slowed down to {100 * slow.min():.0f} %; commands do not hold, measurements do"
+            f"{run.name}: the robot was slowed down to {100 * slow.min():.0f} %; commands do not"
+            " hold, measurements do"
         )
     return runs
 

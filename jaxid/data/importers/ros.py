@@ -87,7 +87,10 @@ def import_ros(
         notes: list[str] = []
         states = _states(recording, _topic(recording, topic), notes)
         if names and set(states.joints) != set(names):
-            message = f"its joints are {', '.join(states.joints)}, those of {opened[0].path.name} {', '.join(names)}"
+            message = (
+                f"its joints are {', '.join(states.joints)}, those of {opened[0].path.name}"
+                f" {', '.join(names)}"
+            )
             raise refused(recording.path, message, "Import recordings of one robot together")
         names = names or _arm_first(states)
         order = [states.joints.index(n) for n in names]
@@ -113,10 +116,16 @@ def import_ros(
     torque = any(c.startswith("tau") and not c.endswith("_cmd") for c in runs[0].columns)
     roles = dict(_ROLES) | ({"q_cmd": ("auxiliary", "rad")} if torque else {})
     if not torque and "q1_cmd" not in runs[0].columns:
-        said += "; no effort was recorded, so the dataset says that nothing drives the motion (free): name the goals with "
+        said += (
+            "; no effort was recorded, so the dataset says that nothing drives the motion (free):"
+            " name the goals with "
+        )
         said += "--command-topic, or add the channel that drives it"
     if doubtful := _sliding(names, runs):
-        said += f"; {', '.join(doubtful)} may slide, in m, or turn, which ROS does not say: kept as auxiliary, unit 1"
+        said += (
+            f"; {', '.join(doubtful)} may slide, in m, or turn, which ROS does not say: kept as"
+            " auxiliary, unit 1"
+        )
     for name in doubtful:
         number = names.index(name) + 1
         roles |= {_channel(quantity, number - 1): ("auxiliary", "1") for quantity in _ROLES}
@@ -185,7 +194,8 @@ def _topic(recording: RosRecording, asked: str | None) -> str:
             message = (
                 f"{len(found)} topics hold states of joints, and they are not mixed: "
                 + ", ".join(
-                    f"{n} ({recording.topics[n][1]} messages: {', '.join(_joints_of(recording, n))})"
+                    f"{n} ({recording.topics[n][1]} messages:"
+                    f" {', '.join(_joints_of(recording, n))})"
                     for n in found
                 )
             )
@@ -233,9 +243,11 @@ def _joint_values(kind: str, m: Message) -> tuple[list[str], Mapping[str, Sequen
         values = {
             ours: [float(of(motor, theirs)) for motor in motors] for ours, theirs in names.items()
         }
-        return [*_QUADRUPED, *(f"motor_{k}" for k in range(12, len(motors)))] if len(
-            motors
-        ) == 20 else [f"motor_{k}" for k in range(len(motors))], values
+        return (
+            [*_QUADRUPED, *(f"motor_{k}" for k in range(12, len(motors)))]
+            if len(motors) == 20
+            else [f"motor_{k}" for k in range(len(motors))]
+        ), values
     if kind == "JointTrajectoryControllerState":
         point = m.get("feedback") or m.get("actual")
 
@@ -281,12 +293,14 @@ def _states(recording: RosRecording, topic: str, notes: list[str]) -> JointRows:
             continue
         if other < largest:
             notes.append(
-                f"{recording.path.stem}: {count} messages with only some of the joints were left out"
+                f"{recording.path.stem}: {count} messages with only some of the joints were"
+                " left out"
             )
         else:
             left = ", ".join(sorted(other)[:8])
             notes.append(
-                f"{recording.path.stem}: {topic} has another publisher, of {left} ({count} messages); it was left out"
+                f"{recording.path.stem}: {topic} has another publisher, of {left} ({count}"
+                " messages); it was left out"
             )
     names = own[0][1]
     repeated = [n for n in names if names.count(n) > 1]
@@ -309,7 +323,8 @@ def _states(recording: RosRecording, topic: str, notes: list[str]) -> JointRows:
     for quantity in ("qd", "tau"):
         if quantity in values and not values[quantity].any():
             notes.append(
-                f"{recording.path.stem}: {quantity} is 0 throughout, so it was not measured, and was left out"
+                f"{recording.path.stem}: {quantity} is 0 throughout, so it was not measured, and"
+                " was left out"
             )
             del values[quantity]
     if kind == "LowState":
@@ -334,7 +349,10 @@ def _one_publisher(recording: RosRecording, topic: str, t: np.ndarray, q: np.nda
     zigzag = np.mean(np.diff(q[1:], axis=0) * np.diff(q[:-1], axis=0) < 0, axis=0)
     mixed = (one > 5 * np.maximum(two, 1e-12)) & (zigzag > 0.9) & (one > 1e-3)
     if mixed.any():
-        message = f"two publishers of the same joints are mixed on {topic}: every other message tells of another motion"
+        message = (
+            f"two publishers of the same joints are mixed on {topic}: every other message tells of"
+            " another motion"
+        )
         raise refused(recording.path, message, "Record them under topics of their own")
 
 
@@ -422,7 +440,10 @@ def _plain_commands(
         )
     width = len(messages[0].get("data"))
     if set(stated) != set(joints) or len(stated) != width:
-        message = f"{topic} holds {width} numbers a message without names of joints; the states are of {', '.join(joints)}"
+        message = (
+            f"{topic} holds {width} numbers a message without names of joints; the states are of"
+            f" {', '.join(joints)}"
+        )
         remedy = f"State the controller's own order: --command-joints {','.join(joints)}"
         raise refused(recording.path, message, remedy)
     order = [list(stated).index(j) for j in joints]
@@ -477,7 +498,8 @@ def _with_commands(
     inside = t >= commands.t[0]
     if inside.sum() < 2:
         raise UsageError(
-            f"--command-topic {topic}: its first command came {commands.t[0] - t[-1]:.3g} s after the last state"
+            f"--command-topic {topic}: its first command came {commands.t[0] - t[-1]:.3g} s after"
+            " the last state"
         )
     if not inside.all():
         notes.append(
@@ -485,7 +507,8 @@ def _with_commands(
         )
     late = t[inside] - commands.t[np.searchsorted(commands.t, t[inside], side="right") - 1]
     notes.append(
-        f"{topic}: the last command at each sample, {1e3 * float(np.median(late)):.3g} ms old in the median"
+        f"{topic}: the last command at each sample, {1e3 * float(np.median(late)):.3g} ms old in"
+        " the median"
     )
     taken = {k: held(t[inside], commands.t, v) for k, v in commands.values.items()}
     return t[inside], {k: v[inside] for k, v in columns.items()} | taken

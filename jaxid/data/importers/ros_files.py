@@ -138,7 +138,10 @@ def open_mcap(path: Path) -> RosRecording:
                         )
                         continue
                     if channel.message_encoding != "cdr" or schema is None:
-                        what = f"topic {topic!r} is encoded as {channel.message_encoding!r}; jaxid reads cdr (ROS 2) and json"
+                        what = (
+                            f"topic {topic!r} is encoded as {channel.message_encoding!r}; jaxid"
+                            " reads cdr (ROS 2) and json"
+                        )
                         raise refused(
                             path, what, "Convert it (rosbags-convert), or record with ROS 2"
                         )

@@ -65,8 +65,14 @@ def runs_of(
     sorted_t, sorted_columns = t[order], {k: v[order] for k, v in columns.items()}
     torn = _differing(sorted_t, sorted_columns)
     if torn:
-        message = f"{late} rows run backwards in time, and {len(torn)} of the times stand there twice with other values"
-        remedy = "It seems to be several recordings mixed row by row: import each by itself (--rows FIRST:END), or sort them apart"
+        message = (
+            f"{late} rows run backwards in time, and {len(torn)} of the times stand there twice"
+            " with other values"
+        )
+        remedy = (
+            "It seems to be several recordings mixed row by row: import each by itself (--rows"
+            " FIRST:END), or sort them apart"
+        )
         raise DatasetError([DatasetProblem(file, None, None, message, remedy)])
     run = _counted(name, sorted_t, sorted_columns)
     run.notes.insert(0, f"{name}: {late} rows were out of order in time; they were sorted")
@@ -99,8 +105,9 @@ def _counted(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray]) -> Imp
         if missing.any():
             worst = int(np.argmax(missing))
             notes.append(
-                f"{name}: {missing.sum()} samples are missing in {np.count_nonzero(missing)} gaps "
-                f"({100 * missing.sum() / (missing.sum() + len(t)):.1f} %), the longest of {missing[worst]} at {t[worst]:.3f} s"
+                f"{name}: {missing.sum()} samples are missing in {np.count_nonzero(missing)} gaps"
+                f" ({100 * missing.sum() / (missing.sum() + len(t)):.1f} %), the longest of"
+                f" {missing[worst]} at {t[worst]:.3f} s"
             )
     return ImportedRun(name, t, {k: v[keep] for k, v in columns.items()}, notes)
 

@@ -146,7 +146,10 @@ def find_column(source: Source, columns: Arrays, column: str) -> str | None:
     """
     if column in source.twice:
         numbers = source.twice[column]
-        message = f"column {column!r} stands twice (columns {' and '.join(map(str, numbers))}, which differ)"
+        message = (
+            f"column {column!r} stands twice (columns {' and '.join(map(str, numbers))}, which"
+            " differ)"
+        )
         raise refused(source.path, message, f"Name one by its number, as in q={numbers[0]}:rad")
     if column in columns:
         return column
@@ -226,14 +229,18 @@ def numbers_of(
     if notes is not None and blank:
         bad = [k for k in bad if k not in set(blank)]
         if length - len(blank) < MINIMUM_SAMPLES:
-            message = f"{column!r} holds {length - len(blank)} readings in {length} rows; the other cells are blank"
+            message = (
+                f"{column!r} holds {length - len(blank)} readings in {length} rows; the other cells"
+                " are blank"
+            )
             raise refused(
                 source.path,
                 message,
                 f"Leave it out; fewer than {MINIMUM_SAMPLES} readings say too little",
             )
         notes.append(
-            f"{source.path.name}: {len(blank)} of {length} cells of {column} are blank, no reading there"
+            f"{source.path.name}: {len(blank)} of {length} cells of {column} are blank, no reading"
+            " there"
         )
     if bad:
         torn = source.ragged.get(bad[0])

@@ -50,7 +50,10 @@ class TextFormat:
 
     def options(self) -> str:
         """The options of `jaxid import csv` that say it."""
-        said = f"--separator {shlex.quote({chr(9): 'tab', ' ': 'space'}.get(self.separator, self.separator))}"
+        said = (
+            "--separator"
+            f" {shlex.quote({chr(9): 'tab', ' ': 'space'}.get(self.separator, self.separator))}"
+        )
         said += f" --decimal {shlex.quote(self.decimal)}" if self.decimal != "." else ""
         return said + f" --header {self.header or 'none'} --first {self.first}"
 

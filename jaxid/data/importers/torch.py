@@ -71,7 +71,10 @@ def read_tensors(path: Path) -> dict[str, Any]:
     """name -> array, nested as in the file; one tensor alone is `data`. Raises `DatasetError` for
     any other content.
     """
-    remedy = "Write tensors alone: torch.save({'t': t, 'q': q}, 'log.pt'), or numpy.savez('log.npz', t=t.numpy(), q=q.numpy())"
+    remedy = (
+        "Write tensors alone: torch.save({'t': t, 'q': q}, 'log.pt'), or numpy.savez('log.npz',"
+        " t=t.numpy(), q=q.numpy())"
+    )
     if not zipfile.is_zipfile(path):
         raise refused(
             path, "a file of PyTorch older than 1.6, a plain pickle, which is not read", remedy

@@ -63,7 +63,10 @@ def read_trace(path: Path, lines: Sequence[str]) -> dict[str, np.ndarray] | None
 def words_of(columns: dict[str, np.ndarray]) -> str:
     """What the file is."""
     names = [n for n in columns if n != CLOCK]
-    return f"a trace with one block a variable ({len(names)}), each with its own times, all under {CLOCK!r}"
+    return (
+        f"a trace with one block a variable ({len(names)}), each with its own times, all under"
+        f" {CLOCK!r}"
+    )
 
 
 def unit_of(times: np.ndarray) -> str:

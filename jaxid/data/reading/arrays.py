@@ -39,7 +39,9 @@ FORMS = (
     "clock_ppm",
 )
 CHANNEL_SETTINGS = ("noise_std", "resolution", "hold", *FORMS)
-VALID = ".valid"  # behind a channel's name: the column that says where it was read; no channel can have such a name
+VALID = (  # behind a channel's name: the column that says where it was read; no channel can have such a name
+    ".valid"
+)
 DATASET_SETTINGS = (
     "name",
     "time_unit",

@@ -69,9 +69,11 @@ def assemble(
         experiments=tuple(e for h in harvests for e in h.experiments),
         responses=tuple(r for h in harvests for r in h.responses),
         model=None if document.model is None else stated(document.model, geometry, file, info),
-        controller=None
-        if document.controller is None
-        else Controller(document.controller.kind, document.controller.settings),
+        controller=(
+            None
+            if document.controller is None
+            else Controller(document.controller.kind, document.controller.settings)
+        ),
         notes=tuple(
             [
                 *document.notes,
@@ -236,7 +238,10 @@ def _references(document: Document, places: Places) -> list[DatasetProblem]:
             entry.repeat_of is not None
             and entry.repeat_of not in _names(document.experiments).values()
         ):
-            message = f"there is no run {entry.repeat_of!r} to repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
+            message = (
+                f"there is no run {entry.repeat_of!r} to"
+                f" repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
+            )
             problems.append(
                 places.problem(("experiments", index, "repeat_of"), message, "Name another run")
             )
@@ -283,7 +288,8 @@ def _model_info(
             places.problem(
                 ("model", "name"),
                 message,
-                'Name one that `jaxid models` lists, or one of your own by its file: file = "mymodel.py"',
+                "Name one that `jaxid models` lists, or one of your own by its file: file ="
+                ' "mymodel.py"',
             )
         )
         return None
@@ -360,7 +366,10 @@ def _signature_faults(
                 if r.entry.role == role and r.name not in [n for n, _, _ in needed]
             ]
             rename = f" ({role} channel here: {', '.join(others)})" if others else ""
-            message = f"model {model!r} needs the {role} channel {name!r} in {unit}, and the data lack it{rename}"
+            message = (
+                f"model {model!r} needs the {role} channel {name!r} in {unit}, and the data lack"
+                f" it{rename}"
+            )
             remedy = f'Add [channels.{name}] with role = "{role}"' + (
                 " and the `column` to read" if others else ""
             )
@@ -371,7 +380,10 @@ def _signature_faults(
                 places.problem(("channels", name, "role"), message, f'Write role = "{role}"')
             )
         elif reading.conversion.si != si_unit(unit):
-            message = f"{name!r} is in {reading.entry.unit!r}, but model {model!r} needs a unit like {unit!r}"
+            message = (
+                f"{name!r} is in {reading.entry.unit!r}, but model {model!r} needs a unit like"
+                f" {unit!r}"
+            )
             remedy = "Correct the unit, or convert with `scale` and state the unit of the result"
             problems.append(places.problem(("channels", name, "unit"), message, remedy))
     if not problems:

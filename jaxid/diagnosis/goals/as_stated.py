@@ -33,8 +33,8 @@ from jaxid.wording import listed
 
 
 TAKEN_OFF = (
-    "the recording is compared with the file as MuJoCo runs it: what that and jaxid's run of the same file differ by is taken "
-    "off the readings, rms"
+    "the recording is compared with the file as MuJoCo runs it: what that and jaxid's run of the"
+    " same file differ by is taken off the readings, rms"
 )
 
 
@@ -277,14 +277,20 @@ class Alone:
         """
         if self.instead is not None:
             either = " and ".join(map(str, self.instead.effects))
-            return f"With all numbers as they stand {either} would account for the gap as well, by no fewer changes."
+            return (
+                f"With all numbers as they stand {either} would account for the gap as well, by no"
+                " fewer changes."
+            )
         layout, first = self.decider.bench.binding.layout, enough[0]
 
         def stated(i):
             return self.stated[layout.names[i]]
 
         def value(i, h):
-            return f"{layout.names[i]} {h.theta[i] - self.theta[i] + stated(i):.3g} {layout.entries[i].unit} (stated {stated(i):.3g})"
+            return (
+                f"{layout.names[i]} {h.theta[i] - self.theta[i] + stated(i):.3g}"
+                f" {layout.entries[i].unit} (stated {stated(i):.3g})"
+            )
 
         own_numbers = [h for h in self._as_few(first, enough) if self.of_numbers(h)][:1]
         if self.of_numbers(first):

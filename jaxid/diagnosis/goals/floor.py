@@ -150,7 +150,10 @@ def with_floor(
         binding.chain.signature.outputs, binding.sigma, sigma, apart, strict=True
     ):
         told = binding.noise[name]
-        text = f"{told.text}; MuJoCo and jaxid differ by {own:.2g} {told.unit} on the same file: nearer"
+        text = (
+            f"{told.text}; MuJoCo and jaxid differ by {own:.2g} {told.unit} on the same file:"
+            " nearer"
+        )
         text += f" than {new:.2g} says nothing"
         noise[name] = replace(told, std=float(new), text=text) if new > 1.2 * old else told
     return replace(
@@ -172,9 +175,10 @@ def not_this_file(binding: Binding, between: Between | None, apart: np.ndarray |
     names = [name for name, _ in binding.chain.signature.outputs]
     unit = binding.noise[names[worst]].unit
     text = (
-        f"MuJoCo's run of the file leaves {between.left[worst]:.2g} {unit} of {names[worst]}, and jaxid's run of the same file "
-        f"lies {apart[worst]:.2g} {unit} from that one, whatever its numbers: something that the file says and jaxid does not "
-        "simulate acts in this recording, and what is left says nothing of the robot."
+        f"MuJoCo's run of the file leaves {between.left[worst]:.2g} {unit} of {names[worst]}, and"
+        f" jaxid's run of the same file lies {apart[worst]:.2g} {unit} from that one, whatever its"
+        " numbers: something that the file says and jaxid does not simulate acts in this"
+        " recording, and what is left says nothing of the robot."
     )
     return " ".join(
         (text, *(f"{s}." for s in stops.sentences_of(binding.chain.mechanism, binding.dataset)))

@@ -32,10 +32,16 @@ def law_told(fit: Fit, joints: Sequence[str]) -> list[str]:
         together = [j for j, r in known.items() if abs(r) >= TOGETHER]
         apart = {j: r for j, r in known.items() if j not in together}
         if together:
-            text += f"; known only together with its dry friction at {listed(together)} (correlation {TOGETHER:g} or more)"
+            text += (
+                f"; known only together with its dry friction at {listed(together)} (correlation"
+                f" {TOGETHER:g} or more)"
+            )
         if apart:
             largest = max(apart.values(), key=abs)
-            text += f"; told apart from dry friction at {listed(list(apart))} (correlation {largest:+.2f} at most)"
+            text += (
+                f"; told apart from dry friction at {listed(list(apart))} (correlation"
+                f" {largest:+.2f} at most)"
+            )
         out.append(text)
     return out
 

@@ -72,10 +72,13 @@ def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
     limits = [
         Proposal((u,), (np.ones(1),), study.binding.theta.copy()) for u in limits_shown(study)[:1]
     ]
-    return bare, [
-        *limits,
-        *(_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)]),
-    ][:FIRST]
+    return (
+        bare,
+        [
+            *limits,
+            *(_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)]),
+        ][:FIRST],
+    )
 
 
 class LinearisedSearch:

@@ -53,23 +53,25 @@ Answer = Callable[
 ]
 
 TOO_DEAR = (
-    "simulating recordings of this length with this many numbers would take too long: the torque that the law asks for along the "
-    "measured motion is compared instead, and no free run judges the answer"
+    "simulating recordings of this length with this many numbers would take too long: the torque"
+    " that the law asks for along the measured motion is compared instead, and no free run judges"
+    " the answer"
 )
 MEANING = (
-    "standard deviations of the file's numbers and of the effects count what MuJoCo and jaxid make of the same file: its "
-    "first-order steps and soft friction pass for other numbers"
+    "standard deviations of the file's numbers and of the effects count what MuJoCo and jaxid make"
+    " of the same file: its first-order steps and soft friction pass for other numbers"
 )
 OTHER_WAY = (
-    "the goals go {} from sample to sample here, not {} as the dataset has it: the re-tuned model follows them better so on data "
-    "that were and were not fitted (state hold of the goals' channels where that is wrong)"
+    "the goals go {} from sample to sample here, not {} as the dataset has it: the re-tuned model"
+    " follows them better so on data that were and were not fitted (state hold of the goals'"
+    " channels where that is wrong)"
 )
 THEIRS = (
     "Its noise is what MuJoCo and jaxid make of the same file; no effect explains what is nearer."
 )
 SETTLED = (
-    "numbers are fitted to the fit and validation runs together, once these have chosen the effects: errors on validation runs "
-    "are no longer held out, those on report runs are"
+    "numbers are fitted to the fit and validation runs together, once these have chosen the"
+    " effects: errors on validation runs are no longer held out, those on report runs are"
 )
 #: How much a verdict says.
 RANK = {"unknown": 0, "partly": 1, "named": 2, "none": 2}
@@ -203,7 +205,8 @@ def diagnose_led(
         notes.append(SETTLED)
     notes += law_told(found.final, binding.chain.signature.joints)
     notes.append(
-        f"{found.nominal.evaluations} free runs were simulated under the law, in steps of {step:.2g} s at most"
+        f"{found.nominal.evaluations} free runs were simulated under the law, in steps of"
+        f" {step:.2g} s at most"
     )
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
 

@@ -295,9 +295,10 @@ class LedStudy(TorqueStudy):
         does says nothing.
         """
         low, high = super().free_bounds()
-        return np.concatenate(
-            [low[: -self.binding.chain.nq], -high[-self.binding.chain.nq :]]
-        ), high
+        return (
+            np.concatenate([low[: -self.binding.chain.nq], -high[-self.binding.chain.nq :]]),
+            high,
+        )
 
     def settle(self, theta: np.ndarray, found: Sequence[Any] = ()) -> None:
         """A joint that sticks stands still in the loop: its rows are known like all others."""

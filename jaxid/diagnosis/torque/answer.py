@@ -296,10 +296,16 @@ def how_far(
         reason = f"on {split} data the gap does not shrink"
     else:
         shrinkage, reason = min(exact, 1.0), "rows of torque within one run are not independent"
-    text = f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
+    text = (
+        f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after"
+        " re-tuning the old parameters alone"
+    )
     text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
     if ceiling is not None:
-        text += f"; any law of a joint's own position, speed and load would close {percent(ceiling)} of it"
+        text += (
+            f"; any law of a joint's own position, speed and load would close {percent(ceiling)}"
+            " of it"
+        )
     text += ". Torque and motion are low-passed alike, and rows count by how well they are known"
     return HowFar(
         gap_before=gaps[0],

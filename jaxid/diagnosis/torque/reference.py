@@ -23,7 +23,10 @@ from jaxid.problem.residual import InverseDynamics, Residual
 from jaxid.storage.small_files import read_small
 
 
-WANTED = "a reference is the fit.json, identification.json or diagnosis.json of another recording of the same model"
+WANTED = (
+    "a reference is the fit.json, identification.json or diagnosis.json of another recording of the"
+    " same model"
+)
 
 
 #: Smallest eigenvalue that correlations are taken to have: in directions that were not determined a
@@ -67,7 +70,8 @@ class ReferenceNumbers:
         shared = [n for n in names if n in self.names]
         if not shared:
             raise UsageError(
-                f"the reference ({self.said}) knows none of this model's numbers ({', '.join(names[:6])} …)"
+                f"the reference ({self.said}) knows none of this model's numbers"
+                f" ({', '.join(names[:6])} …)"
             )
         at = [self.names.index(n) for n in shared]
         place = [names.index(n) for n in shared]
@@ -110,7 +114,8 @@ class ReferenceNumbers:
                 own[name] = ParameterPrior(prior={"mean": float(value), "std": float(np.sqrt(var))})
         if not any(name in have for name in self.names):
             raise UsageError(
-                f"the reference ({self.said}) knows none of this model's numbers ({', '.join(have[:6])} …)"
+                f"the reference ({self.said}) knows none of this model's numbers"
+                f" ({', '.join(have[:6])} …)"
             )
         return replace(dataset, model=replace(spec, parameters=own))
 

@@ -106,7 +106,8 @@ def _read(
     rate = (len(e.t) - 1) / e.duration
     if not cutoff_hz < rate / 2.5:
         raise UsageError(
-            f"{e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high, give at most {rate / 4:.3g}"
+            f"{e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high,"
+            f" give at most {rate / 4:.3g}"
         )
     motion_hz = min(MOTION * cutoff_hz, rate / 2.5)
     y = e.motion()[:, iy]

@@ -403,7 +403,10 @@ def _before(study: TorqueStudy, nominal: Answer) -> tuple[Answer, str]:
     if not stated:
         return (
             nominal,
-            "The dataset states no parameter values, so the gap before is that of the re-tuned model.",
+            (
+                "The dataset states no parameter values, so the gap before is that of the re-tuned"
+                " model."
+            ),
         )
     numbers[stated] = b.theta[[study.plant.free[k] for k in stated]]
     return replace(nominal, numbers=numbers), ""
@@ -424,7 +427,10 @@ def _fit(
     at = {b.layout.index(name): e for name, e in own.items()}
     notes = [
         *b.dataset.notes,
-        f"noise of rows: {listed(f'{c} {s:.2g} {u}' for (c, u), s in zip(b.chain.torque_channels, study.noise, strict=True))}",
+        (
+            "noise of rows:"
+            f" {listed(f'{c} {s:.2g} {u}' for (c, u), s in zip(b.chain.torque_channels, study.noise, strict=True))}"
+        ),
     ]
     open_ = [name for name, e in own.items() if not e.identifiable]
     if open_:
@@ -464,19 +470,21 @@ def _of_the_gains(study: TorqueStudy, named: Sequence[EffectEstimate]) -> list[s
         return []
     if share := usual_gain_std(study.binding.chain):
         return [
-            f"the payload's interval counts the drive gains, which make torque of current, as known to within {100 * share:g} %"
+            "the payload's interval counts the drive gains, which make torque of current, as known"
+            f" to within {100 * share:g} %"
         ]
     return [
-        "the payload's interval takes the recorded torques as exact: a relative error of them is one of the mass"
+        "the payload's interval takes the recorded torques as exact: a relative error of them is"
+        " one of the mass"
     ]
 
 
 def _notes(study: TorqueStudy, found: Found) -> list[str]:
     run = study.runs[0]
     notes = [
-        f"torque and every column low-passed without phase at {run.cutoff_hz:.3g} Hz, positions at "
-        f"{MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; each joint weighted by what is left of it; sets "
-        "of effects compared on runs that were not fitted"
+        f"torque and every column low-passed without phase at {run.cutoff_hz:.3g} Hz, positions at"
+        f" {MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; each joint weighted by"
+        " what is left of it; sets of effects compared on runs that were not fitted"
     ]
     joints = study.binding.chain.signature.joints
     for j, joint in enumerate(joints):

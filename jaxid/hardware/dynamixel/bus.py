@@ -72,7 +72,8 @@ class Bus:
         self.alerts: set[int] = set()
         if not self.port.setBaudRate(baud):
             raise BusError(
-                f"ROBOTIS' SDK has no baud rate {baud}; use 57600, 115200, 1000000, 2000000, 3000000 or 4000000"
+                f"ROBOTIS' SDK has no baud rate {baud}; use 57600, 115200, 1000000, 2000000,"
+                " 3000000 or 4000000"
             )
 
     # ---- single registers

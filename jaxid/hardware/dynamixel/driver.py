@@ -61,12 +61,14 @@ class Session:
         model = self.bus.ping(identity)
         if model is None:
             raise BusError(
-                f"servo {identity} does not answer on {self.where} at {baud} baud{self._elsewhere(identity, baud)}"
+                f"servo {identity} does not answer on {self.where} at {baud}"
+                f" baud{self._elsewhere(identity, baud)}"
             )
         if model not in x.MODELS:
             known = ", ".join(name for name, _ in x.MODELS.values())
             raise BusError(
-                f"servo {identity} is of model {model}, whose registers are not known here (known: {known})"
+                f"servo {identity} is of model {model}, whose registers are not known here (known:"
+                f" {known})"
             )
         names = {
             "firmware": x.FIRMWARE,
@@ -108,7 +110,8 @@ class Session:
                 taken.append(time.monotonic() - began)
         if len(taken) < PROBES // 2:
             raise BusError(
-                f"{PROBES - len(taken)} of {PROBES} trial questions on {self.where} were not answered; check the line"
+                f"{PROBES - len(taken)} of {PROBES} trial questions on {self.where} were not"
+                " answered; check the line"
             )
         answer = sorted(taken)[int(0.9 * (len(taken) - 1))]
         self.bus.expect(answer)
@@ -166,7 +169,8 @@ class Session:
             identity = min(self.bus.alerts)
             bits = self.bus.get(identity, x.HARDWARE_ERROR)
             raise BusError(
-                f"servo {identity} reports a hardware error: {x.error_text(bits)}; it has switched its torque off"
+                f"servo {identity} reports a hardware error: {x.error_text(bits)}; it has switched"
+                " its torque off"
             )
         if blocks is None:
             self._report()
@@ -209,7 +213,8 @@ class Session:
             bits = self.bus.get(identity, x.HARDWARE_ERROR)
             if bits:
                 raise BusError(
-                    f"servo {identity} has a hardware error ({x.error_text(bits)}): switch its power off and on"
+                    f"servo {identity} has a hardware error ({x.error_text(bits)}): switch its"
+                    " power off and on"
                 )
             self._while_leashed(self.bus.put, identity, x.TORQUE_ENABLE, 0)
             self.restore[identity] = self.bus.get(identity, x.OPERATING_MODE)
@@ -288,7 +293,10 @@ class Session:
         tried(self.bus.port.closePort)
         if not failed:
             return "torque is off" if self.mode is not None else ""
-        return f"the servo could not be told to stop ({failed[0]}); its bus watchdog stops it within {1e3 * self.data_age:.0f} ms"
+        return (
+            f"the servo could not be told to stop ({failed[0]}); its bus watchdog stops it within"
+            f" {1e3 * self.data_age:.0f} ms"
+        )
 
 
 def _whole(value: float) -> float:

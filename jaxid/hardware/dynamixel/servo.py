@@ -111,7 +111,8 @@ class Dynamixel:
             self.close()
             way = "; ".join(self.advice) or "ask for a lower rate"
             raise UsageError(
-                f"{self.port}: an answer takes {1e3 * self.answer_s:.2f} ms, so {self.rate:g} Hz cannot be reached: {way}"
+                f"{self.port}: an answer takes {1e3 * self.answer_s:.2f} ms, so {self.rate:g} Hz"
+                f" cannot be reached: {way}"
             )
 
     def _advise(self) -> list[str]:
@@ -120,11 +121,13 @@ class Dynamixel:
         for s in self.servos:
             if s["return_delay"] > 5:
                 advice.append(
-                    f"servo {s['id']} waits {2 * s['return_delay']} us before it answers: set its return delay (register 9) to 0"
+                    f"servo {s['id']} waits {2 * s['return_delay']} us before it answers: set its"
+                    " return delay (register 9) to 0"
                 )
         if self.baud < 1_000_000:
             advice.append(
-                f"{self.baud} baud is slow: set register 8 of the servo to 3 (1 Mbit/s) and use --baud 1000000"
+                f"{self.baud} baud is slow: set register 8 of the servo to 3 (1 Mbit/s) and use"
+                " --baud 1000000"
             )
         timer = (
             Path("/sys/bus/usb-serial/devices") / Path(self.port).resolve().name / "latency_timer"
@@ -132,7 +135,8 @@ class Dynamixel:
         try:
             if (latency := int(timer.read_text())) > 1:
                 advice.append(
-                    f"the USB adapter holds answers back for {latency} ms: `echo 1 | sudo tee {timer}`"
+                    f"the USB adapter holds answers back for {latency} ms: `echo 1 | sudo tee"
+                    f" {timer}`"
                 )
         except (OSError, ValueError):
             pass

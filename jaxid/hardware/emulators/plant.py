@@ -89,7 +89,8 @@ class Modelled:
         coupled = chain.nq == count > 1
         if not chain.direct or chain.signature.linear or not (coupled or chain.nq == 1):
             raise UsageError(
-                f"an emulator of {count} joints takes models with one driven revolute joint, or with {count}; {model} is none"
+                f"an emulator of {count} joints takes models with one driven revolute joint, or"
+                f" with {count}; {model} is none"
             )
         for e in effects:
             kind = catalogue.effect_class(e["effect"])

@@ -94,7 +94,8 @@ class Emulator:
                 server.bind((host, port))
             except OSError as error:
                 raise UsageError(
-                    f"{host}:{port} is taken ({error.strerror}); use another address: --host 127.0.0.2"
+                    f"{host}:{port} is taken ({error.strerror}); use another address: --host"
+                    " 127.0.0.2"
                 ) from error
             server.listen(8)
             server.setblocking(False)

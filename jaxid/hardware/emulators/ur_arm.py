@@ -61,24 +61,27 @@ NAMES = {
 }
 
 _V6 = (
-    "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current joint_control_output "
-    "actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed joint_temperatures actual_joint_voltage "
-    "actual_current_window joint_position_deviation_ratio ft_raw_wrench tcp_offset payload_inertia"
+    "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current"
+    " joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose"
+    " target_TCP_speed joint_temperatures actual_joint_voltage actual_current_window"
+    " joint_position_deviation_ratio ft_raw_wrench tcp_offset payload_inertia"
 )
 _DOUBLE = (
-    "timestamp actual_execution_time target_speed_fraction speed_scaling actual_momentum actual_main_voltage "
-    "actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1 standard_analog_output0 "
-    "standard_analog_output1 payload tool_output_current tcp_force_scalar speed_slider_fraction standard_analog_output_0 "
-    "standard_analog_output_1"
+    "timestamp actual_execution_time target_speed_fraction speed_scaling actual_momentum"
+    " actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0"
+    " standard_analog_input1 standard_analog_output0 standard_analog_output1 payload"
+    " tool_output_current tcp_force_scalar speed_slider_fraction standard_analog_output_0"
+    " standard_analog_output_1"
 )
 _UINT32 = (
-    "runtime_state robot_status_bits safety_status_bits output_bit_registers0_to_31 output_bit_registers32_to_63 "
-    "input_bit_registers0_to_31 input_bit_registers32_to_63 speed_slider_mask"
+    "runtime_state robot_status_bits safety_status_bits output_bit_registers0_to_31"
+    " output_bit_registers32_to_63 input_bit_registers0_to_31 input_bit_registers32_to_63"
+    " speed_slider_mask"
 )
 _UINT8 = (
-    "tool_output_mode standard_digital_output_mask standard_digital_output configurable_digital_output_mask "
-    "configurable_digital_output tool_digital_output_mask tool_digital_output standard_analog_output_mask "
-    "standard_analog_output_type"
+    "tool_output_mode standard_digital_output_mask standard_digital_output"
+    " configurable_digital_output_mask configurable_digital_output tool_digital_output_mask"
+    " tool_digital_output standard_analog_output_mask standard_analog_output_type"
 )
 VARIABLES: dict[str, str] = (
     dict.fromkeys(_V6.split(), "VECTOR6D")

@@ -90,10 +90,14 @@ def _play(
         except Refused as error:
             raise RuntimeError(f"row {k + 1} of the path was refused: {error}") from None
         if not control.servoJ(list(sent), 0.0, 0.0, step, order["lookahead"], order["gain"]):
-            taken = f"the robot did not take command {k + 1} of {table.rows} within {time.monotonic() - asked:.2f} s"
+            taken = (
+                f"the robot did not take command {k + 1} of {table.rows} within"
+                f" {time.monotonic() - asked:.2f} s"
+            )
             if max(pause, overrun) > 0.5 * leash.longest_s:
                 raise StopRequest(
-                    f"{busy(max(pause, overrun))}, and the controller's watchdog stops the arm meanwhile: {taken}"
+                    f"{busy(max(pause, overrun))}, and the controller's watchdog stops the arm"
+                    f" meanwhile: {taken}"
                 )
             raise RuntimeError(f"{taken}; is a program or a stop in the way?")
         now = time.monotonic()

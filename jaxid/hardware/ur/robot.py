@@ -187,11 +187,15 @@ class UR:
         if not moving:
             return None
         if mode != 7:
-            return f"the robot is not running (robot mode {mode:g}); switch it on and release the brakes"
+            return (
+                f"the robot is not running (robot mode {mode:g}); switch it on and release the"
+                " brakes"
+            )
         if fraction < 0.999 or scaling < 0.999:
             return (
-                f"the robot runs slowed down (speed slider {100 * fraction:.0f} %, speed scaling {100 * scaling:.0f} %): "
-                "servoJ then skips parts of the path; set the slider to 100 %"
+                f"the robot runs slowed down (speed slider {100 * fraction:.0f} %, speed scaling"
+                f" {100 * scaling:.0f} %): servoJ then skips parts of the path; set the slider to"
+                " 100 %"
             )
         return None
 
@@ -204,7 +208,8 @@ class UR:
         program = values[JOINTS * len(VECTORS) + SCALARS.index("runtime_state")]
         if program == 2:
             raise UsageError(
-                f"{self.host}: a program is running on the robot; stop it, or wait for its end, and try again"
+                f"{self.host}: a program is running on the robot; stop it, or wait for its end, and"
+                " try again"
             )
         here = np.asarray(values[:6])
         path = trajectory.sampled(step)
@@ -317,4 +322,7 @@ def dashboard_stop(host: str, port: int = 29999) -> str:
                 answer += block
         return "the program was stopped through the dashboard"
     except OSError as error:
-        return f"the dashboard did not answer ({error.strerror or error}): the controller's watchdog stops it, look at the robot"
+        return (
+            f"the dashboard did not answer ({error.strerror or error}): the controller's watchdog"
+            " stops it, look at the robot"
+        )

@@ -57,7 +57,8 @@ class RTDEReader:
         except OSError as error:
             reason = error.strerror or str(error) or "no answer"
             raise UsageError(
-                f"{self.where}: no connection ({reason}); check the address, the cable and that the robot is switched on"
+                f"{self.where}: no connection ({reason}); check the address, the cable and that the"
+                " robot is switched on"
             ) from None
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._buffer = bytearray()
@@ -74,7 +75,8 @@ class RTDEReader:
         self._send(VERSION, struct.pack(">H", 2))
         if self._answer(VERSION) != b"\1":
             raise HardwareError(
-                f"{self.where}: the controller does not speak RTDE protocol 2; its software is too old (3.4 needed)"
+                f"{self.where}: the controller does not speak RTDE protocol 2; its software is too"
+                " old (3.4 needed)"
             )
         self._send(CONTROLLER)
         version = self._answer(CONTROLLER)
@@ -108,7 +110,8 @@ class RTDEReader:
         types = answer[1:].decode("ascii", "replace").split(",") if answer else []
         if len(types) != len(names):
             raise HardwareError(
-                f"{self.where}: the controller answered {len(types)} types to {len(names)} variables"
+                f"{self.where}: the controller answered {len(types)} types to {len(names)}"
+                " variables"
             )
         return answer[0], types
 
@@ -151,11 +154,13 @@ class RTDEReader:
                 agreed = 1 + self._layout.size
                 if len(payload) != agreed:
                     raise HardwareError(
-                        f"{self.where}: a data package of {len(payload)} bytes where {agreed} were agreed"
+                        f"{self.where}: a data package of {len(payload)} bytes where {agreed} were"
+                        " agreed"
                     )
                 if payload[0] != self.recipe:
                     raise HardwareError(
-                        f"{self.where}: a data package of recipe {payload[0]} where {self.recipe} was agreed"
+                        f"{self.where}: a data package of recipe {payload[0]} where {self.recipe}"
+                        " was agreed"
                     )
                 rows.append((now, tuple(map(float, self._layout.unpack_from(payload, 1)))))
         if closed:
@@ -204,8 +209,8 @@ class RTDEReader:
                 block = self.socket.recv(1 << 16)
             except TimeoutError:
                 raise HardwareError(
-                    f"{self.where}: somebody accepts connections there but does not answer within {self._timeout:g} s; "
-                    "is it a robot, and is its controller up?"
+                    f"{self.where}: somebody accepts connections there but does not answer within"
+                    f" {self._timeout:g} s; is it a robot, and is its controller up?"
                 ) from None
             except OSError as error:
                 raise HardwareError(

@@ -75,12 +75,14 @@ def _text(
             ]
         if sheet.driven and {"kp", "kd"} & own.keys():
             lines.append(
-                f"    actuator_of(plant, {joint!r}).set_controller_gains(PdControllerGains(p={now.kp!r}, d={now.kd!r}))"
+                "    actuator_of(plant,"
+                f" {joint!r}).set_controller_gains(PdControllerGains(p={now.kp!r}, d={now.kd!r}))"
             )
         effort = limit([now.lowest, now.highest])
         if effort is not None and {"force", "highest"} & own.keys():
             lines.append(
-                f"    # plant.AddJointActuator(..., plant.GetJointByName({joint!r}), effort_limit={effort!r})"
+                f"    # plant.AddJointActuator(..., plant.GetJointByName({joint!r}),"
+                f" effort_limit={effort!r})"
             )
     if sheet.gravity is not None and any(c.quantity == "gravity" for c in sheet.changes):
         lines.append(
@@ -98,6 +100,7 @@ def _text(
         I = body.inertia
         six = [float(I[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
         lines.append(
-            f"    {link!r}: SpatialInertia.MakeFromCentralInertia({body.mass!r}, np.array({com!r}), RotationalInertia(*{six!r})),"
+            f"    {link!r}: SpatialInertia.MakeFromCentralInertia({body.mass!r}, np.array({com!r}),"
+            f" RotationalInertia(*{six!r})),"
         )
     return "\n".join([*lines, "}", ""])

@@ -42,7 +42,10 @@ def _text(
     sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, LinkInertia]
 ) -> str:
     lines = [
-        f'"""What was found, on an entity of a built scene; written for {VERSION}, not run. SI units."""',
+        (
+            f'"""What was found, on an entity of a built scene; written for {VERSION}, not run. SI'
+            ' units."""'
+        ),
         "",
         "",
         "def apply(robot):",

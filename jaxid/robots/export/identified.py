@@ -67,8 +67,9 @@ def _chain(tree: Tree, names: list[str], path: Path | None) -> Tree:
     chain = _in_file(tree, names)
     if chain is None:
         raise UsageError(
-            f"{path} has the joints {', '.join(tree.joints)}, the identification {', '.join(names)}: say which these are under "
-            '[model.joints] of dataset.toml (q1 = "NAME"), and identify again'
+            f"{path} has the joints {', '.join(tree.joints)}, the identification"
+            f" {', '.join(names)}: say which these are under [model.joints] of dataset.toml (q1 ="
+            ' "NAME"), and identify again'
         )
     return tree.locked({j: 0.0 for j in tree.joints if j not in chain})
 
@@ -139,7 +140,8 @@ def _bodies(sheet: Sheet, found: ExportOutcome, tree: Tree) -> None:
     lacking = [n for n in base.names if n not in rows]
     if lacking or len(rows) != len(base.names):
         raise UsageError(
-            f"the base parameters of the result are not those of {tree.file}: {', '.join(lacking or rows)}"
+            f"the base parameters of the result are not those of {tree.file}:"
+            f" {', '.join(lacking or rows)}"
         )
     beta = np.array([number(n, rows[n]) for n in base.names])
 
@@ -171,7 +173,10 @@ def _bodies(sheet: Sheet, found: ExportOutcome, tree: Tree) -> None:
         drive = f"Ia{k + 1}"
         if drive in places and phi[places[drive]] != start[places[drive]]:
             sheet.set(tree.joints[k], armature=float(phi[places[drive]]))
-    note = "a combination of several bodies' numbers: the bodies nearest to the file's that can exist (positive, triangle "
+    note = (
+        "a combination of several bodies' numbers: the bodies nearest to the file's that can exist"
+        " (positive, triangle "
+    )
     note += "inequality) and have it were taken" + (
         f"; they are {100 * off:.2g} % of the largest parameter off" if off > 1e-4 else ""
     )

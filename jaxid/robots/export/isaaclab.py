@@ -53,7 +53,10 @@ def _text(
     sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, LinkInertia]
 ) -> str:
     lines = [
-        f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is not named here."""',
+        (
+            f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is'
+            ' not named here."""'
+        ),
         "",
         "from isaaclab.actuators import DelayedPDActuatorCfg, IdealPDActuatorCfg",
         "",
@@ -88,7 +91,8 @@ def _text(
         lines += [f"            {k}={float(v)!r}," for k, v in given.items()]
         if not sheet.driven:
             lines.append(
-                "            stiffness=..., damping=...,  # your gains: the recording was driven by torques"
+                "            stiffness=..., damping=...,  # your gains: the recording was driven by"
+                " torques"
             )
         if now.delay:
             lines += [

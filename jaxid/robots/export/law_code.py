@@ -21,7 +21,10 @@ PORTS = {
     ),
     "dry": (
         "DRY",
-        "joint -> level of dry friction beside the file's own: |f| <= level while the joint sticks, level sign(qd) else",
+        (
+            "joint -> level of dry friction beside the file's own: |f| <= level while the joint"
+            " sticks, level sign(qd) else"
+        ),
     ),
     "command": ("COMMAND", "channel -> what arrives of a command u"),
     "torque": ("TORQUE", "channel -> what arrives of a drive torque u"),

@@ -40,7 +40,10 @@ from jaxid.wording import listed
 
 
 NAME, VERSION, FILES = "mjcf", "MuJoCo 4.0", (".xml", ".mjcf")
-UNLIMITED = "[controller] states no limit (saturation), so that the runs were simulated without the file's: it is left as it is at {}"
+UNLIMITED = (
+    "[controller] states no limit (saturation), so that the runs were simulated without the file's:"
+    " it is left as it is at {}"
+)
 CALLBACK = "effects.py"
 
 
@@ -156,11 +159,17 @@ class _Patch:
             return f"body {joint!r} has no name of its own in the file: give it one"
         if self.file.joint(joint) is None:
             return f"joint {joint!r} has no name of its own in the file: give it one"
-        law = f'<position joint="{joint}" kp="{digits(self.sheet.after[joint].kp)}" kv="{digits(self.sheet.after[joint].kd)}"/>'
+        law = (
+            f'<position joint="{joint}" kp="{digits(self.sheet.after[joint].kp)}"'
+            f' kv="{digits(self.sheet.after[joint].kd)}"/>'
+        )
         if through := self._through(joint):
             return through
         if change.quantity in (*OF_LAW, "force"):
-            return f"the file has no position actuator at {joint}, and [controller] drives: set it in your controller, or add {law}"
+            return (
+                f"the file has no position actuator at {joint}, and [controller] drives: set it in"
+                f" your controller, or add {law}"
+            )
         return f"the file has no one actuator at {joint} that jaxid knows"
 
     def _through(self, joint: str) -> str:
@@ -559,5 +568,6 @@ class _Patch:
             a, b = getattr(old, name), getattr(new, name)
             if a.shape != b.shape or (not name.startswith(allowed) and not np.array_equal(a, b)):
                 raise UsageError(
-                    f"{self.file.path}: the patched file would change {name}, which was not meant; nothing was written"
+                    f"{self.file.path}: the patched file would change {name}, which was not meant;"
+                    " nothing was written"
                 )

@@ -55,7 +55,10 @@ def spec_code(ops: Iterable[Any], file: str, version: str) -> str:
         "",
         "",
         "def apply(spec):",
-        '    """Changes the spec of the file as it stood and returns it. Angles are in the file\'s own unit."""',
+        (
+            '    """Changes the spec of the file as it stood and returns it. Angles are in the'
+            ' file\'s own unit."""'
+        ),
     ]
     for op in ops:
         lines += [f"    {line}" for line in _lines(op)]
@@ -167,7 +170,8 @@ def callback(changes: list[RobotChange]) -> str:
 def snippet(sheet: Sheet, found: ExportOutcome) -> Written:
     """Attributes to copy, where no file is known to patch."""
     lines = [
-        "<!-- Copy these attributes to the joints and actuators of your file; angles in radians. Written for MuJoCo 4.0. -->"
+        "<!-- Copy these attributes to the joints and actuators of your file; angles in radians."
+        " Written for MuJoCo 4.0. -->"
     ]
     for joint, now in sheet.after.items():
         own = {c.quantity for c in sheet.changes if c.place == joint}
@@ -179,7 +183,8 @@ def snippet(sheet: Sheet, found: ExportOutcome) -> Written:
                 attributes[k] = number(getattr(now, k))
         if attributes:
             lines.append(
-                f"<joint name={quoteattr(joint)} {' '.join(f'{k}={quoteattr(v)}' for k, v in attributes.items())}/>"
+                f"<joint name={quoteattr(joint)}"
+                f" {' '.join(f'{k}={quoteattr(v)}' for k, v in attributes.items())}/>"
             )
     out = Written(rows_of(sheet, PLAIN, coded("effects.py")))
     if len(lines) > 1:

@@ -10,13 +10,16 @@ from jaxid.robots.export.target import APPROXIMATE, Field
 #: With these a joint holds 50 times better than with the defaults.
 HOLDS = {"solreffriction": "0.004 1", "solimpfriction": "0.99 0.9999"}
 SOFT = (
-    "a soft constraint in MuJoCo: with solreffriction and solimpfriction as set here it creeps by less than 1e-4 rad/s, and the "
-    "recording is nearer with them"
+    "a soft constraint in MuJoCo: with solreffriction and solimpfriction as set here it creeps by"
+    " less than 1e-4 rad/s, and the recording is nearer with them"
 )
-CREEPS = "a soft constraint in MuJoCo that creeps: solreffriction and solimpfriction, which harden it, are left as they are"
+CREEPS = (
+    "a soft constraint in MuJoCo that creeps: solreffriction and solimpfriction, which harden it,"
+    " are left as they are"
+)
 UNTRIED = (
-    "how hard dry friction is in MuJoCo (solreffriction, solimpfriction) is left as the file has it: the recording on which to "
-    "try it was not found. Name it with --data DIR"
+    "how hard dry friction is in MuJoCo (solreffriction, solimpfriction) is left as the file has"
+    " it: the recording on which to try it was not found. Name it with --data DIR"
 )
 
 
@@ -31,7 +34,10 @@ def friction_field(
     if level == 0:
         return Field(name), {}
     if stated:
-        left = f"the file states {' and '.join(stated)}, which are left: they say how well friction holds"
+        left = (
+            f"the file states {' and '.join(stated)}, which are left: they say how well friction"
+            " holds"
+        )
         return Field(name, APPROXIMATE, left), {}
     if hardened:
         return Field(name, APPROXIMATE, SOFT), dict(HOLDS)

@@ -16,7 +16,10 @@ from jaxid.robots.export.target import Field, limit, NONE, Written
 
 
 NAME, VERSION, FILES = "mjlab", "mjlab 1.6", ()
-SOFT = "a soft constraint: set solreffriction and solimpfriction in the MJCF, where friction has to hold"
+SOFT = (
+    "a soft constraint: set solreffriction and solimpfriction in the MJCF, where friction has to"
+    " hold"
+)
 FIELDS = {
     "damping": Field("BuiltinPositionActuatorCfg.viscous_damping", note="not `damping`, which is kd"),
     "frictionloss": Field("BuiltinPositionActuatorCfg.frictionloss", "approximate", SOFT),
@@ -57,7 +60,10 @@ def _text(
     sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, LinkInertia]
 ) -> str:
     lines = [
-        f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is not named here."""',
+        (
+            f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is'
+            ' not named here."""'
+        ),
         "",
         "from mjlab.actuator import BuiltinPositionActuatorCfg",
         "",
@@ -84,7 +90,8 @@ def _text(
         lines += [f"            {k}={v!r}," for k, v in given.items()]
         if not sheet.driven:
             lines.append(
-                "            stiffness=..., damping=...,  # your gains: the recording was driven by torques"
+                "            stiffness=..., damping=...,  # your gains: the recording was driven by"
+                " torques"
             )
         if "delay" in own:
             lines += [

@@ -111,7 +111,8 @@ def outcome(content: Any) -> ExportOutcome:
     kind = content.get("kind") if isinstance(content, Mapping) else None
     if kind not in KINDS:
         raise UsageError(
-            f"this is no result of {', '.join(KINDS)}: give the JSON that jaxid fit, diagnose or identify wrote"
+            f"this is no result of {', '.join(KINDS)}: give the JSON that jaxid fit, diagnose or"
+            " identify wrote"
         )
     which = content.get("which") if kind == "diagnosis" else content
     effects = which.get("effects", []) if isinstance(which, Mapping) else []
@@ -242,8 +243,10 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
         "joints": [_name(j, "robot.joints") for j in robot.get("joints") or []],
         "leads": [_name(j, "robot.leads") for j in robot.get("leads") or []],
         "held": {_name(k, "robot.held"): number(k, v) for k, v in held.items()},
-        "base": {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")}
-        | ({"kind": "free"} if base.get("kind") == "free" else {}),
+        "base": (
+            {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")}
+            | ({"kind": "free"} if base.get("kind") == "free" else {})
+        ),
         "without": [_name(n, "robot.without") for n in robot.get("without") or []],
         "drive": own,
         "taken_off": robot.get("taken_off") is True,

@@ -218,7 +218,10 @@ def _by_field(rows: Mapping[str, Any], field: str) -> dict[str, list[float]]:
 
 def _mjlab(rows: Mapping[str, Any]) -> str:
     lines = [
-        '"""Events of domain randomisation by what was measured; written for mjlab 1.6, not run."""',
+        (
+            '"""Events of domain randomisation by what was measured; written for mjlab 1.6, not'
+            ' run."""'
+        ),
         "",
         "from mjlab.envs.mdp import dr",
         "from mjlab.managers.event_manager import EventTermCfg",
@@ -244,7 +247,10 @@ def _mjlab(rows: Mapping[str, Any]) -> str:
 
 def _isaaclab(rows: Mapping[str, Any]) -> str:
     lines = [
-        '"""Events of domain randomisation by what was measured; written for Isaac Lab 3.0, not run."""',
+        (
+            '"""Events of domain randomisation by what was measured; written for Isaac Lab 3.0, not'
+            ' run."""'
+        ),
         "",
         "from isaaclab.envs import mdp",
         "from isaaclab.managers import EventTermCfg, SceneEntityCfg",
@@ -261,7 +267,10 @@ def _isaaclab(rows: Mapping[str, Any]) -> str:
             lines += [
                 f"    {f'{quantity}_{joint}'!r}: EventTermCfg(",
                 f'        func=mdp.{function}, mode="startup",',
-                f'        params={{"asset_cfg": SceneEntityCfg("robot", joint_names=[{joint!r}]), {key!r}: {tuple(interval)!r},',
+                (
+                    '        params={"asset_cfg": SceneEntityCfg("robot",'
+                    f" joint_names=[{joint!r}]), {key!r}: {tuple(interval)!r},"
+                ),
                 '                "operation": "abs", "distribution": "uniform"},',
                 "    ),",
             ]

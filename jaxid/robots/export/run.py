@@ -171,7 +171,8 @@ def _file(found: ExportOutcome, robot: str | Path | None, beside: Path | None) -
         )
     if found.robot.get("sha256") and digest(str(path)) != found.robot["sha256"]:
         raise UsageError(
-            f"{path} has changed since the result: give it with --robot {path} if it is to be patched as it stands now"
+            f"{path} has changed since the result: give it with --robot {path} if it is to be"
+            " patched as it stands now"
         )
     return path
 
@@ -199,7 +200,8 @@ def _as_recorded(found: ExportOutcome, tree: Tree, path: Path | None) -> Tree:
         lacking = [j for j in own if j not in tree.joints]
         if lacking:
             raise UsageError(
-                f"{path}: there is no joint {lacking[0]!r}, of which the result speaks{nearest(lacking[0], tree.joints)}"
+                f"{path}: there is no joint {lacking[0]!r}, of which the result"
+                f" speaks{nearest(lacking[0], tree.joints)}"
             )
         held = {k: v for k, v in found.robot["held"].items() if k in tree.joints}
         return led_as(tree, _leads(found)).locked(held)
@@ -208,8 +210,8 @@ def _as_recorded(found: ExportOutcome, tree: Tree, path: Path | None) -> Tree:
     if known == joints or len(joints) == len(tree.leading):
         return tree
     raise UsageError(
-        f"{path} has the joints {', '.join(tree.leading)}, the result of model {found.model!r} speaks of {', '.join(joints)}: "
-        "the robot's file goes with results of that robot"
+        f"{path} has the joints {', '.join(tree.leading)}, the result of model {found.model!r}"
+        f" speaks of {', '.join(joints)}: the robot's file goes with results of that robot"
     )
 
 
@@ -267,7 +269,8 @@ def _caveats(found: ExportOutcome) -> list[str]:
     if isinstance(which, Mapping):
         if which.get("verdict") in ("unknown", "partly"):
             out.append(
-                "a gap is left that no known effect explains: the fitted numbers may have taken up a part of it"
+                "a gap is left that no known effect explains: the fitted numbers may have taken up"
+                " a part of it"
             )
         others = [
             f"{e.get('effect')} at {e.get('location')}"
@@ -277,7 +280,8 @@ def _caveats(found: ExportOutcome) -> list[str]:
         out += [f"the data cannot tell what was named from {', '.join(others)}"] if others else []
     if found.content.get("state") in ("stalled", "budget"):
         out.append(
-            f"the fit ended by its {found.content['state']}, not converged: the numbers are not the best ones"
+            f"the fit ended by its {found.content['state']}, not converged: the numbers are not the"
+            " best ones"
         )
     return out
 

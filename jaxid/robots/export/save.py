@@ -75,7 +75,8 @@ def _refuse_overwriting(folder: Path, name: str, before: Mapping[str, Any]) -> N
         return
     if hashlib.sha256(read_small(path)).hexdigest() != before.get("files", {}).get(name):
         raise UsageError(
-            f"{path} was not written by jaxid export, or was edited since: it is left as it is; name another --out"
+            f"{path} was not written by jaxid export, or was edited since: it is left as it is;"
+            " name another --out"
         )
 
 

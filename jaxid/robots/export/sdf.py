@@ -44,7 +44,8 @@ def _text(
     sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[str, LinkInertia]
 ) -> str:
     lines = [
-        f"<!-- Copy these elements to the joints and links of your model; written for {VERSION}, not run. -->"
+        f"<!-- Copy these elements to the joints and links of your model; written for {VERSION},"
+        " not run. -->"
     ]
     names = {
         "damping": "damping",

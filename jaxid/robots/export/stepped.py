@@ -43,7 +43,10 @@ def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[st
         else found.effects
     )
     changed = effects != found.effects or numbers != found.parameters
-    note = f"armatures and delays are those of {steps.said}, which add h / 2 of all damping to an inertia and act h / 2 early"
+    note = (
+        f"armatures and delays are those of {steps.said}, which add h / 2 of all damping to an"
+        " inertia and act h / 2 early"
+    )
     return replace(found, parameters=numbers, effects=effects), (note,) if changed else ()
 
 

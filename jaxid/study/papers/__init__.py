@@ -40,33 +40,36 @@ PAPERS = {
         "10.5772/63935",
         "space_manipulator",
         5,
-        "The public copies of this paper have lost all equations, table values and figures: the plane two-joint arm, the "
-        "Stribeck law, bounds, trajectory and the algorithm's details are this library's reading of its words.",
+        "The public copies of this paper have lost all equations, table values and figures: the"
+        " plane two-joint arm, the Stribeck law, bounds, trajectory and the algorithm's details are"
+        " this library's reading of its words.",
     ),
     "001": Paper(
         "Online identification of a payload by parameter difference (UR10)",
         "10.1017/S026357472400105X",
         "payload",
         4,
-        "The twin has the paper's kinematics, friction and noise level, with the bodies nearest to its Table VI that can exist "
-        "(the printed inertias belong to no body); its excitation coefficients and drive gains are lost.",
+        "The twin has the paper's kinematics, friction and noise level, with the bodies nearest to"
+        " its Table VI that can exist (the printed inertias belong to no body); its excitation"
+        " coefficients and drive gains are lost.",
     ),
     "002": Paper(
         "Parameters of a flexible link by evolutionary algorithms",
         "10.3390/machines12060409",
         "flexible_link",
         4,
-        "The twin is a separately written finite-element model at the paper's own answer, under a pulse that turns it by the 80 "
-        "degrees of the published version; amplitudes, rates and noise are not in the paper.",
+        "The twin is a separately written finite-element model at the paper's own answer, under a"
+        " pulse that turns it by the 80 degrees of the published version; amplitudes, rates and"
+        " noise are not in the paper.",
     ),
     "003": Paper(
         "Parameters of a vision-based target tracker by a genetic algorithm",
         "10.5829/ije.2018.31.03c.11",
         "tracker",
         5,
-        "The twin integrates the paper's equations, the missing length of (4) put in, at the paper's own answer; "
-        "levels, durations "
-        "and rate of its input, its bounds and its generations are not in the text.",
+        "The twin integrates the paper's equations, the missing length of (4) put in, at the"
+        " paper's own answer; levels, durations and rate of its input, its bounds and its"
+        " generations are not in the text.",
     ),
 }
 
@@ -84,7 +87,8 @@ def reproduce(paper: str, budget: str = "small", progress: Progress | None = Non
         )
     if budget not in BUDGETS:
         raise UsageError(
-            f"there is no budget {budget!r}{nearest(budget, BUDGETS)}; there is {' and '.join(BUDGETS)}"
+            f"there is no budget {budget!r}{nearest(budget, BUDGETS)}; there is"
+            f" {' and '.join(BUDGETS)}"
         )
     known = PAPERS[paper]
     module: Any = importlib.import_module(f"jaxid.study.papers.{known.module}")

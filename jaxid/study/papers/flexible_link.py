@@ -210,9 +210,9 @@ def comparison(p: FitProblem, runs: Sequence[Searched]) -> PaperPart:
             "s a run",
         ),
         tuple(rows),
-        f"{len(runs[0].found)} seeds. Population 100, settings of the paper; 'w 0.73' is the constricted swarm, not "
-        "in the paper. "
-        f"J at the truth is {number(truth)}. The paper states no value of J.",
+        f"{len(runs[0].found)} seeds. Population 100, settings of the paper; 'w 0.73' is the"
+        f" constricted swarm, not in the paper. J at the truth is {number(truth)}. The paper states"
+        " no value of J.",
     )
     best = PaperTable(
         "Table 2: the best answers",
@@ -236,10 +236,12 @@ def comparison(p: FitProblem, runs: Sequence[Searched]) -> PaperPart:
     )
     de, ga, pso, tame = runs
     text = (
-        f"DE ends at {mean_sd(de.losses)}, GA at {mean_sd(ga.losses)}, PSO with the paper's inertia weight of 1.4 at "
-        f"{mean_sd(pso.losses)}, and with 0.73 at {mean_sd(tame.losses)} ({len(de.found)} seeds, first populations "
-        "drawn from the "
-        "whole box, which is searched linearly).",
+        (
+            f"DE ends at {mean_sd(de.losses)}, GA at {mean_sd(ga.losses)}, PSO with the paper's"
+            f" inertia weight of 1.4 at {mean_sd(pso.losses)}, and with 0.73 at"
+            f" {mean_sd(tame.losses)} ({len(de.found)} seeds, first populations drawn from the"
+            " whole box, which is searched linearly)."
+        ),
     )
     return PaperPart("Which algorithm", text, (table, best), pictures, claims(de, ga, pso, tame))
 
@@ -310,8 +312,8 @@ def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[P
         judged(
             "DE obtains its minimum at the twelfth generation",
             "12",
-            f"the best run comes within 5 % of its end at generation {arrived}; at generation 12 it stands at "
-            f"{number(after(de.best.history, 12), 2)} of {number(de.best.loss, 2)}",
+            f"the best run comes within 5 % of its end at generation {arrived}; at generation 12 it"
+            f" stands at {number(after(de.best.history, 12), 2)} of {number(de.best.loss, 2)}",
             arrived <= 13,
         ),
         judged(
@@ -356,8 +358,8 @@ def response(p: FitProblem, runs: Mapping[str, Searched]) -> PaperPart:
     claim = judged(
         "the answer of DE follows the experiment closely, near the peak above all",
         "",
-        f"DE leaves {100 * rows[0][1]:.1f} % of the response and {100 * rows[0][2]:.1f} % of the angle; the smallest "
-        f"sum has {closest}",
+        f"DE leaves {100 * rows[0][1]:.1f} % of the response and {100 * rows[0][2]:.1f} % of the"
+        f" angle; the smallest sum has {closest}",
         rows[0][1] < 0.05 and rows[0][2] < 0.05,
     )
     high = PaperClaim(
@@ -365,7 +367,8 @@ def response(p: FitProblem, runs: Mapping[str, Searched]) -> PaperPart:
         "",
         "",
         UNKNOWN,
-        "a matter of the rig's accelerometer; the twin's noise is the same share of the gain at all lines",
+        "a matter of the rig's accelerometer; the twin's noise is the same share of the gain at all"
+        " lines",
     )
     return PaperPart("Response with the best answers", (), (table,), pictures, (claim, high))
 
@@ -456,8 +459,9 @@ def validation(numbers: dict[str, float]) -> PaperPart:
             "fit, %",
         ),
         tuple(rows),
-        "(7) has no 1/N: the same error of the same run counts more where it is sampled more often. Lines of the response: those "
-        "up to 15 Hz at which the torque has a tenth of its largest line.",
+        "(7) has no 1/N: the same error of the same run counts more where it is sampled more often."
+        " Lines of the response: those up to 15 Hz at which the torque has a tenth of its largest"
+        " line.",
     )
     worst = min(row[-1] for row in rows)
     claim = judged(
@@ -469,7 +473,8 @@ def validation(numbers: dict[str, float]) -> PaperPart:
     printed = PaperClaim(
         "normalised errors of Table 3",
         "2.86 to 6.09 (angle), 1.51 to 1.71 (response)",
-        f"{listed([number(r[3]) for r in rows])} at 1 kHz, {number(float(np.mean(ratios)))} times those at 100 Hz",
+        f"{listed([number(r[3]) for r in rows])} at 1 kHz, {number(float(np.mean(ratios)))} times"
+        " those at 100 Hz",
         UNKNOWN,
         "(7) lacks 1/N and the paper does not state its sampling rate",
     )
@@ -494,12 +499,14 @@ def bent(h: float) -> PaperPart:
     pulsed = Dataset("pulse", CHANNELS, (run, *held), (), data().model)
     ways = {"linear response": True, "simulated response": False}
     found = {
-        k: fit(
-            None,
-            pulsed,
-            residual=FrequencyResponseError(linear=w, timed=("phi",), band_hz=(0.0, 20.0)),
-            loss="sum_of_norms",
-        ).parameters
+        k: (
+            fit(
+                None,
+                pulsed,
+                residual=FrequencyResponseError(linear=w, timed=("phi",), band_hz=(0.0, 20.0)),
+                loss="sum_of_norms",
+            ).parameters
+        )
         for k, w in ways.items()
     }
 
@@ -518,8 +525,8 @@ def bent(h: float) -> PaperPart:
         "Numbers found from one pulse, the response estimated from it",
         ("", "truth", "linear response", "off, %", "simulated response", "off, %"),
         rows,
-        "By (6), angle and response. Linear: as in the paper, the model's linear response against the measured one. "
-        "Simulated: both records through the same estimator.",
+        "By (6), angle and response. Linear: as in the paper, the model's linear response against"
+        " the measured one. Simulated: both records through the same estimator.",
     )
     bins, U, Y = estimate(t, u, y[:, 1], (0.0, 10.0), 0.1)
     f = np.fft.rfftfreq(t.size, h)[bins]
@@ -547,7 +554,10 @@ def bent(h: float) -> PaperPart:
         "the paper's pulse is not stated",
     )
     text = (
-        f"The response that is estimated from a pulse with dry friction peaks at {number(peak(f, np.abs(Y / U)))} Hz, the linear "
-        f"one of the same link at {number(peak(f, free))} Hz.",
+        (
+            "The response that is estimated from a pulse with dry friction peaks at"
+            f" {number(peak(f, np.abs(Y / U)))} Hz, the linear one of the same link at"
+            f" {number(peak(f, free))} Hz."
+        ),
     )
     return PaperPart("Dry friction in a frequency response", text, (table,), (picture,), (claim,))

@@ -240,8 +240,8 @@ def friction(twin: Twin) -> PaperPart:
         "RMSE of the torque by joint (N m), unloaded arm",
         ("", *(f"joint {j + 1}" for j in range(6))),
         tuple(rows),
-        "Identified on one motion, judged on another. The twin's noise is the paper's Table II, and the exponents "
-        "those of Table VI.",
+        "Identified on one motion, judged on another. The twin's noise is the paper's Table II, and"
+        " the exponents those of Table VI.",
     )
     better = [j + 1 for j in range(6) if error["power"][j] < error["linear"][j]]
     grid = np.linspace(-2, 2, 400)
@@ -269,7 +269,8 @@ def friction(twin: Twin) -> PaperPart:
         judged(
             "the identified dynamics predict the measured torque",
             "RMSE 0.99 to 4.18 N m",
-            f"RMSE without the noise {number(error['power'].min())} to {number(error['power'].max())} N m",
+            f"RMSE without the noise {number(error['power'].min())} to"
+            f" {number(error['power'].max())} N m",
             bool(np.all(error["power"] < NOISE)),
         ),
         PaperClaim(
@@ -302,9 +303,9 @@ def payload(twin: Twin, seeds: Sequence[int]) -> PaperPart:
                 "proposed, where its rule stops": early,
                 "Algorithm 1": same_trajectory(twin, loaded - empty),
                 "Algorithm 2": static_poses(rng),
-                "all 22 rows, weighted": payload_of(
-                    after[:40] - before[:40], 2 * cov[:40, :40], twin.base
-                ).mass[0],
+                "all 22 rows, weighted": (
+                    payload_of(after[:40] - before[:40], 2 * cov[:40, :40], twin.base).mass[0]
+                ),
             }
             for method, mass in values.items():
                 found.setdefault((kind, method), []).append(100 * (mass / MASS - 1))
@@ -323,9 +324,9 @@ def payload(twin: Twin, seeds: Sequence[int]) -> PaperPart:
         "Error of the payload's mass, %",
         ("noise", "method", "mean ± sd", "median of its size", "largest", "paper, one run"),
         rows,
-        f"{len(seeds)} runs of 10 s at 125 Hz, noise of Table II; coloured: 0.97 of a sample in the next. Proposed: "
-        "equations (7) to "
-        "(16), xi 100, P0 10. The second payload of the paper (3.223 kg, 0.43 %) is of the same kind.",
+        f"{len(seeds)} runs of 10 s at 125 Hz, noise of Table II; coloured: 0.97 of a sample in the"
+        " next. Proposed: equations (7) to (16), xi 100, P0 10. The second payload of the paper"
+        " (3.223 kg, 0.43 %) is of the same kind.",
     )
     own = np.array(found["white", "proposed"])
     sd = float(np.std(own, ddof=1))
@@ -335,8 +336,10 @@ def payload(twin: Twin, seeds: Sequence[int]) -> PaperPart:
         judged(
             "the payload's mass is identified to 0.04 %",
             "0.04 %",
-            f"error {mean_sd(own)} % with white noise, {mean_sd(np.array(found['coloured', 'proposed']))} % with "
-            f"coloured; {sum(abs(e) <= 0.04 for e in own)} of {len(own)} runs with white noise are within 0.04 %",
+            f"error {mean_sd(own)} % with white noise,"
+            f" {mean_sd(np.array(found['coloured', 'proposed']))} % with coloured;"
+            f" {sum(abs(e) <= 0.04 for e in own)} of {len(own)} runs with white noise are within"
+            " 0.04 %",
             typical["proposed"] <= 0.04,
         ),
         judged(
@@ -356,8 +359,7 @@ def payload(twin: Twin, seeds: Sequence[int]) -> PaperPart:
             "6.59 s",
             f"the stop rule fired in {len(fired)} of {len(seeds)} runs with white noise"
             + (f", after {number(float(np.median(fired)))} s" if fired else "")
-            + f"; one standard deviation of the "
-            f"mass is {sd:.2g} %",
+            + f"; one standard deviation of the mass is {sd:.2g} %",
             len(fired) > len(seeds) / 2,
         ),
         PaperClaim(
@@ -398,9 +400,9 @@ def choices(twin: Twin, seeds: Sequence[int]) -> PaperPart:
         "Error of the payload's mass by the recursion as printed, %",
         ("motion", "friction law", "mean ± sd", "median of its size"),
         rows,
-        f"White noise; the encoder's is {ENCODER:g} rad, the drives follow their command exactly. Fourier: five "
-        "harmonics of 0.1 Hz "
-        "fitted to the measured positions, then differentiated.",
+        f"White noise; the encoder's is {ENCODER:g} rad, the drives follow their command exactly."
+        " Fourier: five harmonics of 0.1 Hz fitted to the measured positions, then"
+        " differentiated.",
     )
     best, linear = ("commanded", "power"), ("commanded", "linear")
     plain, fourier = ("measured, differenced", "power"), ("measured, Fourier", "power")
@@ -419,8 +421,8 @@ def choices(twin: Twin, seeds: Sequence[int]) -> PaperPart:
         PaperClaim(
             "commanded motion improves it over measured motion",
             "",
-            f"rms error {size[best]:.2g} % commanded, {size[plain]:.2g} % measured and differenced, {size[fourier]:.2g} % "
-            "measured and differentiated as a Fourier series",
+            f"rms error {size[best]:.2g} % commanded, {size[plain]:.2g} % measured and differenced,"
+            f" {size[fourier]:.2g} % measured and differentiated as a Fourier series",
             (FAILS, PARTLY, HOLDS)[int(clear(best, plain)) + int(clear(best, fourier))],
             "no difference is counted within the scatter of these runs",
         ),
@@ -471,9 +473,8 @@ def motion(twin: Twin) -> PaperPart:
     claim = judged(
         "the acceleration from measured positions is too noisy",
         "shown in Figure 1",
-        f"differenced twice it is off by {number(rms(plain))} rad/s² rms, as a Fourier series by {rms(smooth):.1g}; "
-        "the motion's own is "
-        f"{number(float(np.sqrt(np.mean(qdd**2))))}",
+        f"differenced twice it is off by {number(rms(plain))} rad/s² rms, as a Fourier series by"
+        f" {rms(smooth):.1g}; the motion's own is {number(float(np.sqrt(np.mean(qdd**2))))}",
         rms(plain) > 0.3 * float(np.sqrt(np.mean(qdd**2))),
         "of plain differences; not of derivatives that keep the harmonics",
     )

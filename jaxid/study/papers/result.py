@@ -111,8 +111,8 @@ class Reproduction:
         compared = len(self.claims) - n[UNKNOWN]
         partly = f", {n[PARTLY]} in part" if n[PARTLY] else ""
         return (
-            f"Of {compared} claims that can be compared {n[HOLDS]} hold on the twin{partly}, {n[FAILS]} do not; "
-            f"{n[UNKNOWN]} cannot be checked."
+            f"Of {compared} claims that can be compared {n[HOLDS]} hold on the twin{partly},"
+            f" {n[FAILS]} do not; {n[UNKNOWN]} cannot be checked."
         )
 
     def to_dict(self) -> dict[str, Any]:

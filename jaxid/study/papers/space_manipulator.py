@@ -123,8 +123,8 @@ def recursion(offline: int) -> PaperPart:
             "s in all",
         ),
         rows,
-        f"{FIRST} samples off-line, {RECURSIONS} recursions of {BLOCK} samples, {LOOPS} generations each, 1 % torque noise. "
-        "Times without compiling.",
+        f"{FIRST} samples off-line, {RECURSIONS} recursions of {BLOCK} samples, {LOOPS} generations"
+        " each, 1 % torque noise. Times without compiling.",
     )
     end = runs["RDE"][-1].numbers
     found = PaperTable(
@@ -178,15 +178,16 @@ def recursion(offline: int) -> PaperPart:
         judged(
             "five calculation loops a recursion suffice",
             "5",
-            f"with five the objective ends at {number(whole(runs['RDE'][-1]) / least)} times the least, with {5 * LOOPS} at "
-            f"{number(more / least)} times",
+            f"with five the objective ends at {number(whole(runs['RDE'][-1]) / least)} times the"
+            f" least, with {5 * LOOPS} at {number(more / least)} times",
             enough,
         ),
         judged(
             "this is due to RDE's mutation",
             "",
-            f"with five loops on the carried population DE ends at {number(objective['DE'][-1] / least, 4)}, RDE at "
-            f"{number(objective['RDE'][-1] / least, 4)} times the least",
+            "with five loops on the carried population DE ends at"
+            f" {number(objective['DE'][-1] / least, 4)}, RDE at"
+            f" {number(objective['RDE'][-1] / least, 4)} times the least",
             bool(objective["RDE"][-1] * 1.05 < objective["DE"][-1]),
         ),
         judged(
@@ -254,9 +255,9 @@ def linear_system(count: int, seeds: int) -> PaperPart:
             "s a recursion",
         ),
         rows,
-        f"Medians of {len(errors['LS'])} noise seeds, 1 % torque noise. RDE goes on from the recursion before; the "
-        "others begin anew "
-        f"on all data, at most {count} generations. The paper's own values are lost.",
+        f"Medians of {len(errors['LS'])} noise seeds, 1 % torque noise. RDE goes on from the"
+        f" recursion before; the others begin anew on all data, at most {count} generations. The"
+        " paper's own values are lost.",
     )
     e = {k: float(np.median(v)) for k, v in errors.items()}
     n = {k: int(np.median(v)) for k, v in loops.items()}
@@ -329,8 +330,8 @@ def evaluations(seeds: int, cap: int) -> PaperPart:
         "Evaluations until the torque error is a thousandth of the torque",
         ("method", "reached", "evaluations, median", "range", "s a run"),
         rows,
-        f"Twelve unknowns, no noise, {seeds} seeds, at most {cap} evaluations; a residual with its derivatives counts "
-        f"{1 + p.size}.",
+        f"Twelve unknowns, no noise, {seeds} seeds, at most {cap} evaluations; a residual with its"
+        f" derivatives counts {1 + p.size}.",
     )
     order = sorted((k for k in typical if np.isfinite(typical[k])), key=typical.__getitem__)
     said = ", ".join(f"{k} {typical[k]:.0f}" for k in order)
@@ -343,10 +344,11 @@ def evaluations(seeds: int, cap: int) -> PaperPart:
             typical["RDE"] < min(typical["DE"], typical["ADE"]),
         ),
         PaperClaim(
-            "the literal wording (the step takes the place of the best vector) guides the population to the optimum",
+            "the literal wording (the step takes the place of the best vector) guides the"
+            " population to the optimum",
             "",
-            f"reached by {len(runs[[r.label for r in runs].index('RDE, literal')].reached(goal))} of {seeds} within "
-            f"{cap} evaluations",
+            f"reached by {len(runs[[r.label for r in runs].index('RDE, literal')].reached(goal))}"
+            f" of {seeds} within {cap} evaluations",
             HOLDS if np.isfinite(typical["RDE, literal"]) else FAILS,
             "as this library reads the words",
         ),
@@ -408,7 +410,8 @@ def change(count: int, offline: int) -> PaperPart:
             "evaluations a block",
         ),
         rows,
-        f"Blocks of {BLOCK} samples, {LOOPS} generations each; the load drops after block {count // 2}.",
+        f"Blocks of {BLOCK} samples, {LOOPS} generations each; the load drops after block"
+        f" {count // 2}.",
     )
     at = np.arange(begins, count + 1)
     curves = {"truth": (np.arange(1, count + 1), np.array([b["I2"] for b in truths]))}
@@ -423,7 +426,7 @@ def change(count: int, offline: int) -> PaperPart:
         judged(
             "RDE follows the system's dynamics exactly",
             "",
-            f"with growing data, as in the paper, it is "
+            "with growing data, as in the paper, it is "
             f"{number(ends['RDE, growing data (paper)'])} % "
             f"of the range off; with a window {number(ends['RDE, window of 3 blocks'])} %",
             ends["RDE, growing data (paper)"] < 2.0,
@@ -472,16 +475,17 @@ def base() -> PaperPart:
     )
     mass = rows[0][2] / twin.BODY["m2"] - 1
     text = (
-        f"With the heaviest base the model fits to {rows[0][-1]:.1f} % of the torque and the mass is "
-        f"{100 * mass:+.0f} % off: a small "
-        "residual does not show it.",
+        (
+            f"With the heaviest base the model fits to {rows[0][-1]:.1f} % of the torque and the"
+            f" mass is {100 * mass:+.0f} % off: a small residual does not show it."
+        ),
     )
     claims = (
         judged(
             "joint torques have little influence on the base, so that a fixed base may be assumed",
             "",
-            f"a base of 2500 kg changes the torques by {rows[0][1]:.0f} % and the identified mass by "
-            f"{100 * mass:+.0f} %",
+            f"a base of 2500 kg changes the torques by {rows[0][1]:.0f} % and the identified mass"
+            f" by {100 * mass:+.0f} %",
             abs(mass) < 0.05,
         ),
         PaperClaim(

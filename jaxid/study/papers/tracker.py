@@ -203,7 +203,8 @@ def comparison(p: FitProblem, runs: Sequence[Searched]) -> PaperPart:
         "Table 5: the cost F (7), degrees, both angles of both tests",
         ("method", "mean", "median", "least", "most", "evaluations", "s a run"),
         rows,
-        f"{len(runs[0].found)} runs, population 20. F at the truth is {number(truth)} degrees, all of it noise.",
+        f"{len(runs[0].found)} runs, population 20. F at the truth is {number(truth)} degrees, all"
+        " of it noise.",
     )
     named = [(k, *v) for k, v in ANSWERS.items()]
     found = PaperTable(
@@ -220,17 +221,19 @@ def comparison(p: FitProblem, runs: Sequence[Searched]) -> PaperPart:
     )
     ga, pso = runs
     text = (
-        f"With the two published answers put in, F differs by {number(between - truth)} degrees here; the published "
-        "means differ by "
-        f"{number(COST['PSO'] - COST['GA'])}.",
+        (
+            f"With the two published answers put in, F differs by {number(between - truth)} degrees"
+            f" here; the published means differ by {number(COST['PSO'] - COST['GA'])}."
+        ),
     )
     claims = (
         judged(
             "GA reaches a lower mean cost than PSO",
             "4194.63 against 8496.2",
-            f"means {number(F[ga.label].mean())} and {number(F[pso.label].mean())}, medians "
-            f"{number(float(np.median(F[ga.label])))} and "
-            f"{number(float(np.median(F[pso.label])))}, for {ga.evaluations} and {pso.evaluations} evaluations",
+            f"means {number(F[ga.label].mean())} and {number(F[pso.label].mean())}, medians"
+            f" {number(float(np.median(F[ga.label])))} and"
+            f" {number(float(np.median(F[pso.label])))}, for {ga.evaluations} and {pso.evaluations}"
+            " evaluations",
             F[ga.label].mean() < F[pso.label].mean(),
         ),
         PaperClaim(
@@ -331,23 +334,27 @@ def worth(best: Fit) -> PaperPart:
         "Least squares",
         ("", "truth", "found", "standard deviation", "found, rotor in its place"),
         rows,
-        f"{best.evaluations} evaluations. Last column: a twin whose rotor (all but the geometric "
-        f"{number(twin.GEOMETRIC)} kg m² of "
-        f"J_alpha) only tilts, fitted with the paper's model: loss {number(misled.loss)}, 1 being the noise.",
+        f"{best.evaluations} evaluations. Last column: a twin whose rotor (all but the geometric"
+        f" {number(twin.GEOMETRIC)} kg m² of J_alpha) only tilts, fitted with the paper's model:"
+        f" loss {number(misled.loss)}, 1 being the noise.",
     )
     wrong = misled.parameters["J_theta"].value / twin.GA["J_theta"] - 1
     text = (
-        f"Damping is known to {100 * max(share['b_theta'], share['b_alpha']):.2f} % by these tests, the inertias to "
-        f"{100 * max(share['J_theta'], share['J_alpha']):.1f} %. With the rotor in its place the paper's model fits "
-        f"{'to the noise' if misled.loss < 1.1 else 'not to the noise'} and J_theta is {100 * wrong:+.0f} % off; on a "
-        "run that turns "
-        f"both axes it then leaves {number(error)} degrees of theta.",
+        (
+            f"Damping is known to {100 * max(share['b_theta'], share['b_alpha']):.2f} % by these"
+            f" tests, the inertias to {100 * max(share['J_theta'], share['J_alpha']):.1f} %. With"
+            " the rotor in its place the paper's model fits"
+            f" {'to the noise' if misled.loss < 1.1 else 'not to the noise'} and J_theta is"
+            f" {100 * wrong:+.0f} % off; on a run that turns both axes it then leaves"
+            f" {number(error)} degrees of theta."
+        ),
     )
     claim = judged(
         "inertias and damping are identified",
         "J 0.117, 0.1; b 1.9, 1.495",
-        f"damping within {100 * max(share['b_theta'], share['b_alpha']):.2f} %; but J_theta {100 * wrong:+.0f} % at a loss of "
-        f"{number(misled.loss)} where the rotor does not yaw with the barrel",
+        f"damping within {100 * max(share['b_theta'], share['b_alpha']):.2f} %; but J_theta"
+        f" {100 * wrong:+.0f} % at a loss of {number(misled.loss)} where the rotor does not yaw"
+        " with the barrel",
         abs(wrong) < 0.2,
     )
     return PaperPart("What the four numbers are worth", text, (table,), (), (claim,))
@@ -372,15 +379,19 @@ def contradiction(candidates: tuple[str, ...] | None) -> PaperPart:
     curve = curve_of(found)
     picture = () if curve is None else (drawn(curve),)
     text = (
-        f"On motors as in Table 1 the model with formula (6) leaves {number(gap.gap_retuned)} times the noise after re-tuning. "
-        f"Verdict: {found.which.verdict}{'; named: ' + listed(named) if named else ''}; {number(gap.gap_after)} times "
-        "the noise is left.",
+        (
+            f"On motors as in Table 1 the model with formula (6) leaves {number(gap.gap_retuned)}"
+            " times the noise after re-tuning. Verdict:"
+            f" {found.which.verdict}{'; named: ' + listed(named) if named else ''};"
+            f" {number(gap.gap_after)} times the noise is left."
+        ),
     )
     actuator = bool(found.which.effects) and all(
         e.location.startswith("u_") for e in found.which.effects
     )
     claim = PaperClaim(
-        "(beyond the paper) the contradiction between Table 1 and (6) is found from the motion alone",
+        "(beyond the paper) the contradiction between Table 1 and (6) is found from the motion"
+        " alone",
         "",
         f"{found.which.verdict}: {listed(named) or 'nothing'}",
         (HOLDS if found.which.verdict == "named" else PARTLY) if actuator else FAILS,
