@@ -72,26 +72,50 @@ def signals_beside(binding: Binding, dataset: Dataset, inputs_agree: bool) -> li
         recorded, simulated = _runs(binding, outputs, positions)
     except UsageError:  # without a free run there is nothing to compare with
         return []
-    cutoff = max(_cutoffs(binding, recorded), default=0.0)
+    own = [chain.signature.outputs[k][0] for k in outputs]
     iu, _ = columns(binding.dataset, chain)
-    names = [chain.signature.outputs[k][0] for k in outputs]
-    names += [binding.dataset.inputs[i].name for i in iu]
-    found = {n: followed(recorded, simulated, k, cutoff) for k, n in enumerate(names)}
-    known = {name: f for name, f in found.items() if f is not None}
-    negated = [name for name, f in known.items() if f.ratio < 0]
-    own, inputs = names[: len(outputs)], names[len(outputs) :]
-    against = [name for name in inputs if name in negated and hidden]
+    inputs = [binding.dataset.inputs[i].name for i in iu]
+    known = _known(binding, recorded, simulated, [*own, *inputs])
+    negated = {name for name, f in known.items() if f.ratio < 0}
+    against = _among(inputs, negated) if hidden else []
     shown = _signs(
         dataset=dataset,
         joints=list(chain.signature.joints),
         outputs=own,
-        opposite=[name for name in own if name in negated],
+        opposite=_among(own, negated),
         against=against,
-        sure=inputs_agree or set(inputs) <= known.keys() - set(negated),
+        sure=inputs_agree or set(inputs) <= known.keys() - negated,
         whole=hidden and against == inputs,
     )
-    units = [_unit(dataset, name, known[name]) for name in own if name in known]
-    return shown + [s for s in units if s is not None]
+    return shown + _units(dataset, own, known)
+
+
+def _among(names: list[str], chosen: set[str]) -> list[str]:
+    """Those names that are chosen, in their order."""
+    return [name for name in names if name in chosen]
+
+
+def _known(
+    binding: Binding, recorded: Sequence[Run], simulated: Sequence[Run], names: list[str]
+) -> dict[str, Followed]:
+    """How each signal follows from the motion, of those that do."""
+    cutoff = max(_cutoffs(binding, recorded), default=0.0)
+    found = {}
+    for k, name in enumerate(names):
+        own = followed(recorded, simulated, k, cutoff)
+        if own is not None:
+            found[name] = own
+    return found
+
+
+def _units(dataset: Dataset, names: list[str], known: dict[str, Followed]) -> list[Shown]:
+    """Units of the outputs that are a known factor off."""
+    found = []
+    for name in _among(names, set(known)):
+        shown = _unit(dataset, name, known[name])
+        if shown is not None:
+            found.append(shown)
+    return found
 
 
 def _runs(
