@@ -154,7 +154,7 @@ def link(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("factor", [1.0, -1.0, -1 / 9.80665])
 def test_the_slow_part_of_a_signal_tells_its_sign_and_size(factor):
-    """What the model has 15 % otherwise, beside noise and a zero; a signal of its own says nothing."""
+    """Beside 15 % of another size, noise and a zero; a signal of its own says nothing."""
     t = np.arange(0.0, 8.0, 0.005)
     rng = np.random.default_rng(0)
 

@@ -18,7 +18,7 @@ from jaxid.conventions.readings import EFFECT_RANGE, nearest_factor
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
 from jaxid.data.signals import differentiate, filter_ends, zero_phase
-from jaxid.dynamics.joint_readings import all_read, cutoffs, joint_readings
+from jaxid.dynamics.joint_readings import cutoffs, joint_readings
 from jaxid.errors import UsageError
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.scores import free_runs
@@ -62,40 +62,60 @@ def signals_beside(binding: Binding, dataset: Dataset, inputs_agree: bool) -> li
     """
     chain = binding.chain
     hidden = chain.mechanism.hidden_states
-    read = {k for r in joint_readings(chain) for k in r}
+    readings = joint_readings(chain)
+    positions = [r.q for r in readings if r.q is not None]
+    read = {k for r in readings for k in r}
     outputs = [k for k in range(len(chain.signature.outputs)) if k not in read]
-    positions = [r.q for r in joint_readings(chain) if r.q is not None]
-    if not all_read(chain) or len(positions) < chain.nq or not dataset.inputs:
-        return []
-    if not outputs and not hidden:
+    if len(positions) < chain.nq or not dataset.inputs or not (outputs or hidden):
         return []
     try:
         recorded, simulated = _runs(binding, outputs, positions)
     except UsageError:  # without a free run there is nothing to compare with
         return []
-    cutoff = max(_cutoffs(binding, recorded), default=0.0)
-    found = [followed(recorded, simulated, k, cutoff) for k in range(recorded[0].signals.shape[1])]
-    told, driven = found[: len(outputs)], found[len(outputs) :]
-    names = [chain.signature.outputs[k][0] for k in outputs]
-    opposite = [n for n, f in zip(names, told, strict=True) if f is not None and f.ratio < 0]
+    own = [chain.signature.outputs[k][0] for k in outputs]
     iu, _ = columns(binding.dataset, chain)
     inputs = [binding.dataset.inputs[i].name for i in iu]
-    against = [n for n, f in zip(inputs, driven, strict=True) if f is not None and f.ratio < 0]
-    agree = [f is not None and f.ratio > 0 for f in driven]
+    known = _known(binding, recorded, simulated, [*own, *inputs])
+    negated = {name for name, f in known.items() if f.ratio < 0}
+    against = _among(inputs, negated) if hidden else []
     shown = _signs(
         dataset=dataset,
         joints=list(chain.signature.joints),
-        outputs=names,
-        opposite=opposite,
-        against=against if hidden else [],
-        sure=inputs_agree or (bool(agree) and all(agree)),
-        whole=hidden and len(against) == len(inputs),
+        outputs=own,
+        opposite=_among(own, negated),
+        against=against,
+        sure=inputs_agree or set(inputs) <= known.keys() - negated,
+        whole=hidden and against == inputs,
     )
-    return shown + [
-        s
-        for name, f in zip(names, told, strict=True)
-        if f is not None and (s := _unit(dataset, name, f)) is not None
-    ]
+    return shown + _units(dataset, own, known)
+
+
+def _among(names: list[str], chosen: set[str]) -> list[str]:
+    """Those names that are chosen, in their order."""
+    return [name for name in names if name in chosen]
+
+
+def _known(
+    binding: Binding, recorded: Sequence[Run], simulated: Sequence[Run], names: list[str]
+) -> dict[str, Followed]:
+    """How each signal follows from the motion, of those that do."""
+    cutoff = max(_cutoffs(binding, recorded), default=0.0)
+    found = {}
+    for k, name in enumerate(names):
+        own = followed(recorded, simulated, k, cutoff)
+        if own is not None:
+            found[name] = own
+    return found
+
+
+def _units(dataset: Dataset, names: list[str], known: dict[str, Followed]) -> list[Shown]:
+    """Units of the outputs that are a known factor off."""
+    found = []
+    for name in _among(names, set(known)):
+        shown = _unit(dataset, name, known[name])
+        if shown is not None:
+            found.append(shown)
+    return found
 
 
 def _runs(

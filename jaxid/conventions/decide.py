@@ -404,8 +404,13 @@ def _headline(reading: Reading, value: float, binding: Binding, what: str) -> st
         return f"{name} are exchanged; everything below takes each for the other"
     if reading.kind == "zero":
         return f"the zero of {name} is off by {_angle(value)}; everything below takes that away"
-    they = "are" if len(reading.channels) > 1 else "is"
-    return f"{name} {they} {value:.5g} times too large ({what}); everything below divides by that"
+    too = f"{_are(reading)} {value:.5g} times too large ({what})"
+    return f"{name} {too}; everything below divides by that"
+
+
+def _are(reading: Reading) -> str:
+    """The verb of its channels."""
+    return "are" if len(reading.channels) > 1 else "is"
 
 
 def _angle(value: float) -> str:
@@ -430,9 +435,7 @@ def _words(
         )
         said = f"{name} reads {_angle(value)} where its zero should be{turns}"
     else:
-        they = "are" if len(reading.channels) > 1 else "is"
-        it = "they are" if len(reading.channels) > 1 else "it is"
-        said = f"{name} {they} recorded {value:.5g} times as large as {it} ({what})"
+        said = f"{name} {_are(reading)} recorded {value:.5g} times as large as in truth ({what})"
     return f"Is it that {said}? {of[0].upper()}{of[1:]}; {doubt}." if doubt else f"{said}: {of}."
 
 

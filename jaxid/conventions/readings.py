@@ -220,11 +220,9 @@ def _scaled_sets(names: Names) -> list[tuple[str, ...]]:
     units = list(zip(every, map(names.unit, every), strict=True))
     sets = [(name,) for name, unit in units if unit != "1"]
     for unit in dict.fromkeys(unit for _, unit in units if unit != "1"):
-
-        def own(group):
-            return tuple(name for name in group if names.unit(name) == unit)
-
-        sets += [own(names.joints), own(names.inputs), own((*names.joints, *names.inputs))]
+        joints = tuple(name for name in names.joints if names.unit(name) == unit)
+        inputs = tuple(name for name in names.inputs if names.unit(name) == unit)
+        sets += [joints, inputs, (*joints, *inputs)]
     return list(dict.fromkeys(s for s in sets if s))
 
 
