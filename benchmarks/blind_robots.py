@@ -281,14 +281,14 @@ def main() -> dict[str, Any]:
     seed = exact[-1]["seed"]
     before = list(dict.fromkeys(r["seed"] for r in exact if r["seed"] != seed))
 
-    def own(seed):
+    def of_seed(seed):
         return [r for r in exact if r["seed"] == seed]
 
     def count(seed, what):
-        return sum(r[what] for r in own(seed))
+        return sum(r[what] for r in of_seed(seed))
 
     by_seed = ", ".join(
-        f"{count(s, 'right')} of {len(own(s))} ({count(s, 'wrong')} wrong; seed {s})"
+        f"{count(s, 'right')} of {len(of_seed(s))} ({count(s, 'wrong')} wrong; seed {s})"
         for s in before
     )
     beside = [r["mates"] for r in rows if r["named"] and r["mates"]]

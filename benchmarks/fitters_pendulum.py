@@ -269,8 +269,10 @@ def main(starts: int = 50) -> dict:
     for z in points[:seeds]:
         began = time.process_time()
 
-        def jac(z):
+        def slopes(z):
             return both(z)[1]
+
+        jac: Any = slopes
 
         found = least_squares(
             lambda z: both(z)[0],

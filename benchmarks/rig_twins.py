@@ -258,15 +258,10 @@ def motion(plant, t: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray, de
             def slope(s, x, w=way, c=command):
                 return np.concatenate([x[n:], accelerations(x, c, w)[0]])
 
-            if way:
-
-                def stop(s, x, w=way):
-                    return w * x[n] + (1e-12 if s == start else 0.0)
-
-            else:
-
-                def stop(s, x, c=command):
+            def stop(s, x, w=way, c=command):
+                if not w:
                     return plant.dry(0.0) - abs(accelerations(x, c, 0)[1])
+                return w * x[n] + (1e-12 if s == start else 0.0)
 
             start = a
             stop.terminal, stop.direction = True, -1  # pyright: ignore[reportFunctionMemberAccess]

@@ -260,13 +260,15 @@ def drive(t: np.ndarray, u: np.ndarray, truth: Truth, hold: str = "zero") -> lis
         def command(x, base=base, slope=slope, origin=origin):
             return base + slope * (x - origin)
 
+        arriving = command
         if np.any(truth.lag_s > 0):  # first order, exact for a constant command
 
-            def command(x, z=lagged, u=base, a=a):
+            def lagging(x, z=lagged, u=base, a=a):
                 return u + (z - u) * np.exp(-(x - a) / truth.lag_s)
 
-            lagged = command(b)
-        out.append(Piece(a, b, lambda x, c=command: driven(c(x), truth)))
+            arriving = lagging
+            lagged = lagging(b)
+        out.append(Piece(a, b, lambda x, c=arriving: driven(c(x), truth)))
     return out
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -83,7 +85,7 @@ def test_the_arms_twin_is_as_good_as_its_noise():
     )  # a motor of its own behind a stiff spring
     parts = round(1 / plant.rate / plant.step)
     y, soft = twins.rigid(plant, np.tile(u, (2, 1, 1)), p, parts, plant.step)[:, ::parts]
-    friction = {k: np.array(plant.nominal[k]) for k in ("viscous", "coulomb")}
+    friction: dict[str, Any] = {k: np.array(plant.nominal[k]) for k in ("viscous", "coulomb")}
     q, _ = ref.simulate(ref.planar_arm(), ref.Truth(**friction), t, u)
     assert np.ptp(q, axis=0).min() > 0.5 and np.abs(y - q).max() < 0.3 * plant.noise
     assert (

@@ -71,7 +71,7 @@ FINE = (
     "asymmetric_friction",
     "backlash",
     "joint_elasticity",
-    *(e.name for e in LIBRARY if law_of(e) is not None and law_of(e).port == "dry"),
+    *(e.name for e in LIBRARY if (law := law_of(e)) is not None and law.port == "dry"),
 )
 FINER = 5
 #: Relative L2 error of the outputs; steps are 0.2 ms (arm: 0.1 ms), or these divided by FINER.
@@ -133,7 +133,7 @@ class Product:
         self.bare = Chain(kind(), (), signature=signature)
         self.nominal = Chain(kind(), signature=signature)
         has = [e.name for e in self.nominal.effects]
-        self.kinds = [e for e in FIRST if self.nominal.offers(e)]
+        self.kinds: list[Any] = [e for e in FIRST if self.nominal.offers(e)]
         chain = self.nominal.with_effects(*(e() for e in self.kinds if e.name not in has))
         self.step = 1e-4 if nq > 1 else 2e-4
         self.s = Simulator(chain, self.t, self.u, self.step, size=8192, whole=True)
@@ -221,13 +221,21 @@ def truth(
         return ref.simulate(plant(), free, t, u)[0] * (1 + values["gain"])
     if effect not in ref.EFFECTS:
         return ref.simulate(plant(), by_law(effect, values, viscous), t, u)[0]
-    fields = {ref.EFFECTS[effect][p]: v for p, v in values.items()}
+    fields: dict[str, Any] = {ref.EFFECTS[effect][p]: v for p, v in values.items()}
     fields |= {
         name: float(np.ravel(fields[name])[0]) for name in ("delay", "other_hold") if name in fields
     }
     if effect == "position_dependent_friction":
         fields["coulomb"] = 0.1 * TORQUE[case]
-    return ref.simulate(plant(), ref.Truth(**({"viscous": viscous} | fields)), t, u)[0]
+    known: dict[str, Any] = {"viscous": viscous, **fields}
+    return ref.simulate(plant(), ref.Truth(**known), t, u)[0]
+
+
+def export_of(kind: Any) -> ExportLaw:
+    """What an effect says of its export."""
+    law = law_of(kind)
+    assert law is not None
+    return law
 
 
 def by_text(law: ExportLaw, numbers: dict[str, Any], **signals: Any) -> Any:
@@ -267,7 +275,7 @@ def test_laws_in_c_are_those_in_python(tmp_path):
     reference = TypicalMagnitudes(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
     lines, expected = [], []
     for kind in [e for e in LIBRARY if law_of(e)]:
-        law = law_of(kind)
+        law = export_of(kind)
         numbers = {name: spec.value for name, spec in specs(kind).items()}
         example = (kind.examples or kind.probes)[-1]
         numbers |= {name: resolve(value, reference) for name, value in example.items()}
@@ -299,7 +307,7 @@ def as_made(kind: Any, numbers: dict[str, float], signals: dict[str, np.ndarray]
 
 def as_exported(kind: Any, value: np.ndarray, signals: dict[str, np.ndarray]) -> np.ndarray:
     """The same from what the expression of its export says."""
-    port = law_of(kind).port
+    port = export_of(kind).port
     if port == "dry":
         return value * np.sign(signals["qd"])
     if port == "force" and issubclass(kind, InputEffect):
@@ -310,9 +318,9 @@ def as_exported(kind: Any, value: np.ndarray, signals: dict[str, np.ndarray]) ->
 @pytest.mark.parametrize("kind", [e for e in LIBRARY if law_of(e)], ids=lambda e: e.name)
 def test_what_is_exported_is_the_effect(kind):
     """The expression of an export beside the effect itself, at all its examples and signals."""
-    law = law_of(kind)
+    law = export_of(kind)
     drawn = np.random.default_rng(3).normal(size=(5, 50))
-    signals = dict(zip(("q", "qd", "load", "u", "y"), drawn, strict=True))
+    signals: dict[str, Any] = dict(zip(("q", "qd", "load", "u", "y"), drawn, strict=True))
     seen = {k: signals[k] for k in SIGNALS[law.port]}
     reference = TypicalMagnitudes(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
     for example in kind.examples or kind.probes:
@@ -552,7 +560,7 @@ def test_a_sensor_that_is_late_in_a_run_that_begins_in_motion(effect):
         else np.where(t < late, before, found(np.maximum(t - late, 0.0))[0])
     )
 
-    kind = next(e for e in LIBRARY if e.name == effect)
+    kind: Any = next(e for e in LIBRARY if e.name == effect)
     s = Simulator(
         Chain(Pendulum(), (), signature=Pendulum.signatures[0]).with_effects(kind()),
         t,

@@ -89,7 +89,7 @@ def space(floating: bool, share: float = 1.0) -> Any:
     def turn(a):
         return sp.Matrix([[sp.cos(a), -sp.sin(a)], [sp.sin(a), sp.cos(a)]])
 
-    def rate(e):
+    def rate(e) -> Any:
         return sum((sp.diff(e, c) * v for c, v in zip(q, qd, strict=True)), sp.zeros(2, 1))
 
     centre = sp.Matrix([x, y])

@@ -22,7 +22,7 @@ from jaxid.dynamics.mechanism import Lagrangian
 from jaxid.dynamics.parameter import constant, param
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.models import Joint, Pendulum, PlanarArm
-from jaxid.models.effects import LIBRARY
+from jaxid.models.effects import InputDelay
 from jaxid.numerics.precision import float64
 from simulated import REFERENCE, relative, Simulator, within_bounds
 
@@ -298,6 +298,6 @@ def test_delay_is_exact_on_irregular_times(delay):
     t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.004, 0.016, 100))])
     u = ref.multisine(t, [1.2], 2)
     q, _ = ref.simulate(ref.pendulum(), ref.Truth(viscous=0.05, delay=delay), t, u)
-    chain = Chain(Pendulum()).with_effects(*(e() for e in LIBRARY if e.name == "input_delay"))
+    chain = Chain(Pendulum()).with_effects(InputDelay())
     values = STICKY | {"coulomb": 0.0, "input_delay.delay@tau": delay}
     assert relative(Simulator(chain, t, u, 5e-4).outputs([values])[0], q) < 2e-6

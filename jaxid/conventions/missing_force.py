@@ -481,7 +481,7 @@ class ForceFit:
         )
 
 
-def _unit_force(kind: type[JointEffect], q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+def _unit_force(kind: type[JointEffect], q: Any, qd: Any) -> np.ndarray:
     """Force of a law of one number, where that is 1, along positions and speeds [... nq]."""
     (number,) = specs(kind)
     effect: Any = with_fields(neutral(kind), {number: np.float64(1.0)})
