@@ -38,8 +38,8 @@ from jaxid.problem.residual import OutputError
 from simulated import REFERENCE, relative, Simulator, within_bounds
 
 
-def law_of(kind: Any) -> ExportLaw | None:
-    """The expression by which an effect is exported."""
+def law_of(kind: Any) -> Any:
+    """The expression by which an effect is exported, None where it has none."""
     law = kind.export_law
     return law if isinstance(law, ExportLaw) and law.text else None
 
@@ -227,7 +227,8 @@ def truth(
     }
     if effect == "position_dependent_friction":
         fields["coulomb"] = 0.1 * TORQUE[case]
-    return ref.simulate(plant(), ref.Truth(**({"viscous": viscous} | fields)), t, u)[0]
+    acting: dict[str, Any] = {"viscous": viscous} | fields
+    return ref.simulate(plant(), ref.Truth(**acting), t, u)[0]
 
 
 def by_text(law: ExportLaw, numbers: dict[str, Any], **signals: Any) -> Any:
@@ -312,7 +313,7 @@ def test_what_is_exported_is_the_effect(kind):
     """The expression of an export beside the effect itself, at all its examples and signals."""
     law = law_of(kind)
     drawn = np.random.default_rng(3).normal(size=(5, 50))
-    signals = dict(zip(("q", "qd", "load", "u", "y"), drawn, strict=True))
+    signals: dict[str, Any] = dict(zip(("q", "qd", "load", "u", "y"), drawn, strict=True))
     seen = {k: signals[k] for k in SIGNALS[law.port]}
     reference = TypicalMagnitudes(torque=1.0, speed=1.0, angle=1.0, duration=1.0, step=0.01)
     for example in kind.examples or kind.probes:
