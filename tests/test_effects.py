@@ -38,8 +38,8 @@ from jaxid.problem.residual import OutputError
 from simulated import REFERENCE, relative, Simulator, within_bounds
 
 
-def law_of(kind: Any) -> ExportLaw | None:
-    """The expression by which an effect is exported."""
+def law_of(kind: Any) -> Any:
+    """The expression by which an effect is exported, None where it has none."""
     law = kind.export_law
     return law if isinstance(law, ExportLaw) and law.text else None
 

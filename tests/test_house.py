@@ -9,15 +9,15 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 25.4,
+    measure_house.DENSITY: 24.8,
     "fmt: skip": 14,
-    "lines over 100 columns": 793,
+    "lines over 100 columns": 113,
     "not recorded": 37,
-    "functions of more than 15 decisions": 149,
+    "functions of more than 15 decisions": 146,
     "calls with 8 or more positional arguments": 7,
     "comprehensions with a loop or choice inside": 539,
-    "named lambdas": 231,
-    "class names in two or more modules": 44,
+    "named lambdas": 3,
+    "class names in two or more modules": 1,
     "effect ids quoted": 3,
 }
 #: Texts of the core that are also ids of effects, and what they are there.

@@ -108,6 +108,13 @@ def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
         ) from None
 
 
+def _leads_away(file: str) -> bool:
+    """Whether a name is one of a place outside the folder, on any system."""
+    if ".." in re.split(r"[/\\]", file):
+        return True
+    return Path(file).is_absolute() or file[1:2] == ":" or file[:1] == "\\"
+
+
 class _Folder:
     """The data files of a folder, each read once."""
 
@@ -147,16 +154,12 @@ class _Folder:
     def _content(
         self, file: str, key: tuple[str | int, ...], suffixes: tuple[str, ...]
     ) -> bytes | DatasetProblem:
-        parts = re.split(r"[/\\]", file)
         kinds = " nor ".join(s for s in suffixes if s != ".pq")
         try:
             path = self.folder / file
             if any(c in file for c in "\a\b\t\n\v\f\r"):
                 return self._absent(file, key, suffixes)  # "sub\run.csv" holds a carriage return
-            outside = (
-                ".." in parts or Path(file).is_absolute() or file[1:2] == ":" or file[:1] == "\\"
-            )
-            if outside or not path.resolve().is_relative_to(self.folder.resolve()):
+            if _leads_away(file) or not path.resolve().is_relative_to(self.folder.resolve()):
                 return self.places.problem(
                     key,
                     f"{file!r} lies outside the folder",

@@ -128,7 +128,8 @@ def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
     return robot, root
 
 
-def _read(path: Path, text: str | None = None) -> _Robot:
+def _robot_element(path: Path, text: str | None) -> Any:
+    """The outermost element of a URDF. Raises `UsageError` for a file that is none."""
     from xml.etree.ElementTree import ParseError
 
     try:
@@ -154,6 +155,11 @@ def _read(path: Path, text: str | None = None) -> _Robot:
         raise UsageError(
             f"{path}: a xacro file; expand it first, into another file: xacro {path.name} > {other}"
         )
+    return tree
+
+
+def _read(path: Path, text: str | None = None) -> _Robot:
+    tree = _robot_element(path, text)
     robot = _Robot()
     for link in tree.findall("link"):
         name = _text(link, "name", path, "a link")

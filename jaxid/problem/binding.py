@@ -280,12 +280,8 @@ def parse_effect(
     kind = catalogue.effect_class(name, chain.mechanism)
     places = chain.offers(kind)
     if not places:
-        kinds = [catalogue.effect_class(n) for n in catalogue.effect_names()]
-        able = [k.name for k in kinds if k.name not in chain.contents and chain.offers(k)]
-        raise UsageError(
-            f"{name} has no place in {chain.mechanism.name}, which can take:"
-            f" {', '.join(able) or 'none'}"
-        )
+        able = ", ".join(_missing(chain)) or "none"
+        raise UsageError(f"{name} has no place in {chain.mechanism.name}, which can take: {able}")
     held = chain.mechanism.held() if any(e.name == name for e in chain.effects) else frozenset()
     layout = Layout(chain)
     frees = bool(held) and any(layout.names[i] in held for i in layout.of_effect(name))
@@ -301,6 +297,12 @@ def parse_effect(
             f"{name} can act at {', '.join(places)}: say where, as in {name}@{places[0]}"
         )
     return kind, place or None
+
+
+def _missing(chain: Chain) -> list[str]:
+    """Effects that a chain has a place for and does not have."""
+    kinds = [catalogue.effect_class(name) for name in catalogue.effect_names()]
+    return [k.name for k in kinds if k.name not in chain.contents and chain.offers(k)]
 
 
 def bind(

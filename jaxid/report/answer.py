@@ -104,19 +104,23 @@ def place(finding: Finding) -> str:
     return f"{finding.location}, {how}"
 
 
+def _nothing_named(diagnosis: Diagnosis) -> tuple[str, list[str]]:
+    which = diagnosis.which
+    fact = "None" if which.verdict == "none" else "Unknown"
+    sentences = [first_of_all(diagnosis, which.text or text.which_sentence(which))]
+    hidden = [u for u in diagnosis.unseen if u.moved and not u.absorbed]
+    if hidden:
+        many = f"{len(hidden)} effects" if len(hidden) > 1 else "one effect"
+        sentences.append(
+            f"Other motions may show more: {many} could hide in these recordings (below)."
+        )
+    return fact, [s for s in sentences if s]
+
+
 def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     which = diagnosis.which
     if which.verdict in ("none", "unknown"):
-        fact = "None" if which.verdict == "none" else "Unknown"
-        hidden = [u for u in diagnosis.unseen if u.moved and not u.absorbed]
-        many = f"{len(hidden)} effects" if len(hidden) > 1 else "one effect"
-        rest = (
-            f"Other motions may show more: {many} could hide in these recordings (below)."
-            if hidden
-            else ""
-        )
-        said = first_of_all(diagnosis, which.text or text.which_sentence(which))
-        return fact, [s for s in (said, rest) if s]
+        return _nothing_named(diagnosis)
     sentences = text.meaning(which)
     for effect in which.effects:
         prefix = f"{words(effect)}: " if len(which.effects) > 1 else ""

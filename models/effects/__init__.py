@@ -5,6 +5,8 @@ imports it.
 if __name__ != "jaxid.models.effects":
     raise ImportError("import jaxid.models.effects, not models.effects")
 
+from typing import Any
+
 from jaxid.dynamics.effect import Effect
 
 from .actuator import (
@@ -89,10 +91,10 @@ _FIRST = (
 )
 
 
-def _registered() -> tuple[type[Effect], ...]:
+def _registered() -> tuple[Any, ...]:
     kinds = {v for v in globals().values() if isinstance(v, type) and issubclass(v, Effect)}
     later = kinds - {Effect, *_FIRST}
     return (*_FIRST, *sorted(later, key=lambda kind: kind.name))
 
 
-LIBRARY: tuple[type[Effect], ...] = _registered()
+LIBRARY: tuple[Any, ...] = _registered()

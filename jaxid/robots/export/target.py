@@ -158,6 +158,15 @@ def joined(*notes: str) -> str:
     return "; ".join(n for n in notes if n)
 
 
+def _who_does(file: str, each_step: bool) -> str:
+    """Who makes a law that no field says."""
+    if not file:
+        return "no field has it: a plugin of your own would do it"
+    if each_step:
+        return f"no field has it: {file} does it each step"
+    return f"no field has it: {file} has it, for a plugin of your own"
+
+
 def coded(
     file: str,
     more: Mapping[str, str] | None = None,
@@ -178,11 +187,7 @@ def coded(
         law = law_of(change.quantity)
         if law is not None and change.place:
             held = bool(file) and (remembers or not law.memory)
-            who = "no field has it: a plugin of your own would do it"
-            if held and remembers:
-                who = f"no field has it: {file} does it each step"
-            elif held:
-                who = f"no field has it: {file} has it, for a plugin of your own"
+            who = _who_does(file if held else "", each_step=remembers)
             note = joined(who, law.words, change.note)
             return ExportRow(
                 change.effect,
