@@ -111,6 +111,17 @@ def test_a_simulation_that_is_run_twice_is_asked_about():
     )
 
 
+@pytest.mark.parametrize("count", [45, 60, 90])
+def test_repeats_whose_codes_agree_are_asked_about(count):
+    """A coarse encoder gives two short runs the same codes; so few readings hardly show its step."""
+    step = 2 * np.pi / 200
+    runs = [np.round(motion(seed, noise=1e-6)[:count] / step) * step for seed in (0, 1)]
+    assert np.array_equal(*runs)
+    found, checked = found_copies(recorded(*runs))
+    assert all(not f.decisive for f in found)
+    assert checked.mended is not None and len(checked.mended.experiments) == 2
+
+
 @pytest.mark.parametrize("blurred", [False, True])
 def test_motion_on_an_odd_clock_is_no_noise_of_a_copy(blurred):
     """A clock that alternates makes motion alternate by rows; time stamps that scatter, by

@@ -5,6 +5,7 @@ repeatability, budgets, divergence.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import warnings
 from functools import cache
 from typing import Any
@@ -222,6 +223,7 @@ def test_time_is_kept(kind):
 T = np.arange(201) * 0.01
 
 
+@functools.cache
 def data_of(model: str) -> jaxid.Dataset:
     """Two seconds at 100 Hz of a separately written plant."""
     u = ref.multisine(T, [1.0], 0, periods=1)

@@ -16,7 +16,7 @@ from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.mending import Mending
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset, Experiment
-from jaxid.data.noise import quantisation_step
+from jaxid.data.noise import possible_step, quantisation_step
 from jaxid.data.time_stamps import differences
 
 
@@ -92,8 +92,8 @@ def _run(dataset: Dataset, e: Experiment) -> RunSamples:
     loose = np.maximum(OF_STEP * np.array(steps), digits)
     ny = e.y.shape[1]
     noisy = any(
-        _noise_shows(e.t[:LONGEST], x, step, d)
-        for x, step, d in zip(samples.T[:ny], steps, digits, strict=False)
+        _noise_shows(e.t[:LONGEST], x, possible_step(x) or 0.0, d)
+        for x, d in zip(samples.T[:ny], digits, strict=False)
     )
     return RunSamples(e, samples, loose, noisy)
 

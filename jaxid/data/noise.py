@@ -216,6 +216,17 @@ def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
     return step if enough and on_grid > 0.99 else None
 
 
+def possible_step(values: np.ndarray) -> float | None:
+    """The step that readings [time] may be rounded to, or None where some do not fit it. Unlike
+    `quantisation_step` it asks for no number of readings: what it gives is not ruled out.
+    """
+    found = _grid_of(np.asarray(values, dtype=float))
+    if found is None:
+        return None
+    step, _, on_grid = found
+    return step if on_grid > 0.99 else None
+
+
 def _grid_of(values: np.ndarray) -> tuple[float, bool, float] | None:
     """Smallest distance of distinct values, whether there are values enough to call it a step, and
     the share of distances that are multiples of it; None where there are too few.
