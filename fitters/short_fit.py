@@ -1,4 +1,4 @@
-"""A short fit that only compares: what a model leaves of some data."""
+"""Simulations that only compare: what a model leaves of some data, and how it moves by itself."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.errors import UsageError
-from jaxid.fitting.problem_builder import default_residual
+from jaxid.fitting.problem_builder import default_residual, estimate_starts, ProblemBuilder
 from jaxid.fitting.run import fit_binding
+from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import bind, Binding
 
 from .lm import LevenbergMarquardt
@@ -33,3 +34,13 @@ def left_by_short_fit(
     except UsageError:
         return None
     return float(np.sqrt(found.loss)) if np.isfinite(found.loss) and found.loss < 1e30 else None
+
+
+def free_motion(binding: Binding) -> list[np.ndarray]:
+    """Outputs [time ny] of each run to fit, as the model moves with the numbers that it was given.
+
+    Raises `UsageError` where no free run is made of it.
+    """
+    bench = ProblemBuilder(binding)
+    starts = estimate_starts(bench, "fit", [binding.theta])
+    return list(free_runs(bench, "fit", [binding.theta], starts)[0])

@@ -128,9 +128,9 @@ def _checked(
 ) -> Checked:
     """The check that comes before every answer."""
     from jaxid.conventions.checking import run_check
-    from jaxid.fitters.short_fit import left_by_short_fit
+    from jaxid.fitters.short_fit import free_motion, left_by_short_fit
 
-    return run_check(model, dataset, without, as_recorded, left_by_short_fit)
+    return run_check(model, dataset, without, as_recorded, left_by_short_fit, free_motion)
 
 
 def _fit(

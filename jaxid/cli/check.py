@@ -37,11 +37,13 @@ def check(dataset, out, model, without, as_recorded, as_json, quiet) -> int:
     runtime.prepare()
     from jaxid.conventions.checking import check_folder
     from jaxid.conventions.words import checked_text
-    from jaxid.fitters.short_fit import left_by_short_fit
+    from jaxid.fitters.short_fit import free_motion, left_by_short_fit
     from jaxid.serialise import finite
 
     def work():
-        return check_folder(model, dataset, without or (), as_recorded, left_by_short_fit)
+        return check_folder(
+            model, dataset, without or (), as_recorded, left_by_short_fit, free_motion
+        )
 
     if out is not None:
         writable_folder(out)

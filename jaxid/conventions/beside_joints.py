@@ -6,7 +6,7 @@ slip.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +20,6 @@ from jaxid.data.dataset import Dataset
 from jaxid.data.signals import differentiate, filter_ends, zero_phase
 from jaxid.dynamics.joint_readings import cutoffs, joint_readings
 from jaxid.errors import UsageError
-from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
-from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
@@ -33,6 +31,10 @@ FOLLOWS, SEEN = 0.9, 0.8
 SLOW = 1.0, 1 / 2, 1 / 4, 1 / 8, 1 / 16, 1 / 32
 #: A run holds at least so many periods of a cutoff.
 PERIODS = 4
+
+
+#: Outputs [time ny] of each run to fit, as the model of a binding moves freely under its inputs.
+FreeRuns = Callable[[Binding], Sequence[np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,12 @@ class Followed:
     share: float
 
 
-def signals_beside(binding: Binding, dataset: Dataset, inputs_agree: bool) -> list[Shown]:
+def signals_beside(
+    binding: Binding, dataset: Dataset, inputs_agree: bool, free: FreeRuns
+) -> list[Shown]:
     """Signs and units of the outputs that read no joint; of models with hidden states those of the
-    inputs, too. `inputs_agree`: the inputs were compared with the motion before, and mended.
+    inputs, too. `inputs_agree`: the inputs were compared with the motion before, and mended. `free`
+    simulates.
     """
     chain = binding.chain
     hidden = chain.mechanism.hidden_states
@@ -69,7 +74,7 @@ def signals_beside(binding: Binding, dataset: Dataset, inputs_agree: bool) -> li
     if len(positions) < chain.nq or not dataset.inputs or not (outputs or hidden):
         return []
     try:
-        recorded, simulated = _runs(binding, outputs, positions)
+        recorded, simulated = _runs(binding, outputs, positions, free)
     except UsageError:  # without a free run there is nothing to compare with
         return []
     own = [chain.signature.outputs[k][0] for k in outputs]
@@ -119,17 +124,14 @@ def _units(dataset: Dataset, names: list[str], known: dict[str, Followed]) -> li
 
 
 def _runs(
-    binding: Binding, outputs: Sequence[int], positions: Sequence[int]
+    binding: Binding, outputs: Sequence[int], positions: Sequence[int], free: FreeRuns
 ) -> tuple[list[Run], list[Run]]:
     """The runs to fit, as recorded and as the model moves freely under their inputs."""
     chain = binding.chain
     iu, iy = columns(binding.dataset, chain)
     runs = binding.experiments("fit")
-    bench = ProblemBuilder(binding)
-    starts = estimate_starts(bench, "fit", [binding.theta])
-    free = free_runs(bench, "fit", [binding.theta], starts)[0]
     recorded, simulated = [], []
-    for e, y in zip(runs, free, strict=True):
+    for e, y in zip(runs, free(binding), strict=True):
         part = slice(0, LONGEST)
         t, u, own = e.t[part], e.u[part][:, iu], e.motion()[part][:, iy]
         for out, into in ((own, recorded), (np.asarray(y)[part], simulated)):

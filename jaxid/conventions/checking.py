@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.conventions import bodies, runs, samples
-from jaxid.conventions.beside_joints import signals_beside
+from jaxid.conventions.beside_joints import FreeRuns, signals_beside
 from jaxid.conventions.copies import copies
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
@@ -60,9 +60,10 @@ def run_check(
     without: Iterable[str] = (),
     as_recorded: bool = False,
     gap: Gap | None = None,
+    free: FreeRuns | None = None,
 ) -> Checked:
     """See `jaxid.check`; with `gap`, findings that need the model are confirmed by simulations, as
-    recorded and mended.
+    recorded and mended. With `free`, outputs that read no joint are compared with a free run.
     """
     began = time.perf_counter()
     found, data, change = _by_itself(dataset, as_recorded)
@@ -91,7 +92,7 @@ def run_check(
                         binding = _bound(model, data, tuple(without))[0] or binding
                 found += bodies.impossible(binding.chain.mechanism)
                 notes += sentences_of(binding.chain.mechanism, binding.dataset)
-                more, data = _by_model(binding, data, as_recorded, gap)
+                more, data = _by_model(binding, data, as_recorded, gap, free)
                 found = told_once(found, more)
             except (
                 UsageError
@@ -119,6 +120,7 @@ def check_folder(
     without: Iterable[str] = (),
     as_recorded: bool = False,
     gap: Gap | None = None,
+    free: FreeRuns | None = None,
 ) -> Checked:
     """The check of a dataset's folder; one that is refused for what a finding says is a result, not
     an error.
@@ -137,7 +139,7 @@ def check_folder(
             raise
         name = os.path.basename(os.path.abspath(path))
         return Checked(name, "", tuple(found), None, usable=False)
-    return run_check(model, dataset, without, as_recorded, gap)
+    return run_check(model, dataset, without, as_recorded, gap, free)
 
 
 def _usable(found: list[DataFinding], dataset: Dataset) -> bool:
@@ -254,7 +256,11 @@ def _law_read(
 
 
 def _by_model(
-    binding: Binding, data: Dataset, as_recorded: bool, gap: Gap | None
+    binding: Binding,
+    data: Dataset,
+    as_recorded: bool,
+    gap: Gap | None,
+    free: FreeRuns | None,
 ) -> tuple[list[DataFinding], Dataset]:
     """What the model tells, confirmed by a simulation, applied."""
     driven = bool(
@@ -274,8 +280,10 @@ def _by_model(
         shown = _confirmed(binding, mended(data, first), total, shown, gap)
     every = [*plain, *shown]
     marked, data = _applied(every, data, as_recorded)
+    if free is None:
+        return marked, data
     asked = _bound_again(binding, data) if any(f.applied for f in marked) else binding
-    beside = signals_beside(asked, data, inputs_agree=fit is not None)
+    beside = signals_beside(asked, data, inputs_agree=fit is not None, free=free)
     more, data = _applied(beside, data, as_recorded)
     return [*marked, *more], data
 

@@ -20,7 +20,7 @@ from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
-from jaxid.fitters.short_fit import left_by_short_fit
+from jaxid.fitters.short_fit import free_motion, left_by_short_fit
 from jaxid.identification import estimators as solve, regression
 from jaxid.identification.commanded import commanded
 from jaxid.identification.estimators import LinearEstimate
@@ -101,7 +101,7 @@ def identify(
     refuse_free("identify", dataset)
     dataset = commanded(dataset) if motion == "commanded" else dataset
     dataset = (
-        checked := run_check(model, dataset, (), as_recorded, left_by_short_fit)
+        checked := run_check(model, dataset, (), as_recorded, left_by_short_fit, free_motion)
     ).mended or dataset
     robot = origin_on(model, dataset)
     model, dataset = as_arm(model, dataset)
