@@ -8,6 +8,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
+from jaxid.diagnosis.budget import budget, Step
 from jaxid.diagnosis.cause import words
 from jaxid.display import Displayed, displays
 from jaxid.fitting.result import EffectEstimate, Fit, Trace, with_origin
@@ -253,6 +254,12 @@ class Diagnosis(Displayed, Exportable):
     rivals: Rivals | None = field(default=None, repr=False, compare=False)
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
 
+    @property
+    def budget(self) -> tuple[Step, ...]:
+        """Gaps from the model as stated to what is left, step by step, on held-out runs."""
+        stated = self.nominal.stated or self.final.stated
+        return budget(self.how_far, stated, self.which.verdict)
+
     def next_run(self, **settings: Any) -> Excitation:
         """What to record next: the input that best tells the two leading hypotheses apart, within
         what the recorded runs reached, as a dataset to play: `.save(folder)`, then `jaxid record
@@ -282,7 +289,10 @@ class Diagnosis(Displayed, Exportable):
             "residual": self.residual,
             "where": [f.to_dict() for f in self.where],
             "which": self.which.to_dict(),
-            "how_far": self.how_far.to_dict(),
+            "how_far": {
+                **self.how_far.to_dict(),
+                "budget": [step.to_dict() for step in self.budget],
+            },
             "next_experiment": self.next_experiment,
             "unseen": [u.to_dict() for u in self.unseen],
             "parameters": {k: v.to_dict() for k, v in self.final.parameters.items()},

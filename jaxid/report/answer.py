@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from jaxid import wording
 from jaxid.report import plot, text
+from jaxid.report.budget_text import budget_sentence, headline_of_unknown
 from jaxid.report.other_numbers import first_of_all, other_numbers, other_places
 from jaxid.report.page import Section
 
@@ -65,7 +66,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if which.verdict == "none":
         return other_numbers(diagnosis) or "Nothing is missing: the model reaches the noise."
     if which.verdict == "unknown":
-        return "There is a gap that no known effect explains."
+        return headline_of_unknown(diagnosis)
     return text.lacks(
         which,
         text.at_places,
@@ -153,7 +154,7 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     else:
         share = wording.percent(how_far.shrinkage)
         fact = f"{share[:1].upper()}{share[1:]} of the gap closed"
-    sentences = [text.how_far_sentence(how_far, verdict)]
+    sentences = [budget_sentence(diagnosis), text.how_far_sentence(how_far, verdict)]
     if how_far.shrinkage is None or verdict == "unknown":
         sentences.append(text.shrinkage_sentence(how_far, verdict))
     elif how_far.shrinkage_interval_95 is None:

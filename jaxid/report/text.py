@@ -9,6 +9,7 @@ from typing import Any, TYPE_CHECKING
 from jaxid.conventions.finding import data_lines
 from jaxid.diagnosis.cause import words
 from jaxid.diagnosis.reasons import WithinAStep
+from jaxid.report.budget_text import budget_sentence
 from jaxid.report.other_numbers import first_of_all
 from jaxid.wording import (
     by_effect,
@@ -115,13 +116,9 @@ def stated_sentences(
 
     every = [s.parameter for s in stated]
 
-    # "kp / inertia"
-    def together(s):
-        return " " in s.parameter
-
-    # "armature of elbow_flex"
+    # "armature of elbow_flex", but not "kp / inertia"
     def several(s):
-        return not together(s) and (s.link or every.count(s.parameter) > 1)
+        return " " not in s.parameter and (s.link or every.count(s.parameter) > 1)
 
     def best(s):
         return s.fitted if s.beside is None else s.beside
@@ -369,6 +366,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         paragraph(
             "HOW FAR",
             [
+                budget_sentence(diagnosis),
                 how_far_sentence(how_far, which.verdict),
                 shrinkage_sentence(how_far, which.verdict),
                 *(channel_sentence(how_far, name, which.verdict) for name in channels),
