@@ -1,5 +1,5 @@
-"""The one door from a value to what shows it: pages, pictures and texts stand above the values that they show, and are
-read when somebody asks for them (`jaxid.report.display`).
+"""The one door from a value to what shows it: pages, pictures and texts stand above the values that
+they show, and are read when somebody asks for them (`jaxid.report.display`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def displays() -> Any:
-    """The module `jaxid.report.display`: `text`, `page`, `fragment`, `write` and `picture` of a value."""
+    """The module `jaxid.report.display`: text, page, fragment, picture of a value."""
     return import_module("jaxid.report.display")
 
 
@@ -25,7 +25,7 @@ class Displayed(Printed):
     """Abstract: a result with a text, a fragment for notebooks, and a page of its own."""
 
     def report(self, path: str | Path) -> Path:
-        """Writes the report page (one self-contained HTML file, whole or not at all) and returns its path.
+        """Writes the report page (one self-contained HTML file) and returns its path.
 
         Raises `NotSaved` where it cannot be written.
         """

@@ -11,7 +11,7 @@ import measure_house
 LIMITS = {
     measure_house.DENSITY: 24.8,
     "fmt: skip": 14,
-    "lines over 100 columns": 113,
+    "lines over 100 columns": 110,
     "not recorded": 37,
     "functions of more than 15 decisions": 146,
     "calls with 8 or more positional arguments": 7,
