@@ -25,9 +25,9 @@ MOST = 0.9
 class Step:
     """A model, and the gap that it leaves on held-out runs, in multiples of the noise.
 
-    `closes` is the share of the mean square above the noise that it takes from the step before, None
-    where that has no size. `of` are the stated numbers that re-tuning moves, `rms` what is left of
-    each output, (value, unit).
+    `closes` is the share of the mean square above the noise that it takes from the step before,
+    None where that has no size. `of` are the stated numbers that re-tuning moves, `rms` what is
+    left of each output, (value, unit).
     """
 
     step: str  # stated, numbers, effects, left, any_free_law
@@ -48,8 +48,8 @@ class Step:
 
 
 def budget(how_far: HowFar, stated: Sequence[StatedNumber], verdict: str) -> tuple[Step, ...]:
-    """The steps from the model as stated to what no free law at the joints could close; `stated` are
-    the numbers with which it began.
+    """The steps from the model as stated to what no free law at the joints could close; `stated`
+    are the numbers with which it began.
     """
     before, retuned = how_far.gap_before, how_far.gap_retuned
     moved = tuple(_name(number) for number in stated if number.refuted)
