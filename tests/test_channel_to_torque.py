@@ -30,7 +30,7 @@ from jaxid.identification.payload import PayloadEstimate, USUAL_GAIN_STD, usual_
 from jaxid.identification.regression import read_run
 from jaxid.identification.run import _stated
 from jaxid.models import Joint, Panda, SerialArm, UR10, UR10e
-from jaxid.models.effects import CoulombFriction, DeadZone, ViscousFriction
+from jaxid.models.effects import CoulombFriction, TorqueScale, ViscousFriction
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import bind, resolve_model
 from jaxid.problem.residual import InverseDynamics, OutputError
@@ -134,7 +134,7 @@ def _missing(binding: Any) -> np.ndarray:
 
 
 def _by_torque(binding: Any) -> np.ndarray:
-    study = TorqueStudy(binding, [CoulombFriction, ViscousFriction, DeadZone], None, None, False)
+    study = TorqueStudy(binding, [CoulombFriction, ViscousFriction, TorqueScale], None, None, False)
     rows, _ = study.rows_with_effects(study.theta)
     return np.concatenate(
         [study.theta[binding.free], study.noise, *(x[:, :, -1].ravel() for x in rows.rows)]
