@@ -20,6 +20,7 @@ from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.result import HowFar, Regime, Which
 from jaxid.diagnosis.selection import indistinct
 from jaxid.diagnosis.torque import run as torque_run
+from jaxid.diagnosis.torque.against_reference import verdict_against
 from jaxid.diagnosis.torque.algebra import ColumnPrior, Gram
 from jaxid.diagnosis.torque.answer import Answer
 from jaxid.diagnosis.torque.choose import Chooser
@@ -241,7 +242,14 @@ def test_no_verdict_by_torque_rests_on_what_is_no_number(bad, at, different):
     nominal = torque_answer({0: values[0], 1: values[1]})
     final = torque_answer({0: values[2], 1: values[3]}, (DRAG,))
     found: Any = SimpleNamespace(
-        nominal=nominal, final=final, choose=[1], judge=[], fit=[0], base=None, different=different
+        nominal=nominal,
+        final=final,
+        as_before=None,
+        choose=[1],
+        judge=[],
+        fit=[0],
+        base=None,
+        different=different,
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(torque_run, "_astray", lambda study, answer: ())
@@ -251,6 +259,21 @@ def test_no_verdict_by_torque_rests_on_what_is_no_number(bad, at, different):
         if np.isinf(bad):  # nan is a set of runs in which nothing moves, and says nothing
             found.nominal = found.final = torque_answer({0: 1.0, 1: bad})
             assert judged(study, found).name == "unknown"
+
+
+@pytest.mark.parametrize("bad", NONE)
+@pytest.mark.parametrize("at", range(3))
+def test_no_verdict_against_a_reference_rests_on_what_is_no_number(bad, at):
+    """Gaps of the reference and of the model with effects, and what is usual."""
+    values = [50.0, 1.0, 1.0]
+    assert verdict_against(("a",), *map(_answers, values[:2]), [[0]], values[2]).name == "named"
+    values[at] = bad
+    told = verdict_against(("a",), *map(_answers, values[:2]), [[0]], values[2])
+    assert told.name == "unknown"
+
+
+def _answers(gap: float) -> Any:
+    return torque_answer({0: gap})
 
 
 @pytest.mark.parametrize("bad", NONE)

@@ -56,6 +56,8 @@ def verdict_against(
     was, left = [before.gap(w) for w in sets], [after.gap(w) for w in sets]
     pairs = list(zip(was, left, strict=True))
     share = min(closed((b / usual) ** 2, (a / usual) ** 2) for b, a in pairs)
+    if not np.isfinite([*was, *left, usual]).all():
+        return Verdict("unknown", (NotMostHeldOut(names, 0.0, max(left)),))
     if not all(a < b for b, a in pairs) or share < LIMITS.partly:
         return Verdict("unknown", (NotMostHeldOut(names, share, max(left)),))
     fitted = usual if usual > LIMITS.seen else 0.0
