@@ -266,14 +266,14 @@ def test_no_verdict_by_torque_rests_on_what_is_no_number(bad, at, different):
 def test_no_verdict_against_a_reference_rests_on_what_is_no_number(bad, at):
     """Gaps of the reference and of the model with effects, and what is usual."""
     values = [50.0, 1.0, 1.0]
-    assert verdict_against(("a",), *map(_answers, values[:2]), [[0]], values[2]).name == "named"
+    assert _against(*values) == "named"
     values[at] = bad
-    told = verdict_against(("a",), *map(_answers, values[:2]), [[0]], values[2])
-    assert told.name == "unknown"
+    assert _against(*values) == "unknown"
 
 
-def _answers(gap: float) -> Any:
-    return torque_answer({0: gap})
+def _against(before: float, after: float, usual: float) -> str:
+    models = torque_answer({0: before}), torque_answer({0: after})
+    return verdict_against(("a",), *models, [[0]], usual).name
 
 
 @pytest.mark.parametrize("bad", NONE)
