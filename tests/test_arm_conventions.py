@@ -65,7 +65,14 @@ def scaled(channel: str, factor: float) -> Mending:
             "seven", "sign", "tau2", scaled("tau2", -1.0), "scale = -1", marks=pytest.mark.slow
         ),
         ("seven", "sign", "q3", scaled("q3", -1.0), "scale = -1"),
-        ("seven", "zero", "q4", Mending({"q4": {"offset": 1.5708}}), "offset = -1.5708"),
+        pytest.param(
+            "seven",
+            "zero",
+            "q4",
+            Mending({"q4": {"offset": 1.5708}}),
+            "offset = -1.5708",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             "seven", "scale", "q2", scaled("q2", 180 / pi), 'unit = "deg"', marks=pytest.mark.slow
         ),

@@ -12,7 +12,7 @@ import pytest
 
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
-from jaxid.models import FlexibleArm, Joint, MODELS, PlanarArm
+from jaxid.models import FlexibleArm, Joint, MODELS, Panda, PlanarArm, SerialArm, UR10e
 from jaxid.models.effects import Backlash, DeadZone, StribeckFriction
 from jaxid.numerics import batch_loop as lanes
 from jaxid.numerics.batch_loop import laid_out, loop_over_time, over_lanes
@@ -163,12 +163,13 @@ def test_models_move_alike(mechanism, effects):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
+#: Minutes to compile, or another arm of six or seven joints.
+LONG = FlexibleArm, SerialArm, Panda, UR10e
+
+
 @pytest.mark.parametrize(
     "mechanism",
-    [
-        pytest.param(m, marks=pytest.mark.slow if m is FlexibleArm else (), id=m.name)
-        for m in MODELS
-    ],
+    [pytest.param(m, marks=pytest.mark.slow if m in LONG else (), id=m.name) for m in MODELS],
 )
 def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
     """Values and tangents as `jax.vmap` gives them; `laid_out` raises where it does not know the
