@@ -116,7 +116,7 @@ def test_repeats_whose_codes_agree_are_asked_about(count):
     """A coarse encoder gives two short runs the same codes; so few readings hardly show its step."""
     step = 2 * np.pi / 200
     runs = [np.round(motion(seed, noise=1e-6)[:count] / step) * step for seed in (0, 1)]
-    assert np.array_equal(*runs)
+    assert np.array_equal(runs[0], runs[1])
     found, checked = found_copies(recorded(*runs))
     assert all(not f.decisive for f in found)
     assert checked.mended is not None and len(checked.mended.experiments) == 2
