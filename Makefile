@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q
 
-.PHONY: demo test test-core test-all test-versions lint format notebooks lab docs benchmark benchmark-blind benchmark-reliability clean
+.PHONY: demo test test-quick test-core test-all test-versions lint format notebooks lab docs benchmark benchmark-blind benchmark-reliability clean
 
 demo: $(VENV)/installed
 	$(BIN)/jaxid diagnose examples/servo_pendulum --out out/demo
@@ -14,6 +14,10 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-dev
 	$(PYTEST) -n auto --maxprocesses 2 --dist worksteal -m "not slow and not realtime" $(ARGS) || test $$? -eq 5
 	$(PYTEST) -m "realtime and not slow" $(ARGS) || test $$? -eq 5
+
+# What the change since the last such run touches, read off what each test has run; the first time that is all of it.
+test-quick: $(VENV)/installed-dev
+	$(PYTEST) --testmon --testmon-forceselect -n auto --maxprocesses 2 -m "not slow and not realtime" $(ARGS) || test $$? -eq 5
 
 test-all: test
 	$(PYTEST) -m slow $(ARGS) || test $$? -eq 5
