@@ -29,7 +29,7 @@ from jaxid.simulation.sample_buffers import columns
 FOLLOWS, SEEN = 0.9, 0.8
 #: Cutoffs at which the slow part is looked at, as shares of the highest frequency of the motion.
 SLOW = 1.0, 1 / 2, 1 / 4, 1 / 8, 1 / 16, 1 / 32
-#: A run holds at least so many periods of a cutoff.
+#: A run holds at least this many periods of a cutoff.
 PERIODS = 4
 
 

@@ -171,8 +171,8 @@ def _offsets(other: np.ndarray, copy: np.ndarray, loose: np.ndarray) -> set[int]
 
 
 def _along(other: RunSamples, copy: RunSamples, offset: int, loose: np.ndarray) -> Same | None:
-    """The rows of a copy that lie within the other run, which stands so many rows later; None where
-    any of them differs.
+    """The rows of a copy that lie within the other run, which stands `offset` rows later; None
+    where any of them differs.
     """
     first = max(0, -offset)
     stop = min(len(copy.samples), len(other.samples) - offset)

@@ -21,14 +21,15 @@ RATES = {"rad/s": "rad", "m/s": "m"}
 #: Share of a speed's power that is the rate of a position, at least: what is less is of another
 #: joint.
 SAME = 0.9
-#: A speed is late by so many rows beyond what its own updates bring: a difference of two samples
+#: A speed is late by this many rows beyond what its own updates bring: a difference of two samples
 #: stands half a row late, and one bus may read speed and position a row apart.
 ROWS = 1.5
 #: Standard deviations, over parts of the recording, from which a lateness is one.
 SURE = 6.0
 #: Parts of a run, and the least samples of each.
 PARTS, SHORTEST = 6, 40
-#: Speeds are compared below so many times the frequency under which nearly all of their power lies.
+#: Speeds are compared below this many times the frequency under which nearly all of their power
+#: lies.
 CONTENT = 2.0
 
 
@@ -153,7 +154,7 @@ def _quarter_period(stretches: list[Stretch]) -> int:
 
 
 def _shared(stretches: list[Stretch], lag: int) -> tuple[float, float, float]:
-    """Products of speed and rate, summed, with the speed taken so many rows earlier."""
+    """Products of speed and rate, summed, with the speed taken this many rows earlier."""
     total = np.zeros(3)
     for s in stretches:
         n = len(s.rate)
@@ -164,7 +165,7 @@ def _shared(stretches: list[Stretch], lag: int) -> tuple[float, float, float]:
 
 
 def _apart(stretches: list[Stretch], late: float) -> float:
-    """What is left of a speed beside the rate of the position (rms, share), taken so many s
+    """What is left of a speed beside the rate of the position (rms, share), taken this many s
     earlier.
     """
     product, power, rates = _shared(stretches, round(late / stretches[0].step))

@@ -49,7 +49,8 @@ BLOCKS, EDGE = 10, 4
 #: cuts off, and one that nothing does: what is compared with it are remainders that differ by
 #: `ALIKE`.
 COARSE, FINE = 1e-2, 1e-3
-#: The first step of a model that is not linear moves no number by more than so many times its size.
+#: The first step of a model that is not linear moves no number by more than this many times its
+#: size.
 REACH = 3.0
 #: A step whose cost is within that share of what the slopes promise was one of a linear model.
 AS_SAID = 1e-3
@@ -113,7 +114,7 @@ class SampledMotion:
         return out
 
     def thinned(self, count: int) -> SampledMotion:
-        """Every so many-th row, so that about `count` are left."""
+        """Every n-th row, so that about `count` are left."""
         rows = np.arange(0, len(self.held), max(1, -(-len(self.held) // count)))
         samples = (rows[:, None] * self.each + np.arange(self.each)).ravel()
         sources, first = [], 0

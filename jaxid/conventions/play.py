@@ -21,7 +21,7 @@ from jaxid.data.signals import content_cutoff, differentiate, filter_ends
 
 #: Share of a position's power that another one follows, at least, where both are of one joint.
 ONE_JOINT = 0.99
-#: The two ends lie so many times apart what the difference scatters at each of them.
+#: The two ends lie this many times apart what the difference scatters at each of them.
 APART = 6.0
 #: Each end holds at least, and what lies between them at most, that share of the samples.
 EACH, BETWEEN = 0.1, 0.25

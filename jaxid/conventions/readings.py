@@ -82,7 +82,7 @@ GEAR = "a gear of a whole ratio"
 #: A ratio is a whole number within this share of it, or three standard deviations, where such a
 #: number is told from its neighbours by less than a quarter of their distance.
 WHOLE_RATIO, TOLD_APART = 0.002, 0.25
-#: Up to so many inputs or outputs, all their signs are tried together.
+#: Up to this many inputs or outputs, all their signs are tried together.
 TOGETHER = 3
 
 

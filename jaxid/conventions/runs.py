@@ -19,12 +19,12 @@ from jaxid.errors import DatasetError
 #: Sampling steps that recordings of machines do not have in seconds, but have in other units: a row
 #: number, ms, us.
 SLOW = 0.5
-#: A start at rest is refuted by a speed of so many standard deviations and that share of the run's
-#: own.
+#: A start at rest is refuted by a speed of this many standard deviations and that share of the
+#: run's own.
 SURE, SHARE = 8.0, 0.02
-#: It shows within so many seconds, and is that share of the speed soon after.
+#: It shows within this many seconds, and is that share of the speed soon after.
 SOON, ALREADY = 0.015, 0.8
-#: A channel that spans less than so many standard deviations of its noise does not move.
+#: A channel that spans less than this many standard deviations of its noise does not move.
 FLICKER = 8.0
 
 

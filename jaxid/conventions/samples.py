@@ -23,13 +23,13 @@ GOAL = re.compile(
     re.I,
 )
 LONGEST = 400_000  # samples of a run that are looked at
-#: A wrap is a jump that, with the period taken off, fits its neighbours to so many times what they
-#: usually change by.
+#: A wrap is a jump that, with the period taken off, fits its neighbours to this many times what
+#: they usually change by.
 FITS = 6.0
 #: Glitches are left out where they are few; more of a channel than that is its noise or its law.
 FEW = 0.02
-#: Repeated rows: so many of the changes fall on every n-th row, and so many of these rows bring a
-#: change.
+#: Repeated rows: this many of the changes fall on every n-th row, and this many of these rows bring
+#: a change.
 IN_STEP, FRESH = 0.98, 0.6
 
 

@@ -25,10 +25,10 @@ KNOWN, CLOSE = 0.12, 0.25
 #: Standard deviations from which a drift is said, and from which it is tried: nothing fits well,
 #: and is known well, before it.
 SURE, LIKELY = 6.0, 2.0
-#: A clock's drift moves the input by at least so many rows within a run.
+#: A clock's drift moves the input by at least this many rows within a run.
 DRIFT = 0.7
 MOST_ROWS, MOST_DRIFT = 6.0, 0.02
-#: A motion comes before its cause from so many rows on: an input that is held or runs on from
+#: A motion comes before its cause from this many rows on: an input that is held or runs on from
 #: sample to sample is half a row.
 EARLY = 0.75
 #: The time of a reading within its row is known no better, whatever scatters (rows, one standard
@@ -204,7 +204,7 @@ def _nearest_rows(fit: ForceFit, m: SampledMotion, before: float) -> SampledMoti
 def _early(
     binding: Binding, step: float, names: Names, k: int, rows: float, std: float, sure: bool
 ) -> Shown:
-    """A finding of an input that is recorded by so many rows later than it acts."""
+    """A finding of an input that is recorded by this many rows later than it acts."""
     name, joints = names.inputs[k], listed(tuple(names.joints))
     forms = {"delay_s": float(f"{rows * step:.4g}")}
     std = float(np.hypot(std, FINEST))

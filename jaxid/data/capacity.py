@@ -37,7 +37,7 @@ PER_CANDIDATE = 1.5
 
 @dataclass(frozen=True)
 class Need:
-    """What some work on so many rows of so many runs needs: bytes at its peak and seconds, both
+    """What some work on this many rows of this many runs needs: bytes at its peak and seconds, both
     within a factor of about two. The seconds of a fit depend on its fitter and on how far it has to
     go: nobody is told them.
     """
@@ -63,7 +63,7 @@ class Need:
 
 
 def need(work: str, dataset: Dataset, joints: int, candidates: int = 0) -> Need:
-    """Of `fit`, `diagnose` (among so many candidates) or `identify`, of a model with so many
+    """Of `fit`, `diagnose` (among this many candidates) or `identify`, of a model with this many
     joints.
     """
     rows, runs = sum(len(e.whole) for e in dataset.experiments), len(dataset.experiments)

@@ -192,7 +192,7 @@ def _beside(series: Sequence[np.ndarray], scatter: Sequence[np.ndarray]) -> floa
     return sqrt(variance)
 
 
-#: So many values of a long series show whether it may be quantised at all, and the share of
+#: This many values of a long series show whether it may be quantised at all, and the share of
 #: distances on a grid that they need.
 FIRST, MAYBE = 20_000, 0.3
 

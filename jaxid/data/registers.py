@@ -23,7 +23,7 @@ def by_sign_bit(raw: np.ndarray, bit: int) -> np.ndarray:
 
 
 def by_twos_complement(raw: np.ndarray, bits: int) -> np.ndarray:
-    """Numbers of a register [time] of so many bits in two's complement."""
+    """Numbers of a register [time] of this many bits in two's complement."""
     return np.where(raw >= 2.0 ** (bits - 1), raw - 2.0**bits, raw)
 
 
@@ -60,7 +60,7 @@ SIGN_BITS, WIDTHS = range(7, 32), (8, 16, 32)
 #: Steps at which a register that is read without its sign jumps, at least, and different numbers on
 #: each side of it.
 CROSSINGS, DIFFERENT = 2, 5
-#: With its sign a number goes through zero as it goes elsewhere: by so many times what most steps
+#: With its sign a number goes through zero as it goes elsewhere: by this many times what most steps
 #: are, which are that share of the jump at most.
 AS_USUAL, SMALL = 2.0, 1 / 8
 #: Share of the crossings at which it has to: gaps in a log may fall on some.

@@ -14,8 +14,8 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.wording import listed
 
 
-#: Of so many runs in any order, one in sixty changes one way by chance; of four, one in twelve, so
-#: they have to settle, too.
+#: Of this many runs in any order, one in sixty changes one way by chance; of four, one in twelve,
+#: so they have to settle, too.
 FEWEST, ENOUGH = 4, 5
 #: Share of what repeats differ by that goes along one pattern: noise of five runs shares a quarter
 #: with each.

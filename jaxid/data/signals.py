@@ -26,7 +26,7 @@ def zero_phase(t: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int = ORDE
     return filtered if uniform else _spline(grid, filtered, t)
 
 
-#: A longer series is filtered in stretches of so many samples.
+#: A longer series is filtered in stretches of this many samples.
 STRETCH = 1 << 15
 
 

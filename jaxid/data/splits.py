@@ -16,7 +16,7 @@ TAIL = 0.3
 GUARD_SAMPLES, GUARD_S = 20, 0.1
 #: A run whose first time stamp (s) is later than this is spoken of by the time since its start.
 LATE = 1e4
-#: What a part knows of the samples before it, by time (s) and at most so many: an effect that
+#: What a part knows of the samples before it, by time (s) and at most this many: an effect that
 #: remembers starts from them. Validation runs are simulated for every hypothesis, report runs for a
 #: few.
 PAST = {"validation": (5.0, 1000), "report": (60.0, 20_000)}

@@ -24,7 +24,7 @@ from jaxid.data.signals import content_cutoff, differentiate, filter_ends
 #: the same in both: their spreads are this much alike.
 ORDERS, ALIKE = {3: 4.0, 5: 3.0}, 0.1
 #: Scatter counts from this share of the noise's variance on; of a quantised reading, at high speed,
-#: from so many times that.
+#: from this many times that.
 SEEN, STEPS = 0.1, 2.0
 #: Fourth moment of the standardised differences: 1.8 for an even spread, 3 for a normal one. More
 #: is bursts, not stamps; the more samples a difference has, the less well their speeds are known

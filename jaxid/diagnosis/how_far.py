@@ -266,7 +266,7 @@ def interval_of_further_run(
 
 
 def _from_runs(before: np.ndarray, after: np.ndarray, samples: int) -> tuple[float, float]:
-    """From mean squares of runs, of so many samples together."""
+    """From mean squares of runs, of this many samples together."""
     n = len(after)
     scatter = np.sqrt(2 * n / samples)
     gap = np.maximum(before - 1, scatter)

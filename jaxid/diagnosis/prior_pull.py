@@ -17,7 +17,7 @@ from jaxid.fitting.least_squares import descend, Path
 from jaxid.problem.problem import FitProblem
 
 
-#: So many numbers are put back at most, those that are further away than this.
+#: This many numbers are put back at most, those that are further away than this.
 TRIED, SHORT = 3, 0.1
 
 

@@ -23,15 +23,15 @@ from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.residual import InverseDynamics
 
 
-#: Pairs are made of so many of the best single effects.
+#: Pairs are made of this many of the best single effects.
 PAIRED = 4
-#: So many of those that an accepted effect was not clearly better than are tried in its place later
-#: on.
+#: This many of those that an accepted effect was not clearly better than are tried in its place
+#: later on.
 RIVALS = 3
 #: Starts of each refit that come from the screen: two of the best to first order, and the best of
 #: all probes as they simulate.
 STARTS = 4
-#: So many of the starts also with the numbers of the model as the user gave them.
+#: This many of the starts also with the numbers of the model as the user gave them.
 GIVEN = 1
 
 Proposal = tuple[tuple[Candidate, ...], Sequence[np.ndarray]]

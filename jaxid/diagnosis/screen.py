@@ -19,7 +19,7 @@ from jaxid.problem.residual import InverseDynamics
 Screened = tuple[float, Candidate, list[np.ndarray]]
 
 
-#: So many probes of long records are simulated side by side.
+#: This many probes of long records are simulated side by side.
 FEW = 16
 
 

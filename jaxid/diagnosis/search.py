@@ -62,14 +62,14 @@ from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import defects, step_error, STEP_SHARE
 
 
-#: So many hypotheses that explain the torque of the measured motion best are refitted to the end,
+#: This many hypotheses that explain the torque of the measured motion best are refitted to the end,
 #: however they do at first.
 SURE = 3
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen
 #: hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
-#: After the single effects nothing more is asked once so many steps were simulated (a minute on two
-#: cores), and the fit runs so often: what few effects explain is found before; what none of the
+#: After the single effects nothing more is asked once this many steps were simulated (a minute on
+#: two cores), and the fit runs so often: what few effects explain is found before; what none of the
 #: library explains could be searched for an hour.
 MOST_STEPS, MOST_RUNS = 150_000_000, 40_000
 #: Iterations and tolerance of a descent to the end, and of that of a nominal model to which

@@ -10,7 +10,7 @@ from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import ProblemBuilder
 
 
-#: At least and at most so many candidates are refitted, and those that a screen puts in front
+#: At least and at most this many candidates are refitted, and those that a screen puts in front
 #: however many others there are.
 MINIMUM, MAXIMUM, FRONT = 6, 16, 4
 

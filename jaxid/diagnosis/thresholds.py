@@ -98,15 +98,15 @@ class Thresholds:
     plausible_start: float = _of(
         3.0,
         "standard deviations",
-        "A start may be moved by so many of its own standard deviations to take its uncertainty out"
-        " of a comparison.",
+        "A start may be moved by this many of its own standard deviations to take its uncertainty"
+        " out of a comparison.",
         "convention: three standard deviations",
     )
     refit_together: float = _of(
         1.1,
         "mean square, noise 1",
-        "A model that leaves more than so many times the noise (mean square) is refitted to the fit"
-        " runs and those of a split at once, in so many iterations.",
+        "A model that leaves more than this many times the noise (mean square) is refitted to the"
+        " fit runs and those of a split at once, in this many iterations.",
         "not recorded",
     )
     # verdict
@@ -135,14 +135,14 @@ class Thresholds:
         1.5,
         "times the noise",
         "Near the noise: what is `named` closes that share of the gap on fit and report data too,"
-        " or leaves no more than so many times the noise there; with `none` no run and no direction"
-        " of motion of the report data leaves more.",
+        " or leaves no more than this many times the noise there; with `none` no run and no"
+        " direction of motion of the report data leaves more.",
         "flexible link with an effect of no library that got a name; a tracker of paper_gaps.py",
     )
     still: float = _of(
         2.0,
         "times the noise",
-        "A channel stands still where it scatters by less than so many times its noise.",
+        "A channel stands still where it scatters by less than this many times its noise.",
         "a geared pendulum at rest for most of its recording",
     )
     # believable
@@ -166,7 +166,7 @@ class Thresholds:
         10.0,
         "times the noise",
         "Free runs that forget how they began are not trusted where they find no answer, or one"
-        " that leaves so many times the noise.",
+        " that leaves this many times the noise.",
         "planar arms that swing over the top",
     )
     # search
@@ -194,7 +194,7 @@ class Thresholds:
     followed: float = _of(
         1.5,
         "ratio of mean squares",
-        "What leaves at most so many times what the best of a batch leaves of the fit runs is"
+        "What leaves at most this many times what the best of a batch leaves of the fit runs is"
         " followed on validation runs.",
         "not recorded",
     )
@@ -228,8 +228,8 @@ class Thresholds:
     pull_hopeless: float = _of(
         10.0,
         "ratio of mean squares",
-        "A path that leaves so many times what the best of them leaves is not moved: nothing comes"
-        " of it.",
+        "A path that leaves this many times what the best of them leaves is not moved: nothing"
+        " comes of it.",
         "not recorded",
     )
     # shortlist
@@ -251,7 +251,7 @@ class Thresholds:
     sign: float = _of(
         8.0,
         "standard deviations",
-        "A candidate that stands out by so many is a sign: a fine encoder and what steps leave"
+        "A candidate that stands out by this many is a sign: a fine encoder and what steps leave"
         " behind reach 6.",
         "stepped commands to a joint with a fine encoder: 6 without anything missing",
     )
@@ -272,15 +272,15 @@ class Thresholds:
     hidden_beyond: float = _of(
         2.0,
         "standard deviations",
-        "An effect hides in a number that it moves by so many of those that the fit states, and by"
-        " `hidden_share`.",
+        "An effect hides in a number that it moves by this many of those that the fit states, and"
+        " by `hidden_share`.",
         "convention: 95 %",
     )
     # where
     own_energy: float = _of(
         0.3,
         "share of its energy",
-        "What named effects supply is what was missing if taking it away leaves less by so many"
+        "What named effects supply is what was missing if taking it away leaves less by this many"
         " times its own energy.",
         "not recorded",
     )
@@ -342,13 +342,13 @@ class Thresholds:
     sure: float = _of(
         3.0,
         "standard errors",
-        "By so many do more effects have to predict better.",
+        "By this many do more effects have to predict better.",
         "convention: three standard errors",
     )
     missed: float = _of(
         2.0,
         "standard errors",
-        "By so many may fewer effects predict worse.",
+        "By this many may fewer effects predict worse.",
         "convention: two standard errors",
     )
     shows_itself: float = _of(
@@ -362,7 +362,7 @@ class Thresholds:
     different: float = _of(
         2.0,
         "ratio of errors",
-        "Held-out runs that are so many times further away than those that were fitted are asked"
+        "Held-out runs that are this many times further away than those that were fitted are asked"
         " what is different in them.",
         "a loaded against an unloaded arm",
     )
@@ -378,7 +378,7 @@ class Thresholds:
     standing: float = _of(
         12.0,
         "times the noise",
-        "A joint whose readings span less than so many times their noise stands still.",
+        "A joint whose readings span less than this many times their noise stands still.",
         "not recorded",
     )
     # torque, algebra

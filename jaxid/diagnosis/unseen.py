@@ -28,13 +28,13 @@ from jaxid.problem.residual import Residual
 
 #: A share of a probe so small that re-tuning takes out what is absorbed exactly but for this share.
 WEAK, ABSORBED = 1e-5, 5e-5
-#: So many effects are re-tuned in earnest, in so many rounds and iterations, at a size that moves
-#: no number further than this (in factors of e, or in so many typical changes), where the first
-#: order still leads.
+#: This many effects are re-tuned in earnest, in this many rounds and iterations, at a size that
+#: moves no number further than this (in factors of e, or in this many typical changes), where the
+#: first order still leads.
 MOST, ROUNDS, ITERATIONS, REACH, CHANGES = 20, 3, 16, 0.7, 5.0
-#: Re-tuning ends where what is left did not fall below this share so many times after each other.
+#: Re-tuning ends where what is left did not fall below this share this many times after each other.
 ENOUGH, FAILED, SECANTS = 0.9, 4, 6
-#: After so many trials it ends where what is left is this often what is told.
+#: After this many trials it ends where what is left is this often what is told.
 HOPELESS = ((8, 10.0), (3, 100.0))
 #: A difference as large is that of a run that diverged.
 DIVERGED = 1e50

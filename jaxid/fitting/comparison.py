@@ -319,7 +319,7 @@ def typical(values: np.ndarray) -> Typical:
 
 
 def along(run: FitterRun, at: np.ndarray, column: int) -> np.ndarray:
-    """Best loss of a run after so many evaluations (column 0) or seconds (1); infinite before its
+    """Best loss of a run after this many evaluations (column 0) or seconds (1); infinite before its
     first.
     """
     x, loss = run.history[:, column], run.history[:, 2]

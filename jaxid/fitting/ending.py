@@ -22,12 +22,12 @@ from jaxid.problem.problem import FitProblem
 #: A loss is lower, or could be, where its sum of squares is so by more than this share of a
 #: residual's variance: the numbers then lie about a third of a standard deviation apart.
 MATERIAL = 0.1
-#: A number at a bound wants beyond it where the sum of squares would fall by more than so many
+#: A number at a bound wants beyond it where the sum of squares would fall by more than this many
 #: variances.
 PUSHES = 4.0
 #: Looks from elsewhere without a budget, and iterations of each; with one as many as it allows.
 LOOKS, STEPS = 2, 40
-#: A look is worth its name with at least so many linearisations.
+#: A look is worth its name with at least this many linearisations.
 LEAST = 4
 #: By so much of what a look lacks its model may promise too much.
 NEARLY = 0.1

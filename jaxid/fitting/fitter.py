@@ -152,7 +152,7 @@ class Log:
             self.budget, self.limit = whole
 
     def add(self, evaluations: int, loss: float, at: float | None = None) -> None:
-        """`loss` is the best of so many more evaluations, finished at `at` seconds (default:
+        """`loss` is the best of this many more evaluations, finished at `at` seconds (default:
         now).
         """
         self.evaluations += evaluations

@@ -97,9 +97,9 @@ HEATS = ((0.1, 5, 2, None), (0.4, 6, 2, None), (1.0, 5, 1, 8), (1.0, None, 1, 4)
 WITHIN = 1.5
 
 
-#: A start that after so many steps is so many times (cost) behind another one of its group is given
-#: up, and so is a group so far behind one that leaves no more than AT_NOISE (mean square over the
-#: noise).
+#: A start that after this many steps is this many times (cost) behind another one of its group is
+#: given up, and so is a group so far behind one that leaves no more than AT_NOISE (mean square over
+#: the noise).
 PATIENCE, HOPELESS, AT_NOISE = 3, 100.0, 2.0
 
 
@@ -175,7 +175,7 @@ def race(
 Curvature = Callable[["Path", np.ndarray, Linear], np.ndarray]
 
 #: A step that lowers a sum of squares over the noise by less than this many variances moves no
-#: number by more than about a thirtieth of its standard deviation. So many in a row, and the rest
+#: number by more than about a thirtieth of its standard deviation. This many in a row, and the rest
 #: of a valley is of no account either.
 SLIGHT, IN_A_ROW = 1e-3, 3
 
@@ -367,7 +367,7 @@ def _typical(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
     )
 
 
-#: So many quarterings of the radius are tried where a step comes to bounds.
+#: This many quarterings of the radius are tried where a step comes to bounds.
 RADII = 12
 #: A radius that bounds no step, for which there is a finite number.
 FAR = 1e150

@@ -34,7 +34,7 @@ FOLLOWS, ASTRAY = 0.05, 0.3
 AN_ARM = 3
 #: Mean square over the noise that a free run which has nothing wrong with it may leave.
 AT_NOISE = 2.0
-#: A decay of at least so many turning points is one of several amplitudes.
+#: A decay of at least this many turning points is one of several amplitudes.
 TURNS = 8
 
 #: Said where the torque equation stands in for a free run.

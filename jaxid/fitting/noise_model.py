@@ -21,8 +21,8 @@ from jaxid.simulation.sample_buffers import LONG
 #: The longest autoregression tried.
 ORDER = 8
 ROUNDS = 40
-#: What a fit takes away of a disturbance may be most of it: its variance may be so many times what
-#: is left, and no more.
+#: What a fit takes away of a disturbance may be most of it: its variance may be this many times
+#: what is left, and no more.
 LARGEST = 10.0
 
 

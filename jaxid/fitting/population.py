@@ -284,7 +284,7 @@ class AbstractPopulation(AbstractFitter):
         losses: np.ndarray,
         starts: int = 0,
     ) -> Course:
-        """A course that begins with this evaluated population, of which so many at the front are
+        """A course that begins with this evaluated population, of which this many at the front are
         starts.
         """
         with float64():

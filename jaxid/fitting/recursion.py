@@ -37,9 +37,9 @@ from jaxid.problem.residual import Residual
 from jaxid.simulation import sample_buffers as samples
 
 
-#: A dataset of fewer fit runs is cut in time into about so many blocks.
+#: A dataset of fewer fit runs is cut in time into about this many blocks.
 BLOCKS = 20
-#: A block has at least so many samples.
+#: A block has at least this many samples.
 SHORTEST = 20
 #: Generations of a population in each recursion after the first: "five loops suffice" (paper 000).
 GENERATIONS = 5

@@ -21,7 +21,7 @@ from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
 from jaxid.problem.problem import FitProblem
 
 
-#: A descent to the end is begun with at least so many linearisations.
+#: A descent to the end is begun with at least this many linearisations.
 LEAST = 4
 #: Channels whose errors, in their own noise, differ by less than this weigh alike; torques, of
 #: whose noise that of the motion is no part, where their errors are that small.

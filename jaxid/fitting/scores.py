@@ -75,7 +75,7 @@ def score(y: np.ndarray, error: np.ndarray, unit: str) -> Score:
 
 
 #: On data that were not fitted a channel is lost where its error is more than its own standard
-#: deviation, so many times its noise, and so many times what it is on those that were.
+#: deviation, this many times its noise, and this many times what it is on those that were.
 LOST, ABOVE_NOISE, ABOVE_FIT = 1.0, 3.0, 3.0
 
 

@@ -21,7 +21,7 @@ from jaxid.robots.export.run import read_tree
 from jaxid.robots.match import driving, named
 
 
-#: So many seconds of a recording are run for one trial.
+#: This many seconds of a recording are run for one trial.
 LONGEST = 120.0
 
 

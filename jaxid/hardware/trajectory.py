@@ -18,7 +18,7 @@ from jaxid.errors import DatasetError, UsageError
 
 #: Kind of command -> (channel stem in files, unit).
 KINDS = {"position": ("q", "rad"), "velocity": ("qd", "rad/s"), "current": ("current", "A")}
-#: So many rows are a path that was sampled, and nobody samples one as sparsely as this (s).
+#: This many rows are a path that was sampled, and nobody samples one as sparsely as this (s).
 SAMPLED, SPARSE_S = 100, 0.5
 UNITS = (("ms", 1000), ("us", 1_000_000), ("ns", 1_000_000_000))
 FIRST_ROW = 2  # row 1 of a file is its header

@@ -9,7 +9,7 @@ import numpy as np
 from jaxid.errors import UsageError
 
 
-#: A series that leaves so many times what the readings scatter by themselves is not of whole
+#: A series that leaves this many times what the readings scatter by themselves is not of whole
 #: periods.
 LEFT = 3.0
 

@@ -30,8 +30,8 @@ from jaxid.simulation.sample_buffers import columns
 #: sign(qd) is tanh(qd / REST) here: at rest, measured velocity is noise and friction may take any
 #: value.
 REST = 0.01
-#: So many rows of the torque equation are made at once: on the way to one there are five times its
-#: numbers.
+#: This many rows of the torque equation are made at once: on the way to one there are five times
+#: its numbers.
 MADE = 1 << 11
 
 
@@ -187,7 +187,7 @@ def read_run(
     return _with_inertia(run, chain, base, q, qd, qdd)
 
 
-#: Readings of a joint that stands still span less than so many times the noise.
+#: Readings of a joint that stands still span less than this many times the noise.
 STILL = 12.0
 
 

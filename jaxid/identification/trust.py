@@ -13,7 +13,7 @@ from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.identification.regression import FrictionLaw, RegressionRun
 
 
-#: To within so many times their size the numbers of a file may be known: validation runs decide.
+#: To within this many times their size the numbers of a file may be known: validation runs decide.
 TRUST = (10.0, 3.0, 1.0, 0.3, 0.1)
 NEAR_THE_FILE = (
     "the file's inertial numbers, and friction of nothing, count as known to within {:g} times the"

@@ -45,14 +45,14 @@ if TYPE_CHECKING:
 
 #: Arrays of more elements (per lane) stay whole.
 SMALL = 36
-#: A step of more operations on elements is taken apart only where that makes no more than so many
+#: A step of more operations on elements is taken apart only where that makes no more than this many
 #: times as many of them, as of one that is written element by element. Else it is mapped as
 #: `jax.vmap` does it: compiling the matrices of an arm of six joints one element after the other
 #: takes minutes. (Measured on the tracker with its whole library, 31000 operations: no longer to
 #: compile, and 0.7 in place of 1.9 microseconds a lane-step.)
 LARGEST_STEP, MOST_TIMES = 6000, 2.5
 
-#: So many operations may be repeated for each reader of their result before it is stored.
+#: This many operations may be repeated for each reader of their result before it is stored.
 DEAREST = 12
 
 _NAME = "loop_over_time"

@@ -16,8 +16,8 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
-#: So many are kept. A compiled one of the flexible link takes about 500 regions of memory, of which
-#: Linux gives a process 65530.
+#: This many are kept. A compiled one of the flexible link takes about 500 regions of memory, of
+#: which Linux gives a process 65530.
 MOST = 64
 _KEPT: OrderedDict[tuple[str, Hashable], Any] = OrderedDict()
 _LOCK = RLock()

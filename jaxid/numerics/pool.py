@@ -31,7 +31,7 @@ def default_platform() -> str:
 
 
 class Pool:
-    """Threads, one per core or so many; jobs run in float64, with the default device and NumPy's
+    """Threads, one per core or this many; jobs run in float64, with the default device and NumPy's
     warnings as they are set where they are handed in.
     """
 

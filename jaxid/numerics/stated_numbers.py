@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 
-#: A stated number is refuted beyond so many standard deviations; several together where chance
+#: A stated number is refuted beyond this many standard deviations; several together where chance
 #: takes them as far as rarely.
 REFUTED = 3.0
 #: A direction of the correlations that holds less than this share of the largest is known exactly,

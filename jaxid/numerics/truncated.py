@@ -13,7 +13,7 @@ import functools
 import numpy as np
 
 
-#: A bound that lies so many standard deviations away cuts nothing off.
+#: A bound that lies this many standard deviations away cuts nothing off.
 FAR = 8.0
 #: Sweeps over the bounded numbers, and the change of a mean, in standard deviations, that ends
 #: them.

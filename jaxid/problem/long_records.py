@@ -41,7 +41,7 @@ def rows_by_windows(
 
 
 def _batches(lanes: Any, most: int) -> Iterator[dict[Key, list[int]]]:
-    """Records of jobs with their lanes, in order, not more than so many lanes at a time if it can
+    """Records of jobs with their lanes, in order, not more than this many lanes at a time if it can
     be helped.
     """
     every: dict[Key, list[int]] = {}

@@ -48,11 +48,11 @@ from jaxid.simulation.rollout import over_time
 
 
 CHANNELS = tuple((f"momentum_{k}", "N m s") for k in "xyz")
-#: Rows come at so many times the cutoff of the motion.
+#: Rows come at this many times the cutoff of the motion.
 ROWS_PER_CUTOFF = 2.5
 #: A change takes no longer than this, s.
 INSTANT = 1e-6
-#: A side of a moment is looked at where it lasts for so many periods of the cutoff.
+#: A side of a moment is looked at where it lasts for this many periods of the cutoff.
 SHORTEST = 4.0
 #: Samples of a run at which the noise of its momentum is worked out.
 LOOKS = 50

@@ -37,9 +37,9 @@ Simulation = Literal[
     "free_run", "windows", "closed_loop", "inverse_dynamics", "momentum", "frequency_response"
 ]
 
-#: A part of a longer run starts so long before it, and by so many samples at most.
+#: A part of a longer run starts so long before it, and by this many samples at most.
 RUN_UP_S, RUN_UP_SAMPLES = 1.0, 500
-#: Up to so many samples before a window tell the states of effects.
+#: Up to this many samples before a window tell the states of effects.
 WINDOW_PAST = 1000
 
 
@@ -303,7 +303,7 @@ class InverseDynamics(Residual):
     With `cutoff_hz` the residual is low-passed there and taken at a few samples of that period
     (both sides of the equation pass the same filter, which keeps the estimate unbiased by it);
     positions are filtered without phase at twice that and differentiated. With `decimate` it is
-    taken at every so many-th sample, and `cutoff_hz` is that of the positions.
+    taken at every n-th sample, and `cutoff_hz` is that of the positions.
     """
 
     name: ClassVar[str] = "inverse_dynamics"

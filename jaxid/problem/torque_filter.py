@@ -28,11 +28,11 @@ from jaxid.simulation.sample_buffers import bucket, columns
 
 #: Fewest rows of the torque equation for each number of a model that decimation may leave.
 ROWS = 30
-#: Positions are smoothed at so many times the cutoff of the torque before they are differentiated,
-#: and rows come at so many.
+#: Positions are smoothed at this many times the cutoff of the torque before they are
+#: differentiated, and rows come at this many.
 MOTION, ROWS_PER_CUTOFF = 2.0, 2.5
-#: Torques say something up to so many times the frequencies of the motion, and up to this at least
-#: (Hz).
+#: Torques say something up to this many times the frequencies of the motion, and up to this at
+#: least (Hz).
 HARMONICS, LOWEST = 4.0, 5.0
 
 

@@ -33,7 +33,7 @@ COLORS = (
 DASHES, MARKERS = ("-", "--", "-.", ":"), ("o", "^", "s", "D")
 #: Shares of the best loss below this are drawn at it.
 LOWEST = 1e-9
-#: A loss so many times the best known is that of a run that has not yet found a simulation that
+#: A loss this many times the best known is that of a run that has not yet found a simulation that
 #: holds.
 DIVERGED = 1e9
 

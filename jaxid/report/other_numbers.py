@@ -19,7 +19,7 @@ WORDS = {
     "encoder_bias": "encoder offset", "com_x": "centre of mass (x)", "com_y": "centre of mass (y)",
     "com_z": "centre of mass (z)", "lowest": "lower limit", "highest": "upper limit", "timeconst": "time constant",
 }  # fmt: skip
-#: So many are told one by one.
+#: This many are told one by one.
 FEW = 3
 
 

@@ -114,7 +114,7 @@ def points(figure: Figure) -> int:
 def legend(
     figure: Figure, handles: Sequence[Any], columns: int, where: Any = "outside upper left"
 ) -> None:
-    """A legend outside the axes in at most so many columns: as many as fit."""
+    """A legend outside the axes in at most this many columns: as many as fit."""
     longest = max(len(str(h.get_label())) for h in handles)
     fit = int(figure.get_figwidth() // (LETTER * longest + 0.5))
     figure.legend(handles=handles, loc=where, ncols=max(1, min(columns, fit)))

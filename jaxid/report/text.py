@@ -49,7 +49,7 @@ def effect_name(effect: EffectEstimate) -> str:
     return one_line(f"{effect.effect} at {effect.location}")
 
 
-#: So many places of one effect are named in a headline.
+#: This many places of one effect are named in a headline.
 PLACES = 3
 
 
@@ -88,9 +88,9 @@ def where_sentence(finding: Finding) -> str:
     )
 
 
-#: So many stated numbers are listed.
+#: This many stated numbers are listed.
 STATED = 6
-#: Up to so many times the noise a gap is near it.
+#: Up to this many times the noise a gap is near it.
 NEAR = 1.5
 
 
@@ -138,7 +138,7 @@ def stated_sentences(
     ]
 
 
-#: So many groups of numbers are listed.
+#: This many groups of numbers are listed.
 GROUPS = 6
 
 

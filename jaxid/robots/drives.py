@@ -38,7 +38,7 @@ OTHER = (
     "disturbance",
 )
 SPREAD = 0.1
-#: A number of the law lies within so many standard deviations of what is stated, and is no less
+#: A number of the law lies within this many standard deviations of what is stated, and is no less
 #: than this share of it.
 WITHIN, LEAST = 5.0, 0.01
 

@@ -38,7 +38,7 @@ T = TypeVar("T")
 #: for many that nobody asked.
 LANES = 16
 
-#: A call that does not come again takes the program of all effects, up to so many steps, where it
+#: A call that does not come again takes the program of all effects, up to this many steps, where it
 #: would need several that hold several families each: compiling those takes longer.
 ONCE = 4_000_000
 

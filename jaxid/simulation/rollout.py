@@ -95,7 +95,7 @@ def simulate_lane(
     """Outputs of one model on one record from its first step on.
 
     `where` holds that step, the bounds of its run, and a lead, which only a program with `burn`
-    knows: for so many steps before the record the joints follow the measured motion, so that
+    knows: for this many steps before the record the joints follow the measured motion, so that
     effects, springs and beams bring their states to its beginning; then they start from `start`,
     and sensors as if outputs had run straight up to it. `steps` counts those of the lead, too; what
     comes after them is no prediction. The loop runs over blocks, their count is data: one program
@@ -290,7 +290,7 @@ def _about(command: Command, samples: Samples, before: Array) -> Command:
 def over_time(
     step: Callable, carry: Any, steps: Array, length: int, width: int, marked: bool = True
 ) -> Array:
-    """What `step(carry, k) -> carry, y [width]` gives at each of so many steps, [length width];
+    """What `step(carry, k) -> carry, y [width]` gives at each of this many steps, [length width];
     after them it is no result. `marked`: lanes are laid out for vector code, which a step with a
     solver of its own inside is not for.
     """

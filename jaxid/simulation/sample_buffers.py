@@ -25,7 +25,7 @@ STEP = 2.5e-3
 BLOCK = 64
 #: A run of more steps is long: see `jaxid.simulation.windows`.
 LONG = 1 << 17
-#: More steps than that of a run, and so many from each sample to the next, are refused.
+#: More steps than that of a run, and this many from each sample to the next, are refused.
 ENDLESS, APART = 1e6, 100
 
 

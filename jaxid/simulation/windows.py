@@ -24,9 +24,9 @@ from jaxid.simulation.rollout import Lane, WINDOWED
 if TYPE_CHECKING:
     from jaxid.simulation.batch import Engine, Programs
 
-#: Records of more steps than LONG are taken in windows of so many.
+#: Records of more steps than LONG are taken in windows of this many.
 WINDOW = 1 << 15
-#: Lanes of one program; at most so many lanes go side by side.
+#: Lanes of one program; at most this many lanes go side by side.
 WIDTH, TOGETHER = 16, 64
 
 _POOL = Pool("windows")

@@ -30,7 +30,7 @@ def listening(heard: Callable[[Any], None]) -> Iterator[None]:
 
 
 class Interim:
-    """Passes interim results on to whoever listens, the first after so many seconds, later ones as
+    """Passes interim results on to whoever listens, the first after `after` seconds, later ones as
     `SHARE` allows; `silent` ones to nobody.
     """
 

@@ -31,10 +31,10 @@ from jaxid.study.store import Store, StoreError
 #: How long a batch should take, the share of that for each thread of the cluster (the coordinator
 #: needs some 5 ms a batch, and should have half its time left), and its largest size.
 BATCH_S, BATCH_THREAD_S, BATCH_MOST = 1.0, 0.01, 128
-#: Below so many seconds a task, batches are filled up with tasks of other groups: sending them one
-#: by one would cost more.
+#: Below this many seconds a task, batches are filled up with tasks of other groups: sending them
+#: one by one would cost more.
 QUICK_S = 0.02
-#: A task that was at work when its process died so many times is `crashed`.
+#: A task that was at work when its process died this many times is `crashed`.
 DEATHS = 2
 #: Solvers that die before they are ready, in a row, until the study gives up.
 STARTS = 4

@@ -255,7 +255,7 @@ def interpolated(
 def shifted(
     y: Float[Array, " time"], steps: Float[Array, ""], rise: Float[Array, ""]
 ) -> Float[Array, " time"]:
-    """The same for a series by equal steps that is late by so many of them, and rose by `rise` in
+    """The same for a series by equal steps that is late by this many of them, and rose by `rise` in
     each before it began: four slices instead of a search for each sample.
     """
     whole = jnp.floor(steps)

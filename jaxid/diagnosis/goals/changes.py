@@ -17,7 +17,7 @@ from jaxid.dynamics.effect import Effect
 from jaxid.problem.binding import Binding
 
 
-#: So many effects at one place, half as many at all of their places, half as many numbers, and as
+#: This many effects at one place, half as many at all of their places, half as many numbers, and as
 #: many by other weights, are simulated: where dry friction turns about, first order is rough.
 FIRST = 4
 

@@ -24,7 +24,7 @@ from jaxid.wording import listed, times
 
 #: Numbers of a law that are asked. Of a cascade `kd` is what [controller] calls `kv`.
 GAINS = ("kp", "kd")
-#: A gain is at most so many times what is stated.
+#: A gain is at most this many times what is stated.
 ROOM = 10.0
 #: Seconds in which damping stops a joint against kp at the most: room of a kd stated as nothing.
 SLOW = 1.0

@@ -125,7 +125,7 @@ class RawRun(TorqueRun):
 
 
 def refined(e: Experiment, times: int, linear: np.ndarray) -> Experiment:
-    """A run at so many times its rate: readings by splines, inputs as they are held (`linear`
+    """A run at this many times its rate: readings by splines, inputs as they are held (`linear`
     [inputs]).
     """
     t = np.linspace(e.t[0], e.t[-1], times * (len(e.t) - 1) + 1)

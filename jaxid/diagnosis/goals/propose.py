@@ -24,7 +24,7 @@ from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
 
 
-#: So many sets are simulated: where dry friction turns about at other instants, first order ranks
+#: This many sets are simulated: where dry friction turns about at other instants, first order ranks
 #: and does not decide.
 FIRST = 3
 #: So often a search that finds nothing is begun anew, by the noise that its best set leaves.

@@ -26,7 +26,7 @@ from jaxid.problem.residual import OutputError
 
 #: Iterations and tolerance of a refit from the numbers that were read along the measured motion.
 NEAR = (12, 1e-3)
-#: An effect that is missed so many times as much as it has to be needs no simulation without it.
+#: An effect that is missed this many times as much as it has to be needs no simulation without it.
 SURELY = 4.0
 
 

@@ -22,7 +22,7 @@ from jaxid.numerics.boxed import scaled, WEAK, within_box
 
 #: Rounds in which the size of what is left and the weight of rows of which less is known settle.
 ROUNDS = 5
-#: Held-out rows are compared in so many blocks.
+#: Held-out rows are compared in this many blocks.
 BLOCKS = 24
 
 
@@ -120,7 +120,7 @@ def gram(
     blocks: int,
 ) -> Gram:
     """Of rows [samples n p + 1] of some runs, known to within `unsure` [samples n], cut into about
-    so many blocks of equal length.
+    this many blocks of equal length.
     """
     made = [weights(x, r.moves, u) for x, r, u in zip(rows, runs, unsure, strict=True)]
     length = max(1, sum(map(len, made)) // blocks)

@@ -21,7 +21,7 @@ from jaxid.diagnosis.torque.algebra import better, ColumnPrior, Departure, Gram,
 from jaxid.diagnosis.torque.library import Unit
 
 
-#: So many sets of a kind go before the held-out runs.
+#: This many sets of a kind go before the held-out runs.
 HEARD = 16
 #: Most laws of one joint.
 LAWS = 3

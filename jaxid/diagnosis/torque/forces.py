@@ -81,7 +81,7 @@ def with_numbers(effect: JointEffect, numbers: Mapping[str, Any], n: int) -> Joi
 @lru_cache(maxsize=256)
 def strengths(kind: type[JointEffect], n: int, room: int) -> tuple[str, ...]:
     """Names of the numbers in which the force of an effect is linear, each by itself, tried on a
-    motion of n joints and so many samples: that of the runs, so that one program serves.
+    motion of n joints and this many samples: that of the runs, so that one program serves.
     """
     effect = neutral(kind)
     t = np.linspace(0.0, 0.15 * room, room)[:, None] * np.linspace(1.0, 0.7, n)

@@ -19,9 +19,10 @@ from jaxid.problem.torque_filter import check_motion, evenly, moving_band
 from jaxid.simulation.sample_buffers import bucket, columns
 
 
-#: Rows come at so many times the cutoff: between them there is nothing new.
+#: Rows come at this many times the cutoff: between them there is nothing new.
 ROWS_PER_CUTOFF = 4.0
-#: Positions are smoothed at so many times the cutoff of the torque before they are differentiated.
+#: Positions are smoothed at this many times the cutoff of the torque before they are
+#: differentiated.
 MOTION = 2.0
 #: Where a joint turns about, its dry friction counts as going over smoothly within this share of
 #: its top speed.

@@ -238,7 +238,7 @@ class Emulator:
                 del client.inbox[:size]
 
     def _take(self, steps: int) -> None:
-        """The packages that belong to the first of so many `steps` that are to be made now."""
+        """The packages that belong to the first of this many `steps` that are to be made now."""
         for client in [c for c in self.clients if c.packages]:
             client.share = (
                 client.share + len(client.packages) / steps if steps > 1 else len(client.packages)

@@ -14,7 +14,7 @@ from jaxid.robots.steps import nearest, Steps
 
 
 ARMATURE = "armature"
-#: A stated number is refuted beyond so many standard deviations.
+#: A stated number is refuted beyond this many standard deviations.
 REFUTED = 3.0
 #: What of a joint is later by the steps, by a fit's number or by an effect.
 DELAY = "delay"

@@ -111,6 +111,6 @@ def torque(
 
 
 def cut(motion: Motion, size: int) -> list[Motion]:
-    """Consecutive blocks of so many samples."""
+    """Consecutive blocks of this many samples."""
     count = len(motion[0]) // size
     return [tuple(x[k * size : (k + 1) * size] for x in motion) for k in range(count)]  # type: ignore[misc]
