@@ -127,7 +127,7 @@ def counted() -> list[int]:
     """Counts from now on, in its only entry, what all engines of this process step through, also
     those that are let go.
     """
-    from jaxid.simulation.batch import Engine
+    from jaxid.simulation.batch import BatchSimulator
 
     total = [0]
 
@@ -135,7 +135,7 @@ def counted() -> list[int]:
         total[0] += value - vars(engine).get("simulated", 0)
         vars(engine)["simulated"] = value
 
-    Engine.simulated = property(lambda engine: vars(engine)["simulated"], count)  # pyright: ignore[reportAttributeAccessIssue]
+    BatchSimulator.simulated = property(lambda engine: vars(engine)["simulated"], count)  # pyright: ignore[reportAttributeAccessIssue]
     return total
 
 

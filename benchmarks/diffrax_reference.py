@@ -42,9 +42,9 @@ def by_diffrax(
     """Joint positions [time nq] of a smoothed chain from rest, adaptively to 1e-10 between the
     samples.
     """
-    from jaxid.dynamics.parameter_vector import Layout
+    from jaxid.dynamics.parameter_vector import ParameterVector
 
-    layout, nq = Layout(chain), chain.nq
+    layout, nq = ParameterVector(chain), chain.nq
 
     def simulate(theta, t, u):
         model = layout.model(theta)

@@ -23,7 +23,7 @@ prepare()
 
 import jaxid  # noqa: E402
 from jaxid.fitting.covariance import covariance  # noqa: E402
-from jaxid.fitting.least_squares import descend  # noqa: E402
+from jaxid.fitting.least_squares import levenberg_marquardt  # noqa: E402
 from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.fitting.profiles import bootstrap, profile_likelihood  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
@@ -68,7 +68,7 @@ def study(seeds: int, memory: float) -> dict[str, np.ndarray]:
         targets = problem.targets.copy()
         targets[record.samples, 0] = q + NOISE * e
         own = problem.with_targets(targets)
-        z = descend([(own, own.z(binding.theta))], 60, 1e-10)[0].z
+        z = levenberg_marquardt([(own, own.z(binding.theta))], 60, 1e-10)[0].z
         cov, theta, slope = covariance(own, z), own.theta(z)[own.free], own.dtheta(z)
         held["covariance"].append(np.abs(theta - exact) <= 1.96 * cov.std[: len(names)] * slope)
         profiles = profile_likelihood(own, z)

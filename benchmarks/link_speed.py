@@ -36,7 +36,7 @@ import jax.numpy as jnp  # noqa: E402
 from scipy.integrate import solve_ivp  # noqa: E402
 
 from jaxid.dynamics.chain import Chain  # noqa: E402
-from jaxid.dynamics.parameter_vector import Layout  # noqa: E402
+from jaxid.dynamics.parameter_vector import ParameterVector  # noqa: E402
 from jaxid.models import FlexibleLink  # noqa: E402
 from jaxid.numerics.precision import float64  # noqa: E402
 from jaxid.problem.problem import FitProblem  # noqa: E402
@@ -201,7 +201,7 @@ def responses(x: np.ndarray, modes: int) -> tuple[float, float, float]:
         q = jnp.linalg.solve(Z, force)[..., 0]
         return -(omega**2) * (link.L * q[:, 0] + q[:, -2])
 
-    layout = Layout(Chain(FlexibleLink(n_modes=modes)))
+    layout = ParameterVector(Chain(FlexibleLink(n_modes=modes)))
     place = {layout.index(n): k for k, n in enumerate(NAMES)}
 
     def modal(x):

@@ -25,7 +25,7 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 from jaxid import fitters  # noqa: E402
-from jaxid.fitting.run import Benches, fit_seeds  # noqa: E402
+from jaxid.fitting.run import fit_seeds, ProblemBuilders  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.study.papers import flexible_link, tracker  # noqa: E402
 from jaxid.study.papers.result import PaperClaim  # noqa: E402
@@ -65,7 +65,7 @@ def link_study(seeds: int) -> tuple[list[dict], list[Searched]]:
 def tracker_study(seeds: int) -> list[dict]:
     """GA and PSO beside gradients, from the start values that the data suggest."""
     binding = bind(None, tracker.data())
-    benches = Benches(binding)
+    benches = ProblemBuilders(binding)
     size: Any = {"popsize": 20, "generations": 60}
     methods: dict[str, tuple[Any, str]] = {
         "GA (paper: population 20)": (

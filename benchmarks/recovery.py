@@ -26,7 +26,7 @@ prepare()
 
 from jaxid.data.dataset import Dataset  # noqa: E402
 from jaxid.fitting.covariance import covariance  # noqa: E402
-from jaxid.fitting.least_squares import descend  # noqa: E402
+from jaxid.fitting.least_squares import levenberg_marquardt  # noqa: E402
 from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.problem.problem import linearise  # noqa: E402
@@ -74,7 +74,7 @@ def study(seeds: int) -> dict[str, np.ndarray]:
     exact[binding.free] = [TRUTH[n] for n in names]
     for bench in benches:
         problem = bench.problem(OutputError(), "fit", binding.free, start)
-        path = descend([(problem, problem.z(start))], 40, 1e-10)[0]
+        path = levenberg_marquardt([(problem, problem.z(start))], 40, 1e-10)[0]
         cov, slope = covariance(problem, path.z), problem.dtheta(path.z)
         estimates.append(problem.theta(path.z)[binding.free])
         stds.append(cov.std[: len(names)] * slope)

@@ -36,11 +36,11 @@ def by_hand(folder: str, count: int, search_alone: bool) -> None:
 
     import jaxid
     from jaxid.fitters import LevenbergMarquardt
-    from jaxid.fitting.run import Benches, default_residual, fit_seeds
+    from jaxid.fitting.run import default_residual, fit_seeds, ProblemBuilders
     from jaxid.problem.binding import bind
 
     binding = bind("joint", jaxid.load_dataset(folder))
-    benches, fitter = Benches(binding), LevenbergMarquardt()
+    benches, fitter = ProblemBuilders(binding), LevenbergMarquardt()
     for first in range(0, count, CHUNK):
         seeds = range(first, min(count, first + CHUNK))
         if not search_alone:

@@ -13,9 +13,9 @@ from typing import ClassVar
 import numpy as np
 
 from jaxid.fitting.fitter import AbstractFitter, Log
-from jaxid.fitting.least_squares import descend, guesses, Path
+from jaxid.fitting.least_squares import guesses, levenberg_marquardt, Path
 from jaxid.fitting.settings import option
-from jaxid.problem.objective import expand, Linear
+from jaxid.problem.objective import gauss_newton_model, Linear
 
 
 class BFGS(AbstractFitter):
@@ -35,7 +35,9 @@ class BFGS(AbstractFitter):
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         log = Log(problem, self.name, budget, seconds, progress)
         jobs = [(problem, z) for z in guesses(problem, starts, self.restarts, key)]
-        paths = descend(jobs, self.iterations, self.tolerance, 1.0, log, expand, updated)
+        paths = levenberg_marquardt(
+            jobs, self.iterations, self.tolerance, 1.0, log, gauss_newton_model, updated
+        )
         best = min(paths, key=lambda p: p.cost)
         return log.minimum(best.z, best.converged, log.exhausted or best.stopped)
 

@@ -13,7 +13,7 @@ from jaxid.fitters.shade import Shade
 from jaxid.fitting.ask_tell import answered
 from jaxid.fitting.fitter import AbstractFitter, Log
 from jaxid.fitting.least_squares import problem_clip, search
-from jaxid.fitting.population import AbstractPopulation, Course, same
+from jaxid.fitting.population import AbstractPopulation, same, SearchState
 from jaxid.fitting.settings import option
 from jaxid.problem.objective import AbstractProblem
 
@@ -71,7 +71,7 @@ class Hybrid(AbstractFitter):
         return log.minimum(best, converged, log.exhausted or stopped, stalled and not log.exhausted)
 
 
-def basins(problem: AbstractProblem, course: Course, count: int) -> list[np.ndarray]:
+def basins(problem: AbstractProblem, course: SearchState, count: int) -> list[np.ndarray]:
     """The best points of a course, none within a twentieth of its extent of a better one in every
     direction.
     """

@@ -19,7 +19,13 @@ from jaxid.fitting.fitter import AbstractFitter, Log, sampling_box
 from jaxid.fitting.least_squares import guesses, seed_of
 from jaxid.fitting.settings import about, option
 from jaxid.numerics.precision import float64
-from jaxid.problem.objective import AbstractProblem, CANDIDATES, expand, penalised, PENALTY
+from jaxid.problem.objective import (
+    AbstractProblem,
+    CANDIDATES,
+    gauss_newton_model,
+    penalised,
+    PENALTY,
+)
 
 
 #: Blocks of random points that are looked at for a first one at which the loss is a number.
@@ -73,7 +79,7 @@ class Bounded(NamedTuple):
         problem plus the length of the slope: a first step is then no longer than a typical one (Li,
         Fukushima, Qi, Yamashita, Regularized Newton methods, 2004).
         """
-        at = expand([(problem, np.asarray(self.z(np.zeros(problem.size))))])[0]
+        at = gauss_newton_model([(problem, np.asarray(self.z(np.zeros(problem.size))))])[0]
         typical = self.half * np.cos(self.at) * np.diag(self.step)
         slope, bend = typical * at.gradient, typical[:, None] * at.hessian * typical
         length = np.linalg.norm(slope)

@@ -27,7 +27,7 @@ from jaxid.fitters.de import binomial, dithered, donors, extent
 from jaxid.fitting.fitter import Log
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
-from jaxid.problem.objective import AbstractProblem, expand
+from jaxid.problem.objective import AbstractProblem, gauss_newton_model
 
 
 VARIANTS = ("self", "target", "shift")
@@ -99,7 +99,7 @@ class RecursiveDE(AbstractPopulation):
             where = np.array([int(np.argmin(losses))])
         width = problem.upper - problem.lower
         steps = np.zeros((len(where), x.shape[1]))
-        for k, at in enumerate(expand([(problem, x[i]) for i in where])):
+        for k, at in enumerate(gauss_newton_model([(problem, x[i]) for i in where])):
             A, pull = at.hessian * width * width[:, None], at.gradient * width
             if np.isfinite(A).all() and np.isfinite(pull).all() and np.trace(A) > 0:
                 A = A + 1e-8 * np.trace(A) / len(A) * np.eye(len(A))

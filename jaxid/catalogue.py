@@ -179,14 +179,14 @@ def describe(name: str, model: Any = None) -> ModelInfo:
     from jaxid.dynamics.chain import Chain
     from jaxid.dynamics.mechanism import speed_names
     from jaxid.dynamics.parameter import settings
-    from jaxid.dynamics.parameter_vector import Layout
+    from jaxid.dynamics.parameter_vector import ParameterVector
 
     kind = model_class(name)
     parameters: dict[str, ParameterInfo] = {}
     constants: dict[str, ParameterInfo] = {}
     one = kind() if model is None else model
     for signature in one.signatures:
-        for e in Layout(Chain(one, signature=signature)).entries:
+        for e in ParameterVector(Chain(one, signature=signature)).entries:
             info = ParameterInfo(
                 e.name, e.unit, e.spec.value, str(e.spec.lower), str(e.spec.upper), e.spec.meaning
             )

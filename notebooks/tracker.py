@@ -116,7 +116,7 @@ for name, truth in TRACKER.items():
 # others fitted anew at each value, shows the same without assuming a parabola:
 
 # %%
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.profiles import profile_likelihood
 from jaxid.problem.binding import bind
@@ -125,7 +125,7 @@ from jaxid.problem.residual import OutputError
 
 binding = bind(None, data)
 problem = ProblemBuilder(binding).problem(OutputError(), "fit", binding.free, gradient.theta)
-best = descend([(problem, problem.z(gradient.theta))], 30, 1e-12)[0].z
+best = levenberg_marquardt([(problem, problem.z(gradient.theta))], 30, 1e-12)[0].z
 profiles = profile_likelihood(problem, best, ["J_theta", "b_theta"])
 figure, axes = plt.subplots(1, 2, figsize=(9, 3), layout="constrained")
 for ax, p in zip(axes, profiles.values(), strict=True):

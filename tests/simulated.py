@@ -14,10 +14,10 @@ import numpy as np
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter import TypicalMagnitudes
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.simulation import sample_buffers as samples
-from jaxid.simulation.batch import Engine
-from jaxid.simulation.rollout import simulate_lane
+from jaxid.simulation.batch import BatchSimulator
+from jaxid.simulation.rollout import simulate_rollout
 from jaxid.simulation.sample_buffers import Record
 
 
@@ -41,19 +41,19 @@ class Simulator:
         channels += [Channel(n, "output", unit) for n, unit in signature.outputs]
         run = Experiment("run", "fit", t, u, np.zeros((len(t), len(signature.outputs))))
         dataset = Dataset("data", tuple(channels), (run,))
-        self.layout = Layout(chain)
+        self.layout = ParameterVector(chain)
         buffers, (self.positions,) = samples.build(
             dataset, [run], chain, np.ones(len(signature.outputs)), step, size=size
         )
         nq, count = chain.nq, samples.step_count(run, step)
         still, known = np.zeros(nq), np.zeros(2 * nq, bool)
         record = Record(0, 0, count, 0, count - 1, 0, still, still, known, self.positions)
-        self.engine = Engine(
+        self.engine = BatchSimulator(
             self.layout,
             buffers,
             [record],
             np.full((1, len(self.layout)), np.nan),
-            simulate_lane,
+            simulate_rollout,
             size,
             whole,
         )
@@ -124,7 +124,10 @@ REFERENCE = TypicalMagnitudes(torque=1.0, speed=3.0, angle=1.0, duration=1.0, st
 
 
 def within_bounds(
-    layout: Layout, references: list[TypicalMagnitudes], rng: np.random.Generator, power: int = 1
+    layout: ParameterVector,
+    references: list[TypicalMagnitudes],
+    rng: np.random.Generator,
+    power: int = 1,
 ) -> np.ndarray:
     """A random draw of all numbers but the known constants; `power` > 1 prefers the lower end."""
     lower, upper, _ = layout.boxes(references)

@@ -23,7 +23,7 @@ from jaxid.diagnosis.torque.study import TorqueStudy
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.kinematics import modified_dh
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import DatasetWarning, UsageError
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.identification.payload import PayloadEstimate, USUAL_GAIN_STD, usual_gain_std
@@ -112,7 +112,9 @@ def test_every_arm_and_unit_gives_the_torque(kind: str) -> None:
         chain = _chain(arm, data)
         assert chain.direct and all(u == "N m" for _, u in chain.torque_channels)
         same(
-            drive_torque(Layout(chain), None, data.experiments[0].u, np.concatenate([q, 0 * q], 1)),
+            drive_torque(
+                ParameterVector(chain), None, data.experiments[0].u, np.concatenate([q, 0 * q], 1)
+            ),
             tau,
         )
 

@@ -21,7 +21,7 @@ from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.diagnosis import search, shortlist
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import interval_of_further_run, shrink
-from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
+from jaxid.diagnosis.hypothesis import candidates, Hypothesis, SearchResult
 from jaxid.diagnosis.prior_pull import brought_back, put_back
 from jaxid.diagnosis.proposals import exchanged, left_out
 from jaxid.diagnosis.reasons import Lacks
@@ -29,7 +29,7 @@ from jaxid.diagnosis.search import Searcher, THOROUGH
 from jaxid.diagnosis.selection import mirrored, not_borne_out, outweighed, simpler
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import Gaps, judge, upheld, Verdict
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.lost_runs import growth
 from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.problem.binding import bind
@@ -671,14 +671,16 @@ def test_what_contains_a_hypothesis_leads_it_out_of_a_local_minimum():
     binding = bind("pendulum", data, without=names[:1], candidates=library)
     bench = ProblemBuilder(binding)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
-    searcher = Searcher(bench, OutputError(), descend([(p, p.z(binding.theta))], 10, 1e-6)[0])
+    searcher = Searcher(
+        bench, OutputError(), levenberg_marquardt([(p, p.z(binding.theta))], 10, 1e-6)[0]
+    )
     dry, bend = candidates(bench, names)
     theta = searcher.nominal.theta.copy()
     theta[list(dry.index)] = 0.03
     poor, rich = searcher.problem((dry,), theta), searcher.problem((dry, bend), theta)
     paths = [
-        descend([(poor, poor.z(theta))], 0, 1e-8)[0],
-        descend([(rich, rich.z(theta))], 20, 1e-8)[0],
+        levenberg_marquardt([(poor, poor.z(theta))], 0, 1e-8)[0],
+        levenberg_marquardt([(rich, rich.z(theta))], 20, 1e-8)[0],
     ]
     found = searcher._hypotheses([((dry,), paths[0]), ((dry, bend), paths[1])])
     led = searcher._led(list(found))
@@ -839,7 +841,7 @@ def test_several_effects_must_come_down_to_the_noise(several, left, verdict):
     else.
     """
     found = judge(
-        Search(leaving(4e6, 4e6), leaving(left, left, "one", "two", "three"), several=several)
+        SearchResult(leaving(4e6, 4e6), leaving(left, left, "one", "two", "three"), several=several)
     )
     assert found.name == verdict and "100 %" not in found.text
 
@@ -869,8 +871,8 @@ def test_where_an_encoder_counts_from_within_a_step_is_no_gap(zeros, wave, verdi
     )
     held = SimpleNamespace(loss=loss, count=4000, settled=residual)
     model: Any = SimpleNamespace(effects=(), size=0, fit_loss=loss, path=path, validation=held)
-    assert judge(Search(model, model), np.array([True])).name == verdict
-    assert judge(Search(model, model)).name == (
+    assert judge(SearchResult(model, model), np.array([True])).name == verdict
+    assert judge(SearchResult(model, model)).name == (
         "none" if loss < 1.2 else "unknown"
     )  # of a channel with noise it is one
 
@@ -916,7 +918,9 @@ def test_what_is_named_closes_the_gap_of_the_fit_runs_too(fit_loss, verdict):
     there.
     """
     assert (
-        judge(Search(leaving(429.0, 366.0), leaving(fit_loss, 7.1, "one"), several=False)).name
+        judge(
+            SearchResult(leaving(429.0, 366.0), leaving(fit_loss, 7.1, "one"), several=False)
+        ).name
         == verdict
     )
 
@@ -977,11 +981,11 @@ def test_what_the_data_leave_open_stays_where_the_user_put_it():
         return 1e3 * jnp.stack([z[0] + z[1] - 1.0, z[2] - 0.3])
 
     problem = Named(residual, -np.full(3, 5.0), np.full(3, 5.0))
-    astray = descend([(problem, np.array([4.0, -2.0, 0.1]))], 20, 1e-9)[0]
+    astray = levenberg_marquardt([(problem, np.array([4.0, -2.0, 0.1]))], 20, 1e-9)[0]
     assert np.allclose(astray.z, [3.5, -2.5, 0.3], atol=0.01)
     found = brought_back([astray], np.zeros(3), [0, 1, 2])[0]
     assert np.allclose(found.z, [0.5, 0.5, 0.3], atol=1e-3) and found.cost <= astray.cost + 1e-3
-    determined = descend(
+    determined = levenberg_marquardt(
         [(Named(lambda z: 1e3 * (z - 0.2), [-5.0] * 3, [5.0] * 3), np.ones(3))], 20, 1e-9
     )
     assert brought_back(determined, np.zeros(3), [0, 1, 2])[0] is determined[0]
@@ -1025,7 +1029,7 @@ def test_a_number_that_went_as_far_as_the_data_let_it_is_put_back():
     theta = b.theta.copy()
     theta[[gain, constant]] = 2e-3, 0.1
     p = problem(b.free, theta)
-    astray = descend([(p, p.z(theta))], 30, 1e-8)[0]
+    astray = levenberg_marquardt([(p, p.z(theta))], 30, 1e-8)[0]
     assert p.theta(astray.z)[gain] > 1.5e-3 and astray.loss < 1.1
     found = put_back(astray, b.theta, b.free, problem)
     assert p.theta(found.z)[gain] == pytest.approx(1e-3, rel=1e-3) and found.cost <= astray.cost + 2
@@ -1059,7 +1063,7 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     theta = start_values(bench, bench.binding.free, 0)[0]
     theta[limit] = 0.39  # anywhere above the fit run's command
     p = bench.problem(OutputError(), "fit", bench.binding.free, theta)
-    path = descend([(p, p.z(theta))], 30, 1e-8)[0]
+    path = levenberg_marquardt([(p, p.z(theta))], 30, 1e-8)[0]
     assert 2 * path.cost / path.count < 1.2
     told, theta = [knowledge(path)], p.theta(path.z)
     first, followed = (
@@ -1157,15 +1161,15 @@ def test_an_effect_is_left_out_with_the_others_where_they_end_without_it():
         bench.problem(OutputError(), "fit", [*own, *zone.index, *i], theta)
         for i in ((), scale.index)
     )
-    end = descend([(less, less.z(theta))], 40, 1e-8)[0]
+    end = levenberg_marquardt([(less, less.z(theta))], 40, 1e-8)[0]
     theta = less.theta(end.z)
     theta[own] *= 1.01  # along the valley
     theta[list(scale.index)] = 0.01
-    path = descend([(more, more.z(theta))], 0, 1e-8)[0]
+    path = levenberg_marquardt([(more, more.z(theta))], 0, 1e-8)[0]
     effects, (retuned, plain) = left_out(
         bench, cast(Any, SimpleNamespace(path=path, theta=theta, effects=(scale, zone))), scale
     )
-    there, here = descend([(less, less.z(t)) for t in (retuned, plain)], 0, 1e-6)
+    there, here = levenberg_marquardt([(less, less.z(t)) for t in (retuned, plain)], 0, 1e-6)
     assert (
         effects == (zone,)
         and not retuned[list(scale.index)].any()
@@ -1221,11 +1225,13 @@ def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
     bench = ProblemBuilder(binding, differences=1)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     start = p.z(start_values(bench, binding.free, 0)[0])
-    stuck = descend([(p, start + 0.1 * (p.upper - p.lower))], 0, 1e-8)[0]
+    stuck = levenberg_marquardt([(p, start + 0.1 * (p.upper - p.lower))], 0, 1e-8)[0]
     searcher = Searcher(bench, OutputError(), stuck)
     (drag,) = candidates(bench, ["quadratic_drag"])
     q = searcher.problem((drag,), p.theta(start))
-    richer = searcher._hypotheses([((drag,), descend([(q, q.z(p.theta(start)))], 20, 1e-8)[0])])[0]
+    richer = searcher._hypotheses(
+        [((drag,), levenberg_marquardt([(q, q.z(p.theta(start)))], 20, 1e-8)[0])]
+    )[0]
     freed = searcher._freed(searcher.nominal, richer)
     assert searcher.nominal.fit_loss > 100 and not freed.effects and freed.fit_loss < 1.2
     assert searcher._freed(freed, richer) is freed
@@ -1246,7 +1252,7 @@ def test_a_small_effect_has_to_show_on_report_data_too():
     )
     bench = ProblemBuilder(binding, differences=1)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
-    right = descend([(p, p.z(start_values(bench, binding.free, 0)[0]))], 20, 1e-8)[0]
+    right = levenberg_marquardt([(p, p.z(start_values(bench, binding.free, 0)[0]))], 20, 1e-8)[0]
     searcher = Searcher(bench, OutputError(), right)
     theta = searcher.nominal.theta.copy()
     theta[binding.layout.index("inertia")] *= 1.002
@@ -1279,10 +1285,10 @@ def test_an_effect_that_only_led_out_of_a_local_minimum_is_not_named(monkeypatch
     )
     bench = ProblemBuilder(binding, differences=1)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
-    right = descend([(p, p.z(start_values(bench, binding.free, 0)[0]))], 20, 1e-8)[0]
+    right = levenberg_marquardt([(p, p.z(start_values(bench, binding.free, 0)[0]))], 20, 1e-8)[0]
     theta = p.theta(right.z)
     theta[binding.layout.index("inertia")] *= 1.2
-    off = descend([(p, p.z(theta, p.starts(right.z)))], 0, 1e-8)[0]
+    off = levenberg_marquardt([(p, p.z(theta, p.starts(right.z)))], 0, 1e-8)[0]
     assert off.loss > 100
     monkeypatch.setattr(
         "jaxid.diagnosis.search.LIMITS", dataclasses.replace(LIMITS, far=np.inf)

@@ -26,7 +26,7 @@ from jaxid.dynamics.effect import InputEffect, JointEffect, OutputEffect, Signal
 from jaxid.dynamics.export_law import ExportLaw, FUNCTIONS, in_python, SIGNALS
 from jaxid.dynamics.law_in_c import in_c
 from jaxid.dynamics.parameter import resolve, specs, TypicalMagnitudes, with_fields
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.effect_starts import probe_starts
@@ -96,7 +96,7 @@ def settings_of(effect: str, case: str) -> list[dict[str, np.ndarray]]:
     return [{name: by_joint(value) for name, value in one.items()} for one in examples]
 
 
-def named(layout: Layout, effect: str, values: dict[str, np.ndarray]) -> dict[str, float]:
+def named(layout: ParameterVector, effect: str, values: dict[str, np.ndarray]) -> dict[str, float]:
     """The same with the model's own names; dry friction that varies has a mean level beside it."""
     out = {}
     for i in layout.of_effect(effect):
@@ -115,7 +115,7 @@ def named(layout: Layout, effect: str, values: dict[str, np.ndarray]) -> dict[st
     return out
 
 
-def mean_level(layout: Layout) -> np.ndarray:
+def mean_level(layout: ParameterVector) -> np.ndarray:
     return TORQUE[layout.chain.mechanism.name]
 
 

@@ -12,7 +12,7 @@ from jaxid.models import FlexibleLink, Pendulum, PlanarArm
 from jaxid.models.effects import Backlash, CoulombFriction, DeadZone, InputDelay, SensorLag
 from jaxid.numerics import kept as programs
 from jaxid.simulation import batch as engine
-from jaxid.simulation.rollout import simulate_lane
+from jaxid.simulation.rollout import simulate_rollout
 from simulated import Simulator
 
 
@@ -115,7 +115,9 @@ def test_only_what_remembers_follows_the_motion_before_a_record():
     )
     nothing_stated = np.full((1, len(run.layout)), np.nan)
     sparing, whole = (
-        engine.Engine(run.layout, samples, [record], nothing_stated, simulate_lane, 512, w)
+        engine.BatchSimulator(
+            run.layout, samples, [record], nothing_stated, simulate_rollout, 512, w
+        )
         for w in (False, True)
     )
     sets = [

@@ -16,7 +16,7 @@ from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
 from jaxid.fitting import run as fits
 from jaxid.fitting.ending import looked_again
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import FunctionProblem, Linear
@@ -243,5 +243,7 @@ def test_a_valley_in_which_steps_gain_nothing_beside_the_noise_is_at_its_end():
     for weighted, steps in ((True, 4), (False, 31)):
         problem.weighted = weighted
         asked.clear()
-        (path,) = descend([(problem, np.zeros(1))], 30, 1e-10, expansion=expansion, material=True)
+        (path,) = levenberg_marquardt(
+            [(problem, np.zeros(1))], 30, 1e-10, expansion=expansion, material=True
+        )
         assert len(asked) == steps and path.converged == weighted

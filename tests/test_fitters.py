@@ -31,12 +31,19 @@ from jaxid.fitters import (
     RandToBestDE,
     RecursiveDE,
 )
-from jaxid.fitting.least_squares import accept, descend, next_trial, Path, PATIENCE, race
+from jaxid.fitting.least_squares import (
+    accept,
+    levenberg_marquardt,
+    next_trial,
+    Path,
+    PATIENCE,
+    successive_halving,
+)
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.sequential import follow, stretches
 from jaxid.problem.binding import bind
-from jaxid.problem.objective import expand, FunctionProblem, Linear, PENALTY, rows
+from jaxid.problem.objective import FunctionProblem, gauss_newton_model, Linear, PENALTY, rows
 from jaxid.problem.residual import OutputError
 
 
@@ -323,7 +330,7 @@ def test_gradient_of_every_loss(pendulum, loss):
     theta = pendulum.theta.copy()
     theta[pendulum.layout.index("coulomb")] = 0.0
     z = problem.z(theta)
-    at = expand([(problem, z)])[0]
+    at = gauss_newton_model([(problem, z)])[0]
     assert at.cost / 2 == pytest.approx(problem.loss(z), rel=1e-9)
     for k in [i for i, n in enumerate(problem.names) if n != "coulomb"]:
         h = 1e-6 * problem.scale[k] * np.eye(problem.size)[k]
@@ -365,7 +372,7 @@ def test_descent_needs_no_more_steps_than_scipy(pendulum):
         z = np.clip(
             found.z * (1 + 0.2 * rng.normal(size=problem.size)), problem.lower, problem.upper
         )
-        path = descend([(problem, z)], 60, 1e-10)[0]
+        path = levenberg_marquardt([(problem, z)], 60, 1e-10)[0]
         box = problem.lower, problem.upper
 
         def slopes(z):
@@ -498,7 +505,7 @@ def test_recursion_follows_a_change(variant):
 def test_weighted_pieces_are_weighted_least_squares():
     problem = changing()
     part = problem.part([4, 5, 6], [0.25, 0.5, 1.0])
-    at = descend([(part, np.array([1.0, 0.0]))], 20, 1e-12)[0]
+    at = levenberg_marquardt([(part, np.array([1.0, 0.0]))], 20, 1e-12)[0]
     t = np.linspace(0, 12, 240, endpoint=False)
     w = np.sqrt(np.select([t < 4, t < 5, t < 6, t < 7], [0, 0.25, 0.5, 1.0], 0.0))
     x = np.sin(2.3 * t)
@@ -518,7 +525,7 @@ def test_recursion_over_runs_of_a_model(pendulum):
     z = problem.z(pendulum.theta)
     half = problem.part([0], [0.5])
     assert half.loss(z) == pytest.approx(problem.loss(z), rel=1e-12)  # weights are normalised
-    assert expand([(half, z)])[0].cost != 0
+    assert gauss_newton_model([(half, z)])[0].cost != 0
     assert sum(np.sum(p.r**2) for p in rows([(half, z)])) == pytest.approx(
         0.5 * sum(np.sum(p.r**2) for p in rows([(problem, z)]))
     )
@@ -606,15 +613,17 @@ def test_a_race_gives_up_what_is_hopelessly_behind():
         [(wave, np.array([w])) for w in (5.0, 1.9, 7.0)],
         [(level, np.array([a])) for a in (150.0, -150.0)],
     ]
-    right, wrong = race(groups, 20, 1e-6)
+    right, wrong = successive_halving(groups, 20, 1e-6)
     assert right.loss < 1.5 and right.z == pytest.approx([2.0], abs=1e-3)
     assert (
         wrong.linearisations == 1 and wrong.loss > 1000
     )  # what explains the data needs no such rival to the end
-    assert race(groups, 20, 1e-6, sure=[1])[1].linearisations > 1  # but for one more chance
-    alone = race(groups[1:], 20, 1e-6)[0]  # without it, the best goes on
+    assert (
+        successive_halving(groups, 20, 1e-6, sure=[1])[1].linearisations > 1
+    )  # but for one more chance
+    alone = successive_halving(groups[1:], 20, 1e-6)[0]  # without it, the best goes on
     assert alone.converged and alone.loss <= wrong.loss
-    lost = descend(
+    lost = levenberg_marquardt(
         [(wave, np.array([w])) for w in (1.9, 5.0)],
         8,
         1e-8,

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.models import FlexibleArm, Joint, MODELS, Panda, PlanarArm, SerialArm, UR10e
 from jaxid.models.effects import Backlash, DeadZone, StribeckFriction
 from jaxid.numerics import batch_loop as lanes
-from jaxid.numerics.batch_loop import laid_out, loop_over_time, over_lanes
+from jaxid.numerics.batch_loop import batched_vmap, laid_out, loop_over_time
 from jaxid.numerics.precision import float64
 from jaxid.numerics.program_form import scan_counts, UnknownForm, while_counts
-from jaxid.simulation.rollout import EVEN, simulate_lane
+from jaxid.simulation.rollout import EVEN, simulate_rollout
 from jaxid.simulation.sample_buffers import Samples
 
 
@@ -77,7 +77,7 @@ def test_lanes_equal_vmap_in_values_and_tangents():
         for f in (looped, slope):
             expected = jax.jit(jax.vmap(f, AXES))(A, x, table, steps)
             for name in ("jit", "plain"):
-                run = over_lanes(f, AXES)
+                run = batched_vmap(f, AXES)
                 found = (jax.jit(run) if name == "jit" else run)(A, x, table, steps)
                 jax.tree.map(
                     lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-12),
@@ -92,7 +92,7 @@ def test_lanes_equal_vmap_in_values_and_tangents():
 def test_a_lane_does_not_depend_on_its_neighbours():
     A, x, table, steps = numbers()
     with float64():
-        run = jax.jit(over_lanes(looped, AXES))
+        run = jax.jit(batched_vmap(looped, AXES))
         before = np.asarray(run(A, x, table, steps))
         A[1:], x[1] = np.nan, 1e300
         assert np.array_equal(np.asarray(run(A, x, table, steps))[0], before[0])
@@ -114,7 +114,7 @@ def test_a_large_step_is_left_to_vmap_where_its_matrices_would_be_taken_apart(mo
     A, x, table, steps = numbers()
 
     def text(f):
-        return str(jax.make_jaxpr(over_lanes(f, AXES))(A, x, table, steps))
+        return str(jax.make_jaxpr(batched_vmap(f, AXES))(A, x, table, steps))
 
     with float64():
         apart, single = text(looped).count("f64[6] "), text(scalars)
@@ -130,7 +130,7 @@ def test_a_large_step_is_left_to_vmap_where_its_matrices_would_be_taken_apart(mo
 )
 def test_models_move_alike(mechanism, effects):
     chain = Chain(mechanism()).with_effects(*effects)
-    layout, n, rng = Layout(chain), 400, np.random.default_rng(1)
+    layout, n, rng = ParameterVector(chain), 400, np.random.default_rng(1)
     nu, nq = len(chain.signature.inputs), chain.nq
     theta = np.array([e.spec.value for e in layout.entries]) * rng.uniform(
         0.8, 1.2, (3, len(layout))
@@ -151,13 +151,13 @@ def test_models_move_alike(mechanism, effects):
         where = np.tile(np.array([0, 0, n - 1, 0], np.int32), (3, 1))
 
         def run(theta, start, where, samples, steps):
-            return simulate_lane(
+            return simulate_rollout(
                 layout.model(theta), samples, where, start, steps, 512, EVEN, False
             )
 
         args = theta, np.zeros((3, 2 * nq)), where, samples, n
         found, expected = (
-            jax.jit(f(run, (0, 0, 0, None, None)))(*args) for f in (over_lanes, jax.vmap)
+            jax.jit(f(run, (0, 0, 0, None, None)))(*args) for f in (batched_vmap, jax.vmap)
         )
     assert np.ptp(np.asarray(expected)) > 0.1
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
@@ -176,7 +176,7 @@ def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
     form of a program.
     """
     chain = Chain(mechanism())
-    layout, n, rng = Layout(chain), 24, np.random.default_rng(1)
+    layout, n, rng = ParameterVector(chain), 24, np.random.default_rng(1)
     nu, ny, nq = len(chain.signature.inputs), len(chain.signature.outputs), chain.nq
     theta = np.array([e.spec.value for e in layout.entries]) * rng.uniform(
         0.9, 1.1, (2, len(layout))
@@ -197,7 +197,7 @@ def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
 
         def run(theta, start, where, samples):
             def lane(theta, start):
-                return simulate_lane(
+                return simulate_rollout(
                     layout.model(theta), samples, where, start, steps, 64, EVEN, False
                 )
 
@@ -232,7 +232,7 @@ def test_an_unknown_form_is_left_to_vmap_and_told_once(monkeypatch):
         ) as said:
             for _ in range(2):
                 np.testing.assert_allclose(
-                    jax.jit(over_lanes(looped, AXES))(A, x, table, steps),
+                    jax.jit(batched_vmap(looped, AXES))(A, x, table, steps),
                     expected,
                     rtol=1e-9,
                     atol=1e-9,
@@ -242,7 +242,7 @@ def test_an_unknown_form_is_left_to_vmap_and_told_once(monkeypatch):
 
 def test_errors_of_the_function_itself_are_those_of_vmap(monkeypatch):
     monkeypatch.setattr(lanes, "_noted", [])
-    for f in (over_lanes, jax.vmap):
+    for f in (batched_vmap, jax.vmap):
         with pytest.raises(TypeError, match="contracting"):
             f(lambda x: x @ jnp.ones((3, 3)))(jnp.ones((4, 2)))
     assert lanes._noted == []

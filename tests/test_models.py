@@ -21,7 +21,7 @@ import jaxid
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.mechanism import Rigid
 from jaxid.dynamics.parameter import TypicalMagnitudes
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.models import FlexibleLink, MODELS, Servo, SpaceManipulator, Tracker
 from jaxid.models.effects import BaseMotion
 from jaxid.numerics.precision import float64
@@ -324,7 +324,7 @@ def label(chain: jaxid.Chain) -> str:
     return name + "-nonlinear" * bool(getattr(chain.mechanism, "nonlinear", False))
 
 
-def draw(layout: Layout, rng: np.random.Generator) -> np.ndarray:
+def draw(layout: ParameterVector, rng: np.random.Generator) -> np.ndarray:
     """Random numbers inside the bounds of a model, effects' relative to magnitudes of one."""
     ones = [TypicalMagnitudes(1.0, 1.0, 1.0, 1.0, 1e-3)] * 8
     lower, upper, _ = layout.boxes(ones, ones)
@@ -361,7 +361,7 @@ def test_no_gradient_is_nan(chain):
     """Of a step, the sensors and the frequency response, by every number and state, in 1,000 draws,
     a quarter of them at rest.
     """
-    layout, nq, nu = Layout(chain), chain.nq, len(chain.signature.inputs)
+    layout, nq, nu = ParameterVector(chain), chain.nq, len(chain.signature.inputs)
     rng = np.random.default_rng(0)
     theta = np.array([draw(layout, rng) for _ in range(1000)])
     state = rng.normal(size=(1000, 2 * nq))
@@ -391,7 +391,7 @@ RIGID = {label(c): c for c in chains() if isinstance(c.mechanism, Rigid)}
 
 @cache
 def masses(name: str):
-    layout = Layout(RIGID[name])
+    layout = ParameterVector(RIGID[name])
 
     def mass(theta, q):
         mechanism: Any = layout.model(theta).mechanism

@@ -16,7 +16,7 @@ from jaxid.diagnosis.goals.as_stated import Alone, Difference
 from jaxid.diagnosis.goals.floor import Between, not_this_file
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.how_far import closed, not_measured
-from jaxid.diagnosis.hypothesis import Search
+from jaxid.diagnosis.hypothesis import SearchResult
 from jaxid.diagnosis.result import HowFar, Regime, Which
 from jaxid.diagnosis.selection import indistinct
 from jaxid.diagnosis.torque import run as torque_run
@@ -63,12 +63,12 @@ def test_no_verdict_rests_on_what_is_no_number(bad, at):
         hypothesis(losses[0], losses[1]),
         hypothesis(losses[2], losses[3], "drag at q"),
     )
-    found = judge(Search(nominal, chosen))
+    found = judge(SearchResult(nominal, chosen))
     assert found.name != "none"
     assert at < 2 or found.name == "unknown"
     if np.isnan(losses[1]):
         assert found.name != "named" or losses[3] <= 1.1
-    assert judge(Search(nominal, nominal)).name == "unknown" or at >= 2
+    assert judge(SearchResult(nominal, nominal)).name == "unknown" or at >= 2
 
 
 @pytest.mark.parametrize("values", list(itertools.product((0.9, 5.0, *NONE), repeat=3)))

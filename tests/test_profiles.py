@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxid.fitting.covariance import covariance
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.profiles import bootstrap, profile_likelihood
 from jaxid.problem.binding import bind
@@ -20,7 +20,7 @@ from test_fitters import data_of
 def fitted():
     binding = bind(None, data_of("joint"))
     problem = ProblemBuilder(binding).problem(OutputError(), "fit", binding.free, binding.theta)
-    return problem, descend([(problem, problem.z(binding.theta))], 60, 1e-12)[0].z
+    return problem, levenberg_marquardt([(problem, problem.z(binding.theta))], 60, 1e-12)[0].z
 
 
 def test_profile_of_a_well_determined_fit_is_the_covariance(fitted):
@@ -65,7 +65,7 @@ def test_profile_at_a_bound_has_one_end(fitted):
     tight = type(problem)(
         problem.runs, problem.base, problem.free, lower, upper, problem.records, scale=scale
     )
-    end = descend([(tight, tight.z(theta, problem.starts(z)))], 40, 1e-12)[0].z
+    end = levenberg_marquardt([(tight, tight.z(theta, problem.starts(z)))], 40, 1e-12)[0].z
     p = profile_likelihood(tight, end, ["coulomb"])["coulomb"]
     assert p.interval[1] is None and p.at_bound[1]
     assert p.interval[0] is not None and p.interval[0] < upper[i]
@@ -97,7 +97,7 @@ def test_bootstrap_of_coloured_residuals_keeps_their_colour(fitted):
     targets = problem.targets.copy()
     targets[at, 0] = problem.predictions(z)[0][:, 0] + 1e-3 * noise
     coloured = problem.with_targets(targets)
-    end = descend([(coloured, z)], 40, 1e-12)[0].z
+    end = levenberg_marquardt([(coloured, z)], 40, 1e-12)[0].z
     cov, slope = covariance(coloured, end), problem.dtheta(end)
     assert not cov.white
     found = bootstrap(coloured, end, 150)

@@ -30,10 +30,10 @@ from jax import monitoring
 from jaxid.numerics.precision import float64
 hits = []
 monitoring.register_event_listener(lambda event, **_: hits.append(event) if event.endswith("cache_hits") else None)
-from jaxid.numerics.export_cache import Traced
+from jaxid.numerics.export_cache import ExportedFunction
 def program(x): return jax.numpy.cumsum(jax.numpy.sin(x) ** 2)
 with float64():
-    print(np.asarray(Traced(program, "the key")(np.linspace(0, 9, 50))).tobytes().hex(), len(hits))
+    print(np.asarray(ExportedFunction(program, "the key")(np.linspace(0, 9, 50))).tobytes().hex(), len(hits))
 """
 
 

@@ -105,10 +105,10 @@ def test_the_recipes_for_a_model_and_an_effect_fit():
         found = fit.parameters[name]
         assert found.std is not None and abs(found.value - truth) < 4 * found.std + 1e-4 * truth
     from jaxid.dynamics.chain import Chain
-    from jaxid.dynamics.parameter_vector import Layout
+    from jaxid.dynamics.parameter_vector import ParameterVector
 
     joint = Chain(jaxid.models.Joint()).with_effects(made["SpringTorque"]())
-    assert "spring_torque.stiffness@q" in Layout(joint).names
+    assert "spring_torque.stiffness@q" in ParameterVector(joint).names
 
 
 def typed(lines: list[str], *more: str) -> None:

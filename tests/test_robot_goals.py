@@ -34,7 +34,7 @@ from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.dynamics.parameter_vector import ChainForm
 from jaxid.fitting import secant
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.secant import descend_on_secants, Slopes
@@ -157,7 +157,7 @@ def test_secants_end_where_slopes_of_all_numbers_do():
     b = bind(model, moving(model, swinging()))
     p = ProblemBuilder(b, differences=1).problem(OutputError(), "fit", b.free, b.theta)
     far = np.clip(p.z(b.theta) + 20 * p.scale, p.lower, p.upper)
-    sure = descend([(p, far)], 20, 1e-6)[0]
+    sure = levenberg_marquardt([(p, far)], 20, 1e-6)[0]
     path, slopes, _ = descend_on_secants(p, [far], None, 20, 1e-6)
     assert abs(path.loss - sure.loss) < 1e-3 * sure.loss
     assert sure.hessian is not None and path.hessian is not None

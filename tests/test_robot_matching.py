@@ -9,7 +9,7 @@ import pytest
 import jaxid
 from jaxid import Dataset, UsageError
 from jaxid.data.dataset import Controller, ModelSpec
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import DatasetError
 from jaxid.models import Robot
 from jaxid.problem.binding import resolve_model
@@ -209,7 +209,7 @@ def test_a_dataset_names_its_robot(tmp_path):
     data = jaxid.load_dataset(folder)
     chain: Any = resolve_model(None, data)
     assert chain.signature.joints == ("lift", "elbow") and float(chain.mechanism.base_roll) == 0.2
-    assert "armature@elbow" in (names := Layout(chain).names) and "kp@lift" in names
+    assert "armature@elbow" in (names := ParameterVector(chain).names) and "kp@lift" in names
     again = jaxid.load_dataset(jaxid.save_dataset(data, tmp_path / "copy"))
     assert resolve_model(None, again).signature == chain.signature
 

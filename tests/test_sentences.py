@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st
 
 from jaxid import wording
 from jaxid.diagnosis.breakdown import Share
-from jaxid.diagnosis.hypothesis import Search
+from jaxid.diagnosis.hypothesis import SearchResult
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.reasons import FollowsFitRuns, Lacks, LacksInPart, Remark, ReportNotReached
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, Ranked, Which
@@ -61,8 +61,8 @@ def test_verdicts_by_fit_and_validation_data(fit0, loss0, fit1, loss1, others, s
     nominal, chosen = hypothesis(fit0, loss0), hypothesis(fit1, loss1, "drag at q")
     tried = [hypothesis(a, b, f"effect {k} at q") for k, (a, b) in enumerate(others)]
     for search in (
-        Search(nominal, nominal, tried),
-        Search(nominal, chosen, [chosen, *tried], several=several),
+        SearchResult(nominal, nominal, tried),
+        SearchResult(nominal, chosen, [chosen, *tried], several=several),
     ):
         judged = judge(search)
         verdict, words = judged.name, judged.text

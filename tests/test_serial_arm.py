@@ -23,7 +23,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
 from jaxid.dynamics.parameter import TypicalMagnitudes
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.dynamics.urdf import read_urdf
 from jaxid.errors import UsageError
 from jaxid.models import Panda, SerialArm, UR10, UR10e
@@ -430,7 +430,7 @@ def test_no_gradient_is_nan():
     friction included.
     """
     chain = Chain(UR10()).smoothed(1e-2)
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     lower, upper, _ = layout.boxes([REFERENCE] * 6)
     friction = np.array([e.owner >= 0 and not e.spec.fixed for e in layout.entries])
 
@@ -486,7 +486,7 @@ def test_simulation_with_friction_sticks():
 def test_names_units_and_what_is_held():
     pin.seed(1)
     arm = SerialArm(random_table(np.random.default_rng(0), [False, True, False]))
-    layout = Layout(Chain(arm))
+    layout = ParameterVector(Chain(arm))
     unit = {e.name: e.unit for e in layout.entries}
     assert unit["m2"] == "kg" and unit["Ixx3"] == "kg m^2" and unit["mx1"] == "kg m"
     assert unit["Ia1"] == "kg m^2" and unit["Ia2"] == "kg"

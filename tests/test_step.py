@@ -20,7 +20,7 @@ from jaxid.dynamics.dry_friction import solve_dry
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.mechanism import Lagrangian
 from jaxid.dynamics.parameter import constant, param
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.models import Joint, Pendulum, PlanarArm
 from jaxid.models.effects import InputDelay
 from jaxid.numerics.precision import float64
@@ -248,7 +248,7 @@ SMALL = (Joint, Pendulum, PlanarArm)
 def test_mass_matrix_is_symmetric_and_positive_definite(kind, seed):
     """For all parameters within their bounds."""
     rng = np.random.default_rng(seed)
-    layout = Layout(Chain(kind()))
+    layout = ParameterVector(Chain(kind()))
     theta = within_bounds(layout, [REFERENCE] * layout.chain.nq, rng)
     with float64():
         body: Any = layout.model(jnp.asarray(theta)).mechanism

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.models import Pendulum
 from jaxid.numerics import export_cache as traced
-from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.export_cache import ExportedFunction, key_of
 from jaxid.numerics.precision import float64
-from jaxid.simulation.rollout import simulate_lane, torque_lane
+from jaxid.simulation.rollout import inverse_dynamics_rollout, simulate_rollout
 
 
 @pytest.fixture
@@ -32,11 +32,11 @@ def test_what_is_read_back_gives_the_same_bits(folder, monkeypatch):
     x, y = np.linspace(0, 3, 7), {"scale": np.float64(1.7)}
     with float64():
         plain = jax.jit(bent)(x, y)
-        first = Traced(bent, "key")(x, y)
+        first = ExportedFunction(bent, "key")(x, y)
         (file,) = folder.iterdir()
         content = file.read_bytes()
         monkeypatch.setattr(jax.export, "export", None)  # a second process does not trace
-        second = Traced(lambda *_: pytest.fail("traced again"), "key")(x, y)
+        second = ExportedFunction(lambda *_: pytest.fail("traced again"), "key")(x, y)
         assert all(
             np.array_equal(a, b) and np.array_equal(a, c)
             for a, b, c in zip(plain, first, second, strict=True)
@@ -46,10 +46,10 @@ def test_what_is_read_back_gives_the_same_bits(folder, monkeypatch):
 
 def test_other_shapes_and_keys_are_other_programs(folder):
     with float64():
-        f = Traced(bent, "key")
+        f = ExportedFunction(bent, "key")
         for n in (3, 4):
             assert f(np.ones(n), {"scale": np.float64(2.0)})[1] == n
-        assert Traced(lambda x: x + 1, "another")(np.ones(3)).tolist() == [2, 2, 2]
+        assert ExportedFunction(lambda x: x + 1, "another")(np.ones(3)).tolist() == [2, 2, 2]
     assert len(list(folder.iterdir())) == 3
 
 
@@ -60,22 +60,22 @@ def test_another_device_is_another_program(folder, monkeypatch):
     x, y = np.ones(3), {"scale": np.float64(2.0)}
     cpu = jax.devices("cpu")[0]
     with float64():
-        Traced(bent, "key")(x, y)
+        ExportedFunction(bent, "key")(x, y)
         monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-        assert not Traced(bent, "key").kept(x, y)
-        assert Traced(bent, "key").kept(*jax.device_put((x, y), cpu))
+        assert not ExportedFunction(bent, "key").kept(x, y)
+        assert ExportedFunction(bent, "key").kept(*jax.device_put((x, y), cpu))
         with jax.default_device(cpu):
-            assert Traced(bent, "key").kept(x, y)
+            assert ExportedFunction(bent, "key").kept(x, y)
 
 
 @pytest.mark.parametrize("content", [b"", b"no program", b"\0" * 5000])
 def test_a_broken_file_is_no_harm(folder, content):
     x, y = np.ones(3), {"scale": np.float64(2.0)}
     with float64():
-        expected = Traced(bent, "key")(x, y)
+        expected = ExportedFunction(bent, "key")(x, y)
         (file,) = folder.iterdir()
         file.write_bytes(content)
-        assert np.array_equal(Traced(bent, "key")(x, y)[0], expected[0])
+        assert np.array_equal(ExportedFunction(bent, "key")(x, y)[0], expected[0])
 
 
 def test_no_folder_no_file(tmp_path, monkeypatch):
@@ -85,21 +85,21 @@ def test_no_folder_no_file(tmp_path, monkeypatch):
     jax.config.update("jax_compilation_cache_dir", str(blocked))  # nothing can be made below a file
     try:
         with float64():
-            assert Traced(bent, "key")(np.ones(3), {"scale": np.float64(2.0)})[1] == 3
+            assert ExportedFunction(bent, "key")(np.ones(3), {"scale": np.float64(2.0)})[1] == 3
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
 
 
 def test_the_key_holds_what_a_trace_depends_on(monkeypatch):
     chain = Chain(Pendulum())
-    key = key_of(simulate_lane, chain, 512)
-    assert key is not None and key == key_of(simulate_lane, Chain(Pendulum()), 512)
-    assert key != key_of(simulate_lane, chain, 1024)
-    assert key != key_of(torque_lane, chain, 512)
-    assert key != key_of(simulate_lane, chain.without("viscous_friction"), 512)
-    assert key != key_of(simulate_lane, Chain(Pendulum(), smoothing_velocity=0.01), 512)
+    key = key_of(simulate_rollout, chain, 512)
+    assert key is not None and key == key_of(simulate_rollout, Chain(Pendulum()), 512)
+    assert key != key_of(simulate_rollout, chain, 1024)
+    assert key != key_of(inverse_dynamics_rollout, chain, 512)
+    assert key != key_of(simulate_rollout, chain.without("viscous_friction"), 512)
+    assert key != key_of(simulate_rollout, Chain(Pendulum(), smoothing_velocity=0.01), 512)
     monkeypatch.setattr(traced, "_own_sources", lambda: "changed")
-    assert key != key_of(simulate_lane, chain, 512)
+    assert key != key_of(simulate_rollout, chain, 512)
 
 
 class Own(Pendulum):
@@ -107,7 +107,7 @@ class Own(Pendulum):
 
 
 def test_the_programs_of_own_models_are_not_kept():
-    layout = Layout(Chain(Own()))
-    assert key_of(simulate_lane, layout.chain) is None
+    layout = ParameterVector(Chain(Own()))
+    assert key_of(simulate_rollout, layout.chain) is None
     assert key_of(lambda: None, Chain(Pendulum())) is None
     assert key_of(bent, Chain(Pendulum())) is None

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.dynamics.effect import Command
-from jaxid.dynamics.parameter_vector import Layout
-from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.dynamics.parameter_vector import ParameterVector
+from jaxid.numerics.export_cache import ExportedFunction, key_of
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
@@ -33,14 +33,14 @@ def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
     return missing
 
 
-def _program(layout: Layout, free: tuple[int, ...]) -> Traced:
+def _program(layout: ParameterVector, free: tuple[int, ...]) -> ExportedFunction:
     """`force` at sets of those numbers of a layout that are `free`, one program for all chains of
     its structure: the others [numbers], the sets [sets free] and a motion [samples nq] give [sets
     samples nq].
     """
     form = layout.form
 
-    def made() -> Traced:
+    def made() -> ExportedFunction:
         key = key_of(force, form.bare, free)
         place = {i: k for k, i in enumerate(free)}
 
@@ -57,7 +57,7 @@ def _program(layout: Layout, free: tuple[int, ...]) -> Traced:
 
             return jax.vmap(lambda own: jax.vmap(lambda *sample: at(own, *sample))(*motion))(own)
 
-        return Traced(sets, key)
+        return ExportedFunction(sets, key)
 
     return shared("forces", (form, free), made)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxid.diagnosis import how_far as shrinking, where as location
 from jaxid.diagnosis.evidence import inflation, worth
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.result import Ranked
 from jaxid.fitting.assemble import assemble, estimates
@@ -111,7 +111,7 @@ def where_it_lies(
     return tuple(found), tuple(pictures), tuple(rows)
 
 
-def ranked(search: Search) -> list[Ranked]:
+def ranked(search: SearchResult) -> list[Ranked]:
     """Every hypothesis that was refitted, best validation gap first; those with several effects
     name the last one added.
     """

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.evidence import held_out, knowledge
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.jitter import Scatter
 from jaxid.diagnosis.reasons import (
     CutShort,
@@ -44,7 +44,7 @@ class Judge:
         self,
         bench: ProblemBuilder,
         residual: Residual,
-        search: Search,
+        search: SearchResult,
         still: Sequence[str] = (),
         scatter: Scatter | None = None,
     ):
@@ -127,7 +127,7 @@ class Judge:
             return replace(found, verdict=verdict)
         if verdict.claims:
             return self._claim(verdict, found.named)
-        plain = judge(Search(self.search.nominal, self.search.nominal))
+        plain = judge(SearchResult(self.search.nominal, self.search.nominal))
         if plain.name == "none":  # the gap was one next to the noise
             names = " and ".join(map(str, self.search.chosen.effects))
             verdict = plain.because(NextToTheNoise(names, gaps.after, gaps.retuned))

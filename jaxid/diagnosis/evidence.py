@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.fitting.least_squares import descend, Path
+from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import scored
 from jaxid.problem.problem import rows
@@ -92,7 +92,9 @@ def _windows(
     bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray], residual: Residual
 ) -> list[HeldOut]:
     problems = [bench.problem(residual, split, [], theta) for theta in thetas]
-    paths = descend([(p, p.z(t)) for p, t in zip(problems, thetas, strict=True)], 8, 1e-8)
+    paths = levenberg_marquardt(
+        [(p, p.z(t)) for p, t in zip(problems, thetas, strict=True)], 8, 1e-8
+    )
     out: list[HeldOut] = [HeldOut([], [], 0.0, 0) for _ in thetas]
     for part in rows([(p, path.z) for p, path in zip(problems, paths, strict=True)]):
         held = out[part.job]
@@ -171,7 +173,7 @@ def together(
         before = dict.fromkeys(e.split for e in path.problem.runs.experiments)
         p = bench.problem(OutputError(), "+".join((*before, split)), path.problem.free, theta)
         jobs.append((p, p.z(theta, np.concatenate([path.problem.starts(path.z), own]))))
-    return descend(jobs, TOGETHER, 1e-6) if jobs else []
+    return levenberg_marquardt(jobs, TOGETHER, 1e-6) if jobs else []
 
 
 def shifted(

@@ -79,7 +79,7 @@ class Hypothesis:
 
 
 @dataclass
-class Search:
+class SearchResult:
     """What the search found: the accepted steps, and all that was tried on the way.
 
     `rivals`: the two hypotheses between which further data should decide. `several`: more than one
@@ -105,8 +105,8 @@ class Search:
 def without_each(
     h: Hypothesis, known: Mapping[frozenset[str], Hypothesis]
 ) -> tuple[tuple[Candidate, float], ...]:
-    """What the effects of a hypothesis contribute: see `Search.without`; the refits are among those
-    known.
+    """What the effects of a hypothesis contribute: see `SearchResult.without`; the refits are among
+    those known.
     """
     smaller = [(c, known.get(key_of([e for e in h.effects if e is not c]))) for c in h.effects]
     left = [

@@ -11,7 +11,7 @@ from jaxid import catalogue
 from jaxid.diagnosis.evidence import knowledge
 from jaxid.diagnosis.hypothesis import Hypothesis
 from jaxid.diagnosis.unseen import Unseen
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.excitation.discriminate import recorded, Rivals
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.simulation.sample_buffers import columns
@@ -34,7 +34,9 @@ def rivals_of(bench: ProblemBuilder, pair: tuple[Hypothesis, Hypothesis]) -> Riv
     present |= {
         e.name for e in b.chain.effects if any(i in b.nominal for i in b.layout.of_effect(e.name))
     }
-    layout = Layout(b.chain.without(*(e.name for e in b.chain.effects if e.name not in present)))
+    layout = ParameterVector(
+        b.chain.without(*(e.name for e in b.chain.effects if e.name not in present))
+    )
     at = [b.layout.index(name) for name in layout.names]
     place = {i: k for k, i in enumerate(at)}
     p, told = second.path.problem, knowledge(second.path)

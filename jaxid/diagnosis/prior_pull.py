@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.fitting.least_squares import descend, Path
+from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.problem.problem import FitProblem
 
 
@@ -36,7 +36,7 @@ def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int])
         for k in moved
     ]
     out = list(paths)
-    for k, end in zip(moved, descend(jobs, 6, 1e-6) if jobs else [], strict=True):
+    for k, end in zip(moved, levenberg_marquardt(jobs, 6, 1e-6) if jobs else [], strict=True):
         if end.cost <= paths[k].cost + LIMITS.pull_cost:
             out[k] = replace(end, linearisations=paths[k].linearisations + end.linearisations)
     return out
@@ -70,7 +70,8 @@ def put_back(
     rest = [int(p.free[k]) for k in np.argsort(price) if away[k] > SHORT * p.scale[k]][:TRIED]
     as_it_is = problem(free, now)
     most = (
-        descend([(as_it_is, as_it_is.z(now, starts))], 0, 1e-6)[0].cost + LIMITS.pull_cost
+        levenberg_marquardt([(as_it_is, as_it_is.z(now, starts))], 0, 1e-6)[0].cost
+        + LIMITS.pull_cost
         if rest
         else 0.0
     )
@@ -82,7 +83,7 @@ def put_back(
             tried[i] = theta[i]
             less = problem([f for f in free if f != i], tried)
             jobs.append((less, less.z(tried, starts)))
-        ends = descend(jobs, 12, 1e-6)
+        ends = levenberg_marquardt(jobs, 12, 1e-6)
         k = next((k for k, end in enumerate(ends) if end.cost <= most), None)
         if k is None:
             break
@@ -96,7 +97,7 @@ def put_back(
         rest = rest[k + 1 :]
     if not moved:
         return path
-    end = descend([(p, p.z(now, starts))], 1, 1e-6)[0]
+    end = levenberg_marquardt([(p, p.z(now, starts))], 1, 1e-6)[0]
     return end if end.cost <= path.cost + LIMITS.pull_cost else path
 
 
@@ -117,8 +118,10 @@ def moved_to(path: Path, theta: np.ndarray) -> Path:
         scale=scale,
         differences=p.differences,
     ).with_targets(p.targets)
-    starts = still.starts(descend([(still, still.z(theta, p.starts(path.z)))], 8, 1e-6)[0].z)
-    end = descend([(p, p.z(theta, starts))], 0, 1e-6)[0]
+    starts = still.starts(
+        levenberg_marquardt([(still, still.z(theta, p.starts(path.z)))], 8, 1e-6)[0].z
+    )
+    end = levenberg_marquardt([(p, p.z(theta, starts))], 0, 1e-6)[0]
     return end if end.cost <= path.cost + LIMITS.pull_cost + p.free.size else path
 
 

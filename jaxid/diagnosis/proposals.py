@@ -18,7 +18,7 @@ from jaxid.diagnosis.hypothesis import (
     sensible,
 )
 from jaxid.diagnosis.screen import each_probe, Screened
-from jaxid.fitting.least_squares import descend, Path
+from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.residual import InverseDynamics
 
@@ -180,7 +180,7 @@ def torque_starts(
         for theta in list({own(t): t for t in reversed(thetas)}.values())[-2:]:
             jobs.append((p, p.z(theta)))
             owners.append(k)
-    paths = descend(jobs, 6, 1e-3)
+    paths = levenberg_marquardt(jobs, 6, 1e-3)
     out: list[tuple[float, list[np.ndarray]]] = []
     for k, (effects, _) in enumerate(sets):
         best = min(

@@ -34,7 +34,7 @@ from jaxid.diagnosis.goals.run import (
     REFITS,
     TOO_DEAR,
 )
-from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
+from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, SearchResult
 from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
 from jaxid.diagnosis.reasons import NotBelievable, Remark, Stopped
@@ -43,7 +43,7 @@ from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.run import diagnose_by_torque
-from jaxid.diagnosis.unseen import Look, Looker
+from jaxid.diagnosis.unseen import BlindSpots, BlindSpotSearch
 from jaxid.diagnosis.verdict import Diverged, standing_still
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
@@ -51,7 +51,7 @@ from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.lost_runs import (
     AN_ARM,
     by_torque,
@@ -84,7 +84,7 @@ PREFERRED = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Question:
+class DiagnosisRequest:
     """What is asked of which data, by which residual."""
 
     binding: Binding
@@ -97,7 +97,7 @@ class Question:
     still: tuple[
         str, ...
     ] = ()  # of "validation" and "report": what stands still, so that nothing can be judged on it
-    search: Callable[[ProblemBuilder, Offer], tuple[Fit, Search]] | None = (
+    search: Callable[[ProblemBuilder, Offer], tuple[Fit, SearchResult]] | None = (
         None  # another search than the one over all of the library
     )
     step: float = STEP  # of its simulations, s
@@ -218,7 +218,7 @@ def _run(
 
         def answer(wide, names, search, step):
             return _diagnosed(
-                Question(
+                DiagnosisRequest(
                     binding=wide,
                     residual=OutputError(),
                     allowed=tuple(names),
@@ -277,13 +277,13 @@ def _run(
         readings = with_scatter(dataset, stamps, binding.noise)
         stamped = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
         found, _ = _diagnosed(
-            Question(stamped, own, others, max_effects, seed, progress, known), scatter
+            DiagnosisRequest(stamped, own, others, max_effects, seed, progress, known), scatter
         )
         if found.which.verdict == "named":
             return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
     # Stamps that scatter are noise, which neighbouring readings show or refute: no fit may take
     # something smooth for it.
-    question = Question(
+    question = DiagnosisRequest(
         binding=binding,
         residual=own,
         allowed=allowed if stamps else others,
@@ -341,7 +341,7 @@ def _run(
 
 
 def _diagnosed(
-    question: Question, scatter: timing.Scatter | None = None
+    question: DiagnosisRequest, scatter: timing.Scatter | None = None
 ) -> tuple[Diagnosis, float]:
     """The answer; and how much a difference at the start of a run grows within it. `scatter`: what
     the time stamps do.
@@ -414,12 +414,12 @@ def _diagnosed(
         *(scatter.ranked(bench, residual, search.nominal) if scatter else ()),
         *ranked(search),
     )
-    looked, pair, stopped = Look(), search.rivals, None
+    looked, pair, stopped = BlindSpots(), search.rivals, None
     if verdict.name in ("none", "unknown") and not question.still:
         pool = candidates(bench, question.allowed) if verdict.name == "none" else []
         try:
             settled = None if search.settled is None else search.settled[0].path
-            looked = Looker(bench, residual, search.nominal, settled).look(
+            looked = BlindSpotSearch(bench, residual, search.nominal, settled).look(
                 [c for c in pool if c.effect != JITTER]
             )
         except KeyboardInterrupt as stop:
@@ -467,7 +467,7 @@ def _diagnosed(
     return found, growth(bench, nominal.theta) if residual.free_run else 0.0
 
 
-def _search(question: Question) -> tuple[ProblemBuilder, Fit, Search, float]:
+def _search(question: DiagnosisRequest) -> tuple[ProblemBuilder, Fit, SearchResult, float]:
     """Nominal fit and search, and the bench whose steps no longer matter."""
     began = time.perf_counter()
     binding, residual, seed, progress = (
@@ -504,7 +504,7 @@ def _search(question: Question) -> tuple[ProblemBuilder, Fit, Search, float]:
     ):
         _check_followed(bench, problem.theta(nominal.z), problem.starts(nominal.z))
     converged, stopped = nominal.converged, nominal.stopped
-    nominal = descend([(problem, nominal.z)], 3, 1e-9)[0]
+    nominal = levenberg_marquardt([(problem, nominal.z)], 3, 1e-9)[0]
 
     def minimum(z: np.ndarray, loss: float) -> Minimum:
         return Minimum(z, loss, converged, stopped, log.evaluations, log.history)
@@ -527,7 +527,7 @@ def _search(question: Question) -> tuple[ProblemBuilder, Fit, Search, float]:
     def offer(search):
         return question.known.offer(lambda: _so_far(question, bench, first(), search, began))
 
-    offer(Search(searcher.nominal, searcher.nominal))
+    offer(SearchResult(searcher.nominal, searcher.nominal))
     blind = "validation" in question.still  # nothing to choose by
     pool = [] if blind else candidates(bench, question.allowed)
     search = searcher.run(pool, 0 if blind else question.max_effects, offer)
@@ -567,7 +567,11 @@ def _check_followed(bench: ProblemBuilder, theta: np.ndarray, starts: np.ndarray
 
 
 def _so_far(
-    question: Question, bench: ProblemBuilder, nominal: Fit, search: Search, began: float
+    question: DiagnosisRequest,
+    bench: ProblemBuilder,
+    nominal: Fit,
+    search: SearchResult,
+    began: float,
 ) -> Diagnosis:
     """What is known while effects are still compared: where the gap lies and how wide it is;
     nothing is claimed yet.

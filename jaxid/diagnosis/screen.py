@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of, read_off_of
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.problem import FitProblem, ResidualRows, rows
 from jaxid.problem.residual import InverseDynamics
@@ -94,7 +94,7 @@ def torque_screened(
     if not torque_tells(bench):
         return []
     p = bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
-    path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
+    path = levenberg_marquardt([(p, p.z(h.theta))], 12, 1e-6)[0]
     if not np.isfinite(path.cost):
         return []
     found = screened(bench, p, path.z, p.theta(path.z), pool)

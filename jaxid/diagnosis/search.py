@@ -21,7 +21,7 @@ from jaxid.diagnosis.hypothesis import (
     Hypothesis,
     key_of,
     refined_by,
-    Search,
+    SearchResult,
     sensible,
     without_each,
 )
@@ -55,7 +55,7 @@ from jaxid.diagnosis.selection import (
 from jaxid.diagnosis.shortlist import shortlist
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
-from jaxid.fitting.least_squares import descend, Path, race
+from jaxid.fitting.least_squares import levenberg_marquardt, Path, successive_halving
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
@@ -147,7 +147,9 @@ class Searcher:
             groups.append([(p, p.z(theta, starts)) for theta in [thetas[0], *more, *thetas[1:]]])
         order = sorted(range(len(sets)), key=lambda k: by_torque[k][0])
         sure = [k for k in order if np.isfinite(by_torque[k][0])][:SURE]
-        final = brought_back(race(groups, 20, 1e-6, sure), self.bench.binding.theta, self.base_free)
+        final = brought_back(
+            successive_halving(groups, 20, 1e-6, sure), self.bench.binding.theta, self.base_free
+        )
         found = self._led(
             self._hypotheses(
                 [(effects, path) for (effects, _), path in zip(sets, final, strict=True)]
@@ -180,7 +182,9 @@ class Searcher:
                 theta[more] = self.bench.binding.theta[more]
                 p = self.problem(h.effects, theta)
                 jobs[k] = p, self._z(p, replace(lead, theta=theta))
-        ends = zip(jobs, descend(list(jobs.values()), *THOROUGH) if jobs else [], strict=True)
+        ends = zip(
+            jobs, levenberg_marquardt(list(jobs.values()), *THOROUGH) if jobs else [], strict=True
+        )
         better = {k: end for k, end in ends if end.loss < LIMITS.local_minimum * found[k].fit_loss}
         new = (
             self._hypotheses([(found[k].effects, end) for k, end in better.items()])
@@ -208,8 +212,8 @@ class Searcher:
         self,
         pool: Sequence[Candidate],
         max_effects: int,
-        known: Callable[[Search], None] = lambda search: None,
-    ) -> Search:
+        known: Callable[[SearchResult], None] = lambda search: None,
+    ) -> SearchResult:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again;
         `known` is told after each round.
         """
@@ -235,7 +239,7 @@ class Searcher:
                 step = self._plainer(chosen, step, pool)
             step = self._exchanged(chosen, step, found)
             chosen = self._refined(step)
-            known(Search(self.nominal, chosen, list(self.tried)))
+            known(SearchResult(self.nominal, chosen, list(self.tried)))
         added = len(chosen.effects) > 1
         chosen = self._questioned(chosen)
         if chosen.effects and not significant(self.nominal, chosen):  # a pair that came down to one
@@ -266,7 +270,7 @@ class Searcher:
         )
         fitted = self._stale | self.known
         each = without_each(chosen, fitted)
-        return Search(
+        return SearchResult(
             self.nominal,
             chosen,
             self.tried,
@@ -432,7 +436,9 @@ class Searcher:
                 list(c.index)
             ]
         p, starts = self.problem(h.effects, theta), richer.path.problem.starts(richer.path.z)
-        freed = self._hypotheses([(h.effects, descend([(p, p.z(theta, starts))], *THOROUGH)[0])])[0]
+        freed = self._hypotheses(
+            [(h.effects, levenberg_marquardt([(p, p.z(theta, starts))], *THOROUGH)[0])]
+        )[0]
         share = joint_loss(freed) / joint_loss(h)
         if share > LIMITS.local_minimum and not (
             quiet and share * LIMITS.alike < 1 and not significant(freed, richer)
@@ -452,7 +458,7 @@ class Searcher:
         self, hypotheses: Sequence[Hypothesis], descent: tuple[int, float]
     ) -> list[Hypothesis]:
         problems = [self.problem(h.effects, h.theta) for h in hypotheses]
-        paths = descend(
+        paths = levenberg_marquardt(
             [(p, self._z(p, h)) for p, h in zip(problems, hypotheses, strict=True)], *descent
         )
         found = self._hypotheses(

@@ -20,7 +20,7 @@ from jaxid.diagnosis.evidence import knowledge, memory
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of
 from jaxid.diagnosis.screen import each_probe, probe_residuals, Retuning
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.fitting.least_squares import descend, Path
+from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.problem import FitProblem, ResidualRows, rows
 from jaxid.problem.residual import Residual
@@ -88,7 +88,7 @@ class Unseen:
 
 
 @dataclass(frozen=True)
-class Look:
+class BlindSpots:
     """What the recordings would not show, worst first; signs that something is missing all the
     same; and the first of what they would not show that others could, as a hypothesis to design
     them for.
@@ -183,7 +183,7 @@ class Match:
         return here + (z - here) * min(1.0, 0.5**self.failed / max(far, 1e-300))
 
 
-class Looker:
+class BlindSpotSearch:
     """Looks behind a nominal model that reaches the noise, on the runs that fitted and chose."""
 
     def __init__(
@@ -218,9 +218,9 @@ class Looker:
         starts[: len(own.records)] = own.starts(self.nominal.path.z)
         if held and self.residual.free_run:
             starts[len(own.records) :] = estimate_starts(self.bench, held, [self.nominal.theta])[0]
-        return descend([(p, p.z(self.nominal.theta, starts))], 12, 1e-6)[0]
+        return levenberg_marquardt([(p, p.z(self.nominal.theta, starts))], 12, 1e-6)[0]
 
-    def look(self, pool: Sequence[Candidate]) -> Look:
+    def look(self, pool: Sequence[Candidate]) -> BlindSpots:
         probes, signs = self._probed(pool)
         hiding = sorted(
             (q for q in probes if self._hides(q.size * q.step).size),
@@ -237,12 +237,12 @@ class Looker:
         ]
         rival = next((self._hypothesis(c, end) for u, c, end in found if not u.absorbed), None)
         drift = self._drift()
-        return Look(
+        return BlindSpots(
             (*(u for u, *_ in found), *unstirred), (*signs, *([drift] if drift else [])), rival
         )
 
     def _hypothesis(self, c: Candidate, end: Match) -> Hypothesis:
-        (path,) = descend([(end.problem, end.z)], 0, 1e-3)
+        (path,) = levenberg_marquardt([(end.problem, end.z)], 0, 1e-3)
         return Hypothesis((c,), end.problem.theta(end.z), path, self.nominal.validation)
 
     def _probed(self, pool: Sequence[Candidate]) -> tuple[list[Probe], list[str]]:

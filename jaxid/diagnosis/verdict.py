@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.breakdown import Share
-from jaxid.diagnosis.hypothesis import Hypothesis, Search
+from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.reasons import (
     AtTheNoise,
     Contributions,
@@ -100,7 +100,7 @@ HALF_A_STEP = np.sqrt(3.0)
 MOST_OF_ZEROS = 1 + HALF_A_STEP**2
 
 
-def judge(search: Search, counted: np.ndarray | None = None) -> Verdict:
+def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
     """By fit and validation data. `counted [ny]` says which outputs are read in steps and have no
     noise beside them.
     """
@@ -167,7 +167,7 @@ def level(count: int) -> float:
     return 1 + 4 * np.sqrt(2 / max(1, count)) + 0.06
 
 
-def _nearer(search: Search) -> tuple[Reason, ...]:
+def _nearer(search: SearchResult) -> tuple[Reason, ...]:
     """What comes nearest to the validation data where it is not what was chosen, as the ranking
     shows it.
     """

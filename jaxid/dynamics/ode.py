@@ -15,7 +15,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, JointEffect, OutputEffect, RecordEffect, Signals
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter import specs, with_fields
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 
 
@@ -59,7 +59,7 @@ class ODE(eqx.Module):
         self.parameters = _ready(chain)
         # The numbers themselves may be traced: their names are not.
         named = jax.tree.map(lambda a: np.zeros(np.shape(a)), chain)
-        self.names = tuple(Layout(named).names)
+        self.names = tuple(ParameterVector(named).names)
 
     def __call__(self, t: Any, y: Any, args: tuple[Any, Callable[[Any], Array]]) -> Any:
         chain, body = self._numbers(args)
@@ -137,7 +137,7 @@ def _ready(chain: Chain) -> Numbers:
 
 
 def _replaced(chain: Chain, values: Mapping[str, Any]) -> Chain:
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     theta: list[Any] = list(layout.values)
     for name, value in values.items():
         theta[layout.index(name)] = value

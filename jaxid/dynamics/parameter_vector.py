@@ -75,7 +75,7 @@ def _with_numbers(chain: Chain, leaves: Sequence[tuple[int, str, int]], theta: A
     return eqx.tree_at(replaced, chain, values)
 
 
-class Layout:
+class ParameterVector:
     """Order, names and meaning of all numbers of a model: those of the mechanism, then those of
     each effect by location.
     """
@@ -112,15 +112,15 @@ class Layout:
         self.shapes = np.array(
             [e.spec.log or (e.owner >= 0 and e.spec.value != 0) for e in self.entries], bool
         )
-        self._without: dict[frozenset[str], Layout] = {}
+        self._without: dict[frozenset[str], ParameterVector] = {}
 
     def __len__(self) -> int:
         return len(self.entries)
 
-    def without(self, names: frozenset[str]) -> Layout:
+    def without(self, names: frozenset[str]) -> ParameterVector:
         """The layout of the model without some effects, made once."""
         if names not in self._without:
-            self._without[names] = Layout(self.chain.without(*names))
+            self._without[names] = ParameterVector(self.chain.without(*names))
         return self._without[names]
 
     @cached_property

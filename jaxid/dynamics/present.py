@@ -31,7 +31,9 @@ def numbers_of(chain: Chain) -> tuple[Any, ...]:
     if chain.mechanism.hidden_states:
         return ()
     key = jax.tree.structure(chain)
-    if key not in _NUMBERS:  # asked for the first time by a `Layout`, of a chain that is not traced
+    if (
+        key not in _NUMBERS
+    ):  # asked for the first time by a `ParameterVector`, of a chain that is not traced
         from jaxid.dynamics.parameter_vector import own_entries
 
         _NUMBERS[key] = tuple(e for e in own_entries(chain) if not e.spec.fixed)

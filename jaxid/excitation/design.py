@@ -19,7 +19,7 @@ from jaxid.data.limits import Limits
 from jaxid.data.model_names import is_model_file
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import drive_gains
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.excitation.bounds import Bounds, bounds_of
 from jaxid.excitation.clearance import gaps, heights, nodes
@@ -192,7 +192,7 @@ def _with(chain: Chain, content: Mapping[str, Any] | None) -> Chain:
     chain = chain.with_effects(
         *(k() for k in kinds if k.name not in {e.name for e in chain.effects})
     )
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     theta = layout.values.copy()
     for name, value in content.get("parameters", {}).items():
         theta[layout.index(name)] = _number(name, value)
@@ -242,7 +242,7 @@ def _motion(
         if friction != "model":
             raise UsageError(f"{arm.name} is designed for its own friction; leave out --friction")
         task = chain_task(chain)
-        names = [Layout(chain).names[i] for i in task.kept]
+        names = [ParameterVector(chain).names[i] for i in task.kept]
     geometry, links = geometry_of(arm)
     omega = 2 * np.pi * plan["base_frequency_hz"]
     weight = np.ones(n)  # the condition number of literature is that of rows as they are

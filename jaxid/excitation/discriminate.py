@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from jaxid.data.dataset import Experiment
 from jaxid.data.limits import Limits
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.design import described, widened
@@ -60,7 +60,7 @@ class Rivals:
     """
 
     names: tuple[str, str]
-    layout: Layout
+    layout: ParameterVector
     theta: Float[np.ndarray, "2 size"]
     free: tuple[int, ...]
     slope: np.ndarray

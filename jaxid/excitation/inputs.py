@@ -21,13 +21,13 @@ from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import drive_gains
 from jaxid.dynamics.parameter import TypicalMagnitudes
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.trajectories import required
 from jaxid.numerics.precision import float64
-from jaxid.simulation.batch import Engine
-from jaxid.simulation.rollout import simulate_lane
+from jaxid.simulation.batch import BatchSimulator
+from jaxid.simulation.rollout import simulate_rollout
 from jaxid.simulation.sample_buffers import build, Record
 
 
@@ -176,7 +176,7 @@ class InputDesign:
             bounds,
             noise,
         )
-        self.layout = Layout(chain)
+        self.layout = ParameterVector(chain)
         self.channels = tuple(
             Channel(n, role, unit)
             for role, group in (
@@ -248,8 +248,12 @@ class InputDesign:
             )
             for i, p in enumerate(positions)
         ]
-        engine = Engine(
-            self.layout, samples, records, np.full((count, len(self.layout)), np.nan), simulate_lane
+        engine = BatchSimulator(
+            self.layout,
+            samples,
+            records,
+            np.full((count, len(self.layout)), np.nan),
+            simulate_rollout,
         )
         lanes = np.repeat(np.arange(count), k)
         values, starts = (

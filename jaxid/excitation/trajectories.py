@@ -28,7 +28,7 @@ from jaxtyping import Array, Float
 
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.dynamics.rigid_body import regressor
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
@@ -120,7 +120,7 @@ class ChainTask(TrajectoryTask):
 
     theta: np.ndarray
     scale: np.ndarray
-    layout: Layout = eqx.field(static=True)
+    layout: ParameterVector = eqx.field(static=True)
     kept: tuple[int, ...] = eqx.field(static=True)
 
     def columns(self, q, qd, qdd):
@@ -367,7 +367,7 @@ def chain_task(chain: Chain, seed: int = 0) -> ChainTask:
     """The numbers of a chain that its torque shows, each in units of its typical size."""
     from jaxid.dynamics.base_parameters import independent_columns
 
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     free = [
         i
         for i, e in enumerate(layout.entries)

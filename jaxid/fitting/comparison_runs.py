@@ -19,7 +19,7 @@ from jaxid.errors import nearest, UsageError
 from jaxid.fitting.comparison import BestKnown, Comparison, FitterRun
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress, sampling_box
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import FitProblem, LOSSES
@@ -182,7 +182,7 @@ def best_known(
     the parameters there.
     """
     ends = sorted((m for m in found if not m.failed), key=lambda m: m.loss)[:3]
-    paths = descend([(problem, z) for z in [*(m.z for m in ends), *guesses]], 40, 1e-10)
+    paths = levenberg_marquardt([(problem, z) for z in [*(m.z for m in ends), *guesses]], 40, 1e-10)
     candidates = np.array([*(m.z for m in ends), *(p.z for p in paths)])
     losses = problem.losses(candidates)
     z = candidates[int(np.argmin(losses))]

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
-from jaxid.dynamics.parameter_vector import Layout
-from jaxid.fitting.least_squares import descend
+from jaxid.dynamics.parameter_vector import ParameterVector
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.problem.closed_loop import ClosedLoopOutputError
 from jaxid.problem.problem import FitProblem
 
@@ -16,7 +16,7 @@ from jaxid.problem.problem import FitProblem
 def simulate_closed_loop(
     dataset: Dataset,
     experiments: Sequence[Experiment],
-    layout: Layout,
+    layout: ParameterVector,
     theta: np.ndarray,
     noise: np.ndarray,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -29,6 +29,6 @@ def simulate_closed_loop(
     problem = FitProblem(runs, theta, [], theta, theta)
     z = problem.z(theta)
     if problem.size:
-        z = descend([(problem, z)], 8, 1e-6, 0.1)[0].z
+        z = levenberg_marquardt([(problem, z)], 8, 1e-6, 0.1)[0].z
     n = layout.chain.nq
     return [(both[:, :n], both[:, n:]) for both in problem.predictions(z)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter import resolve
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
@@ -97,10 +97,12 @@ def probe_starts(
         without = bench.problem(
             InverseDynamics(decimate=1), "fit", [i for i in problem.free if i in b.nominal], theta
         )
-        z = descend([(without, without.z(theta))], 15, 1e-7)[0].z
+        z = levenberg_marquardt([(without, without.z(theta))], 15, 1e-7)[0].z
         found = [
             *found,
             *(start for effect, place in added for start in read_off(b, without, z, effect, place)),
         ]
-    paths = sorted(descend([(torque, torque.z(f)) for f in found], 15, 1e-7), key=lambda p: p.cost)
+    paths = sorted(
+        levenberg_marquardt([(torque, torque.z(f)) for f in found], 15, 1e-7), key=lambda p: p.cost
+    )
     return best + [torque.theta(p.z) for p in paths[:2] if np.isfinite(p.cost)]

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxid.fitting.covariance import CovarianceEstimate
 from jaxid.fitting.fitter import AbstractFitter, Log, Minimum, Progress
-from jaxid.fitting.least_squares import descend, model_gain, Path, PATIENCE
+from jaxid.fitting.least_squares import levenberg_marquardt, model_gain, Path, PATIENCE
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.result import Trace
 from jaxid.problem.objective import AbstractProblem
@@ -84,7 +84,7 @@ def looked_again(
         if not waiting:
             break
         starts = [_elsewhere(jobs[k][0], out[k], rngs[k], number) for k in waiting]
-        paths = descend(
+        paths = levenberg_marquardt(
             [(jobs[k][0], z) for k, z in zip(waiting, starts, strict=True)],
             STEPS,
             1e-10,

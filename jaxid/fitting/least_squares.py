@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from jaxid.fitting.fitter import Log, sampling_box
-from jaxid.problem.objective import AbstractProblem, expand, Linear, linearise
+from jaxid.problem.objective import AbstractProblem, gauss_newton_model, Linear, linearise
 
 
 Expansion = Callable[[Sequence[tuple[AbstractProblem, np.ndarray]], float], list[Linear]]
@@ -70,7 +70,7 @@ def search(
             for g, original in zip(current, groups, strict=True):
                 g += [original[0]]
         flat = [(k, job) for k, g in enumerate(current) for job in g]
-        paths = descend([job for _, job in flat], steps, 1e-4, share, of(flat))
+        paths = levenberg_marquardt([job for _, job in flat], steps, 1e-4, share, of(flat))
         tried += sum(p.linearisations for p in paths)
         for k in range(len(groups)):
             own = sorted(
@@ -79,7 +79,9 @@ def search(
             points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
             current[k] = [(own[0].problem if len(own) else groups[k][0][0], z) for z in points]
     flat = [(k, job) for k, g in enumerate(current) for job in g]
-    paths = descend([job for _, job in flat], iterations, tolerance, 1.0, of(flat), material=True)
+    paths = levenberg_marquardt(
+        [job for _, job in flat], iterations, tolerance, 1.0, of(flat), material=True
+    )
     tried += sum(p.linearisations for p in paths)
     best = []
     for k in range(len(groups)):
@@ -103,7 +105,7 @@ WITHIN = 1.5
 PATIENCE, HOPELESS, AT_NOISE = 3, 100.0, 2.0
 
 
-def race(
+def successive_halving(
     groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]],
     iterations: int,
     tolerance: float,
@@ -146,14 +148,16 @@ def race(
             for k in ahead:
                 current[k] += [groups[k][0]]
             last = (
-                descend([current[k][0] for k in behind], 0 if lost else 1, 1e-4) if behind else []
+                levenberg_marquardt([current[k][0] for k in behind], 0 if lost else 1, 1e-4)
+                if behind
+                else []
             )
             paths = [Path(g[0][0], g[0][1]) for g in current]
             for k, path in zip(behind, last, strict=True):
                 paths[k] = path
         flat = [(k, job) for k in ahead for job in current[k]]
         behind_others = functools.partial(_far_behind, [k for k, _ in flat])
-        found = descend(
+        found = levenberg_marquardt(
             [job for _, job in flat],
             steps or iterations,
             1e-4 if steps else tolerance,
@@ -206,7 +210,7 @@ class Path:
         return 2 * self.cost / max(1, self.count)
 
 
-def descend(
+def levenberg_marquardt(
     jobs: Sequence[tuple[AbstractProblem, np.ndarray]],
     iterations: int,
     tolerance: float,
@@ -222,15 +226,19 @@ def descend(
     all is one batch.
 
     `expansion` gives twice the loss with gradient and curvature, by default `linearise` for sums of
-    squares and `expand` for other losses; `curvature` may put another matrix in the place of that
-    of an accepted trial. A `log`, of all jobs or of each, counts evaluations (a share of the
-    records as that share of one) and ends the descent when the budget is used up. Paths that are
-    `hopeless` after the first few steps are given up, and a path (its number, itself) of which
+    squares and `gauss_newton_model` for other losses; `curvature` may put another matrix in the
+    place of that of an accepted trial. A `log`, of all jobs or of each, counts evaluations (a share
+    of the records as that share of one) and ends the descent when the budget is used up. Paths that
+    are `hopeless` after the first few steps are given up, and a path (its number, itself) of which
     `enough` is known at any. With `material` a path also ends where its steps gain nothing beside
     the noise.
     """
     if expansion is None:
-        expansion = linearise if all(p.loss_name == "sum_of_squares" for p, _ in jobs) else expand
+        expansion = (
+            linearise
+            if all(p.loss_name == "sum_of_squares" for p, _ in jobs)
+            else gauss_newton_model
+        )
     paths = [
         Path(p, problem_clip(p, z), history=[], slight=0 if material and p.weighted else None)
         for p, z in jobs

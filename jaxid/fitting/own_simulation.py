@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
 
@@ -32,7 +32,7 @@ def own_simulation(
     at = own.z(own.base)
     if own.size:
         share = 1.0 if residual.windows else 0.1
-        path = descend([(own, at)], 8, 1e-8, share)[0]
+        path = levenberg_marquardt([(own, at)], 8, 1e-8, share)[0]
         at = path.z if np.isfinite(path.cost) else at
     return own, at
 

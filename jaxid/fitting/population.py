@@ -21,7 +21,7 @@ from jaxid.problem.objective import AbstractProblem
 from jaxid.problem.problem import PENALTY
 
 
-class Course(NamedTuple):
+class SearchState(NamedTuple):
     """A population search between generations: the method's own state, the best candidate that each
     slot has had, the loss of the best start (infinite without one), and the lowest loss that the
     search found itself at its last gain, with the generations since. A start is no gain: beside a
@@ -59,7 +59,7 @@ def same(loss: float, other: float) -> bool:
 class Ended(NamedTuple):
     """How a run of a population method ended."""
 
-    course: Course
+    course: SearchState
     converged: bool
     stopped: str
     stalled: bool
@@ -221,7 +221,7 @@ class AbstractPopulation(AbstractFitter):
         starts: Sequence[np.ndarray],
         key: PRNGKeyArray,
         log: Log,
-        course: Course | None = None,
+        course: SearchState | None = None,
         most: int | None = None,
     ) -> Searching[Ended]:
         """One run of the method until a stopping rule holds. With a `course` it goes on from there;
@@ -254,7 +254,7 @@ class AbstractPopulation(AbstractFitter):
 
     def _begin(
         self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log
-    ) -> Searching[Course]:
+    ) -> Searching[SearchState]:
         """First population: the starts, and random points of the sampling box; without starts, of
         the bounds. With less budget than that, the rest of it is not evaluated.
         """
@@ -283,7 +283,7 @@ class AbstractPopulation(AbstractFitter):
         points: np.ndarray,
         losses: np.ndarray,
         starts: int = 0,
-    ) -> Course:
+    ) -> SearchState:
         """A course that begins with this evaluated population, of which this many at the front are
         starts.
         """
@@ -292,7 +292,7 @@ class AbstractPopulation(AbstractFitter):
                 (*self._settings, "init"), self.init, key, points, losses, own=False
             )
             given, own = losses[:starts].min(initial=np.inf), losses[starts:].min(initial=np.inf)
-            return Course(
+            return SearchState(
                 program(key, points, losses),
                 points,
                 losses,
@@ -304,12 +304,12 @@ class AbstractPopulation(AbstractFitter):
     def _several(
         self,
         problem: AbstractProblem,
-        course: Course,
+        course: SearchState,
         key: PRNGKeyArray,
         first: int,
         count: int,
         log: Log,
-    ) -> tuple[Course, float, int, int]:
+    ) -> tuple[SearchState, float, int, int]:
         """At most `count` generations as one program: (course, spread, generations done, how many
         to ask for next).
         """
@@ -341,8 +341,8 @@ class AbstractPopulation(AbstractFitter):
         )
 
     def _generation(
-        self, programs: _Programs, course: Course, number: int, log: Log
-    ) -> Searching[tuple[Course, float]]:
+        self, programs: _Programs, course: SearchState, number: int, log: Log
+    ) -> Searching[tuple[SearchState, float]]:
         """One generation, its candidates handed out."""
         with float64():
             course = course._replace(state=self.informed(programs.problem, course.state, log))
@@ -359,7 +359,7 @@ class AbstractPopulation(AbstractFitter):
 UNIMPROVED = "never improved on its start"
 
 
-def _ended(course: Course, contracted: bool, why: str) -> Ended:
+def _ended(course: SearchState, contracted: bool, why: str) -> Ended:
     """A search that ended by a rule of its own; it converged where the population contracted to
     what it found itself.
     """
@@ -404,8 +404,8 @@ def _proposal(fitter: AbstractPopulation) -> Callable[..., Array]:
     return propose
 
 
-def _selection(fitter: AbstractPopulation) -> Callable[..., tuple[Course, Array]]:
-    def select(course: Course, candidates, losses):
+def _selection(fitter: AbstractPopulation) -> Callable[..., tuple[SearchState, Array]]:
+    def select(course: SearchState, candidates, losses):
         state = fitter.tell(course.state, candidates, losses)
         n = fitter.offspring
         better = losses < course.losses[:n]
@@ -413,7 +413,7 @@ def _selection(fitter: AbstractPopulation) -> Callable[..., tuple[Course, Array]
         lowest = course.losses.at[:n].min(losses)
         best = jnp.min(losses)
         gained = best < course.mark - fitter.tolerance * jnp.abs(course.mark)
-        course = Course(
+        course = SearchState(
             state,
             points,
             lowest,
@@ -434,7 +434,7 @@ def _advance(
     """
     propose, select = _proposal(fitter), _selection(fitter)
 
-    def advance(course: Course, key, first, count, lower, upper, data):
+    def advance(course: SearchState, key, first, count, lower, upper, data):
         def go_on(carry):
             i, course, _, spread = carry
             fresh = course.since < fitter.stall if fitter.stall else True

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxid.errors import UsageError
-from jaxid.fitting.least_squares import descend, Path
+from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
@@ -236,12 +236,12 @@ def start_values(
         problem = of(bench.problem(quick, "fit", linear, b.theta))
         if shrinking(problem, problem.z(b.theta)):
             return guesses
-        path = descend([(problem, problem.z(b.theta))], 15, 1e-8)[0]
+        path = levenberg_marquardt([(problem, problem.z(b.theta))], 15, 1e-8)[0]
         if np.isfinite(path.cost):
             guesses.insert(0, problem.theta(path.z))
             both = of(bench.problem(quick, "fit", told, b.theta))
             if b.stated & set(told) and not shrinking(both, both.z(guesses[0])):
-                path = descend([(both, both.z(guesses[0]))], 15, 1e-8)[0]
+                path = levenberg_marquardt([(both, both.z(guesses[0]))], 15, 1e-8)[0]
                 if np.isfinite(path.cost):
                     guesses.insert(0, both.theta(path.z))
     return guesses
@@ -272,7 +272,9 @@ def _begun(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> l
     def descended(asked: Sequence[int]) -> None:
         unknown = [k for k in asked if jobs[k][0].size]
         if unknown:
-            paths.update(zip(unknown, descend([jobs[k] for k in unknown], 8, 1e-8), strict=True))
+            paths.update(
+                zip(unknown, levenberg_marquardt([jobs[k] for k in unknown], 8, 1e-8), strict=True)
+            )
 
     def follows(n):
         return n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size)

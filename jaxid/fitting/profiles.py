@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxid.display import displays
 from jaxid.fitting.covariance import covariance
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.noise_model import Autoregression
 from jaxid.problem.problem import FitProblem, rows
 
@@ -77,7 +77,7 @@ def profile_likelihood(
     fallback = 0.02 * (upper - lower)
     # The quadratic rise of one standard deviation, so that stated and profiled widths mean the same
     # noise.
-    base = descend([(problem, z)], 3, 1e-12)[0]
+    base = levenberg_marquardt([(problem, z)], 3, 1e-12)[0]
     z, curvature = base.z, base.hessian
     assert curvature is not None
     threshold = float(chi2.ppf(level, 1))
@@ -99,7 +99,7 @@ def profile_likelihood(
         if not going:
             break
         jobs = [t.job(step) for t in going]
-        for track, path in zip(going, descend(jobs, 12, 1e-9), strict=True):
+        for track, path in zip(going, levenberg_marquardt(jobs, 12, 1e-9), strict=True):
             track.take(path.z, path.cost)
     theta = problem.theta(z)
     out = {}
@@ -272,7 +272,7 @@ def bootstrap(problem: FitProblem, z: np.ndarray, replicas: int = 200, seed: int
             )
             targets[at] = y - scale * series / np.where(part.w > 0, part.w, np.inf)
         jobs.append((problem.with_targets(targets), z))
-    paths = descend(jobs, 8, 1e-8)
+    paths = levenberg_marquardt(jobs, 8, 1e-8)
     good = [p.z for p in paths if np.isfinite(p.cost)]
     memory = max(n.memory() for n in noise) if cov.noise else 1.0
     theta = np.array([problem.theta(p)[problem.free] for p in good])

@@ -27,7 +27,7 @@ from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.problem_builder import default_residual, start_values
 from jaxid.fitting.result import Fit
-from jaxid.fitting.run import Benches
+from jaxid.fitting.run import ProblemBuilders
 from jaxid.fitting.sequential import carried, follow, stretches
 from jaxid.fitting.settings import label_of
 from jaxid.problem.binding import Binding
@@ -165,7 +165,7 @@ def fit_recursively(
             f"a recursion needs at least two blocks of {SHORTEST} samples, and the fit data give"
             f" {len(blocks)}: state shorter ones (--block)"
         )
-    benches = Benches(binding)
+    benches = ProblemBuilders(binding)
     bench = benches.of(samples.STEP)
     guesses = start_values(bench, binding.free, seed, [0])
     whole = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)

@@ -47,7 +47,7 @@ def fit_binding(
     """The whole of `jaxid.fit` once model and data are bound."""
     if isinstance(residual, Momentum) and binding.chain.timed:
         return fit_change(binding, fitter, residual, loss, seed, budget, progress)
-    known, benches = Interim(after=WORTH_SAVING_S), Benches(binding)
+    known, benches = Interim(after=WORTH_SAVING_S), ProblemBuilders(binding)
 
     def fitted(residual: Residual | None, begin: np.ndarray | None, spent: int) -> Fit:
         left = None if budget is None else max(1, budget - spent)
@@ -90,7 +90,7 @@ def fit_seeds(
     seeds: Sequence[int],
     budget: int | None,
     progress: Progress | None = None,
-    benches: Benches | None = None,
+    benches: ProblemBuilders | None = None,
     known: Interim | None = None,
     begin: np.ndarray | None = None,
     reweigh: bool = False,
@@ -104,7 +104,7 @@ def fit_seeds(
     began = time.perf_counter()
     residual = residual or default_residual(binding)
     simulated = not residual.torques and bool(binding.dataset.split("fit"))
-    benches = Benches(binding) if benches is None else benches
+    benches = ProblemBuilders(binding) if benches is None else benches
     compiled = benches.compile_time()
     notes: dict[int, list[str]] = {seed: [] for seed in seeds}
     ended: dict[int, tuple[ProblemBuilder, FitProblem, Minimum]] = {}
@@ -222,7 +222,7 @@ def fit_seeds(
     return [replace(fit, compile_time_s=compiling, wall_time_s=wall) for fit in fits]
 
 
-class Benches:
+class ProblemBuilders:
     """Benches of a binding by step, and the start values on them, each made once."""
 
     def __init__(self, binding: Binding):

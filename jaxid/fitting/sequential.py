@@ -21,7 +21,7 @@ from jaxtyping import PRNGKeyArray
 from jaxid.errors import UsageError
 from jaxid.fitting.ask_tell import answered
 from jaxid.fitting.fitter import Log, Minimum
-from jaxid.fitting.population import AbstractPopulation, Course
+from jaxid.fitting.population import AbstractPopulation, SearchState
 from jaxid.problem.objective import AbstractProblem
 
 
@@ -63,7 +63,7 @@ def follow(
     The population is evaluated anew on each problem, which counts. Entries of z are carried over by
     name; one that is new (the start of another run) begins at its guess.
     """
-    course: Course | None = None
+    course: SearchState | None = None
     names: list[str] = []
     online = replace(fitter, stall=0)
     for number, problem in enumerate(problems):

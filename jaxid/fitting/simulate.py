@@ -11,7 +11,7 @@ import numpy as np
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.model_file import sha256_of
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.fitting.assemble import solver_name, solver_notes
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
@@ -112,7 +112,7 @@ def own_numbers(chain: Chain) -> dict[str, Any]:
     """The numbers that a chain holds, as the content of a fit.json; constants are left to the
     dataset.
     """
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     numbers = zip(layout.entries, layout.values, strict=True)
     return {
         "parameters": {

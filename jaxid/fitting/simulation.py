@@ -24,7 +24,7 @@ class Simulation(Printed):
     units: dict[str, str]
     notes: tuple[str, ...] = ()
     motion: Callable[[int], Any] = field(default=lambda i: None, repr=False, compare=False)
-    """The mechanism in run i as a `jaxid.simulation.animation.Motion` (`strip()`, `animate()`); None without an outline."""
+    """The mechanism in run i as a `jaxid.simulation.animation.OutlineMotion` (`strip()`, `animate()`); None without an outline."""
     solver: str = "own"
     """What simulated: jaxid's own stepping, or a solver of diffrax."""
 

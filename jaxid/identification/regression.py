@@ -20,7 +20,7 @@ from jaxid.data.noise import noise_floor
 from jaxid.data.signals import differentiate, filter_ends, STRETCH, zero_phase, zero_phase_stretches
 from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.identification.fourier import harmonic_motion
 from jaxid.problem.torque_filter import drive_torque
@@ -159,7 +159,7 @@ def read_run(
         q, qd, qdd = harmonic_motion(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
     else:
         q, qd, qdd, _ = differentiate(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
-    tau = drive_torque(Layout(chain), None, e.u[:, iu], np.concatenate([q, qd], 1))
+    tau = drive_torque(ParameterVector(chain), None, e.u[:, iu], np.concatenate([q, qd], 1))
     ends = filter_ends(e.t, cutoff_hz)
     kept = slice(ends, len(e.t) - ends)
     if len(e.t) - 2 * ends < 20:

@@ -18,7 +18,7 @@ from jaxid.data.dataset import Dataset
 from jaxid.data.joint_names import in_chain_order, joint_names, names_of_joints
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.fitters.short_fit import free_motion, left_by_short_fit
 from jaxid.identification import estimators as solve, regression
@@ -235,7 +235,7 @@ def identify(
 
 def _stated(chain: Chain, dataset: Dataset) -> Chain:
     """The chain with the constants and start values that the dataset states."""
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     theta, spec = layout.values.copy(), dataset.model
     known = dict(spec.constants) if spec is not None else {}
     known |= {

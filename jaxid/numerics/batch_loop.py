@@ -4,7 +4,7 @@ vector code.
 `jax.vmap` puts the lanes first: a state [nq] becomes an array [lanes nq], and what picks, stacks
 and sums its few elements becomes scalar code. Measured on the two-link arm with dry friction, 32
 lanes: 205 ns a lane-step, against 111 as it is done here; its Runge-Kutta step alone 170 against
-46. `over_lanes` evaluates what is marked as a loop over time element by element: every element of a
+46. `batched_vmap` evaluates what is marked as a loop over time element by element: every element of a
 small array is a vector [lanes] of its own, and picking, stacking and summing happen while tracing.
 The arithmetic is the same, number by number. A version of JAX that writes its programs in another
 form is served by `jax.vmap`.
@@ -59,8 +59,8 @@ _NAME = "loop_over_time"
 
 
 def loop_over_time(loop: Callable[[], Any]) -> Any:
-    """loop(), marked: `over_lanes` evaluates it element by element. The loop is a `lax.while_loop`
-    around one `lax.scan`.
+    """loop(), marked: `batched_vmap` evaluates it element by element. The loop is a
+    `lax.while_loop` around one `lax.scan`.
     """
 
     def named():
@@ -70,7 +70,7 @@ def loop_over_time(loop: Callable[[], Any]) -> Any:
     return jax.jit(named)()
 
 
-def over_lanes(
+def batched_vmap(
     function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0
 ) -> Callable[..., Any]:
     """`jax.vmap(function, in_axes)` for axes that are 0 or None, each of a whole argument; every
@@ -96,7 +96,7 @@ def over_lanes(
 def laid_out(
     function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0
 ) -> Callable[..., Any]:
-    """As `over_lanes`, but raises where the program has a form that is not known here."""
+    """As `batched_vmap`, but raises where the program has a form that is not known here."""
 
     def mapped(*args: Any) -> Any:
         axes = [in_axes] * len(args) if isinstance(in_axes, int) else in_axes

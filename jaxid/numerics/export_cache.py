@@ -26,7 +26,7 @@ from jaxid.numerics.pool import default_platform
 from jaxid.numerics.program_cache import CacheFolder, TRACED
 
 
-class Traced:
+class ExportedFunction:
     """A jitted function of arrays (and pytrees of them); its trace is kept under `key` (None: is
     not kept).
     """

@@ -23,7 +23,7 @@ from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import settings, TypicalMagnitudes, with_settings
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.models.effects import TimestampJitter
 from jaxid.problem import measured_motion
@@ -44,7 +44,7 @@ class Binding:
 
     dataset: Dataset
     chain: Chain
-    layout: Layout
+    layout: ParameterVector
     noise: dict[str, Noise]
     sigma: np.ndarray  # [ny]
     readings: (
@@ -202,7 +202,7 @@ def _check_gains(chain: Chain, spec: ModelSpec | None) -> None:
     or in the chain.
     """
     stated = {*spec.constants, *spec.parameters} if spec is not None else set()
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     missing = []
     for effect in chain.effects:
         if getattr(effect, "known_gain", lambda: None)() is None:
@@ -283,7 +283,7 @@ def parse_effect(
         able = ", ".join(_missing(chain)) or "none"
         raise UsageError(f"{name} has no place in {chain.mechanism.name}, which can take: {able}")
     held = chain.mechanism.held() if any(e.name == name for e in chain.effects) else frozenset()
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     frees = bool(held) and any(layout.names[i] in held for i in layout.of_effect(name))
     if name in chain.contents and not frees:
         raise UsageError(
@@ -332,7 +332,7 @@ def bind(
     extra = [k for k, _ in added if k.name not in present]
     extra += [k for k in candidates if k.name not in contents and k not in extra]
     chain = nominal.with_effects(*(neutral(k) for k in dict.fromkeys(extra)))
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     noise = noise_floor(dataset)
     stamps: dict[str, Stamps] = {}
     if scattered := [
@@ -377,7 +377,7 @@ def bind(
             stated.add(layout.index(name))
 
     chain = layout.model(theta)  # with what the dataset states
-    layout = Layout(chain)
+    layout = ParameterVector(chain)
     fixed |= {
         layout.index(name)
         for name in chain.mechanism.held()
@@ -438,7 +438,7 @@ def bind(
 
 
 def _held_friction(
-    chain: Chain, layout: Layout, free: list[int], fixed: set[int], theta: np.ndarray
+    chain: Chain, layout: ParameterVector, free: list[int], fixed: set[int], theta: np.ndarray
 ) -> list[str]:
     """What is to be said of numbers of the model's own friction that a fit leaves as they are,
     effect by effect.
@@ -466,7 +466,10 @@ def _held_friction(
 
 
 def _stated_scales(
-    layout: Layout, priors: Mapping[str, ParameterPrior], lower: np.ndarray, upper: np.ndarray
+    layout: ParameterVector,
+    priors: Mapping[str, ParameterPrior],
+    lower: np.ndarray,
+    upper: np.ndarray,
 ) -> tuple[dict[int, tuple[float, float]], tuple[str, ...]]:
     """Search scales as stated, set in the layout; the Gaussian priors, and sentences about both.
     Bounds that nobody states make room for a prior.

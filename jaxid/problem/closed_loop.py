@@ -34,7 +34,7 @@ from jaxid.problem.residual import (
     Simulation,
 )
 from jaxid.simulation import sample_buffers as recorded
-from jaxid.simulation.batch import Engine
+from jaxid.simulation.batch import BatchSimulator
 from jaxid.simulation.rollout import Lane, over_time
 from jaxid.simulation.sample_buffers import Samples
 
@@ -188,7 +188,7 @@ class ClosedLoopOutputError(Residual):
             )
             for i, e in enumerate(experiments)
         ]
-        engine = Engine(
+        engine = BatchSimulator(
             layout,
             samples,
             records,

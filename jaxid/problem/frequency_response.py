@@ -21,12 +21,12 @@ from jaxtyping import Array
 from jaxid.data.dataset import Dataset, Experiment, FrequencyResponse as Measured
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.mechanism import Mechanism
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.problem.residual import overrides, record_of, Residual, RESIDUALS, Runs, Simulation
 from jaxid.simulation import sample_buffers as recorded
-from jaxid.simulation.batch import Engine
-from jaxid.simulation.rollout import EVEN, Lane, simulate_lane
+from jaxid.simulation.batch import BatchSimulator
+from jaxid.simulation.rollout import EVEN, Lane, simulate_rollout
 from jaxid.simulation.sample_buffers import Record, Samples
 from jaxid.simulation.transfer import transfer
 
@@ -156,7 +156,7 @@ def record_lane(
     def lane(chain, samples, where, start, steps, length, reach, burn):
         begin, _, last, _ = where
         body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
-        y = simulate_lane(
+        y = simulate_rollout(
             chain=chain,
             samples=samples,
             where=where,
@@ -226,7 +226,9 @@ class FrequencyResponseError(Residual):
             return self._lines(dataset, experiments, layout)
         return self._records(dataset, experiments, layout, noise, step, shape)
 
-    def _lines(self, dataset: Dataset, experiments: Sequence[Experiment], layout: Layout) -> Runs:
+    def _lines(
+        self, dataset: Dataset, experiments: Sequence[Experiment], layout: ParameterVector
+    ) -> Runs:
         chain = layout.chain
         outputs, inputs = (
             [n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs)
@@ -284,7 +286,7 @@ class FrequencyResponseError(Residual):
             w=pad(np.concatenate(w))[:, None],
             x=pad(np.concatenate(x)),
         )
-        engine = Engine(
+        engine = BatchSimulator(
             layout,
             samples,
             records,
@@ -374,7 +376,7 @@ class FrequencyResponseError(Residual):
         ) + 1  # lines of a record in the band, at most
         room = recorded.bucket(2 * min(int(inside), count // 2 + 1), 64)
         lane = record_lane(self.magnitude, self.linear, output, timed, count, pieces, room)
-        engine = Engine(
+        engine = BatchSimulator(
             layout, samples, records, overrides(layout, experiments, records), lane, shape[1]
         )
         ratio = _ratio(chain, outputs[output], chain.signature.inputs[0][0])
@@ -450,7 +452,9 @@ class FrequencyResponseError(Residual):
         )
         lane = record_lane(self.magnitude, True, 0, timed, 0, 1, recorded.bucket(2 * most, 64))
         stated = overrides(layout, experiments, records)
-        engine = Engine(layout, samples._replace(y=y, w=w, x=x), records, stated, lane, shape[1])
+        engine = BatchSimulator(
+            layout, samples._replace(y=y, w=w, x=x), records, stated, lane, shape[1]
+        )
         pairs = {(r.output, r.input) for r in measured}
         ratio = _ratio(chain, *pairs.pop()) if len(pairs) == 1 else ("response", "SI")
         own = [

@@ -28,7 +28,7 @@ from jaxid.data.signals import filter_ends
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import NumberEffect
 from jaxid.dynamics.joint_readings import cutoffs, joint_motion
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.numerics.fast_math import sincos
 from jaxid.numerics.precision import float64
@@ -43,7 +43,7 @@ from jaxid.problem.residual import (
 from jaxid.problem.torque_filter import evenly
 from jaxid.robots.bodies import BODY
 from jaxid.simulation import sample_buffers as recorded
-from jaxid.simulation.batch import Engine
+from jaxid.simulation.batch import BatchSimulator
 from jaxid.simulation.rollout import over_time
 
 
@@ -186,7 +186,7 @@ class Momentum(InverseDynamics):
                 )
             )
         samples = samples._replace(y=np.zeros_like(w), w=w)
-        engine = Engine(
+        engine = BatchSimulator(
             layout,
             samples,
             records,
@@ -222,7 +222,7 @@ def refuse_others(chain: Chain) -> None:
         )
 
 
-def told_by(layout: Layout, free: Sequence[int]) -> list[int]:
+def told_by(layout: ParameterVector, free: Sequence[int]) -> list[int]:
     """Those numbers that momentum shows: of bodies. Raises `UsageError` where none is fitted."""
     refuse_others(layout.chain)
     own = [i for i in free if of_a_body(layout, i)]
@@ -234,7 +234,7 @@ def told_by(layout: Layout, free: Sequence[int]) -> list[int]:
     return own
 
 
-def of_a_body(layout: Layout, i: int) -> bool:
+def of_a_body(layout: ParameterVector, i: int) -> bool:
     """Whether a number of the layout is one of a body, or by how much one changes."""
     e = layout.entries[i]
     if e.owner >= 0 and isinstance(layout.chain.effects[e.owner], NumberEffect):

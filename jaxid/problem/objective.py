@@ -1,6 +1,6 @@
 """Objectives: a loss over a box of search vectors, with residuals and Jacobian. What every fitter,
-gradient or population, works on; `jaxid.problem.problem.FitProblem` makes one of a model and its runs,
-`FunctionProblem` of any JAX function.
+gradient or population, works on; `jaxid.problem.problem.FitProblem` makes one of a model and its
+runs, `FunctionProblem` of any JAX function.
 """
 
 from __future__ import annotations
@@ -447,7 +447,9 @@ def linearise(
     return [Linear(*job) for job in out]
 
 
-def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0) -> list[Linear]:
+def gauss_newton_model(
+    jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0
+) -> list[Linear]:
     """`linearise` for any loss: twice the loss, its gradient, and the curvature of the reweighted
     least-squares problem that has the same gradient (Lawson's reweighting: e^2 / |e| for absolute
     values, |e_c|^2 / |e|_c for the norm of a channel).

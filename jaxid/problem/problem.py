@@ -19,11 +19,11 @@ from jaxtyping import Array, Float
 
 from jaxid.dynamics.joint_readings import joint_readings, sizes
 from jaxid.errors import UsageError
-from jaxid.numerics.batch_loop import over_lanes
+from jaxid.numerics.batch_loop import batched_vmap
 from jaxid.problem.objective import (
     AbstractProblem,
     CANDIDATES,
-    expand,
+    gauss_newton_model,
     Linear,
     linearise,
     Loss,
@@ -457,7 +457,7 @@ def sums(
             e = jnp.where(w > 0, prediction - y, 0.0)
             return jnp.sum(loss.summed(e, w * e), 0)
 
-        return over_lanes(lane)(values[number // R], starts[number // R, :, r])
+        return batched_vmap(lane)(values[number // R], starts[number // R, :, r])
 
     totals = jax.lax.map(block, jnp.arange(blocks * R)).reshape(blocks, R, lanes, -1)
     return jnp.sum(totals, 1).reshape(blocks * lanes, -1)[:pop]
@@ -470,7 +470,7 @@ __all__ = [
     "Linear",
     "FitProblem",
     "ResidualRows",
-    "expand",
+    "gauss_newton_model",
     "linearise",
     "rows",
     "sums",

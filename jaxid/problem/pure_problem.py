@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.numerics.reverse import in_reverse
 from jaxid.problem.objective import LOSSES, penalised
@@ -157,7 +157,7 @@ def residual_of(z: Vector, problem: Problem) -> Float[Array, " n"]:
 class _Predict:
     """Prediction of one record, [length columns], as a pure function."""
 
-    layout: Layout
+    layout: ParameterVector
     index: tuple[int, ...]  # positions of its numbers among all of the model's
     free: tuple[int, ...]
     lane: Lane

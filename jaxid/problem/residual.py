@@ -21,14 +21,14 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.noise import edges, Window
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import joint_readings, position_matters, start_of, stated_start
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
 from jaxid.problem.torque_filter import decimated_torque_lane, evenly, torque_setting, TorqueSetting
 from jaxid.simulation import sample_buffers as recorded
-from jaxid.simulation.batch import Engine
-from jaxid.simulation.rollout import Lane, simulate_lane, torque_lane
+from jaxid.simulation.batch import BatchSimulator
+from jaxid.simulation.rollout import inverse_dynamics_rollout, Lane, simulate_rollout
 from jaxid.simulation.sample_buffers import Record
 
 
@@ -52,10 +52,10 @@ class Runs:
     """
 
     experiments: tuple[Experiment, ...]
-    layout: Layout
+    layout: ParameterVector
     channels: tuple[tuple[str, str], ...]  # (name, unit) of the residual's columns
     noise: np.ndarray  # [columns]
-    engine: Engine
+    engine: BatchSimulator
     records: tuple[int, ...]
     heads: tuple[tuple[int, ...], ...]
     statement: str
@@ -135,7 +135,7 @@ class Residual(abc.ABC):
         self,
         dataset: Dataset,
         experiments: Sequence[Experiment],
-        layout: Layout,
+        layout: ParameterVector,
         noise: np.ndarray,
         motions: Sequence[Motion] | None,
         step: float = recorded.STEP,
@@ -209,7 +209,7 @@ class OutputError(Residual):
             moving = [until(steps + k, steps - 1) for k in lengths] if steps else []
             heads.append([*moving, *(until(settled + k, settled) for k in lengths)])
         lanes = [*records, *(h for nested in heads for h in nested)]
-        engine = Engine(
+        engine = BatchSimulator(
             layout,
             samples,
             lanes,
@@ -280,7 +280,7 @@ class MultipleShooting(Residual):
                         burn=memory,
                     )
                 )
-        engine = Engine(
+        engine = BatchSimulator(
             layout, samples, records, overrides(layout, experiments, records), lane_of(layout)
         )
         every = tuple(range(len(records)))
@@ -331,8 +331,12 @@ class InverseDynamics(Residual):
                 Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)})
             )
         samples = samples._replace(y=np.zeros_like(samples.y), w=w)
-        lane: Lane = decimated_torque_lane(setting.taps) if setting.decimate > 1 else torque_lane
-        engine = Engine(
+        lane: Lane = (
+            decimated_torque_lane(setting.taps)
+            if setting.decimate > 1
+            else inverse_dynamics_rollout
+        )
+        engine = BatchSimulator(
             layout, samples, records, overrides(layout, experiments, records), lane, shape[1]
         )
         every = tuple(range(len(records)))
@@ -350,10 +354,10 @@ class InverseDynamics(Residual):
         )
 
 
-def lane_of(layout: Layout) -> Lane:
+def lane_of(layout: ParameterVector) -> Lane:
     """What simulates: the stepping of chains, or the solver of the layout."""
     if layout.solver is None:
-        return simulate_lane
+        return simulate_rollout
     from jaxid.simulation.diffrax_solver import diffrax_lane
 
     return diffrax_lane(layout.solver)
@@ -401,7 +405,7 @@ def standing(e: Experiment) -> int:
 
 
 def overrides(
-    layout: Layout, experiments: Sequence[Experiment], records: Sequence[Record]
+    layout: ParameterVector, experiments: Sequence[Experiment], records: Sequence[Record]
 ) -> np.ndarray:
     """Constants that experiments state themselves, [records size], nan elsewhere."""
     out = np.full((len(records), len(layout)), np.nan)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from jaxid.dynamics.ode import check_smooth
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import Residual
@@ -37,4 +37,4 @@ def with_solver(binding: Binding, solver: Any, residual: Residual | None) -> Bin
             " its own way"
         )
     check_smooth(binding.chain)
-    return replace(binding, layout=Layout(binding.layout.chain, solver))
+    return replace(binding, layout=ParameterVector(binding.layout.chain, solver))

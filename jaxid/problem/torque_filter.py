@@ -17,12 +17,12 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import drive_gains, driven
 from jaxid.dynamics.effect import Command, Signals
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
-from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.export_cache import ExportedFunction, key_of
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
-from jaxid.simulation.rollout import Lane, torque_lane
+from jaxid.simulation.rollout import inverse_dynamics_rollout, Lane
 from jaxid.simulation.sample_buffers import bucket, columns
 
 
@@ -107,7 +107,7 @@ def torque_setting(
     level = np.ones(chain.nq)
     if iu:
         torques = [
-            drive_torque(Layout(chain), None, e.u[:, iu], m)
+            drive_torque(ParameterVector(chain), None, e.u[:, iu], m)
             for e, m in zip(experiments, motion, strict=True)
         ]
         third = np.concatenate([np.diff(tau, 3, axis=0) for tau in torques]) / np.sqrt(20.0)
@@ -216,7 +216,9 @@ def own_numbers(chain: Chain) -> int:
     builtin = {kind.name for kind, _ in chain.mechanism.builtin}
     held = chain.mechanism.held()
     own = [
-        e for e in Layout(chain).entries if e.owner < 0 or chain.effects[e.owner].name in builtin
+        e
+        for e in ParameterVector(chain).entries
+        if e.owner < 0 or chain.effects[e.owner].name in builtin
     ]
     return max(1, sum(not e.spec.fixed and e.name not in held for e in own))
 
@@ -226,7 +228,7 @@ MOMENT = 1e-9
 
 
 def drive_torque(
-    layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray
+    layout: ParameterVector, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray
 ) -> np.ndarray:
     """Joint torque (N m, N) that the drive makes of recorded inputs u [time nu], each in the unit
     of its channel, in a measured motion (q, qd, ...) [time 2 nq or more], with the numbers theta
@@ -240,7 +242,7 @@ def drive_torque(
     form = layout.form
 
     def made():
-        return Traced(
+        return ExportedFunction(
             lambda theta, *args: _driven(form.model(theta), *args), key_of(_driven, form.bare)
         )
 
@@ -270,8 +272,8 @@ def _torque(chain: Chain, body: Any, u: Any, q: Any, qd: Any) -> Any:
 
 
 def decimated_torque_lane(taps: np.ndarray) -> Lane:
-    """`torque_lane` followed by a zero-phase low-pass over time; equal filters share one lane,
-    hence one program.
+    """`inverse_dynamics_rollout` followed by a zero-phase low-pass over time; equal filters share
+    one lane, hence one program.
     """
     return _decimated(tuple(float(x) for x in taps))
 
@@ -281,7 +283,7 @@ def _decimated(taps: tuple[float, ...]) -> Lane:
     kernel = np.array(taps)
 
     def lane(chain, samples, where, start, steps, length, reach, burn):
-        missing = torque_lane(
+        missing = inverse_dynamics_rollout(
             chain=chain,
             samples=samples,
             where=where,

@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter import TypicalMagnitudes
-from jaxid.dynamics.parameter_vector import Layout
-from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.dynamics.parameter_vector import ParameterVector
+from jaxid.numerics.export_cache import ExportedFunction, key_of
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem import measured_motion
@@ -30,18 +30,20 @@ def inertia_torque(
     return jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q, qdd)
 
 
-def _inertia_program(layout: Layout) -> Traced:
+def _inertia_program(layout: ParameterVector) -> ExportedFunction:
     """`inertia_torque` by all numbers of a layout, one program for all chains of its structure."""
     form = layout.form
 
     def program(theta, q, qdd):
         return inertia_torque(form.model(theta), q, qdd)
 
-    return shared("inertia", form, lambda: Traced(program, key_of(inertia_torque, form.bare)))
+    return shared(
+        "inertia", form, lambda: ExportedFunction(program, key_of(inertia_torque, form.bare))
+    )
 
 
 def typical_magnitudes(
-    dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
+    dataset: Dataset, layout: ParameterVector, theta: np.ndarray, motions: dict[str, Motion]
 ) -> tuple[list[TypicalMagnitudes], list[TypicalMagnitudes]]:
     """Of each joint, in N m and rad (N, m), and of each input channel, in its own unit, in the
     recordings to fit, or in all where none is.
@@ -96,7 +98,7 @@ def _largest(x: np.ndarray) -> np.ndarray:
     return np.percentile(np.abs(x), 99, axis=0)
 
 
-def _of_inertia(layout: Layout, theta: np.ndarray, used: list[Motion]) -> np.ndarray:
+def _of_inertia(layout: ParameterVector, theta: np.ndarray, used: list[Motion]) -> np.ndarray:
     """Torque [nq] that the accelerations of motions seldom exceed."""
     q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
     pick = np.linspace(0, len(q) - 1, 2000).astype(int)
@@ -105,7 +107,7 @@ def _of_inertia(layout: Layout, theta: np.ndarray, used: list[Motion]) -> np.nda
 
 
 def _driven(
-    layout: Layout,
+    layout: ParameterVector,
     theta: np.ndarray,
     runs: tuple[Experiment, ...],
     iu: list[int],

@@ -21,9 +21,9 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import RecordEffect
-from jaxid.dynamics.parameter_vector import ChainForm, Layout
-from jaxid.numerics.batch_loop import over_lanes
-from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.dynamics.parameter_vector import ChainForm, ParameterVector
+from jaxid.numerics.batch_loop import batched_vmap
+from jaxid.numerics.export_cache import ExportedFunction, key_of
 from jaxid.numerics.kept import shared
 from jaxid.numerics.pool import Pool
 from jaxid.numerics.precision import float64
@@ -64,10 +64,12 @@ class Programs(NamedTuple):
     """
 
     predict: Callable[..., Array]
-    outputs: Traced
-    tangents: Traced
-    output_windows: Traced  # the same of a window of steps: see `jaxid.simulation.windows`
-    tangent_windows: Traced
+    outputs: ExportedFunction
+    tangents: ExportedFunction
+    output_windows: (
+        ExportedFunction  # the same of a window of steps: see `jaxid.simulation.windows`
+    )
+    tangent_windows: ExportedFunction
     begins: Callable[..., Any]
     losses: dict[Any, Any]
     ready: set[str]  # names of those that can be called
@@ -87,7 +89,9 @@ class Programs(NamedTuple):
         return (lock := self.making.get(name)) is not None and lock.locked()
 
 
-def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
+def programs_for(
+    layout: ParameterVector, lane: Lane, length: int, reach: int, burn: bool
+) -> Programs:
     """Programs shared by all engines of the same structure: numbers, data and lengths up to the
     bucket are arguments.
     """
@@ -109,12 +113,12 @@ def _programs(form: ChainForm, lane: Lane, length: int, reach: int, burn: bool) 
 
         return jax.jvp(f, (theta, start), (dtheta, dstart))
 
-    batch = over_lanes(predict, (0, 0, 0, None, None))
-    tangents = over_lanes(tangent, (0, 0, 0, 0, 0, None, None))
+    batch = batched_vmap(predict, (0, 0, 0, None, None))
+    tangents = batched_vmap(tangent, (0, 0, 0, 0, 0, None, None))
     about = key_of(lane, form.bare, length, reach, burn)
 
     def traced(f, name):
-        return Traced(f, about and f"{name}\n{about}")
+        return ExportedFunction(f, about and f"{name}\n{about}")
 
     whole = traced(batch, "outputs"), traced(tangents, "tangents")
     parts = windowed(form, lane, reach, burn)
@@ -122,7 +126,7 @@ def _programs(form: ChainForm, lane: Lane, length: int, reach: int, burn: bool) 
     return Programs(predict, *whole, *part, parts.begins, {}, set(), {})
 
 
-def families(layout: Layout) -> dict[str, np.ndarray]:
+def families(layout: ParameterVector) -> dict[str, np.ndarray]:
     """Family of effects -> positions of its numbers, for effects that are no part of the mechanism
     by default. A family is the module that defines its effects.
     """
@@ -134,7 +138,7 @@ def families(layout: Layout) -> dict[str, np.ndarray]:
     return {name: np.array(index) for name, index in out.items()}
 
 
-def restricted(layout: Layout, kept: frozenset[str]) -> tuple[Layout, np.ndarray]:
+def restricted(layout: ParameterVector, kept: frozenset[str]) -> tuple[ParameterVector, np.ndarray]:
     """The layout without the families that are not kept, and the positions of its numbers in the
     whole.
     """
@@ -146,7 +150,7 @@ def restricted(layout: Layout, kept: frozenset[str]) -> tuple[Layout, np.ndarray
     return small, np.array([layout.index(n) for n in small.names])
 
 
-class Engine:
+class BatchSimulator:
     """Compiled predictions of a layout on records, with tangents and without, for any number of
     lanes.
 
@@ -157,7 +161,7 @@ class Engine:
 
     def __init__(
         self,
-        layout: Layout,
+        layout: ParameterVector,
         samples: Samples,
         records: Sequence[Record],
         overrides: np.ndarray,
@@ -190,7 +194,7 @@ class Engine:
         )
         self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
-        self._restricted: dict[frozenset[str], tuple[Layout, np.ndarray, bool]] = {}
+        self._restricted: dict[frozenset[str], tuple[ParameterVector, np.ndarray, bool]] = {}
         self.where = np.array([[r.offset, r.first, r.last, r.lead] for r in self.records], np.int32)
         self.steps = np.array([r.count for r in self.records], np.int32)
         optional = [i for index in self._families.values() for i in index]
@@ -407,7 +411,9 @@ class Engine:
 
         return predict, programs.losses.setdefault((tuple(index), tuple(place)), {})
 
-    def free_layout(self, theta: np.ndarray, free: np.ndarray) -> tuple[Layout, np.ndarray]:
+    def free_layout(
+        self, theta: np.ndarray, free: np.ndarray
+    ) -> tuple[ParameterVector, np.ndarray]:
         """The layout of the effects that can be at work where numbers equal theta but in `free`,
         and the positions of its numbers in the whole.
         """
@@ -415,7 +421,7 @@ class Engine:
         self._programs_of(kept)
         return self._restricted[kept][:2]
 
-    def burns(self, layout: Layout) -> bool:
+    def burns(self, layout: ParameterVector) -> bool:
         """Whether lanes of a layout know a lead, in which effects follow the measured motion."""
         return self._burn and layout.chain.has_states()
 

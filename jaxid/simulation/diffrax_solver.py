@@ -18,7 +18,7 @@ from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.ode import rates
 from jaxid.errors import nearest, UsageError
 from jaxid.numerics.reverse import reversible
-from jaxid.simulation.rollout import Lane, simulate_lane
+from jaxid.simulation.rollout import Lane, simulate_rollout
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def diffrax_lane(solver: Diffrax) -> Lane:
         return solved_step(solver, chain, body, carry, command)
 
     def lane(chain, samples, where, start, steps, length, reach, burn, body=None, wanted=None):
-        return simulate_lane(
+        return simulate_rollout(
             chain=chain,
             samples=samples,
             where=where,

@@ -79,7 +79,7 @@ def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int
     return Command(now, h, samples.u[k], samples.other[k], delayed)
 
 
-def simulate_lane(
+def simulate_rollout(
     chain: Chain,
     samples: Samples,
     where: Int[Array, " 4"],
@@ -134,7 +134,7 @@ def simulate_lane(
 def _stepping(
     chain, samples, where, start, reach, burn, body=None, wanted=None, advance=None
 ) -> tuple[Mechanism, Carry, Callable]:
-    """(mechanism with its effects, how a record begins, one step of it) of `simulate_lane`."""
+    """(mechanism with its effects, how a record begins, one step of it) of `simulate_rollout`."""
     nq = chain.nq
     offset, first, last, lead = where
     begin = offset - lead if burn else offset
@@ -189,7 +189,7 @@ def simulate_window(
     reach: int,
     burn: bool,
 ) -> tuple[Any, Float[Array, "size ny"]]:
-    """The steps `at` ... `at + size` of what `simulate_lane` does (those of the lead count), and
+    """The steps `at` ... `at + size` of what `simulate_rollout` does (those of the lead count), and
     the state that they leave, from the state that the window before them left; `steps` of them are
     wanted. No record effects.
     """
@@ -209,7 +209,7 @@ def torque_window(
     reach: int,
     burn: bool,
 ) -> tuple[Any, Float[Array, "size nq"]]:
-    """The same of `torque_lane`."""
+    """The same of `inverse_dynamics_rollout`."""
     initial, step = _torques(chain, samples, where, reach)
     return _window(step, initial, at, carry, steps, size, chain.nq)
 
@@ -236,7 +236,7 @@ def _window(
     return loop_over_time(lambda: state()[1:])
 
 
-def torque_lane(
+def inverse_dynamics_rollout(
     chain: Chain,
     samples: Samples,
     where: Int[Array, " 4"],
@@ -254,7 +254,7 @@ def torque_lane(
 
 
 def _torques(chain: Chain, samples: Samples, where: Array, reach: int) -> tuple[tuple, Callable]:
-    """(how a run begins, one step of it) of `torque_lane`."""
+    """(how a run begins, one step of it) of `inverse_dynamics_rollout`."""
     nq = chain.nq
     begin, first, last, _ = where
 
@@ -320,8 +320,8 @@ def _blocks(
 
 #: Lanes that can be taken window by window: (their windows, how the first one begins).
 WINDOWED: dict[Lane, tuple[Callable, Callable]] = {
-    simulate_lane: (simulate_window, simulate_begin),
-    torque_lane: (torque_window, torque_begin),
+    simulate_rollout: (simulate_window, simulate_begin),
+    inverse_dynamics_rollout: (torque_window, torque_begin),
 }
 
 

@@ -15,14 +15,14 @@ import jax
 import numpy as np
 
 from jaxid.dynamics.parameter_vector import ChainForm
-from jaxid.numerics.batch_loop import over_lanes
+from jaxid.numerics.batch_loop import batched_vmap
 from jaxid.numerics.pool import Pool
 from jaxid.numerics.precision import float64
 from jaxid.simulation.rollout import Lane, WINDOWED
 
 
 if TYPE_CHECKING:
-    from jaxid.simulation.batch import Engine, Programs
+    from jaxid.simulation.batch import BatchSimulator, Programs
 
 #: Records of more steps than LONG are taken in windows of this many.
 WINDOW = 1 << 15
@@ -65,8 +65,8 @@ def windowed(form: ChainForm, lane: Lane, reach: int, burn: bool) -> WindowProgr
     along = 0, 0, 0
     rest = None, None, None
     return WindowPrograms(
-        over_lanes(predict, (*along, 0, *rest)),
-        over_lanes(tangent, (*along, *along, 0, *rest)),
+        batched_vmap(predict, (*along, 0, *rest)),
+        batched_vmap(tangent, (*along, *along, 0, *rest)),
         begins,
     )
 
@@ -87,7 +87,7 @@ class Windows:
 
     def __init__(
         self,
-        engine: Engine,
+        engine: BatchSimulator,
         programs: Programs,
         index: np.ndarray,
         numbers: Sequence[np.ndarray],

@@ -20,7 +20,7 @@ from jaxid.dynamics.model_file import own_model, sha256_of
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.result import Fit
-from jaxid.fitting.run import Benches, fit_seeds
+from jaxid.fitting.run import fit_seeds, ProblemBuilders
 from jaxid.problem.binding import bind
 from jaxid.serialise import finite
 
@@ -34,7 +34,7 @@ class Workshop:
 
     def __init__(self):
         self._data: OrderedDict[Any, Dataset] = OrderedDict()
-        self._benches: OrderedDict[Any, Benches] = OrderedDict()
+        self._benches: OrderedDict[Any, ProblemBuilders] = OrderedDict()
 
     def work(self, tasks: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
         """Seeds of one Levenberg-Marquardt fit together, everything else one by one."""
@@ -95,7 +95,7 @@ class Workshop:
 
         return _kept(self._data, (t["dataset"], t["dataset_sha256"]), load)
 
-    def _bound(self, t: dict[str, Any]) -> Benches:
+    def _bound(self, t: dict[str, Any]) -> ProblemBuilders:
         key = (
             t["dataset_sha256"],
             t["model"],
@@ -105,7 +105,7 @@ class Workshop:
         )
 
         def make():
-            return Benches(
+            return ProblemBuilders(
                 bind(_model(t), self._dataset(t), effects=t["effects"] or (), without=t["without"])
             )
 

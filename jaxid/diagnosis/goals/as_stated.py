@@ -20,7 +20,7 @@ from jaxid.diagnosis.goals.gains import held_gains
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.selection import indistinct, joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import level
@@ -209,7 +209,7 @@ class Alone:
         """Whether gains are changed, which whoever wrote the law knows best."""
         return not self.gains.isdisjoint(h.index)
 
-    def searched(self, nominal: Hypothesis, enough: Sequence[Hypothesis]) -> Search:
+    def searched(self, nominal: Hypothesis, enough: Sequence[Hypothesis]) -> SearchResult:
         """The first of those that are enough, with what passes for it; `nominal` is re-tuned
         without it, and is enough where it is as likely by no more numbers.
         """
@@ -222,14 +222,14 @@ class Alone:
             self.as_likely = nominal
             if self.numbers(nominal) <= self.numbers(chosen):
                 self.instead = chosen
-                return Search(nominal, nominal, tried, stands=self.stands)
+                return SearchResult(nominal, nominal, tried, stands=self.stands)
         others = [
             h
             for h in self._as_few(chosen, enough[1:])
             if not self.of_numbers(h) and indistinct(chosen, h)
         ]
         mates = [c for h in others for c in h.effects if c not in chosen.effects]
-        return Search(
+        return SearchResult(
             nominal,
             chosen,
             tried,
@@ -400,7 +400,7 @@ class AsStated:
         pairs = zip(self.plain.layout.names, self.difference.theta, self.plain.theta, strict=True)
         return {name: float(there - here) for name, there, here in pairs if there != here}
 
-    def decided(self, decider: Decider, nominal: Hypothesis) -> Search:
+    def decided(self, decider: Decider, nominal: Hypothesis) -> SearchResult:
         """From the re-tuned model: the effect that alone is lacking, or none where numbers account
         for it.
         """

@@ -15,7 +15,7 @@ from jaxid.diagnosis.goals.loop import Loop, loop_of
 from jaxid.diagnosis.torque.plant import AnyPlant
 from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.dynamics.effect import Command, InputEffect, JointEffect, neutral, Signals
-from jaxid.dynamics.parameter_vector import ChainForm, Layout
+from jaxid.dynamics.parameter_vector import ChainForm, ParameterVector
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 
@@ -180,7 +180,7 @@ class Drive:
         law = [e for e in chain.effects if isinstance(e, InputEffect)]
         self.plant, self.names = plant, plant.binding.layout.names
         self.chain = chain._with([*law, *(neutral(k) for k in kinds)])
-        self.layout = Layout(self.chain)
+        self.layout = ParameterVector(self.chain)
 
     def theta(self, theta: np.ndarray) -> np.ndarray:
         """Numbers of the whole model as those of the drive."""

@@ -26,7 +26,7 @@ from jaxid.diagnosis.goals.propose import (
 )
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
-from jaxid.diagnosis.hypothesis import Hypothesis, Search
+from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.chain import Chain
@@ -45,10 +45,10 @@ from jaxid.wording import listed
 
 
 #: Is told of the nominal fit and of what is known so far: what a run that is stopped keeps.
-Offer = Callable[[Callable[[], Fit], Search], None]
+Offer = Callable[[Callable[[], Fit], SearchResult], None]
 
 Answer = Callable[
-    [Binding, Sequence[str], Callable[[ProblemBuilder, Offer], tuple[Fit, Search]], float],
+    [Binding, Sequence[str], Callable[[ProblemBuilder, Offer], tuple[Fit, SearchResult]], float],
     Diagnosis,
 ]
 
@@ -346,13 +346,13 @@ class Limit:
 
 
 #: From the nominal model what is chosen.
-Decide = Callable[[Decider, Hypothesis], Search]
+Decide = Callable[[Decider, Hypothesis], SearchResult]
 
 
 def with_sets(sets: Sequence[Proposal], limit: Limit | None = None) -> Decide:
     """What simulations bear out of some sets of effects, beside numbers that are re-tuned."""
 
-    def decide(decider: Decider, nominal: Hypothesis) -> Search:
+    def decide(decider: Decider, nominal: Hypothesis) -> SearchResult:
         most = decider.with_their_difference(nominal)
         if limit is not None:
             limit.reached = most <= level(nominal.path.count)
@@ -377,7 +377,7 @@ class _Road:
         offer: Offer,
         decide: Decide,
         between: Sequence[np.ndarray] | None = None,
-    ) -> tuple[Fit, Search]:
+    ) -> tuple[Fit, SearchResult]:
         decider = Decider(bench, self.names, between, self.progress)
         theta = as_vector(bench.binding, self.names, self.bare)
         nominal = decider.refit((), theta)
@@ -398,7 +398,7 @@ class _Road:
                 wall_time=spent,
             )
 
-        offer(fitted, Search(nominal, nominal))
+        offer(fitted, SearchResult(nominal, nominal))
         search = decide(decider, nominal)
         plain = decider.settled(search.nominal)
         bench.doubt(decider.passes_for(search.chosen))

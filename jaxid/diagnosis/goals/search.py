@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.selection import in_lead, indistinct, joint_loss, significant
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import judge, level
@@ -105,14 +105,14 @@ class Decider:
         self.evaluations += spent
         return Hypothesis(h.effects, p.theta(path.z), path, h.validation)
 
-    def decided(self, nominal: Hypothesis, sets: Sequence[Proposal], limit: float) -> Search:
+    def decided(self, nominal: Hypothesis, sets: Sequence[Proposal], limit: float) -> SearchResult:
         """Of the sets that were proposed the one that simulations bear out; its effects taken back
         where they are not missed. `limit`: what each has to stay below on the fit runs
         (`with_their_difference`). None is asked where the re-tuned model reaches the noise: what
         two simulators differ by is coloured, and is no effect.
         """
-        if not sets or judge(Search(nominal, nominal)).name == "none":
-            return Search(nominal, nominal)
+        if not sets or judge(SearchResult(nominal, nominal)).name == "none":
+            return SearchResult(nominal, nominal)
         self.total = self.done + len(sets)
         tried: list[Hypothesis] = []
         for s in sets:
@@ -125,7 +125,7 @@ class Decider:
             if np.isfinite(joint_loss(h)) and significant(nominal, h) and h.fit_loss < limit
         ]
         if not good:
-            return Search(nominal, nominal, tried)
+            return SearchResult(nominal, nominal, tried)
         enough = [h for h in good if self.at_noise(h)]
         chosen = (
             min(enough, key=lambda h: h.size)
@@ -140,11 +140,11 @@ class Decider:
             for c in h.effects
             if c not in chosen.effects
         ]
-        return Search(
+        return SearchResult(
             nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1
         )
 
-    def with_what_the_file_lacks(self, search: Search) -> Search:
+    def with_what_the_file_lacks(self, search: SearchResult) -> SearchResult:
         """A brake that the file leaves at nothing (`damping`, `frictionloss` of a joint) and that
         re-tuning made something of is an effect that the file lacks: the model without it is the
         nominal one, and it is taken back where it is not missed. Where more is left than the noise,
@@ -172,7 +172,9 @@ class Decider:
             return search
         whole = self.thinned(nominal, whole, tried)
         several = len({c.effect for c in whole.effects}) > 1
-        found = Search(nominal, whole, [*tried, whole], search.confusable, search.rivals, several)
+        found = SearchResult(
+            nominal, whole, [*tried, whole], search.confusable, search.rivals, several
+        )
         if judge(found).name == "named":
             return found
         self.asked = frozenset()

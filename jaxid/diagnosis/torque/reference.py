@@ -15,7 +15,7 @@ import numpy as np
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.diagnosis.torque.algebra import ColumnPrior
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
@@ -108,7 +108,7 @@ class ReferenceNumbers:
         them.
         """
         spec = dataset.model or ModelSpec(chain.mechanism.name)
-        have, own = Layout(chain).names, dict(spec.parameters)
+        have, own = ParameterVector(chain).names, dict(spec.parameters)
         for name, value, var in zip(self.names, self.values, np.diag(self.covariance), strict=True):
             if name in have and name not in own and name not in spec.constants:
                 own[name] = ParameterPrior(prior={"mean": float(value), "std": float(np.sqrt(var))})

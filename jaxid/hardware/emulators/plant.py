@@ -81,7 +81,7 @@ class Modelled:
         from jaxid import catalogue
         from jaxid.dynamics.chain import Chain
         from jaxid.dynamics.effect import Command, RecordEffect
-        from jaxid.dynamics.parameter_vector import Layout
+        from jaxid.dynamics.parameter_vector import ParameterVector
         from jaxid.numerics.precision import float64
 
         count = len(parameters)
@@ -103,7 +103,7 @@ class Modelled:
         chain = chain.with_effects(
             *(k() for k in kinds if k.name not in {e.name for e in chain.effects})
         )
-        layout = Layout(chain)
+        layout = ParameterVector(chain)
         theta = np.tile(layout.values, (1 if coupled else count, 1))
         for j, values in enumerate(parameters):
             for name, value in values.items():

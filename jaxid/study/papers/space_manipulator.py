@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from jaxid import fitters
 from jaxid.api import fit
 from jaxid.fitting.fitter import AbstractFitter
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.sequential import stretches
 from jaxid.report import plot
@@ -95,7 +95,7 @@ def recursion(offline: int) -> PaperPart:
         return p.loss(p.z(named(p, s.numbers)))
 
     objective = {k: np.array([whole(s) for s in steps]) for k, steps in runs.items()}
-    best = descend([(p, p.z(named(p, longer[-1].numbers)))], 50, 1e-12)[0]
+    best = levenberg_marquardt([(p, p.z(named(p, longer[-1].numbers)))], 50, 1e-12)[0]
     least = p.loss(best.z)
     rows = tuple(
         (
@@ -311,7 +311,7 @@ def evaluations(seeds: int, cap: int) -> PaperPart:
     motion = twin.path(1)
     tau = twin.torque(motion)
     p = problem_of([motion], [tau], 0.0)
-    best = descend([(p, p.z(named(p, twin.NUMBERS)))], 50, 1e-14)[0]
+    best = levenberg_marquardt([(p, p.z(named(p, twin.NUMBERS)))], 50, 1e-14)[0]
     goal = p.loss(best.z) + GOAL**2 * float(np.mean((tau / p.runs.noise) ** 2))
     methods: dict[str, AbstractFitter] = dict(populations(10**4))
     methods |= {

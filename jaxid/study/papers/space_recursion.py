@@ -14,7 +14,7 @@ import numpy as np
 from jaxid import fitters
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.fitting.fitter import Minimum
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.sequential import follow, stretches
@@ -201,7 +201,7 @@ def descended(p: FitProblem, window: int) -> list[SpaceStep]:
         began = time.perf_counter()
         starts = [random_start(part, s) for s in range(8)] if z is None else [z]
         path = min(
-            descend([(own, s) for s in starts], 60 if z is None else LOOPS, 1e-12),
+            levenberg_marquardt([(own, s) for s in starts], 60 if z is None else LOOPS, 1e-12),
             key=lambda d: d.cost,
         )
         z = path.z
