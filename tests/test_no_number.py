@@ -11,6 +11,7 @@ import pytest
 
 from jaxid.conventions import decide
 from jaxid.diagnosis import selection, where
+from jaxid.diagnosis.budget import budget
 from jaxid.diagnosis.goals import gains
 from jaxid.diagnosis.goals.as_stated import Alone, Difference
 from jaxid.diagnosis.goals.floor import Between, not_this_file
@@ -97,7 +98,8 @@ def test_what_was_not_measured_is_said_as_that(verdict):
     nothing = float("nan")
     how_far = far(nothing, nothing, nothing, "no sample of these data could be compared")
     which = Which(verdict, (), (), (), "")
-    told = SimpleNamespace(which=which, how_far=how_far, where=(), unseen=())
+    steps = budget(how_far, (), verdict)
+    told = SimpleNamespace(which=which, how_far=how_far, where=(), unseen=(), budget=steps)
     words = [
         answer.headline(cast(Any, told)),
         answer.where_card(cast(Any, told))[0],
