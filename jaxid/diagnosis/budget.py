@@ -52,7 +52,8 @@ def budget(how_far: HowFar, stated: Sequence[StatedNumber], verdict: str) -> tup
     are the numbers with which it began.
     """
     before, retuned = how_far.gap_before, how_far.gap_retuned
-    moved = tuple(_name(number) for number in stated if number.refuted)
+    robot = bool(how_far.per_joint)
+    moved = tuple(_name(number, robot) for number in stated if number.refuted)
     steps = [
         Step("stated", before),
         Step("numbers", retuned, closes=_share_closed(before, retuned), of=moved),
@@ -75,8 +76,9 @@ def closed_by_numbers(steps: Sequence[Step]) -> float:
     return sum(shares)
 
 
-def _name(number: StatedNumber) -> str:
-    if "@" in number.parameter or " " in number.parameter:
+def _name(number: StatedNumber, robot: bool) -> str:
+    """Its id: `viscous1`, on a robot `damping@elbow`; of what two numbers come to, their words."""
+    if not robot or "@" in number.parameter or " " in number.parameter:
         return number.parameter
     of_body = number.parameter == "mass" or number.parameter.startswith(("com_", "gyration_"))
     place = number.link if of_body else number.joint
