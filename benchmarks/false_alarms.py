@@ -404,7 +404,7 @@ def alarms(
 
 
 #: The seed of the kept result: taken once, for it alone.
-FRESH, COUNT = 56_1129, 1000
+FRESH, COUNT = 56_1130, 1000
 
 
 def main(
