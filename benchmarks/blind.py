@@ -37,9 +37,9 @@ from jaxid import catalogue  # noqa: E402
 from jaxid.api import diagnose, fit  # noqa: E402
 from jaxid.data.dataset import Dataset  # noqa: E402
 from jaxid.data.io import load_dataset  # noqa: E402
+from jaxid.diagnosis.budget import shrink  # noqa: E402
 from jaxid.diagnosis.equivalence import equivalences  # noqa: E402
 from jaxid.diagnosis.evidence import held_out  # noqa: E402
-from jaxid.diagnosis.how_far import shrink  # noqa: E402
 from jaxid.diagnosis.result import Diagnosis  # noqa: E402
 from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.problem.binding import bind, resolve_model  # noqa: E402

@@ -36,8 +36,8 @@ prepare()
 import jaxid  # noqa: E402
 from benchmarks.blind_summary import held, share  # noqa: E402
 from benchmarks.robot_arms import Arm, as_named, case, dataset, KINDS, RATE, recorded  # noqa: E402
+from jaxid.diagnosis.budget import shrink  # noqa: E402
 from jaxid.diagnosis.goals.as_stated import TAKEN_OFF  # noqa: E402
-from jaxid.diagnosis.how_far import shrink  # noqa: E402
 from jaxid.diagnosis.verdict import level  # noqa: E402
 
 

@@ -19,8 +19,9 @@ import jaxid
 from jaxid import catalogue
 from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.diagnosis import search, shortlist
+from jaxid.diagnosis.budget import shrink
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
-from jaxid.diagnosis.how_far import interval_of_further_run, shrink
+from jaxid.diagnosis.how_far import interval_of_further_run
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, SearchResult
 from jaxid.diagnosis.prior_pull import brought_back, put_back
 from jaxid.diagnosis.proposals import exchanged, left_out

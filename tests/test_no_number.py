@@ -11,12 +11,12 @@ import pytest
 
 from jaxid.conventions import decide
 from jaxid.diagnosis import selection, where
-from jaxid.diagnosis.budget import budget
+from jaxid.diagnosis.budget import budget, closed
 from jaxid.diagnosis.goals import gains
 from jaxid.diagnosis.goals.as_stated import Alone, Difference
 from jaxid.diagnosis.goals.floor import Between, not_this_file
 from jaxid.diagnosis.goals.search import Decider
-from jaxid.diagnosis.how_far import closed, not_measured
+from jaxid.diagnosis.how_far import not_measured
 from jaxid.diagnosis.hypothesis import SearchResult
 from jaxid.diagnosis.result import HowFar, Regime, Which
 from jaxid.diagnosis.selection import indistinct

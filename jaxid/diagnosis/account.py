@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxid.diagnosis import how_far as shrinking, where as location
+from jaxid.diagnosis import where as location
+from jaxid.diagnosis.budget import closed
 from jaxid.diagnosis.evidence import inflation, worth
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.missing import missing_forces
@@ -128,7 +129,7 @@ def ranked(search: SearchResult) -> list[Ranked]:
         beside = (
             f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
         )
-        share = shrinking.closed(nominal.validation.loss, h.validation.loss)
+        share = closed(nominal.validation.loss, h.validation.loss)
         words = "closes nothing of the gap" if not share else f"closes {percent(share)} of the gap"
         sentence = f"{last}{beside}: {words} on validation data"
         others = tuple(str(c) for c in h.effects[:-1])

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TYPE_CHECKING
 
+import numpy as np
+
 
 if TYPE_CHECKING:
     from jaxid.diagnosis.result import HowFar
@@ -64,34 +66,44 @@ def budget(how_far: HowFar, stated: Sequence[StatedNumber], verdict: str) -> tup
         steps.append(Step("effects", left, closes=_share_closed(retuned, left)))
     steps.append(Step("left", left, rms=_rms(how_far, verdict)))
     if how_far.ceiling is not None:
-        closed = min(max(how_far.ceiling, 0.0), 1.0)
-        reached = math.hypot(math.sqrt(closed), math.sqrt(1 - closed) * retuned)
+        share = min(max(how_far.ceiling, 0.0), 1.0)
+        reached = math.hypot(math.sqrt(share), math.sqrt(1 - share) * retuned)
         steps.append(Step("any_free_law", min(reached, max(left, 1.0))))
     return tuple(steps)
 
 
 def closed_by_numbers(steps: Sequence[Step]) -> float:
     """Share of the gap as stated that re-tuned numbers close; 0 where that has no size."""
-    shares = [step.closes or 0.0 for step in steps if step.step == "numbers"]
-    return sum(shares)
+    return next(step.closes or 0.0 for step in steps if step.step == "numbers")
 
 
 def _name(number: StatedNumber, robot: bool) -> str:
     """Its id: `viscous1`, on a robot `damping@elbow`; of what two numbers come to, their words."""
     if not robot or "@" in number.parameter or " " in number.parameter:
         return number.parameter
-    of_body = number.parameter == "mass" or number.parameter.startswith(("com_", "gyration_"))
-    place = number.link if of_body else number.joint
-    return f"{number.parameter}@{place}" if place else number.parameter
+    return f"{number.parameter}@{number.place}" if number.place else number.parameter
 
 
 def _share_closed(before: float, after: float) -> float | None:
     """Of the mean square above the noise; negative where the gap grows."""
-    if not (math.isfinite(before) and math.isfinite(after)) or before <= 1:
+    with np.errstate(over="ignore"):
+        squares = np.square([before, max(after, 1.0)])
+    if before <= 1 or not np.isfinite(squares).all():
         return None
-    noise = 1 / before**2 if before < 1e100 else 0.0
-    left = (max(after, 1.0) / before) ** 2 if after < 1e100 * before else math.inf
-    return 1 - (left - noise) / (1 - noise)
+    return float(shrink(*squares))
+
+
+def shrink(before: float, after: float) -> float:
+    """Share of the gap that is closed; arguments are mean squares in units of the noise."""
+    return 1 - (after - 1) / (before - 1)
+
+
+def closed(before: float, after: float) -> float:
+    """The same as a part of the whole, 0 to 1: 0 where nothing is closed, or where there is no
+    gap.
+    """
+    share = shrink(before, after) if before > 1 else 0.0
+    return float(np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0))
 
 
 def _rms(how_far: HowFar, verdict: str) -> dict[str, tuple[float, str]]:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from jaxid.diagnosis.breakdown import by_regime, by_run, Share
+from jaxid.diagnosis.budget import shrink
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.diagnosis.result import ChannelGap, HowFar
 from jaxid.diagnosis.thresholds import LIMITS
@@ -197,19 +198,6 @@ def not_measured(*gaps: float) -> str | None:
     if any(math.isnan(gap) for gap in gaps):
         return "no sample of these data could be compared"
     return "a simulation does not stay finite, so that its gap has no size"
-
-
-def shrink(before: float, after: float) -> float:
-    """Share of the gap that is closed; arguments are mean squares in units of the noise."""
-    return 1 - (after - 1) / (before - 1)
-
-
-def closed(before: float, after: float) -> float:
-    """The same as a part of the whole, 0 to 1: 0 where nothing is closed, or where there is no
-    gap.
-    """
-    share = shrink(before, after) if before > 1 else 0.0
-    return float(np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0))
 
 
 def interval_of_further_run(

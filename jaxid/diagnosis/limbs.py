@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.breakdown import Share
-from jaxid.diagnosis.how_far import shrink
+from jaxid.diagnosis.budget import shrink
 from jaxid.diagnosis.result import Diagnosis, HowFar, Which
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.limbs import together

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.breakdown import Share
+from jaxid.diagnosis.budget import closed as share_closed
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.reasons import (
     AtTheNoise,
@@ -121,7 +121,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
         if nominal.loss <= floor and search.nominal.fit_loss <= level(search.nominal.path.count):
             return Verdict("none", (AtTheNoise(),))
         return Verdict("unknown", (NothingExplains(gap), *_nearer(search)))
-    closed = shrinking.closed(nominal.loss, chosen.loss)
+    closed = share_closed(nominal.loss, chosen.loss)
     names = placed(map(str, search.chosen.effects))
     left = float(np.sqrt(max(chosen.loss, 1.0)))
     each = (
@@ -131,7 +131,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
     )
     # Several that leave more than the noise may together only come close to something else.
     close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LIMITS.left
-    followed = shrinking.closed(search.nominal.fit_loss, search.chosen.fit_loss)
+    followed = share_closed(search.nominal.fit_loss, search.chosen.fit_loss)
     closed_on_both = closed >= LIMITS.named and (
         followed >= LIMITS.named or search.chosen.fit_loss <= LIMITS.left**2
     )
@@ -181,7 +181,7 @@ def _nearer(search: SearchResult) -> tuple[Reason, ...]:
         search.chosen.validation.loss, search.nominal.validation.loss
     ):
         return ()
-    share = shrinking.closed(search.nominal.validation.loss, top.validation.loss)
+    share = share_closed(search.nominal.validation.loss, top.validation.loss)
     return (NearerOnValidation(placed(map(str, top.effects)), share),)
 
 
@@ -191,7 +191,7 @@ def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
     if not after < np.inf or np.isnan(retuned):  # a gap that is no number bears nothing out
         return verdict.but("unknown", FartherOnReport(after, retuned, before))
     room = retuned**2 > LIMITS.alike  # beyond what is known of the noise
-    closed = shrinking.closed(retuned**2, after**2)
+    closed = share_closed(retuned**2, after**2)
     if retuned <= LIMITS.seen and (
         after < retuned or not (room or after**2 > LIMITS.alike * retuned**2)
     ):

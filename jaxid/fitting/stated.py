@@ -52,6 +52,14 @@ class StatedNumber:
     def refuted(self) -> bool:
         return self.deviation is not None and abs(self.deviation) > REFUTED
 
+    @property
+    def place(self) -> str:
+        """The joint of a number, or the link of a body's; empty for what two numbers come to."""
+        if " " in self.parameter:  # "kp of lift / armature of lift"
+            return ""
+        of_body = self.parameter == "mass" or self.parameter.startswith(("com_", "gyration_"))
+        return self.link if of_body and self.link else self.joint
+
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
 

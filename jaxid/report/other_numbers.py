@@ -56,7 +56,7 @@ def first_of_all(diagnosis: Diagnosis, verdict: str) -> str:
 def other_places(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     """Where these numbers are: the head of a card, and its sentences."""
     refuted = refuted_numbers(diagnosis)
-    places = dict.fromkeys(one_line(_place(s) or _word(s)) for s in refuted[:FEW])
+    places = dict.fromkeys(one_line(s.place or _word(s)) for s in refuted[:FEW])
     more = f" and {len(refuted) - FEW} more" if len(refuted) > FEW else ""
     return f"In what is stated of {listed(places)}{more}", [
         other_numbers(diagnosis),
@@ -66,20 +66,12 @@ def other_places(diagnosis: Diagnosis) -> tuple[str, list[str]]:
 
 def _clause(s: StatedNumber) -> str:
     unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
-    place = one_line(_place(s))
+    place = one_line(s.place)
     what = f"the {place}'s {_word(s)}" if place else _word(s)
     return (
         f"{what} is {number(s.fitted if s.beside is None else s.beside, 3)}{unit}, not"
         f" {s.stated:.4g}"
     )
-
-
-def _place(s: StatedNumber) -> str:
-    """The joint of a number, or the link of a body's."""
-    if " " in s.parameter:  # what two numbers come to: "kp of lift / armature of lift"
-        return ""
-    of_body = s.parameter == "mass" or s.parameter.startswith(("com_", "gyration_"))
-    return s.link if of_body and s.link else s.joint
 
 
 def _word(s: StatedNumber) -> str:

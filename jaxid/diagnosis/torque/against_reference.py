@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.diagnosis.how_far import closed
+from jaxid.diagnosis.budget import closed
 from jaxid.diagnosis.reasons import NotMostHeldOut, TorqueHeldOut
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.algebra import solve

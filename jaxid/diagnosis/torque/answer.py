@@ -12,7 +12,8 @@ import numpy as np
 
 from jaxid.diagnosis import where as location
 from jaxid.diagnosis.breakdown import Share
-from jaxid.diagnosis.how_far import closed, not_measured, shrink
+from jaxid.diagnosis.budget import closed, shrink
+from jaxid.diagnosis.how_far import not_measured
 from jaxid.diagnosis.missing import Missing
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, MissingForce, Ranked, Regime
 from jaxid.diagnosis.thresholds import LIMITS

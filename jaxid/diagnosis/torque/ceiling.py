@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxid.diagnosis.how_far import closed
+from jaxid.diagnosis.budget import closed
 from jaxid.diagnosis.torque.algebra import ColumnPrior, gram, solve, Weights
 from jaxid.diagnosis.torque.answer import Answer
 from jaxid.diagnosis.torque.rows import TorqueRun

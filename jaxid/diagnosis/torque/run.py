@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxid.diagnosis.how_far import closed
+from jaxid.diagnosis.budget import closed
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.reasons import (
     NothingPredicts,
