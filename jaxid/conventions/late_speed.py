@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
@@ -76,21 +77,29 @@ def lateness(dataset: Dataset, position: Channel, speed: Channel) -> Lateness | 
     or not surely late.
     """
     stretches = list(_stretches(dataset, position, speed))
-    if len(stretches) < 3:
-        return None
-    lags = [_lag(stretches)]
-    lags += [_lag(stretches[:k] + stretches[k + 1 :]) for k in range(len(stretches))]
-    if any(lag is None for lag in lags):
-        return None
-    known = np.array([lag for lag in lags if lag is not None])
     count = len(stretches)
-    std = float(np.sqrt((count - 1) / count * np.sum((known[1:] - known[1:].mean()) ** 2)))
+    if count < 3:
+        return None
+    most = _farthest(stretches)
+    each = np.array([_products(stretch, most) for stretch in stretches])
+    together = each.sum(axis=0)
+    rows = _lag(together)
+    if rows is None:
+        return None
+    without_one = [_lag(together - own) for own in each]
+    jackknife = np.array([lag for lag in without_one if lag is not None])
+    if len(jackknife) < count:
+        return None
+    row = stretches[0].step
+    late = rows * row
+    scatter = np.sum((jackknife - jackknife.mean()) ** 2)
+    std = row * float(np.sqrt((count - 1) / count * scatter))
     step = float(np.median([s.step for s in stretches]))
     held = (max((every_row(y) for _, y in series(dataset, speed)), default=1) - 1) / 2
-    late = float(known[0])
     if abs(late) <= max(SURE * std, (ROWS + held) * step):
         return None
-    at_once, moved = _apart(stretches, 0.0), _apart(stretches, late)
+    at_once = _apart(together, 0)
+    moved = _apart(together, round(rows))
     if moved > GONE * at_once:
         return None
     return Lateness(late, std, step, position)
@@ -119,24 +128,48 @@ def _stretches(dataset: Dataset, position: Channel, speed: Channel) -> Iterator[
             yield Stretch(step, smooth[at], rate[at])
 
 
-def _lag(stretches: list[Stretch]) -> float | None:
-    """By how many s the speeds are late; None where they are no rates of these positions.
+def _farthest(stretches: list[Stretch]) -> int:
+    """Rows by which speeds are moved at most: a quarter period of the motion."""
+    shortest = min(len(s.rate) for s in stretches)
+    return max(2, min(shortest // 3, _quarter_period(stretches)))
 
-    The lag of the highest peak of what both have in common, among those within a quarter period of
-    the motion.
+
+def _products(stretch: Stretch, most: int) -> Float[np.ndarray, "lags 3"]:
+    """Speed times rate, speed squared and rate squared, summed over the rows that both have, with
+    the speed taken -most to most rows earlier.
     """
-    step = stretches[0].step
-    most = max(2, min(min(len(s.rate) for s in stretches) // 3, _quarter_period(stretches)))
+    from scipy.signal import correlate
+
+    n = len(stretch.rate)
     lags = np.arange(-most, most + 1)
-    both = np.array([_shared(stretches, int(k)) for k in lags])
-    shares = both[:, 0] ** 2 / np.maximum(both[:, 1] * both[:, 2], 1e-300)
+    earlier, later = np.maximum(lags, 0), np.maximum(-lags, 0)
+    speed_power = np.concatenate([[0.0], np.cumsum(stretch.speed**2)])
+    rate_power = np.concatenate([[0.0], np.cumsum(stretch.rate**2)])
+    product = correlate(stretch.speed, stretch.rate)[n - 1 + lags]
+    return np.stack(
+        [
+            product,
+            speed_power[n - later] - speed_power[earlier],
+            rate_power[n - earlier] - rate_power[later],
+        ],
+        axis=1,
+    )
+
+
+def _lag(products: Float[np.ndarray, "lags 3"]) -> float | None:
+    """By how many rows the speeds are late; None where they are no rates of these positions.
+
+    The lag of the highest peak of what both have in common, between rows by a parabola.
+    """
+    product, speed_power, rate_power = products.T
+    shares = product**2 / np.maximum(speed_power * rate_power, 1e-300)
     best = int(np.argmax(shares))
-    if shares[best] < SAME or best in (0, len(lags) - 1):
+    if shares[best] < SAME or best in (0, len(shares) - 1):
         return None
     left, top, right = shares[best - 1 : best + 2]
     bend = left - 2 * top + right
     part = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    return float((lags[best] + part) * step)
+    return best + part - len(shares) // 2
 
 
 def _quarter_period(stretches: list[Stretch]) -> int:
@@ -144,32 +177,21 @@ def _quarter_period(stretches: list[Stretch]) -> int:
     whole.
     """
     rate = np.concatenate([s.rate for s in stretches])
-    power, change = (
-        float(np.mean(rate**2)),
-        float(np.mean(np.concatenate([np.diff(s.rate) for s in stretches]) ** 2)),
-    )
+    steps = np.concatenate([np.diff(s.rate) for s in stretches])
+    power = float(np.mean(rate**2))
+    change = float(np.mean(steps**2))
     if change == 0:
         return len(rate)
     return int(np.ceil(np.pi / 2 * np.sqrt(power / change)))
 
 
-def _shared(stretches: list[Stretch], lag: int) -> tuple[float, float, float]:
-    """Products of speed and rate, summed, with the speed taken this many rows earlier."""
-    total = np.zeros(3)
-    for s in stretches:
-        n = len(s.rate)
-        v = s.speed[max(0, lag) : n + min(0, lag)]
-        r = s.rate[max(0, -lag) : n - max(0, lag)]
-        total += v @ r, v @ v, r @ r
-    return float(total[0]), float(total[1]), float(total[2])
-
-
-def _apart(stretches: list[Stretch], late: float) -> float:
-    """What is left of a speed beside the rate of the position (rms, share), taken this many s
+def _apart(products: Float[np.ndarray, "lags 3"], lag: int) -> float:
+    """What is left of a speed beside the rate of the position (rms, share), taken this many rows
     earlier.
     """
-    product, power, rates = _shared(stretches, round(late / stretches[0].step))
-    return float(np.sqrt(max(0.0, 1 - product**2 / max(power * rates, 1e-300))))
+    product, speed_power, rate_power = products[len(products) // 2 + lag]
+    common = product**2 / max(speed_power * rate_power, 1e-300)
+    return float(np.sqrt(max(0.0, 1 - common)))
 
 
 def _shown(dataset: Dataset, speed: Channel, late: Lateness) -> Shown | None:
