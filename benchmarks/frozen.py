@@ -129,7 +129,7 @@ def compare(before: Path, after: Path, tolerance: float) -> int:
 
 
 def main_of_arguments() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description="Freezes what the commands answer, and compares.")
     commands = parser.add_subparsers(dest="command", required=True)
     making = commands.add_parser("make")
     making.add_argument("folder", type=Path)
