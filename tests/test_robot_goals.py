@@ -38,11 +38,12 @@ from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.secant import descend_on_secants, Slopes
+from jaxid.force import drive
 from jaxid.models import Robot
 from jaxid.models.effects import ConstantTorque, Saturation, StribeckFriction
 from jaxid.numerics import kept
 from jaxid.numerics.boxed import within_box
-from jaxid.problem import binding, torque_filter
+from jaxid.problem import binding
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
 from jaxid.robots.limbs import limbs_of
@@ -351,7 +352,7 @@ def test_a_process_that_looks_at_many_robots_keeps_the_last_programs(monkeypatch
     monkeypatch.setattr(kept, "_KEPT", type(kept._KEPT)())
     alive, made, count = [], [], itertools.count()
     whole = kept.shared
-    for module in (batch, binding, goals_plant, torque_plant, torque_filter):
+    for module in (batch, binding, goals_plant, torque_plant, drive):
         monkeypatch.setattr(
             module,
             "shared",

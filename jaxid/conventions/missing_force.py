@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.conventions.force_columns import FEW, Forces, ROWS
 from jaxid.data.signals import filter_ends, zero_phase
 from jaxid.dynamics.effect import JointEffect, neutral, Signals
 from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 from jaxid.dynamics.parameter import specs, with_fields
+from jaxid.force.columns import FEW, Forces, ROWS
+from jaxid.force.drive import drive_torque
 from jaxid.models.effects import (
     ConstantTorque,
     CoulombFriction,
@@ -32,7 +33,6 @@ from jaxid.models.effects import (
 from jaxid.numerics.boxed import within_box
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
-from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation.sample_buffers import columns
 
 
@@ -248,11 +248,11 @@ class ForceFit:
         ]
         self.nq = binding.chain.nq
         self.driven = motion.u.shape[1] > 0 and bool(np.any(motion.u))
-        if (
-            not self.driven and self.free
-        ):  # without a drive nothing says how large the inertia is: one number is held
+        if not self.driven and self.free:
+            # Without a drive nothing says how large the inertia is: one number is held.
             self.free = self.free[1:]
-        self.forces = Forces(binding, self.free, motion.thinned(FEW))
+        few = motion.thinned(FEW)
+        self.forces = Forces(binding.layout, binding.theta, binding.scale, self.free, few)
 
     @property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
