@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 #: matched with, but it is read against the model it states; the files of a result hold its page.
 LAYERS = (
     (
+        "deadline",
         "display",
         "errors",
         "extras",
