@@ -33,6 +33,7 @@ LAYERS = (
     ("catalogue",),
     ("data.importers", "data.io", "data.reading"),
     ("simulation",),
+    ("force",),
     ("problem",),
     ("conventions",),
     ("fitting",),
