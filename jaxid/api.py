@@ -13,6 +13,7 @@ from jaxid import catalogue
 from jaxid.conventions.finding import Checked
 from jaxid.data.capacity import refuse_too_large
 from jaxid.data.dataset import Dataset
+from jaxid.deadline import answered_in_time, share_of_time
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import nearest, UsageError
@@ -185,6 +186,7 @@ def diagnose(
     as_recorded: bool = False,
     reference: Any = None,
     cutoff_hz: float | None = None,
+    seconds: float | None = None,
 ) -> Diagnosis:
     """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it
     is added.
@@ -195,18 +197,20 @@ def diagnose(
     recording is checked first (`jaxid.check`), and decisive findings are applied unless
     `as_recorded`. `reference`, a fit, an identification or a diagnosis of another recording (or its
     JSON file), is what is known beforehand: what is asked is what is different here. `cutoff_hz` is
-    the low-pass of `inverse_dynamics`.
+    the low-pass of `inverse_dynamics`. After `seconds` the answer is what is known by then, with
+    `complete` false; a program that is being compiled is waited for. Raises `UsageError` for
+    arguments that do not fit, and where nothing is known after `seconds`.
     """
-    from jaxid.diagnosis.limbs import diagnose_each
-    from jaxid.diagnosis.run import begin_compiling, run_diagnosis
-
     refuse_free("diagnose", dataset)
-    from jaxid.diagnosis.torque.reference import ReferenceNumbers
+    if max_effects < 1:
+        raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
+    asked = None if effects is None else tuple(effects)
+    without = tuple(without)
+    limbs = limbs_of(model, dataset)
+    if len(limbs) > 1:
+        from jaxid.diagnosis.limbs import diagnose_each
 
-    if len(limbs := limbs_of(model, dataset)) > 1:
-        asked = None if effects is None else tuple(effects)
-
-        def work(robot, data, tell):
+        def work(robot: object, data: Dataset, tell: Progress) -> Diagnosis:
             return diagnose(
                 robot,
                 data,
@@ -217,27 +221,59 @@ def diagnose(
                 seed=seed,
                 progress=tell,
                 as_recorded=as_recorded,
+                seconds=None if seconds is None else seconds * share_of_time(len(limbs)),
             )
 
         return diagnose_each(limbs, work, dataset, progress)
-    if max_effects < 1:
-        raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
-    without = tuple(without)
-    effects = None if effects is None else tuple(effects)
+
+    def answer() -> Diagnosis:
+        return _diagnosis(
+            model=model,
+            dataset=dataset,
+            max_effects=max_effects,
+            effects=asked,
+            without=without,
+            residual=residual,
+            seed=seed,
+            progress=progress,
+            as_recorded=as_recorded,
+            reference=reference,
+            cutoff_hz=cutoff_hz,
+        )
+
+    return answered_in_time(seconds, answer)
+
+
+def _diagnosis(
+    *,
+    model: object,
+    dataset: Dataset,
+    max_effects: int,
+    effects: tuple[str | Effect | type[Effect], ...] | None,
+    without: tuple[str, ...],
+    residual: Residual | str | None,
+    seed: int,
+    progress: Progress | None,
+    as_recorded: bool,
+    reference: Any,
+    cutoff_hz: float | None,
+) -> Diagnosis:
+    """The diagnosis of one mechanism. On Ctrl-C `Interrupted` carries what is known."""
+    from jaxid.diagnosis.run import begin_compiling, run_diagnosis
+    from jaxid.diagnosis.torque.reference import ReferenceNumbers
+
     if residual is None:
         begin_compiling(model, dataset, effects, without)
     checked = _checked(model, dataset, without, as_recorded)
-    data = checked.mended or dataset
+    known = None if reference is None else ReferenceNumbers.read(reference)
     try:
-        known = None if reference is None else ReferenceNumbers.read(reference)
-        compared = resolve_residual(residual, cutoff_hz)
         found = run_diagnosis(
             model=model,
-            dataset=data,
+            dataset=checked.mended or dataset,
             max_effects=max_effects,
             effects=effects,
             without=without,
-            residual=compared,
+            residual=resolve_residual(residual, cutoff_hz),
             seed=seed,
             progress=progress,
             reference=known,

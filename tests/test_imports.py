@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 #: matched with, but it is read against the model it states; the files of a result hold its page.
 LAYERS = (
     (
+        "deadline",
         "display",
         "errors",
         "extras",
@@ -32,6 +33,7 @@ LAYERS = (
     ("catalogue",),
     ("data.importers", "data.io", "data.reading"),
     ("simulation",),
+    ("force",),
     ("problem",),
     ("conventions",),
     ("fitting",),
@@ -42,7 +44,7 @@ LAYERS = (
     ("report",),
     ("storage.result_files",),
     ("api",),
-    ("hardware", "study"),
+    ("doctor", "hardware", "study"),
     ("cli",),
     ("__main__",),
 )

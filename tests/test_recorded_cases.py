@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from jaxid.conventions.checking import run_check
 from jaxid.conventions.finding import Checked
 from jaxid.data.dataset import Dataset
 from jaxid.fitters.short_fit import left_by_short_fit
+from jaxid.problem.binding import resolve_model
+from jaxid.robots.match import notes_of, prepared, robot_from
 
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[1] / "../shared/data"))
@@ -41,18 +44,42 @@ def imported(*words: str, folder: Path, out: Path) -> Dataset:
     return jaxid.load_dataset(out)
 
 
+#: Joints of the arm of several cases, and what its log calls them.
+LOGGED = {"base_yaw": "base_yaw", "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist"}
+
+
 def with_runs(name: str, into: Path) -> Path:
     """A case whose description names Parquet files, of which the folder has the text."""
     folder = shutil.copytree(case(name), into / name)
     described = (folder / "dataset.toml").read_text()
+    (folder / "dataset.toml").write_text(reading_text(described, LOGGED))
+    return folder
+
+
+def reading_text(described: str, logged: Mapping[str, str]) -> str:
+    """A description of Parquet files as one of the text that they were made of; `logged` says what
+    the text calls a joint.
+    """
     for k, run in enumerate(("run_a", "run_b", "run_c"), 1):
         described = described.replace(f'file = "run_{k}.parquet"', f'file = "{run}.csv"')
-    for joint in ("base_yaw", "shoulder", "elbow", "wrist"):
+    for joint, column in logged.items():
         goal, read = f"[channels.{joint}_cmd]\n", f"[channels.{joint}]\n"
-        described = described.replace(goal, f'{goal}column = "goal_{joint}"\n')
-        described = described.replace(read, f'{read}column = "pos_{joint}"\n')
-    (folder / "dataset.toml").write_text(f'time = "time"\n{described}')
-    return folder
+        described = described.replace(goal, f'{goal}column = "goal_{column}"\n')
+        described = described.replace(read, f'{read}column = "pos_{column}"\n')
+    return f'time = "time"\n{described}'
+
+
+def diagnosed(folder: Path, into: Path) -> Path:
+    """The result of `jaxid diagnose` of a folder."""
+    assert main(["diagnose", str(folder), "--out", str(into / "found")]) == 0
+    return into / "found" / "diagnosis.json"
+
+
+def exported(result: Path, robot: Path, into: Path, *words: str, to: str = "mjcf") -> Path:
+    """The folder that `jaxid export` of a result writes for a robot's file."""
+    command = ["export", str(result), "--to", to, "--robot", str(robot), "--out", str(into)]
+    assert main([*command, *words]) == 0
+    return into
 
 
 # ---- what a recording says about itself
@@ -128,11 +155,9 @@ def test_an_inertia_of_a_robot_that_no_body_has_is_decisive():
 
 def test_a_branch_is_exported_without_what_the_identification_left_out(tmp_path):
     folder = case("robot3_export_of_a_branch")
-    found, patched = tmp_path / "found", tmp_path / "patched"
+    robot, found = folder / "mobile.urdf", tmp_path / "found"
     assert main(["identify", str(folder), "--out", str(found)]) == 0
-    robot, result = folder / "mobile.urdf", found / "identification.json"
-    command = ["export", str(result), "--to", "urdf", "--robot", str(robot), "--out", str(patched)]
-    assert main(command) == 0
+    patched = exported(found / "identification.json", robot, tmp_path / "patched", to="urdf")
     text = (patched / "mobile.urdf").read_text()
     assert text.count("<joint") == robot.read_text().count("<joint")
     assert "friction" in text
@@ -141,11 +166,8 @@ def test_a_branch_is_exported_without_what_the_identification_left_out(tmp_path)
 @pytest.mark.slow
 def test_a_limit_that_nothing_states_is_left_as_the_file_has_it(tmp_path):
     folder = case("robot3_force_limit_lost")
-    found, patched = tmp_path / "found", tmp_path / "patched"
-    assert main(["diagnose", str(folder), "--out", str(found)]) == 0
-    robot, result = folder / "hub.xml", found / "diagnosis.json"
-    command = ["export", str(result), "--to", "mjcf", "--robot", str(robot), "--out", str(patched)]
-    assert main(command) == 0
+    result = diagnosed(folder, tmp_path)
+    patched = exported(result, folder / "hub.xml", tmp_path / "patched")
     text = (patched / "hub.xml").read_text()
     assert 'forcerange="-6 6"' in text
     assert "1000000000" not in text
@@ -154,12 +176,9 @@ def test_a_limit_that_nothing_states_is_left_as_the_file_has_it(tmp_path):
 @pytest.mark.slow
 def test_a_number_at_its_bound_leaves_a_covariance(tmp_path):
     folder = case("robot3_covariance_at_bound")
-    found, patched, ranges = tmp_path / "found", tmp_path / "patched", tmp_path / "ranges"
-    assert main(["diagnose", str(folder), "--out", str(found)]) == 0
-    robot, result = folder / "hub.xml", found / "diagnosis.json"
-    command = ["export", str(result), "--robot", str(robot)]
-    assert main([*command, "--to", "mjcf", "--out", str(patched)]) == 0
-    assert main([*command, "--to", "mjlab", "--ranges", "--out", str(ranges)]) == 0
+    robot, result = folder / "hub.xml", diagnosed(folder, tmp_path)
+    patched = exported(result, robot, tmp_path / "patched")
+    ranges = exported(result, robot, tmp_path / "ranges", "--ranges", to="mjlab")
     matrix = np.array(json.loads(result.read_text())["covariance"]["matrix"])
     scale = np.sqrt(np.diag(matrix))
     assert np.linalg.eigvalsh(matrix / scale / scale[:, None]).min() > -1e-6
@@ -174,15 +193,12 @@ def test_a_number_at_its_bound_leaves_a_covariance(tmp_path):
 @pytest.mark.slow
 def test_only_the_friction_that_is_wrong_is_written(tmp_path):
     folder = with_runs("new3_export_hardens_friction", tmp_path)
-    found, patched = tmp_path / "found", tmp_path / "patched"
-    assert main(["diagnose", str(folder), "--out", str(found)]) == 0
-    robot, result = folder / "robot.xml", found / "diagnosis.json"
-    command = ["export", str(result), "--to", "mjcf", "--robot", str(robot), "--out", str(patched)]
-    assert main([*command, "--data", str(folder)]) == 0
+    robot, result = folder / "robot.xml", diagnosed(folder, tmp_path)
+    patched = exported(result, robot, tmp_path / "patched", "--data", str(folder))
     text = (patched / "robot.xml").read_text()
     assert text.count("solreffriction") == robot.read_text().count("solreffriction")
     assert text.count("frictionloss") == robot.read_text().count("frictionloss")
-    page = (found / "report.html").read_text()
+    page = (result.parent / "report.html").read_text()
     assert "Nothing is missing" not in page
 
 
@@ -193,6 +209,58 @@ def test_what_the_steps_of_a_file_add_is_counted_once(tmp_path):
     refuted = [r for r in found.final.stated if r.refuted]
     assert [(r.parameter, r.joint) for r in refuted] == [("armature", "elbow")]
     assert refuted[0].fitted == pytest.approx(0.12, rel=0.02)
+
+
+# ---- joints that a file drives, couples or names in its own way
+
+
+def notes(folder: Path, tip: str | None = None) -> str:
+    """What a result says of how the robot of a case and its recording were brought together."""
+    dataset = jaxid.load_dataset(folder)
+    asked = None if tip is None else robot_from(str(folder / "picker.xml"), tip)
+    robot, data = prepared(asked, dataset)
+    return " ".join((*data.notes, *notes_of(robot, data)))
+
+
+def test_a_gripper_by_a_tendon_contradicts_nothing():
+    assert checked("robot3_gripper_by_tendon").findings == ()
+
+
+@pytest.mark.parametrize("tip", [None, "fore"])
+def test_fingers_in_a_tendon_are_held_where_nobody_recorded_them(tip):
+    said = notes(case("robot3_gripper_by_tendon"), tip)
+    held = said.split("held: ")[1]
+    assert "thumb" in held and "index" in held
+    assert tip is not None or "not simulated" in said and "'grip'" in said
+
+
+@pytest.mark.parametrize("described", ["dataset_1_as_recorded", "dataset_2_after_the_advice"])
+def test_either_finger_may_be_recorded_of_two_that_a_file_couples(described, tmp_path):
+    folder = shutil.copytree(case("new3_gripper_follower_advice_loops"), tmp_path / "data")
+    text = (folder / f"{described}.toml").read_text()
+    first, model = text.index('[[experiments]]\nfile = "run_2'), text.index("[model]")
+    of_one_run = (text[:first] + text[model:]).replace('column = "finger_l"\n', "")
+    fingers = {"finger_l": "gripper", "finger_r": "gripper"}
+    (folder / "dataset.toml").write_text(reading_text(of_one_run, LOGGED | fingers))
+    robot, data = prepared(None, jaxid.load_dataset(folder))
+    bound = resolve_model(robot, data)
+    said = notes(folder)
+    if described == "dataset_1_as_recorded":
+        assert bound.signature.joints[-1] == "finger_l"
+        assert "finger_l is recorded and stands for finger_r" in said
+    else:
+        assert bound.signature.joints[-1] == "finger_r"
+        assert "the goal of finger_l is taken as that of finger_r" in said
+
+
+@pytest.mark.parametrize("base", ["", '[model.base]\nkind = "prescribed"\n'])
+def test_a_joint_of_the_file_is_no_attitude_of_the_base(base, tmp_path):
+    folder = shutil.copytree(case("new3_joint_named_base_yaw"), tmp_path / "data")
+    with (folder / "dataset.toml").open("a") as described:
+        described.write(base)
+    robot, data = prepared(None, jaxid.load_dataset(folder))
+    assert resolve_model(robot, data).signature.joints == tuple(LOGGED)
+    assert "recorded and not used" not in notes(folder)
 
 
 # ---- files that are imported

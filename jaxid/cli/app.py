@@ -41,6 +41,7 @@ MODULES = {
     "batch": "jaxid.cli.batch",
     "check": "jaxid.cli.check",
     "compare": "jaxid.cli.compare",
+    "doctor": "jaxid.cli.doctor",
     "excite": "jaxid.cli.excite",
     "export": "jaxid.cli.export",
     "identify": "jaxid.cli.identify",
@@ -249,6 +250,12 @@ def fit(
     metavar="FILE",
     help="TOML: of that run; default: what was recorded.",
 )
+@click.option(
+    "--seconds",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="S",
+    help="The best answer there is by then.",
+)
 @AS_RECORDED
 @output_options
 def diagnose(
@@ -264,6 +271,7 @@ def diagnose(
     seed,
     next_,
     limits,
+    seconds,
     as_recorded,
     as_json,
     quiet,
@@ -293,6 +301,7 @@ def diagnose(
             seed=seed,
             progress=output.progress,
             as_recorded=as_recorded,
+            seconds=seconds,
         )
         code = output.deliver(result, diagnosis_text)
     if next_ is not None:

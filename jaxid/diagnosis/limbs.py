@@ -111,6 +111,7 @@ def joined(
         unseen=every("unseen"),
         rivals=next((d.rivals for d in parts if d.rivals is not None), None),
         data=every("data"),
+        complete=all(part.complete for part in parts),
     )
 
 

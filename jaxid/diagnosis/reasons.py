@@ -93,8 +93,8 @@ class NothingExplains(Reason):
 class CutShort(Reason):
     named: bool
     form = (
-        "The search ended at what it may simulate: {what}. Leave out effects that cannot be missing"
-        " (--effects names the others), and it gets further."
+        "The search ended early, at what it may simulate or at --seconds: {what}. Leave out effects"
+        " that cannot be missing (--effects names the others), and it gets further."
     )
 
     @property

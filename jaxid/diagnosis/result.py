@@ -253,6 +253,7 @@ class Diagnosis(Displayed, Exportable):
     unseen: tuple[Unseen, ...] = ()
     rivals: Rivals | None = field(default=None, repr=False, compare=False)
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
+    complete: bool = True  # whether the search came to its end
 
     @property
     def budget(self) -> tuple[Step, ...]:
@@ -298,6 +299,7 @@ class Diagnosis(Displayed, Exportable):
             "parameters": {k: v.to_dict() for k, v in self.final.parameters.items()},
             "stated": [s.to_dict() for s in self.final.stated],
             **with_origin(self.final),
+            "complete": self.complete,
             "wall_time_s": self.wall_time_s,
             "notes": list(self.notes),
             "versions": versions(),

@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 
+from jaxid.deadline import search_is_over
 from jaxid.diagnosis.evidence import held_out, knowledge, together
 from jaxid.diagnosis.hypothesis import (
     Candidate,
@@ -201,11 +202,10 @@ class Searcher:
 
     def _goes_on(self) -> bool:
         """Whether more may be asked after the first effects; that it may not is said in the end."""
-        spent, once = (
-            sum(bench.simulated() for bench in (*self.benches, self.bench)),
-            self.nominal.path.problem.work,
-        )
-        self._cut_short |= bool(self.tried) and spent > max(MOST_STEPS, MOST_RUNS * once)
+        spent = sum(bench.simulated() for bench in (*self.benches, self.bench))
+        once = self.nominal.path.problem.work
+        too_many = spent > max(MOST_STEPS, MOST_RUNS * once)
+        self._cut_short |= bool(self.tried) and (too_many or search_is_over())
         return not self._cut_short
 
     def run(

@@ -396,8 +396,10 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
         series = [e.auxiliary[joint] for e in dataset.experiments if joint in e.auxiliary]
         value = float(np.mean(np.concatenate(series))) if series else tree.neutral(joint)
         held[joint] = constants.get(f"{POSE}{joint}", value)
-    if held:
-        listed = ", ".join(f"{j} at {v:.4g}" for j, v in held.items())
+    locked = tree.locked(held)
+    if held:  # and what follows these
+        own = {joint: v for joint, v in locked.held.items() if joint not in tree.held}
+        listed = ", ".join(f"{joint} at {v:.4g}" for joint, v in own.items())
         notes = (
             *notes,
             (
@@ -411,7 +413,7 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     if followers:
         listed = ", ".join(f"{a} follows {b}" for a, b in followers.items())
         notes = (*notes, f"{listed}, as the file says: not compared")
-    return tree.locked(held), notes
+    return locked, notes
 
 
 def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:

@@ -446,5 +446,7 @@ def up_to(tree: Tree, tip: str | None) -> Tree:
         return tree
     path = tree.path_to(tip)
     held = [j for j in tree.leading if j not in path]
-    note = (f"only the joints up to {tip} move; held: {', '.join(held)}",) if held else ()
-    return replace(tree.locked({j: tree.neutral(j) for j in held}), notes=(*tree.notes, *note))
+    locked = tree.locked({j: tree.neutral(j) for j in held})
+    gone = [j for j in tree.joints if j not in locked.joints]
+    note = (f"only the joints up to {tip} move; held: {', '.join(gone)}",) if gone else ()
+    return replace(locked, notes=(*tree.notes, *note))
