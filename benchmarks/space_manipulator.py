@@ -34,10 +34,10 @@ from jaxid.fitting.fitter import AbstractFitter, sampling_box  # noqa: E402
 from jaxid.fitting.population import AbstractPopulation  # noqa: E402
 from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.fitting.sequential import follow, stretches  # noqa: E402
+from jaxid.force.torque_filter import measured_torque  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.problem.problem import FitProblem  # noqa: E402
 from jaxid.problem.residual import InverseDynamics  # noqa: E402
-from jaxid.problem.torque_filter import measured_torque  # noqa: E402
 from tests.test_models import SPACE, space  # noqa: E402
 
 

@@ -21,7 +21,8 @@ FORCE = (
     "dynamics/chain.py",
     "dynamics/effect.py",
     "dynamics/dry_friction.py",
-    "problem/torque_filter.py",
+    "force/drive.py",
+    "force/torque_filter.py",
     "diagnosis/where.py",
 )
 

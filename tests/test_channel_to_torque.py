@@ -26,6 +26,7 @@ from jaxid.dynamics.kinematics import modified_dh
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import DatasetWarning, UsageError
 from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.force.drive import drive_torque
 from jaxid.identification.payload import PayloadEstimate, USUAL_GAIN_STD, usual_gain_std
 from jaxid.identification.regression import read_run
 from jaxid.identification.run import _stated
@@ -34,7 +35,6 @@ from jaxid.models.effects import CoulombFriction, TorqueScale, ViscousFriction
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import bind, resolve_model
 from jaxid.problem.residual import InverseDynamics, OutputError
-from jaxid.problem.torque_filter import drive_torque
 
 
 TWO = modified_dh(a=[0, 0.4], alpha=[0, 0], d=[0.1, 0])

@@ -20,7 +20,6 @@ import jaxid
 from benchmarks.conventions import broken, found, KINDS, recording
 from jaxid.cli.app import main
 from jaxid.conventions import checking, finding, law
-from jaxid.conventions.force_columns import Forces
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import measured
 from jaxid.conventions.readings import scaled_input, scaled_joint
@@ -30,6 +29,7 @@ from jaxid.dynamics.mechanism import Rigid, Signature
 from jaxid.dynamics.parameter import constant, param
 from jaxid.errors import UsageError
 from jaxid.fitters.short_fit import left_by_short_fit
+from jaxid.force.columns import Forces
 from jaxid.models.effects import ConstantTorque, CoulombFriction, ViscousFriction
 from jaxid.problem.binding import bind
 
@@ -467,7 +467,7 @@ def test_columns_are_made_once_and_give_the_force():
     binding = bind(None, recording("pendulum", 5).dataset())
     motion = measured(binding)
     assert motion is not None
-    forces = Forces(binding, binding.free, motion)
+    forces = Forces(binding.layout, binding.theta, binding.scale, binding.free, motion)
     theta = binding.theta.copy()
     theta[binding.free] = np.clip(
         1.3 * theta[binding.free] + 0.01, binding.lower[binding.free], binding.upper[binding.free]

@@ -33,6 +33,7 @@ LAYERS = (
     ("catalogue",),
     ("data.importers", "data.io", "data.reading"),
     ("simulation",),
+    ("force",),
     ("problem",),
     ("conventions",),
     ("fitting",),
@@ -43,7 +44,7 @@ LAYERS = (
     ("report",),
     ("storage.result_files",),
     ("api",),
-    ("hardware", "study"),
+    ("doctor", "hardware", "study"),
     ("cli",),
     ("__main__",),
 )

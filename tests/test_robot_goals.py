@@ -38,11 +38,11 @@ from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.secant import descend_on_secants, Slopes
+from jaxid.force import drive
 from jaxid.models import Robot
 from jaxid.models.effects import ConstantTorque, Saturation, StribeckFriction
 from jaxid.numerics import kept
-from jaxid.numerics.boxed import within_box
-from jaxid.problem import binding, torque_filter
+from jaxid.problem import binding
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
 from jaxid.robots.limbs import limbs_of
@@ -351,7 +351,7 @@ def test_a_process_that_looks_at_many_robots_keeps_the_last_programs(monkeypatch
     monkeypatch.setattr(kept, "_KEPT", type(kept._KEPT)())
     alive, made, count = [], [], itertools.count()
     whole = kept.shared
-    for module in (batch, binding, goals_plant, torque_plant, torque_filter):
+    for module in (batch, binding, goals_plant, torque_plant, drive):
         monkeypatch.setattr(
             module,
             "shared",
@@ -368,24 +368,6 @@ def test_a_process_that_looks_at_many_robots_keeps_the_last_programs(monkeypatch
         alive.append(len(jax.devices("cpu")[0].client.live_executables()))
         assert len(kept._KEPT) <= 2
     assert alive[4] - alive[2] <= 2 < made[4] - made[2] - 2  # what is made is let go
-
-
-def test_numbers_within_bounds_are_the_best_there():
-    from scipy.optimize import lsq_linear
-
-    rng = np.random.default_rng(0)
-    for _ in range(60):
-        n = int(rng.integers(1, 30))
-        A, x = rng.normal(size=(60, n)) * 10 ** rng.uniform(-2, 2, n), rng.normal(size=n)
-        y = A @ x + rng.normal(size=60)
-        low = x - rng.exponential(size=n) * rng.choice([0.01, 10.0], n)
-        high = low + 0.01 + 3 * rng.exponential(size=n)
-        found, held = within_box(A.T @ A, A.T @ y, np.zeros(n), low, high)
-        assert np.all((low <= found) & (found <= high)) and np.all(
-            (found == low)[held] | (found == high)[held]
-        )
-        least = 2 * lsq_linear(A, y, (low, high), method="bvls").cost
-        assert np.sum((A @ found - y) ** 2) <= least * (1 + 1e-9)
 
 
 # ---- recordings of others

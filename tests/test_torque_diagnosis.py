@@ -20,11 +20,11 @@ from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.study import TorqueStudy
 from jaxid.dynamics.kinematics import modified_dh
+from jaxid.force.torque_filter import evenly
 from jaxid.models import SerialArm, UR10e
 from jaxid.models.effects import AsymmetricFriction
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import InverseDynamics
-from jaxid.problem.torque_filter import evenly
 from test_serial_arm import table_of, twin
 
 

@@ -41,6 +41,7 @@ MODULES = {
     "batch": "jaxid.cli.batch",
     "check": "jaxid.cli.check",
     "compare": "jaxid.cli.compare",
+    "doctor": "jaxid.cli.doctor",
     "excite": "jaxid.cli.excite",
     "export": "jaxid.cli.export",
     "identify": "jaxid.cli.identify",

@@ -9,7 +9,6 @@ from math import pi
 import numpy as np
 
 from jaxid.conventions.finding import DataFinding
-from jaxid.conventions.force_columns import FEW
 from jaxid.conventions.limits import ALIKE, APART, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import ForceFit, ReadingFit, SampledMotion
@@ -32,6 +31,7 @@ from jaxid.conventions.readings import (
 from jaxid.conventions.samples import Shown
 from jaxid.conventions.timing import timed, whole_rows_tell
 from jaxid.conventions.unsigned import unsigned
+from jaxid.force.columns import FEW
 from jaxid.numerics.pool import Pool
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed

@@ -17,11 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.conventions.force_columns import FEW, Forces, ROWS
 from jaxid.data.signals import filter_ends, zero_phase
 from jaxid.dynamics.effect import JointEffect, neutral, Signals
 from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 from jaxid.dynamics.parameter import specs, with_fields
+from jaxid.force.columns import FEW, Forces, ROWS
+from jaxid.force.drive import drive_torque
+from jaxid.force.least_squares import NormalEquations, solve
 from jaxid.models.effects import (
     ConstantTorque,
     CoulombFriction,
@@ -29,10 +31,8 @@ from jaxid.models.effects import (
     SpringTorque,
     ViscousFriction,
 )
-from jaxid.numerics.boxed import within_box
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
-from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation.sample_buffers import columns
 
 
@@ -248,11 +248,11 @@ class ForceFit:
         ]
         self.nq = binding.chain.nq
         self.driven = motion.u.shape[1] > 0 and bool(np.any(motion.u))
-        if (
-            not self.driven and self.free
-        ):  # without a drive nothing says how large the inertia is: one number is held
+        if not self.driven and self.free:
+            # Without a drive nothing says how large the inertia is: one number is held.
             self.free = self.free[1:]
-        self.forces = Forces(binding, self.free, motion.thinned(FEW))
+        few = motion.thinned(FEW)
+        self.forces = Forces(binding.layout, binding.theta, binding.scale, self.free, few)
 
     @property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -394,11 +394,11 @@ class ForceFit:
             unit = 1 / np.where(size > 0, size, 1.0)
             A = A * unit
             # Normal equations: twenty times quicker than a QR.
-            H, g = A.T @ A, -A.T @ before
+            equations = NormalEquations.of_rows(A, -before)
             for _ in range(8):
                 room = np.where(np.arange(x.size) < p + k, reach * scale, np.inf)
                 low, high = np.maximum(lower - x, -room), np.minimum(upper - x, room)
-                found, _ = within_box(H, g, np.zeros_like(x), low / unit, high / unit)
+                found, _ = solve(equations, np.zeros_like(x), low / unit, high / unit)
                 trial = np.clip(x + found * unit, lower, upper)
                 tried = residual(trial)
                 if (new := float(np.sum(tried[train] ** 2))) < cost:

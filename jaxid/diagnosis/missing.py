@@ -18,11 +18,11 @@ from jaxid.data.repeats import repeats, together
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import free_runs
+from jaxid.force.drive import drive_torque
 from jaxid.problem.binding import Binding
 from jaxid.problem.measured_motion import Motion
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics, Runs
-from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation import sample_buffers as samples
 
 

@@ -32,11 +32,11 @@ from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Fit
 from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
+from jaxid.force.torque_filter import evenly
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.problem.momentum import filtered, Momentum, momentum, noise_of, of_a_body
 from jaxid.problem.problem import FitProblem
-from jaxid.problem.torque_filter import evenly
 from jaxid.robots.bodies import BODY
 
 

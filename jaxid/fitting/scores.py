@@ -150,7 +150,7 @@ def torque_scores(
     if isinstance(residual, Momentum):
         drive = of_the_joints(problem, theta)
     else:
-        from jaxid.problem.torque_filter import measured_torque
+        from jaxid.force.torque_filter import measured_torque
 
         drive = measured_torque(bench.binding.dataset, runs, theta)
     for c, (name, unit) in enumerate(runs.channels):

@@ -22,8 +22,8 @@ from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
+from jaxid.force.drive import drive_torque
 from jaxid.identification.fourier import harmonic_motion
-from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation.sample_buffers import columns
 
 

@@ -30,6 +30,7 @@ from jaxid.dynamics.effect import NumberEffect
 from jaxid.dynamics.joint_readings import cutoffs, joint_motion
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
+from jaxid.force.torque_filter import evenly
 from jaxid.numerics.fast_math import sincos
 from jaxid.numerics.precision import float64
 from jaxid.problem.residual import (
@@ -40,7 +41,6 @@ from jaxid.problem.residual import (
     Runs,
     Simulation,
 )
-from jaxid.problem.torque_filter import evenly
 from jaxid.robots.bodies import BODY
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import BatchSimulator

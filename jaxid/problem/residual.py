@@ -23,9 +23,9 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import joint_readings, position_matters, start_of, stated_start
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
+from jaxid.force.torque_filter import decimated_torque_lane, evenly, torque_setting, TorqueSetting
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
-from jaxid.problem.torque_filter import decimated_torque_lane, evenly, torque_setting, TorqueSetting
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import BatchSimulator
 from jaxid.simulation.rollout import inverse_dynamics_rollout, Lane, simulate_rollout

@@ -13,12 +13,12 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.dynamics.parameter_vector import ParameterVector
+from jaxid.force.drive import drive_torque
 from jaxid.numerics.export_cache import ExportedFunction, key_of
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
-from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation import sample_buffers as samples
 
 

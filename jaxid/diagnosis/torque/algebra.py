@@ -17,7 +17,8 @@ import numpy as np
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.repeats import shrunk
 from jaxid.diagnosis.torque.rows import TorqueRun
-from jaxid.numerics.boxed import scaled, WEAK, within_box
+from jaxid.force import least_squares
+from jaxid.force.least_squares import in_units_of_diagonal, NormalEquations, WEAK
 
 
 #: Rounds in which the size of what is left and the weight of rows of which less is known settle.
@@ -203,7 +204,7 @@ def solve(
     H0, b0 = g[np.ix_(at, at)], g[at, -1]
     P = known.information[np.ix_(at, at)]
     H, b = H0 + P, b0 + P @ known.mean[at]
-    theta, held = within_box(H, b, start[at], lower[at], upper[at])
+    theta, held = least_squares.solve(NormalEquations(H, b), start[at], lower[at], upper[at])
     rest = float(g[-1, -1] - 2 * b0 @ theta + theta @ H0 @ theta)
     prior = float((theta - known.mean[at]) @ P @ (theta - known.mean[at]))
     return Solution(at, theta, rest + prior, held, H)
@@ -212,7 +213,7 @@ def solve(
 def _spread(H: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Covariance, and which numbers take part in no direction that the data leave open."""
     out, determined = np.full(H.shape, np.nan), np.zeros(len(H), bool)
-    S, size = scaled(H[np.ix_(free, free)])
+    S, size = in_units_of_diagonal(H[np.ix_(free, free)])
     if not len(S):
         return out, determined
     values, vectors = np.linalg.eigh(S)

@@ -15,10 +15,10 @@ from jaxid.dynamics.base_parameters import STANDARD, standard_torque, torque_col
 from jaxid.dynamics.effect import JointEffect
 from jaxid.dynamics.parameter import specs
 from jaxid.dynamics.parameter_vector import ChainForm
+from jaxid.force.drive import drive_torque
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
-from jaxid.problem.torque_filter import drive_torque
 
 
 class Beside(NamedTuple):

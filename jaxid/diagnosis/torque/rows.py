@@ -14,8 +14,8 @@ from jaxid.data.signals import filter_ends, zero_phase
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.joint_readings import joint_motion, joint_readings, stated_positions
 from jaxid.errors import UsageError
+from jaxid.force.torque_filter import check_motion, evenly, moving_band
 from jaxid.problem.binding import Binding
-from jaxid.problem.torque_filter import check_motion, evenly, moving_band
 from jaxid.simulation.sample_buffers import bucket, columns
 
 

@@ -13,11 +13,10 @@ import numpy as np
 
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter_vector import ParameterVector
+from jaxid.force.drive import drive_torque
 from jaxid.numerics.export_cache import ExportedFunction, key_of
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
-from jaxid.problem.binding import Binding
-from jaxid.problem.torque_filter import drive_torque
 
 
 #: Rows at which the force is looked at, and at which readings are gone through; samples of one
@@ -63,12 +62,21 @@ def _program(layout: ParameterVector, free: tuple[int, ...]) -> ExportedFunction
 
 
 class Forces:
-    """The missing force of a bound model along motions (anything with q, qd, qdd [rows nq] and u
-    [rows nu]); at the samples of `motion` it is seen whether it is linear.
+    """The missing force of a model along motions (anything with q, qd, qdd [rows nq] and u [rows
+    nu]), at its numbers `theta` [numbers] of usual size `scale` [numbers], of which those at `free`
+    may change; at the samples of `motion` it is seen whether it is linear.
     """
 
-    def __init__(self, binding: Binding, free: list[int], motion: Any):
-        self.binding, self.free, self.motion = binding, free, motion
+    def __init__(
+        self,
+        layout: ParameterVector,
+        theta: np.ndarray,
+        scale: np.ndarray,
+        free: list[int],
+        motion: Any,
+    ):
+        self.layout, self.theta, self.scale = layout, theta, scale
+        self.free, self.motion = free, motion
         self._known: tuple[Any, ...] = ()
 
     def at(self, thetas: np.ndarray, m: Any, u: np.ndarray | None = None) -> np.ndarray:
@@ -76,15 +84,13 @@ class Forces:
         from the binding's; `u` in place of the motion's inputs. One set, or as many as give the
         slopes, are one call for `AT_ONCE` samples.
         """
-        run = _program(self.binding.layout, tuple(self.free))
+        run = _program(self.layout, tuple(self.free))
         own = _padded(thetas[:, self.free], 1 if len(thetas) == 1 else 1 + len(self.free))
         motion = m.q, m.qd, m.qdd, m.u if u is None else u
         parts = range(0, len(m.q), AT_ONCE)
         with float64():
             found = [
-                run(
-                    self.binding.theta, own, *(_padded(x[a : a + AT_ONCE], AT_ONCE) for x in motion)
-                )
+                run(self.theta, own, *(_padded(x[a : a + AT_ONCE], AT_ONCE) for x in motion))
                 for a in parts
             ]
         found = np.concatenate([np.asarray(f) for f in found], 1)[: len(thetas), : len(m.q)]
@@ -92,21 +98,20 @@ class Forces:
 
     def missing(self, theta: np.ndarray, m: Any) -> np.ndarray:
         """Missing force [rows nq] at these numbers, of which those that are free may differ from
-        the binding's.
+        the model's.
         """
         if not self.linear:
             return self.at(theta[None], m)[0]
         base, slopes = self.columns(m)
-        found = base + slopes @ (theta - self.binding.theta)[self.free]
+        found = base + slopes @ (theta - self.theta)[self.free]
         return found + self._driven(m) if self.additive else found
 
     def _driven(self, m: Any) -> np.ndarray:
         """Joint torque [rows nq] of the inputs, whose gains no fit of these moves."""
-        b = self.binding
-        return drive_torque(b.layout, b.theta, m.u, np.concatenate([m.q, m.qd], 1))
+        return drive_torque(self.layout, self.theta, m.u, np.concatenate([m.q, m.qd], 1))
 
     def columns(self, m: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Of a linear model: the force [rows nq] at the binding's numbers, without the drive where
+        """Of a linear model: the force [rows nq] at the model's numbers, without the drive where
         that is but added, and its columns [rows nq free]. They are kept: a reading of the inputs
         alone leaves them as they are.
         """
@@ -122,9 +127,9 @@ class Forces:
         """Whether the force is linear in the free numbers, as an arm's is, seen at three sets of
         them.
         """
-        m, b = self.motion, self.binding
+        m = self.motion
         here, slopes = self._with_slopes(m, m.u)
-        others = self.at(np.stack([self._inside[1], b.theta]), m)
+        others = self.at(np.stack([self._inside[1], self.theta]), m)
         moves = self._steps[1] - self._steps[0], -self._steps[0]
         size = 1e-9 * (max(float(np.abs(f).max()) for f in (here, *others)) + 1e-300)
         return all(
@@ -136,7 +141,7 @@ class Forces:
     def additive(self) -> bool:
         """Whether the inputs are the joints' drive and nothing else depends on them."""
         m = self.motion
-        if not self.binding.chain.direct or m.u.shape != m.q.shape:
+        if not self.layout.chain.direct or m.u.shape != m.q.shape:
             return False
         (driven, by), (still, without) = (self._with_slopes(m, u) for u in (m.u, 0 * m.u))
         size = 1e-9 * (float(np.abs(driven).max()) + 1e-300)
@@ -149,15 +154,14 @@ class Forces:
         """Two steps into the inside of the box [2 numbers]: at its edges a law's slope may have two
         values.
         """
-        b = self.binding
-        steps = np.zeros((2, len(b.theta)))
+        steps = np.zeros((2, len(self.theta)))
         by = np.random.default_rng(0).uniform(0.1, 1.0, (2, len(self.free)))
-        steps[:, self.free] = by * np.maximum(b.scale[self.free], 1e-9)
+        steps[:, self.free] = by * np.maximum(self.scale[self.free], 1e-9)
         return steps
 
     @property
     def _inside(self) -> np.ndarray:
-        return self.binding.theta + self._steps
+        return self.theta + self._steps
 
     def _with_slopes(self, m: Any, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The force [rows nq] at numbers inside the box, and how it changes by a step of each [rows

@@ -1,0 +1,79 @@
+"""Least squares on the force that a model lacks, beside SciPy and NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from jaxid.force.least_squares import NormalEquations, Rows, solve
+
+
+def a_problem(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns of unlike sizes, a target, and the numbers that made it."""
+    count = int(rng.integers(1, 30))
+    A = rng.normal(size=(60, count)) * 10 ** rng.uniform(-2, 2, count)
+    x = rng.normal(size=count)
+    return A, A @ x + rng.normal(size=60), x
+
+
+@pytest.mark.parametrize("kind", [NormalEquations.of_rows, Rows])
+def test_numbers_within_bounds_are_the_best_there(kind):
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        A, b, x = a_problem(rng)
+        low = x - rng.exponential(size=len(x)) * rng.choice([0.01, 10.0], len(x))
+        high = low + 0.01 + 3 * rng.exponential(size=len(x))
+        found, held = solve(kind(A, b), np.zeros(len(x)), low, high)
+        assert np.all((low <= found) & (found <= high))
+        assert np.all((found == low)[held] | (found == high)[held])
+        least = 2 * lsq_linear(A, b, (low, high), method="bvls").cost
+        assert np.sum((A @ found - b) ** 2) <= least * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("kind", [NormalEquations.of_rows, Rows])
+def test_without_bounds_numbers_are_those_of_numpy(kind):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        A, b, _ = a_problem(rng)
+        found, held = solve(kind(A, b), np.zeros(A.shape[1]))
+        least = np.linalg.lstsq(A, b, rcond=None)[0]
+        assert np.allclose(found, least, rtol=1e-4, atol=1e-4)
+        assert np.sum((A @ found - b) ** 2) <= np.sum((A @ least - b) ** 2) * (1 + 1e-9)
+        assert not held.any()
+
+
+@pytest.mark.parametrize("kind", [NormalEquations.of_rows, Rows])
+def test_what_is_left_open_stays_at_the_start(kind):
+    """Of two equal columns the sum alone is told, of an empty one nothing."""
+    rng = np.random.default_rng(2)
+    own = rng.normal(size=50)
+    A = np.column_stack([own, own, np.zeros(50)])
+    start = np.array([3.0, 1.0, 7.0])
+    found, _ = solve(kind(A, 10 * own), start)
+    assert np.allclose(found, [6.0, 4.0, 7.0], atol=1e-6)
+
+
+def test_what_is_known_beforehand_is_a_ridge():
+    rng = np.random.default_rng(3)
+    A, b, x = a_problem(rng)
+    std = rng.uniform(0.01, 1.0, len(x))
+    beside = NormalEquations.of_rows(A, b).beside(np.diag(std**-2.0), x)
+    found, _ = solve(beside, np.zeros(len(x)))
+    wide, target = np.concatenate([A, np.diag(1 / std)]), np.concatenate([b, x / std])
+    assert np.allclose(found, np.linalg.lstsq(wide, target, rcond=None)[0], rtol=1e-6)
+
+
+def test_instruments_have_no_part_in_what_is_left():
+    rng = np.random.default_rng(4)
+    Z = rng.normal(size=(200, 3))
+    A, b = Z @ rng.normal(size=(3, 3)) + rng.normal(size=(200, 3)), rng.normal(size=200)
+    found, _ = solve(Rows.projected(A, b, Z), np.zeros(3))
+    assert np.allclose(Z.T @ (A @ found - b), 0.0, atol=1e-9)
+
+
+def test_a_number_without_room_stays_where_it_is():
+    A, b = np.eye(2), np.array([5.0, 5.0])
+    bound = np.array([1.0, 9.0])
+    found, held = solve(Rows(A, b), np.ones(2), np.array([1.0, 0.0]), bound)
+    assert np.array_equal(found, [1.0, 5.0]) and list(held) == [True, False]
