@@ -22,10 +22,11 @@ import numpy as np
 from jaxid.data.noise import noise_floor
 from jaxid.dynamics.controller import law_of
 from jaxid.errors import UsageError
-from jaxid.fitting.covariance import CovarianceEstimate, long_run, null_directions, whiteness
+from jaxid.fitting.covariance import CovarianceEstimate
 from jaxid.fitting.fitter import AbstractFitter, Minimum
 from jaxid.fitting.recursive_least_squares import replay
 from jaxid.fitting.settings import option
+from jaxid.force.covariance import long_run, null_directions, whiteness
 from jaxid.problem.objective import AbstractProblem, PENALTY, rows
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics, Runs

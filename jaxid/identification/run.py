@@ -22,6 +22,7 @@ from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.fitters.short_fit import free_motion, left_by_short_fit
 from jaxid.identification import estimators as solve, regression
+from jaxid.identification.bodies import constrained
 from jaxid.identification.commanded import commanded
 from jaxid.identification.estimators import LinearEstimate
 from jaxid.identification.paper001 import as_printed, by_algorithm, P0, PAPER, unloaded, XI
@@ -322,7 +323,7 @@ def _solve(
         )
     elif method == "constrained":
         levels = np.array([p in ("F_c", "F_v") for p, _ in law.parameters for _ in range(n)])
-        theta, phi = solve.constrained(
+        theta, phi = constrained(
             *solve.stacked(blocks, weights), base, phi0.reshape(n, 11), levels, arm.motor_side
         )
     slopes = None
