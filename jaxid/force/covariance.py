@@ -5,13 +5,21 @@ sandwich covariances.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxid.force.rows import ByJoint, ForceRows
+from jaxid.numerics.truncated import positive
 
 
 #: A direction of the scaled normal matrix with an eigenvalue below this share of the largest is not
 #: determined.
 NULL = 1e-12
+#: An autocorrelation below that share is lost in the noise.
+LOST = 0.05
 
 
 def null_directions(
@@ -98,3 +106,153 @@ def transform_length(n: int) -> int:
     from scipy.fft import next_fast_len
 
     return int(next_fast_len(2 * n + 1, real=True) or 0)
+
+
+@dataclass(frozen=True)
+class RowCovariance:
+    """What rows determine of the numbers they are columns of. `condition` of the weighted columns,
+    `condition_scaled` of these at equal lengths; `groups` of numbers that are tied together;
+    `white` residuals, or their `memory` in rows.
+    """
+
+    matrix: Float[np.ndarray, "numbers numbers"]
+    identifiable: Bool[np.ndarray, " numbers"]
+    groups: tuple[tuple[int, ...], ...]
+    condition: float
+    condition_scaled: float
+    white: bool
+    memory: int
+
+
+def sandwich(
+    slope: Float[np.ndarray, "numbers numbers"],
+    middle: Float[np.ndarray, "numbers numbers"],
+    least: Float[np.ndarray, "numbers numbers"],
+    weak: float,
+) -> Float[np.ndarray, "numbers numbers"]:
+    """slope^-1 middle slope^-T, positive semidefinite, with standard deviations nowhere below those
+    that `least` makes in the place of `middle`. Directions of the slope weaker than the share
+    `weak` of the strongest count as known.
+    """
+    inverse = np.linalg.pinv(slope, rcond=weak)
+    made = inverse @ middle @ inverse.T
+    wanted = np.diag(inverse @ least @ inverse.T)
+    stretch = np.sqrt(np.maximum(1.0, wanted / np.maximum(np.diag(made), 1e-300)))
+    return positive(made * stretch * stretch[:, None])
+
+
+def covariance_of_rows(
+    rows: ForceRows,
+    weights: ByJoint,
+    theta: Float[np.ndarray, " numbers"],
+    instruments: ForceRows | None = None,
+    information: Float[np.ndarray, "numbers numbers"] | None = None,
+    short: float = 0.0,
+    weak: float = 1e-6,
+) -> RowCovariance:
+    """Covariance of numbers theta that solve weighted rows, Z'(A theta - b) = 0 with instruments Z
+    in the place of A, beside `information` on them. A column shorter than the share `short` of the
+    longest tells nothing, a direction weaker than the share `weak` of the strongest is open.
+
+    Rows that follow each other hold the same noise, so each joint counts with the long-run variance
+    of its own residual, over the freedom that the numbers leave it. Where the sandwich of Newey
+    and West (1987) is wider, its standard deviations count; alone it is too narrow here, for tens
+    of numbers take much of the slow part of a short record's residual.
+    """
+    A, _ = rows.triangles().stacked(weights)
+    length = np.linalg.norm(A, axis=0)
+    seen = length > short * max(float(length.max()), 1e-300)
+    scale = np.where(seen, length, 1.0)
+    square = (A / scale).T @ (A / scale)
+    identifiable, groups = null_directions(square, seen)
+    plain = np.linalg.svd(A[:, seen], compute_uv=False)
+    scaled = np.linalg.svd(A[:, seen] / scale[seen], compute_uv=False)
+
+    Z = rows if instruments is None else instruments
+    errors = [e * w for e, w in zip(rows.errors(theta), weights, strict=True)]
+    series = [column for e in errors for column in e.T]
+    white, memory = whiteness(series)
+    times = [correlation_time([r - r.mean()], memory) for r in series]
+    slope = square if instruments is None else _products(Z, rows, weights, scale)
+    middle = _products(Z, Z, _times_root(weights, _long_run_variances(series, times, seen)), scale)
+    told = np.zeros_like(slope)
+    if information is not None:
+        told = information / scale / scale[:, None]
+    least = long_run(_scores(Z, errors, weights, scale), len(theta), memory)
+    count = sum(len(r) for r in series)
+    least *= count / max(1, count - len(theta))
+    matrix = sandwich(slope + told, middle + told, least, weak**2)
+    return RowCovariance(
+        matrix=matrix / scale / scale[:, None],
+        identifiable=identifiable & seen,
+        groups=groups,
+        condition=float(plain[0] / plain[-1]),
+        condition_scaled=float(scaled[0] / scaled[-1]),
+        white=white,
+        memory=memory,
+    )
+
+
+def correlation_time(
+    series: Sequence[Float[np.ndarray, " rows"]], most: int, lost: float = LOST
+) -> float:
+    """How many rows share one piece of noise: 1 + 2 sum of the autocorrelation of some series up to
+    the first lag where less than `lost` is left of it, at most `most` lags and a third of a series.
+    """
+    power = sum(float(r @ r) for r in series)
+    if power <= 0:
+        return 1.0
+    found = 1.0
+    for lag in range(1, min(most, max(map(len, series)) // 3) + 1):
+        share = sum(float(r[lag:] @ r[:-lag]) for r in series) / power
+        if share < lost:
+            break
+        found += 2 * share
+    return found
+
+
+def _long_run_variances(
+    series: Sequence[Float[np.ndarray, " rows"]],
+    times: Sequence[float],
+    seen: Bool[np.ndarray, " numbers"],
+) -> list[float]:
+    """Variance of each residual times the rows that share it, over the freedom that is left of all
+    rows that are worth something of their own.
+    """
+    independent = sum(len(r) / time for r, time in zip(series, times, strict=True))
+    freedom = max(0.1, 1 - int(seen.sum()) / independent)
+    pairs = zip(series, times, strict=True)
+    return [float(np.mean(r**2)) * time / freedom for r, time in pairs]
+
+
+def _times_root(weights: ByJoint, variances: Sequence[float]) -> list[Float[np.ndarray, " joints"]]:
+    """Weights times standard deviations, one for each joint of each run in their order."""
+    each = np.split(np.sqrt(variances), len(weights))
+    return [w * std for w, std in zip(weights, each, strict=True)]
+
+
+def _products(
+    left: ForceRows, right: ForceRows, weights: ByJoint, scale: Float[np.ndarray, " numbers"]
+) -> Float[np.ndarray, "numbers numbers"]:
+    """Sums of products of weighted columns, over the squares of the scale."""
+    out = np.zeros((len(scale), len(scale)))
+    for Z, W, w in zip(left.columns, right.columns, weights, strict=True):
+        for joint in range(left.joints):
+            factor = w[joint] / scale
+            out += (Z[:, joint] * factor).T @ (W[:, joint] * factor)
+    return out
+
+
+def _scores(
+    rows: ForceRows,
+    errors: Sequence[Float[np.ndarray, "samples joints"]],
+    weights: ByJoint,
+    scale: Float[np.ndarray, " numbers"],
+) -> list[tuple[list[int], Float[np.ndarray, "samples numbers"]]]:
+    """Of each run which numbers its scores are of, and these: weighted columns times what is left
+    of them.
+    """
+    out = []
+    for Z, e, w in zip(rows.columns, errors, weights, strict=True):
+        out.append((list(range(len(scale))), np.einsum("tj,tjk->tk", e * w, Z) / scale))
+    return out
