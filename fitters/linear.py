@@ -21,11 +21,11 @@ import numpy as np
 from jaxid.data.noise import noise_floor
 from jaxid.dynamics.controller import law_of
 from jaxid.errors import UsageError
-from jaxid.fitting.covariance import CovarianceEstimate
+from jaxid.fitting.covariance import CovarianceEstimate, one_sided
 from jaxid.fitting.fitter import AbstractFitter, Minimum
 from jaxid.fitting.recursive_least_squares import replay
 from jaxid.fitting.settings import option
-from jaxid.force.covariance import long_run, null_directions, whiteness
+from jaxid.force.covariance import covariance_of_rows, of_scores
 from jaxid.force.least_squares import Rows, solve
 from jaxid.force.rows import ForceRows, Numbers
 from jaxid.problem.objective import AbstractProblem, PENALTY, rows as rows_of
@@ -418,57 +418,33 @@ def sandwich(
     instruments: ForceRows | None,
     theta: Numbers,
 ) -> CovarianceEstimate:
-    """(Z'W)^-1 S (W'Z)^-1 in the search scale: S the long-run covariance of the scores Z'r, s^2 Z'Z
-    where r is white.
+    """Covariance in the search scale: of the rows, each joint of each run by its own residual; cut
+    off at the bounds.
     """
-    slope = problem.dtheta(z)
-    instruments = rows if instruments is None else instruments
-    plain = rows.plain_weights()
-    W, Z = rows.stacked(plain)[0] * slope, instruments.stacked(plain)[0] * slope
-    residuals = rows.errors(theta)
-    n, count = theta.size, len(W)
+    plain, slope = rows.plain_weights(), problem.dtheta(z)
+    found = covariance_of_rows(rows, plain, theta, of_scores, instruments=instruments)
+    spread = found.matrix / slope / slope[:, None]
     span = problem.upper - problem.lower
     at_bound = (z - problem.lower <= 1e-7 * span) | (problem.upper - z <= 1e-7 * span)
-    scale = np.sqrt(np.sum(W**2, 0))
-    seen = scale > 1e-150
-    scale = np.where(seen, scale, 1.0)
-    identifiable, groups = null_directions(W.T @ W / scale / scale[:, None], seen)
-    identifiable &= seen
-    white, memory = whiteness([column for r in residuals for column in r.T])
-    dof = max(1, count - n)
-    s2 = float(sum(np.sum(r**2) for r in residuals)) / dof
-    columns = list(range(n))
-    scores = [
-        (columns, np.einsum("tc,tck->tk", r, A * slope))
-        for r, A in zip(residuals, instruments.columns, strict=True)
-    ]
-    S = Z.T @ Z * s2 if white else long_run(scores, n, memory) * count / dof
-    matrix = np.full((n, n), np.nan)
-    for kept in (
-        ~at_bound & seen,
-        seen,
-    ):  # those at a bound get their own figures from the full matrix
-        index = np.flatnonzero(kept)
-        if not index.size:
-            continue
-        part = np.ix_(index, index)
-        inverse = (
-            np.linalg.pinv((Z.T @ W / scale / scale[:, None])[part], rcond=1e-10)
-            / scale[index]
-            / scale[index][:, None]
-        )
-        cov = inverse @ S[part] @ inverse.T
-        floor = s2 * np.diag(
-            inverse @ (Z.T @ Z)[part] @ inverse.T
-        )  # never narrower than white residuals of that size
-        stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
-        matrix[part] = np.where(
-            np.isnan(matrix[part]), cov * stretch * stretch[:, None], matrix[part]
-        )
+    A, _ = rows.triangles().stacked(plain)
+    curvature = (A * slope).T @ (A * slope)
+    errors = np.concatenate([e.ravel() for e in rows.errors(theta)])
+    descent = rows.stacked(plain)[0].T @ errors * slope
+    least = np.diag(np.linalg.pinv(curvature, hermitian=True))
+    at = np.flatnonzero(at_bound & found.identifiable)
+    matrix = one_sided(problem, z, spread, least, -descent, at)
     std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    std[~identifiable] = np.nan
-    how = "white" if white else f"coloured (memory {memory} samples)"
+    std[~found.identifiable] = np.nan
+    how = "white" if found.white else f"coloured (memory {found.memory} samples)"
     statement = (
         f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"
     )
-    return CovarianceEstimate(matrix, std, identifiable, at_bound, groups, white, statement)
+    return CovarianceEstimate(
+        matrix=matrix,
+        std=std,
+        identifiable=found.identifiable,
+        at_bound=at_bound,
+        groups=found.groups,
+        white=found.white,
+        statement=statement,
+    )

@@ -19,6 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxid.fitting.noise_model import (
     Autoregression,
@@ -128,11 +129,7 @@ def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
         np.sqrt(alone) > span
     )  # determined in name only: the interval is wider than the bounds
     at = np.flatnonzero(at_bound & ~inside & ~blind)
-    outwards = np.where(z - problem.lower <= problem.upper - z, slope, -slope)[at]
-    push = (
-        np.maximum(outwards, 0.0) * np.diag(inverse)[at] / np.maximum(np.diag(spread)[at], 1e-300)
-    )
-    matrix = _within_bounds(problem, z, pushed(spread, at, push))
+    matrix = one_sided(problem, z, spread, np.diag(inverse), slope, at)
     std = np.sqrt(np.diag(matrix))
     std[~identifiable] = np.nan
     statement = (
@@ -153,6 +150,24 @@ def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
         gradient=slope,
         hessian=H,
     )
+
+
+def one_sided(
+    problem: FitProblem,
+    z: Float[np.ndarray, " numbers"],
+    spread: Float[np.ndarray, "numbers numbers"],
+    least: Float[np.ndarray, " numbers"],
+    slope: Float[np.ndarray, " numbers"],
+    at: Int[np.ndarray, " bounded"],
+) -> Float[np.ndarray, "numbers numbers"]:
+    """A covariance of z within its bounds: of a normal distribution that is cut off there. Numbers
+    `at` a bound that they are pushed against (`slope` of the loss, half that of the sum of squares;
+    `least`, the diagonal of its inverse curvature) have their mean square from there, and free the
+    others by as much.
+    """
+    outwards = np.where(z - problem.lower <= problem.upper - z, slope, -slope)[at]
+    push = np.maximum(outwards, 0.0) * least[at] / np.maximum(np.diag(spread)[at], 1e-300)
+    return _within_bounds(problem, z, pushed(spread, at, push))
 
 
 def _room(problem: FitProblem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,8 +5,9 @@ sandwich covariances.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -141,23 +142,92 @@ def sandwich(
     return positive(made * stretch * stretch[:, None])
 
 
+@dataclass(frozen=True)
+class RowNoise:
+    """What numbers leave of weighted rows, and the columns (or instruments) that it makes scores
+    with, in units of `scale`.
+    """
+
+    columns: ForceRows
+    weights: ByJoint
+    scale: Float[np.ndarray, " numbers"]
+    errors: Sequence[Float[np.ndarray, "samples joints"]]
+    told: int  # numbers that the rows tell
+
+    @cached_property
+    def series(self) -> list[Float[np.ndarray, " samples"]]:
+        """The residual of each joint of each run."""
+        return [column for e in self.errors for column in e.T]
+
+    @cached_property
+    def white_and_memory(self) -> tuple[bool, int]:
+        return whiteness(self.series)
+
+    @property
+    def count(self) -> int:
+        return sum(len(r) for r in self.series)
+
+    @property
+    def freedom(self) -> int:
+        return max(1, self.count - len(self.scale))
+
+    def flat(self, variances: Sequence[float]) -> Float[np.ndarray, "numbers numbers"]:
+        """Covariance of the scores where each joint of each run has white noise of a variance."""
+        each = np.split(np.sqrt(variances), len(self.weights))
+        weights = [w * std for w, std in zip(self.weights, each, strict=True)]
+        return _products(self.columns, self.columns, weights, self.scale)
+
+    def slow(self) -> Float[np.ndarray, "numbers numbers"]:
+        """The long-run covariance of the scores themselves (Newey and West 1987)."""
+        numbers, scores = list(range(len(self.scale))), []
+        for Z, e, w in zip(self.columns.columns, self.errors, self.weights, strict=True):
+            scores.append((numbers, np.einsum("tj,tjk->tk", e * w, Z) / self.scale))
+        _, memory = self.white_and_memory
+        return long_run(scores, len(numbers), memory) * self.count / self.freedom
+
+
+Scores = tuple[Float[np.ndarray, "numbers numbers"], Float[np.ndarray, "numbers numbers"]]
+
+
+def of_joints(noise: RowNoise) -> Scores:
+    """Each joint of each run by the long-run variance of its own residual, over the freedom that
+    the numbers leave it; no standard deviation below that of the scores themselves. For tens of
+    numbers, which take much of the slow part of a short record's residual.
+    """
+    _, memory = noise.white_and_memory
+    times = [correlation_time([r - r.mean()], memory) for r in noise.series]
+    pairs = list(zip(noise.series, times, strict=True))
+    independent = sum(len(r) / time for r, time in pairs)
+    freedom = max(0.1, 1 - noise.told / independent)
+    variances = [float(np.mean(r**2)) * time / freedom for r, time in pairs]
+    return noise.flat(variances), noise.slow()
+
+
+def of_scores(noise: RowNoise) -> Scores:
+    """The scores themselves where residuals have a memory; no standard deviation below that of
+    white ones of their size. For few numbers.
+    """
+    variance = sum(float(r @ r) for r in noise.series) / noise.freedom
+    flat = noise.flat([variance] * len(noise.series))
+    white, _ = noise.white_and_memory
+    return (flat if white else noise.slow()), flat
+
+
 def covariance_of_rows(
     rows: ForceRows,
     weights: ByJoint,
     theta: Float[np.ndarray, " numbers"],
+    scores: Callable[[RowNoise], Scores],
+    *,
     instruments: ForceRows | None = None,
     information: Float[np.ndarray, "numbers numbers"] | None = None,
     short: float = 0.0,
-    weak: float = 1e-6,
+    weak: float = 1e-5,
 ) -> RowCovariance:
     """Covariance of numbers theta that solve weighted rows, Z'(A theta - b) = 0 with instruments Z
-    in the place of A, beside `information` on them. A column shorter than the share `short` of the
+    in the place of A, beside `information` on them. `scores`: what covariance the residual gives
+    Z'(A theta - b), and what it does at least. A column shorter than the share `short` of the
     longest tells nothing, a direction weaker than the share `weak` of the strongest is open.
-
-    Rows that follow each other hold the same noise, so each joint counts with the long-run variance
-    of its own residual, over the freedom that the numbers leave it. Where the sandwich of Newey
-    and West (1987) is wider, its standard deviations count; alone it is too narrow here, for tens
-    of numbers take much of the slow part of a short record's residual.
     """
     A, _ = rows.triangles().stacked(weights)
     length = np.linalg.norm(A, axis=0)
@@ -170,20 +240,15 @@ def covariance_of_rows(
 
     Z = rows if instruments is None else instruments
     errors = [e * w for e, w in zip(rows.errors(theta), weights, strict=True)]
-    series = [column for e in errors for column in e.T]
-    white, memory = whiteness(series)
-    times = [correlation_time([r - r.mean()], memory) for r in series]
+    noise = RowNoise(Z, weights, scale, errors, told=int(seen.sum()))
+    middle, least = scores(noise)
     slope = square if instruments is None else _products(Z, rows, weights, scale)
-    middle = _products(Z, Z, _times_root(weights, _long_run_variances(series, times, seen)), scale)
-    told = np.zeros_like(slope)
     if information is not None:
         told = information / scale / scale[:, None]
-    least = long_run(_scores(Z, errors, weights, scale), len(theta), memory)
-    count = sum(len(r) for r in series)
-    least *= count / max(1, count - len(theta))
-    matrix = sandwich(slope + told, middle + told, least, weak**2)
+        slope, middle = slope + told, middle + told
+    white, memory = noise.white_and_memory
     return RowCovariance(
-        matrix=matrix / scale / scale[:, None],
+        matrix=sandwich(slope, middle, least, weak**2) / scale / scale[:, None],
         identifiable=identifiable & seen,
         groups=groups,
         condition=float(plain[0] / plain[-1]),
@@ -211,26 +276,6 @@ def correlation_time(
     return found
 
 
-def _long_run_variances(
-    series: Sequence[Float[np.ndarray, " rows"]],
-    times: Sequence[float],
-    seen: Bool[np.ndarray, " numbers"],
-) -> list[float]:
-    """Variance of each residual times the rows that share it, over the freedom that is left of all
-    rows that are worth something of their own.
-    """
-    independent = sum(len(r) / time for r, time in zip(series, times, strict=True))
-    freedom = max(0.1, 1 - int(seen.sum()) / independent)
-    pairs = zip(series, times, strict=True)
-    return [float(np.mean(r**2)) * time / freedom for r, time in pairs]
-
-
-def _times_root(weights: ByJoint, variances: Sequence[float]) -> list[Float[np.ndarray, " joints"]]:
-    """Weights times standard deviations, one for each joint of each run in their order."""
-    each = np.split(np.sqrt(variances), len(weights))
-    return [w * std for w, std in zip(weights, each, strict=True)]
-
-
 def _products(
     left: ForceRows, right: ForceRows, weights: ByJoint, scale: Float[np.ndarray, " numbers"]
 ) -> Float[np.ndarray, "numbers numbers"]:
@@ -240,19 +285,4 @@ def _products(
         for joint in range(left.joints):
             factor = w[joint] / scale
             out += (Z[:, joint] * factor).T @ (W[:, joint] * factor)
-    return out
-
-
-def _scores(
-    rows: ForceRows,
-    errors: Sequence[Float[np.ndarray, "samples joints"]],
-    weights: ByJoint,
-    scale: Float[np.ndarray, " numbers"],
-) -> list[tuple[list[int], Float[np.ndarray, "samples numbers"]]]:
-    """Of each run which numbers its scores are of, and these: weighted columns times what is left
-    of them.
-    """
-    out = []
-    for Z, e, w in zip(rows.columns, errors, weights, strict=True):
-        out.append((list(range(len(scale))), np.einsum("tj,tjk->tk", e * w, Z) / scale))
     return out

@@ -21,7 +21,7 @@ import numpy as np
 from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
 from jaxid.errors import UsageError
 from jaxid.fitting.recursive_least_squares import replay_stretches, Rule
-from jaxid.force.covariance import covariance_of_rows
+from jaxid.force.covariance import covariance_of_rows, of_joints
 from jaxid.force.least_squares import Rows, solve
 from jaxid.force.rows import ForceRows
 from jaxid.identification.estimators import SEEN, WEAK
@@ -142,7 +142,7 @@ def by_algorithm(
         )
     phi, _ = solve(Rows(A, b), np.zeros(count))
     slope = np.linalg.lstsq(A / size, np.concatenate(carried), rcond=None)[0] / size[:, None]
-    own_noise = covariance_of_rows(rows, weights, phi, short=SEEN, weak=WEAK).matrix
+    own_noise = covariance_of_rows(rows, weights, phi, of_joints, short=SEEN, weak=WEAK).matrix
     covariance = own_noise + slope @ spread @ slope.T
     if count == 10:
         body = nearest_body(phi, np.linalg.inv(covariance))

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.chain import Chain
-from jaxid.force.covariance import covariance_of_rows, RowCovariance
+from jaxid.force.covariance import covariance_of_rows, of_joints, RowCovariance
 from jaxid.force.rows import ByJoint, ForceRows, Numbers
 from jaxid.identification import estimators
 from jaxid.identification.bodies import constrained
@@ -195,6 +195,7 @@ def _covariance(
         rows,
         weights,
         theta,
+        of_joints,
         instruments=instruments,
         information=information,
         short=estimators.SEEN,
