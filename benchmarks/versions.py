@@ -166,7 +166,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         "Each row is an environment as pip makes it with that JAX. It diagnoses the shipped example (`make demo`) from nothing,",
         "then runs the core of tests (`make test-core`) where the last column has a count. *Deviation* is the largest difference",
         f"of any parameter from the first row, in standard deviations; {EQUAL} and less count as equal. *Quick* says that the",
-        "loop over time was laid out for vector code; where a JAX writes its programs in a form that jaxid does not know,",
+        "loop over time was laid out for vector code. Where a JAX writes its programs in a form that jaxid does not know,",
         "`jax.vmap` does the same more slowly and a warning says so. Seconds include all compiling, on a busy machine.",
         "",
         "| Python | JAX | equinox | diffrax | NumPy | SciPy | verdict | effect | deviation | quick | s | core tests |",

@@ -17,7 +17,8 @@ import pytest
 
 from jaxid.data.dataset import Controller, Dataset, ModelSpec
 from jaxid.data.importers.robot import import_lerobot, import_mcap, import_rosbag
-from jaxid.data.importers.ros import _arm_first, _sliding, JointRows
+from jaxid.data.importers.ros import _arm_first, _sliding
+from jaxid.data.importers.ros_messages import JointRows
 from jaxid.data.importers.runs import ImportedRun
 from jaxid.data.io import load_dataset, save_dataset
 from jaxid.data.joint_names import in_chain_order

@@ -44,7 +44,7 @@ LAYERS = (
     ("report",),
     ("storage.result_files",),
     ("api",),
-    ("hardware", "study"),
+    ("doctor", "hardware", "study"),
     ("cli",),
     ("__main__",),
 )

@@ -5,7 +5,7 @@ first joint and so on.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,11 +29,14 @@ def names_of_joints(mechanism: Any, dataset: Dataset, count: int) -> tuple[str, 
     """Names of the first `count` joints, by the chain's file or else by the recording; q1 … where
     neither names all of them.
     """
+    of_chain = joint_names(mechanism)
+    if of_chain:
+        return of_chain
     joints = {} if dataset.model is None else dataset.model.joints
-    channels = [f"q{k}" for k in range(1, count + 1)]
-    return joint_names(mechanism) or tuple(
-        joints[c] if joints.keys() >= set(channels) else c for c in channels
-    )
+    channels = tuple(f"q{k}" for k in range(1, count + 1))
+    if joints.keys() >= set(channels):
+        return tuple(joints[channel] for channel in channels)
+    return channels
 
 
 def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
@@ -46,56 +49,58 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
     """
     if not names:
         return dataset
-    joints = dict(dataset.model.joints) if dataset.model is not None else {}
-    if not joints:
+    model = dataset.model
+    if model is None or not model.joints:
         return _bynumber_of(dataset, names)
+    joints = model.joints
     numbers = renumbered(joints, names)
     left = [joints[f"q{old}"] for old, new in numbers.items() if new > len(names)]
-    if all(old == new for old, new in numbers.items()) and not left:
+    if not left and all(old == new for old, new in numbers.items()):
         return dataset
 
     def new_name(name):
         return renamed(name, numbers)
 
-    outside = {c.name for c in dataset.channels if number_of(new_name(c.name)) > len(names)}
-    channels = [
-        replace(c, name=new_name(c.name), role="auxiliary" if c.name in outside else c.role)
-        for c in dataset.channels
-    ]
-    channels = [
-        c
-        for role in ("input", "output", "auxiliary")
-        for c in sorted((c for c in channels if c.role == role), key=_place)
-    ]
-    order = {
-        f"q{new}": joints[f"q{old}"]
-        for old, new in sorted(numbers.items(), key=lambda pair: pair[1])
-    }
-    assert dataset.model is not None
-    note = "joints by name, in the order of the chain: " + ", ".join(
-        f"{k} = {j}" for k, j in list(order.items())[: len(names)]
-    )
+    channels = _reordered(dataset.channels, new_name, len(names))
+    in_order = sorted(numbers, key=lambda old: numbers[old])
+    order = {f"q{numbers[old]}": joints[f"q{old}"] for old in in_order}
+    of_chain = list(order.items())[: len(names)]
+    note = "joints by name, in the order of the chain: "
+    note += ", ".join(f"{channel} = {joint}" for channel, joint in of_chain)
     note += f"; the recording has {', '.join(joints.values())}"
-    note += f"; left out, for the chain lacks them: {', '.join(left)}" if left else ""
+    if left:
+        note += f"; left out, for the chain lacks them: {', '.join(left)}"
+    controller = dataset.controller
+    if controller is not None:
+        settings = _settings(controller.settings, numbers, new_name, len(names))
+        controller = replace(controller, settings=settings)
+    responses = [
+        replace(r, input=new_name(r.input), output=new_name(r.output)) for r in dataset.responses
+    ]
     return replace(
         dataset,
-        channels=tuple(channels),
+        channels=channels,
         experiments=tuple(_experiment(e, dataset, channels, new_name) for e in dataset.experiments),
-        responses=tuple(
-            replace(r, input=new_name(r.input), output=new_name(r.output))
-            for r in dataset.responses
-        ),
-        model=replace(dataset.model, joints=order),
-        controller=(
-            None
-            if dataset.controller is None
-            else replace(
-                dataset.controller,
-                settings=_settings(dataset.controller.settings, numbers, new_name, len(names)),
-            )
-        ),
+        responses=tuple(responses),
+        model=replace(model, joints=order),
+        controller=controller,
         notes=(*dataset.notes, note),
     )
+
+
+def _reordered(
+    channels: Sequence[Channel], new_name: Callable[[str], str], count: int
+) -> tuple[Channel, ...]:
+    """Channels under their new names: inputs, outputs, then auxiliary ones, among which are those
+    of joints behind the first `count`.
+    """
+    roles = ("input", "output", "auxiliary")
+    moved = []
+    for channel in channels:
+        name = new_name(channel.name)
+        role = "auxiliary" if number_of(name) > count else channel.role
+        moved.append(replace(channel, name=name, role=role))
+    return tuple(sorted(moved, key=lambda c: (roles.index(c.role), _place(c))))
 
 
 def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int]:
@@ -220,16 +225,20 @@ def _experiment(
 
 
 def _settings(
-    settings: Mapping[str, Any], numbers: Mapping[int, int], new_name: Any, count: int
+    settings: Mapping[str, Any],
+    numbers: Mapping[int, int],
+    new_name: Callable[[str], str],
+    count: int,
 ) -> dict[str, Any]:
     """A law's gains in the order of the chain, its channels under their new names."""
     olds = sorted(numbers)
-    out: dict[str, Any] = {}
-    for key, value in settings.items():
+    places = [olds.index(old) for old in sorted(olds, key=lambda old: numbers[old])[:count]]
+
+    def moved(value: Any) -> Any:
         if isinstance(value, str):
-            value = new_name(value)
-        elif isinstance(value, list) and len(value) == len(olds):
-            moved = [new_name(v) if isinstance(v, str) else v for v in value]
-            value = [moved[olds.index(k)] for k in sorted(olds, key=lambda k: numbers[k])][:count]
-        out[key] = value
-    return out
+            return new_name(value)
+        if isinstance(value, list) and len(value) == len(olds):
+            return [moved(value[place]) for place in places]
+        return value
+
+    return {key: moved(value) for key, value in settings.items()}

@@ -102,15 +102,14 @@ class Limits:
         own, other = self.widened(joints), device.widened(joints)
         merged = {}
         for f in fields(self):
-            a, b = getattr(own, f.name), getattr(other, f.name)
             if f.name == "data_age":
                 continue
+            a, b = getattr(own, f.name), getattr(other, f.name)
+            tighter = max if f.name == "lower" else min
             if a is None or b is None:
                 merged[f.name] = a if b is None else b
             else:
-                merged[f.name] = tuple(
-                    (max if f.name == "lower" else min)(x, y) for x, y in zip(a, b, strict=True)
-                )
+                merged[f.name] = tuple(map(tighter, a, b))
         return replace(own, **merged)
 
     def violation(
@@ -125,23 +124,11 @@ class Limits:
         Positions may pass theirs by one percent and speeds and currents by ten, for measurements
         are noisy.
         """
-        hot = self._violation("temperature", temperature, None, self.temperature, "K", 0.0)
-        if hot is not None:
-            return hot
-        return self._violation("q", q, self.lower, self.upper, "rad", 0.01) or next(
-            (
-                text
-                for name, values, top, unit in (
-                    ("qd", qd, self.speed, "rad/s"),
-                    ("current", current, self.current, "A"),
-                )
-                if (
-                    text := self._violation(
-                        name, values, top and tuple(-v for v in top), top, unit, 0.1
-                    )
-                )
-            ),
-            None,
+        return (
+            self._violation("temperature", temperature, None, self.temperature, "K", 0.0)
+            or self._violation("q", q, self.lower, self.upper, "rad", 0.01)
+            or self._violation("qd", qd, _negative(self.speed), self.speed, "rad/s", 0.1)
+            or self._violation("current", current, _negative(self.current), self.current, "A", 0.1)
         )
 
     @staticmethod
@@ -161,3 +148,7 @@ class Limits:
                     f" {lower[j]:.4g} {unit}"
                 )
         return None
+
+
+def _negative(upper: tuple[float, ...] | None) -> tuple[float, ...] | None:
+    return None if upper is None else tuple(-v for v in upper)

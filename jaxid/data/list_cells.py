@@ -28,17 +28,17 @@ def with_list_elements(columns: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _lists(cells: Any) -> np.ndarray | None:
-    first = (
-        next((c for c in cells if c is not None and c != ""), None)
-        if isinstance(cells, list)
-        else None
-    )
+    if not isinstance(cells, list):
+        return None
+    first = next((c for c in cells if c is not None and c != ""), None)
     if isinstance(first, str) and not re.match(r"(array|tensor)?[\[(]", first.strip()):
         return None
     if not isinstance(first, str | list | tuple):
         return None
+    parsed = []
     try:
-        parsed = [json.loads(_list_text(c)) if isinstance(c, str) else c for c in cells]
+        for cell in cells:
+            parsed.append(json.loads(_list_text(cell)) if isinstance(cell, str) else cell)
         return np.array(parsed, dtype=float)
     except (ValueError, TypeError):
         return None

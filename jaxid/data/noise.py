@@ -51,11 +51,16 @@ def noise_floor(
     """
     runs = [e for e in dataset.experiments if e.split != "report"] or list(dataset.experiments)
     groups = [] if readings else repeats(runs)
-    drifting = {e.name for w in one_way(dataset.experiments) for e in w.runs} if groups else set()
+    drifting: set[str] = set()
+    if groups:
+        for drift in one_way(dataset.experiments):
+            drifting |= {e.name for e in drift.runs}
     scattered = [g for g in groups if g[0].name not in drifting]
-    alone = (
-        "for repeats change one way" if len(scattered) < len(groups) else "for no run was repeated"
-    )
+    alone = ""
+    if not groups:
+        alone = "; the sensor's alone, for no run was repeated"
+    elif not scattered:
+        alone = "; the sensor's alone, for repeats change one way"
     return {
         channel.name: _floor(channel, i, runs, scattered, window, alone)
         for i, channel in enumerate(dataset.outputs)
@@ -68,69 +73,80 @@ def _floor(
     runs: Sequence[Experiment],
     groups: list[list[Experiment]],
     window: Window | None,
-    why_alone: str,
+    alone: str,
 ) -> Noise:
-    parts = [(run, at) for run in runs for at in _evenly(run.read[:, column])]
+    parts: list[tuple[Experiment, np.ndarray]] = []
+    for run in runs:
+        parts += [(run, at) for at in _evenly(run.read[:, column])]
     series = [run.y[at, column] for run, at in parts]
     found: dict[str, tuple[float, str]] = {}
-    if channel.noise_std is not None:  # a stated step comes on top of the noise before it
-        both = channel.resolution is not None
-        text = (
-            f"stated: {channel.noise_std:.3g}, and step {channel.resolution:.3g} / sqrt(12)"
-            if both
-            else "stated"
-        )
-        found["stated"] = (
-            float(np.hypot(channel.noise_std, (channel.resolution or 0.0) / sqrt(12))),
-            text,
-        )
-    step = channel.resolution if channel.resolution is not None else quantisation_step(series)
+    if channel.noise_std is not None:
+        found["stated"] = _stated(channel.noise_std, channel.resolution)
+    step, how = channel.resolution, "stated"
+    if step is None:
+        step, how = quantisation_step(series), "found in the data"
     if step is not None:
-        how = "stated" if channel.resolution is not None else "found in the data"
         found["quantisation"] = (
             step / sqrt(12),
             f"step {step:.3g} {channel.unit} / sqrt(12), {how}",
         )
     if channel.noise_std is None and channel.resolution is None and series:
-        scatter = [run.noise(np.zeros(1), [column])[at, 0] for run, at in parts]
-        std = _beside(series, scatter) if any(s.any() for s in scatter) else sensor_noise(series)
-        found["sensor"] = (std, "estimated from differences of neighbouring samples")
-    known = (
-        1 if si_unit(channel.unit) in ("rad/s", "m/s") else 2
-    )  # a start's speed alone, or its position, too
-    between = [
-        _scatter(
-            together(g)[..., column], [] if window is None else edges(g[0], window(g[0])), known
-        )
-        for g in groups
-    ]
-    if between:
-        within = "" if window is None else f", within windows of {window(groups[0][0]):.3g} s"
-        found["repeatability"] = (
-            float(np.sqrt(np.mean(np.square(between)))),
-            f"scatter between {sum(map(len, groups))} runs with identical inputs{within}",
-        )
+        found["sensor"] = _visible(parts, series, column)
+    if groups:
+        found["repeatability"] = _between_repeats(groups, channel, column, window)
     if not found:
         return Noise(
             0.0, "sensor", channel.unit, f"{channel.name}: no run to estimate the noise from"
         )
-    source = max(found, key=lambda key: found[key][0])
-    std, text = found[source]
+    source, (std, text) = max(found.items(), key=lambda item: item[1][0])
     motion = max((float(np.ptp(y)) for y in series), default=0.0)
     if std < _LEAST_SHARE * motion and source == "sensor":
-        std, text = (
-            _LEAST_SHARE * motion,
-            f"no noise visible, {_LEAST_SHARE:g} of the motion is used",
-        )
+        std = _LEAST_SHARE * motion
+        text = f"no noise visible, {_LEAST_SHARE:g} of the motion is used"
     if not std > 0:  # an output that never moves, by a reading that never flickers
         std, text = HELD, f"it never moves, {HELD:g} {channel.unit} is used"
-    alone = "" if groups else f"; the sensor's alone, {why_alone}"
     return Noise(
         float(std),
         source,
         channel.unit,
         f"{channel.name}: {std:.3g} {channel.unit} ({text}{alone})",
     )
+
+
+def _visible(
+    parts: Sequence[tuple[Experiment, np.ndarray]], series: Sequence[np.ndarray], column: int
+) -> tuple[float, str]:
+    """The sensor's noise as the readings show it, beside what is known to scatter them."""
+    text = "estimated from differences of neighbouring samples"
+    scatter = [run.noise(np.zeros(1), [column])[at, 0] for run, at in parts]
+    if any(s.any() for s in scatter):
+        return _beside(series, scatter), text
+    return sensor_noise(series), text
+
+
+def _stated(noise: float, step: float | None) -> tuple[float, str]:
+    """A stated step comes on top of the noise before it."""
+    if step is None:
+        return float(noise), "stated"
+    text = f"stated: {noise:.3g}, and step {step:.3g} / sqrt(12)"
+    return float(np.hypot(noise, step / sqrt(12))), text
+
+
+def _between_repeats(
+    groups: Sequence[list[Experiment]], channel: Channel, column: int, window: Window | None
+) -> tuple[float, str]:
+    """Root mean square of the scatter of groups of repeated runs, and how it was found."""
+    # a start's speed alone, or its position, too
+    known = 1 if si_unit(channel.unit) in ("rad/s", "m/s") else 2
+    between = []
+    for group in groups:
+        begins = [] if window is None else edges(group[0], window(group[0]))
+        between.append(_scatter(together(group)[..., column], begins, known))
+    count = sum(map(len, groups))
+    text = f"scatter between {count} runs with identical inputs"
+    if window is not None:
+        text += f", within windows of {window(groups[0][0]):.3g} s"
+    return float(np.sqrt(np.mean(np.square(between)))), text
 
 
 def _evenly(read: np.ndarray) -> list[np.ndarray]:

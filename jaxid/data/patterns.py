@@ -5,7 +5,7 @@ for many runs (`files`).
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from jaxid.data.places import Places
@@ -54,25 +54,25 @@ def _matching(folder: Path, pattern: str, suffixes: tuple[str, ...]) -> list[str
     if ".." in parts or Path(pattern).is_absolute() or pattern[1:2] == ":":
         return "lies outside the folder"
     try:
-        found = [
-            p.relative_to(folder).as_posix()
-            for p in folder.glob("/".join(parts))
-            if p.suffix.lower() in suffixes
-        ]
+        matching = list(folder.glob("/".join(parts)))
     except (ValueError, OSError) as error:
         return f"is no pattern ({error})"
+    found = [p.relative_to(folder).as_posix() for p in matching if p.suffix.lower() in suffixes]
+    if found:
+        return sorted(found, key=_as_counted)
+    there = []
+    if folder.is_dir():
+        there = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in suffixes)
+    if not there:
+        return "matches no file"
+    return f"matches no file (there is: {', '.join(there[:12])})"
 
-    def counted(name):
-        return [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", name)]
 
-    there = (
-        sorted(p.name for p in folder.iterdir() if p.suffix.lower() in suffixes)[:12]
-        if folder.is_dir()
-        else []
-    )
-    return sorted(found, key=counted) or "matches no file" + (
-        f" (there is: {', '.join(there)})" if there else ""
-    )
+def _as_counted(name: str) -> list[str | int]:
+    """A key by which `run_2` comes before `run_10`."""
+    words: list[str | int] = list(re.split(r"(\d+)", name))
+    words[1::2] = [int(number) for number in words[1::2]]
+    return words
 
 
 def expanded_channels(
@@ -85,8 +85,7 @@ def expanded_channels(
     What `*` stands for is the joint: numbers count as they are (from 0 they are moved to 1), names
     in the order of the columns, and kept as names of the joints.
     """
-    patterns = [name for name in document.channels if "*" in name]
-    if not patterns:
+    if not any("*" in name for name in document.channels):
         return []
     names = _columns(document, open_table)
     if names is None:
@@ -98,45 +97,42 @@ def expanded_channels(
         if "*" not in name:
             channels[name] = entry
             continue
-        column = entry.column if entry.column is not None else name
-        found = (
-            captures_of(column, names)
-            if isinstance(column, str) and entry.columns is None
-            else None
-        )
+        found, why = _captured(name, entry, names)
         if not found:
-            why = (
-                "a pattern of channels needs a `column` with one `*`"
-                if found is None
-                else f"no column matches {column!r}"
-            )
             remedy = f'Write column = "pos_*" (there is: {", ".join(names[:12])})'
             problems.append(places.problem(("channels", name, "column"), why, remedy))
             document.sound.discard("channels")
             continue
         numbered = joint_numbers(list(found), joints)
-        for capture, at in sorted(found.items(), key=lambda pair: numbered[pair[0]]):
+        for capture in sorted(found, key=lambda capture: numbered[capture]):
             new = name.replace("*", str(numbered[capture]))
             if new in channels or new in document.channels:
-                problems.append(
-                    places.problem(
-                        ("channels", name),
-                        f"channel {new!r} stands there twice",
-                        "Remove one of them",
-                    )
-                )
+                why = f"channel {new!r} stands there twice"
+                problems.append(places.problem(("channels", name), why, "Remove one of them"))
                 continue
-            channels[new] = entry.model_copy(update={"column": at})
+            channels[new] = entry.model_copy(update={"column": found[capture]})
             places.stated[("channels", new)] = ("channels", name)
-        document.notes.append(
-            f"{name}: " + ", ".join(f"{numbered[c]} = {at}" for c, at in found.items())
-        )
+        listed = ", ".join(f"{numbered[capture]} = {at}" for capture, at in found.items())
+        document.notes.append(f"{name}: {listed}")
     document.channels = channels
     if joints:
         model = document.model if document.model is not None else ModelEntry()
         named = {f"q{k}": joint for joint, k in joints.items()}
         document.model = model.model_copy(update={"joints": named | model.joints})
     return problems
+
+
+def _captured(
+    name: str, entry: ChannelEntry, columns: Sequence[str]
+) -> tuple[dict[str, str] | None, str]:
+    """What `*` stands for -> its column; or nothing, and why."""
+    column = name if entry.column is None else entry.column
+    found = None
+    if isinstance(column, str) and entry.columns is None:
+        found = captures_of(column, columns)
+    if found is None:
+        return None, "a pattern of channels needs a `column` with one `*`"
+    return found, f"no column matches {column!r}"
 
 
 def joint_numbers(captures: list[str], joints: dict[str, int]) -> dict[str, int]:
@@ -151,7 +147,7 @@ def joint_numbers(captures: list[str], joints: dict[str, int]) -> dict[str, int]
     return {c: joints[c] for c in captures}
 
 
-def captures_of(pattern: str, names: list[str]) -> dict[str, str] | None:
+def captures_of(pattern: str, names: Sequence[str]) -> dict[str, str] | None:
     """Text that the `*` of a pattern stands for -> the column; None for a pattern with another
     number of `*`.
     """

@@ -53,16 +53,9 @@ def _key_lines(text: str) -> dict[tuple[str | int, ...], int]:
     lines: dict[tuple[str | int, ...], int] = {}
     counts: dict[str, int] = {}
     table: tuple[str | int, ...] = ()
-
-    def parts(dotted: str) -> tuple[str | int, ...]:
-        return tuple(
-            tomllib.loads(f"key = {w}")["key"] if w[0] in "\"'" else w
-            for w in re.findall(_KEY, dotted)
-        )
-
     for number, line in enumerate(text.splitlines(), 1):
         if header := re.match(rf"\s*(\[\[?)\s*({_DOTTED})\s*\]", line):
-            table = parts(header[2])
+            table = _parts(header[2])
             first = str(table[0])
             if header[1] == "[[" and len(table) == 1:
                 counts[first] = counts.get(first, -1) + 1
@@ -71,11 +64,19 @@ def _key_lines(text: str) -> dict[tuple[str | int, ...], int]:
             key = table
             lines.setdefault((first,), number)
         elif pair := re.match(rf"\s*({_DOTTED})\s*=", line):
-            key = (*table, *parts(pair[1]))
+            key = (*table, *_parts(pair[1]))
         else:
             continue
         lines.setdefault(key, number)
     return lines
+
+
+def _parts(dotted: str) -> tuple[str, ...]:
+    """The words of a dotted key, without quotes."""
+    words = []
+    for word in re.findall(_KEY, dotted):
+        words.append(tomllib.loads(f"key = {word}")["key"] if word[0] in "\"'" else word)
+    return tuple(words)
 
 
 def real_path(loc: tuple[str | int, ...], raw: Any) -> tuple[str | int, ...]:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from jaxid.data.dataset import Channel, Experiment, FrequencyResponse, StatedChannel
+from jaxid.data.experiment import Channel, Experiment, StatedChannel
 from jaxid.data.forms import FormError, Signal, signal
+from jaxid.data.harvest import Harvest, readable, selected, span_text
 from jaxid.data.sample_faults import sample_faults, without_time
 from jaxid.data.schema import ChannelEntry, ExperimentEntry
-from jaxid.data.table import ragged_rows, Table
+from jaxid.data.table import Table
 from jaxid.data.time_axis import contradicted, impossible, seconds
 from jaxid.data.units import Conversion
-from jaxid.errors import DatasetProblem, nearest
+from jaxid.errors import DatasetProblem
 
 
 MINIMUM_SAMPLES = 20
@@ -68,22 +69,6 @@ class ChannelReading:
         return Channel(self.name, entry.role, self.conversion.si, noise, step, entry.hold, stated)
 
 
-@dataclass
-class Harvest:
-    """What one entry of `[[experiments]]` gave."""
-
-    experiments: list[Experiment] = field(default_factory=list)
-    responses: list[FrequencyResponse] = field(default_factory=list)
-    problems: list[DatasetProblem] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    still: dict[str, DatasetProblem] = field(
-        default_factory=dict
-    )  # output channels that never move, with the words for it
-    moving: set[str] = field(default_factory=set)
-    still_inputs: set[str] = field(default_factory=set)
-
-
 def read_record(
     table: Table,
     entry: ExperimentEntry,
@@ -95,92 +80,159 @@ def read_record(
     """One recorded run (several where it is split at gaps), or what is wrong with it."""
     harvest = Harvest()
     harvest.problems += _absent(table, readings, time)
-    index = _selected(table, entry, harvest)
+    index = selected(table, entry, harvest)
     clock = table.find(time)
     if index is None or clock is None:
         return harvest
-    index, torn = _readable(table, index, harvest)
-    counted = table.numbers(clock).values
-    if (why := contradicted(counted, time_unit)) is not None:
-        row = table.row(int(index[0])) if len(index) else None
-        harvest.problems.append(
-            DatasetProblem(table.file, row, clock, why[0], f'Say time_unit = "{why[1]}"')
-        )
+    index, torn = readable(table, index, harvest)
+    times = _times(table, clock, index, time_unit, harvest)
+    if times is None:
         return harvest
-    t, said = seconds(table.columns[clock], counted, time_unit)
-    time_faults = (
-        without_time(table, clock, t, index) if said else sample_faults(table, clock, index)
-    )
-    harvest.problems += time_faults
-    if said:
-        harvest.notes.append(f"{table.file}: {said}")
+    sound = not (times.faulty or torn)
+    if entry.window_s is not None:
+        if not sound:
+            return harvest  # which samples the window holds is not known
+        index = _in_window(table, entry.window_s, clock, index, times.t, harvest)
     if len(index) == 0:
         return harvest
-    if entry.window_s is not None:
-        if time_faults or torn:
-            return harvest  # which samples the window holds is not known
-        start, stop = entry.window_s
-        span = t[index[[0, -1]]]
-        index = index[(t[index] >= start) & (t[index] < stop)]
-        if len(index) == 0:
-            message = (
-                f"no sample lies in window_s = [{start:g}, {stop:g}]; time runs from {span[0]:g} to"
-                f" {span[1]:g} s"
-            )
-            harvest.problems.append(
-                DatasetProblem(table.file, None, clock, message, "Correct window_s")
-            )
-            return harvest
-    doubted = (
-        None
-        if time_unit is not None or said or time_faults or torn
-        else impossible(t[index], clock)
-    )
-    if doubted is not None:
-        harvest.problems.append(
-            DatasetProblem(table.file, table.row(int(index[0])), clock, *doubted)
-        )
-    signals = {
-        r.name: _channel(table, r, index, t[index], harvest) for r in readings if _there(table, r)
-    }
-    if len(index) < MINIMUM_SAMPLES and not torn:
-        message = (
-            f"{len(index)} samples in experiment {name!r}; fewer than {MINIMUM_SAMPLES} say too"
-            " little"
-        )
-        harvest.problems.append(
-            DatasetProblem(table.file, None, None, message, "Record or select a longer run")
-        )
-    cuts = (
-        None
-        if time_faults or doubted or torn
-        else _time(table, entry, name, clock, index, t[index], harvest)
-    )
+    t = times.t[index]
+    if sound and not times.certain:
+        doubted = _doubted(table, clock, index, t)
+        harvest.problems += doubted
+        sound = not doubted
+    signals = _signals(table, readings, index, t, harvest)
+    if not torn:
+        harvest.problems += _too_few(table, len(index), name)
+    cuts = _time(table, entry, name, clock, index, t, harvest) if sound else None
     if harvest.problems or table.problems or cuts is None:
         return harvest
-    whole = {k: v for k, v in signals.items() if v is not None}
-    known, cuts = _known_span(table, name, whole, cuts, harvest)
-    if known is None:
-        return harvest
-    values = {k: v.values[known] for k, v in whole.items()}
-    outputs = [r for r in readings if r.entry.role == "output"]
-    run = Experiment(
+    known, cuts = _known_span(table, name, signals, cuts, harvest)
+    if known is not None:
+        source = f"{table.file}, {span_text(table, index[known])}"
+        run = _run(entry, name, readings, signals, t, known, source)
+        harvest.experiments += _pieces(run, cuts, harvest, table)
+    return harvest
+
+
+def _signals(
+    table: Table,
+    readings: Sequence[ChannelReading],
+    index: np.ndarray,
+    t: np.ndarray,
+    harvest: Harvest,
+) -> dict[str, Signal]:
+    """The channels that are whole, in SI."""
+    signals = {}
+    for reading in readings:
+        if not _there(table, reading):
+            continue
+        found = _channel(table, reading, index, t, harvest)
+        if found is not None:
+            signals[reading.name] = found
+    return signals
+
+
+@dataclass(frozen=True)
+class _Times:
+    """`t [time]` s of all rows of a table; whether selected rows have none; whether their unit is
+    stated or written with them.
+    """
+
+    t: np.ndarray
+    faulty: bool
+    certain: bool
+
+
+def _times(
+    table: Table, clock: str, index: np.ndarray, time_unit: str | None, harvest: Harvest
+) -> _Times | None:
+    """The times of a table, or None where its unit contradicts them or no row is selected."""
+    counted = table.numbers(clock).values
+    contradiction = contradicted(counted, time_unit)
+    if contradiction is not None:
+        why, unit = contradiction
+        row = table.row(int(index[0])) if len(index) else None
+        remedy = f'Say time_unit = "{unit}"'
+        harvest.problems.append(DatasetProblem(table.file, row, clock, why, remedy))
+        return None
+    t, read_as = seconds(table.columns[clock], counted, time_unit)
+    if read_as:
+        faults = without_time(table, clock, t, index)
+        harvest.notes.append(f"{table.file}: {read_as}")
+    else:
+        faults = sample_faults(table, clock, index)
+    harvest.problems += faults
+    if len(index) == 0:
+        return None
+    return _Times(t, faulty=bool(faults), certain=bool(read_as) or time_unit is not None)
+
+
+def _doubted(table: Table, clock: str, index: np.ndarray, t: np.ndarray) -> list[DatasetProblem]:
+    """A problem where times [selected] cannot be in the unit in which they were read."""
+    doubt = impossible(t, clock)
+    if doubt is None:
+        return []
+    return [DatasetProblem(table.file, table.row(int(index[0])), clock, *doubt)]
+
+
+def _too_few(table: Table, count: int, name: str) -> list[DatasetProblem]:
+    if count >= MINIMUM_SAMPLES:
+        return []
+    message = f"{count} samples in experiment {name!r}; fewer than {MINIMUM_SAMPLES} say too little"
+    return [DatasetProblem(table.file, None, None, message, "Record or select a longer run")]
+
+
+def _in_window(
+    table: Table,
+    window: Sequence[float],
+    clock: str,
+    index: np.ndarray,
+    t: np.ndarray,
+    harvest: Harvest,
+) -> np.ndarray:
+    """The samples within a window [s, s)."""
+    start, stop = window
+    inside = index[(t[index] >= start) & (t[index] < stop)]
+    if len(inside) == 0:
+        first, last = t[index[[0, -1]]]
+        message = (
+            f"no sample lies in window_s = [{start:g}, {stop:g}]; time runs from {first:g} to"
+            f" {last:g} s"
+        )
+        harvest.problems.append(
+            DatasetProblem(table.file, None, clock, message, "Correct window_s")
+        )
+    return inside
+
+
+def _run(
+    entry: ExperimentEntry,
+    name: str,
+    readings: Sequence[ChannelReading],
+    signals: Mapping[str, Signal],
+    t: np.ndarray,
+    known: slice,
+    source: str,
+) -> Experiment:
+    """A run of the samples at which every channel has a value."""
+    t = t[known]
+    values = {channel: s.values[known] for channel, s in signals.items()}
+    left_out = [signals[r.name].left_out[known] for r in readings if r.entry.role == "output"]
+    return Experiment(
         name=name,
         split=entry.split,
-        t=t[index][known],
-        u=_stack(values, readings, "input", len(index[known])),
-        y=_stack(values, readings, "output", len(index[known])),
+        t=t,
+        u=_stack(values, readings, "input", len(t)),
+        y=_stack(values, readings, "output", len(t)),
         auxiliary={r.name: values[r.name] for r in readings if r.entry.role == "auxiliary"},
         initial=None if entry.initial is None else dict(entry.initial),
         at_rest=entry.at_rest,
         constants={k: float(v) for k, v in entry.constants.items()},
         initial_window_s=entry.initial_window_s,
-        source=f"{table.file}, {_span(table, index[known])}",
-        left_out=np.stack([whole[r.name].left_out[known] for r in outputs], 1) if outputs else None,
+        source=source,
+        left_out=np.stack(left_out, 1) if left_out else None,
         repeat_of=entry.repeat_of,
     )
-    harvest.experiments += _pieces(run, cuts, harvest, table)
-    return harvest
 
 
 def _absent(
@@ -188,21 +240,19 @@ def _absent(
 ) -> list[DatasetProblem]:
     """Columns that are named and not there, or there twice."""
     wanted = [(time, "the time")]
-    wanted += [
-        (c, f"channel {r.name!r}" if c != r.name else "this channel")
-        for r in readings
-        for c in r.reads
-    ]
-    problems = []
+    for reading in readings:
+        for column in reading.reads:
+            role = "this channel" if column == reading.name else f"channel {reading.name!r}"
+            wanted.append((column, role))
+    twice, missing = [], []
     for column, role in wanted:
-        if (twice := table.ambiguous(column)) is not None:
-            problems.append(twice)
+        ambiguous = table.ambiguous(column)
+        if ambiguous is not None:
+            twice.append(ambiguous)
         elif table.find(column) is None:
-            problems.append(table.missing(column, role))
-    twice = [p for p in problems if "stands twice" in p.message]
-    return list(
-        dict.fromkeys(twice or problems)
-    )  # what is lacking beside is the one with the wrong name
+            missing.append(table.missing(column, role))
+    # what is lacking beside is the one with the wrong name
+    return list(dict.fromkeys(twice or missing))
 
 
 def _there(table: Table, reading: ChannelReading) -> bool:
@@ -249,11 +299,6 @@ def _known_span(
     return slice(first, end), [c - first for c in cuts if first < c < end]
 
 
-def _span(table: Table, index: np.ndarray) -> str:
-    word = "rows" if table.rows is not None else "indices"
-    return f"{word} {table.row(index[0])} to {table.row(index[-1])}"
-
-
 def _stack(
     columns: dict[str, np.ndarray], readings: Sequence[ChannelReading], role: str, count: int
 ) -> np.ndarray:
@@ -261,60 +306,6 @@ def _stack(
     out = np.stack(chosen, axis=1) if chosen else np.zeros((count, 0))
     out.setflags(write=False)  # so that a run takes it as it is
     return out
-
-
-def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndarray | None:
-    """The samples that `where` and `rows` choose (both count in the file's own samples)."""
-    mask = np.ones(table.count, dtype=bool)
-    for column, value in entry.where.items():
-        if column not in table.columns:
-            message = f"there is no column {column!r} for `where`{nearest(column, table.columns)}"
-            harvest.problems.append(
-                DatasetProblem(table.file, 1, column, message, "Name a column that exists")
-            )
-            return None
-        chosen = table.equal(column, value)
-        if not chosen.any():
-            found = list(dict.fromkeys(str(c) for c in table.columns[column]))[:30]
-            message = f"no row has {column} = {value!r}{nearest(str(value), found)}"
-            harvest.problems.append(
-                DatasetProblem(table.file, None, column, message, "Correct `where`")
-            )
-            return None
-        mask &= chosen
-    if entry.rows is not None:
-        start, stop = entry.rows
-        if stop > table.count:
-            message = f"rows = [{start}, {stop}] reach beyond the {table.count} samples of the file"
-            harvest.problems.append(
-                DatasetProblem(
-                    table.file, None, None, message, "Correct `rows` (half-open, from 0)"
-                )
-            )
-            return None
-        mask[:start] = mask[stop:] = False
-    index = np.flatnonzero(mask)
-    if len(index) == 0:
-        if table.count or not table.problems:
-            message = "no sample is selected by `where` and `rows` together"
-            harvest.problems.append(
-                DatasetProblem(table.file, None, None, message, "Correct `where` or `rows`")
-            )
-        return None
-    return index
-
-
-def _readable(table: Table, index: np.ndarray, harvest: Harvest) -> tuple[np.ndarray, bool]:
-    """The selected samples whose rows have a field for each column; whether there are others, which
-    is a problem.
-    """
-    good = ~np.isin(index, list(table.ragged))
-    if good.all():
-        return index, False
-    torn = {k: table.ragged[k] for k in index[~good].tolist()}
-    rows = table.rows if table.rows is not None else np.arange(table.count)
-    harvest.problems.append(ragged_rows(table.file, rows.tolist(), torn, len(table.columns)))
-    return index[good], True
 
 
 def _channel(
@@ -326,7 +317,9 @@ def _channel(
     if entry.valid is not None and (found := table.find(entry.valid)) is not None:
         valid = np.nan_to_num(table.numbers(found).values[index]) != 0
     columns = [c for c in map(table.find, reading.columns) if c is not None]
-    faults = [f for c in columns for f in sample_faults(table, c, index[valid])]
+    faults: list[DatasetProblem] = []
+    for column in columns:
+        faults += sample_faults(table, column, index[valid])
     harvest.problems += faults
     weights = entry.weights if entry.weights is not None else [1.0]
     raw = np.sum(
@@ -346,27 +339,21 @@ def _channel(
     if not np.isfinite(values).all():
         first = int(index[np.flatnonzero(~np.isfinite(values))[0]])
         text = f"{table.place(first)} is too large after scale, offset and unit"
+        remedy = "Correct scale, offset or unit"
         harvest.problems.append(
-            DatasetProblem(
-                table.file, table.row(first), columns[0], text, "Correct scale, offset or unit"
-            )
+            DatasetProblem(table.file, table.row(first), columns[0], text, remedy)
         )
         return None
     still = np.ptp(values[~found.left_out]) == 0
-    if reading.entry.role == "output" and not still:
+    if entry.role == "input" and still:
+        harvest.still_inputs.add(reading.name)
+    elif entry.role == "output" and not still:
         harvest.moving.add(reading.name)
-    elif reading.entry.role == "output":
+    elif entry.role == "output":
         constant = f"it is {values[0]:g} {reading.conversion.si} in all {len(index)} samples"
         text = f"output {reading.name!r} never moves: {constant}"
-        harvest.still[reading.name] = DatasetProblem(
-            table.file,
-            None,
-            columns[0],
-            text,
-            'Check the sensor, or give the channel role = "auxiliary"',
-        )
-    elif reading.entry.role == "input" and still:
-        harvest.still_inputs.add(reading.name)
+        remedy = 'Check the sensor, or give the channel role = "auxiliary"'
+        harvest.still[reading.name] = DatasetProblem(table.file, None, columns[0], text, remedy)
     return found
 
 
@@ -444,65 +431,3 @@ def _pieces(run: Experiment, cuts: list[int], harvest: Harvest, table: Table) ->
         + (f"; {dropped} shorter than {MINIMUM_SAMPLES} samples left out" if dropped else "")
     )
     return pieces
-
-
-def read_response(
-    table: Table, entry: ExperimentEntry, name: str, units: dict[str, Conversion]
-) -> Harvest:
-    """A frequency response `output / input`, from the units of the two channels to SI."""
-    harvest = Harvest()
-    named = {
-        key: entry.columns.get(key, key)
-        for key in ("omega", "frequency", "gain", "phase", "re", "im")
-    }
-
-    def there(key: str) -> bool:
-        return key in entry.columns or named[key] in table.columns
-
-    axis = "frequency" if there("frequency") and not there("omega") else "omega"
-    polar = there("gain") or there("phase") or not (there("re") or there("im"))
-    keys = [axis, *(("gain", "phase") if polar else ("re", "im"))]
-    absent = [key for key in keys if named[key] not in table.columns]
-    harvest.problems += [
-        table.missing(named[key], f"{key!r} of the frequency response") for key in absent
-    ]
-    index = _selected(table, entry, harvest)
-    if index is None:
-        return harvest
-    index, _ = _readable(table, index, harvest)
-    for key in keys:
-        if key not in absent:
-            harvest.problems += sample_faults(table, named[key], index)
-    if harvest.problems or table.problems:
-        return harvest
-    first, a, b = (table.numbers(named[key]).values[index] for key in keys)
-    for key, values, bad in (
-        (keys[0], first, first <= 0),
-        *([(keys[1], a, a < 0)] if polar else []),
-    ):
-        if bad.any():
-            sample = int(index[np.flatnonzero(bad)[0]])
-            least = "above 0" if key == keys[0] else "at least 0"
-            text = f"{table.place(sample)} is {values[bad][0]:g}; {key} must be {least}"
-            harvest.problems.append(
-                DatasetProblem(
-                    table.file, table.row(sample), named[key], text, "Correct or remove the row"
-                )
-            )
-    if harvest.problems:
-        return harvest
-    factor = units[entry.output or ""].factor / units[entry.input or ""].factor
-    phase = np.deg2rad(b) if entry.phase_unit == "deg" else b
-    response = a * np.exp(1j * phase) if polar else a + 1j * b
-    harvest.responses.append(
-        FrequencyResponse(
-            name=name,
-            split=entry.split,
-            omega=first if axis == "omega" else 2 * np.pi * first,
-            response=factor * response,
-            input=entry.input or "",
-            output=entry.output or "",
-            source=f"{table.file}, {_span(table, index)}",
-        )
-    )
-    return harvest

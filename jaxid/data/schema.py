@@ -221,65 +221,77 @@ Entry = TypeVar("Entry", bound=BaseModel)
 def read_document(raw: Mapping[str, Any], places: Places) -> Document:
     """Checks every part by itself, so that a fault in one hides none in another."""
     document = Document()
-    tables = {"channels": dict, "experiments": list, "model": dict, "controller": dict}
-    allowed = [*Header.model_fields, *tables]
-    sections = {}
-    for name, kind in tables.items():
-        value = raw.get(name)
-        if name in raw and not isinstance(value, kind):
-            what = "a list of tables: [[experiments]]" if kind is list else f"a table: [{name}]"
-            document.problems.append(
-                places.problem((name,), f"{name!r} is not {what}", f"Write {what}")
-            )
-        else:
-            document.sound.add(name)
-            sections[name] = value
-    head = {k: v for k, v in raw.items() if k not in tables}
+    sections = _sections(raw, places, document)
+    head = {key: value for key, value in raw.items() if key not in _SECTIONS}
+    allowed = [*Header.model_fields, *_SECTIONS]
     document.header = entry_of(Header, head, (), places, document, "header", allowed)
     for name, value in (sections.get("channels") or {}).items():
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(\*[A-Za-z0-9_]*)?", name) or name == "t":
-            why = (
-                "is the name of the time"
-                if name == "t"
-                else "is not a name of letters, digits and underscores"
-            )
-            document.problems.append(
-                places.problem(
-                    ("channels", name),
-                    f"channel {name!r} {why}",
-                    "Rename it and state its `column`",
-                )
-            )
+        why = _name_fault(name)
+        if why is not None:
+            message = f"channel {name!r} {why}"
+            remedy = "Rename it and state its `column`"
+            document.problems.append(places.problem(("channels", name), message, remedy))
             document.sound.discard("channels")
             continue
         entry = entry_of(ChannelEntry, value, ("channels", name), places, document, "channels")
         if entry is not None:
             document.channels[name] = entry
     for index, value in enumerate(sections.get("experiments") or []):
-        key = ("experiments", index)
-        if isinstance(value, Mapping) and not {"file", "files"} & set(value):
-            document.problems.append(
-                places.problem(
-                    (*key, "file"), "'file' is missing", "State 'file', or 'files' with a pattern"
-                )
-            )
-            document.sound.discard("experiments")
-        entry = entry_of(ExperimentEntry, value, key, places, document, "experiments")
-        if (
-            entry is not None
-            and (entry.file or entry.files)
-            and not any(_selects(k) for k in document.faulty.get(key, ()))
-        ):
+        entry = _experiment(value, ("experiments", index), places, document)
+        if entry is not None:
             document.experiments[index] = entry
-    if sections.get("model") is not None:
-        document.model = entry_of(
-            ModelEntry, sections["model"], ("model",), places, document, "model"
-        )
-    if sections.get("controller") is not None:
+    model, controller = sections.get("model"), sections.get("controller")
+    if model is not None:
+        document.model = entry_of(ModelEntry, model, ("model",), places, document, "model")
+    if controller is not None:
         document.controller = entry_of(
-            ControllerEntry, sections["controller"], ("controller",), places, document, "controller"
+            ControllerEntry, controller, ("controller",), places, document, "controller"
         )
     return document
+
+
+#: The sections of a document, and what TOML reads them as.
+_SECTIONS = {"channels": dict, "experiments": list, "model": dict, "controller": dict}
+
+
+def _sections(raw: Mapping[str, Any], places: Places, document: Document) -> dict[str, Any]:
+    """The sections that are of the right kind."""
+    sections = {}
+    for name, kind in _SECTIONS.items():
+        value = raw.get(name)
+        if name in raw and not isinstance(value, kind):
+            what = "a list of tables: [[experiments]]" if kind is list else f"a table: [{name}]"
+            message = f"{name!r} is not {what}"
+            document.problems.append(places.problem((name,), message, f"Write {what}"))
+            continue
+        document.sound.add(name)
+        sections[name] = value
+    return sections
+
+
+def _name_fault(name: str) -> str | None:
+    """Why a channel cannot have this name."""
+    if name == "t":
+        return "is the name of the time"
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(\*[A-Za-z0-9_]*)?", name):
+        return "is not a name of letters, digits and underscores"
+    return None
+
+
+def _experiment(
+    value: Any, key: tuple[str, int], places: Places, document: Document
+) -> ExperimentEntry | None:
+    """One of `[[experiments]]`; None where what it selects is at fault."""
+    if isinstance(value, Mapping) and not {"file", "files"} & set(value):
+        remedy = "State 'file', or 'files' with a pattern"
+        document.problems.append(places.problem((*key, "file"), "'file' is missing", remedy))
+        document.sound.discard("experiments")
+    entry = entry_of(ExperimentEntry, value, key, places, document, "experiments")
+    if entry is None or not (entry.file or entry.files):
+        return None
+    if any(_selects(faulty) for faulty in document.faulty.get(key, ())):
+        return None
+    return entry
 
 
 def _selects(key: str | int | None) -> bool:

@@ -117,21 +117,19 @@ class ModelEntry(Strict):
 
     @model_validator(mode="after")
     def _apart(self) -> ModelEntry:
-        if self.file is not None and (
-            self.robot is not None or self.urdf is not None or self.dh is not None
-        ):
+        has_links = self.urdf is not None or self.dh is not None
+        is_robot = self.name in (None, "robot")
+        if self.file is not None and (self.robot is not None or has_links):
             raise ValueError(
                 "file holds a model of your own, beside which robot, urdf and dh do not stand: keep"
                 " one of them"
             )
-        if self.robot is not None and (
-            self.name not in (None, "robot") or self.urdf is not None or self.dh is not None
-        ):
+        if self.robot is not None and (not is_robot or has_links):
             raise ValueError(
                 "robot names the file of a robot, beside which name, urdf and dh do not stand: keep"
                 " one of them"
             )
-        if self.name not in (None, "robot") and self.base is not None:
+        if self.base is not None and not is_robot:
             raise ValueError(
                 'base belongs to a robot: write robot = "robot.xml" (or a URDF) in place of the'
                 " name"
@@ -139,17 +137,23 @@ class ModelEntry(Strict):
         both = sorted(set(self.constants) & set(self.parameters))
         if both:
             raise ValueError(f"{both[0]!r} is both known (constants) and to be fitted (parameters)")
+        return self
+
+    @model_validator(mode="after")
+    def _links(self) -> ModelEntry:
         if self.urdf is not None and self.dh is not None:
             raise ValueError("the links stand in both urdf and dh: keep one of them")
-        if (self.urdf is not None or self.dh is not None) and self.name != "serial_arm":
+        has_links = self.urdf is not None or self.dh is not None
+        if has_links and self.name != "serial_arm":
             raise ValueError(
                 'urdf and dh are the links of the model "serial_arm": write name = "serial_arm"'
             )
-        if self.urdf is None and (
-            self.root is not None or (self.tip is not None and self.robot is None)
-        ):
-            word, what = ("root", "beginning") if self.root is not None else ("tip", "end")
-            raise ValueError(f"{word} names the {what} of a chain in a URDF, and there is no urdf")
+        if self.urdf is not None:
+            return self
+        if self.root is not None:
+            raise ValueError("root names the beginning of a chain in a URDF, and there is no urdf")
+        if self.tip is not None and self.robot is None:
+            raise ValueError("tip names the end of a chain in a URDF, and there is no urdf")
         return self
 
 

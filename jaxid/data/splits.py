@@ -26,29 +26,16 @@ def with_splits(dataset: Dataset) -> Dataset:
     """See `Dataset.with_splits`."""
     runs = list(dataset.experiments)
     notes: list[str] = []
-    if not any(e.split == "validation" for e in runs):
-        runs = _cut(
-            runs,
-            "fit",
-            "validation",
-            1 - TAIL,
-            "no validation run: the last 30 % of each fit run are kept for it",
-            notes,
-        )
-    if not any(e.split == "report" for e in runs):
-        runs = _cut(
-            runs,
-            "validation",
-            "report",
-            0.5,
-            "no report run: the second half of each validation run is kept for it",
-            notes,
-        )
-    runs = [_forgetful(e) if e.past else e for e in runs]
-    return (
-        replace(dataset, experiments=tuple(runs), notes=(*dataset.notes, *notes))
-        if notes
-        else dataset
+    if "validation" not in {run.split for run in runs}:
+        note = "no validation run: the last 30 % of each fit run are kept for it"
+        runs = _cut(runs, "fit", "validation", 1 - TAIL, note, notes)
+    if "report" not in {run.split for run in runs}:
+        note = "no report run: the second half of each validation run is kept for it"
+        runs = _cut(runs, "validation", "report", 0.5, note, notes)
+    if not notes:
+        return dataset
+    return replace(
+        dataset, experiments=tuple(map(_forgetful, runs)), notes=(*dataset.notes, *notes)
     )
 
 
@@ -86,16 +73,16 @@ def _cut(
 
 
 def _forgetful(run: Experiment) -> Experiment:
-    """The run with the end of its past."""
+    """The run with the end of its past, if it has one."""
     past = run.past
-    assert past is not None
+    if past is None:
+        return run
     longest, most = PAST[run.split]
     n = min(int(np.sum(past.t >= run.t[0] - longest)), most)
-    return (
-        replace(run, past=past.piece(len(past) - n, len(past), name=past.name, split=past.split))
-        if n < len(past)
-        else run
-    )
+    if n == len(past):
+        return run
+    end = past.piece(len(past) - n, len(past), name=past.name, split=past.split)
+    return replace(run, past=end)
 
 
 def _place(run: Experiment, stop: int) -> str:

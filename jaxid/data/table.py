@@ -139,32 +139,35 @@ def _cell(text: Any) -> tuple[float, str | None]:
 
 
 def _as_numbers(cells: Any) -> NumericColumn:
-    array = np.asarray(cells) if not isinstance(cells, list) else None
-    if array is not None and array.dtype.kind in "biuf":
-        values = array.astype(float, copy=False)
-        bad = np.flatnonzero(~np.isfinite(values))
-        faults = {int(i): "missing" if np.isnan(values[i]) else "infinite" for i in bad}
-        if faults:
-            values = values.copy()
-            values[bad] = np.nan
-        return NumericColumn(values, faults)
-    if array is not None and array.dtype.kind in "Mm":
-        return NumericColumn(
-            np.full(len(array), np.nan), {i: "a date, not a number" for i in range(len(array))}
-        )
+    if not isinstance(cells, list):
+        array = np.asarray(cells)
+        if array.dtype.kind in "biuf":
+            return _finite(array.astype(float, copy=False))
+        if array.dtype.kind in "Mm":
+            faults = dict.fromkeys(range(len(array)), "a date, not a number")
+            return NumericColumn(np.full(len(array), np.nan), faults)
     cells = list(cells)
     try:
-        if any("_" in c for c in cells):
-            raise ValueError
-        values = np.array([float(c) for c in cells], dtype=float)
-        if np.isfinite(values).all():
-            return NumericColumn(values, {})
+        if not any("_" in cell for cell in cells):
+            values = np.array([float(cell) for cell in cells], dtype=float)
+            if np.isfinite(values).all():
+                return NumericColumn(values, {})
     except (ValueError, TypeError):
         pass
-    pairs = [_cell(c) for c in cells]
-    return NumericColumn(
-        np.array([v for v, _ in pairs], dtype=float), {i: w for i, (_, w) in enumerate(pairs) if w}
-    )
+    pairs = [_cell(cell) for cell in cells]
+    values = np.array([value for value, _ in pairs], dtype=float)
+    return NumericColumn(values, {i: fault for i, (_, fault) in enumerate(pairs) if fault})
+
+
+def _finite(values: np.ndarray) -> NumericColumn:
+    """Numbers [row], of which those that are not finite are faults."""
+    faults = {}
+    for i in np.flatnonzero(~np.isfinite(values)):
+        faults[int(i)] = "missing" if np.isnan(values[i]) else "infinite"
+    if faults:
+        values = values.copy()
+        values[list(faults)] = np.nan
+    return NumericColumn(values, faults)
 
 
 def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
@@ -280,21 +283,9 @@ def _arrow_column(column: Any) -> Any:
 
 
 def _read_csv(file: str, content: bytes, numbered: bool = False) -> Table:
-    if not content.strip():
-        return _broken(
-            file,
-            None,
-            "the file is empty",
-            "Write a header row of channel names and one row a sample",
-        )
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return _broken(file, 1, "the text is UTF-16", "Save the file as UTF-8")
-    nul = content.find(b"\0")
-    if nul >= 0:
-        row = content.count(b"\n", 0, nul) + 1
-        return _broken(
-            file, row, "binary data, not text", "Give CSV as text, or name a Parquet file .parquet"
-        )
+    fault = _not_text(content)
+    if fault is not None:
+        return _broken(file, *fault)
     if (numbers := _read_numbers(file, content)) is not None:
         return numbers
     try:
@@ -310,26 +301,41 @@ def _read_csv(file: str, content: bytes, numbered: bool = False) -> Table:
             lines.append(fields)
             rows.append(reader.line_num)
     except csv.Error as error:
-        return _broken(
-            file,
-            reader.line_num,
-            f"not readable as CSV ({error})",
-            "Check the quotes in and before this row",
-        )
+        remedy = "Check the quotes in and before this row"
+        return _broken(file, reader.line_num, f"not readable as CSV ({error})", remedy)
     while lines and not any(f.strip() for f in lines[-1]):
         lines.pop()
         rows.pop()
-    if (
-        numbered
-        and all(_cell(cell)[1] is None for cell in lines[0] if cell.strip())
-        and any(c.strip() for c in lines[0])
-    ):
-        return csv_columns(file, [str(k + 1) for k in range(len(lines[0]))], lines, rows)
     header = [name.strip() for name in lines[0]]
+    if numbered and _all_numbers(header):
+        return csv_columns(file, [str(k + 1) for k in range(len(header))], lines, rows)
     fault = _header_fault(file, header, lines[1:])
     if fault is not None:
         return Table(file, {}, 0, problems=[fault])
     return csv_columns(file, header, lines[1:], rows[1:])
+
+
+def _not_text(content: bytes) -> tuple[int | None, str, str] | None:
+    """Row, fault and remedy of a file that holds no text in UTF-8."""
+    if not content.strip():
+        return (
+            None,
+            "the file is empty",
+            "Write a header row of channel names and one row a sample",
+        )
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return 1, "the text is UTF-16", "Save the file as UTF-8"
+    nul = content.find(b"\0")
+    if nul < 0:
+        return None
+    row = content.count(b"\n", 0, nul) + 1
+    return row, "binary data, not text", "Give CSV as text, or name a Parquet file .parquet"
+
+
+def _all_numbers(cells: Sequence[str]) -> bool:
+    """Whether the cells that hold something, of which there is one, hold numbers."""
+    filled = [cell for cell in cells if cell]
+    return bool(filled) and all(_cell(cell)[1] is None for cell in filled)
 
 
 def _read_numbers(file: str, content: bytes) -> Table | None:
@@ -339,14 +345,8 @@ def _read_numbers(file: str, content: bytes) -> Table | None:
     import pyarrow as pa
     from pyarrow import csv as arrow
 
-    end = content.find(b"\n")
-    head = content[: max(end, 0)]
-    if end < 0 or content.find(b'"', end) >= 0 or not head.isascii():
-        return None
-    names = [
-        n.strip() for n in next(csv.reader([head.decode().strip()], skipinitialspace=True), [])
-    ]
-    if not all(names) or len(set(names)) < len(names) or all(_cell(n)[1] is None for n in names):
+    names = _plain_header(content)
+    if names is None:
         return None
     owned = _owned_by_arrow(content)
     try:
@@ -358,12 +358,29 @@ def _read_numbers(file: str, content: bytes) -> Table | None:
         )
     except (pa.ArrowException, OSError, ValueError):
         return None
-    kinds = [c.type for c in table.columns]
-    plain = all(pa.types.is_integer(k) or pa.types.is_floating(k) for k in kinds)
-    if not plain or any(c.null_count for c in table.columns) or table.num_rows == 0:
+    if table.num_rows == 0:
         return None
+    for column in table.columns:
+        is_number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+        if not is_number or column.null_count:
+            return None
     columns = {name: _arrow_column(table.column(i)) for i, name in enumerate(names)}
     return Table(file, columns, table.num_rows, np.arange(table.num_rows) + 2)
+
+
+def _plain_header(content: bytes) -> list[str] | None:
+    """The names in the first row, of which each stands once; None for anything else."""
+    end = content.find(b"\n")
+    head = content[: max(end, 0)]
+    if end < 0 or content.find(b'"', end) >= 0 or not head.isascii():
+        return None
+    cells = next(csv.reader([head.decode().strip()], skipinitialspace=True), [])
+    names = [cell.strip() for cell in cells]
+    if not all(names) or len(set(names)) < len(names):
+        return None
+    if all(_cell(name)[1] is None for name in names):
+        return None
+    return names
 
 
 def _owned_by_arrow(content: bytes) -> Any:
@@ -384,25 +401,16 @@ def _owned_by_arrow(content: bytes) -> Any:
 def _header_fault(
     file: str, header: Sequence[str], lines: Sequence[Sequence[str]]
 ) -> DatasetProblem | None:
-    for sign, word in ((";", "semicolons"), ("\t", "tabs")):
-        if len(header) == 1 and sign in header[0]:
-            comma = (
-                " and decimal commas"
-                if any("," in c for fields in lines[:3] for c in [",".join(fields)])
-                else ""
-            )
-            return DatasetProblem(
-                file,
-                1,
-                None,
-                f"columns separated by {word}{comma}",
-                "`jaxid import csv` reads it as it is; or save it with commas between columns and"
-                " decimal points",
-            )
-    if not any(header):
-        return DatasetProblem(
-            file, 1, None, "the first row is empty", "Let the first row name the columns"
+    message = _other_separator(header, lines)
+    if message is not None:
+        remedy = (
+            "`jaxid import csv` reads it as it is; or save it with commas between columns and"
+            " decimal points"
         )
+        return DatasetProblem(file, 1, None, message, remedy)
+    if not any(header):
+        remedy = "Let the first row name the columns"
+        return DatasetProblem(file, 1, None, "the first row is empty", remedy)
     if all(_cell(name)[1] is None for name in header):
         remedy = (
             "Let the first row name the columns, or name them by number: time = 1, and column = 2"
@@ -411,6 +419,18 @@ def _header_fault(
         return DatasetProblem(file, 1, None, "the first row holds numbers, not names", remedy)
     if not lines:
         return DatasetProblem(file, 1, None, "a header without samples", "Give at least 20 samples")
+    return None
+
+
+def _other_separator(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str | None:
+    """What else than commas separates the columns of what was read as one column."""
+    if len(header) != 1:
+        return None
+    for sign, word in ((";", "semicolons"), ("\t", "tabs")):
+        if sign not in header[0]:
+            continue
+        decimal_commas = any(len(fields) > 1 or "," in fields[0] for fields in lines[:3] if fields)
+        return f"columns separated by {word}" + " and decimal commas" * decimal_commas
     return None
 
 
@@ -463,15 +483,13 @@ def distinct(
     """
     out: dict[str, Any] = {}
     places: dict[str, list[int]] = {}
-    for k, (name, column) in enumerate(zip(names, columns, strict=True)):
-        places.setdefault(name, []).append(k + 1)
-        out[name if len(places[name]) == 1 else f"{name} (column {k + 1})"] = column
-
-    def equal(a, b):
-        return list(columns[a - 1]) == list(columns[b - 1])
-
-    return out, {
-        name: at
-        for name, at in places.items()
-        if len(at) > 1 and not all(equal(at[0], k) for k in at[1:])
-    }
+    for number, (name, column) in enumerate(zip(names, columns, strict=True), 1):
+        places.setdefault(name, []).append(number)
+        key = name if len(places[name]) == 1 else f"{name} (column {number})"
+        out[key] = column
+    differing = {}
+    for name, numbers in places.items():
+        first = list(out[name])
+        if any(list(columns[number - 1]) != first for number in numbers[1:]):
+            differing[name] = numbers
+    return out, differing

@@ -130,20 +130,21 @@ def _clock(cells: Any) -> np.ndarray:
     the year, or have dots after the day; which of two numbers between slashes is the day cannot be
     known.
     """
-    found = [CLOCK.fullmatch(c.strip()) for c in cells]
-    if any(m is None for m in found):
-        raise ValueError("not a time of day")
-    days = [m[1] or "" for m in found if m]
-    first = _day(days[0]) if len(set(days)) > 1 else None
-    whole = [
-        0 if first is None else int((_day(d) - first).astype("timedelta64[D]").astype(int))
-        for d in days
-    ]
-    clock = [3600 * int(m[2]) + 60 * int(m[3]) + float(m[4].replace(",", ".")) for m in found if m]
-    return np.array(
-        [round(1e9 * c) + 86_400_000_000_000 * d for c, d in zip(clock, whole, strict=True)],
-        "timedelta64[ns]",
-    )
+    days: list[str] = []
+    clock: list[int] = []
+    for cell in cells:
+        match = CLOCK.fullmatch(cell.strip())
+        if match is None:
+            raise ValueError("not a time of day")
+        day, hours, minutes, seconds = match[1], match[2], match[3], match[4]
+        days.append(day or "")
+        of_day = 3600 * int(hours) + 60 * int(minutes) + float(seconds.replace(",", "."))
+        clock.append(round(1e9 * of_day))
+    times = np.array(clock, "timedelta64[ns]")
+    if len(set(days)) < 2:
+        return times
+    dates = np.array([_day(day) for day in days])
+    return times + (dates - dates[0]).astype("timedelta64[D]").astype("timedelta64[ns]")
 
 
 def _day(text: str) -> np.datetime64:

@@ -65,21 +65,18 @@ def with_scatter(
     dataset: Dataset, stamps: Mapping[str, Stamps], noise: Mapping[str, Noise]
 ) -> Dataset:
     """The dataset whose readings scatter as their time stamps make them."""
-    spreads = [
-        (stamps[c.name].spread if c.name in stamps else 0.0, noise[c.name].std)
-        for c in dataset.outputs
-    ]
 
-    def scatter(e):
-        return np.stack(
-            [
-                s * _speed(e.t, y, n) if s else 0 * y
-                for (s, n), y in zip(spreads, e.y.T, strict=True)
-            ],
-            1,
-        )
+    def scatter(e: Experiment) -> np.ndarray:
+        columns = []
+        for channel, y in zip(dataset.outputs, e.y.T, strict=True):
+            if channel.name in stamps:
+                speed = _speed(e.t, y, noise[channel.name].std)
+                columns.append(stamps[channel.name].spread * speed)
+            else:
+                columns.append(0 * y)
+        return np.stack(columns, 1)
 
-    def with_own(e):
+    def with_own(e: Experiment) -> Experiment:
         return replace(e, scatter=scatter(e), past=with_own(e.past) if e.past else None)
 
     return replace(dataset, experiments=tuple(with_own(e) for e in dataset.experiments))
@@ -135,27 +132,13 @@ def _by_differences(
     """Spread, its standard deviation, and the mean square of what it adds over that of the noise;
     None where the noise is not of that kind.
     """
-    parts: list[tuple[np.ndarray, ...]] = []
-    for e in runs:
-        y = e.motion()[:, column]
-        d, weights = differences(e.t, y, order)
-        cutoff = content_cutoff(e.t, y, max(noise, float(np.sqrt(np.mean(d**2)))))
-        q, rate, bend = differentiate(e.t, y, cutoff)[:3]
-        ends = filter_ends(e.t, cutoff)
-        inside = slice(ends, len(d) - ends)
-
-        def seen(x, w=weights):
-            return np.sum(w**2 * np.lib.stride_tricks.sliding_window_view(x, order + 1), 1)
-
-        causes = (rate**2, np.abs(rate), (q - q.mean()) ** 2, bend**2, e.t - e.t[0])
-        parts.append(tuple(x[inside] for x in (d**2, *(seen(c) for c in causes))))
+    parts = [_squares_and_causes(e, column, noise, order) for e in runs]
     square, *causes = (np.concatenate(x) for x in zip(*parts, strict=True))
     if square.size < FEWEST or not square.any():
         return None
     # Differences that overlap remember each other.
-    memory = 1 + 2 * sum(
-        (comb(2 * order, order + k) / comb(2 * order, order)) ** 2 for k in range(1, order + 1)
-    )
+    correlation = [comb(2 * order, order + k) / comb(2 * order, order) for k in range(1, order + 1)]
+    memory = 1 + 2 * sum(c**2 for c in correlation)
     (slope, std, likelihood, moment), speed, *others = [
         _variance(square, c, memory) for c in causes
     ]
@@ -164,12 +147,28 @@ def _by_differences(
     fast = slope * float(np.percentile(causes[0], 95))
     likely = likelihood > max(speed[2] - LOSE, max(o[2] for o in others) + BETTER)
     visible = added > SEEN * noise**2 and (step is None or fast > STEPS * step**2 / 12)
-    if not (
-        slope > sure * std and likely and visible and MOMENTS[order][0] < moment < MOMENTS[order][1]
-    ):
+    least, most = MOMENTS[order]
+    if not (slope > sure * std and likely and visible and least < moment < most):
         return None
     spread = float(np.sqrt(slope))
     return spread, std / (2 * spread), added / noise**2
+
+
+def _squares_and_causes(e: Experiment, column: int, noise: float, order: int) -> list[np.ndarray]:
+    """The squared differences of a run, and what may cause them over the same samples: speed
+    squared, speed, position squared, acceleration squared, time.
+    """
+    y = e.motion()[:, column]
+    d, weights = differences(e.t, y, order)
+    cutoff = content_cutoff(e.t, y, max(noise, float(np.sqrt(np.mean(d**2)))))
+    q, rate, bend = differentiate(e.t, y, cutoff)[:3]
+    ends = filter_ends(e.t, cutoff)
+    inside = slice(ends, len(d) - ends)
+    found = [d**2]
+    for cause in (rate**2, np.abs(rate), (q - q.mean()) ** 2, bend**2, e.t - e.t[0]):
+        windows = np.lib.stride_tricks.sliding_window_view(cause, order + 1)
+        found.append(np.sum(weights**2 * windows, 1))
+    return [x[inside] for x in found]
 
 
 def _variance(

@@ -92,11 +92,9 @@ _TABLE: dict[str, dict[str, float]] = {
     "N m s/rad": {"N m s/rad": 1},
     "N s/m": {"N s/m": 1},
 }
-_UNITS = {
-    name: Conversion(float(factor), si)
-    for si, row in _TABLE.items()
-    for name, factor in row.items()
-}
+_UNITS: dict[str, Conversion] = {}
+for _si, _row in _TABLE.items():
+    _UNITS |= {name: Conversion(float(factor), _si) for name, factor in _row.items()}
 _UNITS["degC"] = Conversion(1.0, "K", 273.15)
 _UNITS["degF"] = Conversion(5 / 9, "K", 459.67 * 5 / 9)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxid.data.dataset import Dataset, Geometry
+from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
 from jaxid.data.model_names import parts_of
 from jaxid.data.time_axis import impossible
 
@@ -19,35 +20,25 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
     """
     import tomlkit
 
-    flagged = {
-        c.name
-        for i, c in enumerate(dataset.outputs)
-        if any(not e.read[:, i].all() for e in dataset.experiments)
-    }
+    flagged = _flagged(dataset)
     description = _header(dataset, flagged)
     entries = []
     for number, run in enumerate(dataset.experiments, 1):
         file = f"run_{number}.{format}"
-        columns = {"t": run.t}
-        columns |= {c.name: run.u[:, i] for i, c in enumerate(dataset.inputs)}
-        columns |= {c.name: run.y[:, i] for i, c in enumerate(dataset.outputs)}
-        flags = {
-            _flag(c.name): run.read[:, i].astype(int)
-            for i, c in enumerate(dataset.outputs)
-            if c.name in flagged
+        _write_table(folder / file, _columns(dataset, run, flagged), format)
+        entry = {
+            "file": file,
+            "name": run.name,
+            "split": run.split,
+            # The gaps of a loaded run are within the limit already; those of arrays were checked as
+            # well.
+            "at_rest": run.at_rest or None,
+            "initial_window_s": run.initial_window_s,
+            "initial": run.initial,
+            "constants": run.constants or None,
+            "repeat_of": run.repeat_of,
         }
-        _write_table(folder / file, columns | run.auxiliary | flags, format)
-        entry = {"file": file, "name": run.name, "split": run.split}
-        # The gaps of a loaded run are within the limit already; those of arrays were checked as
-        # well.
-        entry |= {"at_rest": True} if run.at_rest else {}
-        entry |= (
-            {"initial_window_s": run.initial_window_s} if run.initial_window_s is not None else {}
-        )
-        entry |= {"initial": run.initial} if run.initial is not None else {}
-        entry |= {"constants": run.constants} if run.constants else {}
-        entry |= {"repeat_of": run.repeat_of} if run.repeat_of is not None else {}
-        entries.append(entry)
+        entries.append(_stated(entry))
     for number, response in enumerate(dataset.responses, 1):
         file = f"response_{number}.{format}"
         parts = {
@@ -59,15 +50,42 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
         about = {"kind": "frequency_response", "input": response.input, "output": response.output}
         entries.append({"file": file, "name": response.name, "split": response.split, **about})
     description["experiments"] = entries
-    links = None if dataset.model is None else dataset.model.geometry
+    if dataset.model is not None:
+        _write_model_files(dataset.model, folder)
+    (folder / "dataset.toml").write_text(tomlkit.dumps(description), encoding="utf-8")
+
+
+def _flagged(dataset: Dataset) -> set[str]:
+    """Outputs of which some readings do not count."""
+    flagged = set()
+    for i, channel in enumerate(dataset.outputs):
+        if not all(run.read[:, i].all() for run in dataset.experiments):
+            flagged.add(channel.name)
+    return flagged
+
+
+def _columns(dataset: Dataset, run: Experiment, flagged: set[str]) -> dict[str, np.ndarray]:
+    columns = {"t": run.t}
+    columns |= {c.name: run.u[:, i] for i, c in enumerate(dataset.inputs)}
+    columns |= {c.name: run.y[:, i] for i, c in enumerate(dataset.outputs)}
+    columns |= run.auxiliary
+    for i, channel in enumerate(dataset.outputs):
+        if channel.name in flagged:
+            columns[_flag(channel.name)] = run.read[:, i].astype(int)
+    return columns
+
+
+def _write_model_files(model: ModelSpec, folder: Path) -> None:
+    """The files that a model's entry names, beside `dataset.toml`."""
+    links = model.geometry
     if links is not None and links.urdf:
         (folder / "arm.urdf").write_text(links.urdf, encoding="utf-8")
-    own = None if dataset.model is None else parts_of(dataset.model.file or "")
+    own = parts_of(model.file or "")
     if own is not None:
-        (folder / Path(own[0]).name).write_bytes(Path(own[0]).read_bytes())
+        file = Path(own[0])
+        (folder / file.name).write_bytes(file.read_bytes())
     if links is not None and links.robot:
         (folder / robot_file(links)).write_text(links.robot, encoding="utf-8")
-    (folder / "dataset.toml").write_text(tomlkit.dumps(description), encoding="utf-8")
 
 
 def _flag(channel: str) -> str:
@@ -82,51 +100,55 @@ def _header(dataset: Dataset, flagged: set[str]) -> dict[str, Any]:
     if dataset.source is not None:
         top["source"] = dataset.source
     if dataset.model is not None:
-        model = dataset.model
-        entry: dict[str, Any] = {"name": model.name} if model.name is not None else {}
-        if (own := parts_of(model.file or "")) is not None:
-            entry = (
-                {"file": Path(own[0]).name, "name": own[1]}
-                if own[1]
-                else {"file": Path(own[0]).name}
-            )
-        entry |= {"free": True} if model.free else {}
-        entry |= {"without": list(model.without)} if model.without else {}
-        entry |= {"constants": dict(model.constants)} if model.constants else {}
-        if model.parameters:
-            entry["parameters"] = {
-                name: _stated(prior.__dict__) for name, prior in model.parameters.items()
-            }
-        if (links := model.geometry) is not None and links.urdf:
-            entry |= {"urdf": "arm.urdf"} | _stated({"tip": links.tip, "root": links.root})
-        elif links is not None and links.robot:
-            del entry["name"]
-            entry |= {"robot": robot_file(links)} | (
-                {"tip": links.tip} if links.tip is not None else {}
-            )
-            entry |= {"base": dict(model.base)} if model.base else {}
-        elif links is not None:
-            entry["dh"] = {"convention": links.convention, **links.columns}
-        entry |= {"joints": dict(model.joints)} if model.joints else {}
-        top["model"] = entry
+        top["model"] = _model(dataset.model)
     if dataset.controller is not None:
         top["controller"] = {"kind": dataset.controller.kind, **dataset.controller.settings}
     if any(impossible(run.t) for run in dataset.experiments):
         top["time_unit"] = "s"
-    top["channels"] = {
-        c.name: _stated(
-            {
-                "role": c.role,
-                "unit": c.unit,
-                "noise_std": c.noise_std,
-                "resolution": c.resolution,
-                "hold": None if c.hold == "zero" else c.hold,
-                "valid": _flag(c.name) if c.name in flagged else None,
-            }
-        )
-        for c in dataset.channels
-    }
+    channels = {}
+    for channel in dataset.channels:
+        entry = {
+            "role": channel.role,
+            "unit": channel.unit,
+            "noise_std": channel.noise_std,
+            "resolution": channel.resolution,
+            "hold": None if channel.hold == "zero" else channel.hold,
+            "valid": _flag(channel.name) if channel.name in flagged else None,
+        }
+        channels[channel.name] = _stated(entry)
+    top["channels"] = channels
     return top
+
+
+def _model(model: ModelSpec) -> dict[str, Any]:
+    """The entry `[model]`."""
+    entry: dict[str, Any] = {}
+    own = parts_of(model.file or "")
+    links = model.geometry
+    if own is not None:
+        entry["file"] = Path(own[0]).name
+        entry["name"] = own[1] or None
+    elif links is None or not links.robot:
+        entry["name"] = model.name
+    entry["free"] = model.free or None
+    entry["without"] = list(model.without) or None
+    entry["constants"] = dict(model.constants) or None
+    if model.parameters:
+        priors = model.parameters.items()
+        entry["parameters"] = {name: _stated(prior.__dict__) for name, prior in priors}
+    if links is not None:
+        entry |= _links(links, model.base)
+    entry["joints"] = dict(model.joints) or None
+    return _stated(entry)
+
+
+def _links(links: Geometry, base: Mapping[str, Any]) -> dict[str, Any]:
+    """How `[model]` names the links of a chain."""
+    if links.urdf:
+        return {"urdf": "arm.urdf", "tip": links.tip, "root": links.root}
+    if links.robot:
+        return {"robot": robot_file(links), "tip": links.tip, "base": dict(base) or None}
+    return {"dh": {"convention": links.convention, **links.columns}}
 
 
 def robot_file(links: Geometry) -> str:

@@ -57,53 +57,62 @@ def _channel(c: Column) -> dict[str, Any]:
 
 
 def _serve(
-    name: str, unit: str, role: str, have: Mapping[str, Column], joint: int | None, gain
+    name: str,
+    unit: str,
+    role: str,
+    have: Mapping[str, Column],
+    joint: int | None,
+    gain: Sequence[float] | None,
 ) -> tuple[Any, str | None]:
     """The channel entry for one name of a model's signature and its column; or a sentence and
     None.
     """
-    stem, number = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
+    stem = name.rstrip("0123456789")
+    number = name[len(stem) :]
+    place = number or ("" if joint is None else str(joint))
     # `q_cmd` of a model is q3_cmd of joint 3.
     base, _, tail = stem.partition("_")
-    place = number or ("" if joint is None else str(joint))
-    spelled = [f"{base}{place}" + (f"_{tail}" if tail else ""), f"{stem}{place}", name]
-    for column in spelled:
+    joined = f"{base}{place}_{tail}" if tail else f"{base}{place}"
+    for column in (joined, f"{stem}{place}", name):
         if column in have and have[column].unit == unit:
-            entry = (
-                _channel(have[column])
-                | {"role": role}
-                | ({} if column == name else {"column": column})
-            )
+            entry = _channel(have[column]) | {"role": role}
+            if column != name:
+                entry["column"] = column
             return entry, column
     if stem == "tau":
-        named = [c for c in (f"current{place}", f"current{place}_cmd") if c in have]
-        column = next((c for c in named if have[c].role == "input"), next(iter(named), None))
-        if column is not None and gain is None:
-            return (
-                (
-                    f"it needs the torque {name!r}, and the device has a current, {column!r}. State"
-                    " the gain you assume in N m/A (--gain); it stays visible in dataset.toml as"
-                    " `scale`"
-                ),
-                None,
-            )
+        column = _current_of(place, have)
         if column is not None:
-            k = (int(place) - 1) if place else 0
-            if k >= len(gain) and len(gain) != 1:
-                return f"there are {len(gain)} gains, none for joint {place}", None
-            scale = float(gain[k if len(gain) > 1 else 0])
-            entry = {"role": role, "unit": unit, "column": column, "scale": scale}
-            resolution = have[column].resolution
-            return (
-                entry | ({} if resolution is None else {"resolution": abs(scale) * resolution}),
-                column,
-            )
-    several = sorted(
-        c for c in have if c.rstrip("0123456789") in (stem, "current" if stem == "tau" else stem)
-    )
-    hint = (
-        f" (there is: {', '.join(several)}; pick one with --joint)"
-        if several and not number and joint is None
-        else ""
-    )
+            return _torque_by_current(name, unit, role, have[column], place, gain)
+    stems = (stem, "current") if stem == "tau" else (stem,)
+    several = sorted(c for c in have if c.rstrip("0123456789") in stems)
+    hint = ""
+    if several and not number and joint is None:
+        hint = f" (there is: {', '.join(several)}; pick one with --joint)"
     return f"it needs {name!r} in {unit}, which this device does not record{hint}", None
+
+
+def _current_of(place: str, have: Mapping[str, Column]) -> str | None:
+    """The column of a joint's current: one that drives the motion, or else one that is measured."""
+    named = [c for c in (f"current{place}", f"current{place}_cmd") if c in have]
+    inputs = [c for c in named if have[c].role == "input"]
+    return next(iter([*inputs, *named]), None)
+
+
+def _torque_by_current(
+    name: str, unit: str, role: str, current: Column, place: str, gain: Sequence[float] | None
+) -> tuple[Any, str | None]:
+    """A joint's torque as its current times a gain; or a sentence and None. See `_serve`."""
+    if gain is None:
+        return (
+            f"it needs the torque {name!r}, and the device has a current, {current.name!r}. State"
+            " the gain you assume in N m/A (--gain); it stays visible in dataset.toml as `scale`",
+            None,
+        )
+    k = int(place) - 1 if place and len(gain) > 1 else 0
+    if k >= len(gain):
+        return f"there are {len(gain)} gains, none for joint {place}", None
+    scale = float(gain[k])
+    entry = {"role": role, "unit": unit, "column": current.name, "scale": scale}
+    if current.resolution is not None:
+        entry["resolution"] = abs(scale) * current.resolution
+    return entry, current.name

@@ -88,8 +88,10 @@ def refuse_size(out: Path, streams: Sequence[Stream], seconds: float) -> None:
     """The rows as they come, and once more as the tables that they become, have to find room on the
     disk.
     """
-    rates = [(0.0 if s.period is None else 1 / s.period, 24 + 8 * len(s.columns)) for s in streams]
-    need = 2 * seconds * sum(rate * size for rate, size in rates)
+    need = 0.0
+    for stream in streams:
+        if stream.period is not None:
+            need += 2 * seconds * (24 + 8 * len(stream.columns)) / stream.period
     free = shutil.disk_usage(next(p for p in out.resolve().parents if p.is_dir())).free
     if need > free:
         raise UsageError(

@@ -30,7 +30,7 @@ from jaxid.hardware.preflight import (
     refuse_size,
     refuse_state,
 )
-from jaxid.hardware.recorder import COMMANDS, Recorder, SUFFIX
+from jaxid.hardware.recorder import Column, COMMANDS, Recorder, Stream, SUFFIX
 from jaxid.hardware.sensor import SensorSpec, SerialSensor
 from jaxid.hardware.trajectory import Trajectory
 
@@ -90,13 +90,7 @@ def record(
     after Ctrl-C.
     """
     out = Path(out)
-    gains = (
-        None
-        if gain is None
-        else [float(gain)]
-        if isinstance(gain, int | float)
-        else [float(g) for g in gain]
-    )
+    gains = _gains(gain)
     number = preflight.next_run(out, append)
     check_words(device, play, seconds, split)
     with ExitStack() as stack:
@@ -111,9 +105,7 @@ def record(
         if len({s.name for s in streams}) < len(streams):
             raise UsageError("two devices have the same name; rename a sensor")
         files = [s for s in sensors if s.file is not None]
-        columns = [c for s in streams if s.clock != COMMANDS for c in s.columns] + [
-            c for s in files for c in s.stream().columns
-        ]
+        columns = _columns([*streams, *(s.stream() for s in files)])
         channel_map(model, columns, joint, gains)
         if number > 1:
             refuse_other_columns(out, [c.name for c in columns])
@@ -121,11 +113,7 @@ def record(
         refuse_size(out, streams, play.duration if play is not None else float(seconds or 0.0))
         if play is not None:
             refuse_path(play, bounds, device)
-            if streams[0].period is not None and streams[0].period > bounds.data_age / 2:
-                raise UsageError(
-                    f"{1 / streams[0].period:g} samples a second are too few to move with a"
-                    f" data_age of {bounds.data_age:g} s: raise the rate"
-                )
+            _refuse_rate(streams[0].period, bounds)
         watch = _first_samples(device)
         assert watch.last is not None
         plan = None
@@ -133,21 +121,7 @@ def record(
             refuse_state(device, bounds, watch.last)
             plan = device.plan(play, bounds, watch.last.values)
             if not live:
-                text = dry_text(device, play, plan, watch.last)
-                return Recording(
-                    folder=out,
-                    file="",
-                    rows=0,
-                    seconds=plan.duration,
-                    rate=0.0,
-                    lost=0,
-                    duplicated=0,
-                    gaps=(),
-                    complete=False,
-                    end_reason=text,
-                    notes=(),
-                    dry_run=True,
-                )
+                return _dry_run(out, plan, dry_text(device, play, plan, watch.last))
         about = preflight.about(
             device=device,
             out=out,
@@ -164,62 +138,114 @@ def record(
         out.mkdir(parents=True, exist_ok=True)
         folder = out / f"run_{number}{SUFFIX}"
         recorder = Recorder(folder, streams, about)
-        error: BaseException | None = None
-        reason, complete = "the time was over", True
-        try:
-            reason = _run(
-                device=device,
-                sensors=serial,
-                own=len(own),
-                recorder=recorder,
-                watch=watch,
-                plan=plan,
-                seconds=seconds,
-                bounds=bounds,
-                progress=progress,
-            )
-        except BaseException as caught:
-            error, complete = caught, False
-            reason = (
-                "interrupted"
-                if isinstance(caught, KeyboardInterrupt)
-                else str(caught) or type(caught).__name__
-            )
-            recorder.event("fault", reason)
-        finally:
-            said = _let_go(device, reason)
-            if plan is not None:
-                recorder.event("stop", said)
-            losses = device.losses()
-            if losses:
-                text = ", ".join(f"{n} {why.replace('_', ' ')}" for why, n in losses.items())
-                recorder.event("note", f"lost answers, none of them stored: {text}", losses=losses)
-            for sensor in serial:
-                if sensor.malformed:
-                    recorder.event(
-                        "note",
-                        f"sensor {sensor.spec.name}: {sensor.malformed} lines were not readable and"
-                        " left out",
-                    )
-            recorder.event("end", reason, complete=complete)
-            try:
-                recorder.close()
-            except OSError as full:
-                error = error or HardwareError(
-                    f"{folder}: rows could not be written ({full.strerror})"
-                )
+        reason, error = _recorded(
+            device=device,
+            sensors=serial,
+            own=len(own),
+            recorder=recorder,
+            watch=watch,
+            plan=plan,
+            seconds=seconds,
+            bounds=bounds,
+            progress=progress,
+        )
         if recorder.counts[0] == 0:
             shutil.rmtree(folder)
             raise error or HardwareError(f"{device.name}: nothing was received")
         recording = finish(folder, reason)
+        if isinstance(error, HardwareError):
+            error.folder = str(out)
+            error.add_note(f"{recording.rows} rows up to then are in {out}, marked as not complete")
         if error is not None:
-            if isinstance(error, HardwareError):
-                error.folder = str(out)
-                error.add_note(
-                    f"{recording.rows} rows up to then are in {out}, marked as not complete"
-                )
             raise error
         return recording
+
+
+def _gains(gain: Sequence[float] | float | None) -> list[float] | None:
+    if gain is None:
+        return None
+    if isinstance(gain, int | float):
+        return [float(gain)]
+    return [float(g) for g in gain]
+
+
+def _columns(streams: Sequence[Stream]) -> list[Column]:
+    """The columns of what is measured."""
+    columns: list[Column] = []
+    for stream in streams:
+        if stream.clock != COMMANDS:
+            columns += stream.columns
+    return columns
+
+
+def _refuse_rate(period: float | None, bounds: Limits) -> None:
+    """A motion is watched by samples that come often enough."""
+    if period is not None and period > bounds.data_age / 2:
+        raise UsageError(
+            f"{1 / period:g} samples a second are too few to move with a data_age of"
+            f" {bounds.data_age:g} s: raise the rate"
+        )
+
+
+def _dry_run(out: Path, plan: PathPlan, text: str) -> Recording:
+    return Recording(
+        folder=out,
+        file="",
+        rows=0,
+        seconds=plan.duration,
+        rate=0.0,
+        lost=0,
+        duplicated=0,
+        gaps=(),
+        complete=False,
+        end_reason=text,
+        notes=(),
+        dry_run=True,
+    )
+
+
+def _recorded(
+    device: Device, sensors: Sequence[SerialSensor], recorder: Recorder, **settings: Any
+) -> tuple[str, BaseException | None]:
+    """Records to the end, whatever it is, and closes the recording: why it ended, and what ended it
+    early.
+    """
+    error: BaseException | None = None
+    reason, complete = "the time was over", True
+    try:
+        reason = _run(device=device, sensors=sensors, recorder=recorder, **settings)
+    except BaseException as caught:
+        error, complete = caught, False
+        reason = str(caught) or type(caught).__name__
+        if isinstance(caught, KeyboardInterrupt):
+            reason = "interrupted"
+        recorder.event("fault", reason)
+    finally:
+        said = _let_go(device, reason)
+        if settings["plan"] is not None:
+            recorder.event("stop", said)
+        _note_losses(device, sensors, recorder)
+        recorder.event("end", reason, complete=complete)
+        try:
+            recorder.close()
+        except OSError as full:
+            text = f"{recorder.folder}: rows could not be written ({full.strerror})"
+            error = error or HardwareError(text)
+    return reason, error
+
+
+def _note_losses(device: Device, sensors: Sequence[SerialSensor], recorder: Recorder) -> None:
+    losses = device.losses()
+    if losses:
+        text = ", ".join(f"{n} {why.replace('_', ' ')}" for why, n in losses.items())
+        recorder.event("note", f"lost answers, none of them stored: {text}", losses=losses)
+    for sensor in sensors:
+        if sensor.malformed:
+            recorder.event(
+                "note",
+                f"sensor {sensor.spec.name}: {sensor.malformed} lines were not readable and"
+                " left out",
+            )
 
 
 def recover(folder: str | os.PathLike[str]) -> list[Recording]:
@@ -304,20 +330,20 @@ def _run(
 
 
 def _watched(
-    device,
-    sensors,
+    device: Device,
+    sensors: Sequence[SerialSensor],
     own: int,
     recorder: Recorder,
     watch: _RecordingWatch,
     plan: PathPlan | None,
-    seconds,
+    seconds: Any,
     bounds: Limits,
-    progress,
+    progress: Callable[[str, int, int, str], None] | None,
 ) -> str:
     watch.began = watch.heard = now = time.monotonic()
     silence = max(SILENCE_S, 3 * (recorder.streams[0].period or 0.0))
     total = plan.duration if plan is not None else float(seconds)
-    heard = {id(s): now for s in sensors}
+    heard = [now] * len(sensors)
     beaten = told = 0.0
     if plan is not None:
         watch.phase, watch.asked = "loading", now
@@ -335,30 +361,10 @@ def _watched(
             _judge(device, bounds, sample, watch)
         for command in news.commands:
             recorder.append(1, *command)
-        for k, sensor in enumerate(sensors):
-            samples = sensor.read()
-            for sample in samples:
-                recorder.append(own + k, *sample)
-            heard[id(sensor)] = now if samples else heard[id(sensor)]
-            if now - heard[id(sensor)] > 2 * SILENCE_S:
-                raise HardwareError(
-                    f"sensor {sensor.spec.name} has been silent for {now - heard[id(sensor)]:.1f} s"
-                )
+        _read_sensors(sensors, own, recorder, heard, now)
         for message in news.messages:
             _hear(device, recorder, watch, plan, bounds, message, now)
-        age = now - watch.heard
-        if age > (bounds.data_age if watch.moving else silence):
-            raise HardwareError(
-                f"{device.name}: no data for {age:.2f} s"
-                + (" while it moved" if watch.moving else "")
-            )
-        if watch.phase in ("loading", "arming") and now - watch.asked > ARMED_S:
-            what = (
-                "its driver did not take the path"
-                if watch.phase == "loading"
-                else "it did not become ready to move"
-            )
-            raise HardwareError(f"{device.name}: {what} within {ARMED_S:g} s")
+        _refuse_silence(device, watch, bounds.data_age if watch.moving else silence, now)
         if now - beaten >= BEAT_S:
             device.beat()
             beaten = now
@@ -376,6 +382,42 @@ def _watched(
             return "the time was over"
         if watch.phase == "played" and watch.done_at is not None and now - watch.done_at > 0.25:
             return "the path was played"
+
+
+def _read_sensors(
+    sensors: Sequence[SerialSensor],
+    own: int,
+    recorder: Recorder,
+    heard: list[float],
+    now: float,
+) -> None:
+    """Stores what the sensors sent, behind the `own` streams of the device; `heard`: when each was
+    heard of last.
+    """
+    for k, sensor in enumerate(sensors):
+        for sample in sensor.read():
+            recorder.append(own + k, *sample)
+            heard[k] = now
+        silent = now - heard[k]
+        if silent > 2 * SILENCE_S:
+            raise HardwareError(f"sensor {sensor.spec.name} has been silent for {silent:.1f} s")
+
+
+def _refuse_silence(device: Device, watch: _RecordingWatch, most: float, now: float) -> None:
+    """Ends the recording of a device that sends nothing for `most` seconds, or does not start."""
+    age = now - watch.heard
+    if age > most:
+        moved = " while it moved" if watch.moving else ""
+        raise HardwareError(f"{device.name}: no data for {age:.2f} s{moved}")
+    if now - watch.asked <= ARMED_S:
+        return
+    if watch.phase == "loading":
+        what = "its driver did not take the path"
+    elif watch.phase == "arming":
+        what = "it did not become ready to move"
+    else:
+        return
+    raise HardwareError(f"{device.name}: {what} within {ARMED_S:g} s")
 
 
 def _judge(device: Device, bounds: Limits, sample: Sample, watch: _RecordingWatch) -> None:

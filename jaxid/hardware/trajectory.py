@@ -171,57 +171,31 @@ class Trajectory:
         if self.kind != "position":  # nothing is commanded before and after
             sent, at = np.pad(sent, ((1, 1), (0, 0))), np.concatenate([at[:1], at, at[-1:]])
         change, unit = np.diff(sent, axis=0), KINDS[self.kind][1]
-        rates = (
-            "acceleration",
-            at[1:],
-            change / step,
-            *_both(limits.acceleration),
-            "rad/s^2",
-            JUMP,
-        )
-        checks: list = []
+        slower = "scale the path down"
+        texts: list[str] = []
         if self.kind == "position":
             speeds = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
             bend = np.diff(change, axis=0) / step**2
             # The last step is shorter than the others in the file and shows a rate that nothing
             # follows.
-            checks += [
-                ("q", self.t, self.values, limits.lower, limits.upper, unit, "keep the path inside")
-            ]
-            checks += [("speed", self.t[1:], speeds, *_both(limits.speed), "rad/s", JUMP)]
             bend = bend[:-1] if len(bend) > 1 else bend
-            checks += [
-                (
-                    "acceleration",
-                    at[1 : 1 + len(bend)],
-                    bend,
-                    *_both(limits.acceleration),
-                    "rad/s^2",
-                    JUMP,
-                )
-            ]
+            inside = "keep the path inside"
+            most = _both(limits.acceleration)
+            texts += self._worst("q", self.t, self.values, limits.lower, limits.upper, unit, inside)
+            texts += self._worst("speed", self.t[1:], speeds, *_both(limits.speed), "rad/s", JUMP)
+            texts += self._worst(
+                "acceleration", at[1 : 1 + len(bend)], bend, *most, "rad/s^2", JUMP
+            )
         elif self.kind == "velocity":
-            checks += [
-                ("qd", self.t, self.values, *_both(limits.speed), unit, "scale the path down"),
-                rates,
-            ]
+            most = _both(limits.acceleration)
+            texts += self._worst("qd", self.t, self.values, *_both(limits.speed), unit, slower)
+            texts += self._worst("acceleration", at[1:], change / step, *most, "rad/s^2", JUMP)
         else:
-            checks += [
-                (
-                    "current",
-                    self.t,
-                    self.values,
-                    *_both(limits.current),
-                    unit,
-                    "scale the path down",
-                )
-            ]
-        checks += (
-            [("step", at[1:], change, *_both(limits.step), unit, JUMP)]
-            if limits.step is not None
-            else []
-        )
-        return [text for c in checks for text in self._worst(*c)]
+            top = _both(limits.current)
+            texts += self._worst("current", self.t, self.values, *top, unit, slower)
+        if limits.step is not None:
+            texts += self._worst("step", at[1:], change, *_both(limits.step), unit, JUMP)
+        return texts
 
     def not_in_seconds(self) -> str:
         """A sentence where the time is hardly in seconds (of a path that was sampled, rows that lie

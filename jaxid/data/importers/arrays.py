@@ -109,29 +109,39 @@ def _zip_names(path: Path, content: bytes) -> list[str]:
 def _flat(name: str, value: Any, out: Arrays) -> None:
     """Adds what a nested value holds, each array under its path."""
     if isinstance(value, Mapping):
-        for key, inner in value.items():
-            _flat(f"{name}.{key}" if name else str(key), inner, out)
-        return
+        return _flat_fields(name, value, out)
     if isinstance(value, np.ndarray) and value.dtype.names:
-        for key in value.dtype.names:
-            _flat(f"{name}.{key}" if name else key, value[key], out)
-        return
+        return _flat_fields(name, {key: value[key] for key in value.dtype.names}, out)
     if isinstance(value, np.ndarray) and value.dtype == object:
         value = value.tolist()
-    if isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
-        columns = _records(value)
-        for key, inner in (columns or {}).items():
-            _flat(f"{name}.{key}" if name else key, inner, out)
-        if columns is None:
-            for k, inner in enumerate(value):
-                _flat(f"{name}[{k}]", inner, out)
-        return
-    if isinstance(value, list):
-        try:
-            value = np.array(value, dtype=float)
-        except (ValueError, TypeError):
-            value = np.array([str(v) for v in value])
-    out[name] = value
+    if not isinstance(value, list):
+        out[name] = value
+    elif value and all(isinstance(row, Mapping) for row in value):
+        _flat_rows(name, value, out)
+    else:
+        out[name] = _numbers_or_texts(value)
+
+
+def _flat_fields(name: str, fields: Mapping[Any, Any], out: Arrays) -> None:
+    prefix = f"{name}." if name else ""
+    for key, inner in fields.items():
+        _flat(f"{prefix}{key}", inner, out)
+
+
+def _flat_rows(name: str, rows: list[Any], out: Arrays) -> None:
+    """Objects in a list: series where they are samples, else each under its number."""
+    columns = _records(rows)
+    if columns is not None:
+        return _flat_fields(name, columns, out)
+    for k, row in enumerate(rows):
+        _flat(f"{name}[{k}]", row, out)
+
+
+def _numbers_or_texts(values: list[Any]) -> np.ndarray:
+    try:
+        return np.array(values, dtype=float)
+    except (ValueError, TypeError):
+        return np.array([str(v) for v in values])
 
 
 def _records(rows: list[Any]) -> dict[str, list[Any]] | None:
@@ -139,13 +149,15 @@ def _records(rows: list[Any]) -> dict[str, list[Any]] | None:
     None for anything else.
     """
     keys = list(rows[0])
-    if len(rows) < 2 or any(set(r) != set(keys) for r in rows):
+    if len(rows) < 2 or any(set(row) != set(keys) for row in rows):
         return None
-    if len(rows) < MINIMUM_SAMPLES and any(
-        isinstance(v, list | np.ndarray) for v in rows[0].values()
-    ):
+    holds_series = any(isinstance(v, list | np.ndarray) for v in rows[0].values())
+    if holds_series and len(rows) < MINIMUM_SAMPLES:
         return None  # a few recordings, not a few samples
-    return {k: [r[k] for r in rows] for k in keys}
+    columns = {}
+    for key in keys:
+        columns[key] = [row[key] for row in rows]
+    return columns
 
 
 def _npz(path: Path) -> Arrays:

@@ -45,14 +45,19 @@ def kept_beside(found: Sequence[tuple[str, Beside]]) -> tuple[Beside, list[str]]
     """(entries of `[source]`, notes) of the numbers beside the series of runs, by the run's name. A
     number that differs between runs stands there for each.
     """
+    by_name: dict[str, Beside] = {}
+    for run, beside in found:
+        for name, value in beside.items():
+            by_name.setdefault(name, {})[run] = value
     entries: Beside = {}
-    for name in dict.fromkeys(name for _, beside in found for name in beside):
-        values = {run: beside[name] for run, beside in found if name in beside}
+    for name, values in by_name.items():
         entries |= _entries(name, values, len(values) == len(found))
     if not entries:
         return {}, []
     first = dict(list(entries.items())[:MOST])
-    left = f"; {len(entries) - MOST} more are left out" if len(entries) > MOST else ""
+    left = ""
+    if len(entries) > MOST:
+        left = f"; {len(entries) - MOST} more are left out"
     listed = "; ".join(f"{name} = {_written(value)}" for name, value in first.items())
     note = (
         "numbers beside the series are kept under [source], and no model uses them: "

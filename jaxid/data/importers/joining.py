@@ -46,7 +46,9 @@ def joined_files(sources: Sequence[Source]) -> list[Joined]:
             " rename one"
         )
     every = [series_of(s.columns, None) for s in sources]
-    counts = Counter(name for series in every for name in series)
+    counts: Counter[str] = Counter()
+    for series in every:
+        counts.update(series.keys())
     found = []
     for source, series in zip(sources, every, strict=True):
         names = {name: name for name in series if counts[name] == 1}

@@ -29,6 +29,7 @@ from jaxid.errors import nearest, UsageError
 
 _TURN = 4096  # counts of the servos whose calibration LeRobot writes
 _COLUMNS = ("observation.state", "action", "timestamp", "episode_index")
+_GOALS_OF_JOINTS = "Give a data set whose actions are goals of the joints that are measured"
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,23 @@ class Episodes:
     rate: float
 
 
+@dataclass(frozen=True)
+class StatedUnits:
+    """What the caller says of the values: the unit of a joint, of all, and the scale of a joint."""
+
+    units: Mapping[str, str]
+    everywhere: str | None
+    scales: Mapping[str, Scale]
+
+    def of(self, name: str) -> Scale | None:
+        """What the values of a joint stand for where it is stated for this joint."""
+        if name in self.scales:
+            return self.scales[name]
+        if name in self.units:
+            return Scale(1.0, 0.0, self.units[name])
+        return None
+
+
 def import_lerobot(
     files: Paths,
     out: str | os.PathLike[str],
@@ -72,15 +90,15 @@ def import_lerobot(
     `calibration` (its JSON file) or `ranges`, `NAME=LO:HI` in the unit.
     """
     sets = [_read(p) for p in paths_of(files)]
-    if any(s.names != sets[0].names for s in sets):
+    names = sets[0].names
+    if any(s.names != names for s in sets):
         raise refused(
             sets[1].path, f"its joints are not those of {sets[0].path.name}", "Import them apart"
         )
-    names = sets[0].names
     units, everywhere = _units(unit, names)
-    scales: dict[str, Scale] = (
-        {} if calibration is None else _calibrated(Path(calibration), names, sets)
-    )
+    scales: dict[str, Scale] = {}
+    if calibration is not None:
+        scales |= _calibrated(Path(calibration), names, sets)
     scales |= _ranged(ranges, names, units, everywhere, sets)
     if not units and everywhere is None and not scales:
         raise UsageError(
@@ -88,49 +106,7 @@ def import_lerobot(
             " --unit (rad, deg), for one joint with --unit NAME=UNIT; normalised values are none"
             " and need --calibration FILE or --range NAME=LO:HI"
         )
-    kept: list[tuple[str, Scale]] = []
-    notes: list[str] = []
-    refusals: list[str] = []
-    # The recorder normalises all joints or none (grippers always): one that shows it tells of those
-    # whose motion ends within.
-    arm = [j for j, n in enumerate(names) if "gripper" not in n.lower()]
-    shown = any(_normalised(sets, j) for j in arm)
-    if everywhere == "deg" and not shown and not scales and all(_within(sets, j) for j in arm):
-        notes.append(
-            "every joint stays within -100..100: normalised by the recorder they are no degrees"
-            " (--calibration FILE)"
-        )
-    for j, name in enumerate(names):
-        own = units.get(name)
-        share = _share_of_closing(sets, j, name)
-        normal = _normalised(sets, j)
-        if not normal and shown and j in arm and _within(sets, j):
-            normal = "within -100..100, beside one that touches its end"
-        if name in scales:
-            kept.append((name, scales[name]))
-        elif own is not None:
-            kept.append((name, Scale(1.0, 0.0, own)))
-        elif "gripper" in name.lower() or share:
-            what = (
-                "moves within 0..1, a share of its closing"
-                if share
-                else f"is a gripper{normal and ' in percent'}"
-            )
-            notes.append(f"{name} {what}: kept as auxiliary, unit 1 (--unit {name}=UNIT takes it)")
-            kept.append((name, Scale(1.0, 0.0, "")))
-        elif normal or everywhere is None:
-            refusals.append(f"{name} ({normal or 'no unit stated'})")
-        else:
-            kept.append((name, Scale(1.0, 0.0, everywhere)))
-    if refusals:
-        first = refusals[0].partition(" ")[0]
-        raise refused(
-            sets[0].path,
-            f"values that are no {everywhere or 'angle'} but were normalised by the recorder:"
-            f" {', '.join(refusals)}",
-            "Give the recorder's calibration (--calibration FILE), each joint's ends (--unit deg"
-            f" --range {first}=-110:110), or insist with --unit {first}=UNIT",
-        )
+    kept, notes = _kept_joints(sets, StatedUnits(units, everywhere, scales))
     notes.append("times are frame_index / fps, nominal: the recorder keeps no measured ones")
     if 0 < sets[0].rate < 60:
         notes.append(
@@ -138,6 +114,79 @@ def import_lerobot(
             f" anything faster than {sets[0].rate / 5:.0f} Hz"
         )
     return _written(sets, kept, out, overwrite, notes)
+
+
+def _kept_joints(
+    sets: Sequence[Episodes], stated: StatedUnits
+) -> tuple[list[tuple[str, Scale]], list[str]]:
+    """What each joint's values stand for, and notes.
+
+    Raises `DatasetError` for joints whose values were normalised and whose range nothing states.
+    """
+    names = sets[0].names
+    normalised, possible = _normalised_joints(sets)
+    notes: list[str] = []
+    if stated.everywhere == "deg" and possible and not stated.scales:
+        notes.append(
+            "every joint stays within -100..100: normalised by the recorder they are no degrees"
+            " (--calibration FILE)"
+        )
+    kept: list[tuple[str, Scale]] = []
+    refusals: list[str] = []
+    for j, name in enumerate(names):
+        normal = normalised[name]
+        share = _share_of_closing(sets, j, name)
+        scale = stated.of(name)
+        if scale is not None:
+            kept.append((name, scale))
+        elif _is_gripper(name) or share:
+            what = _gripper_words(share, normal)
+            notes.append(f"{name} {what}: kept as auxiliary, unit 1 (--unit {name}=UNIT takes it)")
+            kept.append((name, Scale(1.0, 0.0, "")))
+        elif normal or stated.everywhere is None:
+            refusals.append(f"{name} ({normal or 'no unit stated'})")
+        else:
+            kept.append((name, Scale(1.0, 0.0, stated.everywhere)))
+    if refusals:
+        raise _normalised_refusal(sets[0].path, stated.everywhere or "angle", refusals)
+    return kept, notes
+
+
+def _normalised_joints(sets: Sequence[Episodes]) -> tuple[dict[str, str], bool]:
+    """How each joint's values show that they were normalised, empty where they do not; and whether
+    all may be though none shows it.
+    """
+    names = sets[0].names
+    words = {name: _normalised(sets, j) for j, name in enumerate(names)}
+    # The recorder normalises all joints or none (grippers always): one that shows it tells of those
+    # whose motion ends within.
+    arm = [name for name in names if not _is_gripper(name)]
+    within = [name for name in arm if _within(sets, names.index(name))]
+    if not any(words[name] for name in arm):
+        return words, within == arm
+    for name in within:
+        words[name] = words[name] or "within -100..100, beside one that touches its end"
+    return words, False
+
+
+def _is_gripper(name: str) -> bool:
+    return "gripper" in name.lower()
+
+
+def _gripper_words(share: bool, normal: str) -> str:
+    if share:
+        return "moves within 0..1, a share of its closing"
+    return "is a gripper in percent" if normal else "is a gripper"
+
+
+def _normalised_refusal(path: Path, wanted: str, refusals: Sequence[str]) -> Exception:
+    first = refusals[0].partition(" ")[0]
+    return refused(
+        path,
+        f"values that are no {wanted} but were normalised by the recorder: {', '.join(refusals)}",
+        "Give the recorder's calibration (--calibration FILE), each joint's ends (--unit deg"
+        f" --range {first}=-110:110), or insist with --unit {first}=UNIT",
+    )
 
 
 def _written(
@@ -186,6 +235,38 @@ def _written(
 
 
 def _read(path: Path) -> Episodes:
+    info, parts = _parts(path)
+    state, action, t, episode = (_column(parts, name) for name in _COLUMNS)
+    if state.ndim != 2 or state.shape != action.shape:
+        raise refused(
+            path,
+            f"states of shape {state.shape[1:]} and actions of shape {action.shape[1:]} are not of"
+            " the same joints",
+            _GOALS_OF_JOINTS,
+        )
+    names = _names(info, "observation.state", state.shape[1])
+    goals = _names(info, "action", state.shape[1])
+    if set(names) != set(goals):
+        raise refused(
+            path,
+            f"states are of {', '.join(names)}, actions of {', '.join(goals)}",
+            _GOALS_OF_JOINTS,
+        )
+    if names != goals:
+        action = action[:, [goals.index(name) for name in names]]
+    return Episodes(
+        path=path,
+        names=names,
+        state=state,
+        action=action,
+        t=t,
+        episode=episode,
+        rate=float(info.get("fps", 0) or 0),
+    )
+
+
+def _parts(path: Path) -> tuple[dict[str, Any], list[Any]]:
+    """`meta/info.json` and the tables under `data/`."""
     import pyarrow.parquet as pq
 
     try:
@@ -195,35 +276,23 @@ def _read(path: Path) -> Episodes:
         raise refused(
             path, f"not readable as a LeRobot data set ({first_line(error)})", "Name its folder"
         ) from None
-    if not parts or any(w not in p.column_names for w in _COLUMNS for p in parts):
-        there = ", ".join(parts[0].column_names[:20]) if parts else "no Parquet file under data/"
-        raise refused(
-            path,
-            f"its data lack one of {', '.join(_COLUMNS)} (there is: {there})",
-            "Give a LeRobot data set of a robot",
-        )
+    if not parts:
+        raise _lacking(path, "no Parquet file under data/")
+    if not all(set(_COLUMNS) <= set(part.column_names) for part in parts):
+        raise _lacking(path, ", ".join(parts[0].column_names[:20]))
+    return info, parts
 
-    def column(name):
-        return np.concatenate([np.array(p[name].to_pylist(), float) for p in parts])
 
-    state, action, t, episode = (column(w) for w in _COLUMNS)
-    if state.ndim != 2 or state.shape != action.shape:
-        message = (
-            f"states of shape {state.shape[1:]} and actions of shape {action.shape[1:]} are not of"
-            " the same joints"
-        )
-        raise refused(
-            path, message, "Give a data set whose actions are goals of the joints that are measured"
-        )
-    names, goals = (_names(info, key, state.shape[1]) for key in ("observation.state", "action"))
-    if set(names) == set(goals) and names != goals:
-        action = action[:, [goals.index(n) for n in names]]
-    elif names != goals:
-        message = f"states are of {', '.join(names)}, actions of {', '.join(goals)}"
-        raise refused(
-            path, message, "Give a data set whose actions are goals of the joints that are measured"
-        )
-    return Episodes(path, names, state, action, t, episode, float(info.get("fps", 0) or 0))
+def _lacking(path: Path, there: str) -> Exception:
+    return refused(
+        path,
+        f"its data lack one of {', '.join(_COLUMNS)} (there is: {there})",
+        "Give a LeRobot data set of a robot",
+    )
+
+
+def _column(parts: Sequence[Any], name: str) -> np.ndarray:
+    return np.concatenate([np.array(part[name].to_pylist(), float) for part in parts])
 
 
 def _names(info: Any, feature: str, count: int) -> tuple[str, ...]:
@@ -241,33 +310,37 @@ def _names(info: Any, feature: str, count: int) -> tuple[str, ...]:
 
 def _leaves(names: Any) -> list[str]:
     """The names in lists and mappings, however deep they lie in one another, in their order."""
-    if (
-        isinstance(names, Mapping)
-        and names
-        and all(isinstance(place, int) for place in names.values())
-    ):
-        return sorted(names, key=lambda name: names[name])
+    if names is None:
+        return []
     if isinstance(names, Mapping):
-        return [leaf for group in names.values() for leaf in _leaves(group)]
-    if isinstance(names, list):
-        return [leaf for one in names for leaf in _leaves(one)]
-    return [] if names is None else [str(names)]
+        places = names.values()
+        if names and all(isinstance(place, int) for place in places):
+            return sorted(names, key=lambda name: names[name])
+        return _leaves(list(places))
+    if not isinstance(names, list):
+        return [str(names)]
+    found: list[str] = []
+    for one in names:
+        found += _leaves(one)
+    return found
+
+
+def _values(sets: Sequence[Episodes], j: int) -> np.ndarray:
+    """All states and actions of a joint."""
+    return np.concatenate([np.append(s.state[:, j], s.action[:, j]) for s in sets])
 
 
 def _normalised(sets: Sequence[Episodes], j: int) -> str:
     """How the values of a joint show that they were normalised: they end at exactly 100 and never
     go beyond.
     """
-    values = np.concatenate([a[:, j] for s in sets for a in (s.state, s.action)])
+    values = _values(sets, j)
     low, high = float(values.min()), float(values.max())
-
-    def touches(end, at):
-        return abs(end - at) < 1e-3
-
-    if high <= 100.001 and low >= -100.001 and (touches(high, 100) or touches(low, -100)):
-        ends = "0..100" if low >= -0.001 and touches(high, 100) else "-100..100"
-        return f"within {ends}, touching its end"
-    return ""
+    touches_low, touches_high = abs(low + 100) < 1e-3, abs(high - 100) < 1e-3
+    if high > 100.001 or low < -100.001 or not (touches_high or touches_low):
+        return ""
+    ends = "0..100" if low >= -0.001 and touches_high else "-100..100"
+    return f"within {ends}, touching its end"
 
 
 def _share_of_closing(sets: Sequence[Episodes], j: int, name: str) -> bool:
@@ -276,12 +349,12 @@ def _share_of_closing(sets: Sequence[Episodes], j: int, name: str) -> bool:
     """
     if not re.search(r"gripper|hand|finger|thumb|claw", name, re.IGNORECASE):
         return False
-    values = np.concatenate([a[:, j] for s in sets for a in (s.state, s.action)])
+    values = _values(sets, j)
     return bool(values.min() >= -0.001 and values.max() <= 1.001)
 
 
 def _within(sets: Sequence[Episodes], j: int) -> bool:
-    return all(np.abs(a[:, j]).max() <= 100.001 for s in sets for a in (s.state, s.action))
+    return bool(np.abs(_values(sets, j)).max() <= 100.001)
 
 
 def _units(

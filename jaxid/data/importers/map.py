@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -85,18 +85,10 @@ def import_table(
     files that have none. Raises `DatasetError` or `UsageError` that say what was recognised and
     what to type.
     """
-    wanted = [parse_channel(c) for c in channels]
     sources = [read_source(p, stated) for p in paths_of(files)]
     joined = joined_files([read_source(p, StatedFormat()) for p in paths_of(join)])
     asked = ImportRequest(sources, [j.source for j in joined], stated, rows, rate, out, overwrite)
-    time = [w for w in wanted if w.name == "t"]
-    if (
-        len(time) > 1
-        or len(wanted) == len(time)
-        or (not time and rate is None and stated_rate(sources[0]) is None)
-    ):
-        raise UsageError(proposal(asked))
-    clock = Clock(time[0].column, time[0].unit) if time else Clock("", None)
+    clock, wanted = _clock_and_channels(asked, [parse_channel(c) for c in channels])
     runs: list[ImportedRun] = []
     notes: list[str] = []
     joints: dict[str, int] = {}
@@ -104,9 +96,7 @@ def import_table(
     beside: list[tuple[str, Beside]] = []
     for source in sources:
         for part in parts_of(source):
-            found, t, columns, said = _read(
-                part, clock, [w for w in wanted if w.name != "t"], joined, rows, rate, joints
-            )
+            found, t, columns, said = _read(part, clock, wanted, joined, rows, rate, joints)
             notes += said
             beside.append((part.path.stem, numbers_beside(part)))
             runs += runs_of(part.path.stem, t, columns, part.path.name)
@@ -119,13 +109,30 @@ def import_table(
         sources[0].kind,
         roles,
         overwrite=overwrite,
-        units={n: u for n, (_, u) in roles.items()},
+        units={name: unit for name, (_, unit) in roles.items()},
         notes=notes,
         beside=constants,
         joints={f"q{k}": name for name, k in joints.items() if f"q{k}" in roles},
     )
-    said = [f"{w.name}={w.column}:{w.unit}:{w.role or role_of(w.name)}" for w in found]
+    said = [f"{w.name}={w.column}:{w.unit}:{roles[w.name][0]}" for w in found]
     return Imported(folder, full_command(asked, clock, said))
+
+
+def _clock_and_channels(
+    asked: ImportRequest, wanted: Sequence[Wanted]
+) -> tuple[Clock, list[Wanted]]:
+    """The column of the times and the channels beside it.
+
+    Raises `UsageError` with a proposal where no channel is named, or the times are not clear.
+    """
+    times = [w for w in wanted if w.name == "t"]
+    channels = [w for w in wanted if w.name != "t"]
+    has_rate = asked.rate is not None or stated_rate(asked.sources[0]) is not None
+    if not channels or len(times) > 1 or not (times or has_rate):
+        raise UsageError(proposal(asked))
+    if not times:
+        return Clock("", None), channels
+    return Clock(times[0].column, times[0].unit), channels
 
 
 def parse_channel(text: str) -> Wanted:
@@ -210,84 +217,71 @@ def _expanded(
     states are filled in.
     """
     problems: list[DatasetProblem] = []
+
+    def complain(column: str, message: str, remedy: str) -> None:
+        problems.append(DatasetProblem(source.path.name, None, column, message, remedy))
+
     found: list[Wanted] = []
-    units = {
-        name: join.source.units.get(own) for join in joined for name, own in join.names.items()
-    } | source.units
-    everything = list(dict.fromkeys([*series, *(name for join in joined for name in join.names)]))
+    units: dict[str, str | None] = {}
+    for join in joined:
+        units |= {name: join.source.units.get(own) for name, own in join.names.items()}
+    everything = list(dict.fromkeys([*series, *units]))
+    units |= source.units
     for w in wanted:
         if "*" in w.name:
-            names = (
-                captures_of(w.column, names_once(series, joined))
-                or captures_of(w.column, everything)
-                or {}
-            )
-            if not names:
+            once = captures_of(w.column, names_once(series, joined))
+            columns = once or captures_of(w.column, everything) or {}
+            if not columns:
                 message = f"no column matches {w.column!r} (there is: {', '.join(everything[:20])})"
-                problems.append(
-                    DatasetProblem(
-                        source.path.name,
-                        None,
-                        w.column,
-                        message,
-                        "Write 'q*=pos_*:rad' or 'q*=q[*]:rad'",
-                    )
-                )
-            numbers = joint_numbers(list(names), joints)
-            pairs = sorted((numbers[c], at) for c, at in names.items())
-            found += [
-                replace(
-                    w, name=w.name.replace("*", str(k)), column=at, unit=w.unit or units.get(at)
-                )
-                for k, at in pairs
-            ]
+                complain(w.column, message, "Write 'q*=pos_*:rad' or 'q*=q[*]:rad'")
+            found += _one_a_joint(w, columns, joints)
             continue
-        column = find_column(source, series, w.column) or (
-            w.column if w.column in everything else None
-        )
+        column = find_column(source, series, w.column)
+        if column is None and w.column in everything:
+            column = w.column
         if column is None:
-            wide = [n for n in everything if n.startswith(f"{w.column}[")]
-            hint = (
-                f": it is an array of {len(wide)} columns"
-                if wide
-                else nearest(w.column, everything)
-            )
-            remedy = "Correct the column"
-            if wide:
-                remedy = (
-                    f"Name one, {w.name}={wide[0]}:UNIT, or all: '{w.name}*={w.column}[*]:UNIT'"
-                )
-            elif list(series) == [str(k + 1) for k in range(len(series))]:
-                hint, remedy = (
-                    ": the file has no header",
-                    f"Name it by number, from 1: --channel {w.name}=2:UNIT",
-                )
-            problems.append(
-                DatasetProblem(
-                    source.path.name,
-                    None,
-                    w.column,
-                    f"there is no column {w.column!r}{hint}",
-                    remedy,
-                )
-            )
+            hint, remedy = _no_such_column(w, series, everything)
+            complain(w.column, f"there is no column {w.column!r}{hint}", remedy)
             continue
-        found.append(replace(w, column=column, unit=w.unit or units.get(column)))
-    for w in found:
-        if w.unit is None and not problems:
-            message = f"the unit of channel {w.name!r} is not stated"
-            problems.append(
-                DatasetProblem(
-                    source.path.name,
-                    None,
-                    w.column,
-                    message,
-                    f"Write --channel {w.name}={w.column}:UNIT",
-                )
-            )
+        found.append(replace(w, column=column))
     if problems:
         raise DatasetError(problems)
+    found = [replace(w, unit=w.unit or units.get(w.column)) for w in found]
+    for w in found:
+        if w.unit is None:
+            message = f"the unit of channel {w.name!r} is not stated"
+            remedy = f"Write --channel {w.name}={w.column}:UNIT"
+            raise DatasetError([DatasetProblem(source.path.name, None, w.column, message, remedy)])
     return found
+
+
+def _one_a_joint(
+    pattern: Wanted, columns: Mapping[str, str], joints: dict[str, int]
+) -> list[Wanted]:
+    """A pattern as channels in order of the joints; `columns`: what `*` stands for -> column."""
+    numbers = joint_numbers(list(columns), joints)
+    by_joint = sorted((numbers[capture], column) for capture, column in columns.items())
+    return [
+        replace(pattern, name=pattern.name.replace("*", str(number)), column=column)
+        for number, column in by_joint
+    ]
+
+
+def _no_such_column(wanted: Wanted, series: Arrays, everything: Sequence[str]) -> tuple[str, str]:
+    """(hint, remedy) for a channel whose column is not there."""
+    wide = [name for name in everything if name.startswith(f"{wanted.column}[")]
+    if wide:
+        return (
+            f": it is an array of {len(wide)} columns",
+            f"Name one, {wanted.name}={wide[0]}:UNIT, or all:"
+            f" '{wanted.name}*={wanted.column}[*]:UNIT'",
+        )
+    if list(series) == [str(k + 1) for k in range(len(series))]:
+        return (
+            ": the file has no header",
+            f"Name it by number, from 1: --channel {wanted.name}=2:UNIT",
+        )
+    return nearest(wanted.column, everything), "Correct the column"
 
 
 def _nominal(

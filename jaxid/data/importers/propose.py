@@ -11,7 +11,7 @@ import numpy as np
 from jaxid.data.importers.arrays import Arrays
 from jaxid.data.importers.channels import channels_of, Proposed
 from jaxid.data.importers.command import command_with, ImportRequest
-from jaxid.data.importers.joining import joined_files, names_once
+from jaxid.data.importers.joining import Joined, joined_files, names_once
 from jaxid.data.importers.source import parts_of, series_of, Source, stated_rate
 from jaxid.data.importers.traces import unit_of
 from jaxid.data.registers import found_sign, register_words
@@ -36,56 +36,71 @@ def proposal(asked: ImportRequest) -> str:
     part = parts_of(source)[0]  # of several recordings, all of which are read by the same names
     series = series_of(part.columns, None)
     joined = joined_files(asked.joined)
-    others = {
-        name: (join, own)
-        for join in joined
-        for name, own in join.names.items()
-        if name not in series
-    }
-    time = None if asked.rate is not None else _time(part, series)
-    clock = (
-        ""
-        if time is None
-        else time.removeprefix("t=").rpartition(":")[0] or time.removeprefix("t=")
-    )
-    own = [n for n in series if n != clock and np.size(series[n]) != 1 and _takes(n, series)]
     once = names_once(series, joined)
-    more = [
-        n for n, (join, k) in others.items() if n in once and k != clock and _takes(k, join.series)
-    ]
-    units = {n: join.source.units.get(k, "") for n, (join, k) in others.items()} | part.units
+    time = None if asked.rate is not None else _time(part, series)
+    clock = _column_of_time(time)
+    own = [n for n in series if n != clock and np.size(series[n]) != 1 and _takes(n, series)]
+    more, units = _of_joined(joined, series, clock)
+    more = [name for name in more if name in once]
+    units |= part.units
     channels = channels_of([*own, *more], units, once)
     said = [str(c) for c in channels[:_SHOWN]]
+    if time is not None:
+        said.insert(0, time)
+    command = command_with(asked, asked.stated.options(), said, asked.rate)
     no_time = time is None and asked.rate is None and stated_rate(part) is None
-    command = command_with(
-        asked, asked.stated.options(), [*([] if time is None else [time]), *said], asked.rate
-    )
-    command = command.replace(" --channel ", " --rate HZ --channel ", 1) if no_time else command
+    if no_time:
+        command = command.replace(" --channel ", " --rate HZ --channel ", 1)
     words = f" ({source.words})" if source.words else ""
-    registers = "".join(
-        f"; {n} {register_words(*found)}" for n, found in _registers(part, own).items()
-    )
+    registers = [f"; {n} {register_words(*found)}" for n, found in _registers(part, own).items()]
     listed = _listed([*series_of(source.columns, None), *more], units)
     needs = _needed(part, time, no_time)
     return (
         f"{source.path.name}{words} holds: {listed}; {needs}: {command}"
-        f" ({_remarks(channels)}{registers})"
+        f" ({_remarks(channels)}{''.join(registers)})"
     )
+
+
+def _of_joined(
+    joined: Sequence[Joined], series: Mapping[str, Any], clock: str
+) -> tuple[list[str], dict[str, str]]:
+    """Columns of joined files that may be channels and are not those of the first; all units."""
+    names: list[str] = []
+    units: dict[str, str] = {}
+    for join in joined:
+        for name, column in join.names.items():
+            if name in series:
+                continue
+            units[name] = join.source.units.get(column, "")
+            if column != clock and _takes(column, join.series):
+                names.append(name)
+    return names, units
+
+
+def _column_of_time(time: str | None) -> str:
+    """The column of `t=COLUMN:UNIT`, or of `t=COLUMN`; empty where there is no time."""
+    if time is None:
+        return ""
+    column = time.removeprefix("t=")
+    return column.rpartition(":")[0] or column
 
 
 def _listed(names: Sequence[str], units: Mapping[str, str]) -> str:
     """The columns with the units that the file states; of more than are shown, how many, and how to
     see them.
     """
-    shown = [f"{n} ({units[n]})" if units.get(n) else n for n in names[:_SHOWN]]
+    shown = []
+    for name in names[:_SHOWN]:
+        unit = units.get(name)
+        shown.append(f"{name} ({unit})" if unit else name)
+    listed = ", ".join(shown) or "no columns"
     left = len(names) - len(shown)
-    more = (
-        f", and {left} more, the last {names[-1]!r} (name any of them, or a pattern such as"
+    if not left:
+        return listed
+    return (
+        f"{listed}, and {left} more, the last {names[-1]!r} (name any of them, or a pattern such as"
         " 'q*=q_*:rad')"
-        if left
-        else ""
     )
-    return (", ".join(shown) or "no columns") + more
 
 
 def _needed(part: Source, time: str | None, no_time: bool) -> str:
@@ -186,12 +201,9 @@ def _unit(numbers: np.ndarray) -> str:
 
 def _numeric(cells: Any) -> bool:
     """Whether the first cells are numbers."""
-    first = [
-        c
-        for c in (cells[:20] if isinstance(cells, list) else np.ravel(cells)[:20])
-        if c not in ("", None)
-    ]
+    first = cells[:20] if isinstance(cells, list) else np.ravel(cells)[:20]
+    filled = [c for c in first if c not in ("", None)]
     try:
-        return bool(first) and bool(np.array(first, dtype=float).size)
+        return np.array(filled, dtype=float).size > 0
     except (ValueError, TypeError):
         return False

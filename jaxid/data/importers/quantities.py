@@ -20,7 +20,9 @@ _QUANTITY = {
     "voltage": "voltage volt spannung pwm duty",
     "temperature": "temp temperature temperatur",
 }
-_WORDS = {word: quantity for quantity, words in _QUANTITY.items() for word in words.split()}
+_WORDS: dict[str, str] = {}
+for _quantity, _said in _QUANTITY.items():
+    _WORDS |= dict.fromkeys(_said.split(), _quantity)
 _GOAL = set(
     "cmd command commands commanded des desired ref reference target targets goal goals setpoint"
     " set sp soll sollwert ziel action vorgabe demand demanded leader".split()
@@ -85,7 +87,9 @@ def meaning_of(name: str, unit: str) -> Meaning:
     not).
     """
     unit = unit or _unit_behind(name)
-    words = [part for word in words_of(name) for part in _parts(word)]
+    words: list[str] = []
+    for word in words_of(name):
+        words += _parts(word)
     if _ERROR & set(words):
         return Meaning("", False, unit)
     goal = bool(_GOAL & set(words))

@@ -31,7 +31,9 @@ def import_ur_rtde_csv(
     left out. The controller's `timestamp` is the time. These files repeat and lack samples without
     saying so: both are counted here.
     """
-    runs = [run for p in paths_of(files) for run in _ur_rtde(p)]
+    runs: list[ImportedRun] = []
+    for path in paths_of(files):
+        runs += _ur_rtde(path)
     return save_runs(runs, out, "ur_rtde", _ROBOT, overwrite=overwrite, resolution={"q": 1e-6})
 
 
@@ -137,14 +139,9 @@ def _ur_rtde(path: Path) -> list[ImportedRun]:
     table = _table(path, content)
     columns, left = {}, []
     for name in table.columns:
-        stem, _, number = name.rpartition("_")
-        if stem in _UR_NAMES and number.isdigit():
-            base, _, tail = _UR_NAMES[stem].partition("_")
-            columns[f"{base}{int(number) + 1}" + (f"_{tail}" if tail else "")] = _column(
-                table, name
-            )
-        elif name == "speed_scaling":
-            columns[name] = _column(table, name)
+        channel = _ur_channel(name)
+        if channel is not None:
+            columns[channel] = _column(table, name)
         elif name != "timestamp":
             left.append(name)
     if not any(c.startswith("q") and c[1:].isdigit() for c in columns):
@@ -154,10 +151,8 @@ def _ur_rtde(path: Path) -> list[ImportedRun]:
     runs = runs_of(path.stem, _column(table, "timestamp"), columns, path.name)
     run = runs[0]
     if left:
-        run.notes.append(
-            f"{run.name}: {len(left)} columns left out"
-            f" ({', '.join(left[:4])}{' …' if len(left) > 4 else ''})"
-        )
+        more = " …" if len(left) > 4 else ""
+        run.notes.append(f"{run.name}: {len(left)} columns left out ({', '.join(left[:4])}{more})")
     slow = columns.get("speed_scaling")
     if slow is not None and slow.min() < 0.999:
         run.notes.append(
@@ -165,6 +160,17 @@ def _ur_rtde(path: Path) -> list[ImportedRun]:
             " hold, measurements do"
         )
     return runs
+
+
+def _ur_channel(column: str) -> str | None:
+    """`q1` for `actual_q_0`; None for a column that is not taken."""
+    if column == "speed_scaling":
+        return column
+    stem, _, number = column.rpartition("_")
+    if stem not in _UR_NAMES or not number.isdigit():
+        return None
+    base, underscore, tail = _UR_NAMES[stem].partition("_")
+    return f"{base}{int(number) + 1}{underscore}{tail}"
 
 
 def _table(path: Path, content: bytes) -> Table:

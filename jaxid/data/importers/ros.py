@@ -8,22 +8,19 @@ import os
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from jaxid.data.importers.ros_commands import commands_of, with_commands
 from jaxid.data.importers.ros_files import (
-    COMMANDS,
-    Message,
     open_bag,
     open_mcap,
     RosRecording,
     STATES,
 )
+from jaxid.data.importers.ros_messages import joint_values, JointRows, StateRow, topics_listed
 from jaxid.data.importers.runs import (
-    held,
     ImportedRun,
     Paths,
     paths_of,
@@ -31,10 +28,9 @@ from jaxid.data.importers.runs import (
     runs_of,
     save_runs,
 )
-from jaxid.errors import nearest, UsageError
+from jaxid.errors import nearest
 
 
-_QUANTITIES = {"position": "q", "velocity": "qd", "effort": "tau"}
 _ROLES = {
     "q": ("output", "rad"),
     "qd": ("auxiliary", "rad/s"),
@@ -47,21 +43,6 @@ _ROLES = {
 }
 _OPENING = 0.2  # m, more than the fingers of a gripper move
 _GOALS = ("leader", "command", "goal", "desired", "target", "reference")
-#: Order of the motors in Unitree's messages for quadrupeds, as its SDK has it.
-_QUADRUPED = tuple(
-    f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip", "thigh", "calf")
-)
-
-
-@dataclass(frozen=True)
-class JointRows:
-    """Values of joints over time: `t [time]`, the joints' names, quantity (q, qd, tau …) -> [time
-    joints].
-    """
-
-    t: np.ndarray
-    joints: tuple[str, ...]
-    values: dict[str, np.ndarray]
 
 
 def import_ros(
@@ -80,7 +61,8 @@ def import_ros(
     `TOPIC:effort` says what a Float64MultiArray holds and `command_joints` whose. Raises
     `DatasetError` or `UsageError` that list what there is.
     """
-    opened = [(open_bag if kind == "rosbag" else open_mcap)(p) for p in paths_of(files)]
+    read = open_bag if kind == "rosbag" else open_mcap
+    opened = [read(path) for path in paths_of(files)]
     runs: list[ImportedRun] = []
     names: tuple[str, ...] = ()
     for recording in opened:
@@ -93,45 +75,57 @@ def import_ros(
             )
             raise refused(recording.path, message, "Import recordings of one robot together")
         names = names or _arm_first(states)
-        order = [states.joints.index(n) for n in names]
+        order = [states.joints.index(name) for name in names]
         t, columns = states.t, {k: v[:, order] for k, v in states.values.items()}
         if command_topic is not None:
-            commands = _commands(recording, command_topic, names, command_joints)
-            t, columns = _with_commands(t, columns, commands, names, command_topic, notes)
-        flat = {
-            _channel(k, j): v[:, j]
-            for k, v in columns.items()
-            for j in range(len(names))
-            if np.isfinite(v[:, j]).all()
-        }
-        notes += [
-            f"{recording.path.name}: {n} messages of {what} have trailing bytes"
-            for what, n in recording.trailing.items()
-        ]
-        found = runs_of(recording.path.stem, t, flat, recording.path.name)
+            commands = commands_of(recording, command_topic, names, command_joints)
+            t, columns = with_commands(t, columns, commands, names, command_topic, notes)
+        for what, count in recording.trailing.items():
+            notes.append(f"{recording.path.name}: {count} messages of {what} have trailing bytes")
+        found = runs_of(recording.path.stem, t, _channels(columns), recording.path.name)
         found[0].notes[:0] = notes
         runs += found
-    said = "joints are " + ", ".join(f"{j + 1} = {n}" for j, n in enumerate(names))
-    joints = {f"q{j + 1}": n for j, n in enumerate(names)}
-    torque = any(c.startswith("tau") and not c.endswith("_cmd") for c in runs[0].columns)
-    roles = dict(_ROLES) | ({"q_cmd": ("auxiliary", "rad")} if torque else {})
-    if not torque and "q1_cmd" not in runs[0].columns:
-        said += (
+    roles, joints, note = _roles(names, runs)
+    kind_words = "rosbag2" if kind == "rosbag" else "mcap"
+    return save_runs(runs, out, kind_words, roles, overwrite=overwrite, joints=joints, notes=[note])
+
+
+def _channels(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A channel for each quantity and joint whose values are all finite."""
+    channels = {}
+    for quantity, values in columns.items():
+        for j, of_joint in enumerate(values.T):
+            if np.isfinite(of_joint).all():
+                channels[_channel(quantity, j)] = of_joint
+    return channels
+
+
+def _roles(
+    names: Sequence[str], runs: Sequence[ImportedRun]
+) -> tuple[dict[str, tuple[str, str]], dict[str, str], str]:
+    """(roles, names of the joints by their positions, note) of what was recorded."""
+    roles = dict(_ROLES)
+    joints = {f"q{j}": name for j, name in enumerate(names, 1)}
+    note = "joints are " + ", ".join(f"{j} = {name}" for j, name in enumerate(names, 1))
+    recorded = runs[0].columns
+    if any(c.startswith("tau") and not c.endswith("_cmd") for c in recorded):
+        roles["q_cmd"] = ("auxiliary", "rad")
+    elif "q1_cmd" not in recorded:
+        note += (
             "; no effort was recorded, so the dataset says that nothing drives the motion (free):"
-            " name the goals with "
+            " name the goals with --command-topic, or add the channel that drives it"
         )
-        said += "--command-topic, or add the channel that drives it"
-    if doubtful := _sliding(names, runs):
-        said += (
+    doubtful = _sliding(names, runs)
+    if doubtful:
+        note += (
             f"; {', '.join(doubtful)} may slide, in m, or turn, which ROS does not say: kept as"
             " auxiliary, unit 1"
         )
     for name in doubtful:
-        number = names.index(name) + 1
-        roles |= {_channel(quantity, number - 1): ("auxiliary", "1") for quantity in _ROLES}
-        del joints[f"q{number}"]
-    kind_words = "rosbag2" if kind == "rosbag" else "mcap"
-    return save_runs(runs, out, kind_words, roles, overwrite=overwrite, joints=joints, notes=[said])
+        j = names.index(name)
+        roles |= {_channel(quantity, j): ("auxiliary", "1") for quantity in _ROLES}
+        del joints[f"q{j + 1}"]
+    return roles, joints, note
 
 
 def _finger(name: str, q: np.ndarray) -> bool:
@@ -152,11 +146,11 @@ def _arm_first(states: JointRows) -> tuple[str, ...]:
 
 def _sliding(names: Sequence[str], runs: Sequence[ImportedRun]) -> list[str]:
     """Joints that may slide in every run; none where nothing else was recorded."""
-    found = [
-        name
-        for j, name in enumerate(names)
-        if all(f"q{j + 1}" in r.columns and _finger(name, r.columns[f"q{j + 1}"]) for r in runs)
-    ]
+    found = []
+    for j, name in enumerate(names, 1):
+        positions = [run.columns.get(f"q{j}") for run in runs]
+        if all(q is not None and _finger(name, q) for q in positions):
+            found.append(name)
     return found if len(found) < len(names) else []
 
 
@@ -170,108 +164,58 @@ def _channel(quantity: str, joint: int) -> str:
 
 def _topic(recording: RosRecording, asked: str | None) -> str:
     """The topic of the states, or a refusal that lists those there are."""
-    listed = _list(recording)
     if asked is not None:
-        if asked not in recording.topics:
-            raise refused(
-                recording.path,
-                f"there is no topic {asked!r}{nearest(asked, recording.topics)}",
-                f"Topics: {listed}",
-            )
-        if recording.topics[asked][0] not in STATES:
-            message = (
-                f"topic {asked!r} holds {recording.topics[asked][0]}, which is no state of joints"
-            )
-            raise refused(
-                recording.path, message, f"Name one of {', '.join(STATES)}; topics: {listed}"
-            )
-        return asked
+        return _asked_topic(recording, asked)
     for kinds in (("JointState", "LowState"), STATES):
         found = [n for n, (kind, count) in recording.topics.items() if kind in kinds and count]
         if len(found) == 1:
             return found[0]
         if found:
-            message = (
-                f"{len(found)} topics hold states of joints, and they are not mixed: "
-                + ", ".join(
-                    f"{n} ({recording.topics[n][1]} messages:"
-                    f" {', '.join(_joints_of(recording, n))})"
-                    for n in found
-                )
-            )
-            goals = [n for n in found if any(word in n for word in _GOALS)]
-            own = next((n for n in found if n not in goals), found[0])
-            other = next((n for n in [*goals, *found] if n != own), own)
-            raise refused(
-                recording.path,
-                message,
-                f"Choose one: --topic {own} (and --command-topic {other} if those are its goals)",
-            )
-    there = f"there are no joint states in it (topics: {listed or 'none'})"
+            raise _several_topics(recording, found)
+    there = f"there are no joint states in it (topics: {topics_listed(recording) or 'none'})"
     raise refused(recording.path, there, "Record a topic of sensor_msgs/JointState")
 
 
-def _list(recording: RosRecording) -> str:
-    return ", ".join(
-        f"{n} ({kind}, {count})" for n, (kind, count) in list(recording.topics.items())[:30]
+def _asked_topic(recording: RosRecording, asked: str) -> str:
+    if asked not in recording.topics:
+        raise refused(
+            recording.path,
+            f"there is no topic {asked!r}{nearest(asked, recording.topics)}",
+            f"Topics: {topics_listed(recording)}",
+        )
+    kind = recording.topics[asked][0]
+    if kind not in STATES:
+        raise refused(
+            recording.path,
+            f"topic {asked!r} holds {kind}, which is no state of joints",
+            f"Name one of {', '.join(STATES)}; topics: {topics_listed(recording)}",
+        )
+    return asked
+
+
+def _several_topics(recording: RosRecording, found: Sequence[str]) -> Exception:
+    listed = []
+    goals, states = [], []
+    for topic in found:
+        joints = ", ".join(_joints_of(recording, topic))
+        listed.append(f"{topic} ({recording.topics[topic][1]} messages: {joints})")
+        is_goal = any(word in topic for word in _GOALS)
+        (goals if is_goal else states).append(topic)
+    own = [*states, *found][0]
+    other = next(topic for topic in [*goals, *found] if topic != own)
+    return refused(
+        recording.path,
+        f"{len(found)} topics hold states of joints, and they are not mixed: {', '.join(listed)}",
+        f"Choose one: --topic {own} (and --command-topic {other} if those are its goals)",
     )
 
 
 def _joints_of(recording: RosRecording, topic: str) -> list[str]:
     first = next(recording.read(topic), None)
-    return [] if first is None else list(_joint_values(recording.topics[topic][0], first)[0])[:12]
+    return [] if first is None else list(joint_values(recording.topics[topic][0], first)[0])[:12]
 
 
 # ---- states
-
-
-def _joint_values(kind: str, m: Message) -> tuple[list[str], Mapping[str, Sequence[float]]]:
-    """Names of a message's joints and what it says of them: q, qd, tau, kp, kd; empty lists where
-    it says nothing.
-    """
-    if kind in ("LowState", "LowCmd"):
-        motors = m.get("motor_state" if kind == "LowState" else "motor_cmd")
-        names = (
-            {"q": "q", "qd": "dq", "tau": "tau_est"}
-            if kind == "LowState"
-            else {"q": "q", "qd": "dq", "tau": "tau", "kp": "kp", "kd": "kd"}
-        )
-
-        def of(motor, key):
-            return motor[key] if isinstance(motor, dict) else getattr(motor, key)
-
-        values = {
-            ours: [float(of(motor, theirs)) for motor in motors] for ours, theirs in names.items()
-        }
-        return (
-            [*_QUADRUPED, *(f"motor_{k}" for k in range(12, len(motors)))]
-            if len(motors) == 20
-            else [f"motor_{k}" for k in range(len(motors))]
-        ), values
-    if kind == "JointTrajectoryControllerState":
-        point = m.get("feedback") or m.get("actual")
-
-        def part(key):
-            return (
-                (point.get(key) if isinstance(point, dict) else getattr(point, key, None))
-                if point is not None
-                else None
-            )
-
-        return list(m.get("joint_names")), {
-            "q": _list_of(part("positions")),
-            "qd": _list_of(part("velocities")),
-            "tau": _list_of(part("effort")),
-        }
-    return list(m.get("name")), {
-        "q": _list_of(m.get("position")),
-        "qd": _list_of(m.get("velocity")),
-        "tau": _list_of(m.get("effort")),
-    }
-
-
-def _list_of(values: Any) -> Sequence[float]:
-    return [] if values is None else values
 
 
 def _states(recording: RosRecording, topic: str, notes: list[str]) -> JointRows:
@@ -279,30 +223,12 @@ def _states(recording: RosRecording, topic: str, notes: list[str]) -> JointRows:
     by their joints.
     """
     kind = recording.topics[topic][0]
-    rows = sorted(
-        ((m.t, *_joint_values(kind, m)) for m in recording.read(topic)), key=lambda r: r[0]
-    )
+    rows = [StateRow(m.t, *joint_values(kind, m)) for m in recording.read(topic)]
+    rows.sort(key=lambda row: row.t)
     if not rows:
         raise refused(recording.path, f"topic {topic!r} is empty", "Record again")
-    sets = Counter(frozenset(names) for _, names, _ in rows)
-    # A driver may leave joints out at times: what is a part of a larger set belongs to it.
-    largest = max(sets, key=lambda s: (sets[s] >= 20, len(s), sets[s]))
-    own = [r for r in rows if frozenset(r[1]) == largest]
-    for other, count in sets.items():
-        if other == largest:
-            continue
-        if other < largest:
-            notes.append(
-                f"{recording.path.stem}: {count} messages with only some of the joints were"
-                " left out"
-            )
-        else:
-            left = ", ".join(sorted(other)[:8])
-            notes.append(
-                f"{recording.path.stem}: {topic} has another publisher, of {left} ({count}"
-                " messages); it was left out"
-            )
-    names = own[0][1]
+    rows = _of_one_publisher(recording.path.stem, topic, rows, notes)
+    names = rows[0].joints
     repeated = [n for n in names if names.count(n) > 1]
     if repeated:
         raise refused(
@@ -310,32 +236,60 @@ def _states(recording: RosRecording, topic: str, notes: list[str]) -> JointRows:
             f"joint {repeated[0]!r} stands twice in a message of {topic}",
             "Record again",
         )
-    values: dict[str, np.ndarray] = {}
-    for quantity in ("q", "qd", "tau"):
-        if all(len(r[2][quantity]) == len(r[1]) for r in own):
-            values[quantity] = np.array(
-                [[r[2][quantity][r[1].index(n)] for n in names] for r in own], float
-            )
-        elif any(len(r[2][quantity]) for r in own):
-            notes.append(
-                f"{recording.path.stem}: {quantity} stands in some messages only and was left out"
-            )
-    for quantity in ("qd", "tau"):
-        if quantity in values and not values[quantity].any():
-            notes.append(
-                f"{recording.path.stem}: {quantity} is 0 throughout, so it was not measured, and"
-                " was left out"
-            )
-            del values[quantity]
+    values = _values(recording.path.stem, rows, notes)
     if kind == "LowState":
-        moved = [j for j in range(len(names)) if any(v[:, j].any() for v in values.values())]
+        moves = [v.any(axis=0) for v in values.values()]
+        moved = np.flatnonzero(np.any(moves, axis=0))
         names, values = [names[j] for j in moved], {k: v[:, moved] for k, v in values.items()}
     if "q" not in values:
         raise refused(
             recording.path, f"topic {topic!r} holds no positions", "Name another with --topic"
         )
-    _one_publisher(recording, topic, np.array([r[0] for r in own]), values["q"])
-    return JointRows(np.array([r[0] for r in own]), tuple(names), values)
+    t = np.array([row.t for row in rows])
+    _one_publisher(recording, topic, t, values["q"])
+    return JointRows(t, tuple(names), values)
+
+
+def _of_one_publisher(
+    file: str, topic: str, rows: Sequence[StateRow], notes: list[str]
+) -> list[StateRow]:
+    """The messages of the largest set of joints that stands often; the others are noted."""
+    sets = Counter(frozenset(row.joints) for row in rows)
+    # A driver may leave joints out at times: what is a part of a larger set belongs to it.
+    largest = max(sets, key=lambda s: (sets[s] >= 20, len(s), sets[s]))
+    for other, count in sets.items():
+        if other == largest:
+            continue
+        if other < largest:
+            notes.append(f"{file}: {count} messages with only some of the joints were left out")
+            continue
+        left = ", ".join(sorted(other)[:8])
+        notes.append(
+            f"{file}: {topic} has another publisher, of {left} ({count} messages); it was left out"
+        )
+    return [row for row in rows if frozenset(row.joints) == largest]
+
+
+def _values(file: str, rows: Sequence[StateRow], notes: list[str]) -> dict[str, np.ndarray]:
+    """Quantity -> `[time joints]` in the order of the first message; what was not measured is left
+    out and noted.
+    """
+    names = rows[0].joints
+    values: dict[str, np.ndarray] = {}
+    for quantity in ("q", "qd", "tau"):
+        lengths = [len(row.values[quantity]) for row in rows]
+        if lengths != [len(row.joints) for row in rows]:
+            if any(lengths):
+                notes.append(f"{file}: {quantity} stands in some messages only and was left out")
+            continue
+        values[quantity] = np.array([row.of(quantity, names) for row in rows], float)
+    for quantity in ("qd", "tau"):
+        if quantity in values and not values[quantity].any():
+            notes.append(
+                f"{file}: {quantity} is 0 throughout, so it was not measured, and was left out"
+            )
+            del values[quantity]
+    return values
 
 
 def _one_publisher(recording: RosRecording, topic: str, t: np.ndarray, q: np.ndarray) -> None:
@@ -354,161 +308,3 @@ def _one_publisher(recording: RosRecording, topic: str, t: np.ndarray, q: np.nda
             " another motion"
         )
         raise refused(recording.path, message, "Record them under topics of their own")
-
-
-# ---- commands
-
-
-def _commands(
-    recording: RosRecording, asked: str, joints: Sequence[str], stated: Sequence[str]
-) -> JointRows:
-    """The goals of a topic, at the times when they were given."""
-    topic, _, quantity = asked.partition(":") if asked not in recording.topics else (asked, "", "")
-    if topic not in recording.topics or recording.topics[topic][0] not in COMMANDS:
-        found = [n for n, (kind, _) in recording.topics.items() if kind in COMMANDS]
-        what = (
-            f"holds {recording.topics[topic][0]}, which is no command"
-            if topic in recording.topics
-            else "is not there"
-        )
-        remedy = f"Name one of: {', '.join(found) or 'none is there'}"
-        raise refused(
-            recording.path, f"topic {topic!r} {what} (topics: {_list(recording)})", remedy
-        )
-    kind = recording.topics[topic][0]
-    messages = sorted(recording.read(topic), key=lambda m: m.t)
-    if not messages:
-        raise refused(recording.path, f"topic {topic!r} is empty", "Name another")
-    if kind == "Float64MultiArray":
-        return _plain_commands(recording, topic, quantity, messages, joints, stated)
-    if kind == "JointTrajectory":
-        return _points(messages, joints, recording, topic)
-    rows = []
-    for m in messages:
-        names, values = (
-            _joint_values(kind, m) if kind != "JointTrajectoryControllerState" else _reference(m)
-        )
-        if set(joints) <= set(names):
-            rows.append(
-                (
-                    m.t,
-                    {
-                        k: [v[names.index(j)] for j in joints]
-                        for k, v in values.items()
-                        if len(v) == len(names)
-                    },
-                )
-            )
-    if not rows:
-        message = f"topic {topic!r} commands other joints than {', '.join(joints)}"
-        raise refused(recording.path, message, "Name the topic of this robot's commands")
-    kept = [k for k in rows[0][1] if all(k in r[1] for r in rows)]
-    if kind == "JointState":
-        kept = [k for k in kept if k == "q" or any(np.any(r[1][k]) for r in rows)]
-    return JointRows(
-        np.array([r[0] for r in rows]),
-        tuple(joints),
-        {f"{k}_cmd": np.array([r[1][k] for r in rows], float) for k in kept},
-    )
-
-
-def _reference(m: Message) -> tuple[list[str], dict[str, Sequence[float]]]:
-    point = m.get("reference") or m.get("desired")
-
-    def part(key):
-        return _list_of(point.get(key) if isinstance(point, dict) else getattr(point, key, None))
-
-    return list(m.get("joint_names")), {"q": part("positions"), "qd": part("velocities")}
-
-
-def _plain_commands(
-    recording: RosRecording,
-    topic: str,
-    quantity: str,
-    messages: list[Message],
-    joints: Sequence[str],
-    stated: Sequence[str],
-) -> JointRows:
-    """Numbers without names: what they are and whose has to be said."""
-    quantity = quantity or next((q for q in _QUANTITIES if q in topic), "")
-    if quantity not in _QUANTITIES:
-        message = f"{topic} holds numbers, and its name does not say of what"
-        raise refused(
-            recording.path,
-            message,
-            f"Write --command-topic {topic}:position (or :velocity, :effort)",
-        )
-    width = len(messages[0].get("data"))
-    if set(stated) != set(joints) or len(stated) != width:
-        message = (
-            f"{topic} holds {width} numbers a message without names of joints; the states are of"
-            f" {', '.join(joints)}"
-        )
-        remedy = f"State the controller's own order: --command-joints {','.join(joints)}"
-        raise refused(recording.path, message, remedy)
-    order = [list(stated).index(j) for j in joints]
-    whole = [m for m in messages if len(m.get("data")) == width]
-    values = np.array([list(m.get("data")) for m in whole], float)[:, order]
-    return JointRows(
-        np.array([m.t for m in whole]), tuple(joints), {f"{_QUANTITIES[quantity]}_cmd": values}
-    )
-
-
-def _points(
-    messages: list[Message], joints: Sequence[str], recording: RosRecording, topic: str
-) -> JointRows:
-    """The points of trajectories at their times: a point is the goal from when it is due."""
-    rows = []
-
-    def of(thing, key):
-        return thing[key] if isinstance(thing, dict) else getattr(thing, key)
-
-    for m in messages:
-        names = list(m.get("joint_names"))
-        if not set(joints) <= set(names):
-            continue
-        for point in m.get("points"):
-            due = of(point, "time_from_start")
-            t = m.t + float(of(due, "sec")) + 1e-9 * float(of(due, "nanosec"))
-            positions = of(point, "positions")
-            rows.append((t, [positions[names.index(j)] for j in joints]))
-    if not rows:
-        raise refused(
-            recording.path,
-            f"topic {topic!r} commands other joints than {', '.join(joints)}",
-            "Name another topic",
-        )
-    rows.sort(key=lambda r: r[0])
-    return JointRows(
-        np.array([r[0] for r in rows]),
-        tuple(joints),
-        {"q_cmd": np.array([r[1] for r in rows], float)},
-    )
-
-
-def _with_commands(
-    t: np.ndarray,
-    columns: dict[str, np.ndarray],
-    commands: JointRows,
-    names: Sequence[str],
-    topic: str,
-    notes: list[str],
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """The last command at the time of each state; what was before the first one is left out."""
-    inside = t >= commands.t[0]
-    if inside.sum() < 2:
-        raise UsageError(
-            f"--command-topic {topic}: its first command came {commands.t[0] - t[-1]:.3g} s after"
-            " the last state"
-        )
-    if not inside.all():
-        notes.append(
-            f"{int(np.sum(~inside))} samples before the first command of {topic} were left out"
-        )
-    late = t[inside] - commands.t[np.searchsorted(commands.t, t[inside], side="right") - 1]
-    notes.append(
-        f"{topic}: the last command at each sample, {1e3 * float(np.median(late)):.3g} ms old in"
-        " the median"
-    )
-    taken = {k: held(t[inside], commands.t, v) for k, v in commands.values.items()}
-    return t[inside], {k: v[inside] for k, v in columns.items()} | taken

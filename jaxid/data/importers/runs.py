@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,21 +46,32 @@ def runs_of(
     Raises `DatasetError` for rows that are out of order and cannot be sorted: two recordings mixed
     row by row.
     """
-    back = np.flatnonzero(np.diff(t) < 0) + 1
-    edges = [0, *back.tolist(), len(t)]
-    if len(back) == 0 or min(np.diff(edges)) >= MINIMUM_SAMPLES:
-        parts = list(zip(edges[:-1], edges[1:], strict=True))
-        names = [name] if len(parts) == 1 else [f"{name}_{k}" for k in range(1, len(parts) + 1)]
-        runs = [
-            _counted(n, t[a:b], {k: v[a:b] for k, v in columns.items()})
-            for n, (a, b) in zip(names, parts, strict=True)
-        ]
-        if len(back):
-            rows = ", ".join(str(int(b)) for b in back[:5])
-            runs[0].notes.append(
-                f"{name}: the time starts again at sample {rows}, so it is {len(parts)} runs"
-            )
-        return runs
+    starts = np.flatnonzero(np.diff(t) < 0) + 1
+    edges = [0, *starts.tolist(), len(t)]
+    if len(starts) == 0:
+        return [_counted(name, t, columns)]
+    if min(np.diff(edges)) >= MINIMUM_SAMPLES:
+        return _runs_between(edges, name, t, columns)
+    return [_sorted(name, t, columns, file)]
+
+
+def _runs_between(
+    edges: Sequence[int], name: str, t: np.ndarray, columns: Mapping[str, np.ndarray]
+) -> list[ImportedRun]:
+    """A run between each two edges, at which the time starts again."""
+    runs = []
+    for number, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True), 1):
+        part = {channel: values[a:b] for channel, values in columns.items()}
+        runs.append(_counted(f"{name}_{number}", t[a:b], part))
+    rows = ", ".join(str(row) for row in edges[1:-1][:5])
+    runs[0].notes.append(
+        f"{name}: the time starts again at sample {rows}, so it is {len(runs)} runs"
+    )
+    return runs
+
+
+def _sorted(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: str) -> ImportedRun:
+    """One run of rows that are out of order in time."""
     order = np.argsort(t, kind="stable")
     late = int(np.sum(t < np.maximum.accumulate(t)))
     sorted_t, sorted_columns = t[order], {k: v[order] for k, v in columns.items()}
@@ -76,17 +88,16 @@ def runs_of(
         raise DatasetError([DatasetProblem(file, None, None, message, remedy)])
     run = _counted(name, sorted_t, sorted_columns)
     run.notes.insert(0, f"{name}: {late} rows were out of order in time; they were sorted")
-    return [run]
+    return run
 
 
 def _differing(t: np.ndarray, columns: Mapping[str, np.ndarray]) -> list[int]:
     """Rows whose time the next one repeats with other values; two blank cells are alike."""
-    repeated = np.flatnonzero(np.diff(t) == 0)
-
-    def alike(v):
-        return np.array_equal(v[:1], v[1:], equal_nan=True)
-
-    return [int(k) for k in repeated if not all(alike(v[k : k + 2]) for v in columns.values())]
+    differing = np.zeros(max(len(t) - 1, 0), bool)
+    for values in columns.values():
+        both_blank = np.isnan(values[:-1]) & np.isnan(values[1:])
+        differing |= (values[:-1] != values[1:]) & ~both_blank
+    return np.flatnonzero(differing & (np.diff(t) == 0)).tolist()
 
 
 def _counted(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray]) -> ImportedRun:
@@ -131,64 +142,38 @@ def save_runs(
     NaN was not read (`valid` in `dataset.toml`); every note is warned of and stands in the
     description.
     """
-    names = [c for c in runs[0].columns if all(c in r.columns for r in runs)]
-    notes = [*notes, *(n for r in runs for n in r.notes)]
-    if left := sorted({c for r in runs for c in r.columns} - set(names)):
-        notes.append(f"channels that not every run has were left out: {', '.join(left)}")
+    shared, said = _shared_columns(runs)
+    notes = [*notes, *said]
+    keys = {channel: _key(channel, roles) for channel in shared}
+    role = {channel: roles[key][0] or role_of(channel) for channel, key in keys.items()}
+    notes += _motionless(role, shared)
+    sign_bit, signed_bits, said = _signed(role, shared)
+    notes += said
 
-    def stem(c):
-        return c if c in roles else re.sub(r"\d+", "", c)
+    def of_role(wanted: str) -> dict[str, list[np.ndarray]]:
+        return {c: values for c, values in shared.items() if role[c] == wanted}
 
-    role = {c: roles[stem(c)][0] or role_of(c) for c in names}
-    outputs = [c for c in names if role[c] == "output"]
-    still = [
-        c
-        for c in outputs
-        if all(np.ptp(r.columns[c][np.isfinite(r.columns[c])]) == 0 for r in runs)
-    ]
-    for c in still:
-        if len(still) < len(outputs):  # a joint that was held is one of the arm's all the same
-            notes.append(f"{c} never moves")
-        else:  # a dataset in which no output moves cannot be read
-            role[c] = "auxiliary"
-            notes.append(f"{c} never moves and is kept as an auxiliary channel")
-    registers = {
-        c: found for c in names if (found := found_sign([r.columns[c] for r in runs])) is not None
-    }
-
-    def bits(key):
-        return {c: number for c, (form, number) in registers.items() if form == key}
-
-    sign_bit = bits("sign_bit")
-    # An output that is brought round to 0 may be a counter that wraps, which `jaxid check` tells.
-    signed_bits = {c: number for c, number in bits("signed_bits").items() if role[c] != "output"}
-    notes += [
-        f"{c} {register_words(*registers[c])}; it was taken with it"
-        for c in (*sign_bit, *signed_bits)
-    ]
-
-    def pick(wanted):
-        return {c: [r.columns[c] for r in runs] for c in names if role[c] == wanted}
-
-    blank = [c for c in names if any(np.isnan(r.columns[c]).any() for r in runs)]
+    said = "; ".join(notes) or "nothing repeated, nothing missing"
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", DatasetWarning
-        )  # the same is said below, in words that name the file
+        # the same is said below, in words that name the file
+        warnings.simplefilter("ignore", DatasetWarning)
         dataset = Dataset.from_arrays(
-            [r.t for r in runs],
-            pick("input"),
-            pick("output"),
-            auxiliary=pick("auxiliary"),
-            units={c: (units or {}).get(c, roles[stem(c)][1]) for c in names},
+            [run.t for run in runs],
+            of_role("input"),
+            of_role("output"),
+            auxiliary=of_role("auxiliary"),
+            units={c: (units or {}).get(c, roles[key][1]) for c, key in keys.items()},
             name=Path(out).name,
-            description=f"imported from {kind}; "
-            + ("; ".join(notes) or "nothing repeated, nothing missing"),
-            source={"source": kind, "files": ", ".join(r.name for r in runs)} | dict(beside or {}),
-            names=_unique([r.name for r in runs]),
+            description=f"imported from {kind}; {said}",
+            source={
+                "source": kind,
+                "files": ", ".join(run.name for run in runs),
+                **(beside or {}),
+            },
+            names=_unique([run.name for run in runs]),
             split_at_gaps=True,
-            valid={c: [np.isfinite(r.columns[c]).astype(float) for r in runs] for c in blank},
-            resolution={c: v for c in names for s, v in (resolution or {}).items() if stem(c) == s},
+            valid=_finite_where_blank(shared),
+            resolution=_by_channel(keys, resolution or {}),
             model=ModelSpec(joints=dict(joints)) if joints else None,
             sign_bit=sign_bit,
             signed_bits=signed_bits,
@@ -201,11 +186,95 @@ def save_runs(
     return folder
 
 
+def _key(channel: str, roles: Mapping[str, tuple[str | None, str]]) -> str:
+    """The key of a channel in `roles`: the channel, or its name without the joint."""
+    return channel if channel in roles else re.sub(r"\d+", "", channel)
+
+
+def _by_channel(keys: Mapping[str, str], values: Mapping[str, float]) -> dict[str, float]:
+    """Numbers by the channels; `keys`: channel -> its key in `values`."""
+    return {channel: values[key] for channel, key in keys.items() if key in values}
+
+
+def _shared_columns(
+    runs: Sequence[ImportedRun],
+) -> tuple[dict[str, list[np.ndarray]], list[str]]:
+    """The values, run by run, of the channels that every run has; the notes of the runs and one of
+    other channels.
+    """
+    counts: Counter[str] = Counter()
+    notes: list[str] = []
+    for run in runs:
+        counts.update(run.columns.keys())
+        notes += run.notes
+    shared = {}
+    for channel in runs[0].columns:
+        if counts[channel] == len(runs):
+            shared[channel] = [run.columns[channel] for run in runs]
+    left = sorted(counts.keys() - shared.keys())
+    if left:
+        notes.append(f"channels that not every run has were left out: {', '.join(left)}")
+    return shared, notes
+
+
+def _motionless(role: dict[str, str], columns: Mapping[str, Sequence[np.ndarray]]) -> list[str]:
+    """Notes of the outputs that never move; where none moves, all become auxiliary in `role`."""
+    outputs = [c for c, r in role.items() if r == "output"]
+    still = []
+    for channel in outputs:
+        ranges = [np.ptp(values[np.isfinite(values)]) for values in columns[channel]]
+        if not np.any(ranges):
+            still.append(channel)
+    # A joint that was held is one of the arm's all the same.
+    if len(still) < len(outputs):
+        return [f"{channel} never moves" for channel in still]
+    # A dataset in which no output moves cannot be read.
+    role |= dict.fromkeys(still, "auxiliary")
+    return [f"{channel} never moves and is kept as an auxiliary channel" for channel in still]
+
+
+def _signed(
+    role: Mapping[str, str], columns: Mapping[str, Sequence[np.ndarray]]
+) -> tuple[dict[str, int], dict[str, int], list[str]]:
+    """The channels whose registers hold a sign bit, those in two's complement, and notes."""
+    sign_bit: dict[str, int] = {}
+    signed_bits: dict[str, int] = {}
+    words = {}
+    for channel, values in columns.items():
+        found = found_sign(values)
+        if found is None:
+            continue
+        form, number = found
+        words[channel] = f"{channel} {register_words(*found)}; it was taken with it"
+        if form == "sign_bit":
+            sign_bit[channel] = number
+        # An output that is brought round to 0 may be a counter that wraps, which `jaxid check`
+        # tells.
+        elif form == "signed_bits" and role[channel] != "output":
+            signed_bits[channel] = number
+    return sign_bit, signed_bits, [words[channel] for channel in (*sign_bit, *signed_bits)]
+
+
+def _finite_where_blank(
+    columns: Mapping[str, Sequence[np.ndarray]],
+) -> dict[str, list[np.ndarray]]:
+    """1.0 where a sample was read, 0.0 where it was not, of the channels that have blanks."""
+    valid = {}
+    for channel, values in columns.items():
+        finite = [np.isfinite(v) for v in values]
+        if not all(f.all() for f in finite):
+            valid[channel] = [f.astype(float) for f in finite]
+    return valid
+
+
 def _unique(names: Sequence[str]) -> list[str]:
     """Names of runs, numbered where files of other folders have the same."""
-    return [
-        n if names.count(n) == 1 else f"{n}_{names[: k + 1].count(n)}" for k, n in enumerate(names)
-    ]
+    unique = []
+    for k, name in enumerate(names):
+        if names.count(name) > 1:
+            name = f"{name}_{names[: k + 1].count(name)}"
+        unique.append(name)
+    return unique
 
 
 def role_of(name: str) -> str:

@@ -104,17 +104,12 @@ def read_text(
             f"no rows of numbers are found in it (it begins with {shown!r})",
             "State --separator, --decimal and --header",
         )
-    rows, numbers = [], []
-    header = _fields(_bare(lines[form.header - 1], form), form) if form.header else None
-    names = _stacked(lines, form, header) if header else []
-    for number, line in enumerate(lines[form.first - 1 :], form.first):
-        if not line.strip() or (form.comment and line.lstrip().startswith(form.comment)):
-            continue
-        cells = _fields(line, form)
-        if not any(cells) or cells == header:
-            continue
-        rows.append([_point(c) for c in cells] if form.decimal == "," else cells)
-        numbers.append(number)
+    header = None
+    names = []
+    if form.header:
+        header = _fields(_bare(lines[form.header - 1], form), form)
+        names = _stacked(lines, form, header)
+    rows, numbers = _rows(lines, form, header)
     if not rows:
         raise refused(path, "a header without samples", "Give at least 20 samples")
     counts = [len(r) for r in rows]
@@ -124,41 +119,84 @@ def read_text(
     table = csv_columns(path.name, list(stripped), rows, numbers)
     if table.problems:
         raise DatasetError(table.problems)
-    said = {n: u for n, u in zip(stripped, units, strict=True) if u}
+    said = {name: unit for name, unit in zip(stripped, units, strict=True) if unit}
     if form.units is not None:
         cells = _fields(_bare(lines[form.units - 1], form), form)
-        said |= {n: _inside(c) for n, c in zip(stripped, cells, strict=False) if _known(_inside(c))}
+        for name, cell in zip(stripped, cells, strict=False):
+            unit = _inside(cell)
+            if _known(unit):
+                said[name] = unit
     return table, said, form
+
+
+def _rows(
+    lines: Sequence[str], form: TextFormat, header: list[str] | None
+) -> tuple[list[list[str]], list[int]]:
+    """The cells of the rows of data, numbers with a point, and the lines on which they stand."""
+    rows, numbers = [], []
+    for number, line in enumerate(lines[form.first - 1 :], form.first):
+        if not line.strip() or (form.comment and line.lstrip().startswith(form.comment)):
+            continue
+        cells = _fields(line, form)
+        if not any(cells) or cells == header:
+            continue
+        if form.decimal == ",":
+            cells = [_point(c) for c in cells]
+        rows.append(cells)
+        numbers.append(number)
+    return rows, numbers
 
 
 def recognise(lines: Sequence[str], stated: StatedFormat = StatedFormat()) -> TextFormat | None:
     """How rows of text hold a table, or None where none of them are numbers."""
-    comment = next(
-        (c for c in COMMENTS for line in lines[:1000] if line.lstrip().startswith(c)), None
-    )
-    data = [
-        k
-        for k, line in enumerate(lines)
-        if line.strip(" \t,;|") and not (comment and line.lstrip().startswith(comment))
-    ]
+    comment = _comment_sign(lines)
+    data: list[int] = []
+    for k, line in enumerate(lines):
+        is_comment = comment is not None and line.lstrip().startswith(comment)
+        if line.strip(" \t,;|") and not is_comment:
+            data.append(k)
     if stated.first is not None:
         data = [k for k in data if k >= stated.first - 1]
-    body = [lines[k] for k in data[-min(_BODY, -(-len(data) // 2)) :]] if data else []
-    best: tuple[int, list[bool], TextFormat] | None = None
-    for separator in [stated.separator] if stated.separator else SEPARATORS:
-        for decimal in [stated.decimal] if stated.decimal else [d for d in ".," if d != separator]:
-            form = TextFormat(separator, decimal, 1, None, None, comment)
-            numeric = _numeric(body, form)
-            if any(numeric) and (best is None or sum(numeric) > best[0]):
-                best = (sum(numeric), numeric, form)
-    if best is None:
+    half = -(-len(data) // 2)
+    body = [lines[k] for k in data[len(data) - min(_BODY, half) :]]
+    form, numeric = _best_separators(body, stated, comment)
+    if form is None:
         return None
-    _, numeric, form = best
-    first = _first(lines, data, numeric, form) if stated.first is None else stated.first - 1
-    form = replace(form, first=first + 1)
+    if stated.first is None:
+        form = replace(form, first=_first(lines, data, numeric, form) + 1)
+    else:
+        form = replace(form, first=stated.first)
     if stated.header is not None:
         return replace(form, header=stated.header or None, first=max(form.first, stated.header + 1))
     return _with_header(lines, len(numeric), form)
+
+
+def _comment_sign(lines: Sequence[str]) -> str | None:
+    """What the first comment among the first lines begins with."""
+    for line in lines[:1000]:
+        for sign in COMMENTS:
+            if line.lstrip().startswith(sign):
+                return sign
+    return None
+
+
+def _best_separators(
+    body: Sequence[str], stated: StatedFormat, comment: str | None
+) -> tuple[TextFormat | None, list[bool]]:
+    """The format by which most columns are numbers, and which of them are; None for no numbers."""
+    best: TextFormat | None = None
+    best_numeric: list[bool] = []
+    separators = [stated.separator] if stated.separator else SEPARATORS
+    decimals = [stated.decimal] if stated.decimal else [".", ","]
+    for separator in separators:
+        for decimal in decimals:
+            if decimal == separator and not stated.decimal:
+                continue
+            form = TextFormat(separator, decimal, 1, None, None, comment)
+            numeric = _numeric(body, form)
+            if sum(numeric) > sum(best_numeric):
+                best, best_numeric = form, numeric
+    return best, best_numeric
 
 
 def _numeric(body: Sequence[str], form: TextFormat) -> list[bool]:
@@ -167,22 +205,21 @@ def _numeric(body: Sequence[str], form: TextFormat) -> list[bool]:
     separates them.
     """
     rows = [_fields(line, form) for line in body]
-    width = max((len(r) for r in rows), key=[len(r) for r in rows].count, default=0)
-    usual = [r for r in rows if len(r) == width]
+    widths = [len(row) for row in rows]
+    width = max(widths, key=widths.count, default=0)
+    usual = [row for row in rows if len(row) == width]
     if not usual or len(usual) < 0.9 * len(rows):
         return []
-    written = [[r[k] for r in usual if r[k]] for k in range(width)]
-    numeric = [
-        bool(cells) and sum(_is_data(c, form) for c in cells) >= 0.9 * len(cells)
-        for cells in written
-    ]
-    torn = any(
-        _TORN.fullmatch(c) and not _is_data(c, form)
-        for k in range(width)
-        if not numeric[k]
-        for c in written[k]
-    )
-    return [] if torn else numeric
+    numeric = []
+    for cells in zip(*usual, strict=True):
+        written = [c for c in cells if c]
+        data = [c for c in written if _is_data(c, form)]
+        is_numeric = bool(written) and len(data) >= 0.9 * len(written)
+        others = set(written) - set(data)
+        if not is_numeric and any(_TORN.fullmatch(c) for c in others):
+            return []
+        numeric.append(is_numeric)
+    return numeric
 
 
 def _is_data(cell: str, form: TextFormat) -> bool:

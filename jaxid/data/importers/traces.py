@@ -82,11 +82,12 @@ def unit_of(times: np.ndarray) -> str:
 
 def _sample(line: str, separator: str) -> tuple[float, float] | None:
     """A row of a block: a time and a value."""
-    cells = [c.strip() for c in line.split(separator) if c.strip()]
+    if separator != ",":
+        line = line.replace(",", ".")
+    cells = [c for c in line.split(separator) if c.strip()]
     if len(cells) != 2:
         return None
     try:
-        time, value = (float(c if separator == "," else c.replace(",", ".")) for c in cells)
+        return float(cells[0]), float(cells[1])
     except ValueError:
         return None
-    return time, value

@@ -90,65 +90,47 @@ def from_arrays(
     **settings: Any,
 ) -> Dataset:
     """See `Dataset.from_arrays`."""
-    allowed = (*RUN_SETTINGS, *CHANNEL_SETTINGS, "valid", *DATASET_SETTINGS)
-    for key in settings:
-        if key not in allowed:
-            raise TypeError(f"from_arrays has no argument {key!r}{nearest(key, allowed)}")
+    _check_arguments(settings)
     name = str(settings.get("name", "data"))
-    roles = {"input": inputs, "output": outputs, "auxiliary": auxiliary}
-    signals = {channel: values for group in roles.values() for channel, values in group.items()}
-    twice = [c for c in signals if sum(c in group for group in roles.values()) > 1]
-    if twice:
-        raise DatasetError(
-            [DatasetProblem(name, None, twice[0], "the channel has two roles", "Give it one role")]
-        )
-    count = _runs(t)
+    signals: dict[str, Any] = {}
+    channels: dict[str, dict[str, Any]] = {}
+    groups = {"input": inputs, "output": outputs, "auxiliary": auxiliary}
+    for role, group in groups.items():
+        for channel, values in group.items():
+            if channel in signals:
+                message = "the channel has two roles"
+                raise DatasetError(
+                    [DatasetProblem(name, None, channel, message, "Give it one role")]
+                )
+            signals[channel] = values
+            channels[channel] = _channel(channel, role, units, settings)
     valid = settings.get("valid") or {}
     signals |= {f"{channel}{VALID}": read for channel, read in valid.items()}
-    runs = [(t, signals)] if count is None else _each_run(name, t, signals, count)
-    entries = _run_entries(name, count, settings)
-    channels = {
-        channel: _channel(channel, role, units, settings)
-        for role, group in roles.items()
-        for channel in group
-    }
     for channel in valid.keys() & channels.keys():
         channels[channel]["valid"] = f"{channel}{VALID}"
-    problems = [
-        DatasetProblem(
-            name,
-            None,
-            key,
-            f"{what} names a channel that is not there{nearest(key, signals)}",
-            "Correct the name",
-        )
-        for what, given in (
-            ("units", units),
-            ("valid", valid),
-            *((s, settings.get(s) or {}) for s in CHANNEL_SETTINGS),
-        )
-        for key in given
-        if key not in signals
-    ]
-    problems += [
-        DatasetProblem(
-            name, None, channel, "the unit is not stated", f"Say units={{{channel!r}: ...}}"
-        )
-        for channel, entry in channels.items()
-        if "unit" not in entry
-    ]
+    count = _runs(t)
+    runs = [(t, signals)] if count is None else _each_run(name, t, signals, count)
+    entries = _run_entries(name, count, settings)
+    by_channel = {"units": units} | {
+        key: settings.get(key) or {} for key in ("valid", *CHANNEL_SETTINGS)
+    }
+    problems = _unnamed(name, by_channel, signals) + _without_unit(name, channels)
     if problems:
         raise DatasetError(problems)
-    raw: dict[str, Any] = {"name": name, "description": str(settings.get("description", ""))}
-    raw |= {"time_unit": settings["time_unit"]} if settings.get("time_unit") is not None else {}
-    raw |= {"source": settings["source"]} if settings.get("source") is not None else {}
-    raw |= {"channels": channels, "experiments": entries}
-    model = _model(settings.get("model"), free=not inputs)
-    raw |= {"model": model} if model else {}
     controller = settings.get("controller")
     if isinstance(controller, Controller):
         controller = {"kind": controller.kind, **controller.settings}
-    raw |= {"controller": controller} if controller is not None else {}
+    entire = {
+        "name": name,
+        "description": str(settings.get("description", "")),
+        "time_unit": settings.get("time_unit"),
+        "source": settings.get("source"),
+        "channels": channels,
+        "experiments": entries,
+        "model": _model(settings.get("model"), free=not inputs) or None,
+        "controller": controller,
+    }
+    raw = {key: value for key, value in entire.items() if value is not None}
     tables = [
         table_of_arrays(entry["file"], {"t": time, **values})
         for entry, (time, values) in zip(entries, runs, strict=True)
@@ -167,6 +149,36 @@ def from_arrays(
     )
 
 
+def _check_arguments(settings: Mapping[str, Any]) -> None:
+    allowed = (*RUN_SETTINGS, *CHANNEL_SETTINGS, "valid", *DATASET_SETTINGS)
+    for key in settings:
+        if key not in allowed:
+            raise TypeError(f"from_arrays has no argument {key!r}{nearest(key, allowed)}")
+
+
+def _unnamed(
+    name: str, by_channel: Mapping[str, Mapping[str, Any]], signals: Mapping[str, Any]
+) -> list[DatasetProblem]:
+    """Settings of channels that are not there."""
+    problems = []
+    for what, given in by_channel.items():
+        for key in given:
+            if key in signals:
+                continue
+            message = f"{what} names a channel that is not there{nearest(key, signals)}"
+            problems.append(DatasetProblem(name, None, key, message, "Correct the name"))
+    return problems
+
+
+def _without_unit(name: str, channels: Mapping[str, Mapping[str, Any]]) -> list[DatasetProblem]:
+    problems = []
+    for channel, entry in channels.items():
+        if "unit" not in entry:
+            remedy = f"Say units={{{channel!r}: ...}}"
+            problems.append(DatasetProblem(name, None, channel, "the unit is not stated", remedy))
+    return problems
+
+
 def _runs(t: Any) -> int | None:
     """How many runs `t` holds, or None for one run given plainly."""
     if isinstance(t, list | tuple) and t and np.ndim(t[0]) > 0:
@@ -180,16 +192,12 @@ def _each_run(
     for channel, values in signals.items():
         if not isinstance(values, list | tuple) or len(values) != count:
             message = f"t holds {count} runs, but {channel!r} is not a list of {count} arrays"
-            raise DatasetError(
-                [
-                    DatasetProblem(
-                        name, None, channel, message, "Give one array a run, in the same order"
-                    )
-                ]
-            )
-    return [
-        (t[i], {channel: values[i] for channel, values in signals.items()}) for i in range(count)
-    ]
+            remedy = "Give one array a run, in the same order"
+            raise DatasetError([DatasetProblem(name, None, channel, message, remedy)])
+    runs = []
+    for i in range(count):
+        runs.append((t[i], {channel: values[i] for channel, values in signals.items()}))
+    return runs
 
 
 def _run_entries(name: str, count: int | None, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -277,38 +285,48 @@ def from_frame(
     **settings: Any,
 ) -> Dataset:
     """See `Dataset.from_frame`."""
-    frames = list(frame) if isinstance(frame, list | tuple) else [frame]
+    single = not isinstance(frame, list | tuple)
+    frames = [frame] if single else list(frame)
     groups = [_mapping(g) for g in (inputs, outputs, auxiliary)]
+    columns = [time]
+    for group in groups:
+        columns += group.values()
     name = str(settings.get("name", "data"))
     problems = []
     for one in frames:
-        there = [
-            str(c) for c in (one.column_names if hasattr(one, "column_names") else one.columns)
-        ]
-        for column in [time, *(c for g in groups for c in g.values())]:
-            if column not in there:
-                message = f"there is no column {column!r}{nearest(column, there)}"
-                index = getattr(getattr(one, "index", None), "name", None)
-                own = column == time and (
-                    index == time or type(getattr(one, "index", None)).__name__ in _TIME_INDEX
-                )
-                remedy = (
-                    "The time is the frame's index: give frame.reset_index()"
-                    if own
-                    else "Name a column of the frame"
-                )
-                problems.append(DatasetProblem(name, None, column, message, remedy))
+        problems += _absent_columns(name, one, columns, time)
     if problems:
         raise DatasetError(list(dict.fromkeys(problems)))
-    single = not isinstance(frame, list | tuple)
 
     def arrays_of(column: str) -> Any:
         arrays = [np.asarray(one[column]) for one in frames]
         return arrays[0] if single else arrays
 
-    signals = [{channel: arrays_of(c) for channel, c in group.items()} for group in groups]
+    def signals_of(group: Mapping[str, str]) -> dict[str, Any]:
+        return {channel: arrays_of(column) for channel, column in group.items()}
+
     units = settings.pop("units", None) or {}
+    signals = [signals_of(group) for group in groups]
     return from_arrays(arrays_of(time), signals[0], signals[1], signals[2], units, **settings)
+
+
+def _absent_columns(
+    name: str, frame: Any, columns: Sequence[str], time: str
+) -> list[DatasetProblem]:
+    """A problem for each column that a table of pandas, polars or Arrow lacks."""
+    there = [str(c) for c in getattr(frame, "column_names", frame.columns)]
+    index = getattr(frame, "index", None)
+    is_time = type(index).__name__ in _TIME_INDEX or getattr(index, "name", None) == time
+    problems = []
+    for column in columns:
+        if column in there:
+            continue
+        remedy = "Name a column of the frame"
+        if column == time and is_time:
+            remedy = "The time is the frame's index: give frame.reset_index()"
+        message = f"there is no column {column!r}{nearest(column, there)}"
+        problems.append(DatasetProblem(name, None, column, message, remedy))
+    return problems
 
 
 def _mapping(columns: Sequence[str] | Mapping[str, str]) -> dict[str, str]:

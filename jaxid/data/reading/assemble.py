@@ -5,16 +5,19 @@ then the samples.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 from jaxid.data.dataset import Controller, Dataset, Geometry
+from jaxid.data.experiment import Experiment, FrequencyResponse
+from jaxid.data.harvest import Harvest
 from jaxid.data.joint_names import in_chain_order, number_of, renamed, renumbered
 from jaxid.data.patterns import expanded_channels
 from jaxid.data.reading.own_model import file_of, info_of_file, runs_as_code, stated
 from jaxid.data.reading.stated_model import as_robot, as_robot_entry, geometry_of, joints_of
-from jaxid.data.records import ChannelReading, Harvest, read_record, read_response
+from jaxid.data.records import ChannelReading, read_record
+from jaxid.data.responses import read_response
 from jaxid.data.schema import Document, ExperimentEntry, Header, Places
 from jaxid.data.table import Table
 from jaxid.data.units import Conversion, conversion, si_unit, UnitError
@@ -44,6 +47,7 @@ def assemble(
     info = _model_info(document, places, problems, geometry, file) if check_model else None
     readings = _readings(document, places, problems, info)
     problems += _roles(document, places, known_model=info is not None)
+    problems += _splits(document, places)
     problems += _references(document, places)
     chain = joints_of(geometry) if check_model else ()
     if info is not None:
@@ -52,36 +56,36 @@ def assemble(
     problems += _still_outputs(harvests)
     if problems:
         raise DatasetError(_each_once(problems))
-    alerts = (
-        [text for h in harvests for text in h.warnings]
-        + _still_inputs(harvests)
-        + _held_outputs(harvests)
-    )
+    experiments: list[Experiment] = []
+    responses: list[FrequencyResponse] = []
+    notes = [*document.notes, *runs_as_code(file, info)]
+    alerts: list[str] = []
+    for harvest in harvests:
+        experiments += harvest.experiments
+        responses += harvest.responses
+        notes += harvest.notes
+        alerts += harvest.warnings
+    alerts += _still_inputs(harvests) + _held_outputs(harvests)
     for text in alerts:
         warnings.warn(text, DatasetWarning, stacklevel=3)
     header = document.header
     assert header is not None
+    model = None
+    if document.model is not None:
+        model = stated(document.model, geometry, file, info)
+    controller = None
+    if document.controller is not None:
+        controller = Controller(document.controller.kind, document.controller.settings)
     dataset = Dataset(
         name=header.name,
         description=header.description,
         source=_origin(header),
         channels=tuple(r.channel for r in readings),
-        experiments=tuple(e for h in harvests for e in h.experiments),
-        responses=tuple(r for h in harvests for r in h.responses),
-        model=None if document.model is None else stated(document.model, geometry, file, info),
-        controller=(
-            None
-            if document.controller is None
-            else Controller(document.controller.kind, document.controller.settings)
-        ),
-        notes=tuple(
-            [
-                *document.notes,
-                *runs_as_code(file, info),
-                *(note for h in harvests for note in h.notes),
-                *alerts,
-            ]
-        ),
+        experiments=tuple(experiments),
+        responses=tuple(responses),
+        model=model,
+        controller=controller,
+        notes=(*notes, *alerts),
         sha256=sha256(),
     )
     if check_model and geometry is not None and geometry.robot:
@@ -123,25 +127,24 @@ def _each_once(problems: list[DatasetProblem]) -> list[DatasetProblem]:
             kept[key] = problem
         elif problem.file != kept[key].file and problem.file not in more.setdefault(key, []):
             more[key].append(problem.file)
-    return [
-        replace(p, message=f"{p.message}, nor in {', '.join(more[key])}") if more.get(key) else p
-        for key, p in kept.items()
-    ]
+    for key, files in more.items():
+        if files:
+            message = f"{kept[key].message}, nor in {', '.join(files)}"
+            kept[key] = replace(kept[key], message=message)
+    return list(kept.values())
 
 
 def _origin(header: Header) -> dict[str, Any] | str | None:
-    more = {
-        k: getattr(header, k)
-        for k in ("licence", "recorded", "hardware")
-        if getattr(header, k) is not None
-    }
+    more = {"licence": header.licence, "recorded": header.recorded, "hardware": header.hardware}
+    more = {key: value for key, value in more.items() if value is not None}
     if isinstance(header.source, str) and not more:
         return header.source
-    first = {"source": header.source} if isinstance(header.source, str) else (header.source or {})
-    merged = {
-        k: v if isinstance(v, str | int | float) else v.isoformat()
-        for k, v in {**first, **more}.items()
-    }
+    source = header.source or {}
+    if isinstance(source, str):
+        source = {"source": source}
+    merged: dict[str, Any] = {}
+    for key, value in (source | more).items():
+        merged[key] = value if isinstance(value, str | int | float) else value.isoformat()
     return merged or None
 
 
@@ -170,56 +173,42 @@ def _roles(document: Document, places: Places, *, known_model: bool) -> list[Dat
     """What any dataset needs; where the model is known, it says itself which channels are
     lacking.
     """
-    problems = []
+    if "channels" not in document.sound:
+        return []
     roles = [c.role for c in document.channels.values()]
-    free = document.model is not None and document.model.free
-    robot = (
-        document.model is not None and document.model.robot is not None
-    )  # says itself what it lacks
-    if "channels" in document.sound:
-        if not roles or ("output" not in roles and not known_model):
-            message = (
-                'there is no channel with role = "output"' if roles else "there are no channels"
-            )
-            problems.append(
-                places.problem(("channels",), message, "Add what was measured as [channels.NAME]")
-            )
-        elif (
-            "input" not in roles
-            and not free
-            and not known_model
-            and "model" in document.sound
-            and not robot
-        ):
-            remedy = "Add the channel that drives the motion, or say free = true under [model]"
-            problems.append(
-                places.problem(("channels",), 'there is no channel with role = "input"', remedy)
-            )
-        elif "input" in roles and free:
-            remedy = 'Give the input channels role = "auxiliary", or remove free = true'
-            problems.append(
-                places.problem(
-                    ("model", "free"),
-                    "free motion has no input, but there is an input channel",
-                    remedy,
-                )
-            )
-    if "experiments" in document.sound:
-        if not document.experiments:
-            message = "there are no experiments"
-            problems.append(
-                places.problem(
-                    ("experiments",), message, "Add [[experiments]] with a `file` and a `split`"
-                )
-            )
-        elif all(e.split != "fit" for e in document.experiments.values()):
-            message = 'no experiment has split = "fit"'
-            problems.append(
-                places.problem(
-                    ("experiments",), message, 'Give at least one run to the fit: split = "fit"'
-                )
-            )
-    return problems
+    model = document.model
+    if not roles:
+        remedy = "Add what was measured as [channels.NAME]"
+        return [places.problem(("channels",), "there are no channels", remedy)]
+    if "output" not in roles and not known_model:
+        message = 'there is no channel with role = "output"'
+        remedy = "Add what was measured as [channels.NAME]"
+        return [places.problem(("channels",), message, remedy)]
+    free = model is not None and model.free
+    if "input" in roles and free:
+        message = "free motion has no input, but there is an input channel"
+        remedy = 'Give the input channels role = "auxiliary", or remove free = true'
+        return [places.problem(("model", "free"), message, remedy)]
+    robot = model is not None and model.robot is not None
+    if "input" in roles or free or known_model or robot or "model" not in document.sound:
+        return []
+    message = 'there is no channel with role = "input"'
+    remedy = "Add the channel that drives the motion, or say free = true under [model]"
+    return [places.problem(("channels",), message, remedy)]
+
+
+def _splits(document: Document, places: Places) -> list[DatasetProblem]:
+    if "experiments" not in document.sound:
+        return []
+    if not document.experiments:
+        message = "there are no experiments"
+        remedy = "Add [[experiments]] with a `file` and a `split`"
+        return [places.problem(("experiments",), message, remedy)]
+    if any(e.split == "fit" for e in document.experiments.values()):
+        return []
+    message = 'no experiment has split = "fit"'
+    remedy = 'Give at least one run to the fit: split = "fit"'
+    return [places.problem(("experiments",), message, remedy)]
 
 
 def _references(document: Document, places: Places) -> list[DatasetProblem]:
@@ -354,48 +343,59 @@ def _fits_model(
 def _signature_faults(
     have: dict[str, ChannelReading], signature: Any, free: bool, places: Places, model: str
 ) -> list[DatasetProblem]:
+    """What the channels lack of a model's inputs and outputs, or have beside them."""
+    needed = {name: (unit, "output") for name, unit in signature.outputs}
+    if not free:
+        needed |= {name: (unit, "input") for name, unit in signature.inputs}
+    spare = [r for r in have.values() if r.name not in needed]
     problems = []
-    needed = [(n, u, "output") for n, u in signature.outputs]
-    needed += [] if free else [(n, u, "input") for n, u in signature.inputs]
-    for name, unit, role in needed:
-        reading = have.get(name)
-        if reading is None:
-            others = [
-                r.name
-                for r in have.values()
-                if r.entry.role == role and r.name not in [n for n, _, _ in needed]
-            ]
-            rename = f" ({role} channel here: {', '.join(others)})" if others else ""
+    for name, (unit, role) in needed.items():
+        problem = _channel_fault(name, unit, role, have.get(name), spare, places, model)
+        if problem is not None:
+            problems.append(problem)
+    if problems:
+        return problems
+    outputs = [name for name, _ in signature.outputs]
+    for reading in have.values():
+        if reading.entry.role == "output" and reading.name not in outputs:
             message = (
-                f"model {model!r} needs the {role} channel {name!r} in {unit}, and the data lack"
-                f" it{rename}"
+                f"model {model!r} has no output {reading.name!r} (it has: {', '.join(outputs)})"
             )
-            remedy = f'Add [channels.{name}] with role = "{role}"' + (
-                " and the `column` to read" if others else ""
-            )
-            problems.append(places.problem(("channels", name), message, remedy))
-        elif reading.entry.role != role:
-            message = f"model {model!r} needs {name!r} as {role}, but it is {reading.entry.role}"
-            problems.append(
-                places.problem(("channels", name, "role"), message, f'Write role = "{role}"')
-            )
-        elif reading.conversion.si != si_unit(unit):
-            message = (
-                f"{name!r} is in {reading.entry.unit!r}, but model {model!r} needs a unit like"
-                f" {unit!r}"
-            )
-            remedy = "Correct the unit, or convert with `scale` and state the unit of the result"
-            problems.append(places.problem(("channels", name, "unit"), message, remedy))
-    if not problems:
-        outputs = [n for n, _ in signature.outputs]
-        for reading in have.values():
-            if reading.entry.role == "output" and reading.name not in outputs:
-                message = (
-                    f"model {model!r} has no output {reading.name!r} (it has: {', '.join(outputs)})"
-                )
-                remedy = 'Give the channel role = "auxiliary", or name another model'
-                problems.append(places.problem(("channels", reading.name, "role"), message, remedy))
+            remedy = 'Give the channel role = "auxiliary", or name another model'
+            problems.append(places.problem(("channels", reading.name, "role"), message, remedy))
     return problems
+
+
+def _channel_fault(
+    name: str,
+    unit: str,
+    role: str,
+    reading: ChannelReading | None,
+    spare: Sequence[ChannelReading],
+    places: Places,
+    model: str,
+) -> DatasetProblem | None:
+    """What is wrong with a channel that a model needs; `spare`: those that it does not need."""
+    if reading is None:
+        message = (
+            f"model {model!r} needs the {role} channel {name!r} in {unit}, and the data lack it"
+        )
+        remedy = f'Add [channels.{name}] with role = "{role}"'
+        others = [r.name for r in spare if r.entry.role == role]
+        if others:
+            message += f" ({role} channel here: {', '.join(others)})"
+            remedy += " and the `column` to read"
+        return places.problem(("channels", name), message, remedy)
+    if reading.entry.role != role:
+        message = f"model {model!r} needs {name!r} as {role}, but it is {reading.entry.role}"
+        return places.problem(("channels", name, "role"), message, f'Write role = "{role}"')
+    if reading.conversion.si != si_unit(unit):
+        message = (
+            f"{name!r} is in {reading.entry.unit!r}, but model {model!r} needs a unit like {unit!r}"
+        )
+        remedy = "Correct the unit, or convert with `scale` and state the unit of the result"
+        return places.problem(("channels", name, "unit"), message, remedy)
+    return None
 
 
 def _samples(
@@ -457,21 +457,27 @@ def _still_outputs(harvests: list[Harvest]) -> list[DatasetProblem]:
     """A run is refused where none of its outputs moves. A joint that is held while others move is
     sound.
     """
-    return [
-        problem for harvest in harvests if not harvest.moving for problem in harvest.still.values()
-    ]
+    problems: list[DatasetProblem] = []
+    for harvest in harvests:
+        if not harvest.moving:
+            problems += harvest.still.values()
+    return problems
 
 
 def _held_outputs(harvests: list[Harvest]) -> list[str]:
     """Words about outputs that move in no run though others do: a joint that its brake holds, or a
     sensor that is stuck.
     """
-    moving = {name for h in harvests for name in h.moving}
-    held = dict.fromkeys(name for h in harvests for name in h.still if name not in moving)
+    moving: set[str] = set()
+    still: dict[str, DatasetProblem] = {}
+    for harvest in harvests:
+        moving |= harvest.moving
+        still |= harvest.still
+    if not moving:
+        return []
+    held = [name for name in still if name not in moving]
     return [
-        f"output {name!r} never moves: what it alone would show is not determined"
-        for name in held
-        if moving
+        f"output {name!r} never moves: what it alone would show is not determined" for name in held
     ]
 
 

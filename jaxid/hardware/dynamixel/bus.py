@@ -135,11 +135,10 @@ class Bus:
         """
         address, size = x.BLOCK.address, x.BLOCK.size
         if self.form == "bulk":
-            asked = [
-                b
-                for i in self.ids
-                for b in (i, address & 0xFF, address >> 8, size & 0xFF, size >> 8)
-            ]
+            block = [address & 0xFF, address >> 8, size & 0xFF, size >> 8]
+            asked: list[int] = []
+            for identity in self.ids:
+                asked += [identity, *block]
             result = self.packets.bulkReadTx(self.port, asked, len(asked), False)
         else:
             result = self.packets.syncReadTx(

@@ -185,16 +185,13 @@ class Session:
             self.bus.settle()
             self._report()
             return False
-        registers = (
-            x.PRESENT_POSITION,
-            x.PRESENT_VELOCITY,
-            x.PRESENT_CURRENT,
-            x.PRESENT_VOLTAGE,
-            x.PRESENT_TEMPERATURE,
-        )
-        rows = [[x.decode(b, r, 120) for r in registers] for b in blocks]
         self.link.send(
-            "sample", device=times[0], sent=sent, received=received, rows=rows, goal=self.goal
+            "sample",
+            device=times[0],
+            sent=sent,
+            received=received,
+            rows=[_measured(block) for block in blocks],
+            goal=self.goal,
         )
         return True
 
@@ -244,8 +241,9 @@ class Session:
         longest = late = 0.0
         for k, row in enumerate(self.table):
             self.leash.wait(deadline)
+            wanted = [_whole(v) for v in row]
             try:
-                self.goal = [int(v) for v in clamp([_whole(v) for v in row])]
+                self.goal = [int(v) for v in clamp(wanted)]
             except Refused as error:
                 raise BusError(f"row {k + 1} of the path was refused: {error}") from None
             now = time.monotonic()
@@ -256,11 +254,8 @@ class Session:
             elif (silence := time.monotonic() - last) > self.data_age:
                 # Made of one long cycle it is this process that did not run; many questions without
                 # an answer are the servo's.
-                why = (
-                    f"; {busy(time.monotonic() - deadline)}"
-                    if time.monotonic() - deadline > 0.5 * silence
-                    else ""
-                )
+                cycle = time.monotonic() - deadline
+                why = f"; {busy(cycle)}" if cycle > 0.5 * silence else ""
                 raise BusError(
                     f"no valid answer for {silence:.2f} s while it moved ({self._losses()}){why}"
                 )
@@ -297,6 +292,18 @@ class Session:
             f"the servo could not be told to stop ({failed[0]}); its bus watchdog stops it within"
             f" {1e3 * self.data_age:.0f} ms"
         )
+
+
+def _measured(block: bytes) -> list[float]:
+    """What a servo measured, of its block: position, velocity, current, voltage, temperature."""
+    registers = (
+        x.PRESENT_POSITION,
+        x.PRESENT_VELOCITY,
+        x.PRESENT_CURRENT,
+        x.PRESENT_VOLTAGE,
+        x.PRESENT_TEMPERATURE,
+    )
+    return [x.decode(block, register, 120) for register in registers]
 
 
 def _whole(value: float) -> float:

@@ -101,9 +101,9 @@ class Dynamixel:
             self.close()
             raise UsageError(str(error)) from None
         self.servos, self.answer_s = opened["servos"], opened["answer_s"]
-        self.zero: list[int] = [
-            s["position"] if self._zero == "here" else int(self._zero) for s in self.servos
-        ]
+        self.zero: list[int] = [s["position"] for s in self.servos]
+        if self._zero != "here":
+            self.zero = [int(self._zero)] * len(self.servos)
         self._heard = time.monotonic()
         self.advice = self._advise()
         best = 1 / (self.answer_s + (0.0 if self.mode is None else 1e-4) + 3e-4)
@@ -309,48 +309,42 @@ class Dynamixel:
         step = self.command_step
         path = trajectory.sampled(step)
         speed = limits.speed or (math.inf,) * self.joints
-        here = np.array(self.measured(values).q)
+        hold = round(0.3 / step)
         if self.mode == "position":
             assert limits.lower is not None and limits.upper is not None
-            lead = approach(here, path[0], limits, step)
-            start, lower, upper, largest = (
-                here,
-                limits.lower,
-                limits.upper,
-                [1.05 * s * step for s in speed],
-            )
+            start = np.array(self.measured(values).q)
+            lead = approach(start, path[0], limits, step)
+            lower, upper = limits.lower, limits.upper
+            largest = [1.05 * s * step for s in speed]
+            first, end = np.repeat(path[:1], hold, axis=0), np.repeat(path[-1:], hold, axis=0)
+            shift = self.zero
         else:
             top = limits.current if self.mode == "current" else speed
             assert top is not None
-            lead, start = np.zeros((0, self.joints)), np.zeros(self.joints)
+            start = np.zeros(self.joints)
+            lead = np.zeros((0, self.joints))
             lower, upper = [-v for v in top], top
-            rate = (
-                limits.acceleration
-                if self.mode == "velocity" and limits.acceleration is not None
-                else None
-            )
-            largest = list(top) if rate is None else [a * step for a in rate]
+            largest = list(top)
+            if self.mode == "velocity" and limits.acceleration is not None:
+                largest = [a * step for a in limits.acceleration]
+            first = end = np.zeros((hold, self.joints))
+            shift = [0] * self.joints
         if limits.step is not None:
             largest = [min(a, b) for a, b in zip(largest, limits.step, strict=True)]
-        hold = round(0.3 / step)
-        first, end = (
-            np.repeat(path[k : k + 1] if self.mode == "position" else 0 * path[:1], hold, axis=0)
-            for k in (0, len(path) - 1)
-        )
         begin = len(lead) + hold
-        table = self._counts(np.concatenate([lead, first, path, end]))
 
-        def floor(v, j):
-            return math.floor(v / self._scale(j) + 1e-9)
+        def counts(v: Sequence[float]) -> list[int]:
+            """The counts that each joint reaches without passing its value."""
+            return [math.floor(v[j] / self._scale(j) + 1e-9) for j in range(self.joints)]
 
-        shift = self.zero if self.mode == "position" else [0] * self.joints
+        below, above = counts([-v for v in lower]), counts(upper)
         return PathPlan(
             kind=self.mode or "",
-            table=table,
+            table=self._counts(np.concatenate([lead, first, path, end])),
             step=step,
-            lower=[shift[j] - floor(-v, j) for j, v in enumerate(lower)],
-            upper=[shift[j] + floor(v, j) for j, v in enumerate(upper)],
-            largest_step=[max(1, floor(v, j)) for j, v in enumerate(largest)],
+            lower=[zero - count for zero, count in zip(shift, below, strict=True)],
+            upper=[zero + count for zero, count in zip(shift, above, strict=True)],
+            largest_step=[max(1, count) for count in counts(largest)],
             start=self._counts(start[None])[0].round().tolist(),
             marks=[(begin, "play_start"), (begin + len(path) - 1, "play_end")],
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from jaxid.hardware.dynamixel import registers as x
@@ -126,37 +126,47 @@ class EmulatedServo:
 
     def write(self, address: int, content: bytes) -> int:
         """The error code, 0 for none."""
-        touched = range(address, address + len(content))
-        if not content or touched.stop > END and not (address in FREE and touched.stop <= 256):
-            return p2.RANGE
-        if any(a in READ_ONLY for a in touched) or address < EEPROM and self.get(x.TORQUE_ENABLE):
-            return p2.ACCESS
-        goal = any(100 <= a < 120 for a in touched)
-        if goal and self.get(x.BUS_WATCHDOG) < 0:
-            return p2.RANGE
-
-        def value(r):
-            return int.from_bytes(content[: r.size], "little", signed=r.signed)
-
-        if address == x.TORQUE_ENABLE.address and content[0] and self.get(x.HARDWARE_ERROR):
-            return p2.RESULT_FAIL
-        if address == x.GOAL_CURRENT.address and abs(value(x.GOAL_CURRENT)) > self.get(
-            x.CURRENT_LIMIT
-        ):
-            return p2.LIMIT
-        if address == x.GOAL_VELOCITY.address and abs(value(x.GOAL_VELOCITY)) > self.get(
-            x.VELOCITY_LIMIT
-        ):
-            return p2.LIMIT
-        if address == x.GOAL_POSITION.address and self.get(x.OPERATING_MODE) == 3:
-            if not self.get(x.MIN_POSITION) <= value(x.GOAL_POSITION) <= self.get(x.MAX_POSITION):
-                return p2.LIMIT
-        self.memory[address : touched.stop] = content
+        code = self._refusal(address, content)
+        if code:
+            return code
+        self.memory[address : address + len(content)] = content
         if address == x.OPERATING_MODE.address:
             self.set(x.GOAL_CURRENT, 0 if content[0] == 0 else self.get(x.CURRENT_LIMIT))
         if address == x.TORQUE_ENABLE.address and content[0] and self.get(x.OPERATING_MODE) == 3:
             self.set(x.GOAL_POSITION, round(self.plant.q[self.joint] / x.POSITION) + x.CENTER)
         return 0
+
+    def _refusal(self, address: int, content: bytes) -> int:
+        """Why a write is not taken, 0 where it is."""
+        touched = range(address, address + len(content))
+        free = address in FREE and touched.stop <= 256
+        if not content or (touched.stop > END and not free):
+            return p2.RANGE
+        if any(a in READ_ONLY for a in touched):
+            return p2.ACCESS
+        if address < EEPROM and self.get(x.TORQUE_ENABLE):
+            return p2.ACCESS
+        is_goal = touched.start < 120 and touched.stop > 100
+        if is_goal and self.get(x.BUS_WATCHDOG) < 0:
+            return p2.RANGE
+        if address == x.TORQUE_ENABLE.address and content[0] and self.get(x.HARDWARE_ERROR):
+            return p2.RESULT_FAIL
+        return 0 if self._within_limit(address, content) else p2.LIMIT
+
+    def _within_limit(self, address: int, content: bytes) -> bool:
+        """Whether a goal is within the limit that the servo's own registers hold."""
+
+        def value(register):
+            return int.from_bytes(content[: register.size], "little", signed=register.signed)
+
+        if address == x.GOAL_CURRENT.address:
+            return abs(value(x.GOAL_CURRENT)) <= self.get(x.CURRENT_LIMIT)
+        if address == x.GOAL_VELOCITY.address:
+            return abs(value(x.GOAL_VELOCITY)) <= self.get(x.VELOCITY_LIMIT)
+        if address == x.GOAL_POSITION.address and self.get(x.OPERATING_MODE) == 3:
+            low, high = self.get(x.MIN_POSITION), self.get(x.MAX_POSITION)
+            return low <= value(x.GOAL_POSITION) <= high
+        return True
 
 
 class ServoBus:
@@ -220,61 +230,52 @@ class ServoBus:
         self.advance(when)
         for s in self.servos.values():
             s.fed = self.now  # "communication is defined as all the instruction packets"
-        named = [self.servos[identity]] if identity in self.servos else []
-        named = list(self.servos.values()) if identity == p2.BROADCAST else named
-        alone = identity != p2.BROADCAST
-        if instruction == p2.PING:
-            return [
-                self._status(s, 0, struct.pack("<HB", s.get(x.MODEL_NUMBER), s.get(x.FIRMWARE)))
-                for s in named
-            ]
-        if instruction == p2.READ:
-            return [self._status(s, *self._read(s, *struct.unpack("<HH", body[:4]))) for s in named]
-        if instruction == p2.WRITE:
-            codes = [self._write(s, struct.unpack_from("<H", body)[0], body[2:]) for s in named]
-            return (
-                [self._status(s, code) for s, code in zip(named, codes, strict=True)]
-                if alone
-                else []
-            )
-        if instruction == p2.REG_WRITE:
-            for s in named:
-                s.pending = (struct.unpack_from("<H", body)[0], body[2:])
-            return [self._status(s) for s in named] if alone else []
-        if instruction == p2.ACTION:
-            for s in named:
-                if s.pending is not None:
-                    self._write(s, *s.pending)
-                    s.pending = None
-            return [self._status(s) for s in named] if alone else []
-        if instruction == p2.REBOOT:
-            for s in named:
-                self.log("reboot", id=s.identity)
-                s.restart()
-            return [self._status(s) for s in named] if alone else []
+        if instruction in (p2.SYNC_READ, p2.BULK_READ):
+            return self._each(self._asked(instruction, body))
+        if instruction in (p2.FAST_SYNC_READ, p2.FAST_BULK_READ):
+            return self._together(self._asked(instruction, body))
+        if instruction in (p2.SYNC_WRITE, p2.BULK_WRITE):
+            for i, address, content in _contents(instruction, body):
+                if i in self.servos:
+                    self._write(self.servos[i], address, content)
+            return []
+        to_all = identity == p2.BROADCAST
+        named = [s for i, s in self.servos.items() if to_all or i == identity]
+        answers = [self._alone(s, instruction, body) for s in named]
+        if to_all and instruction not in (p2.PING, p2.READ):
+            return []
+        return answers
+
+    def _asked(self, instruction: int, body: bytes) -> list[tuple[EmulatedServo, int, int]]:
+        """(servo, address, size) of what a read of several servos asks for."""
         if instruction in (p2.SYNC_READ, p2.FAST_SYNC_READ):
             address, size = struct.unpack("<HH", body[:4])
-            asked = [(self.servos[i], address, size) for i in body[4:] if i in self.servos]
-            return self._together(asked) if instruction == p2.FAST_SYNC_READ else self._each(asked)
-        if instruction in (p2.BULK_READ, p2.FAST_BULK_READ):
-            triples = [struct.unpack_from("<BHH", body, k) for k in range(0, len(body) - 4, 5)]
-            asked = [(self.servos[i], a, n) for i, a, n in triples if i in self.servos]
-            return self._together(asked) if instruction == p2.FAST_BULK_READ else self._each(asked)
-        if instruction == p2.SYNC_WRITE:
-            address, size = struct.unpack("<HH", body[:4])
-            for k in range(4, len(body) - size, size + 1):
-                if body[k] in self.servos:
-                    self._write(self.servos[body[k]], address, body[k + 1 : k + 1 + size])
-            return []
-        if instruction == p2.BULK_WRITE:
-            k = 0
-            while k + 5 <= len(body):
-                i, address, size = struct.unpack_from("<BHH", body, k)
-                if i in self.servos:
-                    self._write(self.servos[i], address, body[k + 5 : k + 5 + size])
-                k += 5 + size
-            return []
-        return [self._status(s, p2.INSTRUCTION) for s in named] if alone else []
+            asked = [(i, address, size) for i in body[4:]]
+        else:
+            asked = [struct.unpack_from("<BHH", body, k) for k in range(0, len(body) - 4, 5)]
+        return [(self.servos[i], a, n) for i, a, n in asked if i in self.servos]
+
+    def _alone(self, s: EmulatedServo, instruction: int, body: bytes) -> bytes:
+        """What one servo does on an instruction, and the status packet with which it answers."""
+        if instruction == p2.PING:
+            about = struct.pack("<HB", s.get(x.MODEL_NUMBER), s.get(x.FIRMWARE))
+            return self._status(s, 0, about)
+        if instruction == p2.READ:
+            return self._status(s, *self._read(s, *struct.unpack("<HH", body[:4])))
+        if instruction == p2.WRITE:
+            return self._status(s, self._write(s, struct.unpack_from("<H", body)[0], body[2:]))
+        if instruction == p2.REG_WRITE:
+            s.pending = (struct.unpack_from("<H", body)[0], body[2:])
+        elif instruction == p2.ACTION:
+            if s.pending is not None:
+                self._write(s, *s.pending)
+                s.pending = None
+        elif instruction == p2.REBOOT:
+            self.log("reboot", id=s.identity)
+            s.restart()
+        else:
+            return self._status(s, p2.INSTRUCTION)
+        return self._status(s)
 
     def _each(self, asked) -> list[bytes]:
         return [self._status(s, *self._read(s, a, n)) for s, a, n in asked]
@@ -318,3 +319,17 @@ class ServoBus:
         code = servo.write(address, content)
         self.log("write", id=servo.identity, address=address, data=list(content), error=code)
         return code
+
+
+def _contents(instruction: int, body: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """(id, address, content) of what a write to several servos holds."""
+    if instruction == p2.SYNC_WRITE:
+        address, size = struct.unpack("<HH", body[:4])
+        for k in range(4, len(body) - size, size + 1):
+            yield body[k], address, body[k + 1 : k + 1 + size]
+        return
+    k = 0
+    while k + 5 <= len(body):
+        identity, address, size = struct.unpack_from("<BHH", body, k)
+        yield identity, address, body[k + 5 : k + 5 + size]
+        k += 5 + size

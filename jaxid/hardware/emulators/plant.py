@@ -76,55 +76,16 @@ class Modelled:
         """
         import jax
         import jax.numpy as jnp
-        import numpy as np
 
-        from jaxid import catalogue
-        from jaxid.dynamics.chain import Chain
-        from jaxid.dynamics.effect import Command, RecordEffect
+        from jaxid.dynamics.effect import Command
         from jaxid.dynamics.parameter_vector import ParameterVector
         from jaxid.numerics.precision import float64
 
         count = len(parameters)
-        chain = Chain(catalogue.model_class(model)())
+        chain = _chain(model, effects, count)
         coupled = chain.nq == count > 1
-        if not chain.direct or chain.signature.linear or not (coupled or chain.nq == 1):
-            raise UsageError(
-                f"an emulator of {count} joints takes models with one driven revolute joint, or"
-                f" with {count}; {model} is none"
-            )
-        for e in effects:
-            kind = catalogue.effect_class(e["effect"])
-            # An emulator lives in the present.
-            if kind.acts_on == "timing" or issubclass(kind, RecordEffect):
-                raise UsageError(
-                    f"{e['effect']} cannot be emulated: it needs the history of the command"
-                )
-        kinds = dict.fromkeys(catalogue.effect_class(e["effect"]) for e in effects)
-        chain = chain.with_effects(
-            *(k() for k in kinds if k.name not in {e.name for e in chain.effects})
-        )
         layout = ParameterVector(chain)
-        theta = np.tile(layout.values, (1 if coupled else count, 1))
-        for j, values in enumerate(parameters):
-            for name, value in values.items():
-                own = f"{name}{j + 1}"
-                if coupled and own in layout.names:
-                    theta[0, layout.index(own)] = value
-                else:
-                    theta[0 if coupled else j, layout.index(name)] = value
-        for e in effects:
-            places = range(count) if e.get("joint") is None else [e["joint"] - 1]
-            for field, value in e["parameters"].items():
-                own = [i for i in layout.of_effect(e["effect"]) if layout.entries[i].field == field]
-                if not own:
-                    fields = [layout.entries[i].field for i in layout.of_effect(e["effect"])]
-                    raise UsageError(
-                        f"effect {e['effect']} has no parameter {field!r}{nearest(field, fields)}"
-                    )
-                for j in places:
-                    here = [i for i in own if layout.entries[i].place == j] if coupled else own
-                    theta[0 if coupled else j, here] = value
-
+        theta = _parameter_values(layout, parameters, effects, coupled)
         nq = chain.nq
 
         def start(theta):
@@ -142,11 +103,9 @@ class Modelled:
             )
             return carry, *body.port(carry.x)
 
-        self._context, self._shape, self._step = (
-            float64,
-            (len(theta), nq),
-            COUPLED_STEP if coupled else STEP,
-        )
+        self._context = float64
+        self._shape = (len(theta), nq)
+        self._step = COUPLED_STEP if coupled else STEP
         with float64():
             self._theta = jnp.asarray(theta)
             self._carry = jax.jit(jax.vmap(start))(self._theta)
@@ -166,6 +125,67 @@ class Modelled:
             h, u = np.float64(duration / count), np.asarray(torque, np.float64).reshape(self._shape)
             self._carry, q, qd = self._move(self._theta, self._carry, u, h, np.int64(count))
             self.q, self.qd = np.asarray(q).ravel().tolist(), np.asarray(qd).ravel().tolist()
+
+
+def _chain(model: str, effects: Sequence[Mapping[str, Any]], count: int) -> Any:
+    """A model with the effects that it does not have already, of one joint or of all `count`."""
+    from jaxid import catalogue
+    from jaxid.dynamics.chain import Chain
+    from jaxid.dynamics.effect import RecordEffect
+
+    chain = Chain(catalogue.model_class(model)())
+    if not chain.direct or chain.signature.linear or chain.nq not in (1, count):
+        raise UsageError(
+            f"an emulator of {count} joints takes models with one driven revolute joint, or"
+            f" with {count}; {model} is none"
+        )
+    present = {e.name for e in chain.effects}
+    added = {}
+    for effect in effects:
+        kind = catalogue.effect_class(effect["effect"])
+        # An emulator lives in the present.
+        if kind.acts_on == "timing" or issubclass(kind, RecordEffect):
+            raise UsageError(
+                f"{effect['effect']} cannot be emulated: it needs the history of the command"
+            )
+        if kind.name not in present:
+            added[kind] = kind()
+    return chain.with_effects(*added.values())
+
+
+def _parameter_values(
+    layout: Any,
+    parameters: Sequence[Mapping[str, float]],
+    effects: Sequence[Mapping[str, Any]],
+    coupled: bool,
+) -> Any:
+    """`[rows, numbers]`: one row of a coupled model, else one a joint."""
+    import numpy as np
+
+    count = len(parameters)
+    theta = np.tile(layout.values, (1 if coupled else count, 1))
+    for j, values in enumerate(parameters):
+        row = 0 if coupled else j
+        for name, value in values.items():
+            own = f"{name}{j + 1}"
+            theta[row, layout.index(own if coupled and own in layout.names else name)] = value
+    for effect in effects:
+        joint = effect.get("joint")
+        joints = range(count) if joint is None else [joint - 1]
+        numbers = layout.of_effect(effect["effect"])
+        for field, value in effect["parameters"].items():
+            own = [i for i in numbers if layout.entries[i].field == field]
+            if not own:
+                fields = [layout.entries[i].field for i in numbers]
+                raise UsageError(
+                    f"effect {effect['effect']} has no parameter {field!r}{nearest(field, fields)}"
+                )
+            for j in joints:
+                if coupled:
+                    theta[0, [i for i in own if layout.entries[i].place == j]] = value
+                else:
+                    theta[j, own] = value
+    return theta
 
 
 def read_plant(
@@ -192,18 +212,21 @@ def read_plant(
         raise UsageError(f"plant {path}: not readable: {error}") from error
     model = content.get("model", "pendulum")
     given = {name: _value(path, name, v) for name, v in content.get("parameters", {}).items()}
-    base = {k: v for k, v in defaults.items()} if model == "pendulum" else {}
-    parameters = _by_joint({**base, **given}, joints, str(path))
-    effects = []
-    for e in content.get("effects", []):
-        if not isinstance(e, Mapping) or "effect" not in e:
-            raise UsageError(f"plant {path}: an effect needs `effect` and `parameters`")
-        joint = e.get("joint")
-        if joint is not None and not (isinstance(joint, int) and 1 <= joint <= joints):
-            raise UsageError(f"plant {path}: joint is {joint!r}; there are joints 1 to {joints}")
-        values = {k: _value(path, k, v) for k, v in e.get("parameters", {}).items()}
-        effects.append({"effect": e["effect"], "joint": joint, "parameters": values})
+    if model == "pendulum":
+        given = {**defaults, **given}
+    parameters = _by_joint(given, joints, str(path))
+    effects = [_effect(path, e, joints) for e in content.get("effects", [])]
     return Modelled(model, parameters, effects), content
+
+
+def _effect(path: Path, entry: Any, joints: int) -> dict[str, Any]:
+    if not isinstance(entry, Mapping) or "effect" not in entry:
+        raise UsageError(f"plant {path}: an effect needs `effect` and `parameters`")
+    joint = entry.get("joint")
+    if joint is not None and not (isinstance(joint, int) and 1 <= joint <= joints):
+        raise UsageError(f"plant {path}: joint is {joint!r}; there are joints 1 to {joints}")
+    values = {name: _value(path, name, v) for name, v in entry.get("parameters", {}).items()}
+    return {"effect": entry["effect"], "joint": joint, "parameters": values}
 
 
 def _value(path: Path, name: str, value: Any) -> Any:

@@ -273,27 +273,9 @@ class Emulator:
         elif kind == CONTROLLER:
             self._send(client, _package(CONTROLLER, struct.pack(">4I", *CONTROLLER_VERSION)))
         elif kind == OUTPUTS:
-            rate = struct.unpack_from(">d", payload)[0]
-            asked = [
-                n for n in payload[8:].decode().split(",") if n
-            ]  # ur_rtde ends its list with a comma
-            client.every = max(1, round(1 / STEP / min(max(rate, 1.0), 1 / STEP)))
-            client.names = [n for n in asked if n in VARIABLES]
-            client.layout = struct.Struct(">B" + "".join(TYPES[VARIABLES[n]] for n in client.names))
-            types = ",".join(VARIABLES.get(n, "NOT_FOUND") for n in asked)
-            self.log("outputs", rate=rate, names=asked)
-            self._send(client, _package(OUTPUTS, b"\1" + types.encode()))
+            self._outputs(client, payload)
         elif kind == INPUTS:
-            names = [n for n in payload.decode().split(",") if n]
-            known = all(n in VARIABLES for n in names)
-            layout = (
-                struct.Struct(">" + "".join(TYPES[VARIABLES[n]] for n in names))
-                if known
-                else struct.Struct(">")
-            )
-            client.recipes.append((names if known else [], layout))
-            types = ",".join(VARIABLES.get(n, "NOT_FOUND") for n in names)
-            self._send(client, _package(INPUTS, bytes([len(client.recipes)]) + types.encode()))
+            self._inputs(client, payload)
         elif kind in (START, PAUSE):
             client.running = kind == START
             self._send(client, _package(kind, b"\1"))
@@ -306,6 +288,27 @@ class Emulator:
                 k += size
             self.arm.inputs(written)
 
+    def _outputs(self, client: Client, payload: bytes) -> None:
+        """A client says how often it wants which variables."""
+        rate = struct.unpack_from(">d", payload)[0]
+        asked = _names(payload[8:])
+        client.every = max(1, round(1 / STEP / min(max(rate, 1.0), 1 / STEP)))
+        client.names = [n for n in asked if n in VARIABLES]
+        client.layout = struct.Struct(">B" + "".join(TYPES[VARIABLES[n]] for n in client.names))
+        types = ",".join(VARIABLES.get(n, "NOT_FOUND") for n in asked)
+        self.log("outputs", rate=rate, names=asked)
+        self._send(client, _package(OUTPUTS, b"\1" + types.encode()))
+
+    def _inputs(self, client: Client, payload: bytes) -> None:
+        """A client says which variables it will write; none where one of them is unknown."""
+        names = _names(payload)
+        types = ",".join(VARIABLES.get(n, "NOT_FOUND") for n in names)
+        if not all(n in VARIABLES for n in names):
+            names = []
+        layout = struct.Struct(">" + "".join(TYPES[VARIABLES[n]] for n in names))
+        client.recipes.append((names, layout))
+        self._send(client, _package(INPUTS, bytes([len(client.recipes)]) + types.encode()))
+
     def _data(self, client: Client) -> bytes:
         return client.layout.pack(1, *self.arm.values(client.names))
 
@@ -315,6 +318,11 @@ class Emulator:
         for client in [c for c in self.clients if c.running]:
             if self.arm.count % client.every == 0:
                 self._send(client, _package(DATA, self._data(client)))
+
+
+def _names(payload: bytes) -> list[str]:
+    """The names of variables that a client lists; ur_rtde ends its list with a comma."""
+    return [name for name in payload.decode().split(",") if name]
 
 
 def _package(kind: int, payload: bytes) -> bytes:

@@ -94,10 +94,11 @@ VARIABLES: dict[str, str] = (
         ("payload_cog", "actual_tool_accelerometer", "elbow_position", "elbow_velocity"), "VECTOR3D"
     )
     | {"joint_mode": "VECTOR6INT32"}
-    | {f"{io}_int_register_{i}": "INT32" for i in range(48) for io in ("input", "output")}
-    | {f"{io}_double_register_{i}": "DOUBLE" for i in range(48) for io in ("input", "output")}
-    | {f"{io}_bit_register_{i}": "BOOL" for i in range(64, 128) for io in ("input", "output")}
 )
+for _io in ("input", "output"):
+    VARIABLES |= {f"{_io}_int_register_{i}": "INT32" for i in range(48)}
+    VARIABLES |= {f"{_io}_double_register_{i}": "DOUBLE" for i in range(48)}
+    VARIABLES |= {f"{_io}_bit_register_{i}": "BOOL" for i in range(64, 128)}
 SIZES = {"VECTOR6D": 6, "VECTOR3D": 3, "VECTOR6INT32": 6, "VECTOR6UINT32": 6}
 
 RUNNING_BITS, IDLE_BITS = 3, 1  # robot_status_bits: powered on, and program running
@@ -159,70 +160,75 @@ class Arm:
             return
         code = int(values["input_int_register_0"])
         numbers = [self.registers.get(f"input_double_register_{i}", 0.0) for i in range(11)]
-        if code != 0 and (code in (SERVO_J, SPEED_J, KICK) or code != self._last):
+        fresh, self._last = code != self._last, code
+        if code != 0 and (fresh or code in (SERVO_J, SPEED_J, KICK)):
             name = NAMES.get(code, "unknown")
             self.log("command", code=code, name=name, values=numbers[:6], t=self.time)
             if name == "unknown":
                 print(f"emulator: command {code} of ur_rtde is not known here", flush=True)
-        fresh, self._last = code != self._last, code
         if code == 0:
             self.registers["output_int_register_0"] = 1 if self.running else 0
-        elif not self.running:
+        elif self.running:
+            self._command(code, numbers, fresh)
+
+    def _command(self, code: int, numbers: list[float], fresh: bool) -> None:
+        """What a command of ur_rtde makes of the motion; a command that stands for a while is
+        `fresh` once.
+        """
+        if code in (SERVO_J, SPEED_J):
+            self.mode = "servoJ" if code == SERVO_J else "speedJ"
+            self.goal = numbers[:6]
             return
-        elif code == SERVO_J:
-            self.mode, self.goal = "servoJ", numbers[:6]
-        elif code == SPEED_J:
-            self.mode, self.goal = "speedJ", numbers[:6]
-        elif code == MOVE_J:
-            if fresh:
-                self.mode, self.goal = "moveJ", numbers[:6]
-        elif fresh:
-            if code in (SERVO_STOP, SPEED_STOP, STOP_J):
-                self.mode, self.goal = "idle", None
-            if code == SET_WATCHDOG:
-                self._watchdog = 1 / max(numbers[0], 1e-3)
-            if code == STOP_SCRIPT:
-                self.halt("stopScript")
-            self.registers["output_int_register_0"] = 2
+        if not fresh:
+            return
+        if code == MOVE_J:
+            self.mode, self.goal = "moveJ", numbers[:6]
+            return
+        if code in (SERVO_STOP, SPEED_STOP, STOP_J):
+            self.mode, self.goal = "idle", None
+        if code == SET_WATCHDOG:
+            self._watchdog = 1 / max(numbers[0], 1e-3)
+        if code == STOP_SCRIPT:
+            self.halt("stopScript")
+        self.registers["output_int_register_0"] = 2
 
     # ---- time
 
     def tick(self) -> None:
         """One step: what is told, what the drive does, what the joints do."""
-        if (
-            self.running
-            and self._watchdog is not None
-            and time.monotonic() - self._fed > self._watchdog
-        ):
-            self.halt("watchdog")
+        if self.running and self._watchdog is not None:
+            if time.monotonic() - self._fed > self._watchdog:
+                self.halt("watchdog")
         ahead = []
         for j in range(JOINTS):
-            speed, held = self.target_qd[j], self.safety != 1 or self.goal is None
-            if self.mode == "servoJ" and not held:  # smoothed as by a lookahead time
-                pull = (self.goal[j] - self.target[j]) / LOOKAHEAD**2 - 2 * speed / LOOKAHEAD  # type: ignore[index]
-                speed += STEP * min(max(pull, -ACCELERATION), ACCELERATION)
-            else:  # a held program decelerates, it does not jump
-                wish = 0.0 if held else self.goal[j]  # type: ignore[index]
-                if self.mode == "moveJ" and not held:
-                    wish = min(max((wish - self.target[j]) / 0.05, -1.0), 1.0)
-                speed += min(max(wish - speed, -ACCELERATION * STEP), ACCELERATION * STEP)
-            self.target_qd[j] = min(max(speed, -math.pi), math.pi)
+            self.target_qd[j] = min(max(self._speed(j), -math.pi), math.pi)
             ahead.append(self.target[j] + STEP * self.slider * self.target_qd[j])
-        if (
-            self.mode == "moveJ"
-            and self.goal
-            and max(abs(a - b) for a, b in zip(ahead, self.goal, strict=True)) < 1e-3
-        ):
-            self.registers["output_int_register_0"] = 2
+        if self.mode == "moveJ" and self.goal:
+            distances = [abs(a - b) for a, b in zip(ahead, self.goal, strict=True)]
+            if max(distances) < 1e-3:
+                self.registers["output_int_register_0"] = 2
         self.target = ahead
         for j in range(JOINTS):
-            torque = self._kp[j] * (ahead[j] - self.plant.q[j]) + self._kd[j] * (
-                self.target_qd[j] - self.plant.qd[j]
-            )
+            torque = self._kp[j] * (ahead[j] - self.plant.q[j])
+            torque += self._kd[j] * (self.target_qd[j] - self.plant.qd[j])
             self.current[j] = min(max(torque / self.gain[j], -CURRENT_LIMIT[j]), CURRENT_LIMIT[j])
         self._show = self._state()
         self.plant.advance(STEP, [c * g for c, g in zip(self.current, self.gain, strict=True)])
         self.count += 1
+
+    def _speed(self, j: int) -> float:
+        """The speed that a joint is told next, rad/s."""
+        speed = self.target_qd[j]
+        wish = 0.0  # a held program decelerates, it does not jump
+        if self.safety == 1 and self.goal is not None:
+            if self.mode == "servoJ":  # smoothed as by a lookahead time
+                distance = self.goal[j] - self.target[j]
+                pull = distance / LOOKAHEAD**2 - 2 * speed / LOOKAHEAD
+                return speed + STEP * min(max(pull, -ACCELERATION), ACCELERATION)
+            wish = self.goal[j]
+            if self.mode == "moveJ":
+                wish = min(max((wish - self.target[j]) / 0.05, -1.0), 1.0)
+        return speed + min(max(wish - speed, -ACCELERATION * STEP), ACCELERATION * STEP)
 
     def _state(self) -> dict[str, Any]:
         """What the sensors read at the beginning of a step; the current is the one that acts until

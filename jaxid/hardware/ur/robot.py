@@ -111,11 +111,9 @@ class UR:
         return self._reader
 
     def streams(self) -> list[Stream]:
-        columns = [
-            Column(_numbered(stem, j + 1), unit, role)
-            for stem, (_, unit, role) in VECTORS.items()
-            for j in range(JOINTS)
-        ]
+        columns: list[Column] = []
+        for stem, (_, unit, role) in VECTORS.items():
+            columns += [Column(_numbered(stem, j + 1), unit, role) for j in range(JOINTS)]
         columns += [Column(name, "1") for name in SCALARS]
         if "actual_main_voltage" in self.reader.names:
             columns.append(Column("voltage", "V"))
