@@ -155,7 +155,17 @@ def identify(
     result = replace(result, **answered(arm, recorded.data.model, base, law, runs, result))
     if before is None:
         return result
-    payload = _payload(recorded, method, law, fit, result, before, known, gain_std, met)
+    payload = _payload(
+        recorded=recorded,
+        method=method,
+        law=law,
+        fit=fit,
+        result=result,
+        before=before,
+        known=known,
+        gain_std=gain_std,
+        met=met,
+    )
     return replace(result, payload=payload)
 
 
@@ -300,9 +310,9 @@ def _filter_told(motion: str, motion_hz: float, cutoff_hz: float) -> str:
 
 
 def _of_splits(recorded: RecordedArm, motion: str) -> list[str]:
-    if motion == "fourier" and not recorded.held_out:
-        return ["a part of a period has no Fourier series: no run was cut for validation"]
-    return []
+    if recorded.held_out or motion != "fourier":
+        return []
+    return ["a part of a period has no Fourier series: no run was cut for validation"]
 
 
 def _stated(chain: Chain, dataset: Dataset) -> Chain:
