@@ -306,7 +306,8 @@ def _filter_told(motion: str, motion_hz: float, cutoff_hz: float) -> str:
     way = f"positions: zero-phase Butterworth of order 4, {motion_hz:g} Hz, central differences"
     if motion == "fourier":
         way = f"positions: harmonics of each run up to {motion_hz:g} Hz, differentiated one by one"
-    return f"{way}; torque and columns alike: the same at {cutoff_hz:g} Hz; sign(qd) as tanh(qd / 0.01)"
+    low_pass = f"torque and columns alike: the same at {cutoff_hz:g} Hz"
+    return f"{way}; {low_pass}; sign(qd) as tanh(qd / 0.01)"
 
 
 def _of_splits(recorded: RecordedArm, motion: str) -> list[str]:
