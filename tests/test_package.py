@@ -210,7 +210,6 @@ LONG = {
     "jaxid/diagnosis/unseen.py": 502,
     "jaxid/dynamics/chain.py": 533,
     "jaxid/excitation/design.py": 578,
-    "jaxid/identification/run.py": 557,
     "jaxid/numerics/batch_loop.py": 516,
     "jaxid/problem/frequency_response.py": 521,
     "jaxid/report/text.py": 540,
