@@ -47,6 +47,7 @@ MODULES = {
     "export": "jaxid.cli.export",
     "identify": "jaxid.cli.identify",
     "import": "jaxid.cli.importing",
+    "new": "jaxid.cli.new",
     "record": "jaxid.cli.record",
     "reproduce": "jaxid.cli.reproduce",
     "emulate": "jaxid.cli.emulate",
