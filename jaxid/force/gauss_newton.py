@@ -55,7 +55,7 @@ class Room:
 
 
 @dataclass(frozen=True)
-class Step:
+class DescentStep:
     """A step that led down: where to, what is left there, how much its slopes promised to leave,
     whether nothing but bounds cut it off, and the reach that it had.
     """
@@ -94,7 +94,16 @@ def descend(
     made = np.zeros((*left.shape, len(x)))
     for number in range(STEPS):
         made = slopes(x, left)
-        step = _down(residual, made, x, left, cost, room, reach, fitted)
+        step = _down(
+            residual=residual,
+            slopes=made,
+            x=x,
+            left=left,
+            cost=cost,
+            room=room,
+            reach=reach,
+            fitted=fitted,
+        )
         if step is None:
             break
         done = step.done(cost)
@@ -115,7 +124,7 @@ def _down(
     room: Room,
     reach: float,
     fitted: Bool[np.ndarray, " rows"],
-) -> Step | None:
+) -> DescentStep | None:
     """The step of Gauss and Newton, made shorter until it leads down; None where none does."""
     A, before = slopes[fitted].reshape(-1, x.size), left[fitted].ravel()
     size = np.linalg.norm(A, axis=0)
@@ -131,6 +140,6 @@ def _down(
         if new < cost:
             promised = float(np.sum((before + A @ found) ** 2))
             whole = not np.any(np.abs(found * unit) >= 0.999 * far)
-            return Step(trial, there, new, promised, whole, reach)
+            return DescentStep(trial, there, new, promised, whole, reach)
         reach = min(reach, room.share(found * unit)) / LESS
     return None
