@@ -29,6 +29,7 @@ from jaxid.models.effects import TimestampJitter
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
 from jaxid.problem.named_model import named_model
+from jaxid.problem.proposed_model import without_a_model
 from jaxid.problem.typical import typical_magnitudes
 from jaxid.robots import match as robots
 
@@ -144,10 +145,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     spec = dataset.model
     if model is None:
         if spec is None or (spec.name is None and spec.file is None):
-            raise UsageError(
-                "the dataset names no model: give one (there is:"
-                f" {', '.join(catalogue.model_names())})"
-            )
+            raise UsageError(without_a_model(dataset))
         model = spec.file or spec.name
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
     if isinstance(model, str):
