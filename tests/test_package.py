@@ -209,14 +209,13 @@ LONG = {
     "jaxid/diagnosis/search.py": 577,
     "jaxid/diagnosis/unseen.py": 502,
     "jaxid/dynamics/chain.py": 533,
-    "jaxid/excitation/design.py": 578,
     "jaxid/identification/run.py": 557,
     "jaxid/numerics/batch_loop.py": 516,
     "jaxid/problem/frequency_response.py": 521,
     "jaxid/report/text.py": 540,
     "jaxid/robots/export/mjcf.py": 573,
     "jaxid/simulation/batch.py": 517,
-    "jaxid/study/papers/flexible_link.py": 563,
+    "jaxid/study/papers/flexible_link.py": 556,
     "models/robot.py": 583,
 }
 
