@@ -31,14 +31,8 @@ from jaxid.fitters import (
     RandToBestDE,
     RecursiveDE,
 )
-from jaxid.fitting.least_squares import (
-    accept,
-    levenberg_marquardt,
-    next_trial,
-    Path,
-    PATIENCE,
-    successive_halving,
-)
+from jaxid.fitting.least_squares import accept, levenberg_marquardt, next_trial, Path, PATIENCE
+from jaxid.fitting.many_starts import successive_halving
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.sequential import follow, stretches

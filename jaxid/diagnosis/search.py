@@ -56,7 +56,8 @@ from jaxid.diagnosis.selection import (
 from jaxid.diagnosis.shortlist import shortlist
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
-from jaxid.fitting.least_squares import levenberg_marquardt, Path, successive_halving
+from jaxid.fitting.least_squares import levenberg_marquardt, Path
+from jaxid.fitting.many_starts import successive_halving
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual

@@ -99,18 +99,11 @@ def recursion(offline: int) -> PaperPart:
     least = p.loss(best.z)
     rows = []
     for k, steps in runs.items():
-        rows.append(
-            (
-                k,
-                objective[k][0] / least,
-                objective[k][-1] / least,
-                100 * off(steps[0].numbers),
-                100 * off(steps[-1].numbers),
-                steps[-1].evaluations,
-                steps[-1].seconds,
-                sum(s.seconds for s in steps),
-            )
-        )
+        first, last = steps[0], steps[-1]
+        losses = (objective[k][0] / least, objective[k][-1] / least)
+        errors = (100 * off(first.numbers), 100 * off(last.numbers))
+        spent = (last.evaluations, last.seconds, sum(s.seconds for s in steps))
+        rows.append((k, *losses, *errors, *spent))
     table = PaperTable(
         "The objective on all data, as a multiple of its least, and the body's numbers",
         (
