@@ -37,7 +37,8 @@ from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.sequential import follow, stretches
 from jaxid.problem.binding import bind
-from jaxid.problem.objective import FunctionProblem, gauss_newton_model, Linear, PENALTY, rows
+from jaxid.problem.gauss_newton import gauss_newton_model
+from jaxid.problem.objective import FunctionProblem, Linear, PENALTY, rows
 from jaxid.problem.residual import OutputError
 
 

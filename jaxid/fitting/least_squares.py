@@ -11,7 +11,8 @@ import jax
 import numpy as np
 
 from jaxid.fitting.fitter import Log, sampling_box
-from jaxid.problem.objective import AbstractProblem, gauss_newton_model, Linear, linearise
+from jaxid.problem.gauss_newton import gauss_newton_model
+from jaxid.problem.objective import AbstractProblem, Linear, linearise
 
 
 Expansion = Callable[[Sequence[tuple[AbstractProblem, np.ndarray]], float], list[Linear]]

@@ -23,8 +23,9 @@ from jaxid.data.dataset import (
 from jaxid.fitting.fitter import AbstractFitter
 from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.problem.binding import bind
-from jaxid.problem.frequency_response import estimate, FrequencyResponseError
+from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import FitProblem
+from jaxid.problem.response_lines import estimate
 from jaxid.study.papers.result import judged, PaperClaim, PaperPart, PaperTable, PARTLY, UNKNOWN
 from jaxid.study.papers.searches import course, dispersion, in_order, lines, mean_sd, race, Searched
 from jaxid.study.papers.twins import flexible_link as twin
