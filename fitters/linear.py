@@ -13,7 +13,6 @@ W itself without instruments).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -22,11 +21,14 @@ import numpy as np
 from jaxid.data.noise import noise_floor
 from jaxid.dynamics.controller import law_of
 from jaxid.errors import UsageError
-from jaxid.fitting.covariance import CovarianceEstimate, long_run, null_directions, whiteness
+from jaxid.fitting.covariance import CovarianceEstimate, one_sided
 from jaxid.fitting.fitter import AbstractFitter, Minimum
 from jaxid.fitting.recursive_least_squares import replay
 from jaxid.fitting.settings import option
-from jaxid.problem.objective import AbstractProblem, PENALTY, rows
+from jaxid.force.covariance import covariance_of_rows, of_scores
+from jaxid.force.least_squares import Rows, solve
+from jaxid.force.rows import ForceRows, Numbers
+from jaxid.problem.objective import AbstractProblem, PENALTY, rows as rows_of
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics, Runs
 
@@ -37,6 +39,8 @@ LINEAR = 1e-6
 #: Instruments have converged where the estimate moves by less than this share of its standard
 #: deviation.
 STILL = 0.05
+#: The smallest residual that weighs, in units of the noise.
+LEAST = 1e-12
 
 
 @dataclass(frozen=True)
@@ -46,33 +50,6 @@ class LinearMinimum(Minimum):
     """
 
     covariance: CovarianceEstimate | None = None
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """W theta = b: per run of the problem W [samples nq k] and b [samples nq], both divided by the
-    noise.
-    """
-
-    W: list[np.ndarray]
-    b: list[np.ndarray]
-
-    def weighted(self, weights: Sequence[np.ndarray]) -> Blocks:
-        """The same with each joint of each run multiplied by its weight [nq]."""
-        return Blocks(
-            [W * w[:, None] for W, w in zip(self.W, weights, strict=True)],
-            [b * w for b, w in zip(self.b, weights, strict=True)],
-        )
-
-    def errors(self, theta: np.ndarray) -> list[np.ndarray]:
-        return [W @ theta - b for W, b in zip(self.W, self.b, strict=True)]
-
-    @property
-    def stacked(self) -> tuple[np.ndarray, np.ndarray]:
-        k = self.W[0].shape[-1]
-        return np.concatenate([W.reshape(-1, k) for W in self.W]), np.concatenate(
-            [b.ravel() for b in self.b]
-        )
 
 
 def of_runs(problem: AbstractProblem, name: str) -> FitProblem:
@@ -95,14 +72,13 @@ class LeastSquares(AbstractFitter):
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         problem = of_runs(problem, self.name)
-        at, blocks = linearised(problem, starts[0], self.name)
-        theta = solve(problem, at, blocks, blocks)
+        at, rows = linearised(problem, starts[0], self.name)
         return finish(
             problem=problem,
             at=at,
-            blocks=blocks,
-            instruments=blocks,
-            theta=theta,
+            rows=rows,
+            instruments=None,
+            theta=solved(problem, at, rows),
             name=self.name,
             stopped="solved directly",
             evaluations=1,
@@ -122,20 +98,19 @@ class WeightedLeastSquares(AbstractFitter):
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         problem = of_runs(problem, self.name)
         at, plain = linearised(problem, starts[0], self.name)
-        blocks, theta = plain, solve(problem, at, plain, plain)
+        weighted, theta = plain, solved(problem, at, plain)
         stopped = "iteration limit"
         for _ in range(self.iterations):
-            sizes = [np.sqrt(np.mean(r**2, 0)) for r in plain.errors(theta)]
-            blocks = plain.weighted([1 / np.maximum(s, 1e-12) for s in sizes])
-            old, theta = theta, solve(problem, at, blocks, blocks)
+            weighted = plain.weighted([1 / np.maximum(rms, LEAST) for rms in plain.rms(theta)])
+            old, theta = theta, solved(problem, at, weighted)
             if change(old, theta) < self.tolerance:
                 stopped = "tolerance"
                 break
         return finish(
             problem=problem,
             at=at,
-            blocks=blocks,
-            instruments=blocks,
+            rows=weighted,
+            instruments=None,
             theta=theta,
             name=self.name,
             stopped=stopped,
@@ -163,39 +138,40 @@ class RecursiveLeastSquares(AbstractFitter):
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         problem = of_runs(problem, self.name)
-        at, blocks = linearised(problem, starts[0], self.name)
-        Y, b = np.concatenate(blocks.W), np.concatenate(blocks.b)
+        at, rows = linearised(problem, starts[0], self.name)
+        Y, b = np.concatenate(rows.columns), np.concatenate(rows.torque)
         size = np.linalg.norm(Y.reshape(-1, Y.shape[2]), axis=0)
         scale = np.where(size > 1e-10 * size.max(), size, np.inf)
-        rest = b - Y @ at
-        lower, upper = bounds(problem)
         delta, _, _ = replay(
             Y / scale,
-            rest,
+            b - Y @ at,
             np.zeros(at.size),
             noise_var=1.0,
             prior_var=self.prior_var,
             forgetting=self.forgetting,
         )
-        theta = np.clip(at + delta / scale, lower, upper)
-        stopped = "all samples seen"
         if self.forgetting < 1:  # a sample counts by its age, also in the standard deviations
-            share = self.forgetting ** (0.5 * np.arange(len(Y) - 1, -1, -1.0))
-            parts = np.split(share, np.cumsum([len(W) for W in blocks.W])[:-1])
-            blocks = Blocks(
-                [W * s[:, None, None] for W, s in zip(blocks.W, parts, strict=True)],
-                [x * s[:, None] for x, s in zip(blocks.b, parts, strict=True)],
-            )
+            rows = _aged(rows, self.forgetting)
         return finish(
             problem=problem,
             at=at,
-            blocks=blocks,
-            instruments=blocks,
-            theta=theta,
+            rows=rows,
+            instruments=None,
+            theta=np.clip(at + delta / scale, *bounds(problem)),
             name=self.name,
-            stopped=stopped,
+            stopped="all samples seen",
             evaluations=1,
         )
+
+
+def _aged(rows: ForceRows, forgetting: float) -> ForceRows:
+    """Rows of runs that follow each other, each times the root of what its age lets it count."""
+    count = sum(map(len, rows.torque))
+    share = forgetting ** (0.5 * np.arange(count - 1, -1, -1.0))
+    parts = np.split(share, np.cumsum([len(tau) for tau in rows.torque])[:-1])
+    columns = [W * s[:, None, None] for W, s in zip(rows.columns, parts, strict=True)]
+    torque = [tau * s[:, None] for tau, s in zip(rows.torque, parts, strict=True)]
+    return ForceRows.of(columns, torque)
 
 
 class InstrumentalVariables(AbstractFitter):
@@ -230,8 +206,8 @@ class InstrumentalVariables(AbstractFitter):
             )
         law_of(runs.dataset, runs.layout.chain.signature)
         at, plain = linearised(problem, starts[0], self.name)
-        blocks = instruments = plain
-        theta, number = solve(problem, at, plain, plain), 0
+        rows, instruments = plain, plain
+        theta, number = solved(problem, at, plain), 0
         stopped = "iteration limit"
         for number in range(self.iterations):
             made = _instruments(problem, theta)
@@ -243,10 +219,9 @@ class InstrumentalVariables(AbstractFitter):
                 return Minimum(at, PENALTY, False, why, number + 1)
             instruments = made
             if self.corrected:
-                blocks = Blocks(
-                    plain.W, [b + r for b, r in zip(plain.b, made.errors(theta), strict=True)]
-                )
-            old, theta = theta, solve(problem, at, blocks, instruments)
+                errors = zip(plain.torque, made.errors(theta), strict=True)
+                rows = ForceRows.of(plain.columns, [tau - e for tau, e in errors])
+            old, theta = theta, solved(problem, at, rows, instruments)
             if progress:
                 progress(self.name, number + 1, self.iterations, f"change {change(old, theta):.1e}")
             if change(old, theta) < self.tolerance:
@@ -254,7 +229,7 @@ class InstrumentalVariables(AbstractFitter):
                 break
             # A joint that sticks one sample longer or shorter keeps the last digits moving.
             z = at_theta(problem, theta)
-            std = sandwich(problem, z, blocks, instruments, theta).std * problem.dtheta(z)
+            std = sandwich(problem, z, rows, instruments, theta).std * problem.dtheta(z)
             if number >= 2 and np.all(
                 np.abs(theta - old) < STILL * np.where(np.isfinite(std), std, np.inf)
             ):
@@ -263,7 +238,7 @@ class InstrumentalVariables(AbstractFitter):
         return finish(
             problem=problem,
             at=at,
-            blocks=blocks,
+            rows=rows,
             instruments=instruments,
             theta=theta,
             name=self.name,
@@ -305,9 +280,9 @@ def _torque_runs(problem: FitProblem, name: str) -> Runs:
     return problem.runs
 
 
-def linearised(problem: FitProblem, guess: np.ndarray, name: str) -> tuple[np.ndarray, Blocks]:
-    """(theta, blocks) at an interior point near the guess. Raises `UsageError` where the residual
-    is not linear.
+def linearised(problem: FitProblem, guess: np.ndarray, name: str) -> tuple[Numbers, ForceRows]:
+    """Free numbers and rows at an interior point near the guess. Raises `UsageError` where the
+    residual is not linear.
     """
     _torque_runs(problem, name)
     lower, upper = bounds(problem)
@@ -317,55 +292,48 @@ def linearised(problem: FitProblem, guess: np.ndarray, name: str) -> tuple[np.nd
         np.maximum(np.abs(problem.theta(guess)[problem.free]), 0.01 * (upper - lower)),
     )
     theta = np.clip(problem.theta(guess)[problem.free], lower + inside, upper - inside)
-    blocks = _blocks(problem, theta)
+    rows = _rows(problem, theta)
     away = np.where(theta + 2 * inside < upper, theta + 2 * inside, theta - inside)
-    other = _blocks(problem, away)
-    scale = [np.abs(W).max((0, 1)) + 1e-300 for W in other.W]
     bent = np.zeros(theta.size, bool)
-    for W, V, s in zip(blocks.W, other.W, scale, strict=True):
-        bent |= np.abs(W - V).max((0, 1)) > LINEAR * s
+    for W, V in zip(rows.columns, _rows(problem, away).columns, strict=True):
+        bent |= np.abs(W - V).max((0, 1)) > LINEAR * (np.abs(V).max((0, 1)) + 1e-300)
     if bent.any():
         names = ", ".join(problem.runs.layout.names[i] for i in problem.free[bent])
         raise UsageError(
             f"{name} needs a model that is linear in its parameters; this one is not in {names}."
             " Use fitter lm, or fix what makes it nonlinear under [model.constants]"
         )
-    return theta, blocks
+    return theta, rows
 
 
-def _blocks(problem: FitProblem, theta: np.ndarray) -> Blocks:
-    """W and b of the problem, linearised at free parameters theta."""
+def _rows(problem: FitProblem, theta: Numbers) -> ForceRows:
+    """Rows of the problem, over the noise, linearised at free parameters theta."""
     z = at_theta(problem, theta)
-    slope, W, b = problem.dtheta(z), [], []
-    for part in rows([(problem, z)]):
-        W.append(part.J / slope)
-        b.append(W[-1] @ theta - part.r)
-    return Blocks(W, b)
+    slope, columns, torque = problem.dtheta(z), [], []
+    for part in rows_of([(problem, z)]):
+        columns.append(part.J / slope)
+        torque.append(columns[-1] @ theta - part.r)
+    return ForceRows.of(columns, torque)
 
 
-def solve(problem: FitProblem, at: np.ndarray, blocks: Blocks, instruments: Blocks) -> np.ndarray:
-    """min |Q'(W theta - b)| within the bounds, Q a basis of the instruments; a direction that the
-    data do not determine stays where `at` is.
+def solved(
+    problem: FitProblem, at: Numbers, rows: ForceRows, instruments: ForceRows | None = None
+) -> Numbers:
+    """min |Q'(W theta - b)| within the bounds, Q a basis of the instruments (without any, of W
+    itself); a direction that the data do not determine stays where `at` is.
     """
-    from scipy.optimize import lsq_linear
-
-    W, b = blocks.stacked
-    scale = np.sqrt(np.sum(W**2, 0)) + 1e-300
-    Z = instruments.stacked[0]
-    Q, size, _ = np.linalg.svd(Z / (np.sqrt(np.sum(Z**2, 0)) + 1e-300), full_matrices=False)
-    Q = Q[:, size > 1e-10 * size[0]]
-    A, rest = Q.T @ (W / scale), Q.T @ (b - W @ at)
-    delta = np.linalg.lstsq(A, rest, rcond=1e-10)[0]
-    lower, upper = bounds(problem)
-    theta = at + delta / scale
-    if ((theta < lower) | (theta > upper)).any():
-        box = (lower - at) * scale, (upper - at) * scale
-        theta = at + lsq_linear(A, rest, box, method="bvls").x / scale
-    return np.clip(theta, lower, upper)
+    if instruments is None:
+        few = rows.triangles()
+        equations = Rows(*few.stacked(few.plain_weights()))
+    else:
+        Z, _ = instruments.stacked(instruments.plain_weights())
+        equations = Rows.projected(*rows.stacked(rows.plain_weights()), Z)
+    theta, _ = solve(equations, at, *bounds(problem))
+    return theta
 
 
-def _instruments(problem: FitProblem, theta: np.ndarray) -> Blocks | None:
-    """W and b along the closed-loop motion of the estimate, filtered and decimated as the data;
+def _instruments(problem: FitProblem, theta: Numbers) -> ForceRows | None:
+    """Rows along the closed-loop motion of the estimate, filtered and decimated as the data;
     None if it diverges.
     """
     runs = problem.runs
@@ -391,7 +359,7 @@ def _instruments(problem: FitProblem, theta: np.ndarray) -> Blocks | None:
     )
     twin = FitProblem(made, problem.base, problem.free, *_boxes(problem), records=problem.records)
     back = made.noise / runs.noise  # weighted as the data are
-    return _blocks(twin, theta).weighted([back] * len(experiments))
+    return _rows(twin, theta).weighted([back] * len(experiments))
 
 
 def _boxes(problem: FitProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -404,9 +372,9 @@ def _boxes(problem: FitProblem) -> tuple[np.ndarray, np.ndarray]:
 def finish(
     problem: FitProblem,
     at: np.ndarray,
-    blocks: Blocks,
-    instruments: Blocks,
-    theta: np.ndarray,
+    rows: ForceRows,
+    instruments: ForceRows | None,
+    theta: Numbers,
     name: str,
     stopped: str,
     evaluations: int,
@@ -424,14 +392,14 @@ def finish(
             "the torque residual is not finite; check the recorded motion",
             evaluations,
         )
-    plain = np.concatenate([part.r.ravel() for part in rows([(problem, z)])])
-    linear = np.concatenate([r.ravel() for r in _blocks(problem, at).errors(theta)])
-    if np.linalg.norm(plain - linear) > LINEAR * max(np.linalg.norm(plain), 1e-300):
+    plain = np.concatenate([part.r.ravel() for part in rows_of([(problem, z)])])
+    left = np.concatenate([e.ravel() for e in _rows(problem, at).errors(theta)])
+    if np.linalg.norm(plain + left) > LINEAR * max(np.linalg.norm(plain), 1e-300):
         raise UsageError(
             f"{name} needs a model that is linear in its parameters over their whole range: use"
             " fitter lm"
         )
-    found = sandwich(problem, z, blocks, instruments, theta)
+    found = sandwich(problem, z, rows, instruments, theta)
     return LinearMinimum(
         z,
         loss,
@@ -444,57 +412,39 @@ def finish(
 
 
 def sandwich(
-    problem: FitProblem, z: np.ndarray, blocks: Blocks, instruments: Blocks, theta: np.ndarray
+    problem: FitProblem,
+    z: np.ndarray,
+    rows: ForceRows,
+    instruments: ForceRows | None,
+    theta: Numbers,
 ) -> CovarianceEstimate:
-    """(Z'W)^-1 S (W'Z)^-1 in the search scale: S the long-run covariance of the scores Z'r, s^2 Z'Z
-    where r is white.
+    """Covariance in the search scale: of the rows, each joint of each run by its own residual; cut
+    off at the bounds.
     """
-    slope = problem.dtheta(z)
-    W, Z = blocks.stacked[0] * slope, instruments.stacked[0] * slope
-    residuals = blocks.errors(theta)
-    n, count = theta.size, len(W)
+    plain, slope = rows.plain_weights(), problem.dtheta(z)
+    found = covariance_of_rows(rows, plain, theta, of_scores, instruments=instruments)
+    spread = found.matrix / slope / slope[:, None]
     span = problem.upper - problem.lower
     at_bound = (z - problem.lower <= 1e-7 * span) | (problem.upper - z <= 1e-7 * span)
-    scale = np.sqrt(np.sum(W**2, 0))
-    seen = scale > 1e-150
-    scale = np.where(seen, scale, 1.0)
-    identifiable, groups = null_directions(W.T @ W / scale / scale[:, None], seen)
-    identifiable &= seen
-    white, memory = whiteness([column for r in residuals for column in r.T])
-    dof = max(1, count - n)
-    s2 = float(sum(np.sum(r**2) for r in residuals)) / dof
-    columns = list(range(n))
-    scores = [
-        (columns, np.einsum("tc,tck->tk", r, A * slope))
-        for r, A in zip(residuals, instruments.W, strict=True)
-    ]
-    S = Z.T @ Z * s2 if white else long_run(scores, n, memory) * count / dof
-    matrix = np.full((n, n), np.nan)
-    for kept in (
-        ~at_bound & seen,
-        seen,
-    ):  # those at a bound get their own figures from the full matrix
-        index = np.flatnonzero(kept)
-        if not index.size:
-            continue
-        part = np.ix_(index, index)
-        inverse = (
-            np.linalg.pinv((Z.T @ W / scale / scale[:, None])[part], rcond=1e-10)
-            / scale[index]
-            / scale[index][:, None]
-        )
-        cov = inverse @ S[part] @ inverse.T
-        floor = s2 * np.diag(
-            inverse @ (Z.T @ Z)[part] @ inverse.T
-        )  # never narrower than white residuals of that size
-        stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
-        matrix[part] = np.where(
-            np.isnan(matrix[part]), cov * stretch * stretch[:, None], matrix[part]
-        )
+    A, _ = rows.triangles().stacked(plain)
+    curvature = (A * slope).T @ (A * slope)
+    errors = np.concatenate([e.ravel() for e in rows.errors(theta)])
+    descent = rows.stacked(plain)[0].T @ errors * slope
+    least = np.diag(np.linalg.pinv(curvature, hermitian=True))
+    at = np.flatnonzero(at_bound & found.identifiable)
+    matrix = one_sided(problem, z, spread, least, -descent, at)
     std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    std[~identifiable] = np.nan
-    how = "white" if white else f"coloured (memory {memory} samples)"
+    std[~found.identifiable] = np.nan
+    how = "white" if found.white else f"coloured (memory {found.memory} samples)"
     statement = (
         f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"
     )
-    return CovarianceEstimate(matrix, std, identifiable, at_bound, groups, white, statement)
+    return CovarianceEstimate(
+        matrix=matrix,
+        std=std,
+        identifiable=found.identifiable,
+        at_bound=at_bound,
+        groups=found.groups,
+        white=found.white,
+        statement=statement,
+    )

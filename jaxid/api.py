@@ -360,33 +360,40 @@ def compare(
     tolerance: float = 1e-3,
     seed: int = 0,
     progress: Progress | None = None,
+    as_recorded: bool = False,
+    cutoff_hz: float | None = None,
 ) -> Comparison:
     """Runs every fitter with every seed on the same compiled loss, with the same budget of
     evaluations (default 10,000) or `seconds`, whichever ends a run first.
 
     A seed is a random start within the bounds, the same for all fitters (`starts="guess"`: the
     start that the data suggest). A run has reached the target when its loss is at most the best
-    known one times 1 + `tolerance`. Raises `UsageError` for arguments that do not fit.
+    known one times 1 + `tolerance`. The recording is checked first, as by `fit`, and decisive
+    findings are applied unless `as_recorded`. `cutoff_hz` is the low-pass of `inverse_dynamics`.
+    Raises `UsageError` for arguments that do not fit.
     """
     from jaxid.fitters.by_name import labelled
     from jaxid.fitting.comparison_runs import BUDGET, run_comparison
 
     budget = BUDGET if budget is None and seconds is None else budget
+    without = tuple(without)
+    checked = _checked(model, dataset, without, as_recorded)
     return run_comparison(
         model=model,
-        dataset=dataset,
+        dataset=checked.mended or dataset,
         fitters=labelled(fitters, budget, seconds),
         seeds=seeds,
         budget=budget,
         seconds=seconds,
         effects=effects,
         without=without,
-        residual=resolve_residual(residual),
+        residual=resolve_residual(residual, cutoff_hz),
         loss=loss or "sum_of_squares",
         starts=starts,
         tolerance=tolerance,
         seed=seed,
         progress=progress,
+        data=checked.findings,
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from jaxid.diagnosis.budget import budget
+from jaxid.fitting.stated import StatedNumber
 from jaxid.report.answer import headline
 from jaxid.report.text import diagnosis_text
 from jaxid.serialise import finite
@@ -50,6 +51,26 @@ def test_numbers_that_close_most_come_first(retuned, first):
     assert ("Re-tuned numbers close" in text) == first
     unknown = replace(found, which=replace(found.which, verdict="unknown", effects=()))
     assert headline(unknown).startswith("Re-tuned numbers close") == first
+
+
+def test_a_gap_that_is_left_has_the_number_first_that_closed_the_rest():
+    found = sample_diagnosis(samples=400)
+    friction = StatedNumber(
+        joint="shoulder",
+        link="",
+        parameter="frictionloss",
+        stated=0.3,
+        fitted=1.977,
+        std=0.004,
+        deviation=400.0,
+        text="",
+        unit="N m",
+    )
+    which = replace(found.which, verdict="unknown", effects=())
+    final = replace(found.final, stated=(friction,))
+    told = headline(replace(found, which=which, final=final, how_far=gaps(100.0, 1.12, 1.12)))
+    assert told.startswith("With the shoulder's dry friction at 1.98 N m, not 0.3, ")
+    assert told.endswith("What is left then no known effect explains.")
 
 
 def test_the_json_holds_the_steps():

@@ -174,6 +174,7 @@ def test_diagnose(calls, tmp_path, capsys):
         "reference": None,
         "seed": 0,
         "as_recorded": False,
+        "seconds": None,
     }
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     assert content["kind"] == "diagnosis" and content["schema"] == 1

@@ -118,6 +118,16 @@ def test_least_squares_is_the_minimum_that_lm_finds_and_keeps_bounds(quiet):
     assert bounded.loss > linear.loss
 
 
+def test_a_bound_leaves_the_covariance_positive_semidefinite(quiet):
+    assert quiet.model is not None
+    tight = replace(quiet.model, parameters={"viscous": ParameterPrior(0.1, 0.0, 0.15)})
+    bounded = jaxid.fit("joint", replace(quiet, model=tight), fitter="ls")
+    assert bounded.parameters["viscous"].at_bound and bounded.parameters["viscous"].std > 0
+    C = bounded.covariance.matrix
+    size = np.sqrt(np.diag(C))
+    assert np.linalg.eigvalsh(C / size / size[:, None]).min() > -1e-9
+
+
 def test_instruments_remove_the_bias_of_least_squares():
     """Reduced study; benchmarks/closed_loop.py has 60 seeds and all methods."""
     found = twin.study(range(8), ("ls", "iv"))

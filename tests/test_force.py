@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from jaxid.force.covariance import (
+    correlation_time,
+    covariance_of_rows,
+    of_joints,
+    of_scores,
+    sandwich,
+)
 from jaxid.force.least_squares import NormalEquations, Rows, solve
+from jaxid.force.rows import ForceRows
 
 
 def a_problem(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -77,3 +85,58 @@ def test_a_number_without_room_stays_where_it_is():
     bound = np.array([1.0, 9.0])
     found, held = solve(Rows(A, b), np.ones(2), np.array([1.0, 0.0]), bound)
     assert np.array_equal(found, [1.0, 5.0]) and list(held) == [True, False]
+
+
+def rows_with_noise(rng: np.random.Generator, theta: np.ndarray, count: int = 400) -> ForceRows:
+    """Two runs of two joints with white noise of unlike sizes."""
+    columns = [rng.normal(size=(count, 2, len(theta))) for _ in range(2)]
+    noise = [rng.normal(size=(count, 2)) * np.array([0.1, 0.5]) for _ in range(2)]
+    return ForceRows.of(columns, [W @ theta + e for W, e in zip(columns, noise, strict=True)])
+
+
+def test_triangles_stand_for_all_rows():
+    rng = np.random.default_rng(5)
+    theta = rng.normal(size=4)
+    rows = rows_with_noise(rng, theta)
+    weights = [np.array([2.0, 0.3]), np.array([1.0, 5.0])]
+    A, b = rows.stacked(weights)
+    few, target = rows.triangles().stacked(weights)
+    assert len(few) < len(A) / 10
+    assert np.allclose(few.T @ few, A.T @ A) and np.allclose(few.T @ target, A.T @ b)
+    assert np.allclose(rows.triangles().rms(theta), rows.rms(theta))
+    assert np.allclose(rows.weighted(weights).stacked(rows.plain_weights())[0], A)
+
+
+@pytest.mark.parametrize("scores", [of_joints, of_scores])
+def test_standard_deviations_are_how_far_estimates_scatter(scores):
+    """Of 200 recordings with white noise, those of the first told beforehand."""
+    rng = np.random.default_rng(6)
+    theta = np.array([1.0, -2.0, 0.5])
+    found, told = [], []
+    for _ in range(200):
+        rows = rows_with_noise(rng, theta, count=60)
+        weights = [np.array([10.0, 2.0])] * 2
+        x, _ = solve(Rows(*rows.stacked(weights)), np.zeros(3))
+        found.append(x)
+        told.append(np.diag(covariance_of_rows(rows, weights, x, scores).matrix))
+    scatter = np.std(found, axis=0)
+    assert np.allclose(np.sqrt(np.mean(told, axis=0)) / scatter, 1.0, atol=0.25)
+
+
+def test_a_covariance_is_positive_semidefinite_and_no_narrower_than_the_least():
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        root = rng.normal(size=(3, 6))  # of fewer directions than numbers
+        slope, least = np.diag(10 ** rng.uniform(-3, 3, 6)), np.diag(rng.uniform(0.1, 1.0, 6))
+        made = sandwich(slope, root.T @ root, least, 1e-10)
+        size = np.sqrt(np.diag(made))
+        assert np.linalg.eigvalsh(made / size / size[:, None]).min() > -1e-12
+        assert np.all(size >= np.sqrt(np.diag(least)) / np.diag(slope) * (1 - 1e-9))
+
+
+def test_rows_that_share_noise_count_less():
+    rng = np.random.default_rng(8)
+    white = rng.normal(size=4000)
+    slow = np.convolve(rng.normal(size=4020), np.ones(20), "valid")[:4000]
+    assert correlation_time([white], 1000) < 1.5
+    assert 12 < correlation_time([slow], 1000) < 28

@@ -664,7 +664,8 @@ def test_ur10e_recordings():
 
 def test_rows_beside_what_is_known_are_a_ridge():
     """Weights as they end, rows as many as are independent: the minimum of both sums of squares."""
-    from jaxid.identification.estimators import _independent, Triangles, weighted
+    from jaxid.force.rows import ForceRows
+    from jaxid.identification.estimators import independent_share, weighted
 
     rng = np.random.default_rng(1)
     W, true, known = (
@@ -673,19 +674,19 @@ def test_rows_beside_what_is_known_are_a_ridge():
         np.array([1.2, -1.5, 0.0]),
     )
     W[:, :, 2] *= 1e-3  # hardly shown
-    blocks = [(W, W @ true + rng.normal(size=(400, 2)) * np.array([0.1, 0.5]))]
+    tau = W @ true + rng.normal(size=(400, 2)) * np.array([0.1, 0.5])
+    rows = ForceRows.of([W], [tau])
     spread = np.array([0.1, 0.1, 0.1])
-    theta, (w,) = weighted(blocks, known, spread=spread)
+    theta, (w,) = weighted(rows, known, spread=spread)
     H = np.einsum("tji,j,tjk->ik", W, w**2, W) + np.diag(spread**-2)
-    b = np.einsum("tji,j,tj->i", W, w**2, blocks[0][1]) + known / spread**2
+    b = np.einsum("tji,j,tj->i", W, w**2, tau) + known / spread**2
     assert np.allclose(theta, np.linalg.solve(H, b), rtol=1e-8)
     assert abs(theta[0] - 1.0) < 0.02 and abs(theta[2]) < 0.05, (
         "what the rows show is theirs, the rest is known"
     )
-    share = _independent(blocks, theta)[0]
-    assert np.all(share > 0.7) and np.allclose(
-        w, share * Triangles.made(blocks).joint_weights(theta)[0], rtol=0.02
-    )
+    share = independent_share(rows, theta)[0]
+    assert np.all(share > 0.7)
+    assert np.allclose(w, share / rows.rms(theta)[0], rtol=0.02)
 
 
 @pytest.mark.parametrize(("second", "kept"), [(0.2, True), (0.6, False)])

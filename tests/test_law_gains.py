@@ -1,6 +1,7 @@
 """Gains of a robot's law as numbers that may be wrong."""
 
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from jaxid.data.dataset import Controller
 from jaxid.diagnosis.goals.floor import between_simulators
 from jaxid.diagnosis.goals.gains import (
     asked_for,
+    doubted_gains,
     freed,
     gains_in,
     held_gains,
@@ -151,3 +153,39 @@ def test_a_kd_that_is_too_high_is_what_differs():
     assert wrong.beside == pytest.approx(0.05, abs=0.005)  # true
     assert not found.final.failed and found.how_far.gap_before > 50
     assert '[controller] fit = ["kd"]' in " ".join(found.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "stated, parameter, value",
+    [
+        ('kp="8" kv="0.03"', "kd + damping of steer", 0.07),
+        ('kp="7" kv="0.05"', "kp", 8.0),
+    ],
+)
+def test_a_gain_that_is_a_little_off_is_no_effect(stated, parameter, value, tmp_path):
+    """A kd that is too low is no friction, a kp that is too low no lighter rotor."""
+    folder = CASES / "robot3_kd_too_high"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not here")
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    text = (tmp_path / "hub.xml").read_text().replace('kp="8" kv="0.7"', stated)
+    (tmp_path / "hub.xml").write_text(text)
+    found = jaxid.diagnose(None, jaxid.load_dataset(tmp_path))
+    assert found.which.verdict == "none" and not found.which.effects
+    first = [s for s in found.final.stated if s.refuted][0]
+    assert first.parameter == parameter
+    told = first.fitted if first.beside is None else first.beside
+    assert told == pytest.approx(value, rel=0.03)
+
+
+def test_a_kp_is_doubted_where_several_numbers_of_its_joint_are_refuted():
+    def row(parameter: str, deviation: float | None, joint: str = "steer") -> StatedNumber:
+        return StatedNumber(joint, "", parameter, 1.0, 2.0, 0.1, deviation, "")
+
+    b = bound()
+    assert doubted_gains(b, [row("armature", 9.0), row("frictionloss", -5.0)]) == ["kp@steer"]
+    assert doubted_gains(b, [row("armature", 9.0), row("frictionloss", None)]) == []
+    assert doubted_gains(b, [row("armature", 9.0), row("frictionloss", 5.0, "other")]) == []
+    asked = bound(kp=8.0, kd=0.3, sample_time=0.0, velocity="measured", fit=["kp"])
+    assert doubted_gains(asked, [row("armature", 9.0), row("frictionloss", 5.0)]) == []

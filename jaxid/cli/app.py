@@ -18,10 +18,11 @@ from jaxid.catalogue import LOSSES
 from jaxid.cli import terminal
 from jaxid.cli.model import MODEL as MODEL
 from jaxid.cli.options import (
+    AS_RECORDED,
     CUTOFF,
     DATASET,
+    effects_option,
     foretell,
-    names,
     OUT,
     output_options,
     read_parameters,
@@ -46,6 +47,7 @@ MODULES = {
     "export": "jaxid.cli.export",
     "identify": "jaxid.cli.identify",
     "import": "jaxid.cli.importing",
+    "new": "jaxid.cli.new",
     "record": "jaxid.cli.record",
     "reproduce": "jaxid.cli.reproduce",
     "emulate": "jaxid.cli.emulate",
@@ -93,20 +95,10 @@ def cli() -> None:
     """
 
 
-def fitter_list(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
-    """Fitters written with commas, of which those in brackets belong to one."""
-    from jaxid.fitting.settings import split_outside_brackets
-
-    return None if value is None else split_outside_brackets(value)
-
-
 SOLVER = click.option(
     "--solver",
     metavar="own|diffrax:S",
     help="What simulates: jaxid's own stepping, or a solver of diffrax (diffrax:Tsit5).",
-)
-AS_RECORDED = click.option(
-    "--as-recorded", is_flag=True, help="Take the data as they are: apply no finding of the check."
 )
 
 
@@ -117,13 +109,7 @@ AS_RECORDED = click.option(
 @click.option(
     "--fitter", metavar="F", help="Fitter (see `jaxid fitters`), also as 'de(popsize=20, F=0.5)'."
 )
-@click.option(
-    "--effect",
-    "effects",
-    multiple=True,
-    metavar="E[@LOCATION]",
-    help="Effect to add; may be repeated.",
-)
+@effects_option("Effect to add; may be repeated.")
 @WITHOUT
 @RESIDUAL
 @CUTOFF
@@ -221,12 +207,7 @@ def fit(
     show_default=True,
     help="Most effects to name.",
 )
-@click.option(
-    "--effects",
-    callback=names,
-    metavar="E,…",
-    help="Candidates (see `jaxid effects`); default: all.",
-)
+@effects_option("Candidates (see `jaxid effects`); default: all.")
 @WITHOUT
 @RESIDUAL
 @CUTOFF
@@ -293,7 +274,7 @@ def diagnose(
             model,
             data,
             max_effects=max_effects,
-            effects=effects,
+            effects=effects or None,
             without=without or (),
             residual=residual,
             cutoff_hz=cutoff,

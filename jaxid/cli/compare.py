@@ -6,8 +6,20 @@ import click
 
 from jaxid.catalogue import LOSSES
 from jaxid.cli import terminal
-from jaxid.cli.app import FAILED, fitter_list, MODEL
-from jaxid.cli.options import DATASET, OUT, output_options, RESIDUAL, SEED, start, WITHOUT
+from jaxid.cli.app import FAILED, MODEL
+from jaxid.cli.options import (
+    AS_RECORDED,
+    CUTOFF,
+    DATASET,
+    effects_option,
+    names,
+    OUT,
+    output_options,
+    RESIDUAL,
+    SEED,
+    start,
+    WITHOUT,
+)
 from jaxid.cli.output import Output
 
 
@@ -17,7 +29,7 @@ from jaxid.cli.output import Output
 @MODEL
 @click.option(
     "--fitters",
-    callback=fitter_list,
+    callback=names,
     metavar="F,…",
     help="Fitters, also as 'de(CR=0.8)'; default: lm,hybrid,de,rde,pso,ga.",
 )
@@ -36,15 +48,10 @@ from jaxid.cli.output import Output
     metavar="S",
     help="Most seconds of a run, compiling left out.",
 )
-@click.option(
-    "--effect",
-    "effects",
-    multiple=True,
-    metavar="E[@LOCATION]",
-    help="Effect to add; may be repeated.",
-)
+@effects_option("Effect to add; may be repeated.")
 @WITHOUT
 @RESIDUAL
+@CUTOFF
 @click.option("--loss", metavar="L", type=click.Choice(LOSSES), help=f"{', '.join(LOSSES)}.")
 @click.option(
     "--starts",
@@ -61,6 +68,7 @@ from jaxid.cli.output import Output
     help="A run within this share of the best loss counts.",
 )
 @SEED
+@AS_RECORDED
 @output_options
 def compare(
     dataset,
@@ -73,10 +81,12 @@ def compare(
     effects,
     without,
     residual,
+    cutoff,
     loss,
     starts,
     tolerance,
     seed,
+    as_recorded,
     as_json,
     quiet,
 ) -> int:
@@ -100,11 +110,13 @@ def compare(
             effects=effects,
             without=without or (),
             residual=residual,
+            cutoff_hz=cutoff,
             loss=loss,
             starts=starts,
             tolerance=tolerance,
             seed=seed,
             progress=output.progress,
+            as_recorded=as_recorded,
         )
         code = output.deliver(result, comparison_text)
     if all(run.status == "failed" for run in result.runs):

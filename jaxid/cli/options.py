@@ -15,13 +15,22 @@ from jaxid.cli.output import writable_folder
 
 
 def names(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
-    """A list written with commas."""
+    """A list written with commas, of which those in brackets belong to a name."""
     from jaxid.fitting.settings import split_outside_brackets
 
     if value is None:
         return None
-    parts = [part.strip() for part in split_outside_brackets(value)]
-    return tuple(filter(None, parts))
+    return split_outside_brackets(value)
+
+
+def names_of_all(_ctx, _param, values: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of an option that may be repeated, each time one or several with commas."""
+    from jaxid.fitting.settings import split_outside_brackets
+
+    found: list[str] = []
+    for value in values:
+        found += split_outside_brackets(value)
+    return tuple(found)
 
 
 def output_options(command: Callable) -> Callable:
@@ -43,6 +52,19 @@ OUT = click.option(
 )
 
 
+def effects_option(meaning: str) -> Callable:
+    """`--effect E,… --effect E`: the same way of writing effects in every command."""
+    return click.option(
+        "--effect",
+        "--effects",
+        "effects",
+        multiple=True,
+        callback=names_of_all,
+        metavar="E[@LOCATION],…",
+        help=meaning,
+    )
+
+
 WITHOUT = click.option(
     "--without",
     callback=names,
@@ -61,6 +83,11 @@ CUTOFF = click.option(
     type=click.FloatRange(0, min_open=True),
     metavar="HZ",
     help="Low-pass of inverse_dynamics; default: from the motion.",
+)
+
+
+AS_RECORDED = click.option(
+    "--as-recorded", is_flag=True, help="Take the data as they are: apply no finding of the check."
 )
 
 

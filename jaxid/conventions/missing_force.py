@@ -23,7 +23,7 @@ from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_position
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.force.columns import FEW, Forces, ROWS
 from jaxid.force.drive import drive_torque
-from jaxid.force.least_squares import NormalEquations, solve
+from jaxid.force.gauss_newton import descend, Room
 from jaxid.models.effects import (
     ConstantTorque,
     CoulombFriction,
@@ -45,15 +45,9 @@ NEIGHBOURS, WIDTH = 5, 0.5
 #: value.
 STILL = 0.08
 BLOCKS, EDGE = 10, 4
-#: A fit is done where a step takes less than that share of the sum of squares, one that `REACH`
-#: cuts off, and one that nothing does: what is compared with it are remainders that differ by
-#: `ALIKE`.
-COARSE, FINE = 1e-2, 1e-3
 #: The first step of a model that is not linear moves no number by more than this many times its
 #: size.
 REACH = 3.0
-#: A step whose cost is within that share of what the slopes promise was one of a linear model.
-AS_SAID = 1e-3
 #: Units of inputs that are goals of a law and not what drives.
 GOALS = "rad", "m", "rad/s", "m/s"
 PER_ROW = "since", "weight", "held", "block"
@@ -339,100 +333,73 @@ class ForceFit:
         `more`. `more` gives the motion by `size` further numbers of the reading; what after three
         steps still leaves more than `hopeless` of the drive is given up.
         """
-        b, free = self.binding, self.free
-        norm = self.norm(m)
-        train = ~m.held
+        free, train, norm = len(self.free), ~m.held, self.norm(m)
         weight = m.weight / norm
-        law: np.ndarray = (
-            self.laws(m) * weight[..., None] * norm[None, :, None]
-            if laws
-            else np.zeros((*weight.shape, 0))
-        )
-        count = len(LAWS) if laws else 0
-        blocks = np.zeros((*weight.shape, self.nq * count))
-        for j in range(self.nq):
-            blocks[:, j, j * count : (j + 1) * count] = law[:, j]
-        p, k = len(free), size
-        low, high = self._bounds
-        lower = np.concatenate(
-            [low, np.full(k, -np.inf), np.tile([-np.inf, 0, 0, 0, 0], self.nq) if laws else []]
-        )
-        upper = np.concatenate([high, np.full(lower.size - p, np.inf)])
-        x = np.concatenate([b.theta[free], np.zeros(lower.size - p)])
-        if (
-            more is None and len(m.held) > 2 * FEW and not self.forces.linear
-        ):  # most of the steps at few rows
+        columns: np.ndarray = np.zeros((*weight.shape, 0))
+        if laws:
+            columns = self._law_columns(m, weight, norm)
+        if more is None and len(m.held) > 2 * FEW and not self.forces.linear:
+            # Most of the steps at few rows.
             begin = self.fit(m.thinned(FEW), laws, hopeless=hopeless).x
+        room = self._room(size, columns.shape[2])
+        start = np.zeros(len(room.scale))
+        start[:free] = self.binding.theta[self.free]
         if begin is not None:
-            x = np.concatenate([begin[:p], np.zeros(k), begin[p:]])
-        scale = np.concatenate(
-            [np.maximum(np.abs(b.theta[free]), b.scale[free]), np.ones(lower.size - p)]
-        )
+            start = np.concatenate([begin[:free], np.zeros(size), begin[free:]])
+
+        def at(x: np.ndarray) -> tuple[np.ndarray, SampledMotion]:
+            theta = self.binding.theta.copy()
+            theta[self.free] = x[:free]
+            return theta, m if more is None else more(x[free : free + size])
 
         def residual(x: np.ndarray) -> np.ndarray:
-            theta = b.theta.copy()
-            theta[free] = x[:p]
-            moved = m if more is None else more(x[p : p + k])
-            return self.missing(theta, moved) * weight + blocks @ x[p + k :]
+            return self.missing(*at(x)) * weight + columns @ x[free + size :]
 
-        r = residual(x)
-        cost = float(np.sum(r[train] ** 2))
-        J = np.concatenate([np.zeros((*r.shape, p + k)), blocks], -1)
-        weighed = max(1, np.count_nonzero(m.weight[train]))
-        reach = np.inf if self.forces.linear else REACH
-        for round_ in range(10):
-            h = 1e-6 * scale * np.where(x + 1e-6 * scale <= upper, 1, -1)
-            theta = b.theta.copy()
-            theta[free] = x[:p]
-            moved = m if more is None else more(x[p : p + k])
-            if p:
-                J[..., :p] = self.slopes(theta, h[:p], moved) * weight[..., None]
-            for i in range(p, p + k):
-                J[..., i] = (residual(x + h[i] * (np.arange(x.size) == i)) - r) / h[i]
-            A, before = J[train].reshape(-1, x.size), r[train].ravel()
-            size = np.linalg.norm(A, axis=0)
-            unit = 1 / np.where(size > 0, size, 1.0)
-            A = A * unit
-            # Normal equations: twenty times quicker than a QR.
-            equations = NormalEquations.of_rows(A, -before)
-            for _ in range(8):
-                room = np.where(np.arange(x.size) < p + k, reach * scale, np.inf)
-                low, high = np.maximum(lower - x, -room), np.minimum(upper - x, room)
-                found, _ = solve(equations, np.zeros_like(x), low / unit, high / unit)
-                trial = np.clip(x + found * unit, lower, upper)
-                tried = residual(trial)
-                if (new := float(np.sum(tried[train] ** 2))) < cost:
-                    break
-                reach = (
-                    min(reach, float(np.max(np.abs(found * unit / scale)[: p + k], initial=0.0)))
-                    / 8
-                )
-            else:
-                break
-            promised = float(np.sum((before + A @ found) ** 2))
-            # Where a whole step comes out as the slopes have it, they hold there too, and no second
-            # step can do better.
-            whole = not np.any(np.abs(found * unit) >= 0.999 * room)
-            done = (
-                new < 1e-14
-                or (whole and new <= promised * (1 + AS_SAID))
-                or new > cost * (1 - (FINE if whole else COARSE))
-            )
-            reach *= 4 if cost - new > 0.5 * (cost - promised) else 1
-            x, r, cost = trial, tried, new
-            done |= round_ >= 2 and cost > hopeless**2 * weighed and b.chain.direct
-            if done:
-                break
-        theta = b.theta.copy()
-        theta[free] = x[:p]
-        left = r * (norm / self.norm(m if more is None else more(x[p : p + k]), theta))
+        def slopes(x: np.ndarray, left: np.ndarray) -> np.ndarray:
+            h = 1e-6 * room.scale * np.where(x + 1e-6 * room.scale <= room.upper, 1, -1)
+            J = np.concatenate([np.zeros((*weight.shape, free + size)), columns], axis=-1)
+            if free:
+                own, moved = at(x)
+                J[..., :free] = self.slopes(own, h[:free], moved) * weight[..., None]
+            for i in range(free, free + size):
+                J[..., i] = (residual(x + h[i] * (np.arange(x.size) == i)) - left) / h[i]
+            return J
 
-        def rms(keep):
-            return float(
-                np.sqrt(np.sum(left[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep])))
-            )
+        limit = np.inf
+        if self.binding.chain.direct:
+            limit = hopeless**2 * max(1, np.count_nonzero(m.weight[train]))
+        x, left, J = descend(residual, slopes, start, room, train, limit)
+        own, moved = at(x)
+        share = left * (norm / self.norm(moved, own))
+        fitted = _rms(share, m.weight, train)
+        held = _rms(share, m.weight, m.held) if m.held.any() else fitted
+        return ReadingFit(x, fitted, held, left, J)
 
-        return ReadingFit(x, rms(train), rms(m.held) if m.held.any() else rms(train), r, J)
+    def _law_columns(self, m: SampledMotion, weight: np.ndarray, norm: np.ndarray) -> np.ndarray:
+        """Columns of `LAWS` at each joint, [rows nq nq laws]: a number of a law acts on its own
+        joint alone.
+        """
+        law = self.laws(m) * weight[..., None] * norm[None, :, None]
+        count = len(LAWS)
+        out = np.zeros((*weight.shape, self.nq * count))
+        for j in range(self.nq):
+            out[:, j, j * count : (j + 1) * count] = law[:, j]
+        return out
+
+    def _room(self, size: int, laws: int) -> Room:
+        """Of the free numbers, then `size` ones of a reading, then those of `laws` columns, of
+        which all but the first of each joint brake or hold.
+        """
+        low, high = self._bounds
+        least = np.tile([-np.inf, 0, 0, 0, 0], self.nq)[:laws]
+        theta, scale = self.binding.theta[self.free], self.binding.scale[self.free]
+        return Room(
+            lower=np.concatenate([low, np.full(size, -np.inf), least]),
+            upper=np.concatenate([high, np.full(size + laws, np.inf)]),
+            scale=np.concatenate([np.maximum(np.abs(theta), scale), np.ones(size + laws)]),
+            limited=np.arange(len(low) + size + laws) < len(low) + size,
+            reach=np.inf if self.forces.linear else REACH,
+        )
 
     def noise(self, fitted: ReadingFit, binding: Binding, m: SampledMotion) -> float:
         """What the sensors' noise alone leaves of a fit, as a share of the drive, at the samples of
@@ -480,6 +447,11 @@ class ForceFit:
             if n > 2
             else np.inf
         )
+
+
+def _rms(left: np.ndarray, weight: np.ndarray, rows: np.ndarray) -> float:
+    """Root mean square of what is left [rows nq] of some rows, of those joints that count there."""
+    return float(np.sqrt(np.sum(left[rows] ** 2) / max(1, np.count_nonzero(weight[rows]))))
 
 
 def _unit_force(kind: type[JointEffect], q: Any, qd: Any) -> np.ndarray:

@@ -94,7 +94,7 @@ class CutShort(Reason):
     named: bool
     form = (
         "The search ended early, at what it may simulate or at --seconds: {what}. Leave out effects"
-        " that cannot be missing (--effects names the others), and it gets further."
+        " that cannot be missing (--effect names the others), and it gets further."
     )
 
     @property

@@ -95,9 +95,8 @@ class Searcher:
         self.base_free = list(nominal.problem.free)
         self.nominal = self._hypotheses([((), nominal)])[0]
         self.known: dict[frozenset[str], Hypothesis] = {frozenset(): self.nominal}
-        self._stale: dict[
-            frozenset[str], Hypothesis
-        ] = {}  # refitted before the data were corrected for the step
+        # refitted before the data were corrected for the step
+        self._stale: dict[frozenset[str], Hypothesis] = {}
         self.tried: list[Hypothesis] = []  # on the way to what is chosen
         self._singles: list[Hypothesis] = []  # those of the last step
         self._passed_over: dict[

@@ -9,6 +9,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.display import Displayed, displays
 from jaxid.numerics.versions import versions
 from jaxid.serialise import model_digest, SCHEMA
@@ -143,6 +144,7 @@ class Comparison(Displayed):
     wall_time_s: float
     notes: tuple[str, ...] = ()
     model_sha256: str = ""  # of the file of a model of the user's own
+    data: tuple[DataFinding, ...] = ()  # what the recording says about itself
 
     @property
     def target(self) -> float:
@@ -220,6 +222,7 @@ class Comparison(Displayed):
             "fitters": [s.to_dict() for s in self.table],
             "runs": [self._row(r) for r in self.runs],
             "wall_time_s": self.wall_time_s,
+            **as_data(self.data),
             "notes": list(self.notes),
             "versions": versions(),
         }

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from jaxid import catalogue
+from jaxid.conventions.finding import DataFinding
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.model_file import sha256_of
@@ -48,9 +49,10 @@ def run_comparison(
     tolerance: float,
     seed: int,
     progress: Progress | None,
+    data: tuple[DataFinding, ...] = (),
 ) -> Comparison:
-    """The whole of `jaxid.compare`; `fitters` have their labels. On Ctrl-C `Interrupted` carries
-    the comparison of the runs that were finished.
+    """The whole of `jaxid.compare`; `fitters` have their labels, `data` is what the check found. On
+    Ctrl-C `Interrupted` carries the comparison of the runs that were finished.
     """
     began = time.perf_counter()
     effects = tuple(catalogue.enrolled(e) for e in effects)
@@ -90,6 +92,7 @@ def run_comparison(
             wall_time_s=time.perf_counter() - began,
             notes=(*binding.dataset.notes, f"residual: {problem.runs.statement}"),
             model_sha256=sha256_of(binding.chain.mechanism),
+            data=data,
         )
 
     known = Interim()

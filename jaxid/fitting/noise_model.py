@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.force.covariance import transform_length
 from jaxid.simulation.sample_buffers import LONG
 
 
@@ -232,13 +233,6 @@ def _products(a: np.ndarray, b: np.ndarray, order: int) -> np.ndarray:
     for i in range(order):
         found[i + 1, 1:] = found[i, :-1] + (more - less)[i]
     return found
-
-
-def transform_length(n: int) -> int:
-    """A short length of Fourier transforms that holds a series of n samples and all its lags."""
-    from scipy.fft import next_fast_len
-
-    return int(next_fast_len(2 * n + 1, real=True) or 0)
 
 
 def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:

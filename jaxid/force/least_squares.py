@@ -122,6 +122,11 @@ class Rows(LinearEquations):
         Q = Q[:, strength > weak * strength[0]]
         return cls(Q.T @ A, Q.T @ b, weak, short)
 
+    def known(self, mean: Numbers, std: Numbers) -> Rows:
+        """With a row for each number: known beforehand to be `mean`, to within `std`."""
+        A, b = np.concatenate([self.A, np.diag(1 / std)]), np.concatenate([self.b, mean / std])
+        return Rows(A, b, self.weak, self.short)
+
     def minimum(self, x, free):
         size = np.linalg.norm(self.A[:, free], axis=0)
         shortest = max(self.short * float(self.sizes.max()), 1e-300)

@@ -3,21 +3,19 @@ projection.
 
 `ls` ordinary; `wls` each joint of each run weighted by its own residual (Gautier 1997); `tls` total
 least squares, columns that hold noise of the motion in errors, exact ones not (Van Huffel and
-Vandewalle 1991); `iv` instruments from the commanded motion; `constrained` inertial parameters of
-bodies that can exist, friction that brakes.
+Vandewalle 1991); `iv` instruments from the commanded motion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Float
 
-from jaxid.dynamics.base_parameters import BaseParameters
-from jaxid.dynamics.rigid_body import pseudo_inertia
-from jaxid.fitting.covariance import long_run, null_directions, whiteness
+from jaxid.force.covariance import correlation_time, whiteness
+from jaxid.force.least_squares import Rows, solve
+from jaxid.force.rows import ByJoint, ForceRows, Numbers
 
 
 #: A column shorter than this share of the longest shows nothing but rounding.
@@ -26,124 +24,69 @@ SEEN = 1e-6
 #: the data.
 WEAK = 1e-6
 EXPONENT = (0.1, 1.5)
+#: Weights are found again at most so often, until none changes by more than this share.
+ROUNDS, STILL = 8, 1e-3
+#: The smallest residual that weighs, N m.
+LEAST = 1e-9
 
 
-@dataclass(frozen=True)
-class LinearEstimate:
-    """Parameters with covariance and what the data do not determine."""
-
-    theta: np.ndarray
-    covariance: np.ndarray
-    identifiable: np.ndarray
-    condition: float
-    condition_scaled: float
-    white: bool
-    memory: int
-
-
-Blocks = Sequence[tuple[np.ndarray, np.ndarray]]  # per run W [samples n p], tau [samples n]
-
-
-def stacked(
-    blocks: Blocks, weights: Sequence[np.ndarray], columns: slice | np.ndarray = slice(None)
-) -> tuple[np.ndarray, np.ndarray]:
-    """All rows, each joint of each run times its weight [n]; of W some columns."""
-    b = np.concatenate([(tau * w).ravel() for (_, tau), w in zip(blocks, weights, strict=True)])
-    out, at = np.empty((len(b), blocks[0][0][0, 0, columns].size)), 0
-    for (W, tau), w in zip(blocks, weights, strict=True):
-        part = out[at : at + tau.size].reshape(*tau.shape, -1)
-        for j in range(tau.shape[1]):  # one after the other, for memory's sake
-            part[:, j] = W[:, j, columns] * w[j]
-        at += tau.size
-    return out, b
-
-
-def least_squares(W: np.ndarray, b: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """min |W theta - b|; a direction that the data do not determine stays where `prior` is."""
-    size = np.linalg.norm(W, axis=0)
-    size = np.where(size > SEEN * max(float(size.max()), 1e-300), size, np.inf)
-    return prior + np.linalg.lstsq(W / size, b - W @ prior, rcond=WEAK)[0] / size
-
-
-@dataclass(frozen=True)
-class Triangles:
-    """The rows of all runs, each joint's brought down to a triangle: as good as all of them for
-    whatever takes only sums of their products, at any weights of the joints.
-    """
-
-    of: tuple[np.ndarray, ...]  # per run [n k p + 1]: Q' [W tau] of each joint
-    counts: tuple[int, ...]  # rows of a joint, per run
-
-    @classmethod
-    def made(cls, blocks: Blocks) -> Triangles:
-        def one(W, tau, j):
-            return np.linalg.qr(np.column_stack([W[:, j], tau[:, j]]), mode="r")
-
-        found = [np.stack([one(W, tau, j) for j in range(W.shape[1])]) for W, tau in blocks]
-        return cls(tuple(found), tuple(len(W) for W, _ in blocks))
-
-    def stacked(self, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Few rows in the place of `stacked` ones."""
-        R = np.concatenate(
-            [
-                (R * w[:, None, None]).reshape(-1, R.shape[2])
-                for R, w in zip(self.of, weights, strict=True)
-            ]
-        )
-        return R[:, :-1], R[:, -1]
-
-    def joint_weights(self, theta: np.ndarray) -> list[np.ndarray]:
-        """1 / rms residual of each joint of each run."""
-        left = [
-            np.sum((R @ np.append(theta, -1.0)) ** 2, 1) / n
-            for R, n in zip(self.of, self.counts, strict=True)
-        ]
-        return [1 / np.maximum(np.sqrt(square), 1e-9) for square in left]
+def least_squares(
+    A: Float[np.ndarray, "rows numbers"], b: Float[np.ndarray, " rows"], prior: Numbers
+) -> Numbers:
+    """min |A theta - b|; a direction that the data do not determine stays where `prior` is."""
+    return solve(Rows(A, b, WEAK, SEEN), prior)[0]
 
 
 def weighted(
-    blocks: Blocks, prior: np.ndarray, rounds: int = 8, spread: np.ndarray | None = None
-) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Weighted least squares and its weights, repeated until the weights stand still. `spread`:
-    standard deviations [p] with which the prior is known; rows then count as many as are
-    independent.
+    rows: ForceRows, prior: Numbers, spread: Numbers | None = None
+) -> tuple[Numbers, list[Float[np.ndarray, " joints"]]]:
+    """Weighted least squares and the weights of each joint of each run, found again until they
+    stand still. `spread`: standard deviations with which the prior is known; rows then count as
+    many as are independent.
     """
-    rows = Triangles.made(blocks)
-    weights = [np.ones(W.shape[1]) for W, _ in blocks]
-    known = np.zeros((0, len(prior))) if spread is None else np.diag(1 / spread)
-
-    def solved(weights: Sequence[np.ndarray]) -> np.ndarray:
-        W, b = rows.stacked(weights)
-        return least_squares(np.concatenate([W, known]), np.concatenate([b, known @ prior]), prior)
-
-    theta = least_squares(*rows.stacked(weights), prior)
-    share = (
-        [np.ones(W.shape[1]) for W, _ in blocks] if spread is None else _independent(blocks, theta)
-    )
-    for _ in range(rounds):
-        new = [w * s for w, s in zip(rows.joint_weights(theta), share, strict=True)]
-        still = all(np.allclose(a, b, rtol=1e-3) for a, b in zip(new, weights, strict=True))
-        weights = new
-        theta = solved(weights)
-        if still:
+    few = rows.triangles()
+    weights = rows.plain_weights()
+    theta = least_squares(*few.stacked(weights), prior)
+    share = weights if spread is None else independent_share(rows, theta)
+    for _ in range(ROUNDS):
+        before, weights = weights, _by_residual(few, theta, share)
+        equations = Rows(*few.stacked(weights), WEAK, SEEN)
+        if spread is not None:
+            equations = equations.known(prior, spread)
+        theta, _ = solve(equations, prior)
+        pairs = zip(weights, before, strict=True)
+        if all(np.allclose(new, old, rtol=STILL) for new, old in pairs):
             break
     return theta, weights
 
 
-def _independent(blocks: Blocks, theta: np.ndarray) -> list[np.ndarray]:
+def _by_residual(
+    rows: ForceRows, theta: Numbers, share: ByJoint
+) -> list[Float[np.ndarray, " joints"]]:
+    """A share over what theta leaves of each joint of each run, rms."""
+    left = [np.maximum(rms, LEAST) for rms in rows.rms(theta)]
+    return [own / rms for own, rms in zip(share, left, strict=True)]
+
+
+def independent_share(rows: ForceRows, theta: Numbers) -> list[Float[np.ndarray, " joints"]]:
     """Root of the share of the rows of each joint of each run that are independent, by what theta
     leaves of them.
     """
     out = []
-    for W, tau in blocks:
-        left = tau - W @ theta
+    for left in rows.errors(theta):
         memory = whiteness(list(left.T))[1]
-        out.append(1 / np.sqrt([_correlation_time(r, memory) for r in left.T]))
+        times = [correlation_time([r - r.mean()], memory) for r in left.T]
+        out.append(1 / np.sqrt(times))
     return out
 
 
-def total(W: np.ndarray, b: np.ndarray, noise: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Mixed total least squares; `noise` [columns + 1] is one standard deviation of each column's
+def total(
+    W: Float[np.ndarray, "rows numbers"],
+    b: Float[np.ndarray, " rows"],
+    noise: Float[np.ndarray, " all"],
+    prior: Numbers,
+) -> Numbers:
+    """Mixed total least squares; `noise` [numbers + 1] is one standard deviation of each column's
     error and, last, of b's.
 
     Columns without error are eliminated exactly; the rest, each in units of its error, by the
@@ -155,144 +98,40 @@ def total(W: np.ndarray, b: np.ndarray, noise: np.ndarray, prior: np.ndarray) ->
     if exact.all() or noise[-1] <= 0:
         return theta
     A, B = W[:, exact], np.column_stack([W[:, ~exact], b])
-    Q = np.linalg.qr(A)[0] if exact.any() else np.zeros((len(W), 0))
+    Q = np.linalg.qr(A)[0]
     scale = noise[np.append(~exact, True)]
     rest = (B - Q @ (Q.T @ B)) / scale
     v = np.linalg.svd(np.linalg.qr(rest)[1])[2][-1]
     if abs(v[-1]) < 1e-9:
         return theta
-    out = theta.copy()
-    out[~exact] = -v[:-1] / v[-1] / scale[:-1] * scale[-1]
-    out[exact] = np.linalg.lstsq(A, b - W[:, ~exact] @ out[~exact], rcond=WEAK)[0]
-    return out
+    theta[~exact] = -v[:-1] / v[-1] / scale[:-1] * scale[-1]
+    theta[exact] = least_squares(A, b - W[:, ~exact] @ theta[~exact], np.zeros(A.shape[1]))
+    return theta
 
 
-def instrumental(W: np.ndarray, b: np.ndarray, Z: np.ndarray, prior: np.ndarray) -> np.ndarray:
+def instrumental(
+    W: Float[np.ndarray, "rows numbers"],
+    b: Float[np.ndarray, " rows"],
+    Z: Float[np.ndarray, "rows numbers"],
+    prior: Numbers,
+) -> Numbers:
     """Z'W theta = Z'b in the two-stage form: W projected onto the columns of Z."""
-    scale = np.linalg.norm(Z, axis=0)
-    Q, size, _ = np.linalg.svd(Z / np.where(scale > 0, scale, 1.0), full_matrices=False)
-    Q = Q[:, size > WEAK * size[0]]
-    return least_squares(Q.T @ W, Q.T @ b, prior)
-
-
-def estimate(
-    blocks: Blocks,
-    weights: Sequence[np.ndarray],
-    theta: np.ndarray,
-    by: Blocks | None = None,
-    slopes: Sequence[np.ndarray] | None = None,
-    spread: np.ndarray | None = None,
-) -> LinearEstimate:
-    """Covariance at theta; `by` are instruments, `spread` [p] what is known beforehand.
-
-    Rows that follow each other hold the same noise, so each joint counts with the long-run variance
-    of its own residual, over the freedom that the parameters leave it. Where the sandwich of Newey
-    and West (1987) is wider, its standard deviations count; alone it is too narrow here, for tens
-    of parameters take much of the slow part of a short record's residual.
-
-    `slopes` per run [samples n k]: derivatives of the torque by k nonlinear parameters, which
-    follow theta in the covariance.
-    """
-    if slopes is not None:
-
-        def wider(W, D):
-            return np.concatenate([W, D], 2)
-
-        blocks = [(wider(W, D), tau) for (W, tau), D in zip(blocks, slopes, strict=True)]
-        by = (
-            None
-            if by is None
-            else [(wider(W, D), tau) for (W, tau), D in zip(by, slopes, strict=True)]
-        )
-        theta = np.concatenate([theta, np.zeros(slopes[0].shape[2])])
-    W, _ = Triangles.made(blocks).stacked(weights)
-    size = np.linalg.norm(W, axis=0)
-    seen = size > SEEN * max(float(size.max()), 1e-300)
-    scale = np.where(seen, size, 1.0)
-    values = np.linalg.svd(W[:, seen] / scale[seen], compute_uv=False)
-    plain = np.linalg.svd(W[:, seen], compute_uv=False)
-    G = square = (W / scale).T @ (W / scale)
-    if by is not None:
-        pairs = zip(by, blocks, weights, strict=True)
-        G = sum(
-            (C[:, j] * (w[j] / scale)).T @ (A[:, j] * (w[j] / scale))
-            for (C, _), (A, _), w in pairs
-            for j in range(len(w))
-        )
-    identifiable, _ = null_directions(square, seen)
-    series, scores = [], []
-    index = list(range(W.shape[1]))
-    for (A, tau), (C, _), w in zip(blocks, by or blocks, weights, strict=True):
-        r = (tau - A @ theta) * w
-        series += list(r.T)
-        scores.append((index, np.einsum("tj,tjk->tk", r * w, C) / scale))
-    white, memory = whiteness(series)
-    count = sum(s.size for s in series)
-    n = blocks[0][1].shape[1]
-    times = [_correlation_time(s, memory) for s in series]
-    free = sum(
-        s.size / k for s, k in zip(series, times, strict=True)
-    )  # rows that are worth something of their own
-    freedom = max(0.1, 1 - int(seen.sum()) / free)
-    middle = np.zeros_like(G)
-    for k, (C, _) in enumerate(by or blocks):
-        for j in range(n):
-            s, w = series[n * k + j], weights[k][j]
-            A = C[:, j] * w / scale
-            middle += float(np.mean(s**2)) * times[n * k + j] / freedom * (A.T @ A)
-    if spread is not None:
-        told = np.zeros(len(scale))
-        told[: len(spread)] = (spread * scale[: len(spread)]) ** -2.0
-        G, middle = G + np.diag(told), middle + np.diag(told)
-    inverse = np.linalg.pinv(G, rcond=WEAK**2)
-    cov = inverse @ middle @ inverse.T
-    wide = (
-        np.diag(inverse @ long_run(scores, len(index), memory) @ inverse.T)
-        * count
-        / max(1, count - len(index))
-    )
-    stretch = np.sqrt(np.maximum(1.0, wide / np.maximum(np.diag(cov), 1e-300)))
-    cov = cov * stretch * stretch[:, None] / scale / scale[:, None]
-    return LinearEstimate(
-        theta,
-        cov,
-        identifiable & seen,
-        float(plain[0] / plain[-1]),
-        float(values[0] / values[-1]),
-        white,
-        memory,
-    )
-
-
-def _correlation_time(r: np.ndarray, memory: int) -> float:
-    """How many rows share one piece of noise: 1 + 2 sum of the autocorrelation up to the first lag
-    where it is lost.
-    """
-    r = r - r.mean()
-    power = float(r @ r)
-    if power <= 0:
-        return 1.0
-    rho = (
-        np.array([float(r[k:] @ r[: len(r) - k]) for k in range(1, min(memory, len(r) // 3) + 1)])
-        / power
-    )
-    lost = np.flatnonzero(rho < 0.05)
-    return 1.0 + 2.0 * float(np.sum(rho[: lost[0]] if lost.size else rho))
+    return solve(Rows.projected(W, b, Z, WEAK, SEEN), prior)[0]
 
 
 def project_exponents(
-    fixed: np.ndarray,
-    b: np.ndarray,
-    moving: Callable[[np.ndarray], np.ndarray],
-    start: np.ndarray,
+    fixed: Float[np.ndarray, "rows fixed"],
+    b: Float[np.ndarray, " rows"],
+    moving: Callable[[Float[np.ndarray, " joints"]], Float[np.ndarray, "rows moving"]],
+    start: Float[np.ndarray, " joints"],
     positive: bool = False,
-) -> np.ndarray:
+) -> Float[np.ndarray, " joints"]:
     """Exponents of friction by variable projection (Golub and Pereyra 1973): for each trial all
     linear parameters are solved for, so that only the exponents are searched. `fixed` columns do
     not depend on them, `moving(exponents)` do; `positive` keeps the levels of the latter from being
     negative.
     """
-    from scipy.optimize import least_squares as search, nnls
+    from scipy.optimize import least_squares as search
 
     size = np.linalg.norm(fixed, axis=0)
     scale = np.where(size > 0, size, np.inf)
@@ -302,13 +141,13 @@ def project_exponents(
     rest = b - Q @ (Q.T @ b)
 
     def residual(exponents: np.ndarray) -> np.ndarray:
-        V = moving(exponents)
-        V = V - Q @ (Q.T @ V)
-        return rest - V @ (
-            nnls(V, rest)[0] if positive else np.linalg.lstsq(V, rest, rcond=1e-9)[0]
-        )
+        own = moving(exponents)
+        own = own - Q @ (Q.T @ own)
+        least = np.zeros(own.shape[1]) if positive else None
+        levels, _ = solve(Rows(own, rest), np.zeros(own.shape[1]), least)
+        return rest - own @ levels
 
-    return search(
+    found = search(
         residual,
         np.clip(start, 0.15, 1.45),
         bounds=EXPONENT,
@@ -316,130 +155,5 @@ def project_exponents(
         xtol=1e-6,
         ftol=1e-9,
         x_scale=0.2,
-    ).x
-
-
-# ---- bodies that can exist
-
-
-def _of_pseudo(P: np.ndarray) -> np.ndarray:
-    """Ten numbers of pseudo-inertia matrices [... 4 4]."""
-    t = P[..., 0, 0] + P[..., 1, 1] + P[..., 2, 2]
-    six = [
-        t - P[..., 0, 0],
-        -P[..., 0, 1],
-        -P[..., 0, 2],
-        t - P[..., 1, 1],
-        -P[..., 1, 2],
-        t - P[..., 2, 2],
-    ]
-    return np.stack([*six, P[..., 0, 3], P[..., 1, 3], P[..., 2, 3], P[..., 3, 3]], -1)
-
-
-def consistent_bodies(x: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Inertial parameters [links 10] of log-Cholesky numbers [links 10], zero at the prior's bodies
-    (Rucker, Wensing 2022).
-
-    Pseudo-inertia C U U' C' with C that of the prior and U upper triangular with an exponential
-    diagonal: any x is a body.
-    """
-    return Bodies(prior)(x)[0]
-
-
-class Bodies:
-    """x -> (inertial parameters [links 10], their slopes [links 10 10] by x); see
-    `consistent_bodies`.
-    """
-
-    def __init__(self, prior: np.ndarray):
-        self.C = np.linalg.cholesky(pseudo_inertia(prior))
-        row, column = np.triu_indices(4, 1)
-        self.row, self.column = (
-            np.concatenate([np.arange(4), row]),
-            np.concatenate([np.arange(4), column]),
-        )
-
-    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        size = x.copy()
-        size[:, :4] = np.exp(np.clip(x[:, :4], -30, 30))
-        U = np.zeros((len(x), 4, 4))
-        U[:, self.row, self.column] = size
-        A = self.C @ U
-        # dU has one entry: C dU A' is column `row` of C times column `column` of A
-        weight = np.concatenate([size[:, :4], np.ones_like(size[:, 4:])], 1)
-        half = (self.C[:, :, self.row] * weight[:, None]).swapaxes(1, 2)[..., None] * A[
-            :, :, self.column
-        ].swapaxes(1, 2)[..., None, :]
-        slope = _of_pseudo(half + half.swapaxes(-1, -2))  # [links x ten]
-        return _of_pseudo(A @ A.swapaxes(1, 2)), slope.swapaxes(1, 2)
-
-
-def constrained(
-    W: np.ndarray,
-    b: np.ndarray,
-    base: BaseParameters,
-    prior: np.ndarray,
-    levels: np.ndarray,
-    drives: bool,
-    strength: float = 1e-3,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(theta, standard parameters [links 11]): least squares over bodies that can exist.
-
-    `prior` [links 11] holds bodies that can exist, from which directions that no motion determines
-    are taken: `strength` pulls each log-Cholesky number to it with that share of one row of unit
-    residual. `levels` marks columns behind the base ones that may not be negative.
-    """
-    from scipy.optimize import least_squares as search
-
-    n, p = len(prior), len(base.kept)
-    R = np.linalg.qr(np.column_stack([W, b]))[1]
-    R, z = R[: W.shape[1] + 1, :-1], R[: W.shape[1] + 1, -1]
-    pull = np.sqrt(strength)
-    start_friction = np.maximum(
-        np.linalg.lstsq(W, b, rcond=WEAK)[0][p:], np.where(levels, 0.0, -np.inf)
     )
-    inverse_drive = np.sqrt(np.maximum(prior[:, 10], 1e-3))
-
-    bodies = Bodies(prior[:, :10])
-
-    def unpack(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        phi = np.column_stack(
-            [bodies(x[: 10 * n].reshape(n, 10))[0], drives * x[10 * n : 11 * n] ** 2]
-        )
-        return phi, np.concatenate([base.values(phi.ravel()), x[11 * n :]])
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        return np.concatenate([R @ unpack(x)[1] - z, pull * x[: 10 * n]])
-
-    def jacobian(x: np.ndarray) -> np.ndarray:
-        slope = np.zeros((n, 11, 11 * n))
-        link = np.arange(n)
-        each = bodies(x[: 10 * n].reshape(n, 10))[1]
-        for k in range(10):
-            slope[link, :10, 10 * link + k] = each[:, :, k]
-        slope[link, 10, 10 * n + link] = 2 * drives * x[10 * n : 11 * n]
-        out = np.zeros((len(z) + 10 * n, x.size))
-        out[: len(z), : 11 * n] = R[:, :p] @ (base.K @ slope.reshape(11 * n, -1))
-        out[: len(z), 11 * n :] = R[:, p:]
-        out[len(z) + np.arange(10 * n), np.arange(10 * n)] = pull
-        return out
-
-    start = np.concatenate([np.zeros(10 * n), inverse_drive, start_friction])
-    lower = np.concatenate(
-        [np.full(10 * n, -12.0), np.full(n, -1e3), np.where(levels, -1e-9, -np.inf)]
-    )
-    upper = np.concatenate([np.full(10 * n, 12.0), np.full(n, 1e3), np.full(levels.size, np.inf)])
-    slopes: Any = jacobian  # SciPy's annotation knows only the names of schemes
-    found = search(
-        residual,
-        start,
-        jac=slopes,
-        bounds=(lower, upper),
-        x_scale="jac",
-        xtol=1e-8,
-        ftol=1e-8,
-        max_nfev=200,
-    )
-    phi, theta = unpack(found.x)
-    theta[p:] = np.where(levels, np.maximum(theta[p:], 0.0), theta[p:])
-    return theta, phi
+    return found.x

@@ -21,7 +21,10 @@ import numpy as np
 from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
 from jaxid.errors import UsageError
 from jaxid.fitting.recursive_least_squares import replay_stretches, Rule
-from jaxid.identification.estimators import estimate
+from jaxid.force.covariance import covariance_of_rows, of_joints
+from jaxid.force.least_squares import Rows, solve
+from jaxid.force.rows import ForceRows
+from jaxid.identification.estimators import SEEN, WEAK
 from jaxid.identification.online import watched_of
 from jaxid.identification.payload import nearest_body, PayloadEstimate
 from jaxid.identification.regression import (
@@ -109,45 +112,41 @@ def by_algorithm(
         theta[len(theta) - len(law.parameters) * n :][
             [i for i in range(len(law.parameters) * n) if i // n in dry]
         ] = 0.0
-    blocks, carried = [], []
+    columns, torque, carried = [], [], []
     for r in fit:
         W = full_rows(r, law, exponent)
         rest = r.tau[:: spacing(r)] - W @ theta
-
-        def columns(at, r=r):
-            return torque_columns(arm, r.q[at], r.qd[at], r.qdd[at])[:, :, own]
-
-        Y = r.solved(columns)
+        Y = r.solved(lambda at, r=r: torque_columns(arm, r.q[at], r.qd[at], r.qdd[at])[:, :, own])
         if method == "algorithm2":
-            still = np.all(np.abs(r.qd[r.kept][:: spacing(r)]) < AT_REST, 1)
+            still = np.all(np.abs(r.qd[r.kept][:: spacing(r)]) < AT_REST, axis=1)
             Y, rest, W = Y[still], rest[still], W[still]
-        blocks.append((Y, rest))
-        carried.append(W.reshape(-1, len(theta)))
-    count = blocks[0][0].shape[2]
-    rows = sum(len(tau) for _, tau in blocks)
-    if rows * n < 3 * count:
+        if len(rest):
+            columns.append(Y)
+            torque.append(rest)
+            carried.append(W.reshape(-1, len(theta)))
+    count = own.stop - own.start
+    samples = sum(map(len, torque))
+    if samples * n < 3 * count:
         raise UsageError(
             "algorithm2 compares torques at rest, and the arm hardly rests here (all joints below"
-            f" 0.01 rad/s in {rows} rows): record static poses, or use paper001 or algorithm1"
+            f" 0.01 rad/s in {samples} rows): record static poses, or use paper001 or algorithm1"
         )
-    blocks = [b for b in blocks if len(b[1])]
-    A = np.concatenate([Y.reshape(-1, count) for Y, _ in blocks])
+    rows = ForceRows.of(columns, torque)
+    weights = rows.plain_weights()
+    A, b = rows.stacked(weights)
     size = np.linalg.norm(A, axis=0)
     if (size <= 0).any() or np.linalg.cond(A / size) > 1e6:
         raise UsageError(
             f"{method} does not find the payload from this motion: it shows some of the load's"
             " numbers only together"
         )
-    phi = (
-        np.linalg.lstsq(A / size, np.concatenate([b.ravel() for _, b in blocks]), rcond=None)[0]
-        / size
-    )
+    phi, _ = solve(Rows(A, b), np.zeros(count))
     slope = np.linalg.lstsq(A / size, np.concatenate(carried), rcond=None)[0] / size[:, None]
-    cov = (
-        estimate(blocks, [np.ones(n)] * len(blocks), phi, None, None).covariance
-        + slope @ spread @ slope.T
-    )
+    own_noise = covariance_of_rows(rows, weights, phi, of_joints, short=SEEN, weak=WEAK).matrix
+    covariance = own_noise + slope @ spread @ slope.T
+    if count == 10:
+        body = nearest_body(phi, np.linalg.inv(covariance))
+        return PayloadEstimate(phi, covariance, body, None, gain_std, count)
     whole, wide = np.full(10, np.nan), np.full((10, 10), np.nan)
-    whole[10 - count :], wide[10 - count :, 10 - count :] = phi, cov
-    body = nearest_body(phi, np.linalg.inv(cov)) if count == 10 else whole
-    return PayloadEstimate(whole, wide, body, None, gain_std, count)
+    whole[10 - count :], wide[10 - count :, 10 - count :] = phi, covariance
+    return PayloadEstimate(whole, wide, whole, None, gain_std, count)

@@ -24,7 +24,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import records_torque
 from jaxid.dynamics.rigid_body import INERTIA, pseudo_inertia
 from jaxid.errors import UsageError
-from jaxid.identification.estimators import consistent_bodies
+from jaxid.identification.bodies import consistent_bodies
 from jaxid.storage.small_files import read_small
 
 

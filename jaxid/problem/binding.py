@@ -29,6 +29,7 @@ from jaxid.models.effects import TimestampJitter
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
 from jaxid.problem.named_model import named_model
+from jaxid.problem.proposed_model import without_a_model
 from jaxid.problem.starting_values import (
     bounded,
     free_numbers,
@@ -154,9 +155,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     if model is None:
         model = spec.file or spec.name
     if model is None:
-        raise UsageError(
-            f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})"
-        )
+        raise UsageError(without_a_model(dataset))
     if isinstance(model, str):
         model = named_model(model, stated)
     constants = spec.constants

@@ -60,6 +60,7 @@ def typical_magnitudes(
             joints = _of_motions(layout, theta, fit, iu, [motions[e.name] for e in fit])
         else:
             joints = _of_inputs(layout, theta, fit, iu)
+    joints = _spanned(joints, dataset)
     inputs = []
     for k, s in enumerate(size):
         joint = joints[min(k, chain.nq - 1)]
@@ -108,6 +109,16 @@ def _of_motions(
     if driven.size and not chain.direct:
         inertia, driven = np.maximum(inertia, _largest(driven)), np.zeros((0, 0))
     return measured_motion.references(fit, used, driven, inertia)
+
+
+def _spanned(joints: list[TypicalMagnitudes], dataset: Dataset) -> list[TypicalMagnitudes]:
+    """The same with the first and last time of all runs, whatever they are for."""
+    runs = dataset.experiments
+    if not runs:
+        return joints
+    begin = min(float(e.t[0]) for e in runs)
+    span = max(float(e.t[-1]) for e in runs) - begin
+    return [r._replace(begin=begin, span=span) for r in joints]
 
 
 def _largest(x: np.ndarray) -> np.ndarray:

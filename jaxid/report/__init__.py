@@ -84,7 +84,12 @@ def fit_page(fit: Fit) -> str:
 
 def comparison_page(comparison: Comparison) -> str:
     """The page of a comparison."""
-    sections = [compared.section(comparison), background.of_comparison(comparison)]
+    sections = [
+        checked.before(comparison.data),
+        compared.section(comparison),
+        checked.asked(comparison.data),
+        background.of_comparison(comparison),
+    ]
     return render(
         f"{one_line(comparison.dataset)}: comparison",
         sections,

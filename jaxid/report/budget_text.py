@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from jaxid.diagnosis.budget import closed_by_numbers, MOST
+from jaxid.report.other_numbers import moved_numbers
 from jaxid.wording import percent
 
 
@@ -42,4 +43,9 @@ def headline_of_unknown(diagnosis: Diagnosis) -> str:
     head = by_numbers(diagnosis)
     if not head:
         return "There is a gap that no known effect explains."
-    return f"{head}. What is left then no known effect explains."
+    rest = "What is left then no known effect explains."
+    moved = moved_numbers(diagnosis)
+    if not moved:
+        return f"{head}. {rest}"
+    closed = percent(closed_by_numbers(diagnosis.budget))
+    return f"With {moved}, {closed} of the gap as stated is closed. {rest}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from jaxid.conventions.finding import data_lines
 from jaxid.wording import (
     listed,
     number,
@@ -98,6 +99,7 @@ def comparison_text(c: Comparison) -> str:
         "seconds",
     )
     parts = [
+        *map(wrapped, data_lines(c.data)),
         wrapped(f"{c.dataset}, model {c.model}: {comparison_headline(c)}"),
         wrapped(comparison_setting(c)),
         table(header, comparison_rows(c)),

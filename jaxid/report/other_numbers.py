@@ -27,10 +27,23 @@ def refuted_numbers(diagnosis: Diagnosis) -> list[StatedNumber]:
     """Stated numbers that the data refute where no effect is missing, worst first; none for another
     verdict.
     """
-    if diagnosis.which.verdict != "none":
-        return []
+    return _refuted(diagnosis) if diagnosis.which.verdict == "none" else []
+
+
+def _refuted(diagnosis: Diagnosis) -> list[StatedNumber]:
     refuted = [s for s in diagnosis.final.stated if s.refuted]
     return sorted(refuted, key=lambda s: -abs(s.deviation or 0.0))
+
+
+def moved_numbers(diagnosis: Diagnosis) -> str:
+    """`the shoulder's dry friction at 1.97 N m, not 0.3`, whatever the verdict; empty where the
+    data refute no stated number.
+    """
+    refuted = _refuted(diagnosis)
+    told = [_clause(s, "at") for s in refuted[:FEW]]
+    if len(refuted) > FEW:
+        told.append(f"{len(refuted) - FEW} more numbers re-tuned")
+    return listed(told)
 
 
 def other_numbers(diagnosis: Diagnosis) -> str:
@@ -64,14 +77,12 @@ def other_places(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     ]
 
 
-def _clause(s: StatedNumber) -> str:
+def _clause(s: StatedNumber, verb: str = "is") -> str:
     unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
     place = one_line(s.place)
     what = f"the {place}'s {_word(s)}" if place else _word(s)
-    return (
-        f"{what} is {number(s.fitted if s.beside is None else s.beside, 3)}{unit}, not"
-        f" {s.stated:.4g}"
-    )
+    value = number(s.fitted if s.beside is None else s.beside, 3)
+    return f"{what} {verb} {value}{unit}, not {s.stated:.4g}"
 
 
 def _word(s: StatedNumber) -> str:

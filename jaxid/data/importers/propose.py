@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,10 +29,23 @@ _TIME = re.compile(
 _SHOWN = 40  # columns and channels that are listed
 
 
-def proposal(asked: ImportRequest) -> str:
-    """The columns of the files, and a command with all channels that they could be, which runs as
-    it is printed.
+@dataclass(frozen=True)
+class Recognised:
+    """What the files of an import hold. `time`: `t=COLUMN:UNIT`, None where no column is one;
+    `columns`: all of them, `own` those of the files themselves that may be channels; `units`: what
+    the files state.
     """
+
+    time: str | None
+    no_time: bool  # neither a column nor a rate
+    channels: list[Proposed]
+    columns: list[str]
+    own: list[str]
+    units: dict[str, str]
+
+
+def recognised(asked: ImportRequest) -> Recognised:
+    """Time and channels, by the names and units of the columns."""
     source = asked.sources[0]
     part = parts_of(source)[0]  # of several recordings, all of which are read by the same names
     series = series_of(part.columns, None)
@@ -43,21 +57,36 @@ def proposal(asked: ImportRequest) -> str:
     more, units = _of_joined(joined, series, clock)
     more = [name for name in more if name in once]
     units |= part.units
-    channels = channels_of([*own, *more], units, once)
-    said = [str(c) for c in channels[:_SHOWN]]
-    if time is not None:
-        said.insert(0, time)
+    return Recognised(
+        time=time,
+        no_time=time is None and asked.rate is None and stated_rate(part) is None,
+        channels=channels_of([*own, *more], units, once),
+        columns=[*series_of(source.columns, None), *more],
+        own=own,
+        units=units,
+    )
+
+
+def proposal(asked: ImportRequest) -> str:
+    """The columns of the files, and a command with all channels that they could be, which runs as
+    it is printed.
+    """
+    source = asked.sources[0]
+    part = parts_of(source)[0]
+    found = recognised(asked)
+    said = [str(c) for c in found.channels[:_SHOWN]]
+    if found.time is not None:
+        said.insert(0, found.time)
     command = command_with(asked, asked.stated.options(), said, asked.rate)
-    no_time = time is None and asked.rate is None and stated_rate(part) is None
-    if no_time:
+    if found.no_time:
         command = command.replace(" --channel ", " --rate HZ --channel ", 1)
     words = f" ({source.words})" if source.words else ""
-    registers = [f"; {n} {register_words(*found)}" for n, found in _registers(part, own).items()]
-    listed = _listed([*series_of(source.columns, None), *more], units)
-    needs = _needed(part, time, no_time)
+    registers = [f"; {n} {register_words(*f)}" for n, f in _registers(part, found.own).items()]
+    listed = _listed(found.columns, found.units)
+    needs = _needed(part, found.time, found.no_time)
     return (
         f"{source.path.name}{words} holds: {listed}; {needs}: {command}"
-        f" ({_remarks(channels)}{''.join(registers)})"
+        f" ({_remarks(found.channels)}{''.join(registers)})"
     )
 
 

@@ -211,16 +211,16 @@ class Alone:
 
     def searched(self, nominal: Hypothesis, enough: Sequence[Hypothesis]) -> SearchResult:
         """The first of those that are enough, with what passes for it; `nominal` is re-tuned
-        without it, and is enough where it is as likely by no more numbers.
+        without it, and is enough where it is as likely by no more numbers, or likelier for all that
+        these cost.
         """
         tried = list(self.tried)
         chosen = self.decider.thinned(self.stands, enough[0], tried)
-        if (
-            self.decider.at_noise(nominal)
-            and self.evidence(nominal) < self.evidence(chosen) + LIMITS.decisive
-        ):
+        more = self.evidence(nominal) - self.evidence(chosen)
+        if self.decider.at_noise(nominal) and more < LIMITS.decisive:
             self.as_likely = nominal
-            if self.numbers(nominal) <= self.numbers(chosen):
+            as_few = self.numbers(nominal) <= self.numbers(chosen)
+            if as_few or more < -LIMITS.decisive:
                 self.instead = chosen
                 return SearchResult(nominal, nominal, tried, stands=self.stands)
         others = [

@@ -6,6 +6,7 @@ recording, and once more where no effect has explained it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, product
@@ -18,6 +19,7 @@ from jaxid.diagnosis.result import Diagnosis
 from jaxid.diagnosis.selection import joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.ending import LAW_KD
+from jaxid.fitting.stated import StatedNumber
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed, times
 
@@ -28,6 +30,8 @@ GAINS = ("kp", "kd")
 ROOM = 10.0
 #: Seconds in which damping stops a joint against kp at the most: room of a kd stated as nothing.
 SLOW = 1.0
+#: Standard deviation of a wide prior about a gain, as a share of it.
+WIDE = 1.0
 #: Steps of a search, as a share of a gain.
 STEP = 0.1
 
@@ -59,6 +63,15 @@ def freed(binding: Binding, names: Sequence[str]) -> Binding:
     """The binding with gains of these names fitted."""
     index = {binding.layout.index(name) for name in names}
     return replace(binding, free=sorted({*binding.free, *index}))
+
+
+def about_stated(binding: Binding, names: Sequence[str]) -> Binding:
+    """The binding with wide priors about these gains as stated: a fit does not wander off where the
+    data tell only what other numbers are to a gain.
+    """
+    index = [binding.layout.index(name) for name in names]
+    priors = {i: (float(binding.theta[i]), WIDE * float(binding.theta[i])) for i in index}
+    return replace(binding, priors={**binding.priors, **priors})
 
 
 def gains_in(binding: Binding, theta: np.ndarray) -> dict[str, tuple[float, float]]:
@@ -107,11 +120,20 @@ def _evidence(h: Hypothesis) -> float:
     return float(joint_loss(h) * count / h.fit_inflation + h.size * np.log(count))
 
 
+def doubted_gains(binding: Binding, stated: Sequence[StatedNumber]) -> list[str]:
+    """Names of the kp that a fit holds at joints of which it refutes several numbers."""
+    names = {binding.layout.names[i] for i in held_gains(binding)}
+    refuted = Counter(row.joint for row in stated if row.refuted)
+    own = [f"kp@{joint}" for joint, count in refuted.items() if count > 1]
+    return [name for name in own if name in names]
+
+
 def asked_for(binding: Binding, names: Sequence[str]) -> str:
     """That gains were fitted which nobody asked for, and how to ask a fit for them."""
     return (
         f"{listed(names)} of the law {'was' if len(names) == 1 else 'were'} fitted too, for as "
-        f"stated no effect explains the recording; {_asks(binding, names)}"
+        f"stated {'it does' if len(names) == 1 else 'they do'} not fit the recording;"
+        f" {_asks(binding, names)}"
     )
 
 

@@ -13,7 +13,15 @@ import numpy as np
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
 from jaxid.diagnosis.goals.floor import Between, between_simulators, not_this_file, with_floor
-from jaxid.diagnosis.goals.gains import asked_for, better_gains, freed, with_room, would_close
+from jaxid.diagnosis.goals.gains import (
+    about_stated,
+    asked_for,
+    better_gains,
+    doubted_gains,
+    freed,
+    with_room,
+    would_close,
+)
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.propose import (
     as_vector,
@@ -191,7 +199,7 @@ def diagnose_led(
         notes += [*more, stated.difference.said(plain)]
     elif strange:  # what is left is judged by the readings' own noise, and nothing is asked
         doubts = apart.doubts
-        found = answer(plain, (), lambda bench, offer: road(bench, offer, with_sets([])), step)
+        found = _without_effects(ask, road, plain)
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
     else:
         doubts = apart.doubts
@@ -199,6 +207,9 @@ def diagnose_led(
         if found.which.verdict in ("unknown", "partly"):
             found, more = _with_other_gains(ask, road, plain, found)
             notes += more
+    if found.which.verdict == "none" and not strange:
+        found, more = _with_fewer_changes(ask, road, plain, apart, found)
+        notes += more
     if doubts:
         notes.append(MEANING)
     if study.of("validation"):
@@ -305,13 +316,20 @@ def _searched(
     # No effect is borne out, and what two simulators of the file as it stands differ by accounts
     # for what is left.
     again = with_floor(plain, apart.between.size, apart.doubts)
-    nothing = ask.answer(
-        again, (), lambda bench, offer: road(bench, offer, with_sets([])), ask.step
-    )
+    nothing = _without_effects(ask, road, again)
     if nothing.which.verdict != "none":
         return found
     text = f"{nothing.which.text} {THEIRS}"
     return replace(nothing, which=replace(nothing.which, text=text, ranking=found.which.ranking))
+
+
+def _count_refuted(found: Diagnosis) -> int:
+    return sum(row.refuted for row in found.final.stated)
+
+
+def _without_effects(ask: _Ask, road: _Road, binding: Binding) -> Diagnosis:
+    """The diagnosis by re-tuned numbers alone."""
+    return ask.answer(binding, (), lambda bench, offer: road(bench, offer, with_sets([])), ask.step)
 
 
 def _with_other_gains(
@@ -336,6 +354,26 @@ def _with_other_gains(
     if RANK[again.which.verdict] > RANK[found.which.verdict]:
         return again, [asked_for(own, gains)]
     return found, [would_close(own, gains, found, again)]
+
+
+def _with_fewer_changes(
+    ask: _Ask, road: _Road, plain: Binding, apart: _Simulators, found: Diagnosis
+) -> tuple[Diagnosis, list[str]]:
+    """What re-tuned numbers explain, with the kp of joints fitted several of whose numbers the data
+    refute: where the drive alone pushes a joint, one wrong kp makes inertia and friction wrong
+    alike. As it was found where fewer numbers are not refuted so.
+    """
+    gains = doubted_gains(plain, found.final.stated)
+    if not gains:
+        return found, []
+    own = about_stated(ask.bound((), gains), gains)
+    again = _without_effects(ask, road, with_floor(own, apart.size, apart.doubts))
+    if again.which.verdict != "none" and apart.between is not None:
+        theirs = with_floor(own, apart.between.size, apart.doubts)
+        again = _without_effects(ask, road, theirs)
+    if again.which.verdict != "none" or _count_refuted(again) >= _count_refuted(found):
+        return found, []
+    return again, [asked_for(own, gains)]
 
 
 @dataclass

@@ -18,6 +18,7 @@ from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.secant import descend_on_secants, Slopes
+from jaxid.force.least_squares import Rows, solve
 from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
@@ -192,14 +193,9 @@ class Decider:
         if not all(np.isfinite(x).all() for x in (at.J, at.r, apart)):
             return np.inf
         A = np.column_stack([at.J, apart])
-        size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-        by = -np.linalg.lstsq(A / size, at.r, rcond=1e-10)[0] / size
-        if by[-1] != (part := np.clip(by[-1], 0.0, 1.0)):
-            by[-1] = part
-            by[:-1] = (
-                -np.linalg.lstsq(A[:, :-1] / size[:-1], at.r + part * apart, rcond=1e-10)[0]
-                / size[:-1]
-            )
+        free = np.full(at.J.shape[1], np.inf)
+        lower, upper = np.append(-free, 0.0), np.append(free, 1.0)
+        by, _ = solve(Rows(A, -at.r), np.zeros(A.shape[1]), lower, upper)
         left = at.r + A @ by
         return float(left @ left) / nominal.path.count
 
@@ -213,8 +209,7 @@ class Decider:
         J = Slopes.taken(p, h.path.z).J
         if not np.isfinite(J).all():  # a run beside it diverges: nothing is known to first order
             return {}
-        size = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-        more = np.linalg.lstsq(J / size, self._weighed(p), rcond=1e-10)[0] / size
+        more, _ = solve(Rows(J, self._weighed(p)), np.zeros(J.shape[1]))
         there, names = p.theta(h.path.z + more), self.bench.binding.layout.names
         return {names[i]: float(abs(there[i] - h.theta[i])) for c in h.effects for i in c.index}
 

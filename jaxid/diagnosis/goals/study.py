@@ -21,6 +21,7 @@ from jaxid.diagnosis.torque.study import SHARPER, STEPS, TorqueRows, TorqueStudy
 from jaxid.dynamics.effect import Effect, InputEffect, OutputEffect
 from jaxid.dynamics.joint_readings import joint_readings
 from jaxid.dynamics.parameter import specs
+from jaxid.force import least_squares
 from jaxid.numerics.pool import Pool
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
@@ -109,8 +110,7 @@ class LedStudy(TorqueStudy):
             own.append(rows.rows[k][:, :, at].reshape(-1, len(at)))
             target.append(run.sampled(fine).reshape(-1))  # type: ignore[attr-defined]
         A, b = np.concatenate(own), np.concatenate(target)
-        norm = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-        numbers = np.linalg.lstsq(A / norm, b, rcond=1e-10)[0] / norm
+        numbers, _ = least_squares.solve(least_squares.Rows(A, b), np.zeros(len(at)))
         return -numbers, (b - A @ numbers).reshape(-1, self.binding.chain.nq)
 
     def weights(self, rows: TorqueRows) -> Weights:

@@ -274,12 +274,8 @@ def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[P
     def said(values):
         return ", ".join(f"{k} {number(float(v), 2)}" for k, v in values.items())
 
-    lowest, widest, worst = (
-        min(means, key=means.__getitem__),
-        max(spreads, key=spreads.__getitem__),
-        max(means, key=means.__getitem__),
-    )
-    least = min(spreads, key=spreads.__getitem__)
+    lowest, worst = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
+    least, widest = min(spreads, key=spreads.__getitem__), max(spreads, key=spreads.__getitem__)
     arrived = arrival(de.best.history)
     like = {}
     for k in BOUNDS:
