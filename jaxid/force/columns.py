@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter_vector import ParameterVector
@@ -24,7 +25,13 @@ from jaxid.numerics.precision import float64
 ROWS, FEW, AT_ONCE = 1200, 150, 750
 
 
-def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
+def force(
+    chain: Any,
+    q: Float[Array, " nq"],
+    qd: Float[Array, " nq"],
+    qdd: Float[Array, " nq"],
+    u: Float[Array, " nu"],
+) -> Float[Array, " nq"]:
     """Missing torque [nq] of one sample."""
     still = chain.start(q, jnp.zeros_like(q), u).z
     command = Command(jnp.zeros(()), jnp.full((), 1e-3), u, u, lambda d: u)
@@ -70,8 +77,8 @@ class Forces:
     def __init__(
         self,
         layout: ParameterVector,
-        theta: np.ndarray,
-        scale: np.ndarray,
+        theta: Float[np.ndarray, " numbers"],
+        scale: Float[np.ndarray, " numbers"],
         free: list[int],
         motion: Any,
     ):
@@ -79,7 +86,12 @@ class Forces:
         self.free, self.motion = free, motion
         self._known: tuple[Any, ...] = ()
 
-    def at(self, thetas: np.ndarray, m: Any, u: np.ndarray | None = None) -> np.ndarray:
+    def at(
+        self,
+        thetas: Float[np.ndarray, "sets numbers"],
+        m: Any,
+        u: Float[np.ndarray, "rows nu"] | None = None,
+    ) -> Float[np.ndarray, "sets rows nq"]:
         """Missing force [sets rows nq] at sets of numbers, of which those that are free may differ
         from the binding's; `u` in place of the motion's inputs. One set, or as many as give the
         slopes, are one call for `AT_ONCE` samples.
@@ -96,7 +108,7 @@ class Forces:
         found = np.concatenate([np.asarray(f) for f in found], 1)[: len(thetas), : len(m.q)]
         return np.nan_to_num(found, nan=1e12, posinf=1e12, neginf=-1e12)
 
-    def missing(self, theta: np.ndarray, m: Any) -> np.ndarray:
+    def missing(self, theta: Float[np.ndarray, " numbers"], m: Any) -> Float[np.ndarray, "rows nq"]:
         """Missing force [rows nq] at these numbers, of which those that are free may differ from
         the model's.
         """
@@ -110,7 +122,9 @@ class Forces:
         """Joint torque [rows nq] of the inputs, whose gains no fit of these moves."""
         return drive_torque(self.layout, self.theta, m.u, np.concatenate([m.q, m.qd], 1))
 
-    def columns(self, m: Any) -> tuple[np.ndarray, np.ndarray]:
+    def columns(
+        self, m: Any
+    ) -> tuple[Float[np.ndarray, "rows nq"], Float[np.ndarray, "rows nq free"]]:
         """Of a linear model: the force [rows nq] at the model's numbers, without the drive where
         that is but added, and its columns [rows nq free]. They are kept: a reading of the inputs
         alone leaves them as they are.
