@@ -374,7 +374,6 @@ class Thresholds:
         " beforehand is not determined.",
         "not recorded",
     )
-    # torque, rows
     # torque, algebra
     correlated: float = _of(
         0.05,
