@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import jaxid
 from jaxid import catalogue
+from jaxid.data.dataset import Experiment
 from jaxid.dynamics.parameter import ANGLE, resolve, specs, SPEED, TORQUE, TypicalMagnitudes
+from jaxid.models import Joint
+from jaxid.problem.binding import bind
 
 
 @pytest.mark.parametrize(
@@ -30,7 +36,7 @@ from jaxid.dynamics.parameter import ANGLE, resolve, specs, SPEED, TORQUE, Typic
         ("power_law_friction", "exponent", 0.01, 2.0),
         ("reflected_inertia", "inertia", 0.0, None),
         ("base_motion", "share", 0.0, None),
-        ("step_change", "time", 0.0, None),
+        ("step_change", "time", 0.0, 8.0),
     ],
 )
 @pytest.mark.parametrize("angle", [0.1, 2.0, 300.0])
@@ -41,6 +47,31 @@ def test_bounds_are_those_of_what_an_effect_is_called(effect, field, least, most
     assert lower < upper
     assert least is None or lower >= least
     assert most is None or upper <= most
+
+
+@pytest.mark.parametrize("effect", catalogue.effect_names())
+@pytest.mark.parametrize(("duration", "step"), [(0.05, 1e-4), (8.0, 0.01), (3600.0, 0.1)])
+def test_bounds_leave_room_in_short_and_long_recordings(effect, duration, step):
+    reference = TypicalMagnitudes(1.0, 1.0, 1.0, duration=duration, step=step)
+    for field, spec in specs(catalogue.effect_class(effect)).items():
+        lower, upper = resolve(spec.lower, reference), resolve(spec.upper, reference)
+        assert spec.fixed or lower < upper, field
+
+
+def test_a_change_lies_within_the_time_of_all_runs():
+    """On their own clock, which may begin anywhere: in the runs to fit, and in those held out."""
+    t = 500.0 + 0.01 * np.arange(400)
+    runs = []
+    for k, split in enumerate(("fit", "validation", "report")):
+        own = t + 4.0 * k
+        u, q = np.cos(own)[:, None], np.sin(own)[:, None]
+        runs.append(Experiment(name=f"run_{k}", split=split, t=own, u=u, y=q))
+    one = jaxid.Dataset.from_arrays(t, {"tau": np.cos(t)}, {"q": np.sin(t)}, check_model=False)
+    data = replace(one, experiments=tuple(runs))
+    binding = bind(Joint(), data, effects=["step_change@inertia"])
+    own = binding.layout.of_effect("step_change", "inertia")
+    (time,) = [i for i in own if binding.layout.entries[i].field == "time"]
+    assert (binding.lower[time], binding.upper[time]) == pytest.approx((500.0, 511.99))
 
 
 @pytest.mark.parametrize("travel", [0.1, 2.0, 300.0])

@@ -24,7 +24,8 @@ M = TypeVar("M")
 
 class TypicalMagnitudes(NamedTuple):
     """Typical magnitudes at one joint: drive torque, speed, travel, duration of a run, and sampling
-    step; and of a number of the model, where an effect acts on one.
+    step; and of a number of the model, where an effect acts on one. `begin` is the first time of
+    all runs, and `span` lasts to their last one (0: as long as a run).
     """
 
     torque: float
@@ -33,17 +34,20 @@ class TypicalMagnitudes(NamedTuple):
     duration: float
     step: float
     number: float = 1.0
+    begin: float = 0.0
+    span: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
     """A number in reference units, `coefficient * torque**a * speed**b * ...`, no more than `most`
-    where that is physical.
+    and no less than `least` where that is physical.
     """
 
     coefficient: float
     powers: tuple[tuple[str, int], ...] = ()
     most: float | None = None
+    least: float | None = None
 
     def __pow__(self, exponent: int) -> Quantity:
         """Raised to a whole power: `TORQUE / ANGLE**3`."""
@@ -53,6 +57,10 @@ class Quantity:
     def up_to(self, most: float) -> Quantity:
         """The same, and no more than this many SI units, whatever the data show."""
         return dataclasses.replace(self, most=most)
+
+    def no_less_than(self, least: float) -> Quantity:
+        """The same, and no less than this many SI units, whatever the data show."""
+        return dataclasses.replace(self, least=least)
 
     def __mul__(self, other: Quantity | float) -> Quantity:
         return self._combine(other, 1)
@@ -80,7 +88,8 @@ class Quantity:
         value = self.coefficient
         for name, power in self.powers:
             value *= getattr(reference, name) ** power
-        return float(value) if self.most is None else min(float(value), self.most)
+        above = value if self.least is None else max(value, self.least)
+        return float(above if self.most is None else min(above, self.most))
 
     def __str__(self) -> str:
         text = f"{self.coefficient:g}"
@@ -88,7 +97,23 @@ class Quantity:
             text += f" {'*' if power > 0 else '/'} {name}" + (
                 f"^{abs(power)}" if abs(power) > 1 else ""
             )
+        text += "" if self.least is None else f", at least {self.least:g}"
         return text if self.most is None else f"{text}, at most {self.most:g}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Moment(Quantity):
+    """A time at the share `coefficient` of the way from the first sample of all runs to the last
+    one.
+    """
+
+    def at(self, reference: TypicalMagnitudes) -> float:
+        span = reference.span or reference.duration
+        return float(reference.begin + self.coefficient * span)
+
+    def __str__(self) -> str:
+        ends = {0.0: "the first sample", 1.0: "the last sample"}
+        return ends.get(self.coefficient, f"{100 * self.coefficient:g} % of the way between these")
 
 
 TORQUE = Quantity(1.0, (("torque", 1),))

@@ -88,9 +88,20 @@ def typical_magnitudes(
         if driven.size and not chain.direct:
             inertia, driven = np.maximum(inertia, _largest(driven)), np.zeros((0, 0))
         joints = measured_motion.references(fit, used, driven, inertia)
+    joints = _spanned(joints, dataset)
     return joints, [
         joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)
     ]
+
+
+def _spanned(joints: list[TypicalMagnitudes], dataset: Dataset) -> list[TypicalMagnitudes]:
+    """The same with the first and last time of all runs, whatever they are for."""
+    runs = dataset.experiments
+    if not runs:
+        return joints
+    begin = min(float(e.t[0]) for e in runs)
+    span = max(float(e.t[-1]) for e in runs) - begin
+    return [r._replace(begin=begin, span=span) for r in joints]
 
 
 def _largest(x: np.ndarray) -> np.ndarray:

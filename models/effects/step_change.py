@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import NumberEffect
-from jaxid.dynamics.parameter import DURATION, NUMBER, param, Quantity
+from jaxid.dynamics.parameter import DURATION, Moment, NUMBER, param, Quantity
 
 
 class StepChange(NumberEffect):
@@ -57,16 +57,15 @@ class StepChange(NumberEffect):
     )
     time: Array = param(
         1.0,
-        1e-3 * DURATION,
-        1e3 * DURATION,
+        Moment(0.0),
+        Moment(1.0),
         scale=0.02 * DURATION,
         unit="s",
-        meaning="when, on the recording's own clock",
-        log=True,
+        meaning="when, on the recording's own clock and within it",
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
-        {"size": 0.3 * NUMBER, "time": share * DURATION}
-        for share in (0.15, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85)
+        {"size": 0.3 * NUMBER, "time": Moment(share)}
+        for share in (0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9)
     )
 
     def __call__(self, values, t, h):

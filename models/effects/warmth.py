@@ -64,7 +64,7 @@ class TemperatureDependentFriction(JointEffect):
     time: Array = param(
         10.0,
         1.0,
-        5 * DURATION,
+        (5 * DURATION).no_less_than(2.0),
         scale=0.1 * DURATION,
         unit="s",
         meaning="time constant of warming",

@@ -323,6 +323,10 @@ def _searched(
     return replace(nothing, which=replace(nothing.which, text=text, ranking=found.which.ranking))
 
 
+def _count_refuted(found: Diagnosis) -> int:
+    return sum(row.refuted for row in found.final.stated)
+
+
 def _without_effects(ask: _Ask, road: _Road, binding: Binding) -> Diagnosis:
     """The diagnosis by re-tuned numbers alone."""
     return ask.answer(binding, (), lambda bench, offer: road(bench, offer, with_sets([])), ask.step)
@@ -367,8 +371,7 @@ def _with_fewer_changes(
     if again.which.verdict != "none" and apart.between is not None:
         theirs = with_floor(own, apart.between.size, apart.doubts)
         again = _without_effects(ask, road, theirs)
-    before, after = (sum(row.refuted for row in d.final.stated) for d in (found, again))
-    if again.which.verdict != "none" or after >= before:
+    if again.which.verdict != "none" or _count_refuted(again) >= _count_refuted(found):
         return found, []
     return again, [asked_for(own, gains)]
 
