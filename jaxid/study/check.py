@@ -17,7 +17,8 @@ from jaxid.data.schema import Places
 from jaxid.diagnosis.hypothesis import check_asked
 from jaxid.errors import DatasetError, DatasetProblem, UsageError
 from jaxid.fitters.by_name import fitter_of
-from jaxid.problem.binding import parse_effect, resolve_model
+from jaxid.problem.added_effects import parse_effect
+from jaxid.problem.binding import resolve_model
 from jaxid.robots.match import is_file
 from jaxid.study.plan import dataset_problems, parse_study, PlannedRuns, Study, StudyError, Task
 
