@@ -23,6 +23,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.force.drive import drive_torque
+from jaxid.force.motion import moving, refuse_cutoff, rows_every
 from jaxid.identification.fourier import harmonic_motion
 from jaxid.simulation.sample_buffers import columns
 
@@ -150,11 +151,7 @@ def read_run(
     """Rows of one experiment. `fourier`: rates by its harmonics."""
     iu, iy = columns(dataset, chain)
     rate = 1 / float(np.median(np.diff(e.t)))
-    if cutoff_hz >= rate / 2.5:
-        raise UsageError(
-            f"experiment {e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is"
-            f" too high, give at most {rate / 4:.3g}"
-        )
+    refuse_cutoff(e, rate, cutoff_hz)
     if fourier:
         q, qd, qdd = harmonic_motion(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
     else:
@@ -168,6 +165,8 @@ def read_run(
             f" {cutoff_hz:g} Hz"
         )
     smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
+    floor = noise_floor(dataset)
+    noise = np.array([floor[dataset.outputs[i].name].std for i in iy])
     run = RegressionRun(
         name=e.name,
         split=e.split,
@@ -182,20 +181,9 @@ def read_run(
         cutoff_hz=cutoff_hz,
         times=e.t,
         inertia=lambda _: tau,
-        moves=moving(dataset, e.motion()[:, iy], iy),
+        moves=moving(e.motion()[:, iy], noise).astype(float),
     )
     return _with_inertia(run, chain, base, q, qd, qdd)
-
-
-#: Readings of a joint that stands still span less than this many times the noise.
-STILL = 12.0
-
-
-def moving(dataset: Dataset, y: np.ndarray, iy: Sequence[int]) -> np.ndarray:
-    """1 for outputs [time n] that move, 0 for those that only flicker, [n]."""
-    noise = noise_floor(dataset)
-    sigma = np.array([noise[dataset.outputs[i].name].std for i in iy])
-    return (np.ptp(y, axis=0) > STILL * sigma).astype(float)
 
 
 def held_joints(runs: Sequence[RegressionRun]) -> list[str]:
@@ -308,9 +296,8 @@ def exponent_slopes(
 
 
 def spacing(run: RegressionRun) -> int:
-    """Every how many samples a row says something new: four times the cutoff."""
-    rate = 1 / float(np.median(np.diff(run.t)))
-    return max(1, int(rate / (4 * run.cutoff_hz)))
+    """Every how many samples a row is solved."""
+    return rows_every(1 / float(np.median(np.diff(run.t))), run.cutoff_hz)
 
 
 def names_of(base: BaseParameters, law: FrictionLaw, n: int) -> list[str]:
