@@ -44,7 +44,7 @@ from jaxid.identification.regression import (
 )
 from jaxid.identification.result import Identification, LawTrial, RunScore
 from jaxid.identification.solving import fit_law, law_problem, LawFit
-from jaxid.identification.stated import answered
+from jaxid.identification.stated import answered, values_of
 from jaxid.identification.trust import NEAR_THE_FILE, nearer_the_file
 from jaxid.problem.binding import resolve_model
 from jaxid.robots.arms import as_arm
@@ -175,7 +175,7 @@ def _identification(
             *_notes(found, names, method, law),
             *_of_splits(recorded, motion),
             *regression.held_joints(runs),
-            *([NEAR_THE_FILE.format(near[law.name])] if law.name in near else ()),
+            *_of_trust(near.get(law.name)),
         ),
         wall_time_s=time.perf_counter() - began,
         labels=names_of_joints(arm, recorded.data, n),
@@ -350,6 +350,10 @@ def _filter_told(motion: str, motion_hz: float, cutoff_hz: float) -> str:
     return f"{way}; {low_pass}; sign(qd) as tanh(qd / 0.01)"
 
 
+def _of_trust(near: float | None) -> list[str]:
+    return [] if near is None else [NEAR_THE_FILE.format(near)]
+
+
 def _of_splits(recorded: RecordedArm, motion: str) -> list[str]:
     if recorded.held_out or motion != "fourier":
         return []
@@ -359,14 +363,8 @@ def _of_splits(recorded: RecordedArm, motion: str) -> list[str]:
 def _stated(chain: Chain, dataset: Dataset) -> Chain:
     """The chain with the constants and start values that the dataset states."""
     layout = ParameterVector(chain)
-    theta, spec = layout.values.copy(), dataset.model
-    known = dict(spec.constants) if spec is not None else {}
-    known |= {
-        k: p.value
-        for k, p in (spec.parameters if spec is not None else {}).items()
-        if p.value is not None
-    }
-    for name, value in known.items():
+    theta = layout.values.copy()
+    for name, value in values_of(dataset.model).items():
         if name != "smoothing_velocity":
             theta[layout.index(name)] = value
     return layout.model(theta)
