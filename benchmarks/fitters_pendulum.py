@@ -37,7 +37,7 @@ import jax  # noqa: E402
 import jaxid  # noqa: E402
 from jaxid.data.dataset import ModelSpec, ParameterPrior  # noqa: E402
 from jaxid.fitters import CMAES, DifferentialEvolution, Hybrid, LevenbergMarquardt, Shade  # noqa: E402
-from jaxid.fitting.least_squares import search  # noqa: E402
+from jaxid.fitting.many_starts import search  # noqa: E402
 from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.problem.problem import rows  # noqa: E402

@@ -26,7 +26,7 @@ prepare()
 
 import jaxid  # noqa: E402
 from jaxid.data.dataset import Channel, Dataset, FrequencyResponse, ModelSpec, ParameterPrior  # noqa: E402
-from jaxid.problem.frequency_response import merged  # noqa: E402
+from jaxid.problem.response_lines import merged  # noqa: E402
 
 
 #: Dimensions of the maker's data sheet: a steel strip of 0.419 m and 65 g.

@@ -15,7 +15,8 @@ import numpy as np
 from jaxid.fitting.fitter import AbstractFitter, Log
 from jaxid.fitting.least_squares import guesses, levenberg_marquardt, Path
 from jaxid.fitting.settings import option
-from jaxid.problem.objective import gauss_newton_model, Linear
+from jaxid.problem.gauss_newton import gauss_newton_model
+from jaxid.problem.objective import Linear
 
 
 class BFGS(AbstractFitter):

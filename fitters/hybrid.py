@@ -12,7 +12,8 @@ import numpy as np
 from jaxid.fitters.shade import Shade
 from jaxid.fitting.ask_tell import answered
 from jaxid.fitting.fitter import AbstractFitter, Log
-from jaxid.fitting.least_squares import problem_clip, search
+from jaxid.fitting.least_squares import problem_clip
+from jaxid.fitting.many_starts import search
 from jaxid.fitting.population import AbstractPopulation, same, SearchState
 from jaxid.fitting.settings import option
 from jaxid.problem.objective import AbstractProblem

@@ -16,7 +16,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxid.fitting.fitter import AbstractFitter, Log, Minimum, Progress
-from jaxid.fitting.least_squares import guesses, Path, search
+from jaxid.fitting.least_squares import guesses, Path
+from jaxid.fitting.many_starts import search
 from jaxid.fitting.settings import option
 from jaxid.problem.objective import AbstractProblem
 

@@ -19,13 +19,8 @@ from jaxid.fitting.fitter import AbstractFitter, Log, sampling_box
 from jaxid.fitting.least_squares import guesses, seed_of
 from jaxid.fitting.settings import about, option
 from jaxid.numerics.precision import float64
-from jaxid.problem.objective import (
-    AbstractProblem,
-    CANDIDATES,
-    gauss_newton_model,
-    penalised,
-    PENALTY,
-)
+from jaxid.problem.gauss_newton import gauss_newton_model
+from jaxid.problem.objective import AbstractProblem, CANDIDATES, penalised, PENALTY
 
 
 #: Blocks of random points that are looked at for a first one at which the loss is a number.

@@ -27,7 +27,8 @@ from jaxid.fitters.de import binomial, dithered, donors, extent
 from jaxid.fitting.fitter import Log
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
-from jaxid.problem.objective import AbstractProblem, gauss_newton_model
+from jaxid.problem.gauss_newton import gauss_newton_model
+from jaxid.problem.objective import AbstractProblem
 
 
 VARIANTS = ("self", "target", "shift")

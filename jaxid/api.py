@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -22,7 +22,8 @@ from jaxid.fitting.fitter import AbstractFitter, Progress
 from jaxid.fitting.limbs import each
 from jaxid.fitting.result import Fit
 from jaxid.fitting.simulation import Simulation
-from jaxid.problem.binding import bind, Binding, foreseen
+from jaxid.problem.added_effects import parse_effect
+from jaxid.problem.binding import bind, Binding, foreseen, resolve_model
 from jaxid.problem.problem import LOSSES
 from jaxid.problem.residual import Residual, resolve_residual
 from jaxid.problem.solver import with_solver
@@ -104,6 +105,7 @@ def fit(
         return each(limbs, work, dataset)
     refuse_too_large(foreseen("fit", model, dataset))
     effects, without = tuple(effects), tuple(without)
+    _refuse_effects(model, dataset, effects, without)
     checked = _checked(model, dataset, without, as_recorded)
     data = checked.mended or dataset
     if along is not None:
@@ -122,6 +124,20 @@ def fit(
         along=along,
     )
     return replace(found, data=checked.findings, wall_time_s=time.perf_counter() - began)
+
+
+def _refuse_effects(
+    model: object,
+    dataset: Dataset,
+    effects: Sequence[str | Effect | type[Effect]],
+    without: Sequence[str],
+) -> None:
+    """Raises `UsageError`, before anything is computed, for an effect that cannot be added."""
+    if not effects:
+        return
+    nominal = resolve_model(model, dataset, without)
+    for effect in effects:
+        parse_effect(effect, nominal)
 
 
 def _checked(
@@ -259,9 +275,15 @@ def _diagnosis(
     cutoff_hz: float | None,
 ) -> Diagnosis:
     """The diagnosis of one mechanism. On Ctrl-C `Interrupted` carries what is known."""
+    from jaxid.diagnosis.hypothesis import check_asked
     from jaxid.diagnosis.run import begin_compiling, run_diagnosis
     from jaxid.diagnosis.torque.reference import ReferenceNumbers
 
+    compared = resolve_residual(residual, cutoff_hz)
+    if effects:
+        asked = [catalogue.enrolled(effect) for effect in effects]
+        nominal = resolve_model(model, dataset, without)
+        check_asked(nominal, asked, compared.name if compared else "")
     if residual is None:
         begin_compiling(model, dataset, effects, without)
     checked = _checked(model, dataset, without, as_recorded)
@@ -273,7 +295,7 @@ def _diagnosis(
             max_effects=max_effects,
             effects=effects,
             without=without,
-            residual=resolve_residual(residual, cutoff_hz),
+            residual=compared,
             seed=seed,
             progress=progress,
             reference=known,
@@ -376,7 +398,8 @@ def compare(
     from jaxid.fitting.comparison_runs import BUDGET, run_comparison
 
     budget = BUDGET if budget is None and seconds is None else budget
-    without = tuple(without)
+    effects, without = tuple(effects), tuple(without)
+    _refuse_effects(model, dataset, effects, without)
     checked = _checked(model, dataset, without, as_recorded)
     return run_comparison(
         model=model,

@@ -477,7 +477,7 @@ def test_an_effect_of_ones_own_is_a_candidate_that_is_found():
 
 def test_an_effect_with_several_places_asks_for_one():
     from jaxid.models import PlanarArm
-    from jaxid.problem.binding import parse_effect
+    from jaxid.problem.added_effects import parse_effect
 
     arm = Chain(PlanarArm())
     with pytest.raises(jaxid.UsageError, match="say where, as in dead_zone@"):

@@ -31,19 +31,14 @@ from jaxid.fitters import (
     RandToBestDE,
     RecursiveDE,
 )
-from jaxid.fitting.least_squares import (
-    accept,
-    levenberg_marquardt,
-    next_trial,
-    Path,
-    PATIENCE,
-    successive_halving,
-)
+from jaxid.fitting.least_squares import accept, levenberg_marquardt, next_trial, Path, PATIENCE
+from jaxid.fitting.many_starts import successive_halving
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.sequential import follow, stretches
 from jaxid.problem.binding import bind
-from jaxid.problem.objective import FunctionProblem, gauss_newton_model, Linear, PENALTY, rows
+from jaxid.problem.gauss_newton import gauss_newton_model
+from jaxid.problem.objective import FunctionProblem, Linear, PENALTY, rows
 from jaxid.problem.residual import OutputError
 
 

@@ -23,7 +23,8 @@ from jaxid.dynamics import beam
 from jaxid.models import FlexibleLink
 from jaxid.models.effects import GeometricStiffening, ViscousFriction
 from jaxid.numerics.precision import float64
-from jaxid.problem.frequency_response import FrequencyResponseError, merged
+from jaxid.problem.frequency_response import FrequencyResponseError
+from jaxid.problem.response_lines import merged
 from jaxid.simulation.transfer import transfer
 from jaxid.study.papers.twins.flexible_link import (
     AREA,

@@ -207,14 +207,10 @@ LONG = {
     "jaxid/diagnosis/run.py": 616,
     "jaxid/diagnosis/search.py": 577,
     "jaxid/diagnosis/unseen.py": 502,
-    "jaxid/dynamics/chain.py": 533,
-    "jaxid/excitation/design.py": 578,
-    "jaxid/numerics/batch_loop.py": 516,
-    "jaxid/problem/frequency_response.py": 521,
+    "jaxid/dynamics/chain.py": 530,
     "jaxid/report/text.py": 540,
     "jaxid/robots/export/mjcf.py": 573,
-    "jaxid/simulation/batch.py": 517,
-    "jaxid/study/papers/flexible_link.py": 563,
+    "jaxid/study/papers/flexible_link.py": 553,
     "models/robot.py": 583,
 }
 

@@ -7,11 +7,14 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from jaxid.cli.app import main
 from jaxid.deadline import answered_in_time, deadline, search_is_over, share_of_time
+from jaxid.diagnosis.search import Searcher
 from jaxid.errors import UsageError
 from jaxid.runtime import Interrupted
 
@@ -74,6 +77,24 @@ def test_a_search_has_its_share_of_the_time():
         ends.began -= 0.9
         assert search_is_over() and ends.search_was_cut
     assert not search_is_over()
+
+
+def test_a_search_asks_nothing_more_then():
+    problem = SimpleNamespace(work=1)
+    searcher = SimpleNamespace(
+        benches=(),
+        bench=SimpleNamespace(simulated=lambda: 0),
+        nominal=SimpleNamespace(path=SimpleNamespace(problem=problem)),
+        tried={},
+        _cut_short=False,
+    )
+    goes_on = cast(Any, Searcher._goes_on)
+    with deadline(1.0) as ends:
+        assert ends is not None and goes_on(searcher)
+        ends.began -= 0.9
+        assert goes_on(searcher)  # the first effects are asked in any case
+        searcher.tried = {"an effect": "its fit"}
+        assert not goes_on(searcher) and ends.search_was_cut
 
 
 def test_what_is_known_by_then_is_the_answer():

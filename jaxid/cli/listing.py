@@ -27,7 +27,7 @@ def find(kind: str, name: str | None) -> list[Any]:
     own = kind == "models" and is_model_file(name)
     if name is not None and name not in known and not own:
         raise UsageError(f"there is no {kind[:-1]} {name!r}{nearest(name, known)}")
-    return [describe(n) for n in (known if name is None else [name])]
+    return [describe(n) for n in known] if name is None else [describe(name)]
 
 
 def plain(value: Any) -> Any:
@@ -114,7 +114,7 @@ def description(info: Any) -> str:
         if label == "signatures":
             lines += [f"  inputs → outputs: {signature(s)}" for s in info.signatures]
         elif isinstance(value, list) and isinstance(value[0], dict):
-            rows = [[str(cell) for cell in row.values()] for row in value]
+            rows = [list(map(str, row.values())) for row in value]
             tables += ["", title.removesuffix(" info"), indented(table(list(value[0]), rows))]
         elif isinstance(value, list):
             lines.append(f"  {title}: {', '.join(numbered([str(v) for v in value]))}")

@@ -91,6 +91,14 @@ AS_RECORDED = click.option(
 )
 
 
+SECONDS = click.option(
+    "--seconds",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="S",
+    help="The best answer there is by then.",
+)
+
+
 SEED = click.option(
     "--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed."
 )
@@ -119,25 +127,9 @@ def foretell(work: str, model: str | None, data: Any, quiet: bool) -> None:
 def read_parameters(path: Path) -> dict[str, Any]:
     """The content of a FIT.json; only `parameters` is needed."""
     from jaxid.errors import UsageError
-    from jaxid.serialise import with_effects
-    from jaxid.storage.small_files import read_small, TooLarge
 
     wanted = 'it needs {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
-    try:
-        content = with_effects(json.loads(read_small(path).decode()))
-    except TooLarge as error:
-        raise UsageError(f"--parameters {path}: {error}; {wanted}") from error
-    except OSError as error:
-        raise UsageError(f"--parameters {path}: cannot be read ({error.strerror})") from error
-    except json.JSONDecodeError as error:
-        raise UsageError(
-            f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg};"
-            f" {wanted}"
-        ) from error
-    except UsageError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"--parameters {path}: not JSON text; {wanted}") from error
+    content = _json_of(path, wanted)
     if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
         raise UsageError(f"--parameters {path}: no object `parameters` in it; {wanted}")
     groups = [("parameters", content["parameters"])]
@@ -154,14 +146,39 @@ def read_parameters(path: Path) -> dict[str, Any]:
         groups.append((f"effects[{i}].parameters", inside))
     for group, parameters in groups:
         for name, entry in parameters.items():
-            value = entry.get("value") if isinstance(entry, dict) else None
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | float)
-                or not abs(value) < float("inf")
-            ):
+            if not _states_number(entry):
                 raise UsageError(
                     f'--parameters {path}: {group}.{name} needs a finite number, as in {{"value":'
                     " 0.08}"
                 )
     return content
+
+
+def _json_of(path: Path, wanted: str) -> Any:
+    from jaxid.errors import UsageError
+    from jaxid.serialise import with_effects
+    from jaxid.storage.small_files import read_small, TooLarge
+
+    try:
+        return with_effects(json.loads(read_small(path).decode()))
+    except TooLarge as error:
+        raise UsageError(f"--parameters {path}: {error}; {wanted}") from error
+    except OSError as error:
+        raise UsageError(f"--parameters {path}: cannot be read ({error.strerror})") from error
+    except json.JSONDecodeError as error:
+        raise UsageError(
+            f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg};"
+            f" {wanted}"
+        ) from error
+    except UsageError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"--parameters {path}: not JSON text; {wanted}") from error
+
+
+def _states_number(entry: Any) -> bool:
+    """Whether an entry's `value` is a finite number."""
+    value = entry.get("value") if isinstance(entry, dict) else None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < float("inf")

@@ -33,10 +33,14 @@ def _numbers(_ctx, param, value: str | None) -> list[float] | None:
 
 
 def _constants(_ctx, param, values: tuple[str, ...]) -> dict[str, float]:
+    constants = {}
     try:
-        return {name.strip(): float(number) for name, number in (v.split("=", 1) for v in values)}
+        for value in values:
+            name, number = value.split("=", 1)
+            constants[name.strip()] = float(number)
     except ValueError:
         raise click.BadParameter("write NAME=NUMBER", param=param) from None
+    return constants
 
 
 def _common(command: Callable) -> Callable:

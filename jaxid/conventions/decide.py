@@ -11,7 +11,7 @@ import numpy as np
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, APART, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
-from jaxid.conventions.missing_force import ForceFit, ReadingFit, SampledMotion
+from jaxid.conventions.missing_force import ForceFit, ReadingFit
 from jaxid.conventions.readings import (
     exchanges,
     FREE,
@@ -32,6 +32,7 @@ from jaxid.conventions.samples import Shown
 from jaxid.conventions.timing import timed, whole_rows_tell
 from jaxid.conventions.unsigned import unsigned
 from jaxid.force.columns import FEW
+from jaxid.force.sampled_motion import SampledMotion
 from jaxid.numerics.pool import Pool
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.force.columns import FEW, Forces, ROWS
 from jaxid.force.drive import drive_torque
 from jaxid.force.gauss_newton import descend, Room
+from jaxid.force.sampled_motion import FilteredInput, SampledMotion
 from jaxid.models.effects import (
     ConstantTorque,
     CoulombFriction,
@@ -50,82 +50,9 @@ BLOCKS, EDGE = 10, 4
 REACH = 3.0
 #: Units of inputs that are goals of a law and not what drives.
 GOALS = "rad", "m", "rad/s", "m/s"
-PER_ROW = "since", "weight", "held", "block"
 #: Laws of each joint's own motion that a model may lack, of one number each; all but the first one
 #: brake or hold.
 LAWS = (ConstantTorque, SpringTorque, ViscousFriction, CoulombFriction, QuadraticDrag)
-
-
-@dataclass(frozen=True)
-class FilteredInput:
-    """The inputs of a run, filtered: `t [time]`, `u [time nu]`, and the times [rows] at which the
-    motion is looked at.
-    """
-
-    t: np.ndarray
-    u: np.ndarray
-    at: np.ndarray
-
-
-@dataclass(frozen=True)
-class SampledMotion:
-    """Samples of all runs that are looked at: [samples n], SI, `each` neighbours in a row for one
-    row, over which both sides of the equation are averaged. `since [rows]` is the time since the
-    run began, `weight [rows nq]` 0 where a joint stands still, `held [rows]` marks what is kept for
-    judging. Input j is the sources' columns times `mix [nu nu]`, taken `rows [nu]` later, and the
-    later the longer the run by `drift [nu]` s/s.
-    """
-
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-    since: np.ndarray
-    weight: np.ndarray
-    held: np.ndarray
-    block: np.ndarray
-    step: float
-    sources: tuple[FilteredInput, ...]
-    mix: np.ndarray
-    rows: np.ndarray
-    drift: np.ndarray
-    each: int = 1
-
-    def mean(self, x: np.ndarray) -> np.ndarray:
-        """A series at the samples [samples ...] as rows [rows ...]."""
-        return x if self.each == 1 else x.reshape(-1, self.each, *x.shape[1:]).mean(1)
-
-    @cached_property
-    def u(self) -> np.ndarray:
-        """Inputs at the samples, [samples nu]."""
-        out = np.zeros((len(self.q), len(self.mix)))
-        first = 0
-        for s in self.sources:
-            part = slice(first, first := first + len(s.at))
-            for j in range(len(self.mix)):
-                at = s.at + self.rows[j] * self.step + self.drift[j] * (s.at - s.t[0])
-                for i in np.flatnonzero(self.mix[:, j]):
-                    out[part, j] += self.mix[i, j] * np.interp(at, s.t, s.u[:, i])
-        return out
-
-    def thinned(self, count: int) -> SampledMotion:
-        """Every n-th row, so that about `count` are left."""
-        rows = np.arange(0, len(self.held), max(1, -(-len(self.held) // count)))
-        samples = (rows[:, None] * self.each + np.arange(self.each)).ravel()
-        sources, first = [], 0
-        for s in self.sources:
-            own = samples[(samples >= first) & (samples < first + len(s.at))] - first
-            sources.append(replace(s, at=s.at[own]))
-            first += len(s.at)
-
-        def take(name, kept):
-            return getattr(self, name)[kept]
-
-        return replace(
-            self,
-            **{k: take(k, samples) for k in ("q", "qd", "qdd")},
-            **{k: take(k, rows) for k in PER_ROW},
-            sources=tuple(sources),
-        )
 
 
 def measured(binding: Binding, each: int = 1) -> SampledMotion | None:

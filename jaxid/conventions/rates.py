@@ -12,12 +12,13 @@ import numpy as np
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
-from jaxid.conventions.missing_force import ForceFit, SampledMotion
+from jaxid.conventions.missing_force import ForceFit
 from jaxid.conventions.readings import ANGLES, Change, EFFECT_RANGE, exchanged, FREE, scaled_joint
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
 from jaxid.data.signals import content_cutoff, differentiate, filter_ends, zero_phase
 from jaxid.dynamics.joint_readings import joint_readings
+from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from jaxid.conventions.limits import APART
 from jaxid.conventions.mending import Mending
-from jaxid.conventions.missing_force import SampledMotion
 from jaxid.dynamics.joint_readings import read_by
+from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 

@@ -12,9 +12,10 @@ import numpy as np
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, ASKED, FLOOR, GONE
 from jaxid.conventions.mending import lines, Mending
-from jaxid.conventions.missing_force import ForceFit, ReadingFit, SampledMotion
+from jaxid.conventions.missing_force import ForceFit, ReadingFit
 from jaxid.conventions.readings import Names
 from jaxid.conventions.samples import Shown
+from jaxid.force.sampled_motion import SampledMotion
 from jaxid.models.effects import InputDelay, SensorDelay
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed

@@ -9,9 +9,10 @@ import numpy as np
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import Mending
-from jaxid.conventions.missing_force import ForceFit, SampledMotion
+from jaxid.conventions.missing_force import ForceFit
 from jaxid.conventions.readings import Names
 from jaxid.conventions.samples import Shown
+from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed
 

@@ -27,7 +27,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitting.effect_starts import probes
-from jaxid.fitting.least_squares import search
+from jaxid.fitting.many_starts import search
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import FitProblem, rows

@@ -56,7 +56,8 @@ from jaxid.diagnosis.selection import (
 from jaxid.diagnosis.shortlist import shortlist
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
-from jaxid.fitting.least_squares import levenberg_marquardt, Path, successive_halving
+from jaxid.fitting.least_squares import levenberg_marquardt, Path
+from jaxid.fitting.many_starts import successive_halving
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
@@ -94,9 +95,8 @@ class Searcher:
         self.base_free = list(nominal.problem.free)
         self.nominal = self._hypotheses([((), nominal)])[0]
         self.known: dict[frozenset[str], Hypothesis] = {frozenset(): self.nominal}
-        self._stale: dict[
-            frozenset[str], Hypothesis
-        ] = {}  # refitted before the data were corrected for the step
+        # refitted before the data were corrected for the step
+        self._stale: dict[frozenset[str], Hypothesis] = {}
         self.tried: list[Hypothesis] = []  # on the way to what is chosen
         self._singles: list[Hypothesis] = []  # those of the last step
         self._passed_over: dict[

@@ -374,13 +374,6 @@ class Thresholds:
         " beforehand is not determined.",
         "not recorded",
     )
-    # torque, rows
-    standing: float = _of(
-        12.0,
-        "times the noise",
-        "A joint whose readings span less than this many times their noise stands still.",
-        "not recorded",
-    )
     # torque, algebra
     correlated: float = _of(
         0.05,

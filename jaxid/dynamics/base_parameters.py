@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -96,7 +97,7 @@ def _symbolic(k: float, symbols: dict[str, float]) -> str:
 
 def standard_names(n: int) -> tuple[str, ...]:
     """Ixx1 ... m1 Ia1 Ixx2 ..., the order of every standard vector [11 n]."""
-    return tuple(f"{name}{j + 1}" for j in range(n) for name in STANDARD)
+    return tuple(f"{name}{j}" for j, name in product(range(1, n + 1), STANDARD))
 
 
 def torque_columns(arm: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -143,15 +144,13 @@ def base_parameters(arm: Any, without: Sequence[str] = ()) -> BaseParameters:
     n = len(arm.prismatic)
     rng = np.random.default_rng(0)
     count = 12 * n + 20
-    W = torque_columns(arm, *(rng.uniform(-k, k, (count, n)) for k in (3.0, 2.0, 5.0))).reshape(
-        count * n, -1
-    )
+    q, qd, qdd = (rng.uniform(-k, k, (count, n)) for k in (3.0, 2.0, 5.0))
+    W = torque_columns(arm, q, qd, qdd).reshape(count * n, -1)
     names = standard_names(n)
-    preferred = [
-        j * 11 + STANDARD.index(k)
-        for j in range(n)
-        for k in (PRISMATIC if arm.prismatic[j] else REVOLUTE)
-    ]
+    preferred: list[int] = []
+    for j, slides in enumerate(arm.prismatic):
+        names_of_link = PRISMATIC if slides else REVOLUTE
+        preferred += [j * 11 + STANDARD.index(name) for name in names_of_link]
     drives = [j * 11 + 10 for j in range(n)]
     rest = [i for i in range(11 * n) if i not in preferred and i not in drives]
     out = {i for i, name in enumerate(names) if name in without}

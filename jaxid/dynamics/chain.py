@@ -23,6 +23,7 @@ from jaxid.dynamics.drive_torque import is_direct, records_torque
 from jaxid.dynamics.dry_friction import solve_dry
 from jaxid.dynamics.effect import (
     BodyEffect,
+    chosen,
     Command,
     Effect,
     InputEffect,
@@ -150,7 +151,10 @@ class Chain(eqx.Module):
     @property
     def contents(self) -> set[str]:
         """Ids of all effects that the model comprises; none of them can be a candidate."""
-        return {name for e in self.effects for name in (e.name, *e.contains)}
+        contents: set[str] = set()
+        for effect in self.effects:
+            contents |= {effect.name, *effect.contains}
+        return contents
 
     def without(self, *names: str) -> Chain:
         """The same model with these effects taken out."""
@@ -293,10 +297,10 @@ class Chain(eqx.Module):
         def anew(a, b):
             return jax.tree.map(lambda a, b: jnp.where(here, a, b), a, b)
 
-        return tuple(
-            anew(a, b) if isinstance(e, OutputEffect) else b
-            for e, a, b in zip(self.effects, fresh, z, strict=True)
-        )
+        states = []
+        for effect, new, old in zip(self.effects, fresh, z, strict=True):
+            states.append(anew(new, old) if isinstance(effect, OutputEffect) else old)
+        return tuple(states)
 
     def begins(
         self, body: Mechanism, q: Float[Array, " nq"], qd: Float[Array, " nq"]
@@ -317,13 +321,13 @@ class Chain(eqx.Module):
         names = [n for n, _ in self.signature.outputs]
         total: Array | float = 0.0
         for _, e in self.at(OutputEffect):
-            if (off := e.offset()) is not None:
-                total += jnp.stack(
-                    [
-                        off[names.index(j)] if j in names else 0.0 * off[0]
-                        for j in self.signature.joints
-                    ]
-                )
+            off = e.offset()
+            if off is None:
+                continue
+            of_joints = []
+            for joint in self.signature.joints:
+                of_joints.append(off[names.index(joint)] if joint in names else 0.0 * off[0])
+            total += jnp.stack(of_joints)
         return total
 
     def commanded(self, s: Signals, z: tuple) -> tuple[Float[Array, " nu"], tuple]:
@@ -363,15 +367,8 @@ class Chain(eqx.Module):
         after, tau = self.advance(body, carry, command)
         v0, v1 = body.port(carry.x)[1], body.port(after.x)[1]
         y, z = self.sense(body, carry, tau, (v0 == 0) & (v1 == 0), command)
-        return (
-            after._replace(
-                z=tuple(
-                    b if isinstance(e, OutputEffect) else a
-                    for e, a, b in zip(self.effects, after.z, z, strict=True)
-                )
-            ),
-            y,
-        )
+        sensors = [isinstance(e, OutputEffect) for e in self.effects]
+        return after._replace(z=chosen(sensors, z, after.z)), y
 
     def sense(
         self,

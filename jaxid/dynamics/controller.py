@@ -149,17 +149,52 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
     Raises `UsageError` where the dataset states no controller, for an unknown kind or setting, a
     gain that is missing or not one number per joint, and a reference that is not recorded.
     """
+    kind, settings = _stated(dataset, signature)
+    n = len(signature.joints)
+
+    def number(key, default=0.0):
+        return _per_joint(settings, key, default, n)
+
+    saturation, gain = number("saturation", COMMON["saturation"]), number("gain", COMMON["gain"])
+    if min(saturation) <= 0 or 0.0 in gain:
+        raise UsageError("[controller]: saturation is positive, gain is not zero")
+    period = settings.get(SAMPLE_TIME)
+    if period is not None and (not isinstance(period, int | float) or period <= 0):
+        raise UsageError(
+            f"[controller]: sample_time is {period!r}; it is a positive number of seconds"
+        )
+    first = (dataset.split("fit") or dataset.experiments)[0]
+    cascade = kind == "cascade"
+    reference_velocity = "none"
+    if not cascade or "reference_velocity" in settings:
+        reference_velocity = _word(settings, "reference_velocity")
+    return Law(
+        kind=kind,
+        kp=number("kp"),
+        ki=number("ki"),
+        kd=number("kv" if cascade else "kd"),
+        gain=gain,
+        saturation=saturation,
+        offset=number("offset"),
+        velocity=_word(settings, "velocity"),
+        reference_velocity=reference_velocity,
+        references=_channels(dataset, settings, "reference", signature, True),
+        disturbances=_channels(dataset, settings, "disturbance", signature, False),
+        sample_time=float(period) if period is not None else float(np.median(np.diff(first.t))),
+        every_sample=period is None,
+    )
+
+
+def _stated(dataset: Dataset, signature: Signature) -> tuple[str, dict[str, Any]]:
+    """The kind and the settings of `[controller]`, each of which the kind knows."""
     if dataset.controller is None:
         raise UsageError(
             "the dataset states no controller. State it under [controller] (kind, gains,"
             " sample_time) with the reference q_cmd as an auxiliary channel, or use the residual"
             " output_error, which needs none"
         )
-    n = len(signature.joints)
-    if (
-        tuple(name for name, _ in signature.outputs) != signature.joints
-        or len(signature.inputs) != n
-    ):
+    joints = signature.joints
+    if tuple(dict(signature.outputs)) != joints or len(signature.inputs) != len(joints):
         raise UsageError(
             "a controller needs one input and one measured position per joint of the model"
         )
@@ -182,38 +217,7 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
         raise UsageError(
             f"[controller]: kind {kind!r} needs {' and '.join(needed)}; {lacking[0]!r} is missing"
         )
-
-    def number(key, default=0.0):
-        return _per_joint(settings, key, default, n)
-
-    saturation, gain = number("saturation", COMMON["saturation"]), number("gain", COMMON["gain"])
-    if min(saturation) <= 0 or 0.0 in gain:
-        raise UsageError("[controller]: saturation is positive, gain is not zero")
-    period = settings.get(SAMPLE_TIME)
-    if period is not None and (not isinstance(period, int | float) or period <= 0):
-        raise UsageError(
-            f"[controller]: sample_time is {period!r}; it is a positive number of seconds"
-        )
-    first = (dataset.split("fit") or dataset.experiments)[0]
-    return Law(
-        kind=kind,
-        kp=number("kp"),
-        ki=number("ki"),
-        kd=number("kv" if kind == "cascade" else "kd"),
-        gain=gain,
-        saturation=saturation,
-        offset=number("offset"),
-        velocity=_word(settings, "velocity"),
-        reference_velocity=(
-            "none"
-            if kind == "cascade" and "reference_velocity" not in settings
-            else _word(settings, "reference_velocity")
-        ),
-        references=_channels(dataset, settings, "reference", signature, True),
-        disturbances=_channels(dataset, settings, "disturbance", signature, False),
-        sample_time=float(period) if period is not None else float(np.median(np.diff(first.t))),
-        every_sample=period is None,
-    )
+    return kind, settings
 
 
 def _per_joint(settings: Mapping[str, Any], key: str, default: float, n: int) -> tuple[float, ...]:
@@ -248,18 +252,7 @@ def _channels(
     have = [c.name for c in dataset.channels if c.role == "auxiliary"]
     stated, n = settings.get(key), len(signature.joints)
     if stated is None:
-        candidates = [(f"{joint}_cmd",) for joint in signature.joints] if required else [("",)] * n
-        if required and n == 1:
-            candidates = [(f"{signature.joints[0]}_cmd", "q_cmd", "q1_cmd")]
-        found = [next((c for c in names if c in have or not c), None) for names in candidates]
-        if None in found:
-            missing = candidates[found.index(None)][0]
-            raise UsageError(
-                f"the controller's reference is not recorded: add an auxiliary channel {missing!r},"
-                f" or name one by [controller] {key} (auxiliary channels:"
-                f" {', '.join(have) or 'none'})"
-            )
-        return tuple(c or "" for c in found)
+        return _references(have, key, signature) if required else ("",) * n
     names = [stated] if isinstance(stated, str) else list(stated)
     if len(names) != n:
         raise UsageError(
@@ -272,6 +265,23 @@ def _channels(
                 f" channel{nearest(str(name), have)}"
             )
     return tuple(str(name) for name in names)
+
+
+def _references(have: Sequence[str], key: str, signature: Signature) -> tuple[str, ...]:
+    """The references that are called after their joints."""
+    alone = ("q_cmd", "q1_cmd") if len(signature.joints) == 1 else ()
+    found = []
+    for joint in signature.joints:
+        candidates = [f"{joint}_cmd", *alone]
+        there = [name for name in candidates if name in have]
+        if not there:
+            raise UsageError(
+                f"the controller's reference is not recorded: add an auxiliary channel"
+                f" {candidates[0]!r}, or name one by [controller] {key} (auxiliary channels:"
+                f" {', '.join(have) or 'none'})"
+            )
+        found.append(there[0])
+    return tuple(found)
 
 
 __all__ = ["Controller", "Law", "Memory", "ControllerInput", "begin", "law_of", "update"]

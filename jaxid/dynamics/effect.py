@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -296,3 +296,11 @@ class RecordEffect(Effect):
 def neutral(kind: Callable[..., AnEffect]) -> AnEffect:
     """An effect that does nothing: every parameter at its default."""
     return kind()
+
+
+def chosen(flags: Sequence[bool], ones: Iterable[Any], others: Iterable[Any]) -> tuple:
+    """Of each pair the first where its flag is set."""
+    found = []
+    for flag, one, other in zip(flags, ones, others, strict=True):
+        found.append(one if flag else other)
+    return tuple(found)

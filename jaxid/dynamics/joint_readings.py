@@ -6,6 +6,7 @@ read has its position from the start of the run on.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 import jax
@@ -35,24 +36,26 @@ def with_speeds(signature: Signature, outputs: Mapping[str, str]) -> Signature:
     and leaves out positions that are not there; unchanged where a position is missing whose speed
     is missing, too.
     """
-    own = [n for n, _ in signature.outputs]
-    speeds, kept = [], []
+    own = dict(signature.outputs)
+    speeds: list[tuple[str, str, int]] = []
     for j, joint in enumerate(signature.joints):
         unit = signature.unit("{X}", j) + "/s"
-        names = [
-            n for n in speed_names(signature.joints, j) if n not in own and outputs.get(n) == unit
-        ]
-        speeds += [(names[0], unit, j)] if names else []
-        if joint in own and joint not in outputs and not names:
+        candidates = [n for n in speed_names(signature.joints, j) if n not in own]
+        names = [n for n in candidates if outputs.get(n) == unit]
+        if names:
+            speeds.append((names[0], unit, j))
+        elif joint in own and joint not in outputs:
             return signature
-    for k, name in enumerate(own):
-        if name in outputs or name not in signature.joints:
-            kept.append(k)
     if not speeds:
         return signature
-    shown = None if len(kept) == len(own) else tuple(kept)
-    read = (*(signature.outputs[k] for k in kept), *((n, u) for n, u, _ in speeds))
-    return signature._replace(outputs=read, shown=shown, speeds=tuple(j for _, _, j in speeds))
+    missing = set(signature.joints) - outputs.keys()
+    kept = [k for k, name in enumerate(own) if name not in missing]
+    read = [signature.outputs[k] for k in kept] + [(name, unit) for name, unit, _ in speeds]
+    return signature._replace(
+        outputs=tuple(read),
+        shown=None if len(kept) == len(own) else tuple(kept),
+        speeds=tuple(j for _, _, j in speeds),
+    )
 
 
 _OWN_SPEEDS: dict[Any, dict[int, int]] = {}
@@ -74,10 +77,11 @@ def _own_speeds(chain: Chain) -> dict[int, int]:
     if key not in _OWN_SPEEDS:
         qd, y = _read(chain, np.linspace(0.1, 0.9, 3))
 
-        def same(k, j):
+        def same(j, k):
             return np.allclose(y[:, k], qd[:, j], rtol=1e-12, atol=0)
 
-        _OWN_SPEEDS[key] = {j: k for j in range(chain.nq) for k in asked if same(k, j)}
+        pairs = product(range(chain.nq), asked)
+        _OWN_SPEEDS[key] = {j: k for j, k in pairs if same(j, k)}
     return _OWN_SPEEDS[key]
 
 
@@ -102,17 +106,18 @@ def joint_readings(chain: Chain) -> list[JointOutputs]:
     names = [n for n, _ in s.outputs]
     first = len(names) - len(s.speeds)
     speeds = {**_own_speeds(chain), **{j: first + k for k, j in enumerate(s.speeds)}}
-    return [
-        JointOutputs(names.index(n) if n in names else None, speeds.get(j))
-        for j, n in enumerate(s.joints)
-    ]
+    positions = {name: k for k, name in enumerate(names)}
+    return [JointOutputs(positions.get(n), speeds.get(j)) for j, n in enumerate(s.joints)]
 
 
 def read_by(chain: Chain) -> list[int]:
     """The output that tells each joint's motion: its position, or its speed where that alone is
     read. Every joint is read.
     """
-    return [k for r in joint_readings(chain) if (k := r.q if r.q is not None else r.qd) is not None]
+    outputs = []
+    for reading in joint_readings(chain):
+        outputs.append(reading.qd if reading.q is None else reading.q)
+    return [k for k in outputs if k is not None]
 
 
 def all_read(chain: Chain) -> bool:
@@ -173,7 +178,7 @@ def joint_motion(
             qd, qdd, _, said = differentiate(t, y[:, r.qd], cutoff)
             q = (0.0 if q0 is None else q0[j]) + integral(t, qd)
         out.append((q, qd, qdd))
-    q, qd, qdd = (np.stack([o[k] for o in out], -1) for k in range(3))
+    q, qd, qdd = (np.stack(columns, -1) for columns in zip(*out, strict=True))
     return q, qd, qdd, said
 
 
@@ -213,11 +218,13 @@ def start_of(
 
     t, own = e.t[first:until], joint_readings(chain)
     q0, qd0 = np.zeros(chain.nq), np.zeros(chain.nq)
-    read = [k for r in own for k in r if k is not None]
+    read: list[int] = []
+    for reading in own:
+        read += [k for k in reading if k is not None]
     window = followed(t, y[first:until, read]) if read else t[-1] - t[0]
     seen = [(j, r.q) for j, r in enumerate(own) if r.q is not None]
     if seen and (len(seen) == chain.nq or any(r.qd is not None for r in own)):
-        joints, columns = (list(x) for x in zip(*seen, strict=True))
+        joints, columns = map(list, zip(*seen, strict=True))
         q0[joints], qd0[joints], _ = start_state(t, y[first:until, columns], window)
     for j, r in enumerate(own):
         if r.qd is not None:

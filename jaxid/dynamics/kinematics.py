@@ -178,9 +178,9 @@ def placements(geometry: Any, prismatic: Sequence[bool], q: Any) -> Placements:
     def column(v):
         return v.reshape(v.shape[0], *(1,) * (q.ndim - 1))
 
+    as_array = np.asarray if numeric else jnp.asarray
     a, alpha, d, theta, b, gamma = (
-        column(np.asarray(getattr(geometry, k)) if numeric else jnp.asarray(getattr(geometry, k)))
-        for k in ("a", "alpha", "d", "theta", "b", "gamma")
+        column(as_array(getattr(geometry, k))) for k in ("a", "alpha", "d", "theta", "b", "gamma")
     )
     if any(prismatic):
         slides = column(np.array(prismatic, np.float64))

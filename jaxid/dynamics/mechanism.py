@@ -87,11 +87,10 @@ class Signature(NamedTuple):
                     return names[old] + channel[len(old) :]
             return channel
 
-        ports = [
-            tuple((named(name), unit) for name, unit in own) for own in (self.inputs, self.outputs)
-        ]
         return self._replace(
-            inputs=ports[0], outputs=ports[1], joints=tuple(map(named, self.joints))
+            inputs=tuple((named(name), unit) for name, unit in self.inputs),
+            outputs=tuple((named(name), unit) for name, unit in self.outputs),
+            joints=tuple(map(named, self.joints)),
         )
 
     def _reads_length(self, joint: int) -> bool:
@@ -184,9 +183,8 @@ class Mechanism(eqx.Module):
 
     def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
         """Names of the places of an effect at the inputs or outputs, one for each channel."""
-        return tuple(
-            n for n, _ in (signature.commands if effect.location == "input" else signature.outputs)
-        )
+        channels = signature.commands if effect.location == "input" else signature.outputs
+        return tuple(name for name, _ in channels)
 
     def nominal_effects(self) -> list[Any]:
         """The built-in effects with what is known of them; by default at their start values."""

@@ -124,9 +124,8 @@ class ODE(eqx.Module):
         """The states of the mechanism and of all effects, of y."""
         chain, body = self.parameters
         q, u = jnp.zeros(chain.nq), jnp.zeros(len(chain.signature.inputs))
-        remembers = [
-            bool(jax.tree.leaves(s)) for s in jax.eval_shape(lambda: chain.start(q, q, u, body).z)
-        ]
+        shapes = jax.eval_shape(lambda: chain.start(q, q, u, body).z)
+        remembers = [bool(jax.tree.leaves(shape)) for shape in shapes]
         x, states = y if any(remembers) else (y, ())
         own = iter(states)
         return x, tuple(next(own) if has else () for has in remembers)

@@ -337,8 +337,12 @@ def kind_with(kind: type[M], values: tuple[tuple[str, Any], ...]) -> type[M]:
     body["__annotations__"] |= {"name": ClassVar[str], "contains": ClassVar[tuple[str, ...]]}
     made = type(kind)(kind.__name__, (kind,), body)
     numbers = specs(made)
-    probes = [{k: v for k, v in p.items() if k in numbers} for p in kind.probes]  # pyright: ignore[reportAttributeAccessIssue]
-    made.probes = tuple(p for i, p in enumerate(probes) if p not in probes[:i])  # pyright: ignore[reportAttributeAccessIssue]
+    probes: list[dict[str, Any]] = []
+    for probe in kind.probes:  # pyright: ignore[reportAttributeAccessIssue]
+        known = {k: v for k, v in probe.items() if k in numbers}
+        if known not in probes:
+            probes.append(known)
+    made.probes = tuple(probes)  # pyright: ignore[reportAttributeAccessIssue]
     return made
 
 

@@ -87,25 +87,15 @@ class ParameterVector:
         self.chain, self.solver = chain, solver
         self.entries = tuple(_entries(chain))
         self.names = [e.name for e in self.entries]
-        self.values = np.array(
-            [
-                np.ravel(
-                    getattr(chain.mechanism if e.owner < 0 else chain.effects[e.owner], e.field)
-                )[e.place]
-                for e in self.entries
-            ],
-            np.float64,
-        )
-
-        def shape(name):
-            return np.shape(getattr(chain.mechanism, name))
-
-        self._leaves = [
-            (-1, name, shape(name)[0] if shape(name) else 0) for name in specs(chain.mechanism)
-        ]
+        self.values = np.array([_value(chain, e) for e in self.entries], np.float64)
+        self._leaves: list[tuple[int, str, int]] = []
+        for name in specs(chain.mechanism):
+            shape = np.shape(getattr(chain.mechanism, name))
+            self._leaves.append((-1, name, shape[0] if shape else 0))
         places = chain.places  # equinox makes a module of each method that is looked up
         for i, effect in enumerate(chain.effects):
-            self._leaves += [(i, name, len(places(effect))) for name in specs(effect)]
+            count = len(places(effect))
+            self._leaves += [(i, name, count) for name in specs(effect)]
         self.log = np.array([e.spec.log for e in self.entries])
         #: Which numbers say how something acts, not how strongly: they have no zero to be scaled
         #: from.
@@ -187,6 +177,12 @@ def own_entries(chain: Chain) -> list[Entry]:
     return list(_entries(chain, lambda e: isinstance(e, kinds)))
 
 
+def _value(chain: Chain, entry: Entry) -> Any:
+    """The number of an entry as the chain has it."""
+    owner = chain.mechanism if entry.owner < 0 else chain.effects[entry.owner]
+    return np.ravel(getattr(owner, entry.field))[entry.place]
+
+
 def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) -> Iterator[Entry]:
     unit = chain.signature.unit
     joints, places_of = chain.signature.joints, chain.places
@@ -206,28 +202,20 @@ def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) ->
             )
     ids = {kind.name: names for kind, names in chain.mechanism.builtin}
     for i, effect in enumerate(chain.effects):
-        places = places_of(effect) if wanted(effect) else ()
+        if not wanted(effect):
+            continue
+        places = places_of(effect)
         for field, spec in specs(effect).items():
             short = ids.get(effect.name, {}).get(field)
             for k, place in enumerate(places):
+                name = f"{effect.name}.{field}@{place}"
                 if short and "{joint}" in short:
-                    name = short.replace(
-                        "{joint}",
-                        joints[k] if effect.location == "input" and k < len(joints) else place,
-                    )
+                    is_input = effect.location == "input" and k < len(joints)
+                    name = short.replace("{joint}", joints[k] if is_input else place)
                 elif short:
                     name = short if len(places) == 1 else f"{short}{k + 1}"
-                else:
-                    name = f"{effect.name}.{field}@{place}"
-                yield Entry(
-                    name,
-                    i,
-                    field,
-                    k,
-                    place,
-                    spec,
-                    unit(channel_unit(chain, effect, k, spec.unit), k),
-                )
+                own_unit = unit(channel_unit(chain, effect, k, spec.unit), k)
+                yield Entry(name, i, field, k, place, spec, own_unit)
 
 
 def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, TYPE_CHECKING
 
 import equinox as eqx
@@ -62,11 +63,16 @@ def at_time(chain: Chain, t: Float[Array, ""], h: Float[Array, ""]) -> Chain:
     for i, field in fields:
         old = jnp.asarray(getattr(owner(chain, i), field))
         new = {e.place: after[k] for k, e in enumerate(numbers) if (e.owner, e.field) == (i, field)}
-        value[i, field] = (
-            jnp.stack([new.get(k, old[k]) for k in range(old.shape[0])]) if old.ndim else new[0]
-        )
+        value[i, field] = _changed(old, new)
     effects = tuple(Applied() if isinstance(e, NumberEffect) else e for e in chain.effects)
     now = eqx.tree_at(lambda c: c.effects, chain, effects)
     return eqx.tree_at(
         lambda c: [getattr(owner(c, i), f) for i, f in value], now, list(value.values())
     )
+
+
+def _changed(old: Array, new: Mapping[int, Array]) -> Array:
+    """A field with new values at some places; a single number is at place 0."""
+    if old.ndim == 0:
+        return new[0]
+    return jnp.stack([new.get(k, old[k]) for k in range(old.shape[0])])

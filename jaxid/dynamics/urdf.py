@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +118,8 @@ def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
     root = _root(robot, None, path)
     reached, edge = {root}, [root]
     while edge:
-        edge = [j.child for link in edge for j in robot.children(link)]
+        joints = chain.from_iterable(map(robot.children, edge))
+        edge = [joint.child for joint in joints]
         reached |= set(edge)
     lost = sorted(set(robot.inertia) - reached)
     if lost:
@@ -301,14 +303,13 @@ def _joint(element: Any, path: Path) -> _Joint:
         raise UsageError(
             f"{path}: joint {name!r} has lower = {lower:g} above upper = {upper:g}; exchange them"
         )
-    rates = [
-        np.inf if limit is None or limit.get(k) is None else _number(limit, k, "0", path, what)
-        for k in ("velocity", "effort")
-    ]
-    dissipation = [
-        _number(dynamics, k, "0", path, f"dynamics of joint {name!r}:")
-        for k in ("damping", "friction")
-    ]
+
+    def rate(key: str) -> float:
+        if limit is None or limit.get(key) is None:
+            return np.inf
+        return _number(limit, key, "0", path, what)
+
+    losses = f"dynamics of joint {name!r}:"
     return _Joint(
         name=name,
         kind=kind,
@@ -316,8 +317,11 @@ def _joint(element: Any, path: Path) -> _Joint:
         child=ends[1],
         T=_origin(element.find("origin"), path, f"joint {name!r}"),
         axis=axis / max(float(np.linalg.norm(axis)), 1e-300),
-        limits=(lower, upper, rates[0], rates[1]),
-        dynamics=(dissipation[0], dissipation[1]),
+        limits=(lower, upper, rate("velocity"), rate("effort")),
+        dynamics=(
+            _number(dynamics, "damping", "0", path, losses),
+            _number(dynamics, "friction", "0", path, losses),
+        ),
         mimic=_mimic(element.find("mimic"), path, name),
     )
 
@@ -377,13 +381,18 @@ def _tip(robot: _Robot, root: str, tip: str | None, path: Any) -> str:
 
 def _ends(robot: _Robot, link: str) -> list[str]:
     """The last link that moves of each branch."""
-    behind = [j for j in robot.children(link) if _moves(robot, j)]
-    return [end for j in behind for end in _ends(robot, j.child)] if behind else [link]
+    behind = [j.child for j in robot.children(link) if _moves(robot, j)]
+    if not behind:
+        return [link]
+    return list(chain.from_iterable(_ends(robot, child) for child in behind))
 
 
 def _behind(robot: _Robot, link: str) -> list[str]:
     """A link and everything that hangs on it."""
-    return [link, *(n for j in robot.children(link) for n in _behind(robot, j.child))]
+    behind = [link]
+    for joint in robot.children(link):
+        behind += _behind(robot, joint.child)
+    return behind
 
 
 def _moves(robot: _Robot, joint: _Joint) -> bool:

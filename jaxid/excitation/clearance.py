@@ -9,6 +9,7 @@ and at the machine.
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -42,7 +43,7 @@ def links_of(arm: Any) -> Links:
         return float(length[i + 1 : j].sum())
 
     reach = float(length.sum())
-    pairs = [(i, j) for i in lines for j in lines if i < j and between(i, j) > NEAR * reach]
+    pairs = [(i, j) for i, j in combinations(lines, 2) if between(i, j) > NEAR * reach]
     return Links(tuple(lines), tuple(pairs))
 
 

@@ -22,7 +22,7 @@ from jaxid.data.limits import Limits
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
-from jaxid.excitation.design import described, widened
+from jaxid.excitation.input_design import described, widened
 from jaxid.excitation.inputs import choose, Family, InputDesign, settled
 from jaxid.excitation.result import Excitation
 

@@ -169,21 +169,13 @@ class InputDesign:
     def __init__(
         self, chain: Chain, start: np.ndarray, family: Family, bounds: Bounds, noise: np.ndarray
     ):
-        self.chain, self.start, self.family, self.bounds, self.noise = (
-            chain,
-            start,
-            family,
-            bounds,
-            noise,
-        )
+        self.chain, self.start, self.family = chain, start, family
+        self.bounds, self.noise = bounds, noise
         self.layout = ParameterVector(chain)
-        self.channels = tuple(
-            Channel(n, role, unit)
-            for role, group in (
-                ("input", chain.signature.inputs),
-                ("output", chain.signature.outputs),
-            )
-            for n, unit in group
+        inputs, outputs = chain.signature.inputs, chain.signature.outputs
+        self.channels = (
+            *(Channel(name, "input", unit) for name, unit in inputs),
+            *(Channel(name, "output", unit) for name, unit in outputs),
         )
         self.free = [
             i

@@ -124,13 +124,10 @@ def coverage(joints, bounds: Bounds, qd: np.ndarray) -> dict[str, Any]:
     """Share of the time that each joint spends in each band of speed."""
     edges = np.array([0.0, *BANDS])
     share = np.abs(qd) / bounds.speed
-    table = {
-        joint: [
-            float(np.mean((share[:, j] >= a) & (share[:, j] < b)))
-            for a, b in zip(edges[:-1], edges[1:], strict=True)
-        ]
-        for j, joint in enumerate(joints)
-    }
+    table: dict[str, list[float]] = {}
+    for j, joint in enumerate(joints):
+        band = np.searchsorted(edges, share[:, j], side="right") - 1
+        table[joint] = [float(np.mean(band == k)) for k in range(len(BANDS))]
     return {"bands_of_speed_limit": edges.tolist(), "share_of_time": table}
 
 

@@ -216,9 +216,9 @@ def goodness(shape: Shape, task: TrajectoryTask, setting: SearchSetting) -> tupl
         def bound(v):
             return (jax.nn.logsumexp(SHARP * v) + jax.nn.logsumexp(-SHARP * v)) / SHARP
 
-        both = (jnp.stack([f(v) for v in logs]) for f in (bound, lambda v: v[-1] - v[0]))
-        smooth, exact = (jax.nn.logsumexp(v + weight) for v in both)
-        return smooth + near, exact + near
+        smooth = jnp.stack([bound(v) for v in logs])
+        exact = jnp.stack([v[-1] - v[0] for v in logs])
+        return jax.nn.logsumexp(smooth + weight) + near, jax.nn.logsumexp(exact + weight) + near
     e = spectrum(task.columns(q, qd, qdd), setting.weight)
     low = jnp.maximum(e, 1e-14 * e[-1])
     logs = 0.5 * jnp.log(low)
@@ -373,15 +373,12 @@ def chain_task(chain: Chain, seed: int = 0) -> ChainTask:
         for i, e in enumerate(layout.entries)
         if not e.spec.fixed and e.name not in chain.mechanism.held()
     ]
-    scale = np.array([abs(v) if v else 1.0 for v in layout.values])
+    scale = np.where(layout.values == 0, 1.0, np.abs(layout.values))
     task = ChainTask(layout.values, scale, layout, tuple(free))
     rng = np.random.default_rng(seed)
     with float64():
-        W = np.asarray(
-            task.columns(
-                *(jnp.asarray(rng.uniform(-k, k, (200, chain.nq))) for k in (2.0, 2.0, 5.0))
-            )
-        )
+        motion = [jnp.asarray(rng.uniform(-k, k, (200, chain.nq))) for k in (2.0, 2.0, 5.0)]
+        W = np.asarray(task.columns(*motion))
     kept = independent_columns(W.reshape(-1, W.shape[2]), range(W.shape[2]), 1e-6)
     if not kept:
         raise UsageError(f"{chain.mechanism.name}: the torque shows none of its numbers")

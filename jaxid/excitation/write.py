@@ -7,6 +7,7 @@ from __future__ import annotations
 import csv
 import json
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TYPE_CHECKING
@@ -20,6 +21,8 @@ from jaxid.storage.atomic_files import replace_files, settle
 
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from jaxid.excitation.result import Excitation
 
 
@@ -76,7 +79,8 @@ def _csv(path: Path, columns: dict[str, np.ndarray]) -> None:
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows(zip(*([f"{v:.9g}" for v in c] for c in columns.values()), strict=True))
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([f"{value:.9g}" for value in row])
 
 
 def urscript(made: Excitation) -> str:
@@ -110,76 +114,79 @@ def figure(made: Excitation) -> Any:
     """Every command (and for a motion its speed and acceleration) over time, with limits."""
     from matplotlib.figure import Figure
 
-    t, dataset = made.t, made.dataset
-    run = dataset.experiments[0]
-    content = made.content
     motion = made.fourier is not None
-    outputs = [c for c in dataset.outputs]
-    inputs = [c for c in dataset.inputs]
-    joints = len(made.rates) // 2
-    rows: list[tuple[str, list[tuple[str, np.ndarray]], str]] = []
-    if motion:
-        unit = outputs[0].unit
-        rows.append(
-            (f"position ({unit})", [(c.name, run.y[:, i]) for i, c in enumerate(outputs)], "range")
-        )
-        rows.append(
-            (
-                f"speed ({unit}/s)",
-                [(c.name, made.rates[f"qd{j + 1}"]) for j, c in enumerate(outputs[:joints])],
-                "speed",
-            )
-        )
-        rows.append(
-            (
-                f"acceleration ({unit}/s²)",
-                [(c.name, made.rates[f"qdd{j + 1}"]) for j, c in enumerate(outputs[:joints])],
-                "acceleration",
-            )
-        )
-        rows.append(
-            (
-                f"nominal torque ({inputs[0].unit})",
-                [(c.name, run.u[:, i]) for i, c in enumerate(inputs)],
-                "",
-            )
-        )
-    else:
-        rows += [
-            (f"{c.name} ({c.unit})", [(c.name, run.u[:, i])], "input") for i, c in enumerate(inputs)
-        ]
-        rows += [
-            (f"{c.name} ({c.unit})\nsimulated", [(c.name, run.y[:, i])], "range")
-            for i, c in enumerate(outputs)
-        ]
+    rows = _motion_rows(made) if motion else _input_rows(made)
     f = Figure(figsize=(10, 1.2 + 1.9 * len(rows)), layout="constrained")
     axes = np.atleast_1d(f.subplots(len(rows), 1, sharex=True))
-    for ax, (label, series, quantity) in zip(axes, rows, strict=True):
-        for k, (name, values) in enumerate(series):
-            (line,) = ax.plot(t, values, lw=1.3, label=name)
-            if len(series) > 1 and quantity == "range":
-                continue  # ranges of several joints would be a thicket of lines
-            for entry in made.limits:
-                if entry["joint"] == name and entry["quantity"] == quantity:
-                    for bound in _bounds(entry, values if quantity == "input" else None):
-                        ax.axhline(bound, color=line.get_color(), lw=0.8, ls=":", alpha=0.9)
-        ax.set_ylabel(label)
-        ax.grid(alpha=0.25)
-        ax.margins(x=0)
+    for ax, row in zip(axes, rows, strict=True):
+        _draw_row(ax, made, row)
     axes[-1].set_xlabel("time (s)")
     if motion:
         axes[0].legend(
-            ncols=min(7, joints),
+            ncols=min(7, len(made.rates) // 2),
             loc="upper center",
             bbox_to_anchor=(0.5, 1.25),
             frameon=False,
             fontsize=9,
         )
+    content = made.content
     number = f"condition number {content['condition_number']:.4g}"
     f.suptitle(
         f"{content['model']}: {content['duration_s']:g} s, {number} (dotted: limits)", fontsize=11
     )
     return f
+
+
+@dataclass(frozen=True)
+class _Row:
+    """Curves by name under one label, and the `quantity` of their limits."""
+
+    label: str
+    curves: dict[str, np.ndarray]
+    quantity: str
+
+
+def _motion_rows(made: Excitation) -> list[_Row]:
+    inputs, outputs = made.dataset.inputs, made.dataset.outputs
+    run = made.dataset.experiments[0]
+    joints = outputs[: len(made.rates) // 2]
+    unit = outputs[0].unit
+    positions = {c.name: run.y[:, i] for i, c in enumerate(outputs)}
+    speeds = {c.name: made.rates[f"qd{j}"] for j, c in enumerate(joints, 1)}
+    accelerations = {c.name: made.rates[f"qdd{j}"] for j, c in enumerate(joints, 1)}
+    torques = {c.name: run.u[:, i] for i, c in enumerate(inputs)}
+    return [
+        _Row(f"position ({unit})", positions, "range"),
+        _Row(f"speed ({unit}/s)", speeds, "speed"),
+        _Row(f"acceleration ({unit}/s²)", accelerations, "acceleration"),
+        _Row(f"nominal torque ({inputs[0].unit})", torques, ""),
+    ]
+
+
+def _input_rows(made: Excitation) -> list[_Row]:
+    run = made.dataset.experiments[0]
+    rows = []
+    for i, c in enumerate(made.dataset.inputs):
+        rows.append(_Row(f"{c.name} ({c.unit})", {c.name: run.u[:, i]}, "input"))
+    for i, c in enumerate(made.dataset.outputs):
+        rows.append(_Row(f"{c.name} ({c.unit})\nsimulated", {c.name: run.y[:, i]}, "range"))
+    return rows
+
+
+def _draw_row(ax: Axes, made: Excitation, row: _Row) -> None:
+    for name, values in row.curves.items():
+        (line,) = ax.plot(made.t, values, lw=1.3, label=name)
+        if len(row.curves) > 1 and row.quantity == "range":
+            continue  # ranges of several joints would be a thicket of lines
+        of_input = values if row.quantity == "input" else None
+        for entry in made.limits:
+            if entry["joint"] != name or entry["quantity"] != row.quantity:
+                continue
+            for bound in _bounds(entry, of_input):
+                ax.axhline(bound, color=line.get_color(), lw=0.8, ls=":", alpha=0.9)
+    ax.set_ylabel(row.label)
+    ax.grid(alpha=0.25)
+    ax.margins(x=0)
 
 
 def _bounds(entry: dict[str, Any], values: np.ndarray | None) -> list[float]:

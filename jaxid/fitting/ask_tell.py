@@ -47,11 +47,10 @@ def answered_together(
     groups: dict[int, list[int]] = {}
     for number in asked:
         groups.setdefault(id(problems[number]), []).append(number)
-    waiting = deque(
-        ask(part)
-        for group in groups.values()
-        for part in _shifts(group, sum(len(asked[n]) for n in group))
-    )
+    waiting: deque[tuple[list[int], Callable[[], np.ndarray]]] = deque()
+    for group in groups.values():
+        members = sum(len(asked[number]) for number in group)
+        waiting.extend(map(ask, _shifts(group, members)))
     while waiting:
         group, answer = waiting.popleft()
         losses = answer()

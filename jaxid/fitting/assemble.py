@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from jaxid.fitting.fitter import Minimum
 from jaxid.fitting.own_simulation import by_run, own_simulation, simulated_scores
 from jaxid.fitting.per_joint import per_joint
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
-from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
+from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.reweighting import weighed_by
 from jaxid.fitting.same_speed import said_as_one
 from jaxid.fitting.scores import (
@@ -112,14 +114,26 @@ def assemble(
         *solver_notes(binding),
         *notes,
     ]
+    common: dict[str, Any] = {
+        "model": binding.chain.mechanism.name,
+        "fitter": fitter,
+        "residual": residual.name,
+        "loss_name": problem.loss_name,
+        "seed": seed,
+        "evaluations": result.evaluations,
+        "wall_time_s": wall_time,
+        "compile_time_s": compile_time,
+        "dataset": binding.dataset.name,
+        "dataset_sha256": binding.dataset.sha256,
+        "history": tuple(result.history),
+        "theta": theta,
+        "solver": solver_name(binding),
+        "model_sha256": sha256_of(binding.chain.mechanism),
+    }
     if result.failed:
         return Fit(
-            model=binding.chain.mechanism.name,
+            **common,
             effects=(),
-            fitter=fitter,
-            residual=residual.name,
-            loss_name=problem.loss_name,
-            seed=seed,
             converged=False,
             failed=True,
             stopped_because=result.stopped_because,
@@ -127,23 +141,14 @@ def assemble(
             parameters={},
             scores={},
             windowed={},
-            evaluations=result.evaluations,
-            wall_time_s=wall_time,
-            compile_time_s=compile_time,
-            dataset=binding.dataset.name,
-            dataset_sha256=binding.dataset.sha256,
             notes=tuple(notes),
-            history=tuple(result.history),
-            theta=theta,
-            solver=solver_name(binding),
-            model_sha256=sha256_of(binding.chain.mechanism),
         )
     cov = known or getattr(result, "covariance", None) or covariance(problem, result.z)
     found = estimates(binding, problem, result.z, cov)
     own, added = named_estimates(binding, found)
     told = numbers_covariance(binding, problem, result.z, cov)
     names = problem.names
-    groups = tuple(tuple(names[i] for i in g) for g in cov.groups)
+    groups = tuple(tuple(names[i] for i in group) for group in cov.groups)
     notes.append(cov.statement)
     notes += [
         f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})"
@@ -152,106 +157,124 @@ def assemble(
     ]
     notes += binding.said
     notes += [f"noise of {n.text}" for n in binding.noise.values()]
-
-    table: dict[str, dict[str, Score]] = {}
-    traces: list[Trace] = []
-    free: dict[str, dict[str, Score]] = {}
-    windowed: dict[str, Score] = {}
+    compared = _Compared()
     for split in ("fit", "validation", "report"):
-        experiments = residual.select(binding.dataset, split)
-        if not experiments:
-            continue
-        if isinstance(residual, FrequencyResponseError):
-            table[split] = response_scores(bench, residual, split, problem, result.z)
-            if not table[split]:
-                notes.append(
-                    f"the {split} data show no line of a frequency response: only their course over"
-                    " time is compared"
-                )
-        if not binding.experiments(split):
-            continue
-        if residual.torques:
-            table[split] = torque_scores(bench, residual, split, theta, problem.free)
-            continue
-        if split == "fit" and not residual.windows and len(problem.records) == len(experiments):
-            starts = problem.starts(result.z)[None]
-        else:
-            starts = estimate_starts(bench, split, [theta])
-        predictions, covered = free_runs(bench, split, [theta], starts)[0], None
-        table[split] = {**table.get(split, {}), **scores(bench, split, predictions)}
-        if residual.simulation in ("windows", "closed_loop"):
-            inside, z = own_simulation(bench, residual, split, problem, result.z)
-            free[split], table[split] = table[split], simulated_scores(inside, z)
-            if inside.runs.channels == binding.chain.signature.outputs:
-                covered = by_run(inside, z, experiments)
-                predictions = covered or predictions
-        traces += make_traces(
-            binding, split, {"fit": predictions}, bool(covered) and residual.windows
-        )
-        if split == "fit" and residual.windows:
-            windowed = table[split]
+        compared.add(split, bench, problem, result.z, residual)
+    table = compared.table
+    notes += compared.notes
+    robot = is_robot(binding.chain.mechanism)
+    stated = _stated(bench, theta, found, told)
     joints: tuple[dict, ...] = ()
-    if is_robot(binding.chain.mechanism):
-        rows = {i: StatedNumber(**row) for i, row in yardstick.stated(binding, found).items()}
-        stated = said_as_one(bench, theta, judged(rows, binding.layout.names, found, told))
+    if robot:
         notes += yardstick.sentences([s.to_dict() for s in stated])
-        if residual.simulation != "momentum":
-            joints = per_joint(bench, table, residual if residual.torques else None, problem.free)
-    else:
-        stated = stated_numbers(binding, found, told)
-    noise = dict(
-        zip(
-            (name for name, _ in problem.runs.channels),
-            map(float, problem.runs.noise),
-            strict=False,
-        )
-    )
-    notes[:0] = (astray := lost(table, noise))
-    reweighted = None if problem.weights is problem.runs.weights else result.loss
-    loss = (
-        result.loss
-        if reweighted is None
-        else weighed_by(problem, np.ones(len(problem.runs.noise))).loss(result.z)
-    )
-    end = ending(problem, result, cov, [] if windowed else [t for t in traces if t.split == "fit"])
+    if robot and residual.simulation != "momentum":
+        joints = per_joint(bench, table, residual if residual.torques else None, problem.free)
+    channels = [name for name, _ in problem.runs.channels]
+    noise = dict(zip(channels, map(float, problem.runs.noise), strict=False))
+    astray = lost(table, noise)
+    notes[:0] = astray
+    loss, reweighted = result.loss, None
+    if problem.weights is not problem.runs.weights:
+        plain = weighed_by(problem, np.ones(len(problem.runs.noise)))
+        loss, reweighted = plain.loss(result.z), result.loss
+    traces = [] if compared.windowed else [t for t in compared.traces if t.split == "fit"]
+    end = ending(problem, result, cov, traces)
     if astray and end.state == "converged":  # a minimum of these data, and no model of the machine
         end = end._replace(state="stalled", because=astray[0])
     return Fit(
-        model=binding.chain.mechanism.name,
+        **common,
         effects=added,
-        fitter=fitter,
-        residual=residual.name,
-        loss_name=problem.loss_name,
-        seed=seed,
         converged=end.state == "converged",
         failed=end.state == "failed",
         stopped_because=end.because,
         loss=loss,
         parameters=own,
         scores=table,
-        windowed=windowed,
-        evaluations=result.evaluations,
-        wall_time_s=wall_time,
-        compile_time_s=compile_time,
-        dataset=binding.dataset.name,
-        dataset_sha256=binding.dataset.sha256,
+        windowed=compared.windowed,
         notes=tuple(notes),
         correlated=groups,
-        history=tuple(result.history),
-        traces=tuple(traces),
-        theta=theta,
+        traces=tuple(compared.traces),
         stalled=end.state == "stalled",
         simulation=residual.simulation,
-        free_run=free,
+        free_run=compared.free,
         stated=stated,
         per_joint=joints,
         chain=fitted_chain(binding, theta, added),
-        solver=solver_name(binding),
         robot=origin_of(binding, added),
         covariance=told,
         reweighted_loss=reweighted,
-        model_sha256=sha256_of(binding.chain.mechanism),
     )
+
+
+def _stated(
+    bench: ProblemBuilder,
+    theta: np.ndarray,
+    found: Mapping[int, Estimate],
+    covariance: Covariance | None,
+) -> tuple[StatedNumber, ...]:
+    """The numbers that are stated elsewhere, judged by what was found."""
+    binding = bench.binding
+    if not is_robot(binding.chain.mechanism):
+        return stated_numbers(binding, found, covariance)
+    rows = {i: StatedNumber(**row) for i, row in yardstick.stated(binding, found).items()}
+    return said_as_one(bench, theta, judged(rows, binding.layout.names, found, covariance))
+
+
+@dataclass
+class _Compared:
+    """A fitted model beside the runs: `table` of scores by split and channel, those of `free` runs
+    and of windows where they are other ones, and what was simulated.
+    """
+
+    table: dict[str, dict[str, Score]] = field(default_factory=dict)
+    free: dict[str, dict[str, Score]] = field(default_factory=dict)
+    windowed: dict[str, Score] = field(default_factory=dict)
+    traces: list[Trace] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def add(
+        self,
+        split: str,
+        bench: ProblemBuilder,
+        problem: FitProblem,
+        z: np.ndarray,
+        residual: Residual,
+    ) -> None:
+        """Compares the runs of a split, if it has any."""
+        binding = bench.binding
+        experiments = residual.select(binding.dataset, split)
+        if not experiments:
+            return
+        if isinstance(residual, FrequencyResponseError):
+            self.table[split] = response_scores(bench, residual, split, problem, z)
+            if not self.table[split]:
+                self.notes.append(
+                    f"the {split} data show no line of a frequency response: only their course over"
+                    " time is compared"
+                )
+        if not binding.experiments(split):
+            return
+        theta = problem.theta(z)
+        if residual.torques:
+            self.table[split] = torque_scores(bench, residual, split, theta, problem.free)
+            return
+        if split == "fit" and not residual.windows and len(problem.records) == len(experiments):
+            starts = problem.starts(z)[None]
+        else:
+            starts = estimate_starts(bench, split, [theta])
+        predictions, covered = free_runs(bench, split, [theta], starts)[0], None
+        self.table[split] = {**self.table.get(split, {}), **scores(bench, split, predictions)}
+        if residual.simulation in ("windows", "closed_loop"):
+            inside, own_z = own_simulation(bench, residual, split, problem, z)
+            self.free[split] = self.table[split]
+            self.table[split] = simulated_scores(inside, own_z)
+            if inside.runs.channels == binding.chain.signature.outputs:
+                covered = by_run(inside, own_z, experiments)
+                predictions = covered or predictions
+        windows = bool(covered) and residual.windows
+        self.traces += make_traces(binding, split, {"fit": predictions}, windows)
+        if split == "fit" and residual.windows:
+            self.windowed = self.table[split]
 
 
 def origin_of(binding: Binding, added: Sequence[EffectEstimate]) -> dict:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import jax
@@ -140,7 +141,7 @@ class Series:
         sides of it in one run.
         """
         least = max(6, unknown) * self.every
-        inside = [t[least:-least] for t in (self.t[self.run == r] for r in np.unique(self.run))]
+        inside = [self.t[self.run == run][least:-least] for run in np.unique(self.run)]
         return np.unique(np.concatenate(inside))[:: self.every]
 
     def squares(self, sides: Sides, moments: np.ndarray) -> np.ndarray:
@@ -173,12 +174,10 @@ class Series:
     def finely(self, L0: np.ndarray, L1: np.ndarray, s: float, loss: float) -> tuple[float, float]:
         """(moment, standard deviation) at the samples about s, numbers as they are."""
         near = np.unique(self.t[np.abs(self.t - s) <= 12 * self.resolution])
-        total = (
-            np.array(
-                [sum(scatter(L0[a]) + scatter(L1[b]) for a, b in self._split(at)) for at in near]
-            )
-            / self.every
-        )
+        left = []
+        for at in near:
+            left.append(sum(scatter(L0[a]) + scatter(L1[b]) for a, b in self._split(at)))
+        total = np.array(left) / self.every
         close = near[total <= total.min() + DROP * max(1.0, loss)]
         return float(near[np.argmin(total)]), ((close[-1] - close[0]) / 2 + self.resolution) / HALF
 
@@ -350,13 +349,11 @@ def unexplained(binding: Binding, change: ParameterChange, left: float) -> str:
     """The sentence about a change that leaves more than noise."""
     named = {binding.layout.names[i] for i in change.own}
     bodies = dict.fromkeys(name.partition("@")[2] for name in named)
-    others = [f"{k}@{body}" for body in bodies for k in BODY if f"{k}@{body}" not in named]
-    more = (
-        "; what was not named is taken as unchanged:"
-        f" {', '.join(f'step_change@{n}' for n in others)}"
-        if others
-        else ""
-    )
+    others = [f"{number}@{body}" for body, number in product(bodies, BODY)]
+    unnamed = [f"step_change@{name}" for name in others if name not in named]
+    more = ""
+    if unnamed:
+        more = f"; what was not named is taken as unchanged: {', '.join(unnamed)}"
     return (
         f"the change leaves {left:.3g} times the noise (mean square): these numbers are not the"
         f" whole of it, their intervals and that of the moment do not hold{more}"

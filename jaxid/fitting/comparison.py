@@ -182,7 +182,6 @@ class Comparison(Displayed):
         """A row for each run, its parameters as columns. Raises `UsageError` without pandas."""
         from jaxid.storage.frames import frame
 
-        names = dict.fromkeys(name for run in self.runs for name in run.parameters)
         columns = (
             "fitter",
             "seed",
@@ -194,7 +193,11 @@ class Comparison(Displayed):
             "compile_time_s",
             "stopped_because",
         )
-        rows = [{**{c: getattr(run, c) for c in columns}, **run.parameters} for run in self.runs]
+        rows: list[dict[str, Any]] = []
+        names: dict[str, float] = {}
+        for run in self.runs:
+            rows.append({c: getattr(run, c) for c in columns} | run.parameters)
+            names |= run.parameters
         return frame(rows, (*columns, *names))
 
     def to_dict(self) -> dict[str, Any]:
@@ -273,9 +276,8 @@ def summary(fitter: str, runs: tuple[FitterRun, ...], target: float, common_time
     """Statistics of one fitter's runs."""
     reached = np.array([r.reached(target) for r in runs])
     won, in_time = int(np.isfinite(reached[:, 0]).sum()), int(np.sum(reached[:, 1] <= common_time))
-    spent = float(
-        sum(r.evaluations if np.isinf(e) else e for r, e in zip(runs, reached[:, 0], strict=True))
-    )
+    evaluations = np.array([r.evaluations for r in runs])
+    spent = float(np.sum(np.where(np.isinf(reached[:, 0]), evaluations, reached[:, 0])))
     return Summary(
         fitter=fitter,
         runs=len(runs),

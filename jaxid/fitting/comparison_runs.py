@@ -56,19 +56,7 @@ def run_comparison(
     """
     began = time.perf_counter()
     effects = tuple(catalogue.enrolled(e) for e in effects)
-    if loss not in LOSSES:
-        raise UsageError(f"there is no loss {loss!r}{nearest(loss, LOSSES)}")
-    if seeds < 1:
-        raise UsageError(f"{seeds} seeds are none; give at least 1")
-    if starts not in STARTS:
-        raise UsageError(f"starts are {' or '.join(STARTS)}, not {starts!r}")
-    if not tolerance > 0:
-        raise UsageError(
-            f"a tolerance of {tolerance:g} cannot be met; give a share of the best loss above 0,"
-            " such as 1e-3"
-        )
-    if (budget is not None and budget < 1) or (seconds is not None and seconds <= 0):
-        raise UsageError("budget and seconds are above 0")
+    _check_settings(seeds, budget, seconds, loss, starts, tolerance)
     binding = bind(model, dataset, effects=effects, without=without)
     residual = residual or default_residual(binding)
     for label, fitter in fitters:
@@ -85,9 +73,8 @@ def run_comparison(
     total = len(fitters) * seeds
 
     def finished() -> Comparison:
-        lowest, best = best_known(
-            binding, problem, [guess, *(problem.z(t) for t in thetas[1:])], [m for _, m in runs]
-        )
+        begins = [guess, *(problem.z(t) for t in thetas[1:])]
+        lowest, best = best_known(binding, problem, begins, [m for _, m in runs])
         return Comparison(
             model=binding.chain.mechanism.name,
             dataset=binding.dataset.name,
@@ -178,15 +165,39 @@ def random_start(problem: FitProblem, guess: np.ndarray, seed: int) -> np.ndarra
     return z
 
 
+def _check_settings(
+    seeds: int,
+    budget: int | None,
+    seconds: float | None,
+    loss: str,
+    starts: str,
+    tolerance: float,
+) -> None:
+    if loss not in LOSSES:
+        raise UsageError(f"there is no loss {loss!r}{nearest(loss, LOSSES)}")
+    if seeds < 1:
+        raise UsageError(f"{seeds} seeds are none; give at least 1")
+    if starts not in STARTS:
+        raise UsageError(f"starts are {' or '.join(STARTS)}, not {starts!r}")
+    if not tolerance > 0:
+        raise UsageError(
+            f"a tolerance of {tolerance:g} cannot be met; give a share of the best loss above 0,"
+            " such as 1e-3"
+        )
+    if (budget is not None and budget < 1) or (seconds is not None and seconds <= 0):
+        raise UsageError("budget and seconds are above 0")
+
+
 def best_known(
     binding: Binding, problem: FitProblem, guesses: Sequence[np.ndarray], found: Sequence[Minimum]
 ) -> tuple[float, dict[str, BestKnown]]:
     """The lowest loss that runs or descents from the best of them and from the guesses reach, and
     the parameters there.
     """
-    ends = sorted((m for m in found if not m.failed), key=lambda m: m.loss)[:3]
-    paths = levenberg_marquardt([(problem, z) for z in [*(m.z for m in ends), *guesses]], 40, 1e-10)
-    candidates = np.array([*(m.z for m in ends), *(p.z for p in paths)])
+    sound = sorted((m for m in found if not m.failed), key=lambda m: m.loss)
+    ends = [m.z for m in sound[:3]]
+    paths = levenberg_marquardt([(problem, z) for z in (*ends, *guesses)], 40, 1e-10)
+    candidates = np.array([*ends, *(p.z for p in paths)])
     losses = problem.losses(candidates)
     z = candidates[int(np.argmin(losses))]
     square = FitProblem(

@@ -28,7 +28,7 @@ from jaxid.fitting.noise_model import (
     score_covariance,
     student,
 )
-from jaxid.force.covariance import long_run, NULL, null_directions, whiteness
+from jaxid.force.covariance import long_run, no_narrower, NULL, null_directions, whiteness
 from jaxid.numerics.truncated import positive, pushed, within_bounds
 from jaxid.problem.problem import FitProblem, rows
 
@@ -119,8 +119,7 @@ def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
         slow = inverse @ (long_run(scores, n, memory) * count / dof + known) @ inverse
         # Never narrower than white residuals of that size.
         floor = np.maximum(np.diag(slow), np.diag(least))
-        stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(spread), 1e-300)))
-        spread = spread * stretch * stretch[:, None]
+        spread = no_narrower(spread, floor)
     spread = positive(spread)
     alone = np.where(
         inside, np.diag(_beside_bounds(spread, at_bound & ~blind & ~inside)), np.diag(spread)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxid.dynamics.effect import Effect
@@ -76,33 +78,36 @@ def probe_starts(
                 found += probes(b, effect, place, theta)
     if not found:
         return []
-    n = len(problem.records)
-    starts = problem.starts(problem.z(theta))
-    y = problem.runs.engine.outputs(
-        np.repeat(np.array(found), n, 0),
-        np.tile(starts, (len(found), 1)),
-        np.tile(np.array(problem.records), len(found)),
-    )
-    with np.errstate(all="ignore"):
-        each = [
-            np.sum(problem.runs.residual(r, y[k]) ** 2)
-            for k, r in enumerate(problem.records * len(found))
-        ]
-        cost = np.nan_to_num(np.array(each).reshape(len(found), n).sum(1), nan=np.inf)
-    best = [found[k] for k in np.argsort(cost, kind="stable")[:keep] if np.isfinite(cost[k])]
+    best = _best_probes(problem, theta, found)[:keep]
     if not b.motions or b.chain.mechanism.hidden_states or not b.dataset.split("fit"):
         return best
     torque = bench.problem(InverseDynamics(decimate=1), "fit", problem.free, theta)
     if any(getattr(effect, "read_off", None) for effect, _ in added):
-        without = bench.problem(
-            InverseDynamics(decimate=1), "fit", [i for i in problem.free if i in b.nominal], theta
-        )
+        own = [i for i in problem.free if i in b.nominal]
+        without = bench.problem(InverseDynamics(decimate=1), "fit", own, theta)
         z = levenberg_marquardt([(without, without.z(theta))], 15, 1e-7)[0].z
-        found = [
-            *found,
-            *(start for effect, place in added for start in read_off(b, without, z, effect, place)),
-        ]
-    paths = sorted(
-        levenberg_marquardt([(torque, torque.z(f)) for f in found], 15, 1e-7), key=lambda p: p.cost
-    )
+        for effect, place in added:
+            found += read_off(b, without, z, effect, place)
+    paths = levenberg_marquardt([(torque, torque.z(f)) for f in found], 15, 1e-7)
+    paths.sort(key=lambda path: path.cost)
     return best + [torque.theta(p.z) for p in paths[:2] if np.isfinite(p.cost)]
+
+
+def _best_probes(
+    problem: FitProblem, theta: np.ndarray, found: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Those of the vectors that simulate the data at all, best first."""
+    records = problem.records
+    starts = problem.starts(problem.z(theta))
+    y = problem.runs.engine.outputs(
+        np.repeat(np.array(found), len(records), 0),
+        np.tile(starts, (len(found), 1)),
+        np.tile(np.array(records), len(found)),
+    )
+    cost = np.zeros((len(found), len(records)))
+    with np.errstate(all="ignore"):
+        for k, record in enumerate(records * len(found)):
+            cost.flat[k] = np.sum(problem.runs.residual(record, y[k]) ** 2)
+        total = np.nan_to_num(cost.sum(1), nan=np.inf)
+    order = np.argsort(total, kind="stable")
+    return [found[k] for k in order if np.isfinite(total[k])]

@@ -73,14 +73,17 @@ def looked_again(
     waiting = [k for k, m in enumerate(found) if getattr(m, "covariance", None) is None]
     looks = LOOKS if budget is None else 10 * LOOKS
     for number in range(looks):
-        logs = {
-            k: _log(jobs[k][0], out[k], fitter, _allowed(jobs[k][0], out[k], budget), progress)
-            for k in waiting
-        }
-        short = [k for k in waiting if logs[k].left < LEAST * (1 + jobs[k][0].size)]
-        for k in short if number == 0 else []:
-            out[k] = dataclasses.replace(out[k], converged=False, stopped_because=_unlooked(out[k]))
-        waiting = [k for k in waiting if k not in short]
+        logs: dict[int, Log] = {}
+        affordable = []
+        for k in waiting:
+            problem = jobs[k][0]
+            logs[k] = _log(problem, out[k], fitter, _allowed(problem, out[k], budget), progress)
+            if logs[k].left >= LEAST * (1 + problem.size):
+                affordable.append(k)
+            elif number == 0:
+                because = _unlooked(out[k])
+                out[k] = dataclasses.replace(out[k], converged=False, stopped_because=because)
+        waiting = affordable
         if not waiting:
             break
         starts = [_elsewhere(jobs[k][0], out[k], rngs[k], number) for k in waiting]
@@ -95,51 +98,62 @@ def looked_again(
         )
         again = []
         for k, path in zip(waiting, paths, strict=True):
-            problem, old = jobs[k][0], out[k]
-            new = (
-                logs[k].minimum(path.z, path.converged, path.stopped)
-                if np.isfinite(path.cost)
-                else None
-            )
-            spent = {
-                "evaluations": logs[k].evaluations,
-                "history": logs[k].history,
-                "seconds": logs[k].seconds,
-            }
-            lower = (
-                new is not None
-                and not new.failed
-                and (old.failed or gain(problem, old.loss, new.loss) > MATERIAL)
-            )
-            if (
-                lower
-                and new is not None
-                and isinstance(fitter, AbstractPopulation)
-                and not old.failed
-            ):
-                said = (
-                    f"a descent from beside it ends lower, at loss {new.loss:.4g}: try hybrid or lm"
-                    f" ({old.stopped_because})"
-                )
-                out[k] = dataclasses.replace(
-                    old, converged=False, stalled=not _limited(old), stopped_because=said, **spent
-                )
-            elif new is not None and not new.failed and (lower or new.loss < old.loss):
-                said = new.stopped_because if lower or new.converged else old.stopped_because
-                ended = dataclasses.replace(
-                    new,
-                    stopped_because=said,
-                    converged=new.converged or (old.converged and not lower),
-                )
-                out[k] = dataclasses.replace(ended, stalled=False, **spent)
-                again += [k] if lower else []
-            else:
-                out[k] = dataclasses.replace(old, **spent)
-                again += [k] if old.failed or (budget is not None and not old.converged) else []
+            looked = _SecondLook(jobs[k][0], out[k], path, logs[k])
+            out[k], unsettled = looked.end(isinstance(fitter, AbstractPopulation), budget)
+            if unsettled:
+                again.append(k)
         waiting = again
     for k in waiting:  # still falling, or never finite
         out[k] = dataclasses.replace(out[k], converged=False, stalled=False)
     return out
+
+
+@dataclasses.dataclass(frozen=True)
+class _SecondLook:
+    """A descent from beside the end `old` of a search."""
+
+    problem: AbstractProblem
+    old: Minimum
+    path: Path
+    log: Log
+
+    def end(self, population: bool, budget: int | None) -> tuple[Minimum, bool]:
+        """What it makes of the end, and whether that is to be looked at again."""
+        old, new = self.old, self._new()
+        spent: dict[str, Any] = {
+            "evaluations": self.log.evaluations,
+            "history": self.log.history,
+            "seconds": self.log.seconds,
+        }
+        lower = False
+        if new is not None:
+            lower = old.failed or gain(self.problem, old.loss, new.loss) > MATERIAL
+        if new is None or not (lower or new.loss < old.loss):
+            unfinished = budget is not None and not old.converged
+            return dataclasses.replace(old, **spent), old.failed or unfinished
+        if lower and population and not old.failed:
+            said = (
+                f"a descent from beside it ends lower, at loss {new.loss:.4g}: try hybrid or lm"
+                f" ({old.stopped_because})"
+            )
+            stalled = not _limited(old)
+            end = dataclasses.replace(
+                old, converged=False, stalled=stalled, stopped_because=said, **spent
+            )
+            return end, False
+        end = dataclasses.replace(
+            new,
+            stopped_because=new.stopped_because if lower or new.converged else old.stopped_because,
+            converged=new.converged or (old.converged and not lower),
+        )
+        return dataclasses.replace(end, stalled=False, **spent), lower
+
+    def _new(self) -> Minimum | None:
+        """Where the descent ended, if it holds."""
+        if not np.isfinite(self.path.cost):
+            return None
+        new = self.log.minimum(self.path.z, self.path.converged, self.path.stopped)
+        return None if new.failed else new
 
 
 def _allowed(problem: AbstractProblem, found: Minimum, budget: int | None) -> int | None:
@@ -226,60 +240,59 @@ def ending(
     """How a search has ended that gave finite numbers; `traces` are free runs on the data that were
     fitted.
     """
-    still = [t for t in traces if _stands_still(t)]
-    own = np.arange(problem.size) < problem.free.size
-    if still:
-        t = still[0]
-        return Ending(
-            "failed",
-            f"{t.channel} moves by {np.ptp(t.measured):.3g} {t.unit} and the fitted model keeps it"
-            " still",
-        )
-    if problem.free.size > 1 and cov.at_bound[own].all():
-        return Ending(
-            "failed",
-            f"all numbers ended at their bounds ({found.stopped_because}): {_wider(problem)}",
-        )
-    if not np.isfinite(found.loss):
-        return Ending("failed", f"the loss is no number ({found.stopped_because})")
-    if not found.loss <= LOST and not cov.identifiable[own].any():
-        return Ending(
-            "failed",
-            f"the loss is {found.loss:.3g} and no number is determined ({found.stopped_because})",
-        )
-    plain = Ending(_state(found), found.stopped_because)
+    failure = _failure(problem, found, cov, traces)
+    if failure is not None:
+        return Ending("failed", failure)
+    state = _state(found)
+    plain = Ending(state, found.stopped_because)
     if cov.gradient is None or cov.hessian is None or problem.loss_name != "sum_of_squares":
         return plain
     g, H, size = cov.gradient, cov.hessian, max(1.0, found.loss)
-    out = (
-        np.where(problem.lower >= found.z - 1e-9 * problem.scale, g > 0, cov.at_bound & (g < 0))
-        & cov.at_bound
-    )
-    bound = [
-        i
-        for i in np.flatnonzero(out)
-        if _bends(problem, found, int(i)) and g[i] ** 2 > PUSHES * size * H[i, i]
-    ]
+    at_lower = problem.lower >= found.z - 1e-9 * problem.scale
+    out = np.where(at_lower, g > 0, cov.at_bound & (g < 0)) & cov.at_bound
+    bound = []
+    for i in np.flatnonzero(out):
+        if _bends(problem, found, int(i)) and g[i] ** 2 > PUSHES * size * H[i, i]:
+            bound.append(problem.names[i])
     left = _newton_gain(g, H, ~out) / size
     if not np.isfinite(left):
         return Ending(
             "stalled", f"the derivatives at the end are no numbers ({found.stopped_because})"
         )
     if left > MATERIAL and found.converged:
-        which = problem.names[
-            int(np.argmax(np.where(out, 0.0, np.abs(g) / np.sqrt(np.maximum(np.diag(H), 1e-300)))))
-        ]
+        slopes = np.where(out, 0.0, np.abs(g) / np.sqrt(np.maximum(np.diag(H), 1e-300)))
+        which = problem.names[int(np.argmax(slopes))]
         return Ending(
             "stalled", f"no minimum: the loss still slopes along {which} ({found.stopped_because})"
         )
-    if bound and _state(found) == "converged":
-        names = ", ".join(problem.names[i] for i in bound)
+    if bound and state == "converged":
         return Ending(
-            "stalled", f"at the bound of {names}, beyond which the loss falls: state wider bounds"
+            "stalled",
+            f"at the bound of {', '.join(bound)}, beyond which the loss falls: state wider bounds",
         )
-    if left <= MATERIAL / 10 and _state(found) == "budget" and not _unconfirmed(found):
+    if left <= MATERIAL / 10 and state == "budget" and not _unconfirmed(found):
         return Ending("converged", f"nothing is left to gain ({found.stopped_because})")
     return plain
+
+
+def _failure(
+    problem: FitProblem, found: Minimum, cov: CovarianceEstimate, traces: Sequence[Trace]
+) -> str | None:
+    """Why the numbers at the end are no answer, if they are none."""
+    for trace in traces:
+        if _stands_still(trace):
+            return (
+                f"{trace.channel} moves by {np.ptp(trace.measured):.3g} {trace.unit} and the fitted"
+                " model keeps it still"
+            )
+    own = np.arange(problem.size) < problem.free.size
+    if problem.free.size > 1 and cov.at_bound[own].all():
+        return f"all numbers ended at their bounds ({found.stopped_because}): {_wider(problem)}"
+    if not np.isfinite(found.loss):
+        return f"the loss is no number ({found.stopped_because})"
+    if not found.loss <= LOST and not cov.identifiable[own].any():
+        return f"the loss is {found.loss:.3g} and no number is determined ({found.stopped_because})"
+    return None
 
 
 def _wider(problem: FitProblem) -> str:

@@ -1,8 +1,7 @@
-"""Levenberg-Marquardt on batches of starts, and the successive halving of many."""
+"""Levenberg-Marquardt on batches of starts."""
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,7 +11,8 @@ import jax
 import numpy as np
 
 from jaxid.fitting.fitter import Log, sampling_box
-from jaxid.problem.objective import AbstractProblem, gauss_newton_model, Linear, linearise
+from jaxid.problem.gauss_newton import gauss_newton_model
+from jaxid.problem.objective import AbstractProblem, Linear, linearise
 
 
 Expansion = Callable[[Sequence[tuple[AbstractProblem, np.ndarray]], float], list[Linear]]
@@ -34,146 +34,8 @@ def guesses(
     return given + list(random)
 
 
-#: (share of each record, iterations, paths kept) of the stages before the final descent.
-STAGES = ((0.1, 6, 4), (0.4, 6, 3), (1.0, 6, 2))
-
-
-def search(
-    groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]],
-    iterations: int,
-    tolerance: float,
-    logs: Sequence[Log] | None = None,
-) -> tuple[list[Path], int]:
-    """The best path of each group of (problem, start), all groups in one batch, and the number of
-    linearisations.
-
-    Starts first descend on growing shares of the records: a long oscillation has one basin per
-    cycle that is gained or lost, and a short look finds the right one. The first start of a group
-    also goes straight to the whole, and alone if the budget does not cover more. `logs` has the log
-    of each group.
-    """
-    current = [list(g) for g in groups]
-    tried = 0
-    stages = STAGES if max(len(g) for g in groups) > 1 else ()
-    if logs is not None:
-        cost = sum(
-            share * (steps + 1) * min(len(groups[0]), keep + 1) for share, steps, keep in STAGES
-        )
-        if logs[0].left < (cost + 10) * (1 + groups[0][0][0].size):
-            current, stages = [[g[0]] for g in groups], ()
-
-    def of(flat):
-        return None if logs is None else [logs[k] for k, _ in flat]
-
-    for share, steps, keep in stages:
-        if share == 1.0:
-            for g, original in zip(current, groups, strict=True):
-                g += [original[0]]
-        flat = [(k, job) for k, g in enumerate(current) for job in g]
-        paths = levenberg_marquardt([job for _, job in flat], steps, 1e-4, share, of(flat))
-        tried += sum(p.linearisations for p in paths)
-        for k in range(len(groups)):
-            own = sorted(
-                (p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost
-            )
-            points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
-            current[k] = [(own[0].problem if len(own) else groups[k][0][0], z) for z in points]
-    flat = [(k, job) for k, g in enumerate(current) for job in g]
-    paths = levenberg_marquardt(
-        [job for _, job in flat], iterations, tolerance, 1.0, of(flat), material=True
-    )
-    tried += sum(p.linearisations for p in paths)
-    best = []
-    for k in range(len(groups)):
-        best.append(
-            min((p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost)
-        )
-    return best, tried
-
-
-#: Stages of a race, as of `STAGES`, with the number of groups that take the whole stage; those
-#: whose cost is within WITHIN of the best do so in any case.
-HEATS = ((0.1, 5, 2, None), (0.4, 6, 2, None), (1.0, 5, 1, 8), (1.0, None, 1, 4))
-
-
-WITHIN = 1.5
-
-
-#: A start that after this many steps is this many times (cost) behind another one of its group is
-#: given up, and so is a group so far behind one that leaves no more than AT_NOISE (mean square over
-#: the noise).
-PATIENCE, HOPELESS, AT_NOISE = 3, 100.0, 2.0
-
-
-def successive_halving(
-    groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]],
-    iterations: int,
-    tolerance: float,
-    sure: Sequence[int] = (),
-) -> list[Path]:
-    """A path of each group of (problem, start) on the same data, as by `search` but for a choice
-    among the groups: those that are clearly behind after the first steps stay where they are, and
-    only the front ones, and those that are `sure`, descend to the end. Where one explains the data,
-    only those go on with it that could yet do so.
-    """
-    current = [list(g) for g in groups]
-    paths: list[Path] = []
-    for heat, (share, steps, keep, front) in enumerate(HEATS):
-        if (
-            heat == 1
-        ):  # a short look leaves much undetermined: the first two starts go on as they were, too
-            current = [[*now, *g[:2]] for now, g in zip(current, groups, strict=True)]
-        order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
-        ahead = [
-            k
-            for n, k in enumerate(order)
-            if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost
-        ]
-        lost: set[int] = set()
-        if heat > 1 and paths[order[0]].loss <= AT_NOISE:
-            lost = {k for k in order if paths[k].cost > HOPELESS * paths[order[0]].cost}
-        over = (
-            lost if steps is None else set()
-        )  # until the last heat those that are sure have a chance all the same
-        ahead = [k for k in ahead if k not in lost]
-        ahead = (
-            [*ahead, *(k for k in sure if k not in ahead and k not in over)]
-            if order
-            else list(range(len(groups)))
-        )
-        if (
-            share == 1.0 and steps is not None
-        ):  # the whole for the first time: for those behind one step, or a mere look
-            behind = [k for k in range(len(groups)) if k not in ahead]
-            for k in ahead:
-                current[k] += [groups[k][0]]
-            last = (
-                levenberg_marquardt([current[k][0] for k in behind], 0 if lost else 1, 1e-4)
-                if behind
-                else []
-            )
-            paths = [Path(g[0][0], g[0][1]) for g in current]
-            for k, path in zip(behind, last, strict=True):
-                paths[k] = path
-        flat = [(k, job) for k in ahead for job in current[k]]
-        behind_others = functools.partial(_far_behind, [k for k, _ in flat])
-        found = levenberg_marquardt(
-            [job for _, job in flat],
-            steps or iterations,
-            1e-4 if steps else tolerance,
-            share,
-            hopeless=behind_others,
-        )
-        paths = paths or [Path(g[0][0], g[0][1]) for g in current]
-        for k in ahead:
-            own = sorted(
-                (p for (n, _), p in zip(flat, found, strict=True) if n == k), key=lambda p: p.cost
-            )
-            points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
-            current[k] = [(own[0].problem, z) for z in points]
-            if steps is not None or own[0].cost <= paths[k].cost:
-                paths[k] = own[0]
-    return paths
+#: After this many steps the paths that are hopeless are given up.
+PATIENCE = 3
 
 
 Curvature = Callable[["Path", np.ndarray, Linear], np.ndarray]
@@ -233,66 +95,73 @@ def levenberg_marquardt(
     `enough` is known at any. With `material` a path also ends where its steps gain nothing beside
     the noise.
     """
-    if expansion is None:
-        expansion = (
-            linearise
-            if all(p.loss_name == "sum_of_squares" for p, _ in jobs)
-            else gauss_newton_model
-        )
-    paths = [
-        Path(p, problem_clip(p, z), history=[], slight=0 if material and p.weighted else None)
-        for p, z in jobs
-    ]
-    trials = [p.z for p in paths]
+    expansion = expansion or _expansion_of(jobs)
+    paths = [_path(problem, z, material) for problem, z in jobs]
+    trials = [path.z for path in paths]
     active = list(range(len(paths)))
     each = share * (1 + paths[0].problem.size)
-    own: dict[int, tuple[Log, list[int]]] = {}  # each log and its paths
-    for i, one in enumerate(
-        [] if log is None else [log] * len(paths) if isinstance(log, Log) else log
-    ):
-        own.setdefault(id(one), (one, []))[1].append(i)
+    logs = _members(log, len(paths))
     for iteration in range(iterations + 1):
-        if own:
-            active = [
-                i
-                for one, members in own.values()
-                for i in _affordable(one, sorted(set(members) & set(active)), each)
-            ]
-            if not active:
-                break
+        if logs:
+            active = _affordable(logs, active, each)
+        if not active:
+            break
         results = expansion([(paths[i].problem, trials[i]) for i in active], share)
         for i, new in zip(active, results, strict=True):
             accept(paths[i], trials[i], new, tolerance, curvature)
-        for one, members in own.values():
-            if count := len(set(members) & set(active)):
-                best = min((paths[i] for i in members), key=lambda p: p.cost)
+        for one, members in logs:
+            count = len(set(members) & set(active))
+            if count:
+                best = min((paths[i] for i in members), key=lambda path: path.cost)
                 scale = 2 / max(1, best.count) if expansion is linearise else 1.0
                 one.add(math.ceil(each * count), scale * best.cost if share == 1.0 else np.inf)
                 one.show(iteration, iterations)
-        active = [i for i in active if not paths[i].converged]
+        lost = [path.converged for path in paths]
         if hopeless is not None and iteration == PATIENCE:
-            lost = hopeless(paths)
-            active = [i for i in active if not lost[i]]
+            lost = np.logical_or(lost, hopeless(paths))
+        active = [i for i in active if not lost[i]]
         if enough is not None:
             active = [i for i in active if not enough(i, paths[i])]
-        if not active or iteration == iterations:
+        if iteration == iterations:
             break
         for i in active:
             trials[i] = next_trial(paths[i])
     return paths
 
 
-def _far_behind(groups: Sequence[int], paths: Sequence[Path]) -> list[bool]:
-    """Which paths are far behind another one of their group."""
-    best: dict[int, float] = {}
-    for k, path in zip(groups, paths, strict=True):
-        best[k] = min(best.get(k, np.inf), path.cost)
-    return [path.cost > HOPELESS * best[k] for k, path in zip(groups, paths, strict=True)]
+def _expansion_of(jobs: Sequence[tuple[AbstractProblem, np.ndarray]]) -> Expansion:
+    squares = all(problem.loss_name == "sum_of_squares" for problem, _ in jobs)
+    return linearise if squares else gauss_newton_model
 
 
-def _affordable(log: Log, active: list[int], each: float) -> list[int]:
-    """The first of the paths, as many as the budget covers."""
-    return [] if log.exhausted else active[: int(min(log.left / each, len(active)))]
+def _path(problem: AbstractProblem, z: np.ndarray, material: bool) -> Path:
+    slight = 0 if material and problem.weighted else None
+    return Path(problem, problem_clip(problem, z), history=[], slight=slight)
+
+
+def _members(log: Log | Sequence[Log] | None, count: int) -> list[tuple[Log, list[int]]]:
+    """Each log and the numbers of its paths."""
+    if log is None:
+        return []
+    if isinstance(log, Log):
+        return [(log, list(range(count)))]
+    members: dict[int, tuple[Log, list[int]]] = {}
+    for i, one in enumerate(log):
+        members.setdefault(id(one), (one, []))[1].append(i)
+    return list(members.values())
+
+
+def _affordable(
+    logs: Sequence[tuple[Log, list[int]]], active: Sequence[int], each: float
+) -> list[int]:
+    """The first of the paths of each log, as many as its budget covers."""
+    affordable: list[int] = []
+    for log, members in logs:
+        if log.exhausted:
+            continue
+        own = sorted(set(members) & set(active))
+        affordable += own[: int(min(log.left / each, len(own)))]
+    return affordable
 
 
 def accept(
@@ -302,18 +171,11 @@ def accept(
     cost = new.cost / 2
     path.linearisations += 1
     path.count = new.count
-    finite = (
+    finite = bool(
         np.isfinite(cost) and np.isfinite(new.gradient).all() and np.isfinite(new.hessian).all()
     )
     if path.gradient is None:
-        if not finite:
-            path.converged, path.stopped = True, "the start diverges"
-            return
-        path.cost, path.gradient, path.hessian = cost, new.gradient, new.hessian
-        path.scale = _scale(new.hessian)
-        path.radius = float(np.linalg.norm(path.scale * _typical(path.problem, path.z)))
-        assert path.history is not None
-        path.history.append((path.linearisations, cost))
+        _begin(path, new, finite)
         return
     assert path.hessian is not None and path.history is not None and path.scale is not None
     dz = trial - path.z
@@ -322,34 +184,50 @@ def accept(
     gained = path.cost - cost if finite else -np.inf
     rho = gained / max(predicted, 1e-300)
     if rho < 0.25:
-        path.radius = length * (
-            0.1
-            if not finite
-            else 0.25
-            if gained > 0
-            else _shorter(float(path.gradient @ dz), -gained)
-        )
+        path.radius = length * _shrunk(finite, gained, float(path.gradient @ dz))
     elif rho > 0.75:
         path.radius = max(path.radius, 2 * length)
     if finite and gained > 0:
-        small = cost == 0 or (
-            gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost
-        )
+        small = gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost
         path.hessian = curvature(path, trial, new)
         path.z, path.cost, path.gradient = trial, cost, new.gradient
         path.scale = np.maximum(path.scale, _scale(path.hessian))
-        if small:
-            path.converged, path.stopped = True, "tolerance"
-        elif path.slight is not None:
-            path.slight = path.slight + 1 if 2 * gained <= SLIGHT * max(1.0, path.loss) else 0
-            if path.slight == IN_A_ROW:
-                path.converged, path.stopped = True, "steps gain nothing beside the noise"
+        _judge(path, gained, bool(small or cost == 0))
     else:
         if predicted <= tolerance * path.cost:
             path.converged, path.stopped = True, "tolerance"
         if path.radius <= 1e-12 * np.linalg.norm(path.scale * _typical(path.problem, path.z)):
             path.converged, path.stopped = True, "no step lowers the loss any further"
     path.history.append((path.linearisations, path.cost))
+
+
+def _judge(path: Path, gained: float, small: bool) -> None:
+    """Whether a descent ends with the step that it took."""
+    if small:
+        path.converged, path.stopped = True, "tolerance"
+    elif path.slight is not None:
+        path.slight = path.slight + 1 if 2 * gained <= SLIGHT * max(1.0, path.loss) else 0
+        if path.slight == IN_A_ROW:
+            path.converged, path.stopped = True, "steps gain nothing beside the noise"
+
+
+def _begin(path: Path, new: Linear, finite: bool) -> None:
+    """The first linearisation of a path, at its start."""
+    if not finite:
+        path.converged, path.stopped = True, "the start diverges"
+        return
+    path.cost, path.gradient, path.hessian = new.cost / 2, new.gradient, new.hessian
+    path.scale = _scale(new.hessian)
+    path.radius = float(np.linalg.norm(path.scale * _typical(path.problem, path.z)))
+    assert path.history is not None
+    path.history.append((path.linearisations, path.cost))
+
+
+def _shrunk(finite: bool, gained: float, slope: float) -> float:
+    """The share of a step that gained too little, to which the next one is held."""
+    if not finite:
+        return 0.1
+    return 0.25 if gained > 0 else _shorter(slope, -gained)
 
 
 def _shorter(slope: float, rise: float) -> float:
@@ -465,15 +343,6 @@ def _norm(x: np.ndarray) -> float:
     """The length of a vector whose squares may overflow, as where a model has all but diverged."""
     largest = max(float(np.max(np.abs(x), initial=0.0)), 1e-300)
     return largest * float(np.linalg.norm(x / largest))
-
-
-def distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Points without near repetitions, in order."""
-    kept: list[np.ndarray] = []
-    for z in points:
-        if all(np.max(np.abs(z - k) / (np.abs(k) + 1e-9), initial=0.0) > 1e-3 for k in kept):
-            kept.append(z)
-    return kept
 
 
 def problem_clip(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:

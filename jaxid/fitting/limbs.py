@@ -2,63 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from jaxid.data.dataset import Dataset
-from jaxid.fitting.result import Covariance, Fit, Score
+from jaxid.fitting.result import Covariance, Estimate, Fit, Score
 from jaxid.robots.origin import joined
 
 
 def together(fits: Sequence[Fit], dataset: Dataset) -> Fit:
     """One result of the fits of all limbs."""
     first = fits[0]
-    weight = np.array([max(1, len(next(iter(f.scores.values()), {}))) for f in fits], float)
+    weight = np.array(list(map(_channels, fits)), float)
     scores: dict[str, dict[str, Score]] = {}
-    for f in fits:
-        for split, table in f.scores.items():
+    parameters: dict[str, Estimate] = {}
+    windowed: dict[str, Score] = {}
+    notes: dict[str, None] = {}
+    for fit in fits:
+        parameters |= fit.parameters
+        windowed |= fit.windowed
+        notes |= dict.fromkeys(fit.notes)
+        for split, table in fit.scores.items():
             scores.setdefault(split, {}).update(table)
-    windows = {k: v for f in fits for k, v in f.windowed.items()}
-    stopped = next((f for f in fits if f.failed), next((f for f in fits if not f.converged), first))
-    notes = dict.fromkeys(n for f in fits for n in f.notes)
+    failed = [f for f in fits if f.failed]
+    unfinished = [f for f in fits if not f.converged]
+    stopped = [*failed, *unfinished, first][0]
     return replace(
         first,
-        effects=tuple(e for f in fits for e in f.effects),
-        converged=all(f.converged for f in fits),
-        failed=any(f.failed for f in fits),
+        effects=_one_after_another(f.effects for f in fits),
+        converged=not unfinished,
+        failed=bool(failed),
         stopped_because=stopped.stopped_because,
         loss=float(np.sum(weight * [f.loss for f in fits]) / weight.sum()),
-        parameters={k: v for f in fits for k, v in f.parameters.items()},
+        parameters=parameters,
         scores=scores,
-        windowed=windows,
+        windowed=windowed,
         evaluations=sum(f.evaluations for f in fits),
         wall_time_s=sum(f.wall_time_s for f in fits),
         compile_time_s=sum(f.compile_time_s for f in fits),
         dataset=dataset.name,
         dataset_sha256=dataset.sha256,
         notes=(*notes, f"{len(fits)} limbs that do not move each other were fitted one by one"),
-        correlated=tuple(g for f in fits for g in f.correlated),
-        history=tuple(h for f in fits for h in f.history),
-        traces=tuple(t for f in fits for t in f.traces),
+        correlated=_one_after_another(f.correlated for f in fits),
+        history=_one_after_another(f.history for f in fits),
+        traces=_one_after_another(f.traces for f in fits),
         theta=np.zeros(0),
-        stated=tuple(r for f in fits for r in f.stated),
-        per_joint=tuple(r for f in fits for r in f.per_joint),
+        stated=_one_after_another(f.stated for f in fits),
+        per_joint=_one_after_another(f.per_joint for f in fits),
         robot=joined([f.robot for f in fits]),
         covariance=_side_by_side(fits),
     )
+
+
+def _channels(fit: Fit) -> int:
+    """How many channels a fit is scored by, at least 1."""
+    return max(1, len(next(iter(fit.scores.values()), {})))
+
+
+def _one_after_another(parts: Iterable[Sequence[Any]]) -> tuple[Any, ...]:
+    return tuple(chain.from_iterable(parts))
 
 
 def _side_by_side(fits: Sequence[Fit]) -> Covariance | None:
     own = [f.covariance for f in fits if f.covariance is not None]
     if len(own) < len(fits):
         return None
-    return Covariance(
-        tuple(n for c in own for n in c.names), np.asarray(block_diag(*(c.matrix for c in own)))
-    )
+    names = _one_after_another(c.names for c in own)
+    return Covariance(names, np.asarray(block_diag(*(c.matrix for c in own))))
 
 
 def each(

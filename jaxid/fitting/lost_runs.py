@@ -104,11 +104,10 @@ def growth(bench: ProblemBuilder, theta: np.ndarray) -> float:
         starts = np.repeat(start[None], n + 1, 0)
         starts[np.arange(n) + 1, :, np.arange(n)] += DIFFERENCE
         base, *moved = free_runs(bench, split, [theta] * (n + 1), starts)
-        apart = [
-            np.abs(y[:, seen] - y0[:, seen]).max()
-            for run in moved
-            for y, y0 in zip(run, base, strict=True)
-        ]
+        apart = []
+        for run in moved:
+            for y, y0 in zip(run, base, strict=True):
+                apart.append(np.abs(y[:, seen] - y0[:, seen]).max())
         if not np.isfinite(apart).all():  # one that diverges has no end
             return float("inf")
         largest = max(largest, float(np.max(apart)) / DIFFERENCE)

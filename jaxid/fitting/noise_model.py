@@ -79,50 +79,59 @@ class RecordResidual:
 
 def autoregressions(parts: Sequence[RecordResidual], inverse: np.ndarray) -> list[Autoregression]:
     """One for each column, common to all records; `inverse` [p p] of J'J."""
-    columns = parts[0].r.shape[1]
+    columns = range(parts[0].r.shape[1])
     values, vectors = np.linalg.eigh(inverse)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    Q = [
-        np.moveaxis(p.J @ root, 1, 0) for p in parts
-    ]  # [columns samples p] of orthonormal columns over all records
+    # [columns samples p] of orthonormal columns over all records
+    Q = [np.moveaxis(p.J @ root, 1, 0) for p in parts]
+    longest = max(len(p.r) for p in parts)
     order = min(ORDER, min(len(p.r) for p in parts) // 16)
-    count = np.array(
-        [max(1, sum(np.count_nonzero(p.r[order:, c]) for p in parts)) for c in range(columns)]
-    )
-    raw = np.array(
-        [
-            sum(_products(p.r[:, c], p.r[:, c], order) for p in parts) / count[c]
-            for c in range(columns)
-        ]
-    )
-    orders = [_order(m, n) for m, n in zip(raw, count, strict=True)]
+    count = np.array([_seen(parts, c, order) for c in columns])
+    raw = np.array([_summed_products(parts, c, order) / count[c] for c in columns])
+    orders = [_order(raw[c], count[c]) for c in columns]
     most = LARGEST * raw[:, 0, 0]
-    found = [
-        _no_larger(_fitted(m, k, n), v) for m, k, n, v in zip(raw, orders, count, most, strict=True)
-    ]
+
+    def fitted(moments: np.ndarray) -> list[Autoregression]:
+        return [_no_larger(_fitted(moments[c], orders[c], count[c]), most[c]) for c in columns]
+
+    found = fitted(raw)
     before = np.array([f.covariance(order + 1) for f in found])
     for _ in range(ROUNDS):
-        noise = [f.covariance(max(len(p.r) for p in parts)) for f in found]
-        G, crosses = np.zeros(inverse.shape), []
-        for q in Q:
-            for c in range(columns):
-                rq = _correlated(noise[c], q[c])
-                G = G + q[c].T @ rq
-                crosses.append(_products(q[c], rq, order))
-        taken, cross = np.zeros_like(raw), iter(crosses)
-        for q in Q:
-            for c in range(columns):
-                both = next(cross)
-                taken[c] += both + both.T - _products(q[c], q[c] @ G, order)
-        new = [
-            _fitted(m + t / n, k, n) for m, t, k, n in zip(raw, taken, orders, count, strict=True)
-        ]
-        found = [_no_larger(f, v) for f, v in zip(new, most, strict=True)]
+        noise = [f.covariance(longest) for f in found]
+        taken = _taken_by_fit(Q, noise, order)
+        found = fitted(raw + taken / count[:, None, None])
         now = np.array([f.covariance(order + 1) for f in found])
         if np.all(np.abs(now - before) <= 1e-3 * now[:, :1]):
             break
         before = now
     return found
+
+
+def _seen(parts: Sequence[RecordResidual], column: int, first: int) -> int:
+    """Samples of a column that count, behind the first ones of each record."""
+    return max(1, int(sum(np.count_nonzero(p.r[first:, column]) for p in parts)))
+
+
+def _summed_products(parts: Sequence[RecordResidual], column: int, order: int) -> np.ndarray:
+    return sum(_products(p.r[:, column], p.r[:, column], order) for p in parts)  # type: ignore[return-value]
+
+
+def _taken_by_fit(Q: Sequence[np.ndarray], noise: Sequence[np.ndarray], order: int) -> np.ndarray:
+    """What the fit has taken out of the products of each column, by the covariance of its noise."""
+    G = np.zeros((Q[0].shape[2], Q[0].shape[2]))
+    crosses: list[list[np.ndarray]] = []
+    for q in Q:
+        of_record = []
+        for c, covariance in enumerate(noise):
+            rq = _correlated(covariance, q[c])
+            G = G + q[c].T @ rq
+            of_record.append(_products(q[c], rq, order))
+        crosses.append(of_record)
+    taken = np.zeros((len(noise), order + 1, order + 1))
+    for q, of_record in zip(Q, crosses, strict=True):
+        for c, both in enumerate(of_record):
+            taken[c] += both + both.T - _products(q[c], q[c] @ G, order)
+    return taken
 
 
 def student(
@@ -133,11 +142,10 @@ def student(
     """
     from scipy.special import ndtri, stdtrit
 
-    worth = sum(
-        np.count_nonzero(p.r[:, c]) / column.memory()
-        for p in parts
-        for c, column in enumerate(noise)
-    )
+    worth = 0.0
+    for part in parts:
+        for c, column in enumerate(noise):
+            worth += np.count_nonzero(part.r[:, c]) / column.memory()
     return float(stdtrit(max(2.0, worth - parameters), 0.975) / ndtri(0.975))
 
 

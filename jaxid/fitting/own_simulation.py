@@ -49,10 +49,12 @@ def by_run(
         if at >= len(out):
             return None
         out[at].append(prediction)
-    whole = [np.concatenate(own) if own else np.zeros((0, 0)) for own in out]
-    return (
-        whole if all(len(y) == len(e.t) for y, e in zip(whole, experiments, strict=True)) else None
-    )
+    whole = []
+    for own, e in zip(out, experiments, strict=True):
+        if sum(map(len, own)) != len(e.t):
+            return None
+        whole.append(np.concatenate(own))
+    return whole
 
 
 def simulated_scores(problem: FitProblem, z: np.ndarray) -> dict[str, Score]:

@@ -65,11 +65,12 @@ class ProblemBuilder:
 
     def _largest(self, steps: dict[str, int]) -> tuple[int, int]:
         """Steps of the fit runs and a split beside them, and of the longest experiment."""
-        fit, *others = (
-            sum(steps[e.name] for e in self.binding.experiments(s))
-            for s in ("fit", "validation", "report")
-        )
-        return fit + max(others), max(steps.values(), default=0)
+
+        def of_split(split: str) -> int:
+            return sum(steps[e.name] for e in self.binding.experiments(split))
+
+        most = of_split("fit") + max(of_split("validation"), of_split("report"))
+        return most, max(steps.values(), default=0)
 
     def runs(self, residual: Residual, split: str) -> Runs:
         key = (repr(residual), split)
@@ -280,7 +281,11 @@ def _begun(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> l
         return n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size)
 
     descended([own[0] for own in groups])
-    descended([n for own in groups if not follows(own[0]) for n in own[1:]])
+    shorter: list[int] = []
+    for own in groups:
+        if not follows(own[0]):
+            shorter += own[1:]
+    descended(shorter)
     starts = np.zeros((len(thetas), len(runs.heads), jobs[0][0].start0.shape[1]))
     out = [Begun(starts[i], []) for i in range(len(thetas))]
     for k, own in enumerate(groups):

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxid.display import displays
-from jaxid.fitting.covariance import covariance
-from jaxid.fitting.least_squares import levenberg_marquardt
+from jaxid.fitting.covariance import covariance, CovarianceEstimate
+from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.noise_model import Autoregression
 from jaxid.problem.problem import FitProblem, rows
 
@@ -73,27 +73,15 @@ def profile_likelihood(
     names = problem.names[: problem.free.size]
     chosen = names if parameters is None else list(parameters)
     cov = covariance(problem, z)
-    lower, upper = problem.lower, problem.upper
-    fallback = 0.02 * (upper - lower)
     # The quadratic rise of one standard deviation, so that stated and profiled widths mean the same
     # noise.
     base = levenberg_marquardt([(problem, z)], 3, 1e-12)[0]
-    z, curvature = base.z, base.hessian
-    assert curvature is not None
     threshold = float(chi2.ppf(level, 1))
     tracks = []
     for name in chosen:
         k = names.index(name)
-        others = np.delete(np.arange(problem.size), k)
-        bend = (
-            curvature[k, k]
-            - curvature[k, others]
-            @ np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-12)
-            @ curvature[others, k]
-        )
-        std = cov.std[k] if np.isfinite(cov.std[k]) and cov.std[k] > 0 else fallback[k]
-        scale = max(float(std**2 * bend), 1.0) if np.isfinite(cov.std[k]) and bend > 0 else 1.0
-        tracks += [Track(problem, k, side, float(std), scale, z, base.cost) for side in (-1, 1)]
+        std, scale = _width(problem, cov, base, k)
+        tracks += [Track(problem, k, side, std, scale, base.z, base.cost) for side in (-1, 1)]
     for step in STEPS:
         going = [t for t in tracks if t.goes_on(threshold)]
         if not going:
@@ -101,35 +89,55 @@ def profile_likelihood(
         jobs = [t.job(step) for t in going]
         for track, path in zip(going, levenberg_marquardt(jobs, 12, 1e-9), strict=True):
             track.take(path.z, path.cost)
-    theta = problem.theta(z)
-    out = {}
-    for k, name in enumerate(chosen):
-        left, right = tracks[2 * k], tracks[2 * k + 1]
-        position = int(problem.free[left.k])
+    sides = zip(tracks[::2], tracks[1::2], strict=True)
+    return {
+        name: _profile(problem, base.z, name, left, right, threshold)
+        for name, (left, right) in zip(chosen, sides, strict=True)
+    }
 
-        def unit(v, j=left.k):
-            return float(np.exp(v)) if problem.log[j] else float(v)
 
-        values = [*reversed(left.values[1:]), *right.values]
-        rise = [*reversed(left.rise[1:]), *right.rise]
-        assert abs(unit(z[left.k]) - theta[position]) <= 1e-9 * max(1.0, abs(theta[position]))
-        ends = (left.crossing(threshold), right.crossing(threshold))
-        interval = (
-            None if ends[0] is None else unit(ends[0]),
-            None if ends[1] is None else unit(ends[1]),
-        )
-        bounds = left.ended, right.ended
-        said = problem.runs.layout.entries[position].unit
-        out[name] = Profile(
-            name,
-            np.array([unit(v) for v in values]),
-            np.array(rise),
-            threshold,
-            interval,
-            bounds,
-            said,
-        )
-    return out
+def _width(problem: FitProblem, cov: CovarianceEstimate, base: Path, k: int) -> tuple[float, float]:
+    """The first step of a profile, and how much wider the noise is than the problem's."""
+    curvature = base.hessian
+    assert curvature is not None
+    others = np.delete(np.arange(problem.size), k)
+    bend = (
+        curvature[k, k]
+        - curvature[k, others]
+        @ np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-12)
+        @ curvature[others, k]
+    )
+    std = cov.std[k]
+    if not np.isfinite(std):
+        return float(0.02 * (problem.upper - problem.lower)[k]), 1.0
+    if not std > 0:
+        std = 0.02 * (problem.upper - problem.lower)[k]
+    return float(std), max(float(std**2 * bend), 1.0) if bend > 0 else 1.0
+
+
+def _profile(
+    problem: FitProblem, z: np.ndarray, name: str, left: Track, right: Track, threshold: float
+) -> Profile:
+    """Both sides of a parameter in its own unit."""
+    k = left.k
+    position = int(problem.free[k])
+
+    def unit(v: float) -> float:
+        return float(np.exp(v)) if problem.log[k] else float(v)
+
+    own = problem.theta(z)[position]
+    assert abs(unit(z[k]) - own) <= 1e-9 * max(1.0, abs(own))
+    low, high = left.crossing(threshold), right.crossing(threshold)
+    values = [*reversed(left.values[1:]), *right.values]
+    return Profile(
+        name,
+        np.array([unit(v) for v in values]),
+        np.array([*reversed(left.rise[1:]), *right.rise]),
+        threshold,
+        (None if low is None else unit(low), None if high is None else unit(high)),
+        (left.ended, right.ended),
+        problem.runs.layout.entries[position].unit,
+    )
 
 
 class Track:
@@ -242,18 +250,14 @@ def bootstrap(problem: FitProblem, z: np.ndarray, replicas: int = 200, seed: int
     """
     parts = list(rows([(problem, z)]))
     cov = covariance(problem, z)
-    count = np.array(
-        [
-            max(1, sum(np.count_nonzero(p.r[:, c]) for p in parts))
-            for c in range(parts[0].r.shape[1])
-        ]
-    )
+    seen = sum(np.count_nonzero(p.r, axis=0) for p in parts)
+    count = np.maximum(1, seen)
     noise = cov.noise or [Autoregression(np.zeros(0), np.nan)] * len(count)
     first = max(len(n.ar) for n in noise)
-    innovations = [
-        np.stack([n.whitened(r) for n, r in zip(noise, p.r.T, strict=True)], 1)[first:]
-        for p in parts
-    ]
+    innovations = []
+    for part in parts:
+        whitened = [n.whitened(r) for n, r in zip(noise, part.r.T, strict=True)]
+        innovations.append(np.stack(whitened, 1)[first:])
     size = np.sqrt(sum(np.sum(e**2, 0) for e in innovations) / count)
     if cov.noise:
         scale = cov.widened * np.array([n.innovation for n in noise]) / np.maximum(size, 1e-300)
@@ -267,9 +271,8 @@ def bootstrap(problem: FitProblem, z: np.ndarray, replicas: int = 200, seed: int
         for part, e, y in zip(parts, innovations, predicted, strict=True):
             at = problem.runs.record(part.record).samples
             drawn = (e - e.mean(0))[rng.integers(0, len(e), len(at) + BURN_IN)]
-            series = np.stack(
-                [n.coloured(d)[BURN_IN:] for n, d in zip(noise, drawn.T, strict=True)], 1
-            )
+            coloured = [n.coloured(d)[BURN_IN:] for n, d in zip(noise, drawn.T, strict=True)]
+            series = np.stack(coloured, 1)
             targets[at] = y - scale * series / np.where(part.w > 0, part.w, np.inf)
         jobs.append((problem.with_targets(targets), z))
     paths = levenberg_marquardt(jobs, 8, 1e-8)

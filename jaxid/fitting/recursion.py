@@ -287,13 +287,10 @@ def followed(
 
 def estimates_of(problem: FitProblem, minimum: Minimum) -> dict[str, tuple[float, float | None]]:
     """Name -> (value, standard deviation) of the fitted numbers."""
-    cov, theta, slope = (
-        covariance(problem, minimum.z),
-        problem.theta(minimum.z),
-        problem.dtheta(minimum.z),
-    )
-    std = [
-        float(cov.std[k] * slope[k]) if np.isfinite(cov.std[k]) else None
-        for k in range(problem.free.size)
-    ]
-    return {problem.names[k]: (float(theta[i]), std[k]) for k, i in enumerate(problem.free)}
+    cov = covariance(problem, minimum.z)
+    theta, slope = problem.theta(minimum.z), problem.dtheta(minimum.z)
+    estimates = {}
+    for k, i in enumerate(problem.free):
+        std = float(cov.std[k] * slope[k]) if np.isfinite(cov.std[k]) else None
+        estimates[problem.names[k]] = (float(theta[i]), std)
+    return estimates

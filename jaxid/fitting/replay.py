@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -156,41 +157,39 @@ def _by_jaxid(
     from jaxid.models import Robot
 
     result = source.content.get("result", {}) if source is not None else {}
-    if result.get("kind") in ("fit", "diagnosis") and result.get("model") not in (None, "robot"):
+    fitted = result.get("kind") in ("fit", "diagnosis")
+    if fitted and result.get("model") not in (None, "robot"):
         return _by_its_model(raw, result, robot, notes)
-    if (
-        source is not None
-        and source.original is not None
-        and result.get("kind") in ("fit", "diagnosis")
-    ):
-        model, content = (
-            Robot(read_tree(source.original)),
-            _content(source, data, joints_of(data, tree)),
-        )
+    joints = joints_of(data, tree)
+    if source is not None and source.original is not None and fitted:
+        model = Robot(read_tree(source.original))
+        content = _content(source, data, joints)
         notes.append(f"jaxid's run is of the result that {robot.name} was exported from")
     else:
         model, content = Robot(tree), None
         notes.append(f"jaxid's run is of {robot.name} as it stands")
-        if _own_actuators(tree, joints_of(data, tree)):
+        if _own_actuators(tree, joints):
             data = replace(data, controller=None)
     spec = data.model
-    data = replace(
-        data,
-        model=(
-            None
-            if spec is None
-            else replace(spec, name=None, geometry=None, parameters={}, joints={})
-        ),
-    )
+    if spec is not None:
+        spec = replace(spec, name=None, geometry=None, parameters={}, joints={})
+        data = replace(data, model=spec)
+    return _simulated(content, data, model, joints_of(data, tree), notes)
+
+
+def _simulated(
+    content: Any, data: Dataset, model: Any, joints: Sequence[str], notes: list[str]
+) -> tuple[Any, Any]:
+    """(positions [samples joints] by run, starts), or (None, None) and a note that says why."""
     try:
         simulation = simulate_dataset(content, data, model)
     except UsageError as error:
         notes.append(f"jaxid has no run of its own: {error}")
         return None, None
-    joints = joints_of(data, tree)
-    return [np.stack([run[j] for j in joints], 1) for run in simulation.runs], [
-        np.asarray(s) for s in simulation.starts
-    ]
+    positions = []
+    for run in simulation.runs:
+        positions.append(np.stack([run[j] for j in joints if j in run], 1))
+    return positions, [np.asarray(s) for s in simulation.starts]
 
 
 def _by_its_model(
@@ -201,16 +200,11 @@ def _by_its_model(
         "parameters": result.get("parameters", {}),
         "effects": list(result.get("effects", ())),
     }
-    try:
-        simulation = simulate_dataset(content, dataset, result["model"])
-    except UsageError as error:
-        notes.append(f"jaxid has no run of its own: {error}")
-        return None, None
-    notes.append(f"jaxid's run is of the {result['model']} that {robot.name} was exported from")
     joints = [c.name for c in dataset.outputs]
-    return [np.stack([run[j] for j in joints if j in run], 1) for run in simulation.runs], [
-        np.asarray(s) for s in simulation.starts
-    ]
+    found = _simulated(content, dataset, result["model"], joints, notes)
+    if found[0] is not None:
+        notes.append(f"jaxid's run is of the {result['model']} that {robot.name} was exported from")
+    return found
 
 
 def _content(source: _Source, data: Dataset, joints: tuple[str, ...]) -> dict[str, Any]:
@@ -224,7 +218,7 @@ def _content(source: _Source, data: Dataset, joints: tuple[str, ...]) -> dict[st
     ]
     without = [own_number(n) for n in robot.get("without", ()) if n not in kept]
     gone = [own.fitted for own in without if own is not None]
-    zero = {f"{name}@{j}": {"value": 0.0} for name in gone for j in joints}
+    zero = {f"{name}@{joint}": {"value": 0.0} for name, joint in product(gone, joints)}
     return {"parameters": {**zero, **result.get("parameters", {})}, "effects": effects}
 
 
@@ -236,16 +230,16 @@ def measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.
     """The stated start, else positions of the first sample and speeds of the first samples, 0 where
     the run begins at rest.
     """
-    columns = [[c.name for c in data.outputs].index(j) for j in joints]
-    y = e.y[:, columns]
+    outputs = [c.name for c in data.outputs]
+    y = e.y[:, [outputs.index(j) for j in joints]]
     n = min(len(e.t), 5)
-    rests = e.at_rest or n < 2
-    speed = np.zeros(len(joints)) if rests else (y[n - 1] - y[0]) / (e.t[n - 1] - e.t[0])
+    speed = np.zeros(len(joints))
+    if n > 1 and not e.at_rest:
+        speed = (y[n - 1] - y[0]) / (e.t[n - 1] - e.t[0])
+    start = dict(zip(joints, y[0], strict=True))
+    start |= {f"{joint}_qd": v for joint, v in zip(joints, speed, strict=True)}
     known = e.initial or {}
-    begun = [known.get(j, v) for j, v in zip(joints, y[0], strict=True)]
-    return np.array(
-        [*begun, *(known.get(f"{j}_qd", v) for j, v in zip(joints, speed, strict=True))], float
-    )
+    return np.array([known.get(name, value) for name, value in start.items()], float)
 
 
 def in_mujoco(
@@ -264,62 +258,50 @@ def in_mujoco(
     notes += held_notes
     joints = free.leading
     inputs = [c.name for c in data.inputs]
-    goals, torques = (all(f"{j}{end}" in inputs for j in joints) for end in ("_cmd", "_tau"))
-    law, spec = None, data.model
-    if inputs and not (goals or torques) and not (spec is not None and spec.free):
+    kind = _driven_by(data, joints, path)
+    law = None
+    if kind == "goal" and not _own_actuators(tree, joints):
+        law = _with_gains(_law(data, joints, source, path), joints, gains or {})
+        notes.append(
+            f"{path.name} has no position actuators for these joints: the law of [controller]"
+            " drives"
+        )
+    elif kind == "goal":
+        notes.append(f"driven by the position actuators of {path.name}")
+    robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)
+    if law is None and gains:
+        robot.drive_by(tree, gains)
+    reference = robot
+    torques = all(f"{j}_tau" in inputs for j in joints)
+    if source and source.original and torques:
+        reference = MujocoRobot(source.original, read_tree(source.original), {}, None)
+    drive = Driven("law" if law is not None else kind, law, reference)
+    ends = {"goal": "_cmd", "torque": "_tau"}
+    column = [inputs.index(f"{j}{ends[kind]}") for j in joints if kind in ends]
+    linear = [data.inputs[c].hold == "linear" for c in column]
+    n = len(joints)
+    out = []
+    for e, start in zip(data.experiments, starts, strict=True):
+        q, qd = start[:n], start[n : 2 * n]
+        out.append(robot.run(joints, e.t, e.u[:, column], linear, drive, q, qd))
+    notes += robot.notes
+    return out
+
+
+def _driven_by(data: Dataset, joints: Sequence[str], path: Path) -> str:
+    """What of the recording drives the joints: "goal", "torque", or "free" for nothing."""
+    inputs = [c.name for c in data.inputs]
+    if all(f"{j}_cmd" in inputs for j in joints):
+        return "goal"
+    if all(f"{j}_tau" in inputs for j in joints):
+        return "torque"
+    if inputs and not (data.model is not None and data.model.free):
         raise UsageError(
             f"nothing that was recorded drives {path.name}: of its joints add goals"
             f" ({joints[0]}_cmd) or torques ({joints[0]}_tau) as inputs (the recording has"
             f" {', '.join(inputs)}), or say free = true"
         )
-    if goals and not _own_actuators(tree, joints):
-        law = _law(data, joints, source, path)
-        notes.append(
-            f"{path.name} has no position actuators for these joints: the law of [controller]"
-            " drives"
-        )
-        law = _with_gains(law, joints, gains or {})
-    elif goals:
-        notes.append(f"driven by the position actuators of {path.name}")
-    robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)
-    if law is None and gains:
-        robot.drive_by(tree, gains)
-    reference = (
-        MujocoRobot(source.original, read_tree(source.original), {}, None)
-        if source and source.original and torques
-        else robot
-    )
-    drive = Driven(
-        (
-            "goal"
-            if goals and law is None
-            else "law"
-            if law is not None
-            else "torque"
-            if torques
-            else "free"
-        ),
-        law,
-        reference,
-    )
-    end = {"goal": "_cmd", "law": "_cmd", "torque": "_tau"}.get(drive.kind, "")
-    column = [inputs.index(f"{j}{end}") for j in joints] if end else []
-    linear = [data.inputs[c].hold == "linear" for c in column]
-    out = []
-    for e, start in zip(data.experiments, starts, strict=True):
-        out.append(
-            robot.run(
-                joints,
-                e.t,
-                e.u[:, column],
-                linear,
-                drive,
-                start[: len(joints)],
-                start[len(joints) : 2 * len(joints)],
-            )
-        )
-    notes += robot.notes
-    return out
+    return "free"
 
 
 def _gravity(tree: Tree, data: Dataset) -> np.ndarray:
@@ -342,11 +324,12 @@ def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: P
     law = stated_law(data.controller, joints, float(np.median(np.diff(data.experiments[0].t))))
     found = source.content.get("result", {}).get("parameters", {}) if source is not None else {}
     for name in ("kp", "kd", "ki", "highest", "lowest", "delay"):
-        own = [found.get(f"{name}@{j}", {}).get("value") for j in joints]
-        values = tuple(
-            v if a is None else float(a) for a, v in zip(own, getattr(law, name), strict=True)
-        )
-        law = replace(law, **{name: values})
+        values = list(getattr(law, name))
+        for k, joint in enumerate(joints):
+            value = found.get(f"{name}@{joint}", {}).get("value")
+            if value is not None:
+                values[k] = float(value)
+        law = replace(law, **{name: tuple(values)})
     return law
 
 
@@ -375,7 +358,7 @@ def _worse(rows: list[dict[str, Any]]) -> list[str]:
     out = []
     for joint in dict.fromkeys(r["joint"] for r in rows):
         own = [r for r in rows if r["joint"] == joint and r.get("before") is not None]
-        now, was = (sum(r[k] ** 2 for r in own) for k in ("mujoco", "before"))
+        now, was = sum(r["mujoco"] ** 2 for r in own), sum(r["before"] ** 2 for r in own)
         if now > was:
             out.append(
                 f"{joint}: in MuJoCo the patched file is further from the recording than the"
@@ -422,32 +405,28 @@ def _verdict(rows: list[dict[str, Any]], source: _Source | None, other: str) -> 
     carried over there.
     """
     out = []
+    them = "the other file" if other == "against" else "jaxid"
     for joint in dict.fromkeys(r["joint"] for r in rows):
         own = [r for r in rows if r["joint"] == joint and r["difference"] is not None]
         worst = max(own, key=lambda r: r["difference"] / max(r[other], 1e-300), default=None)
         if worst is None or not worst["difference"] > worst[other]:
             continue
-        them = "the other file" if other == "against" else "jaxid"
         text = (
             f"{joint}: MuJoCo and {them} differ by {worst['difference']:.3g} {worst['unit']}, more"
-            " than "
+            f" than {them}'s run differs from the recording ({worst[other]:.3g})"
         )
-        text += f"{them}'s run differs from the recording ({worst[other]:.3g})"
-
-        def at(r):
-            return str(r.get("location", "")).split("_cmd")[0].split("_tau")[0] == joint
-
-        lacking = [
-            f"{r.get('effect')} ({r.get('how')})"
-            for r in (source.rows if source else ())
-            if r.get("how") != "exact" and at(r)
-        ]
-        out.append(
-            text
-            + (
-                f"; not carried over exactly there: {', '.join(dict.fromkeys(lacking))}"
-                if lacking
-                else ""
-            )
-        )
+        lacking = _lacking(source, joint)
+        if lacking:
+            text += f"; not carried over exactly there: {', '.join(lacking)}"
+        out.append(text)
     return out
+
+
+def _lacking(source: _Source | None, joint: str) -> list[str]:
+    """The effects of a joint that an export did not carry over exactly, each once."""
+    lacking = {}
+    for row in source.rows if source else ():
+        of_joint = str(row.get("location", "")).split("_cmd")[0].split("_tau")[0]
+        if row.get("how") != "exact" and of_joint == joint:
+            lacking[f"{row.get('effect')} ({row.get('how')})"] = None
+    return list(lacking)

@@ -4,6 +4,7 @@ report.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, TYPE_CHECKING
 
@@ -226,15 +227,9 @@ class Fit(Displayed, Exportable):
             "reweighted_loss": self.reweighted_loss,
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
             "simulation": self.simulation,
-            **{
-                split: {c: s.to_dict() for c, s in rows.items()}
-                for split, rows in self.scores.items()
-            },
-            "free_run": {
-                split: {c: s.to_dict() for c, s in rows.items()}
-                for split, rows in self.free_run.items()
-            },
-            "windowed": {c: s.to_dict() for c, s in self.windowed.items()},
+            **{split: _scores_dict(rows) for split, rows in self.scores.items()},
+            "free_run": {split: _scores_dict(rows) for split, rows in self.free_run.items()},
+            "windowed": _scores_dict(self.windowed),
             "correlated": [list(g) for g in self.correlated],
             "stated": [s.to_dict() for s in self.stated],
             "how_far": {"per_joint": list(self.per_joint)},
@@ -255,3 +250,7 @@ class Fit(Displayed, Exportable):
         fitted where there are any.
         """
         return displays().picture(self, channel, ax)
+
+
+def _scores_dict(rows: Mapping[str, Score]) -> dict[str, Any]:
+    return {channel: score.to_dict() for channel, score in rows.items()}

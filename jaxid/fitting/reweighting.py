@@ -61,17 +61,22 @@ def reweighed(
     first, counts = _errors(problem, found.z)
     if first.max() < UNEVEN * (first.min() if problem.runs.setting is None else 1.0):
         return None
-    level, spent = (
-        np.maximum(1.0, _sizes(problem)),
-        found.evaluations,
-    )  # at first all channels by the size of their signals
+    spent = found.evaluations
+
+    def left() -> int | None:
+        return None if budget is None else budget - spent
+
+    def covers(evaluations: float) -> bool:
+        return budget is None or budget - spent >= evaluations
+
+    # at first all channels by the size of their signals
+    level = np.maximum(1.0, _sizes(problem))
     begin, end = [found.z, *starts], found
     for number in range(ROUNDS):
-        if budget is not None and budget - spent < 2 * (1 + problem.size):
+        if not covers(2 * (1 + problem.size)):
             return None
         weighed = weighed_by(problem, 1 / level)
-        left = None if budget is None else budget - spent
-        end = fitter.nearby(ROUGH).minimise_each([(weighed, begin, key)], left, progress)[0]
+        end = fitter.nearby(ROUGH).minimise_each([(weighed, begin, key)], left(), progress)[0]
         spent += end.evaluations
         if end.failed:
             return None
@@ -82,14 +87,12 @@ def reweighed(
     if counts @ np.log(level) >= counts @ np.log(first):
         return None
     weighed = weighed_by(problem, 1 / level)
-    left = None if budget is None else budget - spent
-    if left is None or left >= LEAST * (1 + problem.size):
-        last = fitter.nearby().minimise_each([(weighed, begin, key)], left, progress)[0]
+    if covers(LEAST * (1 + problem.size)):
+        last = fitter.nearby().minimise_each([(weighed, begin, key)], left(), progress)[0]
         spent += last.evaluations
         end = end if last.failed else last
-    named = ", ".join(
-        f"{name} {x:.3g}" for (name, _), x in zip(problem.runs.channels, level, strict=True)
-    )
+    channels = zip(problem.runs.channels, level, strict=True)
+    named = ", ".join(f"{name} {x:.3g}" for (name, _), x in channels)
     note = f"channels are weighed by what the model leaves of them, in times their noise: {named}"
     return Reweighed(weighed, replace(end, loss=weighed.loss(end.z), evaluations=spent), note)
 
@@ -122,9 +125,9 @@ def _sizes(problem: FitProblem) -> np.ndarray:
     """Standard deviation of each measured channel in its noise."""
     at = np.concatenate([np.asarray(problem.runs.record(k).samples) for k in problem.records])
     y, w = problem.targets[at], problem.weights[at]
-    return np.array(
-        [
-            np.std((y[:, c] * w[:, c])[w[:, c] > 0]) if (w[:, c] > 0).any() else 1.0
-            for c in range(y.shape[1])
-        ]
-    )
+    sizes = np.ones(y.shape[1])
+    for c in range(y.shape[1]):
+        seen = w[:, c] > 0
+        if seen.any():
+            sizes[c] = np.std((y[:, c] * w[:, c])[seen])
+    return sizes

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -102,124 +102,180 @@ def fit_seeds(
     what the model leaves of them where their noises differ much from that.
     """
     began = time.perf_counter()
-    residual = residual or default_residual(binding)
-    simulated = not residual.torques and bool(binding.dataset.split("fit"))
     benches = ProblemBuilders(binding) if benches is None else benches
     compiled = benches.compile_time()
-    notes: dict[int, list[str]] = {seed: [] for seed in seeds}
-    ended: dict[int, tuple[ProblemBuilder, FitProblem, Minimum]] = {}
-    level: dict[int, np.ndarray | None] = dict.fromkeys(
-        seeds, begin
-    )  # where each seed's coarser step ended
-    step, label = samples.STEP, label_of(fitter)
-
-    def offer(
-        seed: int, bench: ProblemBuilder, problem: FitProblem, result: Minimum, note: str
-    ) -> None:
-        """Has what is known by now kept, in case that this does not come to its end."""
-        if known and not result.failed:
-            spent = time.perf_counter() - began
-            known.offer(
-                lambda: assemble(
-                    bench=bench,
-                    problem=problem,
-                    result=result,
-                    residual=residual,
-                    fitter=label,
-                    seed=seed,
-                    compile_time=0.0,
-                    wall_time=spent,
-                    notes=[*notes[seed], note],
-                )
-            )
-
+    run = _SeedRun(
+        binding=binding,
+        residual=residual or default_residual(binding),
+        loss=loss,
+        budget=budget,
+        progress=progress,
+        benches=benches,
+        known=known,
+        label=label_of(fitter),
+        began=began,
+        notes={seed: [] for seed in seeds},
+    )
+    # where each seed's coarser step ended
+    level: dict[int, np.ndarray | None] = dict.fromkeys(seeds, begin)
+    step = samples.STEP
     while level:
-        bench, finer = benches.of(step), {}
+        level = run.fit(fitter, level, step)
+        step = step / 2
+        fitter = fitter.nearby()
+    if reweigh and fitter.linearises and loss == "sum_of_squares":
+        for seed in list(run.ended):
+            run.reweigh(seed, fitter, begin)
+    share = 1 / len(seeds)
+    fits = [run.assembled(seed, *run.ended[seed]) for seed in seeds]
+    compiling = share * (benches.compile_time() - compiled)
+    wall = share * (time.perf_counter() - began)
+    return [replace(fit, compile_time_s=compiling, wall_time_s=wall) for fit in fits]
+
+
+@dataclass
+class _SeedRun:
+    """The fits of several seeds on their way: notes of each, and where it has `ended` by now."""
+
+    binding: Binding
+    residual: Residual
+    loss: str
+    budget: int | None
+    progress: Progress | None
+    benches: ProblemBuilders
+    known: Interim | None
+    label: str
+    began: float
+    notes: dict[int, list[str]]
+    ended: dict[int, tuple[ProblemBuilder, FitProblem, Minimum]] = field(default_factory=dict)
+
+    @property
+    def simulated(self) -> bool:
+        return not self.residual.torques and bool(self.binding.dataset.split("fit"))
+
+    def fit(
+        self, fitter: AbstractFitter, level: Mapping[int, np.ndarray | None], step: float
+    ) -> dict[int, np.ndarray | None]:
+        """Fits at one step, from guesses or from where `level` says; the seeds that a finer step
+        would move, and where they are.
+        """
+        bench = self.benches.of(step)
+        jobs = self._jobs(bench, fitter, level)
+        found = fitter.minimise_each(jobs, self.budget, self.progress)
+        if step == samples.STEP:  # a finer one begins where the coarser one has ended
+            note = "stopped before its end was looked at from beside it"
+            for seed, job, result in zip(level, jobs, found, strict=True):
+                self._offer(seed, bench, job[0], result, note)
+            found = looked_again(jobs, found, fitter, self.budget, self.progress)
+        finer: dict[int, np.ndarray | None] = {}
+        for seed, job, result in zip(level, jobs, found, strict=True):
+            self.ended[seed] = bench, job[0], result
+            theta = self._refined(seed, step)
+            if theta is not None:
+                finer[seed] = theta
+        return finer
+
+    def _jobs(
+        self, bench: ProblemBuilder, fitter: AbstractFitter, level: Mapping[int, np.ndarray | None]
+    ) -> list[tuple[FitProblem, list[np.ndarray], Any]]:
+        """(problem, starts, key) of each seed; one problem for all that begin alike."""
+        binding, residual = self.binding, self.residual
         # Cores compile side by side: what descents run while start values are found, what is asked
         # of their end while they run.
-        engine = bench.runs(residual, "fit").engine if simulated else None
+        engine = bench.runs(residual, "fit").engine if self.simulated else None
         if engine and fitter.linearises:
             engine.compile_ahead("tangents", binding.theta, binding.free)
         jobs, common = [], {}
         for seed, theta in level.items():
-            guesses = benches.starts(bench, residual, loss, seed) if theta is None else [theta]
-            if (key := guesses[0].tobytes()) not in common:
-                common[key] = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
+            if theta is None:
+                guesses = self.benches.starts(bench, residual, self.loss, seed)
+            else:
+                guesses = [theta]
+            key = guesses[0].tobytes()
+            if key not in common:
+                common[key] = bench.problem(
+                    residual, "fit", binding.free, guesses[0], loss=self.loss
+                )
             problem = common[key]
             if residual.torques:
                 refuse_scale_free(problem, problem.z(guesses[0]))
             jobs.append((problem, [problem.z(g) for g in guesses], jax.random.key(seed)))
         if engine:
             engine.compile_ahead("outputs", binding.theta, binding.free)
-        found = fitter.minimise_each(jobs, budget, progress)
-        if step == samples.STEP:  # a finer one begins where the coarser one has ended
-            for seed, job, result in zip(level, jobs, found, strict=True):
-                offer(
-                    seed,
-                    bench,
-                    job[0],
-                    result,
-                    "stopped before its end was looked at from beside it",
-                )
-            found = looked_again(jobs, found, fitter, budget, progress)
-        for seed, job, result in zip(level, jobs, found, strict=True):
-            problem = job[0]
-            ended[seed] = bench, problem, result
-            if result.failed or not simulated or step <= samples.STEP / 8:
-                continue
-            if benches.of(step / 2) is bench:
-                continue  # samples are closer than either step
-            moved = step_error(problem, result.z, benches.of(step / 2).runs(residual, "fit"))
-            if (
-                moved > STEP_SHARE
-                and residual.free_run
-                and growth(bench, problem.theta(result.z)) > SENSITIVE
-            ):
-                notes[seed].append(
-                    "runs that forget how they began are not refined: every step shows another one"
-                )
-            elif moved > STEP_SHARE:
-                finer[seed] = problem.theta(result.z)
-                offer(
-                    seed,
-                    *ended[seed],
-                    f"stopped before it was refined with steps of {step / 2:.3g} s",
-                )
-                notes[seed].append(
-                    f"halving the step moved the simulation by {moved:.2g} of the noise or gap:"
-                    f" refitted at {step / 2:.3g} s"
-                )
-        level, step = finer, step / 2
-        fitter = fitter.nearby()
-    if reweigh and fitter.linearises and loss == "sum_of_squares":
-        for seed, (bench, problem, result) in list(ended.items()):
-            guesses = (
-                [problem.z(g) for g in benches.starts(bench, residual, loss, seed)]
-                if begin is None
-                else []
+        return jobs
+
+    def _refined(self, seed: int, step: float) -> np.ndarray | None:
+        """The numbers of a fit that half the step would move; None for one that is done."""
+        bench, problem, result = self.ended[seed]
+        if result.failed or not self.simulated or step <= samples.STEP / 8:
+            return None
+        half = self.benches.of(step / 2)
+        if half is bench:
+            return None  # samples are closer than either step
+        moved = step_error(problem, result.z, half.runs(self.residual, "fit"))
+        if not moved > STEP_SHARE:
+            return None
+        theta = problem.theta(result.z)
+        if self.residual.free_run and growth(bench, theta) > SENSITIVE:
+            self.notes[seed].append(
+                "runs that forget how they began are not refined: every step shows another one"
             )
-            own = jax.random.key(seed)
-            offer(
-                seed,
-                bench,
-                problem,
-                result,
-                "stopped before channels were weighed by what the model leaves of them",
-            )
-            other = reweighed(problem, result, guesses, own, fitter, budget, progress)
-            if other is not None:
-                again = looked_again(
-                    [(other.problem, [], own)], [other.found], fitter, budget, progress
-                )[0]
-                ended[seed] = bench, other.problem, again
-                notes[seed].append(other.note)
-    share = 1 / len(seeds)
-    fits = [assemble(*ended[seed], residual, label, seed, 0.0, 0.0, notes[seed]) for seed in seeds]
-    compiling, wall = (
-        share * (benches.compile_time() - compiled),
-        share * (time.perf_counter() - began),
-    )
-    return [replace(fit, compile_time_s=compiling, wall_time_s=wall) for fit in fits]
+            return None
+        note = f"stopped before it was refined with steps of {step / 2:.3g} s"
+        self._offer(seed, bench, problem, result, note)
+        self.notes[seed].append(
+            f"halving the step moved the simulation by {moved:.2g} of the noise or gap:"
+            f" refitted at {step / 2:.3g} s"
+        )
+        return theta
+
+    def reweigh(self, seed: int, fitter: AbstractFitter, begin: np.ndarray | None) -> None:
+        """Weighs the channels by what the model leaves of them, where that ends better."""
+        bench, problem, result = self.ended[seed]
+        guesses = []
+        if begin is None:
+            starts = self.benches.starts(bench, self.residual, self.loss, seed)
+            guesses = [problem.z(g) for g in starts]
+        key = jax.random.key(seed)
+        note = "stopped before channels were weighed by what the model leaves of them"
+        self._offer(seed, bench, problem, result, note)
+        other = reweighed(problem, result, guesses, key, fitter, self.budget, self.progress)
+        if other is None:
+            return
+        jobs = [(other.problem, [], key)]
+        again = looked_again(jobs, [other.found], fitter, self.budget, self.progress)[0]
+        self.ended[seed] = bench, other.problem, again
+        self.notes[seed].append(other.note)
+
+    def _offer(
+        self, seed: int, bench: ProblemBuilder, problem: FitProblem, result: Minimum, note: str
+    ) -> None:
+        """Has what is known by now kept, in case that this does not come to its end."""
+        if not self.known or result.failed:
+            return
+        spent = time.perf_counter() - self.began
+        self.known.offer(lambda: self.assembled(seed, bench, problem, result, spent, note))
+
+    def assembled(
+        self,
+        seed: int,
+        bench: ProblemBuilder,
+        problem: FitProblem,
+        result: Minimum,
+        spent: float = 0.0,
+        *notes: str,
+    ) -> Fit:
+        return assemble(
+            bench=bench,
+            problem=problem,
+            result=result,
+            residual=self.residual,
+            fitter=self.label,
+            seed=seed,
+            compile_time=0.0,
+            wall_time=spent,
+            notes=[*self.notes[seed], *notes],
+        )
 
 
 class ProblemBuilders:
@@ -257,4 +313,5 @@ class ProblemBuilders:
         return self._starts[key]
 
     def compile_time(self) -> float:
-        return sum(b.compile_time() for b in {id(b): b for b in self._benches.values()}.values())
+        once = {id(bench): bench for bench in self._benches.values()}
+        return sum(bench.compile_time() for bench in once.values())

@@ -88,8 +88,8 @@ def carried(points: np.ndarray, names: Sequence[str], problem: AbstractProblem) 
     the bounds.
     """
     middle = (problem.lower + problem.upper) / 2
-    columns = [
-        points[:, names.index(n)] if n in names else np.full(len(points), m)
-        for n, m in zip(problem.names, middle, strict=True)
-    ]
-    return np.clip(np.stack(columns, -1), problem.lower, problem.upper)
+    moved = np.tile(middle, (len(points), 1))
+    for k, name in enumerate(problem.names):
+        if name in names:
+            moved[:, k] = points[:, names.index(name)]
+    return np.clip(moved, problem.lower, problem.upper)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from jaxid.errors import nearest, UsageError
@@ -66,7 +66,7 @@ def split_outside_brackets(text: str) -> tuple[str, ...]:
             parts.append("")
         else:
             parts[-1] += character
-    return tuple(name for name in (part.strip() for part in parts) if name)
+    return tuple(filter(None, map(str.strip, parts)))
 
 
 def parsed(text: str) -> tuple[str, dict[str, Any]]:
@@ -115,62 +115,73 @@ def configured(kind: type, values: dict[str, Any], text: str, named: Callable[[s
 def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[str], Any]) -> Any:
     """A value as the type of the field's default; one number for a range of two."""
     default: Any = field.default
-    value: Any = given
-    bounds = _about(field)
-
-    def number(v):
-        return isinstance(v, int | float) and not isinstance(v, bool)
-
+    if not isinstance(default, bool | int | float | tuple | str):
+        return _population(fitter, field, given, named)
     if isinstance(default, bool):
-        fits, wanted = isinstance(value, bool), "True or False"
-    elif isinstance(default, int):
-        fits, wanted = isinstance(value, int) and not isinstance(value, bool), "a whole number"
-    elif isinstance(default, float):
-        fits, wanted = number(value), "a number"
-    elif isinstance(default, tuple):
-        value = (
-            (value, value)
-            if number(value)
-            else tuple(value)
-            if isinstance(value, list | tuple)
-            else value
-        )
-        wanted = f"a number, or {len(default)} in brackets"
-        fits = isinstance(value, tuple) and len(value) == len(default) and all(map(number, value))
-    elif isinstance(default, str):
-        fits, wanted = isinstance(value, str), "a text in quotes"
-    elif isinstance(value, str) and hasattr(default, "minimise"):  # a fitter inside a fitter
-        value, fits, wanted = named(value), True, ""
-        if not hasattr(value, "ask"):
-            raise UsageError(
-                f"{fitter}: {field.name} = {label_of(value)!r}; it is a population, such as 'de'"
-            )
-    else:
-        fits, wanted = False, "the text of a fitter, in quotes"
-    if not fits:
+        if not isinstance(given, bool):
+            raise _refused(fitter, field, given, "True or False")
+        return given
+    if isinstance(default, str):
+        if not isinstance(given, str):
+            raise _refused(fitter, field, given, "a text in quotes")
+        return given
+    if isinstance(default, tuple):
+        value = _pair(given)
+        if len(value) != len(default) or not all(map(_is_number, value)):
+            shown = value or given
+            raise _refused(fitter, field, shown, f"a number, or {len(default)} in brackets")
+        _check_bounds(fitter, field, value)
+        return tuple(float(v) for v in value)
+    if not _is_number(given) or (isinstance(default, int) and not isinstance(given, int)):
+        kind = "a whole number" if isinstance(default, int) else "a number"
+        raise _refused(fitter, field, given, kind)
+    number: Any = given
+    _check_bounds(fitter, field, [number])
+    return float(number) if isinstance(default, float) else number
+
+
+def _population(
+    fitter: str, field: dataclasses.Field, given: Any, named: Callable[[str], Any]
+) -> Any:
+    """A fitter inside a fitter."""
+    if not isinstance(given, str) or not hasattr(field.default, "minimise"):
+        raise _refused(fitter, field, given, "the text of a fitter, in quotes")
+    value = named(given)
+    if not hasattr(value, "ask"):
         raise UsageError(
-            f"{fitter}: {field.name} = {value!r}; it is {wanted}, as in"
-            f" {field.name}={_plain(default)!r}"
+            f"{fitter}: {field.name} = {label_of(value)!r}; it is a population, such as 'de'"
         )
-    several: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
-    for v in several:
-        if not number(v):
-            continue
+    return value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _pair(given: Any) -> tuple[Any, ...]:
+    """A range of two by what was given; empty for what is none."""
+    if _is_number(given):
+        return given, given
+    return tuple(given) if isinstance(given, list | tuple) else ()
+
+
+def _refused(fitter: str, field: dataclasses.Field, value: Any, wanted: str) -> UsageError:
+    return UsageError(
+        f"{fitter}: {field.name} = {value!r}; it is {wanted}, as in"
+        f" {field.name}={_plain(field.default)!r}"
+    )
+
+
+def _check_bounds(fitter: str, field: dataclasses.Field, values: Sequence[float]) -> None:
+    """Numbers within the field's bounds, and finite."""
+    bounds = _about(field)
+    for v in values:
         below = bounds.low is not None and not v >= bounds.low
         above = bounds.high is not None and not v <= bounds.high
         if below or above or not abs(v) < float("inf"):
             ends = ("at least", bounds.low), ("at most", bounds.high)
             told = " and ".join(f"{word} {b:g}" for word, b in ends if b is not None)
             raise UsageError(f"{fitter}: {field.name} = {v!r}; it is {told or 'a finite number'}")
-    if isinstance(default, float | tuple):
-        several = tuple(float(v) for v in several)
-    return (
-        several[0]
-        if isinstance(default, float)
-        else several
-        if isinstance(default, tuple)
-        else value
-    )
 
 
 def _plain(value: Any) -> Any:

@@ -18,7 +18,7 @@ from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.scores import free_runs, scored
 from jaxid.fitting.simulation import Simulation
 from jaxid.numerics.precision import float64
-from jaxid.problem.binding import bind, resolve_model
+from jaxid.problem.binding import bind, Binding, resolve_model
 from jaxid.problem.solver import with_solver
 from jaxid.simulation import sample_buffers as samples
 from jaxid.simulation.animation import motion, OutlineMotion
@@ -31,54 +31,24 @@ def simulate_dataset(
     stated start estimates it from its first samples, which leave the rmse.
     """
     content = own_numbers(resolve_model(model, dataset)) if content is None else content
-    effects = content.get("effects", [])
-    parameters = content.get("parameters", {})
-    if not isinstance(parameters, Mapping) or not isinstance(effects, list | tuple):
-        raise UsageError(
-            'parameters must look like {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
-        )
-    known = resolve_model(
-        model or content.get("model"), dataset
-    ).contents  # its own laws have their numbers among the parameters
-    added = [e for e in effects if not (isinstance(e, Mapping) and e.get("effect") in known)]
-    binding = bind(
-        model or content.get("model"), dataset, effects=[_label(e) for e in added], splits=False
-    )
-    theta = binding.theta.copy()
-    for name, value in parameters.items():
-        theta[binding.layout.index(name)] = _number(name, value)
-    for e in effects:
-        for field, value in (e.get("parameters", {}) if isinstance(e, Mapping) else {}).items():
-            indices = [
-                i
-                for i in binding.layout.of_effect(e["effect"], e.get("location"))
-                if binding.layout.entries[i].field == field
-            ]
-            if not indices:
-                raise UsageError(f"effect {e['effect']} has no parameter {field!r}")
-            theta[indices] = _number(f"{e['effect']}.{field}", value)
+    binding, theta = _bound(content, dataset, model)
     binding = with_solver(binding, solver, None)
     bench = ProblemBuilder(binding)
     runs: dict[str, dict[str, np.ndarray]] = {}
     rmse: dict[str, dict[str, float]] = {}
-    _, iy = samples.columns(binding.dataset, binding.chain)
     starts: dict[str, np.ndarray] = {}
+    names = [name for name, _ in binding.chain.signature.outputs]
+    _, iy = samples.columns(binding.dataset, binding.chain)
     for split in dict.fromkeys(e.split for e in dataset.experiments):
         begin = estimate_starts(bench, split, [theta])
         predictions = free_runs(bench, split, [theta], begin)[0]
         for e, y, x in zip(binding.experiments(split), predictions, begin[0], strict=True):
             starts[e.name] = x
-            names = [n for n, _ in binding.chain.signature.outputs]
-            runs[e.name] = {"t": e.t, **{n: y[:, c] for c, n in enumerate(names)}}
+            runs[e.name] = {"t": e.t, **dict(zip(names, y.T, strict=True))}
             keep = scored(e, "simulate")[:, None] & e.read[:, iy]
             error = np.where(keep, y - e.y[:, iy], 0.0)
-            rmse[e.name] = dict(
-                zip(
-                    names,
-                    np.sqrt(np.sum(error**2, 0) / np.maximum(keep.sum(0), 1)).tolist(),
-                    strict=True,
-                )
-            )
+            size = np.sqrt(np.sum(error**2, 0) / np.maximum(keep.sum(0), 1))
+            rmse[e.name] = dict(zip(names, size.tolist(), strict=True))
 
     def moving(i: int) -> OutlineMotion | None:
         e = dataset.experiments[i]
@@ -86,13 +56,8 @@ def simulate_dataset(
         for name, value in e.constants.items():
             own[binding.layout.index(name)] = value
         with float64():
-            return motion(
-                binding.layout.model(jnp.asarray(own)),
-                binding.dataset,
-                e,
-                starts[e.name],
-                binding.sigma,
-            )
+            chain = binding.layout.model(jnp.asarray(own))
+            return motion(chain, binding.dataset, e, starts[e.name], binding.sigma)
 
     order = [e.name for e in dataset.experiments]
     return Simulation(
@@ -106,6 +71,36 @@ def simulate_dataset(
         starts=tuple(np.asarray(starts[n]) for n in order),
         model_sha256=sha256_of(binding.chain.mechanism),
     )
+
+
+def _bound(
+    content: Mapping[str, Any], dataset: Dataset, model: object
+) -> tuple[Binding, np.ndarray]:
+    """Model and data, and the numbers of a fit on them."""
+    effects = content.get("effects", [])
+    parameters = content.get("parameters", {})
+    if not isinstance(parameters, Mapping) or not isinstance(effects, list | tuple):
+        raise UsageError(
+            'parameters must look like {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
+        )
+    model = model or content.get("model")
+    # Its own laws have their numbers among the parameters.
+    known = resolve_model(model, dataset).contents
+    added = [e for e in effects if not (isinstance(e, Mapping) and e.get("effect") in known)]
+    binding = bind(model, dataset, effects=[_label(e) for e in added], splits=False)
+    theta = binding.theta.copy()
+    for name, value in parameters.items():
+        theta[binding.layout.index(name)] = _number(name, value)
+    for e in effects:
+        if not isinstance(e, Mapping):
+            continue
+        numbers = binding.layout.of_effect(e["effect"], e.get("location"))
+        for field, value in e.get("parameters", {}).items():
+            indices = [i for i in numbers if binding.layout.entries[i].field == field]
+            if not indices:
+                raise UsageError(f"effect {e['effect']} has no parameter {field!r}")
+            theta[indices] = _number(f"{e['effect']}.{field}", value)
+    return binding, theta
 
 
 def own_numbers(chain: Chain) -> dict[str, Any]:

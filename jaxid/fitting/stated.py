@@ -129,10 +129,11 @@ def judged(
     def called(i):
         return _label(rows[i], plain)
 
-    undecided = {k: [at[k], *(at[m] for m in others)] for k, others in change.instead.items()}
-    either = {
-        i: listed(called(j) for j in group if j != i) for group in undecided.values() for i in group
-    }
+    either: dict[int, str] = {}
+    for k, others in change.instead.items():
+        group = [at[m] for m in (k, *others)]
+        for i in group:
+            either[i] = listed(called(j) for j in group if j != i)
     out = []
     for i, row in rows.items():
         k = place.get(i, -1)
@@ -164,11 +165,11 @@ def _known(
         at = [i for i in found if names[i] in by_name]
         own = [by_name[names[i]] for i in at]
         matrix = covariance.matrix[np.ix_(own, own)]
-    value, lower, upper = (
-        np.array([getattr(found[i], k) for i in at], float) for k in ("value", "lower", "upper")
-    )
     return at, BoundedEstimates(
-        value=value, covariance=matrix.reshape(len(at), len(at)), lower=lower, upper=upper
+        value=np.array([found[i].value for i in at], float),
+        covariance=matrix.reshape(len(at), len(at)),
+        lower=np.array([found[i].lower for i in at], float),
+        upper=np.array([found[i].upper for i in at], float),
     )
 
 

@@ -87,10 +87,8 @@ def recording_of(
     if stated is not None:
         return OnRecording(load_dataset(stated))
     found = content.get("data")
-    if any(
-        isinstance(f, Mapping) and f.get("applied")
-        for f in (found if isinstance(found, list) else ())
-    ):
+    findings = found if isinstance(found, list) else []
+    if any(isinstance(f, Mapping) and f.get("applied") for f in findings):
         return None
     robot = content.get("robot")
     file = robot.get("file") if isinstance(robot, Mapping) else None

@@ -10,10 +10,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.force.drive import drive_torque
+from jaxid.force.sampled_motion import SampledMotion
 from jaxid.numerics.export_cache import ExportedFunction, key_of
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
@@ -24,7 +26,13 @@ from jaxid.numerics.precision import float64
 ROWS, FEW, AT_ONCE = 1200, 150, 750
 
 
-def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
+def force(
+    chain: Any,
+    q: Float[Array, " nq"],
+    qd: Float[Array, " nq"],
+    qdd: Float[Array, " nq"],
+    u: Float[Array, " nu"],
+) -> Float[Array, " nq"]:
     """Missing torque [nq] of one sample."""
     still = chain.start(q, jnp.zeros_like(q), u).z
     command = Command(jnp.zeros(()), jnp.full((), 1e-3), u, u, lambda d: u)
@@ -44,15 +52,11 @@ def _program(layout: ParameterVector, free: tuple[int, ...]) -> ExportedFunction
         place = {i: k for k, i in enumerate(free)}
 
         def sets(theta, own, *motion):
-            def at(
-                own, *sample
-            ):  # number by number: what depends on none that is free is worked out once
-                return force(
-                    form.model(
-                        [own[place[i]] if i in place else theta[i] for i in range(len(theta))]
-                    ),
-                    *sample,
-                )
+            def at(own, *sample):
+                numbers = list(theta)  # one by one: what depends on none is worked out once
+                for i, k in place.items():
+                    numbers[i] = own[k]
+                return force(form.model(numbers), *sample)
 
             return jax.vmap(lambda own: jax.vmap(lambda *sample: at(own, *sample))(*motion))(own)
 
@@ -62,24 +66,28 @@ def _program(layout: ParameterVector, free: tuple[int, ...]) -> ExportedFunction
 
 
 class Forces:
-    """The missing force of a model along motions (anything with q, qd, qdd [rows nq] and u [rows
-    nu]), at its numbers `theta` [numbers] of usual size `scale` [numbers], of which those at `free`
-    may change; at the samples of `motion` it is seen whether it is linear.
+    """The missing force of a model along motions, at its numbers `theta` of usual size `scale`, of
+    which those at `free` may change; at the samples of `motion` it is seen whether it is linear.
     """
 
     def __init__(
         self,
         layout: ParameterVector,
-        theta: np.ndarray,
-        scale: np.ndarray,
+        theta: Float[np.ndarray, " numbers"],
+        scale: Float[np.ndarray, " numbers"],
         free: list[int],
-        motion: Any,
+        motion: SampledMotion,
     ):
         self.layout, self.theta, self.scale = layout, theta, scale
         self.free, self.motion = free, motion
         self._known: tuple[Any, ...] = ()
 
-    def at(self, thetas: np.ndarray, m: Any, u: np.ndarray | None = None) -> np.ndarray:
+    def at(
+        self,
+        thetas: Float[np.ndarray, "sets numbers"],
+        m: SampledMotion,
+        u: Float[np.ndarray, "rows nu"] | None = None,
+    ) -> Float[np.ndarray, "sets rows nq"]:
         """Missing force [sets rows nq] at sets of numbers, of which those that are free may differ
         from the binding's; `u` in place of the motion's inputs. One set, or as many as give the
         slopes, are one call for `AT_ONCE` samples.
@@ -87,16 +95,17 @@ class Forces:
         run = _program(self.layout, tuple(self.free))
         own = _padded(thetas[:, self.free], 1 if len(thetas) == 1 else 1 + len(self.free))
         motion = m.q, m.qd, m.qdd, m.u if u is None else u
-        parts = range(0, len(m.q), AT_ONCE)
+        found = []
         with float64():
-            found = [
-                run(self.theta, own, *(_padded(x[a : a + AT_ONCE], AT_ONCE) for x in motion))
-                for a in parts
-            ]
+            for a in range(0, len(m.q), AT_ONCE):
+                part = [_padded(x[a : a + AT_ONCE], AT_ONCE) for x in motion]
+                found.append(run(self.theta, own, *part))
         found = np.concatenate([np.asarray(f) for f in found], 1)[: len(thetas), : len(m.q)]
         return np.nan_to_num(found, nan=1e12, posinf=1e12, neginf=-1e12)
 
-    def missing(self, theta: np.ndarray, m: Any) -> np.ndarray:
+    def missing(
+        self, theta: Float[np.ndarray, " numbers"], m: SampledMotion
+    ) -> Float[np.ndarray, "rows nq"]:
         """Missing force [rows nq] at these numbers, of which those that are free may differ from
         the model's.
         """
@@ -106,11 +115,13 @@ class Forces:
         found = base + slopes @ (theta - self.theta)[self.free]
         return found + self._driven(m) if self.additive else found
 
-    def _driven(self, m: Any) -> np.ndarray:
+    def _driven(self, m: SampledMotion) -> np.ndarray:
         """Joint torque [rows nq] of the inputs, whose gains no fit of these moves."""
         return drive_torque(self.layout, self.theta, m.u, np.concatenate([m.q, m.qd], 1))
 
-    def columns(self, m: Any) -> tuple[np.ndarray, np.ndarray]:
+    def columns(
+        self, m: SampledMotion
+    ) -> tuple[Float[np.ndarray, "rows nq"], Float[np.ndarray, "rows nq free"]]:
         """Of a linear model: the force [rows nq] at the model's numbers, without the drive where
         that is but added, and its columns [rows nq free]. They are kept: a reading of the inputs
         alone leaves them as they are.
@@ -163,7 +174,7 @@ class Forces:
     def _inside(self) -> np.ndarray:
         return self.theta + self._steps
 
-    def _with_slopes(self, m: Any, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _with_slopes(self, m: SampledMotion, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The force [rows nq] at numbers inside the box, and how it changes by a step of each [rows
         nq free]: of a linear model its slopes.
         """

@@ -137,9 +137,16 @@ def sandwich(
     """
     inverse = np.linalg.pinv(slope, rcond=weak)
     made = inverse @ middle @ inverse.T
-    wanted = np.diag(inverse @ least @ inverse.T)
-    stretch = np.sqrt(np.maximum(1.0, wanted / np.maximum(np.diag(made), 1e-300)))
-    return positive(made * stretch * stretch[:, None])
+    return positive(no_narrower(made, np.diag(inverse @ least @ inverse.T)))
+
+
+def no_narrower(
+    covariance: Float[np.ndarray, "numbers numbers"], least: Float[np.ndarray, " numbers"]
+) -> Float[np.ndarray, "numbers numbers"]:
+    """A covariance with variances of at least `least`; its correlations stay."""
+    own = np.maximum(np.diag(covariance), 1e-300)
+    stretch = np.sqrt(np.maximum(1.0, least / own))
+    return covariance * stretch * stretch[:, None]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import drive_gains, driven
@@ -23,8 +24,11 @@ MOMENT = 1e-9
 
 
 def drive_torque(
-    layout: ParameterVector, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray
-) -> np.ndarray:
+    layout: ParameterVector,
+    theta: Float[np.ndarray, " numbers"] | None,
+    u: Float[np.ndarray, "time nu"],
+    motion: Float[np.ndarray, "time motion"],
+) -> Float[np.ndarray, "time nq"]:
     """Joint torque (N m, N) that the drive makes of recorded inputs u [time nu], each in the unit
     of its channel, in a measured motion (q, qd, ...) [time 2 nq or more], with the numbers theta
     (None: those of the layout), [time nq]. Whatever compares recorded inputs with torques takes

@@ -7,10 +7,12 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
@@ -33,11 +35,13 @@ HARMONICS, LOWEST = 4.0, 5.0
 
 @dataclass(frozen=True)
 class TorqueSetting:
-    motion: list[np.ndarray]  # per run (q, qd, qdd) [time 3 nq]
+    """Filtered motion (q, qd, qdd) of each run, and how torques become rows of the residual."""
+
+    motion: list[Float[np.ndarray, "time motion"]]
     ends: list[int]  # samples to leave out at each end of a run
     decimate: int
-    taps: np.ndarray
-    noise: np.ndarray  # [nq]
+    taps: Float[np.ndarray, " taps"]
+    noise: Float[np.ndarray, " nq"]
     cutoff_hz: float
     statement: str
     inputs: list[int]  # columns of u and y that the model uses
@@ -48,7 +52,7 @@ def torque_setting(
     dataset: Dataset,
     experiments: Sequence[Experiment],
     chain: Chain,
-    noise: np.ndarray,
+    noise: Float[np.ndarray, " outputs"],
     cutoff_hz: float | None,
     decimate: int | None,
 ) -> TorqueSetting:
@@ -62,68 +66,107 @@ def torque_setting(
     at `cutoff_hz`. Noise of the residual: that of the drive's torque at high frequency (1 N m for a
     free motion).
     """
-    from jaxid.data.signals import even_grid, filter_ends
-    from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
+    from jaxid.data.signals import filter_ends
+    from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 
     iu, iy = columns(dataset, chain)
     check_motion(chain)
     fit = dataset.split("fit") or experiments  # one rule for all splits
     rate = (len(fit[0].t) - 1) / fit[0].duration
-    band, given = None, cutoff_hz
-    if decimate is None and (given or any(even_grid(e.t) is not None for e in fit)):
-        band = given or moving_band(chain, [evenly(e) for e in fit], iy, noise)
-        cutoff_hz = min(MOTION * band, rate / 2.5)
-    elif cutoff_hz is None:
-        content = max(cutoffs(chain, fit[0].t, fit[0].motion()[:, iy], noise))
-        cutoff_hz = min(rate / 10, max(content, 2.0))
-    if decimate is None:
-        kept = sum(len(e.t) for e in fit) * chain.nq
-        every = rate / (ROWS_PER_CUTOFF * band if band else 0.4 * cutoff_hz)
-        decimate = max(1, min(round(every), kept // (ROWS * own_numbers(chain))))
-    band = band or cutoff_hz
-    motion, ends = [], []
-    statement = ""
+    bands = _bands(fit, chain, iy, noise, cutoff_hz, decimate)
+    motion, ends, statement = [], [], ""
     for e in experiments:
         start = stated_positions(e, chain.signature)
-        q, qd, qdd, statement = joint_motion(
-            chain, e.t, e.motion()[:, iy], [cutoff_hz] * chain.nq, start
-        )
+        cutoffs = [bands.motion_hz] * chain.nq
+        q, qd, qdd, statement = joint_motion(chain, e.t, e.motion()[:, iy], cutoffs, start)
         motion.append(np.concatenate([q, qd, qdd], 1))
-        ends.append(filter_ends(e.t, band))
+        ends.append(filter_ends(e.t, bands.torque_hz))
     taps = np.ones(1)
-    if decimate > 1:
-        from scipy.signal import firwin
-
-        taps = np.asarray(firwin(10 * decimate + 1, 0.8 / decimate), np.float64)
+    if bands.decimate > 1:
+        taps = _low_pass(bands.decimate)
         statement += (
-            f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every"
-            f" {decimate}th sample"
+            f"; residual low-passed at {0.4 * rate / bands.decimate:.3g} Hz and taken at every"
+            f" {bands.decimate}th sample"
         )
     level = np.ones(chain.nq)
     if iu:
-        torques = [
-            drive_torque(ParameterVector(chain), None, e.u[:, iu], m)
-            for e, m in zip(experiments, motion, strict=True)
-        ]
-        third = np.concatenate([np.diff(tau, 3, axis=0) for tau in torques]) / np.sqrt(20.0)
-        white = 1.4826 * np.median(np.abs(third), axis=0)
-        span = np.percentile(np.abs(np.concatenate(torques)), 99, axis=0)
-        level = np.maximum(np.maximum(white * np.sqrt(np.sum(taps**2)), 1e-3 * span), 1e-12)
-        if np.any(
-            span > 0
-        ):  # where nothing drives (the angles of a base that floats) rows are as good as the worst driven ones
-            level = np.where(span > 0, level, level[span > 0].max())
+        layout, pairs = ParameterVector(chain), zip(experiments, motion, strict=True)
+        level = _level([drive_torque(layout, None, e.u[:, iu], m) for e, m in pairs], taps)
     return TorqueSetting(
         motion=motion,
         ends=ends,
-        decimate=decimate,
+        decimate=bands.decimate,
         taps=taps,
         noise=level,
-        cutoff_hz=cutoff_hz,
+        cutoff_hz=bands.motion_hz,
         statement=statement,
         inputs=iu,
         outputs=[iy[k] for k in chain.joint_outputs],
     )
+
+
+class Bands(NamedTuple):
+    """Up to which frequency torques and positions pass, and every how many samples there is a
+    row.
+    """
+
+    torque_hz: float
+    motion_hz: float
+    decimate: int
+
+
+def _bands(
+    fit: Sequence[Experiment],
+    chain: Chain,
+    iy: Sequence[int],
+    noise: Float[np.ndarray, " outputs"],
+    cutoff_hz: float | None,
+    decimate: int | None,
+) -> Bands:
+    """See `torque_setting`."""
+    from jaxid.data.signals import even_grid
+    from jaxid.dynamics.joint_readings import cutoffs
+
+    first = fit[0]
+    rate = (len(first.t) - 1) / first.duration
+    uneven = any(even_grid(e.t) is not None for e in fit)
+    by_torque = decimate is None and (bool(cutoff_hz) or uneven)
+    if by_torque:
+        torque_hz = cutoff_hz or moving_band(chain, [evenly(e) for e in fit], iy, noise)
+        motion_hz, every = min(MOTION * torque_hz, rate / 2.5), rate / (ROWS_PER_CUTOFF * torque_hz)
+    else:
+        motion_hz = cutoff_hz
+        if motion_hz is None:
+            content = max(cutoffs(chain, first.t, first.motion()[:, iy], noise))
+            motion_hz = min(rate / 10, max(content, 2.0))
+        torque_hz, every = motion_hz, rate / (0.4 * motion_hz)
+    if decimate is None:
+        kept = sum(len(e.t) for e in fit) * chain.nq
+        decimate = max(1, min(round(every), kept // (ROWS * own_numbers(chain))))
+    return Bands(torque_hz, motion_hz, decimate)
+
+
+def _low_pass(decimate: int) -> Float[np.ndarray, " taps"]:
+    from scipy.signal import firwin
+
+    return np.asarray(firwin(10 * decimate + 1, 0.8 / decimate), np.float64)
+
+
+def _level(
+    torques: Sequence[Float[np.ndarray, "time nq"]], taps: Float[np.ndarray, " taps"]
+) -> Float[np.ndarray, " nq"]:
+    """Noise of the rows: that of the drive's torques at high frequency, as far as it passes the
+    taps.
+    """
+    third = np.concatenate([np.diff(tau, 3, axis=0) for tau in torques]) / np.sqrt(20.0)
+    white = 1.4826 * np.median(np.abs(third), axis=0) * np.sqrt(np.sum(taps**2))
+    span = np.percentile(np.abs(np.concatenate(torques)), 99, axis=0)
+    level = np.maximum(np.maximum(white, 1e-3 * span), 1e-12)
+    driven = span > 0
+    if not np.any(driven):
+        return level
+    # Where nothing drives (the angles of a base that floats) rows are as good as the worst driven.
+    return np.where(driven, level, level[driven].max())
 
 
 def check_motion(chain: Chain) -> None:
@@ -176,7 +219,10 @@ def evenly(e: Experiment) -> Experiment:
 
 
 def moving_band(
-    chain: Chain, runs: Sequence[Experiment], iy: Sequence[int], sigma: np.ndarray
+    chain: Chain,
+    runs: Sequence[Experiment],
+    iy: Sequence[int],
+    sigma: Float[np.ndarray, " outputs"],
 ) -> float:
     """Frequency (Hz) in which torques of runs at equal steps say something: `HARMONICS` times the
     one below which the speed of every joint lies, at least `LOWEST`, at most a tenth of the
@@ -187,21 +233,16 @@ def moving_band(
 
     rate = min((len(e.t) - 1) / e.duration for e in runs)
     used = [r.q for r in joint_readings(chain) if r.q is not None]
-    # Of each joint the run in which it is quickest: in a slow one noise is most of the speed.
-    quickest = [
-        (
-            k,
-            max(
-                runs,
-                key=lambda e, k=k: float(
-                    np.std(np.diff(e.motion()[:, iy[k]])) * len(e.t) / e.duration
-                ),
-            ),
-        )
-        for k in used
-    ]
-    content = [speed_content(e.t, e.motion()[:, iy[k]], float(sigma[k])) for k, e in quickest]
+    content = []
+    for k in used:  # of each joint the run in which it is quickest: in a slow one it is noise
+        e = max(runs, key=lambda e, k=k: _quickness(e, iy[k]))
+        content.append(speed_content(e.t, e.motion()[:, iy[k]], float(sigma[k])))
     return float(min(rate / 10, max(HARMONICS * max(content, default=0.0), LOWEST)))
+
+
+def _quickness(e: Experiment, column: int) -> float:
+    """Standard deviation of the speed of a reading, its noise included."""
+    return float(np.std(np.diff(e.motion()[:, column])) * len(e.t) / e.duration)
 
 
 def own_numbers(chain: Chain) -> int:
@@ -218,7 +259,7 @@ def own_numbers(chain: Chain) -> int:
     return max(1, sum(not e.spec.fixed and e.name not in held for e in own))
 
 
-def decimated_torque_lane(taps: np.ndarray) -> Lane:
+def decimated_torque_lane(taps: Float[np.ndarray, " taps"]) -> Lane:
     """`inverse_dynamics_rollout` followed by a zero-phase low-pass over time; equal filters share
     one lane, hence one program.
     """
@@ -250,7 +291,9 @@ def _decimated(taps: tuple[float, ...]) -> Lane:
     return lane
 
 
-def measured_torque(dataset: Dataset, runs, theta: np.ndarray) -> np.ndarray:
+def measured_torque(
+    dataset: Dataset, runs: Any, theta: Float[np.ndarray, " numbers"]
+) -> Float[np.ndarray, "samples nq"]:
     """The drive's joint torque, with the numbers theta, at the residual's samples, through the same
     low-pass, [samples nq].
     """

@@ -23,6 +23,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.force.drive import drive_torque
+from jaxid.force.motion import moving, refuse_cutoff, rows_every
 from jaxid.identification.fourier import harmonic_motion
 from jaxid.simulation.sample_buffers import columns
 
@@ -150,11 +151,7 @@ def read_run(
     """Rows of one experiment. `fourier`: rates by its harmonics."""
     iu, iy = columns(dataset, chain)
     rate = 1 / float(np.median(np.diff(e.t)))
-    if cutoff_hz >= rate / 2.5:
-        raise UsageError(
-            f"experiment {e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is"
-            f" too high, give at most {rate / 4:.3g}"
-        )
+    refuse_cutoff(e, rate, cutoff_hz)
     if fourier:
         q, qd, qdd = harmonic_motion(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
     else:
@@ -168,6 +165,8 @@ def read_run(
             f" {cutoff_hz:g} Hz"
         )
     smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
+    floor = noise_floor(dataset)
+    noise = np.array([floor[dataset.outputs[i].name].std for i in iy])
     run = RegressionRun(
         name=e.name,
         split=e.split,
@@ -182,28 +181,17 @@ def read_run(
         cutoff_hz=cutoff_hz,
         times=e.t,
         inertia=lambda _: tau,
-        moves=moving(dataset, e.motion()[:, iy], iy),
+        moves=moving(e.motion()[:, iy], noise).astype(float),
     )
     return _with_inertia(run, chain, base, q, qd, qdd)
 
 
-#: Readings of a joint that stands still span less than this many times the noise.
-STILL = 12.0
-
-
-def moving(dataset: Dataset, y: np.ndarray, iy: Sequence[int]) -> np.ndarray:
-    """1 for outputs [time n] that move, 0 for those that only flicker, [n]."""
-    noise = noise_floor(dataset)
-    sigma = np.array([noise[dataset.outputs[i].name].std for i in iy])
-    return (np.ptp(y, axis=0) > STILL * sigma).astype(float)
-
-
 def held_joints(runs: Sequence[RegressionRun]) -> list[str]:
     """Sentences about joints that stand still in every run."""
-    still = [j for j in range(runs[0].tau.shape[1]) if not any(r.moves[j] for r in runs)]
+    still = ~np.any([r.moves for r in runs], axis=0)
     return [
         f"joint {j + 1} stands still in every run: its torque says nothing and has no weight"
-        for j in still
+        for j in np.flatnonzero(still)
     ]
 
 
@@ -308,14 +296,16 @@ def exponent_slopes(
 
 
 def spacing(run: RegressionRun) -> int:
-    """Every how many samples a row says something new: four times the cutoff."""
-    rate = 1 / float(np.median(np.diff(run.t)))
-    return max(1, int(rate / (4 * run.cutoff_hz)))
+    """Every how many samples a row is solved."""
+    return rows_every(1 / float(np.median(np.diff(run.t))), run.cutoff_hz)
 
 
 def names_of(base: BaseParameters, law: FrictionLaw, n: int) -> list[str]:
     """Names of the columns of `full_rows`."""
-    return [*base.names, *(f"{p}{j + 1}" for p, _ in law.parameters for j in range(n))]
+    names = list(base.names)
+    for parameter, _ in law.parameters:
+        names += [f"{parameter}{joint + 1}" for joint in range(n)]
+    return names
 
 
 def instruments(

@@ -17,7 +17,7 @@ import itertools
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,19 @@ from jax import lax
 from jaxtyping import Array
 
 from jaxid.numerics.fast_math import fence
+from jaxid.numerics.lane_values import (
+    batched_flags,
+    dependent,
+    filled,
+    LoopState,
+    parts_of,
+    settled,
+    size_of,
+    SMALL,
+    spread,
+    Value,
+    whole_of,
+)
 from jaxid.numerics.program_form import (
     bound,
     called,
@@ -34,7 +47,6 @@ from jaxid.numerics.program_form import (
     plain,
     rearranged,
     scan_counts,
-    UnknownForm,
     while_counts,
 )
 
@@ -43,8 +55,6 @@ if TYPE_CHECKING:
     from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
 
-#: Arrays of more elements (per lane) stay whole.
-SMALL = 36
 #: A step of more operations on elements is taken apart only where that makes no more than this many
 #: times as many of them, as of one that is written element by element. Else it is mapped as
 #: `jax.vmap` does it: compiling the matrices of an arm of six joints one element after the other
@@ -101,9 +111,9 @@ def laid_out(
     def mapped(*args: Any) -> Any:
         axes = [in_axes] * len(args) if isinstance(in_axes, int) else in_axes
         flat, tree = jax.tree.flatten(args)
-        batched = [
-            axis is not None for a, axis in zip(args, axes, strict=True) for _ in jax.tree.leaves(a)
-        ]
+        batched: list[bool] = []
+        for a, axis in zip(args, axes, strict=True):
+            batched += [axis is not None] * len(jax.tree.leaves(a))
         flat = [jnp.asarray(a) for a in flat]
         lane = [
             jax.ShapeDtypeStruct(a.shape[b:], a.dtype) for a, b in zip(flat, batched, strict=True)
@@ -113,7 +123,7 @@ def laid_out(
         )(*lane)
         lanes = next(a.shape[0] for a, b in zip(flat, batched, strict=True) if b)
         out = _Lanes(lanes).run(closed, [Value(a, b) for a, b in zip(flat, batched, strict=True)])
-        return jax.tree.unflatten(jax.tree.structure(shape), [_spread(v, lanes) for v in out])
+        return jax.tree.unflatten(jax.tree.structure(shape), [spread(v, lanes) for v in out])
 
     return mapped
 
@@ -132,62 +142,6 @@ def _note(reason: str) -> None:
         warnings.warn(
             f"{told}; the numbers are the same, but it takes longer", RuntimeWarning, stacklevel=4
         )
-
-
-class Value(NamedTuple):
-    """What a variable of one lane holds for all of them: an array, [lanes ...] if batched, or
-    (object array) its elements, each a vector [lanes] or a number that all lanes share.
-    """
-
-    content: Any
-    batched: bool
-
-    @property
-    def parted(self) -> bool:
-        """Whether it is taken apart into elements."""
-        return (
-            self.batched and isinstance(self.content, np.ndarray) and self.content.dtype == object
-        )
-
-    def checked(self, eqn: JaxprEqn, stated: Any) -> None:
-        """Raises `UnknownForm` where a value is not of the shape and type that the program
-        states.
-        """
-        shape = np.shape(self.content)[self.batched and not self.parted :]
-        some = self.content.flat[0] if self.parted and self.content.size else self.content
-        if shape != stated.shape or (some.dtype not in (stated.dtype, object)):
-            raise UnknownForm(f"{eqn.primitive.name} gives {some.dtype}{shape} for {stated}")
-
-
-def _spread(v: Value, lanes: int) -> Array:
-    whole = _whole(v, lanes)
-    return whole if v.batched else jnp.broadcast_to(whole, (lanes, *whole.shape))
-
-
-def _whole(v: Value, lanes: int) -> Array:
-    """The array of a value, [lanes ...] if batched."""
-    if not v.parted:
-        return jnp.asarray(v.content)
-    elements = [jnp.broadcast_to(e, (lanes,)) for e in v.content.ravel()]
-    return jnp.stack(elements, -1).reshape(lanes, *v.content.shape)
-
-
-def _parts(v: Value) -> np.ndarray:
-    """The elements of a value as an object array of the lane's shape."""
-    if v.parted:
-        return v.content
-    whole = jnp.asarray(v.content)
-    out = np.empty(whole.shape[1:] if v.batched else whole.shape, object)
-    for place in np.ndindex(out.shape):
-        out[place] = whole[(slice(None), *place)] if v.batched else whole[place]
-    return out
-
-
-def _filled(shape: tuple[int, ...], elements: Sequence[Any]) -> np.ndarray:
-    out = np.empty(len(elements), object)
-    for k, e in enumerate(elements):
-        out[k] = e
-    return out.reshape(shape)
 
 
 ELEMENTWISE = frozenset(
@@ -218,81 +172,15 @@ def _worth_it(jaxpr: Jaxpr) -> bool:
 
 def _work(jaxpr: Jaxpr) -> tuple[int, int]:
     """Operations on elements, were all small arrays taken apart, and operations as they are."""
-    sizes = [_size(v) for eqn in jaxpr.eqns for v in eqn.outvars]
-    inner = [_work(p.jaxpr) for eqn in jaxpr.eqns for p in eqn.params.values() if is_program(p)]
-    return sum(s for s in sizes if s <= SMALL) + sum(e for e, _ in inner), len(jaxpr.eqns) + sum(
-        n for _, n in inner
-    )
-
-
-def _size(v: Any) -> int:
-    return int(np.prod(v.aval.shape))
-
-
-def _dependent(jaxpr: Jaxpr, batched: Sequence[bool]) -> list[bool]:
-    """Which results depend on the lane, given which arguments do."""
-    env = dict(zip(jaxpr.invars, batched, strict=True))
-
-    def read(v):
-        return not is_literal(v) and env.get(v, False)
-
+    elements, operations = 0, len(jaxpr.eqns)
     for eqn in jaxpr.eqns:
-        inner, flags = called(eqn), [read(v) for v in eqn.invars]
-        out = (
-            _dependent(inner.jaxpr, flags) if inner is not None else [any(flags)] * len(eqn.outvars)
-        )
-        env.update(zip(eqn.outvars, out, strict=True))
-    return [read(v) for v in jaxpr.outvars]
-
-
-def _settled(
-    jaxpr: Jaxpr, consts: list[bool], carry: list[bool], rest: Sequence[bool] = ()
-) -> list[bool]:
-    """Which parts of a loop's state depend on the lane: what does at the beginning, and what is
-    made of it. `rest` are a step's other arguments; what a step gives besides the state comes last.
-    """
-    while True:
-        after = [
-            a or b for a, b in zip(carry, _dependent(jaxpr, [*consts, *carry, *rest]), strict=False)
-        ]
-        if after == carry:
-            return carry
-        carry = after
-
-
-class _State(NamedTuple):
-    """How the values of a loop's state lie as arrays, one after the other."""
-
-    shapes: list[tuple[tuple[int, ...], bool, bool]]  # of a lane, batched, taken apart
-
-    @classmethod
-    def of(cls, avals: Sequence[Any], batched: Sequence[bool]) -> _State:
-        return cls(
-            [
-                (a.shape, b, b and int(np.prod(a.shape)) <= SMALL)
-                for a, b in zip(avals, batched, strict=True)
-            ]
-        )
-
-    def arrays(self, values: Sequence[Value], lanes: int) -> list[Array]:
-        out: list[Array] = []
-        for (_, batched, parted), v in zip(self.shapes, values, strict=True):
-            if parted:
-                out += [jnp.broadcast_to(e, (lanes,)) for e in _parts(v).ravel()]
-            else:
-                out.append(_spread(v, lanes) if batched else v.content)
-        return out
-
-    def values(self, arrays: Sequence[Array]) -> list[Value]:
-        left, out = iter(arrays), []
-        for shape, batched, parted in self.shapes:
-            if parted:
-                out.append(
-                    Value(_filled(shape, list(itertools.islice(left, int(np.prod(shape))))), True)
-                )
-            else:
-                out.append(Value(next(left), batched))
-        return out
+        sizes = [size_of(v) for v in eqn.outvars]
+        elements += sum(size for size in sizes if size <= SMALL)
+        for inner in filter(is_program, eqn.params.values()):
+            inside = _work(inner.jaxpr)
+            elements += inside[0]
+            operations += inside[1]
+    return elements, operations
 
 
 class _Lanes:
@@ -317,11 +205,12 @@ class _Lanes:
         def read(v):
             return constant(v) if is_literal(v) else env[v]
 
-        readers = Counter(v for eqn in closed.jaxpr.eqns for v in eqn.invars if not is_literal(v))
+        readers: Counter[Any] = Counter()
         for eqn in closed.jaxpr.eqns:
-            for v, value in zip(
-                eqn.outvars, self._equation(eqn, [read(v) for v in eqn.invars]), strict=True
-            ):
+            readers.update(v for v in eqn.invars if not is_literal(v))
+        for eqn in closed.jaxpr.eqns:
+            values = self._equation(eqn, [read(v) for v in eqn.invars])
+            for v, value in zip(eqn.outvars, values, strict=True):
                 value.checked(eqn, v.aval)
                 env[v] = self._stored(value) if readers[v] > 1 and value.parted else value
         return [read(v) for v in closed.jaxpr.outvars]
@@ -338,7 +227,7 @@ class _Lanes:
         if not stored:
             return v
         return Value(
-            _filled(v.content.shape, [stored.get(id(e), e) for e in v.content.ravel()]), True
+            filled(v.content.shape, [stored.get(id(e), e) for e in v.content.ravel()]), True
         )
 
     def _cost(self, element: Any) -> int:
@@ -349,43 +238,47 @@ class _Lanes:
         if not any(a.batched for a in args):
             return [Value(x, False) for x in bound(eqn, [a.content for a in args])]
         if inner is not None:
-            if self.level == 0 and eqn.params.get("name") == _NAME and _worth_it(inner.jaxpr):
-                inside = _Lanes(self.lanes, 1)
-                return [
-                    Value(_whole(v, self.lanes), v.batched)
-                    for v in inside.run(inner, [inside._apart(a) for a in args])
-                ]
+            marked = self.level == 0 and eqn.params.get("name") == _NAME
+            if marked and _worth_it(inner.jaxpr):
+                return self._inside(inner, args)
             return self.run(inner, args)
         if name == "dynamic_update_slice" and not any(a.batched for a in args[2:]):
-            whole, part = (_spread(a, self.lanes) for a in args[:2])
-            at = [a.content for a in args[2:]]
-            return [
-                self._apart(
-                    Value(lax.dynamic_update_slice(whole, part, [jnp.zeros_like(at[0]), *at]), True)
-                )
-            ]
+            return [self._updated(args)]
         if self.level == 0:
             return self._mapped(eqn, args)
         if name == "while":
             return self._while(eqn, args)
         if name == "scan" and self.level == 1:
             return self._scan(eqn, args)
-        small = all(_size(v) <= SMALL for v in (*eqn.invars, *eqn.outvars))
-        found = self._by_elements(eqn, args) if small else None
-        return (
-            [self._apart(v) for v in self._mapped(eqn, args)]
-            if found is None
-            else [Value(x, True) for x in found]
-        )
+        if all(size_of(v) <= SMALL for v in (*eqn.invars, *eqn.outvars)):
+            found = self._by_elements(eqn, args)
+            if found is not None:
+                return [Value(x, True) for x in found]
+        return [self._apart(v) for v in self._mapped(eqn, args)]
+
+    def _inside(self, inner: ClosedJaxpr, args: list[Value]) -> list[Value]:
+        """A program whose small arrays are taken apart."""
+        inside = _Lanes(self.lanes, 1)
+        found = inside.run(inner, [inside._apart(a) for a in args])
+        return [Value(whole_of(v, self.lanes), v.batched) for v in found]
+
+    def _updated(self, args: list[Value]) -> Value:
+        """An update at the same place in every lane."""
+        whole, part = spread(args[0], self.lanes), spread(args[1], self.lanes)
+        at = [a.content for a in args[2:]]
+        updated = lax.dynamic_update_slice(whole, part, [jnp.zeros_like(at[0]), *at])
+        return self._apart(Value(updated, True))
 
     def _apart(self, v: Value) -> Value:
         small = v.batched and not v.parted and int(np.prod(v.content.shape[1:])) <= SMALL
-        return Value(_parts(v), True) if small and self.level else v
+        return Value(parts_of(v), True) if small and self.level else v
 
     def _mapped(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
         """As `jax.vmap` does it."""
-        run = jax.vmap(lambda *x: bound(eqn, x), tuple(0 if a.batched else None for a in args))
-        return [Value(x, True) for x in run(*(_whole(a, self.lanes) for a in args))]
+        axes = tuple(0 if a.batched else None for a in args)
+        run = jax.vmap(lambda *x: bound(eqn, x), axes)
+        found = run(*(whole_of(a, self.lanes) for a in args))
+        return [Value(x, True) for x in found]
 
     def _together(self, operation: Callable[..., Any], *elements: Any) -> Any:
         """An operation on elements, of which some may be the same for all lanes."""
@@ -401,65 +294,66 @@ class _Lanes:
         name, params = eqn.primitive.name, eqn.params
         if name not in ELEMENTWISE and not plain(eqn):
             return None
-        arrays = [_parts(a) for a in args]
+        arrays = [parts_of(a) for a in args]
         if name in ELEMENTWISE:
-            done: dict[tuple[int, ...], Any] = {}
-
-            def operation(*x):
-                return eqn.primitive.bind(*x, **params)
-
-            out = np.empty(np.broadcast_shapes(*(a.shape for a in arrays)), object)
-            wide = [np.broadcast_to(a, out.shape) for a in arrays]
-            for place in np.ndindex(out.shape):
-                elements = tuple(a[place] for a in wide)
-                key = tuple(id(e) for e in elements)  # what was broadcast is worked out once
-                if key not in done:
-                    done[key] = self._together(operation, *elements)
-                    if name in EXPENSIVE:
-                        self._costs.pop(id(done[key]), None)
-                out[place] = done[key]
-            return [out]
+            return [self._elementwise(eqn, arrays)]
         if name in REDUCTIONS:
-            fold = functools.partial(self._together, REDUCTIONS[name])
             axes = tuple(int(a) for a in params["axes"])
-            kept = tuple(k for k in range(arrays[0].ndim) if k not in axes)
-            rows = (
-                arrays[0].transpose(*kept, *axes).reshape(*(arrays[0].shape[k] for k in kept), -1)
-            )
-            return [
-                _filled(
-                    rows.shape[:-1],
-                    [functools.reduce(fold, row) for row in rows.reshape(-1, rows.shape[-1])],
-                )
-            ]
+            return [self._reduced(REDUCTIONS[name], arrays[0], axes)]
         if name == "dot_general":
-            (left, right), batch = params["dimension_numbers"]
-            if len(left) != 1 or batch != ((), ()):
-                return None
-            a, b = np.moveaxis(arrays[0], left[0], -1), np.moveaxis(arrays[1], right[0], -1)
-            add, mul = (functools.partial(self._together, op) for op in (lax.add, lax.mul))
-            rows = itertools.product(a.reshape(-1, a.shape[-1]), b.reshape(-1, b.shape[-1]))
-            sums = [
-                functools.reduce(add, [mul(p, q) for p, q in zip(x, y, strict=True)])
-                for x, y in rows
-            ]
-            return [_filled((*a.shape[:-1], *b.shape[:-1]), sums)]
+            return self._product(params["dimension_numbers"], arrays)
         return rearranged(name, params, arrays)
+
+    def _elementwise(self, eqn: JaxprEqn, arrays: list[np.ndarray]) -> np.ndarray:
+        done: dict[tuple[int, ...], Any] = {}
+
+        def operation(*x):
+            return eqn.primitive.bind(*x, **eqn.params)
+
+        out = np.empty(np.broadcast_shapes(*(a.shape for a in arrays)), object)
+        wide = [np.broadcast_to(a, out.shape) for a in arrays]
+        for place in np.ndindex(out.shape):
+            elements = tuple(a[place] for a in wide)
+            key = tuple(id(e) for e in elements)  # what was broadcast is worked out once
+            if key not in done:
+                done[key] = self._together(operation, *elements)
+                if eqn.primitive.name in EXPENSIVE:
+                    self._costs.pop(id(done[key]), None)
+            out[place] = done[key]
+        return out
+
+    def _reduced(self, operation: Any, array: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
+        fold = functools.partial(self._together, operation)
+        kept = tuple(k for k in range(array.ndim) if k not in axes)
+        shape = tuple(array.shape[k] for k in kept)
+        rows = array.transpose(*kept, *axes).reshape(*shape, -1)
+        rows = rows.reshape(-1, rows.shape[-1])
+        return filled(shape, [functools.reduce(fold, row) for row in rows])
+
+    def _product(self, dimension_numbers: Any, arrays: list[np.ndarray]) -> list[np.ndarray] | None:
+        (left, right), batch = dimension_numbers
+        if len(left) != 1 or batch != ((), ()):
+            return None
+        a, b = np.moveaxis(arrays[0], left[0], -1), np.moveaxis(arrays[1], right[0], -1)
+        add = functools.partial(self._together, lax.add)
+        multiply = functools.partial(self._together, lax.mul)
+        sums = []
+        for x, y in itertools.product(a.reshape(-1, a.shape[-1]), b.reshape(-1, b.shape[-1])):
+            sums.append(functools.reduce(add, list(map(multiply, x, y))))
+        return [filled((*a.shape[:-1], *b.shape[:-1]), sums)]
 
     def _while(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
         p, (nc, nb) = eqn.params, while_counts(eqn)
         asked, done, init = args[:nc], args[nc : nc + nb], args[nc + nb :]
-        flags = _settled(
-            p["body_jaxpr"].jaxpr, [a.batched for a in done], [a.batched for a in init]
-        )
-        each = _dependent(p["cond_jaxpr"].jaxpr, [*(a.batched for a in asked), *flags])[
+        flags = settled(p["body_jaxpr"].jaxpr, [a.batched for a in done], [a.batched for a in init])
+        each = dependent(p["cond_jaxpr"].jaxpr, [*(a.batched for a in asked), *flags])[
             0
         ]  # lanes end one by one
-        state = _State.of(p["body_jaxpr"].in_avals[nb:], [True] * len(init) if each else flags)
+        state = LoopState.of(p["body_jaxpr"].in_avals[nb:], [True] * len(init) if each else flags)
 
         def goes_on(values: list[Value]) -> Array:
             (v,) = self.run(p["cond_jaxpr"], [*asked, *values])
-            return jnp.broadcast_to(_whole(v, self.lanes), (self.lanes,)) if each else v.content
+            return jnp.broadcast_to(whole_of(v, self.lanes), (self.lanes,)) if each else v.content
 
         def body(carry: tuple[Array, list[Array]]) -> tuple[Array, list[Array]]:
             on, old = carry
@@ -477,12 +371,16 @@ class _Lanes:
             lax.while_loop(lambda c: jnp.any(c[0]), body, (goes_on(state.values(first)), first))[1]
         )
 
+    def _along(self, v: Value) -> Array:
+        """A series with time as its first axis."""
+        return jnp.moveaxis(whole_of(v, self.lanes), 1, 0) if v.batched else v.content
+
     def _scan(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
         p, (nc, n) = eqn.params, scan_counts(eqn)
         consts, init, xs = args[:nc], args[nc : nc + n], args[nc + n :]
         inside = _Lanes(self.lanes, 2)
-        flags = [[a.batched for a in part] for part in (consts, init, xs)]
-        state = _State.of(p["jaxpr"].in_avals[nc : nc + n], _settled(p["jaxpr"].jaxpr, *flags))
+        flags = list(map(batched_flags, (consts, init, xs)))
+        state = LoopState.of(p["jaxpr"].in_avals[nc : nc + n], settled(p["jaxpr"].jaxpr, *flags))
         series: list[
             tuple[tuple[int, ...], bool]
         ] = []  # of what each step gives: shape if it is taken apart, batched
@@ -501,7 +399,7 @@ class _Lanes:
                 )
             return state.arrays(out[:n], self.lanes), given
 
-        along = [jnp.moveaxis(_whole(v, self.lanes), 1, 0) if v.batched else v.content for v in xs]
+        along = [self._along(v) for v in xs]
         first = state.arrays(init, self.lanes)
         last, ys = lax.scan(step, first, along, p["length"], p["reverse"], p["unroll"])
         found = []

@@ -112,12 +112,11 @@ def _platform(leaves: Sequence[Any]) -> str:
     """Where JAX runs a program with such arguments: where they were put on purpose, or on the
     default device.
     """
-    placed = (
-        a for a in leaves if isinstance(a, jax.Array) and not isinstance(a, Tracer) and a.committed
-    )
-    return ", ".join(
-        sorted({d.platform for a in placed for d in a.devices()} or {default_platform()})
-    )
+    platforms: set[str] = set()
+    for leaf in leaves:
+        if isinstance(leaf, jax.Array) and not isinstance(leaf, Tracer) and leaf.committed:
+            platforms |= {device.platform for device in leaf.devices()}
+    return ", ".join(sorted(platforms or {default_platform()}))
 
 
 def key_of(function: Callable[..., Any], pytree: Any, *more: Any) -> str | None:

@@ -126,7 +126,7 @@ def smallest_change(known: BoundedEstimates, stated: np.ndarray) -> SmallestChan
     kept.sort()
     instead: dict[int, tuple[int, ...]] = {}
     for k in gone:
-        others = [i for i in kept if _allowed(known, [j for j in (*kept, k) if j != i], stated)]
+        others = [i for i in kept if _allowed(known, _exchanged(kept, i, k), stated)]
         if others:
             instead[k] = tuple(others)
     value, covariance, _ = known.beside(kept, stated[kept])
@@ -204,3 +204,7 @@ def inverted(covariance: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(covariance / size / size[:, None])
     least = ROUNDING * max(values[-1], 1e-300)
     return (vectors / np.maximum(values, least)) @ vectors.T / size / size[:, None]
+
+
+def _exchanged(kept: Sequence[int], gone: int, new: int) -> list[int]:
+    return [k for k in (*kept, new) if k != gone]

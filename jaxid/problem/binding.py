@@ -12,14 +12,14 @@ import numpy as np
 
 from jaxid import catalogue, wording
 from jaxid.data.capacity import Need, need
-from jaxid.data.dataset import Dataset, Experiment, ModelSpec, ParameterPrior
+from jaxid.data.dataset import Dataset, Experiment, ModelSpec
 from jaxid.data.joint_names import in_chain_order, joint_names
 from jaxid.data.noise import Noise, noise_floor, Window
 from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
 from jaxid.data.units import si_unit
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import FORCES
-from jaxid.dynamics.effect import Effect, JointEffect, neutral
+from jaxid.dynamics.effect import Effect, neutral
 from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import settings, TypicalMagnitudes, with_settings
@@ -27,9 +27,18 @@ from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.models.effects import TimestampJitter
 from jaxid.problem import measured_motion
+from jaxid.problem.added_effects import parse_effect
 from jaxid.problem.measured_motion import Motion
 from jaxid.problem.named_model import named_model
 from jaxid.problem.proposed_model import without_a_model
+from jaxid.problem.starting_values import (
+    bounded,
+    free_numbers,
+    held_friction,
+    own_numbers,
+    stated_scales,
+    stated_values,
+)
 from jaxid.problem.typical import typical_magnitudes
 from jaxid.robots import match as robots
 
@@ -142,38 +151,43 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     user's own, as a mechanism, or as a chain; None takes the dataset's.
     """
     model, dataset = robots.prepared(model, dataset)
-    spec = dataset.model
+    stated = dataset.model
+    spec = stated or ModelSpec()
     if model is None:
-        if spec is None or (spec.name is None and spec.file is None):
-            raise UsageError(without_a_model(dataset))
         model = spec.file or spec.name
-    smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
+    if model is None:
+        raise UsageError(without_a_model(dataset))
     if isinstance(model, str):
-        model = named_model(model, spec)
-    constants = spec.constants if spec is not None else {}
+        model = named_model(model, stated)
+    constants = spec.constants
     if robots.is_robot(model):
         model = cast(Any, model).matched(dataset)
     if isinstance(model, Mechanism):
         model = with_settings(model, constants)
         if not robots.is_robot(model):  # its joints are matched already
             dataset = in_chain_order(dataset, joint_names(model))
+        smoothing = constants.get("smoothing_velocity", 0.0)
         model = Chain(model, signature=_signature(model, dataset), smoothing_velocity=smoothing)
     if not isinstance(model, Chain):
         raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
     _check_drive(model)
-    _check_gains(model, spec)
+    _check_gains(model, stated)
     if set(constants) & set(settings(model.mechanism)):
         model = model.with_mechanism(with_settings(model.mechanism, constants))
-    out = [*(spec.without if spec is not None else ()), *without]
-    has = [e.name for e in model.effects]
-    for name in out:
+    left_out = (*spec.without, *without)
+    _check_left_out(model, left_out)
+    return model.without(*left_out)
+
+
+def _check_left_out(chain: Chain, names: Iterable[str]) -> None:
+    has = [e.name for e in chain.effects]
+    builtin = [kind.name for kind, _ in chain.mechanism.builtin]
+    for name in names:
         catalogue.effect_class(name)
-        builtin = [kind.name for kind, _ in model.mechanism.builtin]
         if name not in has and name not in builtin:
             raise UsageError(
-                f"{model.mechanism.name} has no {name} to leave out{nearest(name, has)}"
+                f"{chain.mechanism.name} has no {name} to leave out{nearest(name, has)}"
             )
-    return model.without(*out)
 
 
 def foreseen(work: str, model: object, dataset: Dataset, candidates: int = 0) -> Need:
@@ -221,20 +235,21 @@ def _check_gains(chain: Chain, spec: ModelSpec | None) -> None:
 
 
 def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
-    inputs, outputs = {c.name for c in dataset.inputs}, {c.name for c in dataset.outputs}
+    inputs, outputs = {c.name for c in dataset.inputs}, {c.name: c.unit for c in dataset.outputs}
     free = dataset.model is not None and dataset.model.free
-    for s in mechanism.signatures:
-        s = with_speeds(s, {c.name: c.unit for c in dataset.outputs})
-        if outputs >= {n for n, _ in s.outputs} and (free or inputs >= {n for n, _ in s.inputs}):
-            _check_units(mechanism.name, dataset, (*s.outputs, *(() if free else s.inputs)))
+    wanted = []
+    for signature in mechanism.signatures:
+        s = with_speeds(signature, outputs)
+        needed = {} if free else dict(s.inputs)
+        if outputs.keys() >= dict(s.outputs).keys() and inputs >= needed.keys():
+            _check_units(mechanism.name, dataset, (*s.outputs, *needed.items()))
             return s
-    wanted = "; or ".join(
-        f"inputs {', '.join(n for n, _ in s.inputs)} and outputs"
-        f" {', '.join(n for n, _ in s.outputs)}"
-        for s in mechanism.signatures
-    )
+        wanted.append(
+            f"inputs {', '.join(dict(signature.inputs))} and outputs"
+            f" {', '.join(dict(signature.outputs))}"
+        )
     raise UsageError(
-        f"model {mechanism.name} needs {wanted}; the dataset has inputs"
+        f"model {mechanism.name} needs {'; or '.join(wanted)}; the dataset has inputs"
         f" {', '.join(sorted(inputs)) or 'none'} and outputs"
         f" {', '.join(sorted(outputs)) or 'none'}. {_remedy(mechanism, dataset)}"
     )
@@ -268,41 +283,6 @@ def _check_units(model: str, dataset: Dataset, needed: Iterable[tuple[str, str]]
             )
 
 
-def parse_effect(
-    text: str | Effect | type[Effect], chain: Chain
-) -> tuple[type[Effect], str | None]:
-    """`dead_zone@tau`, or `dead_zone` where it has one place. One that the model comprises only
-    where a fit holds some of its numbers, which it then fits (at all places, where none is named).
-    """
-    name, _, place = catalogue.enrolled(text).partition("@")
-    kind = catalogue.effect_class(name, chain.mechanism)
-    places = chain.offers(kind)
-    if not places:
-        able = ", ".join(_missing(chain)) or "none"
-        raise UsageError(f"{name} has no place in {chain.mechanism.name}, which can take: {able}")
-    held = chain.mechanism.held() if any(e.name == name for e in chain.effects) else frozenset()
-    layout = ParameterVector(chain)
-    frees = bool(held) and any(layout.names[i] in held for i in layout.of_effect(name))
-    if name in chain.contents and not frees:
-        raise UsageError(
-            f"{name} is part of {chain.mechanism.name} already: it is fitted without being"
-            " asked for"
-        )
-    if place and place not in places:
-        raise UsageError(f"{name} cannot act at {place!r}{nearest(place, places)}")
-    if not place and len(places) > 1 and not frees:
-        raise UsageError(
-            f"{name} can act at {', '.join(places)}: say where, as in {name}@{places[0]}"
-        )
-    return kind, place or None
-
-
-def _missing(chain: Chain) -> list[str]:
-    """Effects that a chain has a place for and does not have."""
-    kinds = [catalogue.effect_class(name) for name in catalogue.effect_names()]
-    return [k.name for k in kinds if k.name not in chain.contents and chain.offers(k)]
-
-
 def bind(
     model: object,
     dataset: Dataset,
@@ -325,91 +305,31 @@ def bind(
     nominal = resolve_model(model, dataset, without)
     dataset = in_chain_order(dataset, joint_names(nominal.mechanism))
     added = [parse_effect(e, nominal) for e in effects]
-    present = {e.name for e in nominal.effects}
-    contents = nominal.contents
-    extra = [k for k, _ in added if k.name not in present]
-    extra += [k for k in candidates if k.name not in contents and k not in extra]
-    chain = nominal.with_effects(*(neutral(k) for k in dict.fromkeys(extra)))
-    layout = ParameterVector(chain)
-    noise = noise_floor(dataset)
-    stamps: dict[str, Stamps] = {}
-    if scattered := [
-        p
-        for k, place in added
-        if k.name == JITTER
-        for p in ([place] if place else nominal.offers(k))
-    ]:
-        stamps = {c: s for c, s in scattered_stamps(dataset, noise).items() if c in scattered}
-        dataset = with_scatter(dataset, stamps, noise) if stamps else dataset
-        noise = noise_floor(dataset)
+    chain = _with_effects(nominal, [kind for kind, _ in added], candidates)
+    dataset, noise, stamps = _noise(dataset, nominal, added)
     names = [n for n, _ in chain.signature.outputs]
-    sigma = np.array([noise[n].std for n in names])
-    alone = (
-        noise_floor(dataset, readings=True)
-        if any(n.source == "repeatability" for n in noise.values())
-        else noise
-    )
+    alone = noise
+    if any(n.source == "repeatability" for n in noise.values()):
+        alone = noise_floor(dataset, readings=True)
     readings = np.array([alone[n].std for n in names])
 
-    theta, stated = layout.values.copy(), set()
-    fixed = {i for i, e in enumerate(layout.entries) if e.spec.fixed}
-    spec = dataset.model
-    priors = dict(spec.parameters) if spec is not None else {}
-    for name, value in (spec.constants if spec is not None else {}).items():
-        if (
-            name != "smoothing_velocity"
-            and name not in settings(chain.mechanism)
-            and not name.startswith(robots.POSE)
-        ):
-            i = layout.index(name)
-            theta[i] = value
-            fixed.add(i)
-            stated.add(i)
-    priors = chain.mechanism.known() | priors
-    for name, prior in priors.items():
-        value = (
-            prior.value if prior.value is not None or prior.prior is None else prior.prior["mean"]
-        )
-        if value is not None:
-            theta[layout.index(name)] = value
-            stated.add(layout.index(name))
-
-    chain = layout.model(theta)  # with what the dataset states
+    values = stated_values(ParameterVector(chain), dataset.model)
+    chain = ParameterVector(chain).model(values.theta)  # with what the dataset states
     layout = ParameterVector(chain)
-    fixed |= {
-        layout.index(name)
-        for name in chain.mechanism.held()
-        if name in layout.names and name not in priors
-    }
-    own = {
-        i
-        for i, e in enumerate(layout.entries)
-        if e.owner < 0 or chain.effects[e.owner].name in present
-    }
-    free = sorted(i for i in own if i not in fixed)
-    for kind, place in added:
-        places = [place] if place else chain.offers(kind)
-        free += [i for p in places for i in layout.of_effect(kind.name, p) if i not in free]
-
+    held = chain.mechanism.held() - values.priors.keys()
+    fixed = values.fixed | {layout.index(name) for name in held if name in layout.names}
+    own = own_numbers(layout, {e.name for e in nominal.effects})
+    free = free_numbers(layout, own - fixed, added)
     motions: dict[str, Motion] = {}
     if all_read(chain):
         motions = {
             e.name: measured_motion.motion(dataset, e, chain, readings) for e in dataset.experiments
         }
-    references, inputs = typical_magnitudes(dataset, layout, theta, motions)
+    references, inputs = typical_magnitudes(dataset, layout, values.theta, motions)
     lower, upper, scale = layout.boxes(references, inputs)
-    for name, prior in priors.items():
-        i = layout.index(name)
-        lower[i] = prior.lower if prior.lower is not None else min(lower[i], theta[i])
-        upper[i] = prior.upper if prior.upper is not None else max(upper[i], theta[i])
-        if not lower[i] <= theta[i] <= upper[i]:
-            if prior.value is not None:
-                raise UsageError(
-                    f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]"
-                )
-            theta[i] = np.sqrt(lower[i] * upper[i]) if lower[i] > 0 else (lower[i] + upper[i]) / 2
-    known, said = _stated_scales(layout, priors, lower, upper)
-    said = (*said, *_held_friction(chain, layout, free, fixed - stated, theta))
+    theta, lower, upper = bounded(layout, values, lower, upper)
+    known, said = stated_scales(layout, values.priors, lower, upper)
+    said = (*said, *held_friction(chain, layout, free, fixed - values.stated, theta))
     if robots.is_robot(model):
         said = (*robots.notes_of(model, dataset), *said)
     theta[free] = np.clip(theta[free], lower[free], upper[free])
@@ -418,7 +338,7 @@ def bind(
         chain=chain,
         layout=layout,
         noise=noise,
-        sigma=sigma,
+        sigma=np.array([noise[n].std for n in names]),
         readings=readings,
         motions=motions,
         references=references,
@@ -428,71 +348,36 @@ def bind(
         upper=upper,
         scale=scale,
         free=free,
-        stated=stated,
+        stated=values.stated,
         nominal=own,
         priors=known,
         said=said,
     ).with_stamps(stamps)
 
 
-def _held_friction(
-    chain: Chain, layout: ParameterVector, free: list[int], fixed: set[int], theta: np.ndarray
-) -> list[str]:
-    """What is to be said of numbers of the model's own friction that a fit leaves as they are,
-    effect by effect.
-    """
-    said = []
-    for k, effect in enumerate(chain.effects):
-        if not isinstance(effect, JointEffect):
-            continue
-        own = [
-            i
-            for i, e in enumerate(layout.entries)
-            if e.owner == k and i in fixed and i not in free and not e.spec.fixed
-        ]
-        own = [
-            i for i in own if layout.entries[i].location not in robots.ANGLES
-        ]  # nothing brakes a base that floats
-        if own and any(i in free for i, e in enumerate(layout.entries) if e.owner == k):
-            names = wording.listed([layout.names[i] for i in own])
-            values = wording.listed([f"{v:g}" for v in dict.fromkeys(theta[own].tolist())])
-            said.append(
-                f"held and not fitted: {names} = {values}; --effect {effect.name} fits them,"
-                f" [model.parameters.{layout.names[own[0]]}] one by one"
-            )
-    return said
+def _with_effects(
+    nominal: Chain, added: Iterable[type[Effect]], candidates: Iterable[type[Effect]]
+) -> Chain:
+    """The chain with what it lacks of the effects, at their neutral values."""
+    present = {e.name for e in nominal.effects}
+    kinds = dict.fromkeys(kind for kind in added if kind.name not in present)
+    kinds |= dict.fromkeys(kind for kind in candidates if kind.name not in nominal.contents)
+    return nominal.with_effects(*map(neutral, kinds))
 
 
-def _stated_scales(
-    layout: ParameterVector,
-    priors: Mapping[str, ParameterPrior],
-    lower: np.ndarray,
-    upper: np.ndarray,
-) -> tuple[dict[int, tuple[float, float]], tuple[str, ...]]:
-    """Search scales as stated, set in the layout; the Gaussian priors, and sentences about both.
-    Bounds that nobody states make room for a prior.
-    """
-    known, said, alike = {}, [], {}
-    layout.log = layout.log.copy()
-    for name, prior in priors.items():
-        i = layout.index(name)
-        if prior.prior is not None:
-            known[i] = mean, std = prior.prior["mean"], prior.prior["std"]
-            reach = (mean - 5 * std, mean + 5 * std)
-            upper[i] = upper[i] if prior.upper is not None else max(upper[i], reach[1])
-            least = 0.0 if lower[i] >= 0 else -np.inf
-            if prior.lower is None and not (lower[i] > 0 and reach[0] <= 0):
-                lower[i] = max(least, min(lower[i], reach[0]))
-            alike.setdefault(f"{mean:.4g} ± {std:.4g} {layout.entries[i].unit}", []).append(name)
-        if prior.log is not None:
-            if prior.log and not lower[i] > 0:
-                raise UsageError(
-                    f"{name}: log = true searches its logarithm, and its lower bound is"
-                    f" {lower[i]:g}: state `lower` above 0 under [model.parameters.{name}]"
-                )
-            layout.log[i] = prior.log
-            said.append(
-                f"{name} is searched {'by its logarithm' if prior.log else 'linearly'} (stated)"
-            )
-    said += [f"prior of {', '.join(names)}: {text} (stated)" for text, names in alike.items()]
-    return known, tuple(said)
+def _noise(
+    dataset: Dataset, nominal: Chain, added: Iterable[tuple[type[Effect], str | None]]
+) -> tuple[Dataset, dict[str, Noise], dict[str, Stamps]]:
+    """The noise of the readings, with time stamps that scatter where an effect asks for them."""
+    noise = noise_floor(dataset)
+    scattered: list[str] = []
+    for kind, place in added:
+        if kind.name == JITTER:
+            scattered += [place] if place else nominal.offers(kind)
+    if not scattered:
+        return dataset, noise, {}
+    found = scattered_stamps(dataset, noise)
+    stamps = {channel: s for channel, s in found.items() if channel in scattered}
+    if stamps:
+        dataset = with_scatter(dataset, stamps, noise)
+    return dataset, noise_floor(dataset), stamps

@@ -10,6 +10,7 @@ dry friction bends both alike; with short or weak pulses a linear response is wr
 from __future__ import annotations
 
 import functools
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -24,6 +25,7 @@ from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.problem.residual import overrides, record_of, Residual, RESIDUALS, Runs, Simulation
+from jaxid.problem.response_lines import estimate, merged, parts_of
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import BatchSimulator
 from jaxid.simulation.rollout import EVEN, Lane, simulate_rollout
@@ -32,68 +34,6 @@ from jaxid.simulation.transfer import transfer
 
 
 # ---- measured responses
-
-
-@dataclass(frozen=True)
-class Lines:
-    """One measured response, repeats merged: rising omega, response, and the standard deviation of
-    its parts, [lines].
-    """
-
-    omega: np.ndarray
-    response: np.ndarray
-    std: np.ndarray
-    statement: str
-
-
-def merged(measured: Measured) -> Lines:
-    """Median over repeats, weights from their scatter (both robust to outliers); without repeats 2
-    % of the gain, in the zeros of the response of a tenth of its median.
-    """
-    order = np.argsort(measured.omega, kind="stable")
-    omega, response = measured.omega[order], np.asarray(measured.response, complex)[order]
-    first = np.append(True, np.diff(omega) > 1e-9 * omega[1:])
-    groups = np.split(response, np.flatnonzero(first)[1:])
-    middle = np.array([np.median(np.real(g)) + 1j * np.median(np.imag(g)) for g in groups])
-    counts = np.array([g.size for g in groups])
-    if np.median(counts) >= 3:
-        parts = [
-            np.concatenate([np.real(g - m), np.imag(g - m)])
-            for g, m in zip(groups, middle, strict=True)
-        ]
-        share = np.array([np.median(np.abs(p)) for p in parts]) / np.maximum(np.abs(middle), 1e-300)
-        # A line's own scatter is known from few repeats: pooled with its neighbours', in shares of
-        # the gain.
-        pooled = np.array([np.median(share[max(0, k - 5) : k + 6]) for k in range(share.size)])
-        few = counts / np.maximum(counts - 0.8, 0.2)  # the median leaves less scatter about it
-        std = 1.4826 * few * np.maximum(pooled, 1e-3) * np.abs(middle) * 1.2533 / np.sqrt(counts)
-        statement = f"median of {np.median(counts):.0f} repeats, weights from their scatter"
-        return Lines(omega[first], middle, std, statement)
-    gain = np.abs(middle)
-    return Lines(
-        omega[first],
-        middle,
-        0.02 * np.maximum(gain, 0.1 * np.median(gain)),
-        "no repeats: noise taken as 2 % of the gain",
-    )
-
-
-def estimate(
-    t: np.ndarray, u: np.ndarray, y: np.ndarray, band_hz: tuple[float, float], least_input: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(bins, U, Y) of a record [time] in a band: discrete Fourier transforms without window, and
-    only bins in which the input has `least_input` of its largest amplitude. Y / U is the response.
-    """
-    U, Y = np.fft.rfft(u), np.fft.rfft(y)
-    f = np.fft.rfftfreq(t.size, float(np.median(np.diff(t))))
-    size = np.abs(U)
-    least = max(
-        least_input * size[1:].max(), 1e-9 * size.max()
-    )  # a constant input has but rounding beside f = 0
-    bins = np.flatnonzero(
-        (f >= band_hz[0]) & (f <= band_hz[1]) & (f > 0) & (size >= least) & (size > 0)
-    )
-    return bins, U[bins], Y[bins]
 
 
 # ---- lanes: rows 2k and 2k + 1 of a response column are real and imaginary part of line k
@@ -230,9 +170,7 @@ class FrequencyResponseError(Residual):
         self, dataset: Dataset, experiments: Sequence[Experiment], layout: ParameterVector
     ) -> Runs:
         chain = layout.chain
-        outputs, inputs = (
-            [n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs)
-        )
+        outputs, inputs = list(dict(chain.signature.outputs)), list(dict(chain.signature.inputs))
         table = {r.name: r for r in dataset.responses}
         x, y, w, records, first, statements = [], [], [], [], 0, []
         for number, e in enumerate(experiments):
@@ -247,7 +185,7 @@ class FrequencyResponseError(Residual):
                     np.column_stack([lines.omega, np.tile(where, (lines.omega.size, 1))]), 2, 0
                 )
             )
-            target, weight = _parts(lines.response, lines.std, self.magnitude)
+            target, weight = parts_of(lines.response, lines.std, self.magnitude)
             y.append(target)
             w.append(weight)
             rows = np.arange(first, first + len(target))
@@ -321,14 +259,7 @@ class FrequencyResponseError(Residual):
         timed = tuple(_position(n, outputs, "output") for n in self.timed)
         if dataset.responses:
             return self._mixed(dataset, experiments, layout, noise, step, shape, timed)
-        counts = {len(e.t) for e in experiments}
-        spacing = np.concatenate([np.diff(e.t) for e in experiments])
-        if len(counts) > 1 or np.ptp(spacing) > 1e-3 * np.median(spacing):
-            raise UsageError(
-                "a frequency response from records needs runs of equal length at one sampling rate;"
-                " cut them with `rows` or `window_s`, or use output_error"
-            )
-        (count,) = counts
+        count, spacing = _alike(experiments)
         (iu,), iy = recorded.columns(dataset, chain)
         samples, positions = recorded.build(dataset, experiments, chain, noise, step, size=shape[0])
         pieces = int(recorded.pieces(experiments[0], step)[0])
@@ -347,7 +278,7 @@ class FrequencyResponseError(Residual):
                 )
             omega = 2 * np.pi * bins / (count * np.median(np.diff(e.t)))
             std = noise[output] * np.sqrt(count / 2) / np.abs(U)
-            target, weight = _parts(Y / U, std, self.magnitude)
+            target, weight = parts_of(Y / U, std, self.magnitude)
             rows = p[0] + np.arange(target.size)
             y[rows, 0], w[rows, 0] = target, weight
             inverse = 1 / U
@@ -364,11 +295,7 @@ class FrequencyResponseError(Residual):
             x[rows] = np.repeat(each, 2, 0)
             for c, k in enumerate(timed):
                 y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
-            record = record_of(
-                number=number, e=e, p=p, a=0, b=len(e.t), dataset=dataset, chain=chain, burn=False
-            )
-            kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
-            records.append(Record(**{**record.__dict__, "samples": kept}))
+            records.append(_record(dataset, chain, number, e, p, w))
             lines += bins.size
         samples = samples._replace(y=y, w=w, x=x)
         inside = (self.band_hz[1] - self.band_hz[0]) * count * np.median(
@@ -411,9 +338,7 @@ class FrequencyResponseError(Residual):
                 " `timed` empty"
             )
         chain, split = layout.chain, experiments[0].split
-        outputs, inputs = (
-            [n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs)
-        )
+        outputs, inputs = list(dict(chain.signature.outputs)), list(dict(chain.signature.inputs))
         samples, positions = recorded.build(dataset, experiments, chain, noise, step, size=shape[0])
         _, iy = recorded.columns(dataset, chain)
         n = len(samples.t)
@@ -427,7 +352,7 @@ class FrequencyResponseError(Residual):
             )  # a line at an end is in it, rounded or not
             inside = (lines.omega >= low) & (lines.omega <= high)
             where = _position(one.output, outputs, "output"), _position(one.input, inputs, "input")
-            target, weight = _parts(lines.response[inside], lines.std[inside], self.magnitude)
+            target, weight = parts_of(lines.response[inside], lines.std[inside], self.magnitude)
             rows = slice(row, row + target.size)
             if rows.stop > positions[0][-1] + 1:
                 raise UsageError("there are more lines than steps in the first run: narrow band_hz")
@@ -441,16 +366,12 @@ class FrequencyResponseError(Residual):
             p = positions[number]
             for c, k in enumerate(timed):
                 y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
-            record = record_of(
-                number=number, e=e, p=p, a=0, b=len(e.t), dataset=dataset, chain=chain, burn=False
-            )
-            kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
-            records.append(Record(**{**record.__dict__, "samples": kept}))
-        most = max(
-            sum(r.omega.size for r in dataset.responses if r.split == s)
-            for s in {r.split for r in dataset.responses}
-        )
-        lane = record_lane(self.magnitude, True, 0, timed, 0, 1, recorded.bucket(2 * most, 64))
+            records.append(_record(dataset, chain, number, e, p, w))
+        lines_of_split: Counter[str] = Counter()
+        for r in dataset.responses:
+            lines_of_split[r.split] += r.omega.size
+        room = recorded.bucket(2 * max(lines_of_split.values()), 64)
+        lane = record_lane(self.magnitude, True, 0, timed, 0, 1, room)
         stated = overrides(layout, experiments, records)
         engine = BatchSimulator(
             layout, samples._replace(y=y, w=w, x=x), records, stated, lane, shape[1]
@@ -492,21 +413,6 @@ def as_experiment(measured: Measured, dataset: Dataset) -> Experiment:
     )
 
 
-def _parts(response: np.ndarray, std: np.ndarray, magnitude: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Target and weight rows [2 lines]."""
-    if magnitude:
-        target, weight = (
-            np.column_stack([np.abs(response), 0 * std]),
-            np.column_stack([1 / std, 0 * std]),
-        )
-    else:
-        target, weight = (
-            np.column_stack([np.real(response), np.imag(response)]),
-            np.column_stack([1 / std, 1 / std]),
-        )
-    return target.ravel(), weight.ravel()
-
-
 def _ratio(chain: Chain, output: str, input: str) -> tuple[str, str]:
     units = dict((*chain.signature.outputs, *chain.signature.inputs))
     return f"{output} / {input}", f"({units[output]})/({units[input]})"
@@ -519,3 +425,26 @@ def _position(name: str, names: Sequence[str], kind: str) -> int:
 
 
 RESIDUALS[FrequencyResponseError.name] = FrequencyResponseError
+
+
+def _alike(experiments: Sequence[Experiment]) -> tuple[int, np.ndarray]:
+    """Samples of each run, and their spacing. Raises `UsageError` where runs are not alike."""
+    counts = {len(e.t) for e in experiments}
+    spacing = np.concatenate([np.diff(e.t) for e in experiments])
+    if len(counts) > 1 or np.ptp(spacing) > 1e-3 * np.median(spacing):
+        raise UsageError(
+            "a frequency response from records needs runs of equal length at one sampling rate;"
+            " cut them with `rows` or `window_s`, or use output_error"
+        )
+    return counts.pop(), spacing
+
+
+def _record(
+    dataset: Dataset, chain: Chain, number: int, e: Experiment, p: np.ndarray, w: np.ndarray
+) -> Record:
+    """The record of a run at rows p, of which those with a weight in w [rows columns] count."""
+    record = record_of(
+        number=number, e=e, p=p, a=0, b=len(e.t), dataset=dataset, chain=chain, burn=False
+    )
+    kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
+    return Record(**{**record.__dict__, "samples": kept})

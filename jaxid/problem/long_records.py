@@ -5,6 +5,7 @@ in memory as a whole.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from typing import Any
 
 import jax.numpy as jnp
@@ -29,7 +30,7 @@ def rows_by_windows(
     """
     engine, differences = jobs[0][0].runs.engine, jobs[0][0].differences
     for keys in _batches(lanes, TOGETHER):
-        own = lanes.only([k for part in keys.values() for k in part])
+        own = lanes.only(list(chain.from_iterable(keys.values())))
         along = None if differences else (own.dtheta, own.dstart)
         windows = engine.windows(own.theta, own.start, own.record, share, along)
         if windows is None:

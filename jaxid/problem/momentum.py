@@ -140,7 +140,7 @@ class Momentum(InverseDynamics):
         first = evenly((dataset.split("fit") or dataset.experiments)[0])
         rate = (len(first.t) - 1) / first.duration
         parts = sides(first, self.moment, None)  # a jump of speed is not what a side holds
-        content = max(c for p in parts for c in cutoffs(chain, p.t, p.motion()[:, iy], noise))
+        content = max(max(cutoffs(chain, p.t, p.motion()[:, iy], noise)) for p in parts)
         cutoff = self.cutoff_hz or min(rate / 5, max(content, 0.5))
         return rate, cutoff, self.decimate or max(1, round(rate / (ROWS_PER_CUTOFF * cutoff)))
 
@@ -152,9 +152,10 @@ class Momentum(InverseDynamics):
                 "when a number changes is not known to the residual momentum: jaxid fit finds it,"
                 " state it nowhere else"
             )
-        experiments = [
-            part for e in experiments for part in sides(evenly(e), self.moment, self.cutoff_hz)
-        ]
+        parts: list[Experiment] = []
+        for e in experiments:
+            parts += sides(evenly(e), self.moment, self.cutoff_hz)
+        experiments = parts
         rate, cutoff, every = self.rates(dataset, chain, noise)
         measured, ends, texts = zip(
             *(filtered(dataset, e, chain, cutoff) for e in experiments), strict=True

@@ -20,10 +20,10 @@ from jaxtyping import Array, Float
 from jaxid.dynamics.joint_readings import joint_readings, sizes
 from jaxid.errors import UsageError
 from jaxid.numerics.batch_loop import batched_vmap
+from jaxid.problem.gauss_newton import gauss_newton_model
 from jaxid.problem.objective import (
     AbstractProblem,
     CANDIDATES,
-    gauss_newton_model,
     Linear,
     linearise,
     Loss,

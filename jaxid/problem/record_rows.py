@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
@@ -63,13 +63,11 @@ def lanes_of(jobs: Sequence[tuple[FitProblem, np.ndarray]]) -> Lanes:
     lanes: list[tuple[int, int, int, int, int]] = []
     for j, (p, _) in enumerate(jobs):
         for row in range(len(p.records)):
-            own = [
-                (c, k, side) for k, c in enumerate(p.columns(row)) for side in SIDES[differences]
-            ]
-            lanes += [
-                (j, row, *lane)
-                for lane in ([(-1, -1, 0), *own] if differences else own or [(-1, -1, 0)])
-            ]
+            columns = p.columns(row)
+            if differences or not len(columns):
+                lanes.append((j, row, -1, -1, 0))
+            for k, c in enumerate(columns):
+                lanes += [(j, row, c, k, side) for side in SIDES[differences]]
     n = len(lanes)
     theta, start = np.empty((n, size)), np.empty((n, nx))
     dtheta, dstart = np.zeros((n, size)), np.zeros((n, nx))
@@ -98,7 +96,10 @@ def rows_of_records(
     """Rows of each job and record, from whole records."""
     runs, differences = jobs[0][0].runs, jobs[0][0].differences
     lanes, theta, start, dtheta, dstart, record, steps = given
-    seen = {r: _seen(runs, r, share) for r in {r for p, _ in jobs for r in p.records}}
+    used: set[int] = set()
+    for p, _ in jobs:
+        used |= set(p.records)
+    seen = {r: _seen(runs, r, share) for r in used}
     rest = Counter((j, row) for j, row, *_ in lanes)
     order = list(rest)  # the rows of a job come in the order of its records
     found: dict[tuple[int, int], _Part] = {}
@@ -114,14 +115,10 @@ def rows_of_records(
             own = found.get((j, row))
             if own is None:
                 p = jobs[j][0]
-                at, inside = seen[p.records[row]]
-                w, columns = p.weights[at], p.columns(row)
-                own = _Part(
-                    np.empty(w.shape), np.zeros((len(columns), *w.shape)), columns, w, at, inside
-                )
+                own = _empty(p, row, seen[p.records[row]])
                 found[j, row] = own
                 if not differences:
-                    own.base[:] = y[n][inside]
+                    own.base[:] = y[n][own.inside]
             if c < 0:
                 own.base[:] = y[n][own.inside]
             elif differences:
@@ -131,15 +128,27 @@ def rows_of_records(
             rest[j, row] -= 1
         while order and not rest[order[0]]:
             j, row = order.pop(0)
-            p, own = jobs[j][0], found.pop((j, row))
-            if differences == 1:
-                own.J[:] -= own.base
-            if differences:
-                own.J[:] *= own.weights / (steps[j][1] - steps[j][-1])[own.columns, None, None]
-            residual = own.weights * (own.base - p.targets[own.at])
-            yield ResidualRows(
-                j, p.records[row], residual, np.moveaxis(own.J, 0, -1), own.columns, own.weights
-            )
+            yield _finished(j, row, jobs[j][0], found.pop((j, row)), steps[j], differences)
+
+
+def _empty(p: FitProblem, row: int, seen: tuple[Any, Any]) -> _Part:
+    at, inside = seen
+    w, columns = p.weights[at], p.columns(row)
+    return _Part(np.empty(w.shape), np.zeros((len(columns), *w.shape)), columns, w, at, inside)
+
+
+def _finished(
+    j: int, row: int, p: FitProblem, own: _Part, steps: Any, differences: int
+) -> ResidualRows:
+    """The rows of a record of which every lane has come in."""
+    if differences == 1:
+        own.J[:] -= own.base
+    if differences:
+        own.J[:] *= own.weights / (steps[1] - steps[-1])[own.columns, None, None]
+    residual = own.weights * (own.base - p.targets[own.at])
+    return ResidualRows(
+        j, p.records[row], residual, np.moveaxis(own.J, 0, -1), own.columns, own.weights
+    )
 
 
 def _seen(runs: Runs, number: int, share: float) -> tuple[slice | np.ndarray, slice | np.ndarray]:

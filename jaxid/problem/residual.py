@@ -10,9 +10,10 @@ the noise, so that a mean square of 1.0 means "down to the noise".
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from itertools import chain, pairwise
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -128,7 +129,7 @@ class Residual(abc.ABC):
 
     def select(self, dataset: Dataset, split: str) -> tuple[Experiment, ...]:
         """The runs of a split, or of several ("fit+validation"), that it looks at."""
-        return tuple(e for name in split.split("+") for e in dataset.split(name))
+        return tuple(chain.from_iterable(map(dataset.split, split.split("+"))))
 
     @abc.abstractmethod
     def runs(
@@ -169,46 +170,33 @@ class OutputError(Residual):
         remembers = (
             motions is not None and any(e.past for e in dataset.experiments) and chain.has_states()
         )
-        known = zip(every, experiments, motions, strict=True) if remembers and motions else ()
-        smooth = [
-            measured_motion.motion(dataset, e, chain, noise) if own.past else m
-            for e, own, m in known
-        ]
+        smooth = []
+        if remembers and motions:
+            for e, own, m in zip(every, experiments, motions, strict=True):
+                whole = measured_motion.motion(dataset, e, chain, noise) if own.past else m
+                smooth.append(whole)
         samples, positions = recorded.build(
             dataset, every, chain, noise, step, _states(smooth), shape[0]
         )
         records, heads = [], []
         for number, (e, own) in enumerate(zip(every, experiments, strict=True)):
-            p, cut = positions[number], len(e) - len(own)
-            a = run_up(own)
-            settled = (
-                a + (cut - a) // 4
-            )  # by then sensors and springs have forgotten how they began
-            n = cut + head_samples(own) - settled
 
-            def until(b, c, number=number, e=e, p=p, a=a):
-                return replace(
-                    record_of(
-                        number=number,
-                        e=e,
-                        p=p,
-                        a=a,
-                        b=b,
-                        dataset=dataset,
-                        chain=chain,
-                        burn=len(e) if remembers else 0,
-                    ),
-                    samples=p[c:b],
+            def part(a, b, c, number=number, e=e):
+                """The record from sample `a` to `b`, of which those from `c` on count."""
+                p = positions[number]
+                burn = len(e) if remembers else 0
+                record = record_of(
+                    number=number, e=e, p=p, a=a, b=b, dataset=dataset, chain=chain, burn=burn
                 )
+                return replace(record, samples=p[c:b])
 
-            records.append(until(len(e), cut))
-            lengths = tuple(dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16)))
-            steps = (
-                0 if cut else standing(e)
-            )  # what stands still counts as one sample, unless the model moves otherwise
-            moving = [until(steps + k, steps - 1) for k in lengths] if steps else []
-            heads.append([*moving, *(until(settled + k, settled) for k in lengths)])
-        lanes = [*records, *(h for nested in heads for h in nested)]
+            records.append(part(run_up(own), len(e), len(e) - len(own)))
+            heads.append(_heads(e, own, part))
+        lanes = [*records]
+        ends = [len(lanes)]
+        for own in heads:
+            lanes += own
+            ends.append(len(lanes))
         engine = BatchSimulator(
             layout,
             samples,
@@ -218,16 +206,14 @@ class OutputError(Residual):
             shape[1],
             burn=remembers,
         )
-        n = len(records)
-        ends = np.cumsum([n, *(len(nested) for nested in heads)])
         return Runs(
             experiments=tuple(experiments),
             layout=layout,
             channels=layout.chain.signature.outputs,
             noise=noise,
             engine=engine,
-            records=tuple(range(n)),
-            heads=tuple(tuple(range(a, b)) for a, b in zip(ends[:-1], ends[1:], strict=True)),
+            records=tuple(range(len(records))),
+            heads=tuple(tuple(range(a, b)) for a, b in pairwise(ends)),
             statement="free run over the whole experiment",
         )
 
@@ -493,3 +479,20 @@ def resolve_residual(
             raise UsageError(f"there is no residual {residual!r}{nearest(residual, RESIDUALS)}")
         return RESIDUALS[residual]()
     return residual
+
+
+def _heads(e: Experiment, own: Experiment, part: Callable[[int, int, int], Record]) -> list[Record]:
+    """Nested first stretches of a run (`own`, of the whole run `e`), the longest first; of one that
+    begins standing still also the stretches as it begins to move.
+    """
+    cut, begin = len(e) - len(own), run_up(own)
+    # by then sensors and springs have forgotten how they began
+    settled = begin + (cut - begin) // 4
+    n = cut + head_samples(own) - settled
+    lengths = tuple(dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16)))
+    heads = [part(begin, settled + k, settled) for k in lengths]
+    # what stands still counts as one sample, unless the model moves otherwise
+    still = 0 if cut else standing(e)
+    if not still:
+        return heads
+    return [part(begin, still + k, still - 1) for k in lengths] + heads

@@ -49,49 +49,66 @@ def typical_magnitudes(
     recordings to fit, or in all where none is.
     """
     fit = dataset.split("fit") or dataset.experiments
-    chain, nq = layout.chain, layout.chain.nq
+    chain = layout.chain
     iu, _ = samples.columns(dataset, chain)
-    size = (
-        [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu]
-        if fit
-        else []
-    )
     if not fit:
-        omega = np.concatenate([r.omega for r in dataset.responses])
-        joints = [
-            TypicalMagnitudes(
-                1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max())
-            )
-        ] * nq
-        size = [1.0] * len(iu)
-    elif not motions:
-        step = float(np.median(np.diff(fit[0].t)))
-        duration = max(float(e.t[-1] - e.t[0]) for e in fit)
-        torque = [1.0] * nq
-        if iu:
-            still = [np.zeros((len(e.t), 2 * nq)) for e in fit]
-            torque = [s or 1.0 for s in _largest(_driven(layout, theta, fit, iu, still))]
-        joints = [TypicalMagnitudes(torque[j], 1.0, 1.0, duration, step) for j in range(nq)]
+        joints, size = [_of_responses(dataset)] * chain.nq, [1.0] * len(iu)
     else:
-        used = [motions[e.name] for e in fit]
-        inertia = _of_inertia(layout, theta, used)
-        driven = np.zeros((0, 0))
-        if (
-            asks := getattr(chain.mechanism, "drive_law", None)
-        ) is not None:  # what the law asks for says more
-            asked = asks.size(
-                np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([m.q for m in used])
-            )
-            inertia = np.maximum(inertia, asked)
-        elif iu:
-            driven = _driven(layout, theta, fit, iu, [np.concatenate([m.q, m.qd], 1) for m in used])
-        if driven.size and not chain.direct:
-            inertia, driven = np.maximum(inertia, _largest(driven)), np.zeros((0, 0))
-        joints = measured_motion.references(fit, used, driven, inertia)
+        u = np.concatenate([e.u[:, iu] for e in fit])
+        size = [float(np.percentile(np.abs(channel), 99)) for channel in u.T]
+        if motions:
+            joints = _of_motions(layout, theta, fit, iu, [motions[e.name] for e in fit])
+        else:
+            joints = _of_inputs(layout, theta, fit, iu)
     joints = _spanned(joints, dataset)
-    return joints, [
-        joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)
-    ]
+    inputs = []
+    for k, s in enumerate(size):
+        joint = joints[min(k, chain.nq - 1)]
+        inputs.append(joint._replace(torque=max(s, 1e-9)))
+    return joints, inputs
+
+
+def _of_responses(dataset: Dataset) -> TypicalMagnitudes:
+    omega = np.concatenate([r.omega for r in dataset.responses])
+    slowest, fastest = float(omega.min()), float(omega.max())
+    return TypicalMagnitudes(1.0, 1.0, 1.0, 2 * np.pi / slowest, np.pi / fastest)
+
+
+def _of_inputs(
+    layout: ParameterVector, theta: np.ndarray, fit: tuple[Experiment, ...], iu: list[int]
+) -> list[TypicalMagnitudes]:
+    """Of joints whose motion is not measured."""
+    nq = layout.chain.nq
+    step = float(np.median(np.diff(fit[0].t)))
+    duration = max(float(e.t[-1] - e.t[0]) for e in fit)
+    torque = [1.0] * nq
+    if iu:
+        still = [np.zeros((len(e.t), 2 * nq)) for e in fit]
+        torque = [s or 1.0 for s in _largest(_driven(layout, theta, fit, iu, still))]
+    return [TypicalMagnitudes(torque[j], 1.0, 1.0, duration, step) for j in range(nq)]
+
+
+def _of_motions(
+    layout: ParameterVector,
+    theta: np.ndarray,
+    fit: tuple[Experiment, ...],
+    iu: list[int],
+    used: list[Motion],
+) -> list[TypicalMagnitudes]:
+    """Of joints whose motion is measured."""
+    chain = layout.chain
+    inertia = _of_inertia(layout, theta, used)
+    driven = np.zeros((0, 0))
+    law = getattr(chain.mechanism, "drive_law", None)
+    if law is not None:  # what the law asks for says more
+        goals = np.concatenate([e.u[:, iu[: chain.nq]] for e in fit])
+        inertia = np.maximum(inertia, law.size(goals - np.concatenate([m.q for m in used])))
+    elif iu:
+        states = [np.concatenate([m.q, m.qd], 1) for m in used]
+        driven = _driven(layout, theta, fit, iu, states)
+    if driven.size and not chain.direct:
+        inertia, driven = np.maximum(inertia, _largest(driven)), np.zeros((0, 0))
+    return measured_motion.references(fit, used, driven, inertia)
 
 
 def _spanned(joints: list[TypicalMagnitudes], dataset: Dataset) -> list[TypicalMagnitudes]:
@@ -111,7 +128,8 @@ def _largest(x: np.ndarray) -> np.ndarray:
 
 def _of_inertia(layout: ParameterVector, theta: np.ndarray, used: list[Motion]) -> np.ndarray:
     """Torque [nq] that the accelerations of motions seldom exceed."""
-    q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
+    q = np.concatenate([m.q for m in used])
+    qdd = np.concatenate([m.qdd for m in used])
     pick = np.linspace(0, len(q) - 1, 2000).astype(int)
     with float64():
         return _largest(np.asarray(_inertia_program(layout)(theta, q[pick], qdd[pick])))

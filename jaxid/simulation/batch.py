@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import chain
 from threading import Lock
 from typing import Any, NamedTuple, TypeVar
 
@@ -27,6 +28,7 @@ from jaxid.numerics.export_cache import ExportedFunction, key_of
 from jaxid.numerics.kept import shared
 from jaxid.numerics.pool import Pool
 from jaxid.numerics.precision import float64
+from jaxid.simulation.families import families, restricted, with_states
 from jaxid.simulation.rollout import Lane, reach_of, WINDOWED
 from jaxid.simulation.sample_buffers import BLOCK, bucket, LONG, Record, Samples
 from jaxid.simulation.windows import windowed, Windows
@@ -126,30 +128,6 @@ def _programs(form: ChainForm, lane: Lane, length: int, reach: int, burn: bool) 
     return Programs(predict, *whole, *part, parts.begins, {}, set(), {})
 
 
-def families(layout: ParameterVector) -> dict[str, np.ndarray]:
-    """Family of effects -> positions of its numbers, for effects that are no part of the mechanism
-    by default. A family is the module that defines its effects.
-    """
-    builtin = {kind.name for kind, _ in layout.chain.mechanism.builtin}
-    out: dict[str, list[int]] = {}
-    for i, e in enumerate(layout.entries):
-        if e.owner >= 0 and (effect := layout.chain.effects[e.owner]).name not in builtin:
-            out.setdefault(type(effect).__module__, []).append(i)
-    return {name: np.array(index) for name, index in out.items()}
-
-
-def restricted(layout: ParameterVector, kept: frozenset[str]) -> tuple[ParameterVector, np.ndarray]:
-    """The layout without the families that are not kept, and the positions of its numbers in the
-    whole.
-    """
-    own = families(layout)
-    gone = {
-        layout.entries[i].owner for name, index in own.items() if name not in kept for i in index
-    }
-    small = layout.without(frozenset(layout.chain.effects[k].name for k in gone))
-    return small, np.array([layout.index(n) for n in small.names])
-
-
 class BatchSimulator:
     """Compiled predictions of a layout on records, with tangents and without, for any number of
     lanes.
@@ -175,12 +153,8 @@ class BatchSimulator:
         share one program. `whole` runs every lane in the program of all effects, also those that do
         nothing; `burn` takes the program for records with a lead even if none has one.
         """
-        self.layout, self.records, self.overrides, self.lane = (
-            layout,
-            list(records),
-            overrides,
-            lane,
-        )
+        self.layout, self.records = layout, list(records)
+        self.overrides, self.lane = overrides, lane
         self.length = bucket(max(length, *(r.count + r.lead for r in records)), BLOCK)
         self.compile_time_s, self.simulated = 0.0, 0  # steps of all lanes so far
         self.long = self.length > LONG and lane in WINDOWED
@@ -188,24 +162,17 @@ class BatchSimulator:
             self.samples = Samples(*(jnp.asarray(a) for a in samples))
         reach = max(reach_of(samples, r) for r in self.records)
         self.reach = reach
-        self._kind, self._burn = (
-            (lane, self.length, reach),
-            burn or any(r.lead for r in self.records),
-        )
+        self._kind = (lane, self.length, reach)
+        self._burn = burn or any(r.lead for r in self.records)
         self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
         self._restricted: dict[frozenset[str], tuple[ParameterVector, np.ndarray, bool]] = {}
         self.where = np.array([[r.offset, r.first, r.last, r.lead] for r in self.records], np.int32)
         self.steps = np.array([r.count for r in self.records], np.int32)
-        optional = [i for index in self._families.values() for i in index]
-        stateful = layout.chain.stateful() if self._burn else ()
-        own = [
-            i
-            for i, e in enumerate(layout.entries)
-            if e.owner >= 0 and self._burn and stateful[e.owner]
-        ]
-        self._memory = np.array(own, int)
-        self._always = layout.chain.mechanism.hidden_states or not set(own) <= set(optional)
+        memory = with_states(layout) if self._burn else []
+        self._memory = np.array(memory, int)
+        optional = set(chain.from_iterable(self._families.values()))
+        self._always = layout.chain.mechanism.hidden_states or not set(memory) <= optional
 
     def keep_together(self) -> None:
         """From now on every lane runs in the program of all effects: one compilation, where few
@@ -512,6 +479,8 @@ class BatchSimulator:
         self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any
     ):
         padded = np.concatenate([lanes, np.repeat(lanes[-1:], LANES - lanes.size)])
-        arrays = [a[padded] for pair in zip(numbers, states, strict=True) for a in pair]
+        pairs = zip(numbers, states, strict=True)
+        arrays = [a[padded] for a in chain.from_iterable(pairs)]
         out = in_float64(program, *arrays, where[padded], self.samples, steps)
-        return lanes, tuple(np.asarray(o) for o in (out if isinstance(out, tuple) else (out,)))
+        found = out if isinstance(out, tuple) else (out,)
+        return lanes, tuple(np.asarray(o) for o in found)

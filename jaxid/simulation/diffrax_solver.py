@@ -13,7 +13,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxid.dynamics.carry import Carry
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.effect import Command, OutputEffect
+from jaxid.dynamics.effect import chosen, Command, OutputEffect
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.ode import rates
 from jaxid.errors import nearest, UsageError
@@ -101,10 +101,8 @@ def solved_step(
     """
     import diffrax
 
-    moving = tuple(
-        () if isinstance(e, OutputEffect) else z
-        for e, z in zip(chain.effects, carry.z, strict=True)
-    )
+    sensors = [isinstance(e, OutputEffect) for e in chain.effects]
+    moving = chosen(sensors, [()] * len(sensors), carry.z)
     y0, unravel = ravel_pytree((carry.x, moving))
     late = command.delayed  # the mean over the step, as of the input itself
 
@@ -142,8 +140,4 @@ def solved_step(
     x, z = unravel(jnp.where(failed, jnp.nan, jnp.asarray(found.ys)[-1]))  # as where a run diverges
     q, _ = body.port(carry.x)
     y, sensed = chain.sense(body, carry, tau, jnp.zeros(q.shape, bool), command)
-    pairs = zip(chain.effects, z, sensed, strict=True)
-    return (
-        carry._replace(x=x, z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in pairs)),
-        y,
-    )
+    return carry._replace(x=x, z=chosen(sensors, sensed, z)), y

@@ -243,6 +243,13 @@ class MujocoRobot:
             mj.set_mju_user_warning(before_all)
         return out
 
+    def gear(self, joints: Sequence[str]) -> np.ndarray:
+        """The gear of each joint's actuator, 1 where it has none."""
+        acts = np.array([self.actuator(joint) for joint in joints])
+        gear = np.ones(len(joints))
+        gear[acts >= 0] = self.model.actuator_gear[acts[acts >= 0], 0]
+        return gear
+
     def _pusher(
         self,
         d: Any,
@@ -264,14 +271,10 @@ class MujocoRobot:
 
             return by_law
         acts = np.array([self.actuator(j) for j in joints])
-        gear = np.array([m.actuator_gear[a, 0] if a >= 0 else 1.0 for a in acts])
-        goals = (
-            _Goals(drive.law, inputs) if drive.kind == "law" and drive.law is not None else inputs
-        )
-        if drive.kind == "torque":
-            there = drive.reference
-            ids = [there.actuator(j) for j in joints]
-            gear = np.array([1 / there.model.actuator_gear[a, 0] if a >= 0 else 1.0 for a in ids])
+        goals = inputs
+        if drive.kind == "law" and drive.law is not None:
+            goals = _Goals(drive.law, inputs)
+        gear = 1 / drive.reference.gear(joints) if drive.kind == "torque" else self.gear(joints)
         own = acts >= 0
         first = gear * goals(0.0)
         for a, value in zip(acts[own], first[own], strict=True):
@@ -280,9 +283,8 @@ class MujocoRobot:
                 d.act[m.actuator_actadr[a]] = value
             if m.actuator_history[a, 0] > 0:
                 n = int(m.actuator_history[a, 0])
-                mj.mj_initCtrlHistory(
-                    m, d, int(a), np.arange(-n, 0) * float(m.opt.timestep), np.full((n, 1), value)
-                )
+                before = np.arange(-n, 0) * float(m.opt.timestep)
+                mj.mj_initCtrlHistory(m, d, int(a), before, np.full((n, 1), value))
 
         def by_actuators(now: float) -> None:
             value = gear * goals(now)

@@ -163,16 +163,16 @@ def _stepping(
             )
             carry = Carry(x, z, *jax.tree.map(anew, *predictors))
         command = command_at(samples, i, first, last, reach)
-        carry, y = (
-            chain.step(body, carry, command)
-            if advance is None
-            else advance(chain, body, carry, command)
-        )
-        return carry, (
-            y
-            if wanted is None
-            else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])
-        )
+        if advance is None:
+            carry, y = chain.step(body, carry, command)
+        else:
+            carry, y = advance(chain, body, carry, command)
+        if wanted is not None:
+            outputs = [jnp.zeros(())] * len(y)
+            for i in wanted:
+                outputs[i] = y[i]
+            y = jnp.stack(outputs)
+        return carry, y
 
     return body, initial, step
 

@@ -130,11 +130,9 @@ class Windows:
     def _run(self, block: _Block, at: int) -> tuple[np.ndarray, list[np.ndarray]]:
         own, carry = block.padded, block.carry
         steps = np.int32(min(max(int(self._steps[block.lanes].max()) - at, 0), WINDOW))
-        arrays = [
-            x
-            for a, b, c in zip(self._numbers, self._states, carry, strict=True)
-            for x in (a[own], b[own], c)
-        ]
+        arrays = []
+        for numbers, states, c in zip(self._numbers, self._states, carry, strict=True):
+            arrays += [numbers[own], states[own], c]
         with float64():  # the setting belongs to the thread
             found = getattr(self._programs, self._name)(
                 *arrays, self._where[own], self._engine.samples, np.int32(at), steps

@@ -110,11 +110,8 @@ def _tables(result: Any) -> dict[str, bytes]:
 
 def _written(place: Path) -> list[str]:
     """Names of the files that stopped runs may have left."""
-    return [
-        name
-        for name in (*(json_name(kind) for kind in DRAWN), "runs.parquet", PAGE)
-        if (place / name).is_file()
-    ]
+    names = [json_name(kind) for kind in DRAWN] + ["runs.parquet", PAGE]
+    return [name for name in names if (place / name).is_file()]
 
 
 def _kept_page(folder: Path, name: str) -> dict[str, bytes]:
@@ -146,8 +143,9 @@ def _obsolete(folder: Path, name: str, files: dict[str, bytes]) -> list[str]:
     if name == "simulation.json":
         with suppress(OSError, ValueError, KeyError, TypeError):
             older = len(json.loads((folder / name).read_bytes())["rmse"])
-            runs = [f"run_{i + 1}.{kind}" for i in range(older) for kind in ("parquet", "png")]
-            out += [run for run in runs if run not in files]
+            for i in range(older):
+                runs = (f"run_{i + 1}.parquet", f"run_{i + 1}.png")
+                out += [run for run in runs if run not in files]
     return out
 
 

@@ -5,7 +5,7 @@ runs.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,10 @@ from jaxid.data.schema import Places
 from jaxid.diagnosis.hypothesis import check_asked
 from jaxid.errors import DatasetError, DatasetProblem, UsageError
 from jaxid.fitters.by_name import fitter_of
-from jaxid.problem.binding import parse_effect, resolve_model
+from jaxid.problem.added_effects import parse_effect
+from jaxid.problem.binding import resolve_model
 from jaxid.robots.match import is_file
-from jaxid.study.plan import dataset_problems, parse_study, PlannedRuns, Study, StudyError
+from jaxid.study.plan import dataset_problems, parse_study, PlannedRuns, Study, StudyError, Task
 
 
 def check_study(path: str | Path) -> Study:
@@ -53,15 +54,42 @@ class _Check:
 
     def problems(self, data: dict[str, Dataset]) -> list[DatasetProblem]:
         entry = self.runs.entry
-        ids = sorted({e for group in entry.effects or [] for e in group})
-        named = (lambda e: e.partition("@")[0]) if entry.command == "fit" else (lambda e: e)
-        effects = [e for e in ids if self.ask("effects", catalogue.effect_class, named(e))]
+        effects = self._effects()
         without = [e for e in entry.without if self.ask("without", catalogue.effect_class, e)]
-        models = {
-            m
-            for m in entry.models or []
-            if is_file(m) or is_model_file(m) or self.ask("models", catalogue.model_class, m)
-        }
+        models = {m for m in entry.models or [] if self._is_model(m)}
+        self._check_fitters()
+        for task in {(t.dataset, t.model): t for t in self.runs.tasks}.values():
+            named = task.model is not None and task.model_sha256 is None
+            if task.dataset not in data or (named and task.model not in models):
+                continue
+            where = "datasets" if task.model is None else "models"
+            chain = self.ask(
+                where, resolve_model, task.model, data[task.dataset], without, of=task.label
+            )
+            if chain is not None:
+                self._check_effects(effects, chain, task)
+        return self.found
+
+    def _effects(self) -> list[str]:
+        """Each effect that is asked for, once, of those that there are."""
+        ids: set[str] = set()
+        for group in self.runs.entry.effects or []:
+            ids |= set(group)
+        known = []
+        for effect in sorted(ids):
+            # A fit names an effect with its joint.
+            name = effect.partition("@")[0] if self.runs.entry.command == "fit" else effect
+            if self.ask("effects", catalogue.effect_class, name):
+                known.append(effect)
+        return known
+
+    def _is_model(self, model: str) -> bool:
+        if is_file(model) or is_model_file(model):
+            return True
+        return bool(self.ask("models", catalogue.model_class, model))
+
+    def _check_fitters(self) -> None:
+        entry = self.runs.entry
         for name in entry.fitters or []:
             kind = self.ask("fitters", fitter_of, name)
             wanted = getattr(kind, "residual_name", None)
@@ -71,28 +99,16 @@ class _Check:
                     f"{name} solves {wanted}, not {entry.residual}",
                     "Leave it out or change `residual`",
                 )
-        for task in {(t.dataset, t.model): t for t in self.runs.tasks}.values():
-            unknown = (
-                task.model is not None and task.model_sha256 is None and task.model not in models
-            )
-            if task.dataset in data and not unknown:
-                where = "datasets" if task.model is None else "models"
-                chain = self.ask(
-                    where, resolve_model, task.model, data[task.dataset], without, of=task.label
-                )
-                for effect in effects if chain is not None else []:
-                    if entry.command == "fit":
-                        self.ask("effects", parse_effect, effect, chain, of=task.label)
-                    else:
-                        self.ask(
-                            "effects",
-                            check_asked,
-                            chain,
-                            [effect],
-                            entry.residual or "",
-                            of=task.label,
-                        )
-        return self.found
+
+    def _check_effects(self, effects: Sequence[str], chain: Any, task: Task) -> None:
+        """Whether a model can have the effects."""
+        entry = self.runs.entry
+        for effect in effects:
+            if entry.command == "fit":
+                self.ask("effects", parse_effect, effect, chain, of=task.label)
+            else:
+                asked, residual = [effect], entry.residual or ""
+                self.ask("effects", check_asked, chain, asked, residual, of=task.label)
 
     def ask(self, field: str, question: Callable[..., Any], *arguments: Any, of: str = "") -> Any:
         """The answer; None and a problem where it is refused."""

@@ -195,12 +195,10 @@ class Coordinator:
 
     def _hand_out(self) -> None:
         busy = collections.Counter(b.worker for b in self.batches.values())
-        slots = [
-            w
-            for depth in (1, 2)
-            for w, threads in self.workers.items()
-            for _ in range(threads * depth - busy[w])
-        ]
+        slots: list[Any] = []
+        for depth in (1, 2):
+            for worker, threads in self.workers.items():
+                slots += [worker] * (threads * depth - busy[worker])
         room = max(0, 2 * sum(self.workers.values()) - len(self.batches))
         threads = max(1, sum(self.workers.values()))
         counted = collections.Counter(busy)
@@ -371,14 +369,14 @@ class Coordinator:
             return
         taken = [(o, t, h) for o, t, h in self.unsaved if o.key not in self.outcomes]
         histories = {o.key: h for o, _, h in taken if h}
-        name = (
-            self.store.save_arrays(f"{next(iter(histories))}-{len(histories)}", histories)
-            if histories
-            else ""
-        )
-        self.store.save(
-            [o.row(t, name if o.key in histories else "") for o, t, _ in taken], self.running
-        )
+        name = ""
+        if histories:
+            name = f"{next(iter(histories))}-{len(histories)}"
+            name = self.store.save_arrays(name, histories)
+        rows = []
+        for outcome, task, history in taken:
+            rows.append(outcome.row(task, name if history else ""))
+        self.store.save(rows, self.running)
         self._renewed = time.monotonic()
         self.outcomes |= {o.key: o for o, _, _ in taken}
         self.unsaved.clear()

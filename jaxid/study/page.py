@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -100,22 +101,23 @@ def problem_row(runs) -> tuple[str, list[tuple[str, str]]]:
     from jaxid.study.tables import best_loss, excess, TOLERANCE
 
     best = best_loss(runs)
-    at = [o for _, o in runs if excess(o, best) <= TOLERANCE]
-    names = dict.fromkeys(n for o in at for n in o.parameters or {})
-    out = []
-    for name in names:
-        values = [v for o in at if (v := (o.parameters or {}).get(name)) is not None]
-        if values:
-            low, middle, high = np.percentile(values, [10, 50, 90])
-            wide = high - low > 1e-6 * abs(middle)
-            out.append(
-                (
-                    name,
-                    wording.number(middle, 4)
-                    + (f" ({wording.number(low, 4)} to {wording.number(high, 4)})" if wide else ""),
-                )
-            )
-    return (wording.number(best, 4) if np.isfinite(best) else "none"), out
+    values: dict[str, list[float]] = {}
+    for _, outcome in runs:
+        if excess(outcome, best) > TOLERANCE:
+            continue
+        for name, value in (outcome.parameters or {}).items():
+            values.setdefault(name, [])
+            if value is not None:
+                values[name].append(value)
+    ranges = [(name, _range_text(found)) for name, found in values.items() if found]
+    return (wording.number(best, 4) if np.isfinite(best) else "none"), ranges
+
+
+def _range_text(values: Sequence[float]) -> str:
+    low, middle, high = np.percentile(values, [10, 50, 90])
+    if high - low <= 1e-6 * abs(middle):
+        return wording.number(middle, 4)
+    return f"{wording.number(middle, 4)} ({wording.number(low, 4)} to {wording.number(high, 4)})"
 
 
 def _counted(counts) -> str:

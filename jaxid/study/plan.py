@@ -234,44 +234,22 @@ def parse_study(path: str | Path) -> tuple[Study, list[DatasetProblem]]:
     head = entry_of(
         StudyEntry, rest, (), places, document, "header", [*StudyEntry.model_fields, "runs"]
     )
-    runs, entries = raw.get("runs"), {}
-    if not isinstance(runs, list) or not runs:
-        document.problems.append(
-            places.problem(
-                ("runs",), "there is no [[runs]]", "Add one with `command` and `datasets`"
-            )
-        )
-    for index, value in enumerate(runs if isinstance(runs, list) else []):
-        entry = entry_of(RunsEntry, value, ("runs", index), places, document, "runs")
-        if entry is not None:
-            entries[index] = entry
-            document.problems += _meaningless(entry, ("runs", index), places)
-        elif isinstance(value, dict):
-            sound = {
-                k: v for k, v in value.items() if k not in document.faulty.get(("runs", index), ())
-            }
-            entries[index] = RunsEntry.model_construct(**{"command": "fit", "datasets": []} | sound)
+    entries = _run_entries(raw.get("runs"), places, document)
     total = sum(entry.count for entry in entries.values())
     if total > MOST:
-        document.problems.append(
-            places.problem(
-                ("runs",),
-                f"{total} tasks are more than a study can hold ({MOST})",
-                "Divide it into several studies",
-            )
-        )
+        message = f"{total} tasks are more than a study can hold ({MOST})"
+        remedy = "Divide it into several studies"
+        document.problems.append(places.problem(("runs",), message, remedy))
     folders = _Folders(path.parent, places, document)
-
-    def tasks_of(k, e):
-        return tuple(_tasks(e, ("runs", k), folders)) if total <= MOST else ()
-
-    parts = tuple(PlannedRuns(k, e, tasks_of(k, e)) for k, e in entries.items())
+    parts: list[PlannedRuns] = []
     tasks: dict[str, Task] = {}
-    for part in parts:
-        for task in part.tasks:
+    for index, entry in entries.items():
+        own = tuple(_tasks(entry, ("runs", index), folders)) if total <= MOST else ()
+        parts.append(PlannedRuns(index, entry, own))
+        for task in own:
             tasks.setdefault(task.key, task)
     if head is None:
-        return Study(path, "", "", path.parent, tasks, parts), document.problems
+        return Study(path, "", "", path.parent, tasks, tuple(parts)), document.problems
     store = path.parent / head.store
     try:
         if store.is_file():
@@ -279,12 +257,30 @@ def parse_study(path: str | Path) -> tuple[Study, list[DatasetProblem]]:
                 places.problem(("store",), f"{head.store!r} is a file", "Name a folder")
             )
     except (OSError, ValueError) as error:  # a name that is too long
-        document.problems.append(
-            places.problem(
-                ("store",), f"{head.store!r} cannot be a folder ({_why(error)})", "Name another"
-            )
-        )
-    return Study(path, head.name, head.description, store, tasks, parts), document.problems
+        message = f"{head.store!r} cannot be a folder ({_why(error)})"
+        document.problems.append(places.problem(("store",), message, "Name another"))
+    study = Study(path, head.name, head.description, store, tasks, tuple(parts))
+    return study, document.problems
+
+
+def _run_entries(runs: Any, places: Places, document: Document) -> dict[int, RunsEntry]:
+    """The `[[runs]]` by their places; of one with faults what is sound."""
+    if not isinstance(runs, list) or not runs:
+        remedy = "Add one with `command` and `datasets`"
+        document.problems.append(places.problem(("runs",), "there is no [[runs]]", remedy))
+        return {}
+    entries = {}
+    for index, value in enumerate(runs):
+        key = ("runs", index)
+        entry = entry_of(RunsEntry, value, key, places, document, "runs")
+        if entry is not None:
+            entries[index] = entry
+            document.problems += _meaningless(entry, key, places)
+        elif isinstance(value, dict):
+            faulty = document.faulty.get(key, ())
+            sound = {k: v for k, v in value.items() if k not in faulty}
+            entries[index] = RunsEntry.model_construct(**{"command": "fit", "datasets": []} | sound)
+    return entries
 
 
 def _toml(path: Path) -> tuple[str, dict[str, Any]]:

@@ -125,19 +125,12 @@ def run_study(
     study = _read(path, check)
     began, notes = time.monotonic(), []
     with Store(study.store) as store:
-        damaged = store.acquire()
-        if store.salvaged is not None:
-            notes.append(
-                f"the store was damaged: {store.salvaged} results were saved from it, the old file"
-                " lies beside it"
-            )
-        if damaged:
-            notes.append(f"{damaged} results were damaged on the disk; their tasks run again")
-        store.sweep()
+        notes += _acquired(store)
         outcomes = known(study, store)
-        if retry and (again := [k for k, o in outcomes.items() if o.status in FAILURES]):
+        if retry:
+            again = [k for k, o in outcomes.items() if o.status in FAILURES]
             store.forget(again)
-            outcomes = {k: o for k, o in outcomes.items() if k not in set(again)}
+            outcomes = {k: o for k, o in outcomes.items() if o.status not in FAILURES}
         left = [t for t in study.tasks.values() if t.key not in outcomes]
         if left and check and store.recall("checked") != study.digest:
             from jaxid.study.check import check_study
@@ -166,14 +159,27 @@ def run_study(
             try:
                 write_tables(result, store)
             except NotSaved as error:
-                return replace(
-                    result,
-                    unsaved=(
-                        f"{error}. All results are in study.sqlite: make room, start the same"
-                        " command again"
-                    ),
+                text = (
+                    f"{error}. All results are in study.sqlite: make room, start the same"
+                    " command again"
                 )
+                return replace(result, unsaved=text)
         return result
+
+
+def _acquired(store: Store) -> list[str]:
+    """Takes the store for this process; notes of what was damaged in it."""
+    notes = []
+    damaged = store.acquire()
+    if store.salvaged is not None:
+        notes.append(
+            f"the store was damaged: {store.salvaged} results were saved from it, the old file"
+            " lies beside it"
+        )
+    if damaged:
+        notes.append(f"{damaged} results were damaged on the disk; their tasks run again")
+    store.sweep()
+    return notes
 
 
 def _read(path: str | Path, check: bool) -> Study:

@@ -139,7 +139,9 @@ def _worker(scheduler: str, interface: str, files: dict[str, Path]) -> list[str]
         "--tls-cert": files["cert"],
         "--tls-key": files["key"],
     }
-    given = [str(part) for option in options.items() for part in option]
+    given: list[str] = []
+    for option, value in options.items():
+        given += [option, str(value)]
     return [
         sys.executable,
         "-m",

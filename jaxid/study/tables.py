@@ -132,9 +132,8 @@ def rankings(result: StudyResult) -> list[Ranking]:
         middle = {fitter: _median(values) for fitter, values in own.items()}
         for fitter, values in own.items():
             shares[fitter] += values
-            lower, equal = (
-                sum(test(m, middle[fitter]) for m in middle.values()) for test in (_below, _equal)
-            )
+            lower = sum(_below(m, middle[fitter]) for m in middle.values())
+            equal = sum(_equal(m, middle[fitter]) for m in middle.values())
             ranks[fitter].append(lower + (equal + 1) / 2)
     out = []
     for fitter, values in shares.items():
@@ -264,17 +263,12 @@ def _parquet(rows: list[dict[str, Any]], names: Sequence[str]) -> bytes:
 
     text, whole = ("dataset", "model", "effects", "fitter", "status"), ("seed", "evaluations")
 
-    def kind(name):
-        return (
-            pyarrow.string()
-            if name in text
-            else pyarrow.int64()
-            if name in whole
-            else pyarrow.float64()
-        )
-
-    schema = pyarrow.schema([(name, kind(name)) for name in (*COLUMNS, *names)])
-    plain = [{name: _encodable(value) for name, value in row.items()} for row in rows]
+    kinds = dict.fromkeys((*COLUMNS, *names), pyarrow.float64())
+    kinds |= dict.fromkeys(text, pyarrow.string()) | dict.fromkeys(whole, pyarrow.int64())
+    schema = pyarrow.schema(list(kinds.items()))
+    plain = []
+    for row in rows:
+        plain.append({name: _encodable(value) for name, value in row.items()})
     buffer = io.BytesIO()
     pyarrow.parquet.write_table(pyarrow.Table.from_pylist(plain, schema), buffer)
     return buffer.getvalue()

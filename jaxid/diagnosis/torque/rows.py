@@ -11,16 +11,13 @@ import numpy as np
 
 from jaxid.data.dataset import Experiment
 from jaxid.data.signals import filter_ends, zero_phase
-from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.joint_readings import joint_motion, joint_readings, stated_positions
-from jaxid.errors import UsageError
+from jaxid.force.motion import moving, refuse_cutoff, rows_every
 from jaxid.force.torque_filter import check_motion, evenly, moving_band
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import bucket, columns
 
 
-#: Rows come at this many times the cutoff: between them there is nothing new.
-ROWS_PER_CUTOFF = 4.0
 #: Positions are smoothed at this many times the cutoff of the torque before they are
 #: differentiated.
 MOTION = 2.0
@@ -105,19 +102,14 @@ def _read(
     chain = binding.chain
     iu, _ = columns(binding.dataset, chain)
     rate = (len(e.t) - 1) / e.duration
-    if not cutoff_hz < rate / 2.5:
-        raise UsageError(
-            f"{e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high,"
-            f" give at most {rate / 4:.3g}"
-        )
+    refuse_cutoff(e, rate, cutoff_hz)
     motion_hz = min(MOTION * cutoff_hz, rate / 2.5)
     y = e.motion()[:, iy]
     q, qd, qdd, _ = joint_motion(
         chain, e.t, y, [motion_hz] * chain.nq, stated_positions(e, chain.signature)
     )
     ends = filter_ends(e.t, cutoff_hz)
-    every = max(1, int(rate / (ROWS_PER_CUTOFF * cutoff_hz)))
-    kept = slice(ends, len(e.t) - ends, every)
+    kept = slice(ends, len(e.t) - ends, rows_every(rate, cutoff_hz))
     return TorqueRun(
         experiment=e,
         q=q,
@@ -135,7 +127,7 @@ def _moving(binding: Binding, q: np.ndarray) -> np.ndarray:
     noise = np.array(
         [binding.readings[r.q] if r.q is not None else 0.0 for r in joint_readings(binding.chain)]
     )
-    return np.ptp(q, axis=0) > LIMITS.standing * np.maximum(noise, 1e-9)
+    return moving(q, np.maximum(noise, 1e-9))
 
 
 def turning_speeds(runs: Sequence[TorqueRun]) -> np.ndarray:

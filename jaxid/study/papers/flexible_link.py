@@ -23,10 +23,11 @@ from jaxid.data.dataset import (
 from jaxid.fitting.fitter import AbstractFitter
 from jaxid.fitting.problem_builder import ProblemBuilder, start_values
 from jaxid.problem.binding import bind
-from jaxid.problem.frequency_response import estimate, FrequencyResponseError
+from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import FitProblem
+from jaxid.problem.response_lines import estimate
 from jaxid.study.papers.result import judged, PaperClaim, PaperPart, PaperTable, PARTLY, UNKNOWN
-from jaxid.study.papers.searches import course, dispersion, lines, mean_sd, race, Searched
+from jaxid.study.papers.searches import course, dispersion, in_order, lines, mean_sd, race, Searched
 from jaxid.study.papers.twins import flexible_link as twin
 from jaxid.wording import listed, number
 
@@ -100,7 +101,8 @@ def data(modes: int = 4, linear: bool = True) -> Dataset:
         run.piece(0, 100, name="held", split="validation"),
         run.piece(0, 100, name="report", split="report"),
     )
-    priors = {k: ParameterPrior(None, *b, log=False if linear else None) for k, b in BOUNDS.items()}
+    log = False if linear else None
+    priors = {k: ParameterPrior(None, *b, log=log) for k, b in BOUNDS.items()}
     model = ModelSpec("flexible_link", constants={"n_modes": modes}, parameters=priors)
     measured = FrequencyResponse(
         "response", "fit", 2 * np.pi * f, response, "tau", "tip_acceleration"
@@ -183,19 +185,21 @@ def study(size: FlexibleLinkSize) -> Iterator[PaperPart]:
 
 def comparison(p: FitProblem, runs: Sequence[Searched]) -> PaperPart:
     """Figure 4 and Table 2."""
-    rows = [
-        (
-            r.label,
-            float(r.losses.mean()),
-            float(np.std(r.losses, ddof=1)),
-            float(r.losses.min()),
-            float(r.losses.max()),
-            float(np.median([after(f.history, 12) for f in r.found])),
-            r.evaluations,
-            r.seconds,
+    rows = []
+    for r in runs:
+        at_12 = [after(f.history, 12) for f in r.found]
+        rows.append(
+            (
+                r.label,
+                float(r.losses.mean()),
+                float(np.std(r.losses, ddof=1)),
+                float(r.losses.min()),
+                float(r.losses.max()),
+                float(np.median(at_12)),
+                r.evaluations,
+                r.seconds,
+            )
         )
-        for r in runs
-    ]
     truth = p.loss(p.z(truth_of(p)))
     table = PaperTable(
         "The objective (6) after all generations",
@@ -218,8 +222,8 @@ def comparison(p: FitProblem, runs: Sequence[Searched]) -> PaperPart:
         "Table 2: the best answers",
         ("", *(f"{k} ({UNITS[k]})" for k in BOUNDS)),
         (
-            ("truth", *(twin.DE[k] for k in BOUNDS)),
-            *((f"{r.label}, here", *(r.numbers[k] for k in BOUNDS)) for r in runs),
+            ("truth", *in_order(twin.DE, BOUNDS)),
+            *((f"{r.label}, here", *in_order(r.numbers, BOUNDS)) for r in runs),
             *((f"{k}, paper", *a.values()) for k, a in ANSWERS.items()),
         ),
     )
@@ -264,24 +268,19 @@ def arrival(history: Sequence[tuple[int, float]], share: float = 1.05) -> int:
 
 def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[PaperClaim, ...]:
     three = {"DE": de, "GA": ga, "PSO": pso}
-    means, spreads = (
-        {k: f(r.losses) for k, r in three.items()} for f in (np.mean, lambda x: np.std(x, ddof=1))
-    )
+    means = {k: np.mean(r.losses) for k, r in three.items()}
+    spreads = {k: np.std(r.losses, ddof=1) for k, r in three.items()}
 
     def said(values):
         return ", ".join(f"{k} {number(float(v), 2)}" for k, v in values.items())
 
-    lowest, widest, worst = (
-        min(means, key=means.__getitem__),
-        max(spreads, key=spreads.__getitem__),
-        max(means, key=means.__getitem__),
-    )
-    least = min(spreads, key=spreads.__getitem__)
+    lowest, worst = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
+    least, widest = min(spreads, key=spreads.__getitem__), max(spreads, key=spreads.__getitem__)
     arrived = arrival(de.best.history)
-    like = {
-        k: max(r.numbers[k] for r in three.values()) / min(r.numbers[k] for r in three.values())
-        for k in BOUNDS
-    }
+    like = {}
+    for k in BOUNDS:
+        answers = [r.numbers[k] for r in three.values()]
+        like[k] = max(answers) / min(answers)
     apart = min(like[k] for k in ("v", "alpha", "beta"))
     return (
         judged(
@@ -498,33 +497,24 @@ def bent(h: float) -> PaperPart:
     held = [run.piece(0, 100, name=n, split=n) for n in ("validation", "report")]
     pulsed = Dataset("pulse", CHANNELS, (run, *held), (), data().model)
     ways = {"linear response": True, "simulated response": False}
-    found = {
-        k: (
-            fit(
-                None,
-                pulsed,
-                residual=FrequencyResponseError(linear=w, timed=("phi",), band_hz=(0.0, 20.0)),
-                loss="sum_of_norms",
-            ).parameters
-        )
-        for k, w in ways.items()
-    }
+    found = {}
+    for way, linear in ways.items():
+        residual = FrequencyResponseError(linear=linear, timed=("phi",), band_hz=(0.0, 20.0))
+        found[way] = fit(None, pulsed, residual=residual, loss="sum_of_norms").parameters
 
     def off(way, k):
         return found[way][k].value / twin.DE[k] - 1
 
-    rows = tuple(
-        (
-            f"{k} ({UNITS[k]})",
-            twin.DE[k],
-            *(x for w in ways for x in (found[w][k].value, 100 * off(w, k))),
-        )
-        for k in BOUNDS
-    )
+    rows = []
+    for k in BOUNDS:
+        row: list[Any] = [f"{k} ({UNITS[k]})", twin.DE[k]]
+        for way in ways:
+            row += [found[way][k].value, 100 * off(way, k)]
+        rows.append(tuple(row))
     table = PaperTable(
         "Numbers found from one pulse, the response estimated from it",
         ("", "truth", "linear response", "off, %", "simulated response", "off, %"),
-        rows,
+        tuple(rows),
         "By (6), angle and response. Linear: as in the paper, the model's linear response against"
         " the measured one. Simulated: both records through the same estimator.",
     )

@@ -291,9 +291,8 @@ def payload(twin: Twin, seeds: Sequence[int]) -> PaperPart:
     for kind, memory in (("white", 0.0), ("coloured", 0.97)):
         for seed in seeds:
             rng = np.random.default_rng(seed)
-            empty, loaded = (
-                tau + noise(rng, len(tau), memory) for tau in (twin.empty, twin.loaded)
-            )
+            empty = twin.empty + noise(rng, len(twin.empty), memory)
+            loaded = twin.loaded + noise(rng, len(twin.loaded), memory)
             before, cov = solve(twin.W, empty)
             after = solve(twin.W, loaded)[0]
             whole, early, met = as_printed(twin.W, loaded, before, twin.base)
@@ -309,6 +308,7 @@ def payload(twin: Twin, seeds: Sequence[int]) -> PaperPart:
             }
             for method, mass in values.items():
                 found.setdefault((kind, method), []).append(100 * (mass / MASS - 1))
+    published = {method: 100 * (mass / MASS - 1) for method, mass in PUBLISHED.items()}
     rows = tuple(
         (
             kind,
@@ -316,7 +316,7 @@ def payload(twin: Twin, seeds: Sequence[int]) -> PaperPart:
             mean_sd(np.array(e)),
             float(np.median(np.abs(e))),
             float(np.max(np.abs(e))),
-            100 * (PUBLISHED[method] / MASS - 1) if method in PUBLISHED else None,
+            published.get(method),
         )
         for (kind, method), e in found.items()
     )

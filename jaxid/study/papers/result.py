@@ -96,14 +96,16 @@ class Reproduction:
 
     @property
     def claims(self) -> tuple[PaperClaim, ...]:
-        return tuple(claim for part in self.parts for claim in part.claims)
+        claims: list[PaperClaim] = []
+        for part in self.parts:
+            claims += part.claims
+        return tuple(claims)
 
     @property
     def counts(self) -> dict[str, int]:
         """How many claims there are of each verdict."""
-        return {
-            v: sum(c.verdict == v for c in self.claims) for v in (HOLDS, FAILS, PARTLY, UNKNOWN)
-        }
+        verdicts = [claim.verdict for claim in self.claims]
+        return {v: verdicts.count(v) for v in (HOLDS, FAILS, PARTLY, UNKNOWN)}
 
     @property
     def headline(self) -> str:

@@ -5,7 +5,7 @@ and seed.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -43,8 +43,11 @@ class Searched(NamedTuple):
 
     def reached(self, goal: float) -> list[int]:
         """Evaluations of the runs that came to the goal, when they did."""
-        first = (next((n for n, loss in f.history if loss <= goal), None) for f in self.found)
-        return [n for n in first if n is not None]
+        counts = []
+        for found in self.found:
+            there = [n for n, loss in found.history if loss <= goal]
+            counts += there[:1]
+        return counts
 
 
 def race(
@@ -59,11 +62,12 @@ def race(
     out = []
     for label, method in methods.items():
         began = time.perf_counter()
-        starts = [
-            [] if isinstance(method, AbstractPopulation) else [random_start(problem, s)]
-            for s in seeds
-        ]
-        jobs = [(problem, own, jax.random.key(s)) for own, s in zip(starts, seeds, strict=True)]
+        jobs = []
+        for seed in seeds:
+            starts = []
+            if not isinstance(method, AbstractPopulation):
+                starts = [random_start(problem, seed)]
+            jobs.append((problem, starts, jax.random.key(seed)))
         found = tuple(method.minimise_each(jobs, budget))
         spent = (time.perf_counter() - began) / len(seeds)
         out.append(
@@ -95,6 +99,11 @@ def mean_sd(values: np.ndarray, digits: int = 2) -> str:
     return f"{mean:.{places}f} ± {sd:.{places}f}"
 
 
+def in_order(numbers: Mapping[str, float], names: Iterable[str]) -> list[float]:
+    """The numbers by their names, as the cells of a row."""
+    return [numbers[name] for name in names]
+
+
 def course(
     name: str, caption: str, runs: Sequence[Searched], ylabel: str, factor: float = 1.0
 ) -> Picture:
@@ -103,8 +112,9 @@ def course(
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
         for run, color in zip(runs, COLORS, strict=False):
-            grid = np.unique(np.concatenate([[n for n, _ in f.history] for f in run.found]))
-            curves = factor * np.array([np.interp(grid, *np.array(f.history).T) for f in run.found])
+            histories = [np.array(f.history).T for f in run.found]
+            grid = np.unique(np.concatenate([counts for counts, _ in histories]))
+            curves = factor * np.array([np.interp(grid, *history) for history in histories])
             seen = curves.max(0) < DIVERGED  # before a simulation held there is nothing to draw
             grid, curves = grid[seen], curves[:, seen]
             axes.fill_between(
@@ -150,7 +160,9 @@ def lines(
     """Panels (x label, y label, curves by label) side by side; a label has one colour, the first of
     all is drawn as measured.
     """
-    labels = list(dict.fromkeys(label for _, _, curves in panels for label in curves))
+    labels: list[str] = []
+    for _, _, curves in panels:
+        labels += [label for label in curves if label not in labels]
 
     def draw(figure: Figure) -> None:
         grid = np.atleast_1d(np.asarray(figure.subplots(1, len(panels))))

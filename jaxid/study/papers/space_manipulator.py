@@ -4,7 +4,7 @@ differential evolution (RDE).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,22 +94,16 @@ def recursion(offline: int) -> PaperPart:
     def whole(s):
         return p.loss(p.z(named(p, s.numbers)))
 
-    objective = {k: np.array([whole(s) for s in steps]) for k, steps in runs.items()}
+    objective = {k: np.array(list(map(whole, steps))) for k, steps in runs.items()}
     best = levenberg_marquardt([(p, p.z(named(p, longer[-1].numbers)))], 50, 1e-12)[0]
     least = p.loss(best.z)
-    rows = tuple(
-        (
-            k,
-            objective[k][0] / least,
-            objective[k][-1] / least,
-            100 * off(steps[0].numbers),
-            100 * off(steps[-1].numbers),
-            steps[-1].evaluations,
-            steps[-1].seconds,
-            sum(s.seconds for s in steps),
-        )
-        for k, steps in runs.items()
-    )
+    rows = []
+    for k, steps in runs.items():
+        first, last = steps[0], steps[-1]
+        losses = (objective[k][0] / least, objective[k][-1] / least)
+        errors = (100 * off(first.numbers), 100 * off(last.numbers))
+        spent = (last.evaluations, last.seconds, sum(s.seconds for s in steps))
+        rows.append((k, *losses, *errors, *spent))
     table = PaperTable(
         "The objective on all data, as a multiple of its least, and the body's numbers",
         (
@@ -122,7 +116,7 @@ def recursion(offline: int) -> PaperPart:
             "s, last recursion",
             "s in all",
         ),
-        rows,
+        tuple(rows),
         f"{FIRST} samples off-line, {RECURSIONS} recursions of {BLOCK} samples, {LOOPS} generations"
         " each, 1 % torque noise. Times without compiling.",
     )
@@ -235,16 +229,11 @@ def linear_system(count: int, seeds: int) -> PaperPart:
             errors.setdefault(label, []).append(off(steps.numbers))
             cost.setdefault(label, []).append((steps.evaluations, steps.seconds))
             loops.setdefault(label, []).append(count if steps.loops is None else steps.loops)
-    rows = tuple(
-        (
-            k,
-            100 * float(np.median(e)),
-            int(np.median(loops[k])) if k in loops else 1,
-            int(np.median([n for n, _ in cost[k]])),
-            float(np.median([s for _, s in cost[k]])),
-        )
-        for k, e in errors.items()
-    )
+    rows = []
+    for k, e in errors.items():
+        spent, seconds = np.median(cost[k], axis=0)
+        needed = int(np.median(loops[k])) if k in loops else 1
+        rows.append((k, 100 * float(np.median(e)), needed, int(spent), float(seconds)))
     table = PaperTable(
         "Table 5: the last recursion on the rigid torque alone",
         (
@@ -254,7 +243,7 @@ def linear_system(count: int, seeds: int) -> PaperPart:
             "evaluations a recursion",
             "s a recursion",
         ),
-        rows,
+        tuple(rows),
         f"Medians of {len(errors['LS'])} noise seeds, 1 % torque noise. RDE goes on from the"
         f" recursion before; the others begin anew on all data, at most {count} generations. The"
         " paper's own values are lost.",
@@ -325,7 +314,7 @@ def evaluations(seeds: int, cap: int) -> PaperPart:
     }
     runs = race(p, methods, range(seeds), cap)
     rows = tuple(_reached(r, goal, seeds, cap) for r in runs)
-    typical = {r.label: float(np.median(n)) if (n := r.reached(goal)) else np.inf for r in runs}
+    typical = {r.label: _median(r.reached(goal)) for r in runs}
     table = PaperTable(
         "Evaluations until the torque error is a thousandth of the torque",
         ("method", "reached", "evaluations, median", "range", "s a run"),
@@ -359,6 +348,11 @@ def evaluations(seeds: int, cap: int) -> PaperPart:
     return PaperPart("What a search costs", text, (table,), (picture,), claims)
 
 
+def _median(counts: Sequence[int]) -> float:
+    """Infinite where no run arrived."""
+    return float(np.median(counts)) if counts else np.inf
+
+
 def _reached(r: Searched, goal: float, seeds: int, cap: int) -> tuple[Any, ...]:
     counts = r.reached(goal)
     middle = f"{np.median(counts):.0f}" if counts else f"more than {cap}"
@@ -376,8 +370,8 @@ def change(count: int, offline: int) -> PaperPart:
     data.
     """
     blocks = twin.cut(twin.path(4, count * BLOCK / 20.0), BLOCK)[:count]
-    part = {k: v * (0.8 if k == "m2" else 0.6) for k, v in twin.BODY.items()}
-    truths = [twin.BODY if k < count // 2 else part for k in range(count)]
+    part = {k: 0.6 * v for k, v in twin.BODY.items()} | {"m2": 0.8 * twin.BODY["m2"]}
+    truths = [twin.BODY] * (count // 2) + [part] * (count - count // 2)
     p = problem_of(
         blocks, [twin.torque(m, body=b) for m, b in zip(blocks, truths, strict=True)], NOISE
     )
@@ -415,7 +409,8 @@ def change(count: int, offline: int) -> PaperPart:
     )
     at = np.arange(begins, count + 1)
     curves = {"truth": (np.arange(1, count + 1), np.array([b["I2"] for b in truths]))}
-    curves |= {k: (at[: len(s)], np.array([x.numbers["I2"] for x in s])) for k, s in runs.items()}
+    for k, steps in runs.items():
+        curves[k] = (at[: len(steps)], np.array([s.numbers["I2"] for s in steps]))
     picture = lines(
         "change",
         "The inertia of the last body over the blocks",

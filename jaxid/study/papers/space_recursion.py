@@ -63,20 +63,22 @@ def problem_of(
 def dataset(
     motions: Sequence[twin.Motion], torques: Sequence[np.ndarray], friction: bool = True
 ) -> Dataset:
-    joints = ("1", "2")
-    own = {
-        k + j: ParameterPrior(None, *b)
-        for k, b in BOUNDS.items()
-        for j in (("",) if k in twin.BODY else joints)
-    }
+    own = {k: ParameterPrior(None, *BOUNDS[k]) for k in BOUNDS if k in twin.BODY}
     known: dict[str, Any] = {k: twin.LINK[k] for k in ("l1", "I1")}
-    if not friction:
-        known |= {k + j: 1.0 if k == "v_s" else 0.0 for k in twin.FRICTION for j in joints}
-        own = {k: v for k, v in own.items() if k in twin.BODY}
+    for j in ("1", "2"):
+        if friction:
+            of_joint = [k for k in BOUNDS if k not in twin.BODY]
+            own |= {k + j: ParameterPrior(None, *BOUNDS[k]) for k in of_joint}
+        else:
+            known |= {k + j: 0.0 for k in twin.FRICTION} | {f"v_s{j}": 1.0}
+    inputs, outputs = {}, {}
+    for j in (0, 1):
+        inputs[f"tau{j + 1}"] = [tau[:, j] for tau in torques]
+        outputs[f"q{j + 1}"] = [m[1][:, j] for m in motions]
     return Dataset.from_arrays(
         [m[0] for m in motions],
-        {f"tau{j + 1}": [tau[:, j] for tau in torques] for j in (0, 1)},
-        {f"q{j + 1}": [m[1][:, j] for m in motions] for j in (0, 1)},
+        inputs,
+        outputs,
         split="fit",
         noise_std={"q1": 1e-6, "q2": 1e-6},
         model=ModelSpec("space_manipulator", constants=known, parameters=own),
@@ -93,7 +95,8 @@ def streamed(friction: bool, seed: int = 0, path: int = 1) -> tuple[FitProblem, 
     motion = twin.path(path, (FIRST + RECURSIONS * BLOCK) / 20.0 - 0.05)
     blocks = twin.cut(motion, BLOCK)
     rng = np.random.default_rng(seed)
-    torques = [twin.torque(m, friction=twin.FRICTION if friction else None) for m in blocks]
+    laws = twin.FRICTION if friction else None
+    torques = [twin.torque(m, friction=laws) for m in blocks]
     size = np.sqrt(np.mean(np.concatenate(torques) ** 2, 0))
     noisy = [tau + NOISE * size * rng.standard_normal(tau.shape) for tau in torques]
     return built(dataset(blocks, noisy, friction)), blocks

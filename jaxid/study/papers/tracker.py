@@ -33,7 +33,7 @@ from jaxid.study.papers.result import (
     Picture,
     UNKNOWN,
 )
-from jaxid.study.papers.searches import course, dispersion, lines, race, Searched
+from jaxid.study.papers.searches import course, dispersion, in_order, lines, race, Searched
 from jaxid.study.papers.twins import tracker as twin
 from jaxid.wording import listed, number
 
@@ -95,7 +95,8 @@ def data(*, linear: bool = False, whole: bool = False, **twins: Any) -> Dataset:
         Channel("theta", "output", "rad", noise_std=NOISE),
         Channel("alpha", "output", "rad", noise_std=NOISE),
     )
-    priors = {k: ParameterPrior(None, *b, log=False if linear else None) for k, b in BOUNDS.items()}
+    log = False if linear else None
+    priors = {k: ParameterPrior(None, *b, log=log) for k, b in BOUNDS.items()}
     return Dataset(
         "paper_003", channels, tuple(runs), model=ModelSpec("tracker", parameters=priors)
     )
@@ -212,7 +213,7 @@ def comparison(p: FitProblem, runs: Sequence[Searched]) -> PaperPart:
         ("", *(f"{k} ({UNITS[k]})" for k in BOUNDS)),
         (
             ("truth (the paper's GA)", *twin.GA.values()),
-            *((f"{r.label}, here", *(r.numbers[k] for k in BOUNDS)) for r in runs),
+            *((f"{r.label}, here", *in_order(r.numbers, BOUNDS)) for r in runs),
             *((f"{k}, paper", *v) for k, *v in named),
         ),
     )

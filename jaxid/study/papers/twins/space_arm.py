@@ -15,7 +15,9 @@ BODY = {"m2": 40.0, "hx": 20.0, "hy": 4.0, "I2": 18.0}
 FRICTION = {"F_c": (1.5, 1.0), "F_s": (2.4, 1.7), "v_s": (0.06, 0.05), "F_v": (2.0, 1.2)}
 LINK = {"l1": 1.2, "I1": 3.0, "m1": 5.0, "c1": 0.5}
 #: Every number of the model by its id.
-NUMBERS = BODY | {f"{k}{j + 1}": v[j] for k, v in FRICTION.items() for j in (0, 1)}
+NUMBERS = dict(BODY)
+for _name, (_first, _second) in FRICTION.items():
+    NUMBERS |= {f"{_name}1": _first, f"{_name}2": _second}
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -112,5 +114,8 @@ def torque(
 
 def cut(motion: Motion, size: int) -> list[Motion]:
     """Consecutive blocks of this many samples."""
-    count = len(motion[0]) // size
-    return [tuple(x[k * size : (k + 1) * size] for x in motion) for k in range(count)]  # type: ignore[misc]
+    blocks = []
+    for first in range(0, len(motion[0]) - size + 1, size):
+        block = slice(first, first + size)
+        blocks.append(tuple(x[block] for x in motion))
+    return blocks
