@@ -23,9 +23,9 @@ from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
 from jaxid.robots.floating import ANGLES, floating, refuse_unmeasured, wanted
-from jaxid.robots.followers import drives_led, led
+from jaxid.robots.followers import drives_led, led, outputs_led
 from jaxid.robots.mjcf_text import expanded
-from jaxid.robots.tree import Tree
+from jaxid.robots.tree import Coupling, Tree
 
 
 #: Constant under which a dataset states where a joint that it does not record was held.
@@ -270,7 +270,7 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     tree: Tree = model.tree.tree  # type: ignore[attr-defined]
     spec = dataset.model
     dataset = named(dataset, tree, spec.joints if spec is not None else None)
-    dataset = driving(drives_led(dataset, tree), tree)
+    dataset = driving(drives_led(outputs_led(dataset, tree), tree), tree)
     tree, _ = led(tree, dataset)
     return model, with_base(with_rates(dataset, tree), tree)
 
@@ -410,10 +410,21 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     if tree.ties:
         listed = "; ".join(f"{t.what}, of {', '.join(t.joints)}" for t in tree.ties)
         notes = (*notes, f"not simulated, for all joints that it acts on are held: {listed}")
+    curved = [c for c in tree.couplings if c.curve is not None and c.leader in measured]
+    if curved:
+        listed = ", ".join(f"{c.follower} with {c.leader} at {_about(c):.3g}" for c in curved)
+        notes = (
+            *notes,
+            f"coupled by a curve: {listed}; dry friction of a follower counts as it does there",
+        )
     if followers:
         listed = ", ".join(f"{a} follows {b}" for a, b in followers.items())
         notes = (*notes, f"{listed}, as the file says: not compared")
     return locked, notes
+
+
+def _about(c: Coupling) -> float:
+    return c.as_curve.about
 
 
 def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:
