@@ -210,3 +210,12 @@ def test_blocks_hold_every_sample_once(lengths):
     for run, count in enumerate(lengths):
         own = np.concatenate([s for k, s in blocks if k == run])
         assert sorted(own) == list(range(count))
+
+
+def test_of_too_many_kinds_the_one_goes_that_is_missed_least():
+    found = weigh(scales({2: 2.0, 3: 0.7, 6: -1.5}))
+
+    def kinds(most):
+        return {UNITS[c.unit].effect for c in claims(found, most)}
+
+    assert kinds(2) == {"spring", "drag"} and kinds(1) == {"spring"}

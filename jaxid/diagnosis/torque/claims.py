@@ -50,14 +50,26 @@ def claims(weighed: Weighed, most: int | None = None) -> list[TorqueClaim]:
                 out.append(claim)
     out.sort(key=lambda claim: claim.unit)
     out = _missed(scales, out)
-    if most is None:
-        return out
-    surest: dict[str, float] = {}
-    for claim in out:
-        effect = scales.units[claim.unit].effect
-        surest[effect] = max(surest.get(effect, 0.0), claim.probability)
-    kept = sorted(surest, key=lambda effect: -surest[effect])[:most]
-    return [claim for claim in out if scales.units[claim.unit].effect in kept]
+    return out if most is None else _of_kinds(scales, out, most)
+
+
+def _of_kinds(scales: Scales, found: list[TorqueClaim], most: int) -> list[TorqueClaim]:
+    """Claims of at most so many effects: the effect without which least is lost goes first."""
+    kinds = {scales.units[claim.unit].effect for claim in found}
+    if len(kinds) <= most:
+        return found
+    units = [claim.unit for claim in found]
+    question = Question(scales, [], units, scales.moving, scales.rule.directions)
+    effects = [scales.units[u].effect for u in units]
+    kept = list(range(len(units)))
+    while len(kinds) > most:
+        ordered = sorted(kinds)
+        without = [tuple(k for k in kept if effects[k] != kind) for kind in ordered]
+        worth, _ = question.judged(without)
+        last = int(np.argmax(worth))
+        kinds.discard(ordered[last])
+        kept = list(without[last])
+    return [found[k] for k in kept]
 
 
 def _claim(
