@@ -208,7 +208,7 @@ LONG = {
     "jaxid/diagnosis/search.py": 577,
     "jaxid/diagnosis/unseen.py": 502,
     "jaxid/dynamics/chain.py": 530,
-    "jaxid/report/text.py": 540,
+    "jaxid/report/text.py": 535,
     "jaxid/robots/export/mjcf.py": 573,
     "jaxid/study/papers/flexible_link.py": 553,
     "models/robot.py": 583,

@@ -112,10 +112,12 @@ def table_of(tree: Tree) -> ArmTable:
 
 def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
     """The recorded joints as q1 … with their torques as tau1 …, goals as auxiliary q1_cmd …"""
-    slides = tree.slides
-    channels = [Channel(f"q{k + 1}", "output", "m" if s else "rad") for k, s in enumerate(slides)]
-    channels += [Channel(f"tau{k + 1}", "input", "N" if s else "N m") for k, s in enumerate(slides)]
-    outputs, inputs = ([c.name for c in group] for group in (dataset.outputs, dataset.inputs))
+    channels, torques = [], []
+    for k, slides in enumerate(tree.slides, 1):
+        channels.append(Channel(f"q{k}", "output", "m" if slides else "rad"))
+        torques.append(Channel(f"tau{k}", "input", "N" if slides else "N m"))
+    channels += torques
+    outputs, inputs = [c.name for c in dataset.outputs], [c.name for c in dataset.inputs]
     iy = [outputs.index(j) for j in tree.joints]
 
     held = all(c.hold == "zero" for c in dataset.inputs if c.name.endswith("_cmd"))
@@ -148,7 +150,6 @@ def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
         )
 
     experiments = tuple(map(one, dataset.experiments))
-    goals = [
-        Channel(n, "auxiliary", "rad") for n in (experiments[0].auxiliary if experiments else {})
-    ]
+    names = experiments[0].auxiliary if experiments else {}
+    goals = [Channel(name, "auxiliary", "rad") for name in names]
     return replace(dataset, channels=(*channels, *goals), experiments=experiments, controller=None)

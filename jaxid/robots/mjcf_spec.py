@@ -194,8 +194,10 @@ def _loose(body: Any) -> bool:
     if not up or not _moves(body):
         return False
     root = up[-1]
-    below = [root, *root.find_all("body")]
-    return all(j.type == free for b in below for j in b.joints)
+    joints: list[Any] = []
+    for below in (root, *root.find_all("body")):
+        joints += below.joints
+    return all(joint.type == free for joint in joints)
 
 
 def heavy(body: Any, spec: Any) -> Iterable[Any]:

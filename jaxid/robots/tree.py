@@ -170,9 +170,10 @@ class Tree:
         )
         out: dict[str, Any] = {name: getattr(self, name)[k] for name in arrays}
         out["lifted"] = None if self.lifted is None else self.lifted[k]
-        return out | {
-            name: tuple(getattr(self, name)[i] for i in k) for name in ("joints", "links", "slides")
-        }
+        for name in ("joints", "links", "slides"):
+            of_all = getattr(self, name)
+            out[name] = tuple(of_all[i] for i in k)
+        return out
 
     def locked(self, pose: Mapping[str, float]) -> Tree:
         """The same with these joints (and what follows them) held; their bodies belong to what
@@ -316,8 +317,10 @@ class Tree:
         for k, up in enumerate(self.parent):
             root[k] = root[up] if up >= 0 else k
         for c in self.couplings:
-            a, b = root[self.joint(c.follower)], root[self.joint(c.leader)]
-            root = [min(a, b) if r in (a, b) else r for r in root]
+            ends = {root[self.joint(c.follower)], root[self.joint(c.leader)]}
+            for k, r in enumerate(root):
+                if r in ends:
+                    root[k] = min(ends)
         groups: dict[int, list[str]] = {}
         for k, name in enumerate(self.joints):
             if name in self.leading:
@@ -328,11 +331,11 @@ class Tree:
         """The limbs of these joints alone; they must be whole limbs."""
         wanted = {*joints, *(c.follower for c in self.couplings if c.leader in joints)}
         keep = [k for k, name in enumerate(self.joints) if name in wanted]
-        number = {k: i for i, k in enumerate(keep)}
+        number = {-1: -1} | {k: i for i, k in enumerate(keep)}
         return replace(
             self,
             **self.taken(keep),
-            parent=tuple(number[self.parent[k]] if self.parent[k] >= 0 else -1 for k in keep),
+            parent=tuple(number[self.parent[k]] for k in keep),
             couplings=tuple(c for c in self.couplings if c.follower in wanted),
             actuators={k: a for k, a in self.actuators.items() if k in wanted},
         )
@@ -356,7 +359,9 @@ class StaticTree:
     def __init__(self, tree: Tree):
         self.tree = tree
         own = [v for k, v in vars(tree).items() if k != "steps"]  # which are of another simulator
-        parts = [repr(v) if not isinstance(v, np.ndarray) else v.tobytes().hex() for v in own]
+        parts = []
+        for v in own:
+            parts.append(v.tobytes().hex() if isinstance(v, np.ndarray) else repr(v))
         self._key = hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def __eq__(self, other: object) -> bool:

@@ -113,29 +113,29 @@ def sentences(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """
     out: list[tuple[float, str]] = []
     wrong = [r for r in rows if r["deviation"] is not None and abs(r["deviation"]) > REFUTED]
-    links = dict.fromkeys(r["link"] for r in wrong if r["parameter"].startswith("com_"))
-    for link in links:
-        own = {
-            r["parameter"][-1]: r
-            for r in rows
-            if r["link"] == link and r["parameter"].startswith("com_")
-        }
-        was, now = (np.array([r[k] for r in own.values()]) for k in ("stated", "fitted"))
-        std = np.array([r["std"] if r["std"] else np.nan for r in own.values()])
-        size = float(was @ was)
-        if size < 1e-12 or not np.isfinite(std).all():
-            continue
-        share = float((now - was) @ was / size)
-        doubt = float(np.sqrt(np.sum((was * std) ** 2)) / size)
-        if abs(share) > REFUTED * doubt and abs(share) > 0.01:
-            more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
-            out.append(
-                (abs(share) / doubt, f"link {link} carries {more} first moment than the file says")
-            )
+    moments = [r for r in rows if r["parameter"].startswith("com_")]
+    for link in dict.fromkeys(r["link"] for r in wrong if r["parameter"].startswith("com_")):
+        own = {r["parameter"][-1]: r for r in moments if r["link"] == link}
+        out += _first_moment(link, list(own.values()))
     for r in wrong:
         if not r["parameter"].startswith("com_"):
             out.append((abs(r["deviation"]), r["text"]))
     return tuple(text for _, text in sorted(out, key=lambda one: -one[0]))
+
+
+def _first_moment(link: str, rows: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
+    """(deviation, sentence) where a link's first moment is another one along that of the file."""
+    was, now = np.array([r["stated"] for r in rows]), np.array([r["fitted"] for r in rows])
+    std = np.array([r["std"] or np.nan for r in rows])
+    size = float(was @ was)
+    if size < 1e-12 or not np.isfinite(std).all():
+        return []
+    share = float((now - was) @ was / size)
+    doubt = float(np.sqrt(np.sum((was * std) ** 2)) / size)
+    if abs(share) <= max(REFUTED * doubt, 0.01):
+        return []
+    more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
+    return [(abs(share) / doubt, f"link {link} carries {more} first moment than the file says")]
 
 
 def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:

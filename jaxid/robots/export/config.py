@@ -38,19 +38,15 @@ def written(
     effects = {None: "", "c": "effects.h"}.get(library, "effects.py")
     lacking = coded(effects, elsewhere, how, remembers=not plugin)
     out = Written(rows_of(sheet, fields, lacking))
-    out.rows = [
-        replace(r, note=joined(r.note, f"written for {version}, not run")) if r.field else r
-        for r in out.rows
-    ]
+    for k, row in enumerate(out.rows):
+        if row.field:
+            out.rows[k] = replace(row, note=joined(row.note, f"written for {version}, not run"))
     numbers = by_joint(sheet, [q for q in QUANTITIES if q in fields])
-    bodies = (
-        {link: after for link, (_, after) in sheet.bodies.items()} if "inertial" in fields else {}
-    )
-    if (
-        numbers
-        or bodies
-        or ("gravity" in fields and any(c.quantity == "gravity" for c in sheet.changes))
-    ):
+    bodies = {}
+    if "inertial" in fields:
+        bodies = {link: after for link, (_, after) in sheet.bodies.items()}
+    turned = "gravity" in fields and "gravity" in {c.quantity for c in sheet.changes}
+    if numbers or bodies or turned:
         out.files[file] = writer(sheet, numbers, bodies)
     if library and (
         laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code")

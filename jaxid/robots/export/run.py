@@ -235,26 +235,28 @@ def _joints(found: ExportOutcome) -> list[str]:
     if found.robot.get("joints"):
         return list(found.robot["joints"])
     if found.kind == "identification":
-        return [
-            str(r.get("joint"))
-            for r in found.content.get("friction") or []
-            if isinstance(r, Mapping)
-        ]
-    places = [n.partition("@")[2] for n in found.parameters if "@" in n]
-    ends = ("_cmd", "_tau", "_qd")
-    places += [
-        next((e.location.removesuffix(x) for x in ends if e.location.endswith(x)), e.location)
-        for e in found.effects
-    ]
+        friction = found.content.get("friction") or []
+        return [str(r.get("joint")) for r in friction if isinstance(r, Mapping)]
+    places, count = [], 1
+    for name in found.parameters:
+        field, at_sign, place = name.partition("@")
+        if at_sign:
+            places.append(place)
+        else:
+            count = max(count, int(field[len(field.rstrip("0123456789")) :] or 1))
+    places += [_joint_of(e.location) for e in found.effects]
     shown = [j for j in dict.fromkeys(places) if j not in ("tau", "force", "u")]
-    count = max(
-        [1, *(int(n[len(n.rstrip("0123456789")) :] or 1) for n in found.parameters if "@" not in n)]
-    )
-    return (
-        shown
-        if len(shown) >= count
-        else [*shown, *(f"q{k + 1}" if count > 1 else "q" for k in range(len(shown), count))]
-    )
+    for k in range(len(shown), count):
+        shown.append(f"q{k + 1}" if count > 1 else "q")
+    return shown
+
+
+def _joint_of(channel: str) -> str:
+    """`elbow` of `elbow_cmd`, `elbow_tau` or `elbow_qd`."""
+    for end in ("_cmd", "_tau", "_qd"):
+        if channel.endswith(end):
+            return channel.removesuffix(end)
+    return channel
 
 
 def _identified(found: ExportOutcome, tree: Tree, path: Path | None) -> Sheet:
