@@ -495,6 +495,11 @@ def identification_text(result: Identification) -> str:
     )
     from jaxid.wording import table
 
+    def recording_row(e: Any) -> tuple[str, ...]:
+        each = [error(r, 1) for r in e.relative_error_per_joint]
+        whole, unfiltered = error(e.relative_error), error(e.unfiltered_relative_error)
+        return (e.file, e.split, whole, *each, unfiltered)
+
     joints = result.labels
     parts = [
         *data_lines(result.data),
@@ -505,16 +510,7 @@ def identification_text(result: Identification) -> str:
         *(f"{answer[0].upper()}{answer[1:]}." for answer in result.answers),
         table(
             ("recording", "data", "all joints", *joints, "unfiltered"),
-            [
-                (
-                    e.file,
-                    e.split,
-                    error(e.relative_error),
-                    *(error(r, 1) for r in e.relative_error_per_joint),
-                    error(e.unfiltered_relative_error),
-                )
-                for e in result.experiments
-            ],
+            list(map(recording_row, result.experiments)),
         ),
         table(
             ("friction", *joints),

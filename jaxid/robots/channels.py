@@ -39,10 +39,13 @@ def signature_of(
     """
     joints = tree.leading
     slides = tuple(tree.slides[tree.joints.index(j)] for j in joints)
-    units = ["m" if s else "rad" for s in slides]
-    inputs = [(goal(j), unit) for j, unit in zip(tree.driven, units, strict=False)]
-    if not driven:
-        forces = ["N" if s else "N m" for s in slides]
+    units, forces = [], []
+    for slide in slides:
+        units.append("m" if slide else "rad")
+        forces.append("N" if slide else "N m")
+    if driven:
+        inputs = [(goal(j), unit) for j, unit in zip(tree.driven, units, strict=False)]
+    else:
         inputs = [(torque(j), unit) for j, unit in zip(tree.driven, forces, strict=False)]
     beside = [(name, f"{unit}/s") for name, unit in zip(rates, units, strict=False)]
     if rides:

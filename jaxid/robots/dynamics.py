@@ -369,7 +369,8 @@ def falling(angles: Any, gravity: Float[Array, " 3"], tilt: Any = None) -> tuple
     pitch and yaw, and by a `tilt` (angle, axis) further.
     """
     R = turn(*angles)
-    fall: Any = tuple(sum(R[i][k] * gravity[i] for i in range(3)) for k in range(3))
+    x, y, z = R
+    fall: Any = tuple(x[k] * gravity[0] + y[k] * gravity[1] + z[k] * gravity[2] for k in range(3))
     if tilt is not None:  # v cos - (axis x v) sin + axis (axis . v) (1 - cos)
         angle, axis = tilt
         sine, cosine = sincos(angle)

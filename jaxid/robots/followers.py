@@ -18,6 +18,11 @@ from jaxid.robots.tree import Actuator, Coupling, Tree
 DRIVES = ("_cmd", "_tau")
 
 
+def drives_of(joint: str) -> list[str]:
+    """The channels that drive a joint."""
+    return [joint + end for end in DRIVES]
+
+
 def led(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     """(tree in which recorded joints lead those that the file couples to them, what is to be said
     of it).
@@ -32,7 +37,7 @@ def led(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     for leader in dict.fromkeys(c.leader for c in tree.couplings):
         coupled = [c.follower for c in tree.couplings if c.leader == leader and c.ratio != 0]
         recorded = [j for j in (leader, *coupled) if shown(j)]
-        driven = [j for j in recorded if not names.isdisjoint(j + end for end in DRIVES)]
+        driven = [j for j in recorded if not names.isdisjoint(drives_of(j))]
         lead = (*driven, *recorded, leader)[0]
         if lead != leader:
             tree = led_by(tree, lead)

@@ -8,7 +8,7 @@ carries it.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -191,29 +191,25 @@ class Tree:
         inertia, places, parents = fields["inertia"].copy(), [], []
         lifted = None if self.lifted is None else fields["lifted"].copy()
         trunk = np.array(self.trunk)
-        carrier: dict[
-            int, tuple[int, np.ndarray]
-        ] = {}  # held node -> (node that carries it or -1, its frame there)
+        # held node -> (node that carries it or -1, its frame there)
+        carrier: dict[int, tuple[int, np.ndarray]] = {}
         for k in range(self.n):  # parents stand before their children
             up, T = self.parent[k], self.place[k]
             if up in carrier:
                 up, before = carrier[up]
                 T = before @ T
-            if k in held:
-                carrier[k] = (
-                    up,
-                    T @ motion(self.axis[k], self.slides[k], held[k] - self.reference[k]),
-                )
-                if up >= 0:
-                    inertia[number[up]] += turned(self.inertia[k], carrier[k][1])
-                    if lifted is not None and self.lifted is not None:
-                        lifted[number[up]] += turned(self.lifted[k], carrier[k][1])
-                else:
-                    trunk += turned(self.inertia[k], carrier[k][1])
-            else:
+            if k not in held:
                 places.append(T)
                 parents.append(number.get(up, -1))
-        gone = {self.joints[k] for k in held}
+                continue
+            T = T @ motion(self.axis[k], self.slides[k], held[k] - self.reference[k])
+            carrier[k] = up, T
+            if up < 0:
+                trunk += turned(self.inertia[k], T)
+                continue
+            inertia[number[up]] += turned(self.inertia[k], T)
+            if lifted is not None and self.lifted is not None:
+                lifted[number[up]] += turned(self.lifted[k], T)
         own = {
             **fields,
             "place": np.array(places).reshape(-1, 4, 4),
@@ -222,21 +218,23 @@ class Tree:
             "parent": tuple(parents),
         }
         own["trunk"] = tuple(trunk.tolist())
+        values = {self.joints[k]: value for k, value in held.items()}
+        return replace(self._without(values.keys()), **own, held={**self.held, **values})
+
+    def _without(self, gone: Collection[str]) -> Tree:
+        """What is said of joints, without those that are gone."""
+
+        def left(of_joints: Mapping[str, Any]) -> dict[str, Any]:
+            return {joint: value for joint, value in of_joints.items() if joint not in gone}
+
+        couplings = [c for c in self.couplings if not {c.follower, c.leader} & set(gone)]
+        ties = [t for t in self.ties if set(t.joints) & set(self.joints) - set(gone)]
         return replace(
             self,
-            **own,
-            couplings=tuple(
-                c for c in self.couplings if c.follower not in gone and c.leader not in gone
-            ),
-            actuators={k: a for k, a in self.actuators.items() if k not in gone},
-            poses={
-                name: {j: v for j, v in p.items() if j not in gone}
-                for name, p in self.poses.items()
-            },
-            ties=tuple(
-                t for t in self.ties if not gone.issuperset(set(t.joints) & set(self.joints))
-            ),
-            held={**self.held, **{self.joints[k]: value for k, value in held.items()}},
+            couplings=tuple(couplings),
+            actuators=left(self.actuators),
+            poses={name: left(pose) for name, pose in self.poses.items()},
+            ties=tuple(ties),
         )
 
     def path_to(self, link: str) -> tuple[str, ...]:

@@ -281,7 +281,9 @@ def _joint_effect(sheet: Sheet, effect: Named, own: StandsFor, joint: str) -> No
     if own.after is not None:
         after = own.after(sheet.after[joint], value, sheet.driven)
     sheet.set(joint, **after)
-    said = dict.fromkeys("force" if name in FORCE else name for name in after)
+    said: dict[str, None] = {}
+    for name in after:
+        said["force" if name in FORCE else name] = None
     for quantity in said:
         if quantity != own.quantity and not _stated(sheet, joint, quantity):
             continue

@@ -118,13 +118,10 @@ def outcome(content: Any) -> ExportOutcome:
     effects = which.get("effects", []) if isinstance(which, Mapping) else []
     parameters = content.get("parameters", {})
     robot = content.get("robot") or {}
-    if (
-        not isinstance(effects, list)
-        or not isinstance(parameters, Mapping)
-        or not isinstance(robot, Mapping)
-    ):
+    tables = isinstance(parameters, Mapping) and isinstance(robot, Mapping)
+    if not isinstance(effects, list) or not tables:
         raise UsageError("effects, parameters or robot of the result are not what jaxid writes")
-    if len(effects) > MOST or len(parameters) > MOST:
+    if max(len(effects), len(parameters)) > MOST:
         raise UsageError(f"the result has more than {MOST} numbers or effects")
     if kind != "identification" and not parameters and not effects:
         raise UsageError(
