@@ -5,7 +5,7 @@ drives the others.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -127,9 +127,7 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
     """
     notes, have = [], {c.name for c in dataset.channels}
     joints, gone = of_the_file(dict(joints or {}), tree, have)
-    out: list[str] = []
-    for channel in gone:
-        out += [c for c in forms_of(channel, channel) if c in have]
+    out = _channels_of(gone, have)
     if out:
         dataset = left_out(dataset, out)
         notes = [f"left out, for {tree.file or 'the robot'} lacks them: {', '.join(gone.values())}"]
@@ -159,6 +157,14 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
         experiments=tuple(_renamed(e, new) for e in dataset.experiments),
         notes=(*dataset.notes, *notes),
     )
+
+
+def _channels_of(positions: Iterable[str], have: set[str]) -> list[str]:
+    """The recorded channels of joints, by those of their positions."""
+    found: list[str] = []
+    for channel in positions:
+        found += [form for form in forms_of(channel, channel) if form in have]
+    return found
 
 
 def _numbered_joints(dataset: Dataset, tree: Tree) -> tuple[dict[str, str], list[str]]:

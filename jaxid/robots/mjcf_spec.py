@@ -82,9 +82,7 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
         geom.contype = geom.conaffinity = 0
         geom.material = ""
     for name in DROPPED:
-        for one in list(getattr(spec, name)):
-            if not (name == "geoms" and one in kept):
-                spec.delete(one)
+        _drop(spec, name, kept if name == "geoms" else ())
     without_tendons(mujoco, spec)
     spec.compiler.balanceinertia = False
     spec.compiler.fusestatic = False
@@ -183,6 +181,13 @@ def _up(body: Any) -> list[Any]:
 def _moves(body: Any) -> bool:
     """Whether a joint carries a body."""
     return any(len(b.joints) for b in _up(body))
+
+
+def _drop(spec: Any, kind: str, kept: Sequence[Any]) -> None:
+    """Takes out all elements of a kind but those that are `kept`."""
+    for one in list(getattr(spec, kind)):
+        if one not in kept:
+            spec.delete(one)
 
 
 def _loose(body: Any) -> bool:

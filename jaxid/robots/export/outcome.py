@@ -118,11 +118,7 @@ def outcome(content: Any) -> ExportOutcome:
     effects = which.get("effects", []) if isinstance(which, Mapping) else []
     parameters = content.get("parameters", {})
     robot = content.get("robot") or {}
-    tables = isinstance(parameters, Mapping) and isinstance(robot, Mapping)
-    if not isinstance(effects, list) or not tables:
-        raise UsageError("effects, parameters or robot of the result are not what jaxid writes")
-    if max(len(effects), len(parameters)) > MOST:
-        raise UsageError(f"the result has more than {MOST} numbers or effects")
+    _check_kinds(effects, parameters, robot)
     if kind != "identification" and not parameters and not effects:
         raise UsageError(
             "the result holds no numbers: the fit failed, and there is nothing to carry over"
@@ -199,6 +195,14 @@ def _effect(entry: Any) -> Named:
         _name(entry.get("location"), name),
         {_name(k, name): _number(f"{name}.{k}", v) for k, v in inside.items()},
     )
+
+
+def _check_kinds(effects: Any, parameters: Any, robot: Any) -> None:
+    tables = isinstance(parameters, Mapping) and isinstance(robot, Mapping)
+    if not isinstance(effects, list) or not tables:
+        raise UsageError("effects, parameters or robot of the result are not what jaxid writes")
+    if max(len(effects), len(parameters)) > MOST:
+        raise UsageError(f"the result has more than {MOST} numbers or effects")
 
 
 def _covariance(entry: Any, names: Any) -> tuple[tuple[str, ...], np.ndarray]:

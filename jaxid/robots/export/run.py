@@ -74,11 +74,7 @@ def export(
     found = outcome(content)
     path = _file(found, robot, beside)
     target = TARGETS[to]
-    tree = (
-        None
-        if path is None
-        else based(read_tree(path), (found.robot.get("base") or {}).get("kind") == "free")
-    )
+    tree = None if path is None else _tree(found, path)
     in_steps, said = _in_steps(found, tree, path) if to == "mjcf" else (found, ())
     told = kept(in_steps)
     sheet = _sheet(told, tree, path)
@@ -94,9 +90,14 @@ def export(
         written.rows = [_with_step(r, tree) for r in written.rows]
     else:
         written = target.write(sheet, told, path if patches else None)
-    more = ranges_of(found, to, told) if ranges else None
-    rows = tuple(written.rows)
-    files = {**written.files, **(more.files if more else {})}
+    rows, files = tuple(written.rows), dict(written.files)
+    notes = [*_caveats(found), *sheet.notes, *written.notes]
+    table = None
+    if ranges:
+        more = ranges_of(found, to, told)
+        files |= more.files
+        notes += more.notes
+        table = more.table
     source = {
         "schema": 1,
         "kind": "export",
@@ -104,8 +105,13 @@ def export(
         "robot": _of_file(found, path),
         "result": _numbers(found),
     }
-    notes = (*_caveats(found), *sheet.notes, *written.notes, *(more.notes if more else ()))
-    return Exported(to, rows, files, notes, source, more.table if more else None)
+    return Exported(to, rows, files, tuple(notes), source, table)
+
+
+def _tree(found: ExportOutcome, path: Path) -> Tree:
+    """The tree of the file, on a base that floats where that of the result does."""
+    base = found.robot.get("base") or {}
+    return based(read_tree(path), base.get("kind") == "free")
 
 
 def _with_step(row: ExportRow, tree: Tree | None) -> ExportRow:
