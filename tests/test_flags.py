@@ -20,7 +20,7 @@ EVERYWHERE = {
     "--cutoff": ("fit", "diagnose", "compare", "identify"),
     "--as-recorded": ("check", "fit", "diagnose", "compare", "identify"),
     "--seed": ("fit", "diagnose", "compare", "excite"),
-    "--seconds": ("diagnose", "compare"),
+    "--seconds": ("diagnose", "compare", "identify"),
 }
 #: Emulators go on until they are stopped: they have no result.
 WITHOUT_RESULT = ("emulate",)

@@ -124,6 +124,15 @@ def test_the_right_law_wins_on_held_out_motion(quiet):
     assert identify(None, recording(None, 0.02, 1, np.ones(6))).law == "linear"
 
 
+def test_after_its_time_an_identification_tries_no_further_law(quiet, monkeypatch):
+    monkeypatch.setattr("jaxid.deadline.SEARCH", 0.0)
+    short = identify(None, quiet, seconds=3600)
+    assert not short.complete and [trial.law for trial in short.laws] == ["linear"]
+    assert short.to_dict()["complete"] is False and "within 3600 s" in short.notes[-1]
+    with pytest.raises(jaxid.UsageError, match="nothing was known yet"):
+        identify(None, quiet, seconds=1e-3)
+
+
 @pytest.mark.slow
 def test_a_constrained_arm_can_be_simulated(quiet):
     """Noise makes plain estimates unphysical; the constrained ones are bodies that can exist, and

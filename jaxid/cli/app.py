@@ -27,6 +27,7 @@ from jaxid.cli.options import (
     output_options,
     read_parameters,
     RESIDUAL,
+    SECONDS,
     SEED,
     start,
     WITHOUT,
@@ -231,12 +232,7 @@ def fit(
     metavar="FILE",
     help="TOML: of that run; default: what was recorded.",
 )
-@click.option(
-    "--seconds",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="S",
-    help="The best answer there is by then.",
-)
+@SECONDS
 @AS_RECORDED
 @output_options
 def diagnose(

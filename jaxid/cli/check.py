@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from jaxid.cli import terminal
-from jaxid.cli.app import AS_RECORDED, MODEL
-from jaxid.cli.options import DATASET, output_options, WITHOUT
+from jaxid.cli.app import MODEL
+from jaxid.cli.options import AS_RECORDED, DATASET, output_options, WITHOUT
 from jaxid.cli.output import Output, writable_folder
 from jaxid.errors import FAILED, SUCCESS
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from jaxid.cli.app import AS_RECORDED, MODEL
-from jaxid.cli.options import DATASET, foretell, OUT, output_options, start
+from jaxid.cli.app import MODEL
+from jaxid.cli.options import (
+    AS_RECORDED,
+    DATASET,
+    foretell,
+    OUT,
+    output_options,
+    SECONDS,
+    start,
+)
 from jaxid.cli.output import Output
-
-
-if TYPE_CHECKING:
-    pass
 
 
 @click.command()
@@ -87,6 +90,7 @@ if TYPE_CHECKING:
 @click.option(
     "--root", metavar="LINK", help="First link of the chain in the URDF that --model names."
 )
+@SECONDS
 @AS_RECORDED
 @output_options
 def identify(
@@ -101,6 +105,7 @@ def identify(
     gain_std,
     motion,
     root,
+    seconds,
     as_recorded,
     as_json,
     quiet,
@@ -131,5 +136,6 @@ def identify(
             gain_std=gain_std,
             as_recorded=as_recorded,
             motion=motion,
+            seconds=seconds,
         )
         return output.deliver(result, identification_text)

@@ -14,7 +14,6 @@ import click
 from jaxid.cli import terminal
 from jaxid.cli.options import output_options
 from jaxid.errors import SUCCESS
-from jaxid.serialise import SCHEMA
 
 
 if TYPE_CHECKING:
@@ -116,6 +115,8 @@ def content(
     done: Imported, data: Dataset, model: str | None, proposed: Sequence[ProposedModel]
 ) -> dict[str, Any]:
     """The JSON of what was made."""
+    from jaxid.serialise import SCHEMA
+
     return {
         "schema": SCHEMA,
         "kind": "new",

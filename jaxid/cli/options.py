@@ -91,6 +91,14 @@ AS_RECORDED = click.option(
 )
 
 
+SECONDS = click.option(
+    "--seconds",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="S",
+    help="The best answer there is by then.",
+)
+
+
 SEED = click.option(
     "--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed."
 )

@@ -52,15 +52,11 @@ def _program(layout: ParameterVector, free: tuple[int, ...]) -> ExportedFunction
         place = {i: k for k, i in enumerate(free)}
 
         def sets(theta, own, *motion):
-            def at(
-                own, *sample
-            ):  # number by number: what depends on none that is free is worked out once
-                return force(
-                    form.model(
-                        [own[place[i]] if i in place else theta[i] for i in range(len(theta))]
-                    ),
-                    *sample,
-                )
+            def at(own, *sample):
+                numbers = list(theta)  # one by one: what depends on none is worked out once
+                for i, k in place.items():
+                    numbers[i] = own[k]
+                return force(form.model(numbers), *sample)
 
             return jax.vmap(lambda own: jax.vmap(lambda *sample: at(own, *sample))(*motion))(own)
 
@@ -99,12 +95,11 @@ class Forces:
         run = _program(self.layout, tuple(self.free))
         own = _padded(thetas[:, self.free], 1 if len(thetas) == 1 else 1 + len(self.free))
         motion = m.q, m.qd, m.qdd, m.u if u is None else u
-        parts = range(0, len(m.q), AT_ONCE)
+        found = []
         with float64():
-            found = [
-                run(self.theta, own, *(_padded(x[a : a + AT_ONCE], AT_ONCE) for x in motion))
-                for a in parts
-            ]
+            for a in range(0, len(m.q), AT_ONCE):
+                part = [_padded(x[a : a + AT_ONCE], AT_ONCE) for x in motion]
+                found.append(run(self.theta, own, *part))
         found = np.concatenate([np.asarray(f) for f in found], 1)[: len(thetas), : len(m.q)]
         return np.nan_to_num(found, nan=1e12, posinf=1e12, neginf=-1e12)
 

@@ -58,7 +58,8 @@ def unloaded(
     law = LAWS[str(before.get("friction_law", "linear"))]
     friction = before["friction"]
     known = {e["name"]: e["value"] for e in before["base_parameters"]}
-    known |= {f"{p}{j + 1}": friction[j][p]["value"] for p, _ in law.parameters for j in range(n)}
+    for name, _ in law.parameters:
+        known |= {f"{name}{j + 1}": friction[j][name]["value"] for j in range(n)}
     names = names_of(base, law, n)
     if lacking := [name for name in names if name not in known]:
         raise UsageError(f"the reference is of another arm: it lacks {lacking[0]}")
@@ -107,11 +108,9 @@ def by_algorithm(
     n = fit[0].tau.shape[1]
     own = slice(11 * (n - 1) + (6 if method == "algorithm2" else 0), 11 * (n - 1) + 10)
     if method == "algorithm2":  # at rest friction may take any value up to its level
-        dry = [k for k, name in enumerate(law.parameters) for _ in range(n) if name[0] != "offset"]
-        theta = theta.copy()
-        theta[len(theta) - len(law.parameters) * n :][
-            [i for i in range(len(law.parameters) * n) if i // n in dry]
-        ] = 0.0
+        braking = np.repeat([name != "offset" for name, _ in law.parameters], n)
+        own_friction = np.where(braking, 0.0, theta[-len(braking) :])
+        theta = np.concatenate([theta[: -len(braking)], own_friction])
     columns, torque, carried = [], [], []
     for r in fit:
         W = full_rows(r, law, exponent)

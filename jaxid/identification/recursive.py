@@ -70,13 +70,10 @@ def converged_after(
     from jaxid.identification.online import watched_of
 
     first = next(r for r in runs if r.split == "fit")
-    friction = {
-        f"{k}{entry['joint'][1:]}": v["value"]
-        for entry in before["friction"]
-        for k, v in entry.items()
-        if k != "joint"
-    }
-    known = {e["name"]: e["value"] for e in before["base_parameters"]} | friction
+    known = {e["name"]: e["value"] for e in before["base_parameters"]}
+    for entry in before["friction"]:
+        joint = entry["joint"][1:]
+        known |= {f"{k}{joint}": v["value"] for k, v in entry.items() if k != "joint"}
     prior = np.array(
         [known.get(name, value) for name, value in zip(loaded.names, loaded.theta, strict=True)],
         float,

@@ -188,10 +188,10 @@ def read_run(
 
 def held_joints(runs: Sequence[RegressionRun]) -> list[str]:
     """Sentences about joints that stand still in every run."""
-    still = [j for j in range(runs[0].tau.shape[1]) if not any(r.moves[j] for r in runs)]
+    still = ~np.any([r.moves for r in runs], axis=0)
     return [
         f"joint {j + 1} stands still in every run: its torque says nothing and has no weight"
-        for j in still
+        for j in np.flatnonzero(still)
     ]
 
 
@@ -302,7 +302,10 @@ def spacing(run: RegressionRun) -> int:
 
 def names_of(base: BaseParameters, law: FrictionLaw, n: int) -> list[str]:
     """Names of the columns of `full_rows`."""
-    return [*base.names, *(f"{p}{j + 1}" for p, _ in law.parameters for j in range(n))]
+    names = list(base.names)
+    for parameter, _ in law.parameters:
+        names += [f"{parameter}{joint + 1}" for joint in range(n)]
+    return names
 
 
 def instruments(

@@ -96,6 +96,7 @@ class Identification(Displayed, Exportable):
     robot: dict[str, Any] = field(
         default_factory=dict
     )  # the file of a robot and its drive: see `jaxid.robots.origin`
+    complete: bool = True  # whether all friction laws that were asked for were tried
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -184,6 +185,7 @@ class Identification(Displayed, Exportable):
         return out | {
             "dataset": self.dataset,
             "dataset_sha256": self.dataset_sha256,
+            "complete": self.complete,
             "wall_time_s": self.wall_time_s,
             "versions": versions(),
             "notes": [*self.answers, *self.notes],

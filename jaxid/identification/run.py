@@ -16,6 +16,7 @@ from jaxid.conventions.checking import run_check
 from jaxid.data.capacity import need, refuse_too_large
 from jaxid.data.dataset import Dataset
 from jaxid.data.joint_names import in_chain_order, joint_names, names_of_joints
+from jaxid.deadline import answered_in_time, search_is_over
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
@@ -43,7 +44,7 @@ from jaxid.identification.regression import (
 )
 from jaxid.identification.result import Identification, LawTrial, RunScore
 from jaxid.identification.solving import fit_law, law_problem, LawFit
-from jaxid.identification.stated import answered
+from jaxid.identification.stated import answered, values_of
 from jaxid.identification.trust import NEAR_THE_FILE, nearer_the_file
 from jaxid.problem.binding import resolve_model
 from jaxid.robots.arms import as_arm
@@ -69,6 +70,7 @@ def identify(
     gain_std: float | None = None,
     as_recorded: bool = False,
     motion: str = "measured",
+    seconds: float | None = None,
 ) -> Identification:
     """Base parameters and friction of a serial arm from recorded motion and torque.
 
@@ -83,9 +85,42 @@ def identify(
     torques are made of currents, else 0). Decisive findings of `jaxid.check` are applied unless
     `as_recorded`. `motion` is measured, commanded (channels `q1_cmd` …), or fourier: the measured
     one as the Fourier series of runs that hold whole periods, whose derivatives keep every harmonic
-    up to `motion_hz`. Raises `UsageError` for a model that is no serial arm and data that lack its
-    channels.
+    up to `motion_hz`. After `seconds` no further friction law is tried: the answer is the best of
+    those that were, with `complete` false. Raises `UsageError` for a model that is no serial arm,
+    data that lack its channels, and where nothing is known after `seconds`.
     """
+
+    def answer() -> Identification:
+        return _identification(
+            model=model,
+            dataset=dataset,
+            method=method,
+            friction=friction,
+            cutoff_hz=cutoff_hz,
+            motion_hz=motion_hz or 2 * cutoff_hz,
+            reference=reference,
+            gain_std=gain_std,
+            as_recorded=as_recorded,
+            motion=motion,
+        )
+
+    return answered_in_time(seconds, answer)
+
+
+def _identification(
+    *,
+    model: object,
+    dataset: Dataset,
+    method: str,
+    friction: str,
+    cutoff_hz: float,
+    motion_hz: float,
+    reference: Identification | Mapping[str, Any] | str | Path | None,
+    gain_std: float | None,
+    as_recorded: bool,
+    motion: str,
+) -> Identification:
+    """The whole of `identify`, however long it takes; a deadline leaves out friction laws."""
     began = time.perf_counter()
     for kind, value, choices in (
         ("method", method, METHODS),
@@ -100,7 +135,6 @@ def identify(
     checked = run_check(model, dataset, (), as_recorded, left_by_short_fit, free_motion)
     dataset = checked.mended or dataset
     robot = origin_on(model, dataset)
-    motion_hz = motion_hz or 2 * cutoff_hz
     recorded = _recorded(model, dataset, cutoff_hz, motion_hz, motion == "fourier")
     chain, base, runs, arm = recorded.chain, recorded.base, recorded.runs, recorded.arm
     n = chain.nq
@@ -141,7 +175,7 @@ def identify(
             *_notes(found, names, method, law),
             *_of_splits(recorded, motion),
             *regression.held_joints(runs),
-            *([NEAR_THE_FILE.format(near[law.name])] if law.name in near else ()),
+            *_of_trust(near.get(law.name)),
         ),
         wall_time_s=time.perf_counter() - began,
         labels=names_of_joints(arm, recorded.data, n),
@@ -236,10 +270,16 @@ def _fits(
         return {law.name: replace(plain, theta=theta, covariance=covariance)}, {}, met
     by = recorded.instruments() if method == "iv" else None
     tried = list(LAWS) if friction == "auto" else [friction]
-    fits = {k: fit_law(law_problem(LAWS[k], runs, chain, base), method, by) for k in tried}
+    fits: dict[str, LawFit] = {}
+    for name in tried:
+        if fits and search_is_over():
+            break
+        fits[name] = fit_law(law_problem(LAWS[name], runs, chain, base), method, by)
     near: dict[str, float] = {}
     if of_a_file and method == "wls":
         for name, free in fits.items():
+            if search_is_over():
+                break
             if (found := _nearer_the_file(LAWS[name], free, recorded)) is not None:
                 fits[name], near[name] = found
     return fits, near, None
@@ -310,6 +350,10 @@ def _filter_told(motion: str, motion_hz: float, cutoff_hz: float) -> str:
     return f"{way}; {low_pass}; sign(qd) as tanh(qd / 0.01)"
 
 
+def _of_trust(near: float | None) -> list[str]:
+    return [] if near is None else [NEAR_THE_FILE.format(near)]
+
+
 def _of_splits(recorded: RecordedArm, motion: str) -> list[str]:
     if recorded.held_out or motion != "fourier":
         return []
@@ -319,14 +363,8 @@ def _of_splits(recorded: RecordedArm, motion: str) -> list[str]:
 def _stated(chain: Chain, dataset: Dataset) -> Chain:
     """The chain with the constants and start values that the dataset states."""
     layout = ParameterVector(chain)
-    theta, spec = layout.values.copy(), dataset.model
-    known = dict(spec.constants) if spec is not None else {}
-    known |= {
-        k: p.value
-        for k, p in (spec.parameters if spec is not None else {}).items()
-        if p.value is not None
-    }
-    for name, value in known.items():
+    theta = layout.values.copy()
+    for name, value in values_of(dataset.model).items():
         if name != "smoothing_velocity":
             theta[layout.index(name)] = value
     return layout.model(theta)

@@ -35,12 +35,7 @@ def answered(
     """
     if getattr(arm, "friction", ()):
         return beside_the_file(arm, base, law, runs, result)
-    known = dict(spec.constants) if spec is not None else {}
-    known |= {
-        k: p.value
-        for k, p in (spec.parameters if spec is not None else {}).items()
-        if p.value is not None
-    }
+    known = values_of(spec)
     rows = [
         _answer(name, value, known, base, result)
         for name, value in known.items()
@@ -50,6 +45,22 @@ def answered(
     rows.sort(key=lambda row: -abs(row["deviation"] or 0.0))
     said = [row["text"] for row in rows if abs(row["deviation"] or 0.0) > MANY]
     return {"stated": tuple(rows), "answers": tuple(said)}
+
+
+def values_of(spec: ModelSpec | None) -> dict[str, float]:
+    """The constants and the values of parameters that a dataset states, by name."""
+    if spec is None:
+        return {}
+    values = {k: p.value for k, p in spec.parameters.items() if p.value is not None}
+    return {**spec.constants, **values}
+
+
+def _beside_found(what: str, deviation: float, found: str) -> str:
+    """What is stated, so many standard deviations from what was found."""
+    far = f"{number(abs(deviation), 2)} standard deviations from {found}"
+    if abs(deviation) > MANY:
+        return f"{what} is {far}"
+    return f"{what} agrees with the data: it is {far}"
 
 
 def _answer(
@@ -70,27 +81,18 @@ def _answer(
     deviation = apart(found, stated, std) if alone else None
     unit = result.units[at] if at is not None else ""
     joint = name[len(name.rstrip("0123456789")) :]
-    what = f"your stated {name} {number(value)} {unit}".rstrip()
-    if at is None or not alone:
-        text = (
-            f"{what} can be neither confirmed nor refuted: the motion shows it only together with"
+    text = f"your stated {name} {number(value)} {unit}".rstrip()
+    if not alone:
+        text += (
+            " can be neither confirmed nor refuted: the motion shows it only together with"
             " other numbers of the arm"
         )
     elif deviation is None:
-        text = f"{what} can be neither confirmed nor refuted: the data do not determine it"
+        text += " can be neither confirmed nor refuted: the data do not determine it"
     else:
-        led = (
-            f"{what}{f' (with what regroups with it {number(stated)})' if len(members) > 1 else ''}"
-        )
-        far = (
-            f"{number(abs(deviation), 2)} standard deviations from {number(found)} ±"
-            f" {number(std, 2)} {unit}"
-        )
-        text = (
-            f"{led} is {far}"
-            if abs(deviation) > MANY
-            else f"{led} agrees with the data: it is {far}"
-        )
+        if len(members) > 1:
+            text += f" (with what regroups with it {number(stated)})"
+        text = _beside_found(text, deviation, f"{number(found)} ± {number(std, 2)} {unit}")
     return {
         "joint": f"q{joint}",
         "link": f"link {joint}",

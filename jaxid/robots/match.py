@@ -22,14 +22,13 @@ from jaxid.errors import nearest, UsageError
 from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
-from jaxid.robots.floating import ANGLES, floating, refuse_unmeasured, wanted
-from jaxid.robots.followers import drives_led, led
+from jaxid.robots.floating import floating, refuse_unmeasured, wanted
+from jaxid.robots.followers import drives_led, led, outputs_led
 from jaxid.robots.mjcf_text import expanded
-from jaxid.robots.tree import Tree
+from jaxid.robots.recorded_joints import held_at, POSE as POSE, refuse_unknown
+from jaxid.robots.tree import Coupling, Tree
 
 
-#: Constant under which a dataset states where a joint that it does not record was held.
-POSE = "pose@"
 #: What is recorded of a joint beside its position, by the ending of the channel's name; a numbered
 #: channel has the word in front.
 KINDS = {"_cmd": "goal", "_tau": "torque", "_qd": "speed"}
@@ -288,7 +287,7 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     tree: Tree = model.tree.tree  # type: ignore[attr-defined]
     spec = dataset.model
     dataset = named(dataset, tree, spec.joints if spec is not None else None)
-    dataset = driving(drives_led(dataset, tree), tree)
+    dataset = driving(drives_led(outputs_led(dataset, tree), tree), tree)
     tree, _ = led(tree, dataset)
     return model, with_base(with_rates(dataset, tree), tree)
 
@@ -398,10 +397,8 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
             " [model.joints]: q1 = "
             f'"{tree.leading[0]}"'
         )
-    _refuse_unknown(tree, outputs)
-    held = {
-        joint: _held_at(tree, dataset, joint) for joint in tree.leading if joint not in measured
-    }
+    refuse_unknown(tree, outputs)
+    held = {joint: held_at(tree, dataset, joint) for joint in tree.leading if joint not in measured}
     locked = tree.locked(held)
     said = list(notes)
     if held:  # and what follows these
@@ -414,46 +411,20 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     if tree.ties:
         listed = "; ".join(f"{t.what}, of {', '.join(t.joints)}" for t in tree.ties)
         said.append(f"not simulated, for all joints that it acts on are held: {listed}")
+    curved = [c for c in tree.couplings if c.curve is not None and c.leader in measured]
+    if curved:
+        listed = ", ".join(f"{c.follower} with {c.leader} at {_about(c):.3g}" for c in curved)
+        said.append(
+            f"coupled by a curve: {listed}; dry friction of a follower counts as it does there"
+        )
     if followers:
         listed = ", ".join(f"{a} follows {b}" for a, b in followers.items())
         said.append(f"{listed}, as the file says: not compared")
     return locked, tuple(said)
 
 
-def _refuse_unknown(tree: Tree, outputs: set[str]) -> None:
-    """Outputs that are of no joint."""
-    unknown = sorted(outputs - set(tree.joints) - {f"{j}_qd" for j in tree.joints})
-    if not unknown:
-        return
-    first = unknown[0]
-    if first in ANGLES:
-        raise UsageError(
-            f'output {first!r} is how the base turns: [model.base] kind = "free" compares it;'
-            ' of a base that is moved (kind = "prescribed") give it role = "auxiliary"'
-        )
-    raise UsageError(
-        f"output {first!r} is no joint of"
-        f" {tree.file or 'the robot'}{nearest(first, tree.leading)}; map it under"
-        ' [model.joints], or give it role = "auxiliary"'
-    )
-
-
-def _held_at(tree: Tree, dataset: Dataset, joint: str) -> float:
-    """Where a joint without a measured position is held: as stated, as recorded beside, or as the
-    file has it.
-    """
-    names = {c.name for c in dataset.channels}
-    constants = dataset.model.constants if dataset.model is not None else {}
-    stated = f"{POSE}{joint}"
-    if stated in constants:
-        return constants[stated]
-    if f"{joint}_cmd" in names and joint not in names:
-        raise UsageError(
-            f"{joint} has a goal and no measured position: record it, or state where it was"
-            f' held under [model.constants]: "{stated}" = 0.0'
-        )
-    series = [e.auxiliary[joint] for e in dataset.experiments if joint in e.auxiliary]
-    return float(np.mean(np.concatenate(series))) if series else tree.neutral(joint)
+def _about(c: Coupling) -> float:
+    return c.as_curve.about
 
 
 def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:

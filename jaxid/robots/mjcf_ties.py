@@ -1,5 +1,5 @@
 """What an MJCF file lets act among several joints and a tree of single joints cannot express:
-tendons, loops, curved couplings.
+tendons and loops.
 
 The joints that such a tie acts on are named with it. They are held together, or the robot is
 refused: see `jaxid.robots.match`.
@@ -165,5 +165,5 @@ def _led(c: Coupling, by_name: Mapping[str, Coupling]) -> Coupling | None:
             return None
         seen.add(c.leader)
         up = by_name[c.leader]
-        c = Coupling(c.follower, up.leader, c.offset + c.ratio * up.offset, c.ratio * up.ratio)
+        c = c.through(up)
     return c

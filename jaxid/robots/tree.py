@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxid.dynamics.rigid_body import moved, Placements
 from jaxid.errors import nearest, UsageError
+from jaxid.robots.curves import Curve, Polynomial
 from jaxid.robots.steps import Steps
 
 
@@ -26,12 +27,47 @@ FLOATS = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint that follows another: q_follower = offset + ratio q_leader."""
+    """A joint that follows another: q_follower = offset + ratio q_leader, or by a `curve`, which
+    that line touches.
+    """
 
     follower: str
     leader: str
     offset: float
     ratio: float
+    curve: Curve | None = None
+
+    @classmethod
+    def by(cls, follower: str, leader: str, curve: Curve) -> Coupling:
+        """Along a curve; a line where it is one."""
+        if not all(piece.straight for piece in curve.pieces):
+            return cls(follower, leader, *curve.tangent(), curve)
+        return cls(follower, leader, *replace(curve, about=0.0).tangent())
+
+    @property
+    def as_curve(self) -> Curve:
+        return self.curve or Curve((Polynomial((self.offset, self.ratio)),), 0.0)
+
+    @property
+    def turns(self) -> bool:
+        """Whether the follower may lead as well."""
+        return self.as_curve.turns
+
+    def at(self, leader: Any) -> Any:
+        """Position of the follower."""
+        return self.as_curve.at(leader)[0]
+
+    def turned(self) -> Coupling:
+        """The leader as the follower."""
+        return self.by(self.leader, self.follower, self.as_curve.turned())
+
+    def through(self, before: Coupling) -> Coupling:
+        """The follower of a leader that follows another one itself."""
+        pieces = (*before.as_curve.pieces, *self.as_curve.pieces)
+        about = before.curve.about if before.curve is not None else 0.0
+        if before.curve is None and self.curve is not None and before.ratio:
+            about = (self.curve.about - before.offset) / before.ratio
+        return self.by(self.follower, before.leader, Curve(pieces, about))
 
 
 @dataclass(frozen=True)
@@ -182,7 +218,7 @@ class Tree:
         held = {self.joint(name): float(value) for name, value in pose.items()}
         for c in self.couplings:
             if c.leader in pose:
-                held[self.joint(c.follower)] = c.offset + c.ratio * float(pose[c.leader])
+                held[self.joint(c.follower)] = float(c.at(float(pose[c.leader])))
         if not held:
             return self
         keep = [k for k in range(self.n) if k not in held]
@@ -339,7 +375,9 @@ class Tree:
         )
 
     def follow(self) -> tuple[np.ndarray, np.ndarray]:
-        """(S [n leading], c [n]) with the positions of all joints S q + c."""
+        """(S [n leading], c [n]) with the positions of all joints S q + c; curves as the lines that
+        touch them.
+        """
         leading = self.leading
         S, c = np.zeros((self.n, len(leading))), np.zeros(self.n)
         for k, name in enumerate(self.joints):

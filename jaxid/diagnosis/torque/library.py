@@ -12,14 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.diagnosis.torque.forces import (
-    at_every_joint,
-    coupled,
-    Load,
-    shapes,
-    strengths,
-    with_numbers,
-)
 from jaxid.diagnosis.torque.plant import ArmPlant, Beside, Plant
 from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.dynamics.base_parameters import standard_torque
@@ -27,6 +19,14 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect, neutral
 from jaxid.dynamics.parameter import resolve, specs, with_fields
 from jaxid.dynamics.rigid_body import INERTIA
+from jaxid.force.effects import (
+    at_every_joint,
+    coupled,
+    Load,
+    shapes,
+    strengths,
+    with_numbers,
+)
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.diagnosis.torque.forces import force, Load, unloaded, with_numbers
 from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.dynamics.base_parameters import STANDARD, standard_torque, torque_columns
 from jaxid.dynamics.effect import JointEffect
 from jaxid.dynamics.parameter import specs
 from jaxid.dynamics.parameter_vector import ChainForm
 from jaxid.force.drive import drive_torque
+from jaxid.force.effects import force, Load, unloaded, with_numbers
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding

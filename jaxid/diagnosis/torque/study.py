@@ -21,7 +21,6 @@ from jaxid.diagnosis.torque.algebra import (
     Weights,
 )
 from jaxid.diagnosis.torque.choose import Chooser, Enough
-from jaxid.diagnosis.torque.forces import force, Load, with_numbers
 from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.plant import Beside, Plant, plant_of
 from jaxid.diagnosis.torque.repeats import spread_between, without
@@ -30,6 +29,7 @@ from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.dynamics.parameter import specs
 from jaxid.fitting.problem_builder import ProblemBuilder, start_values
+from jaxid.force.effects import force, Load, with_numbers
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 

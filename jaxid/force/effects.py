@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
-from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.dynamics.effect import Command, JointEffect, neutral, Signals
 from jaxid.dynamics.parameter import resolve, specs, TypicalMagnitudes, with_fields
 from jaxid.numerics.precision import float64
@@ -26,20 +26,42 @@ from jaxid.numerics.precision import float64
 GRID, BEYOND = 7, 2.0
 
 
+class EvenMotion(Protocol):
+    """A motion at equal steps (s), and a length up to which programs pad it: `room` samples, made
+    by `padded`.
+    """
+
+    @property
+    def q(self) -> Float[np.ndarray, "time n"]: ...
+
+    @property
+    def qd(self) -> Float[np.ndarray, "time n"]: ...
+
+    @property
+    def room(self) -> int: ...
+
+    @property
+    def step(self) -> float: ...
+
+    def padded(self, x: np.ndarray) -> np.ndarray: ...
+
+
 class Load(NamedTuple):
     """Torque [time n] at the gears along a motion: what the drive makes, and what goes on to the
     links.
     """
 
-    drive: np.ndarray
-    transmitted: np.ndarray
+    drive: Float[np.ndarray, "time n"]
+    transmitted: Float[np.ndarray, "time n"]
 
 
-def unloaded(run: TorqueRun) -> Load:
+def unloaded(run: EvenMotion) -> Load:
     return Load(0 * run.q, 0 * run.q)
 
 
-def force(effect: JointEffect, run: TorqueRun, load: Load, turn: np.ndarray) -> np.ndarray:
+def force(
+    effect: JointEffect, run: EvenMotion, load: Load, turn: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "time n"]:
     """Opposing force [time n] of an effect whose numbers are [n], under a load; sign(qd) goes over
     smoothly within the speeds `turn` [n].
     """
@@ -50,8 +72,14 @@ def force(effect: JointEffect, run: TorqueRun, load: Load, turn: np.ndarray) -> 
 
 @jax.jit
 def _force(
-    effect: JointEffect, h: Any, turn: Any, q: Any, qd: Any, drive: Any, transmitted: Any
-) -> Any:
+    effect: JointEffect,
+    h: Any,
+    turn: Float[Array, " n"],
+    q: Float[Array, "time n"],
+    qd: Float[Array, "time n"],
+    drive: Float[Array, "time n"],
+    transmitted: Float[Array, "time n"],
+) -> Float[Array, "time n"]:
     u = jnp.zeros(q.shape[1])
     command = Command(jnp.zeros(()), h, u, u, lambda d: u)
 
@@ -119,48 +147,43 @@ def shapes(
     its probes; `linear`: its strengths.
     """
     own = specs(kind)
-    resolved = [
-        {k: resolve(v, reference) for k, v in p.items() if k not in linear} for p in kind.probes
-    ]
-    found = [dict(s) for s in dict.fromkeys(tuple(sorted(p.items())) for p in resolved)] or [{}]
-    varied = {k for s in found for k in s}
+    found: list[dict[str, float]] = []
+    for probe in kind.probes:
+        shaping = {k: resolve(v, reference) for k, v in sorted(probe.items()) if k not in linear}
+        if shaping not in found:
+            found.append(shaping)
+    varied = set().union(*found)
     for name in varied:
         spec, values = own[name], [s[name] for s in found if name in s]
         if len(varied) == 1 and spec.log and len(values) < GRID:
             low, high = (resolve(b, reference) for b in (spec.lower, spec.upper))
             ends = np.clip([min(values) / BEYOND, max(values) * BEYOND], low, high)
             return [{name: float(v)} for v in np.geomspace(ends[0], ends[1], GRID)]
-    return found
+    return found or [{}]
 
 
 def at_every_joint(
     kind: type[JointEffect],
     grids: Sequence[Sequence[Mapping[str, float]]],
-    runs: Sequence[TorqueRun],
+    runs: Sequence[EvenMotion],
     load: Sequence[Load],
-    turn: np.ndarray,
-) -> list[dict[str, list[np.ndarray]]]:
+    turn: Float[np.ndarray, " n"],
+) -> list[dict[str, list[Float[np.ndarray, "time n"]]]]:
     """For each point of the joints' grids and each strength: its force along each run, [time n] for
     each.
     """
     n, effect, out = len(turn), neutral(kind), []
     for k in range(max(map(len, grids))):
         point = [g[min(k, len(g) - 1)] for g in grids]
-        names = {name for p in point for name in p}
-        shape = {
-            name: np.array([p.get(name, specs(effect)[name].value) for p in point])
-            for name in names
-        }
-        one = {
-            name: with_numbers(effect, {**shape, name: 1.0}, n)
-            for name in strengths(kind, n, runs[0].room)
-        }
-        out.append(
-            {
-                name: [force(e, r, f, turn) for r, f in zip(runs, load, strict=True)]
-                for name, e in one.items()
-            }
-        )
+        shape = {}
+        for name in set().union(*point):
+            usual = specs(effect)[name].value
+            shape[name] = np.array([p.get(name, usual) for p in point])
+        made = {}
+        for name in strengths(kind, n, runs[0].room):
+            one = with_numbers(effect, {**shape, name: 1.0}, n)
+            made[name] = [force(one, r, f, turn) for r, f in zip(runs, load, strict=True)]
+        out.append(made)
     return out
 
 
@@ -168,10 +191,10 @@ def coupled(
     kind: type[JointEffect],
     shape: Mapping[str, float],
     place: int,
-    run: TorqueRun,
+    run: EvenMotion,
     load: Load,
-    turn: np.ndarray,
-):
+    turn: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "time n strengths"]:
     """[time n strengths] of an effect at one place that acts on several joints."""
     n, effect = len(turn), neutral(kind)
     names = strengths(kind, n, run.room)
@@ -180,15 +203,3 @@ def coupled(
         [force(with_numbers(effect, {**shape, name: here}, n), run, load, turn) for name in names],
         -1,
     )
-
-
-__all__ = [
-    "Load",
-    "at_every_joint",
-    "coupled",
-    "force",
-    "shapes",
-    "strengths",
-    "unloaded",
-    "with_numbers",
-]
