@@ -1,4 +1,4 @@
-"""Outputs that are of no joint, and where joints are held that are not recorded."""
+"""Outputs that are of no joint, and where joints without a recording are held."""
 
 from __future__ import annotations
 
