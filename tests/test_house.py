@@ -15,7 +15,7 @@ LIMITS = {
     "not recorded": 36,
     "functions of more than 15 decisions": 38,
     "calls with 8 or more positional arguments": 6,
-    "comprehensions with a loop or choice inside": 133,
+    "comprehensions with a loop or choice inside": 132,
     "named lambdas": 3,
     "class names in two or more modules": 1,
     "effect ids quoted": 3,
