@@ -221,9 +221,12 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
         if column is not None:
             u = u.copy()
             u[:, column] = at_leader(u[:, column])
-        auxiliary = {
-            new if k == old else k: at_leader(v) if k == old else v for k, v in e.auxiliary.items()
-        }
+        auxiliary = {}
+        for name, values in e.auxiliary.items():
+            if name == old:
+                auxiliary[new] = at_leader(values)
+            else:
+                auxiliary[name] = values
         return replace(e, u=u, auxiliary=auxiliary, past=None if e.past is None else one(e.past))
 
     what = "goal" if end == "_cmd" else "torque"
@@ -231,9 +234,10 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
         f"the {what} of {c.follower} is taken as that of {c.leader}, as the file couples them:"
         f" {_equation(c)}"
     )
+    at = dataset.channels.index(channel)
     return replace(
         dataset,
-        channels=tuple(moved if channel.name == old else channel for channel in dataset.channels),
+        channels=(*dataset.channels[:at], moved, *dataset.channels[at + 1 :]),
         experiments=tuple(map(one, dataset.experiments)),
         notes=(*dataset.notes, note),
     )

@@ -34,13 +34,9 @@ class Tendon:
 def acting_tendons(mujoco: Any, spec: Any) -> tuple[list[Tendon], list[str]]:
     """(tendons of a spec that drive, couple or brake, names that are used and stand nowhere)."""
     used = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_TENDON}
-    used |= {
-        n
-        for e in spec.equalities
-        if e.type == mujoco.mjtEq.mjEQ_TENDON
-        for n in (e.name1, e.name2)
-        if n
-    }
+    for e in spec.equalities:
+        if e.type == mujoco.mjtEq.mjEQ_TENDON:
+            used |= {name for name in (e.name1, e.name2) if name}
     automatic = bool(spec.compiler.autolimits)
     acting = []
     for tendon in spec.tendons:
@@ -111,7 +107,7 @@ class Ties:
         """
         paths = [self.above(b) for b in bodies]
         common = set(paths[0]).intersection(*paths[1:])
-        numbers = sorted({j for path in paths for j in path} - common)
+        numbers = sorted(set().union(*paths) - common)
         single = [j for j in numbers if int(self.m.jnt_type[j]) in self.singles()]
         return [self.joint(j) for j in single]
 
