@@ -279,7 +279,7 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
     if how_far.shrinkage_interval_95 is None:
         reason = one_line(how_far.interval_reason).rstrip(".").removeprefix("no interval: ")
         return f"{head} (no interval: {reason})." if reason else f"{head}."
-    return f"{head} (in a further run {interval(how_far)})."
+    return f"{head}. {further_run(how_far)}"
 
 
 def telling(how_far: HowFar) -> list[str]:
@@ -296,19 +296,23 @@ def telling(how_far: HowFar) -> list[str]:
     return sorted(order, key=lambda name: -order[name] if math.isfinite(order[name]) else -math.inf)
 
 
-def interval(how_far: HowFar) -> str:
+def further_run(how_far: HowFar) -> str:
     """What a further run like the report runs is to show."""
     assert how_far.shrinkage_interval_95 is not None
-    low, high = (
-        "below 0 %" if x < 0 else percent(min(x, 1.0)) for x in how_far.shrinkage_interval_95
-    )
-    doubt = (
-        "; how runs differ is not known from fewer than eight"
-        if how_far.interval_from == "blocks"
-        else ""
-    )
-    reach = "as much" if how_far.shrinkage_interval_95[0] > 1 - CLOSE else f"{low} to {high}"
-    return f"{reach}, with 95 % probability{doubt}"
+    lowest, highest = how_far.shrinkage_interval_95
+    reach = f"{_share(lowest)} to {_share(highest)}"
+    if lowest > 1 - CLOSE:
+        reach = "as much"
+    said = f"With 95 % probability a further run closes {reach}."
+    if how_far.interval_from != "blocks":
+        return said
+    return f"{said} How runs differ is not known from fewer than eight report runs."
+
+
+def _share(closed: float) -> str:
+    if closed < 0:
+        return "less than nothing"
+    return percent(min(closed, 1.0))
 
 
 def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
