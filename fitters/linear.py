@@ -73,16 +73,7 @@ class LeastSquares(AbstractFitter):
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         problem = of_runs(problem, self.name)
         at, rows = linearised(problem, starts[0], self.name)
-        return finish(
-            problem=problem,
-            at=at,
-            rows=rows,
-            instruments=None,
-            theta=solved(problem, at, rows),
-            name=self.name,
-            stopped="solved directly",
-            evaluations=1,
-        )
+        return finish(problem, at, rows, solved(problem, at, rows), self.name, "solved directly")
 
 
 class WeightedLeastSquares(AbstractFitter):
@@ -106,16 +97,7 @@ class WeightedLeastSquares(AbstractFitter):
             if change(old, theta) < self.tolerance:
                 stopped = "tolerance"
                 break
-        return finish(
-            problem=problem,
-            at=at,
-            rows=weighted,
-            instruments=None,
-            theta=theta,
-            name=self.name,
-            stopped=stopped,
-            evaluations=1,
-        )
+        return finish(problem, at, weighted, theta, self.name, stopped)
 
 
 class RecursiveLeastSquares(AbstractFitter):
@@ -153,14 +135,12 @@ class RecursiveLeastSquares(AbstractFitter):
         if self.forgetting < 1:  # a sample counts by its age, also in the standard deviations
             rows = _aged(rows, self.forgetting)
         return finish(
-            problem=problem,
-            at=at,
-            rows=rows,
-            instruments=None,
-            theta=np.clip(at + delta / scale, *bounds(problem)),
-            name=self.name,
-            stopped="all samples seen",
-            evaluations=1,
+            problem,
+            at,
+            rows,
+            np.clip(at + delta / scale, *bounds(problem)),
+            self.name,
+            "all samples seen",
         )
 
 
@@ -373,11 +353,11 @@ def finish(
     problem: FitProblem,
     at: np.ndarray,
     rows: ForceRows,
-    instruments: ForceRows | None,
     theta: Numbers,
     name: str,
     stopped: str,
-    evaluations: int,
+    evaluations: int = 1,
+    instruments: ForceRows | None = None,
 ) -> Minimum:
     """The result at theta, after checking that the residual there is what the linear problem
     says.

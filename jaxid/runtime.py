@@ -48,11 +48,8 @@ def prepare(streaming: bool = False) -> None:
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     if os.environ.get("JAXID_XLA") != "0":
         cpu = os.environ["JAX_PLATFORMS"] == "cpu"  # the level is that of other platforms, too
-        ours = [
-            f
-            for f in (LOOP_FLAG, *([LEVEL_FLAG] if cpu else []))
-            if f.split("=")[0].lstrip("-") not in flags
-        ]
+        wanted = (LOOP_FLAG, LEVEL_FLAG) if cpu else (LOOP_FLAG,)
+        ours = [flag for flag in wanted if flag.split("=")[0].lstrip("-") not in flags]
         os.environ["XLA_FLAGS"] = " ".join([*flags.split(), *ours])
     # NumPy's matrices are small here; more threads only wait for each other (measured: 3 to 5 times
     # the CPU time).

@@ -21,7 +21,11 @@ def one_line(text: object) -> str:
     """The text with every control and direction character (names from files may hold escape
     sequences) as `?`.
     """
-    return "".join("?" if unicodedata.category(c) in _INVISIBLE else c for c in str(text))
+    return "".join(map(_visible, str(text)))
+
+
+def _visible(character: str) -> str:
+    return "?" if unicodedata.category(character) in _INVISIBLE else character
 
 
 def clean(text: object) -> str:
@@ -129,11 +133,14 @@ def placed(names: Iterable[str]) -> str:
     """`lag at tau1 and tau2 and drag at q1` of `lag at tau1`, `lag at tau2`, `drag at q1`: every
     effect once, with its places.
     """
-    pairs = ((effect, place) for effect, _, place in (name.partition(" at ") for name in names))
-    return " and ".join(
-        f"{effect} at {listed(at)}" if any(at) else effect
-        for effect, at in by_effect(pairs).items()
-    )
+    pairs = []
+    for name in names:
+        effect, _, place = name.partition(" at ")
+        pairs.append((effect, place))
+    said = []
+    for effect, at in by_effect(pairs).items():
+        said.append(f"{effect} at {listed(at)}" if any(at) else effect)
+    return " and ".join(said)
 
 
 def regime_words(regime: str) -> str:
@@ -142,11 +149,13 @@ def regime_words(regime: str) -> str:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Left-aligned columns, two spaces apart."""
-    cells = [[one_line(c) for c in row] for row in (header, *rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    return "\n".join(
-        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells
-    )
+    cells = [list(map(one_line, row)) for row in (header, *rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = []
+    for row in cells:
+        padded = map(str.ljust, row, widths)
+        lines.append("  ".join(padded).rstrip())
+    return "\n".join(lines)
 
 
 def paragraph(label: str, sentences: Iterable[str]) -> str:

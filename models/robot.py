@@ -23,6 +23,7 @@ from jaxid.dynamics.parameter import constant, param, ParameterSpec
 from jaxid.robots import dynamics, free_numbers
 from jaxid.robots.bodies import BODY, body_of, point_mass, ten_numbers
 from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
+from jaxid.robots.coupled import carried, Coupled, coupled, gathered
 from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, StaticTree, Tree, up_to
 
@@ -165,10 +166,7 @@ class Robot(Staged):
     anchors: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
     reference: tuple[float, ...] = eqx.field(static=True, default=())
     lifted: tuple[tuple[float, ...], ...] | None = eqx.field(static=True, default=None)
-    coupling: tuple[tuple[float, ...], ...] | None = eqx.field(
-        static=True, default=None
-    )  # all joints = coupling q + shift
-    shift: tuple[float, ...] = eqx.field(static=True, default=())
+    coupling: Coupled = eqx.field(static=True, default=Coupled(None, ()))
     fitted: tuple[Any, ...] = eqx.field(
         static=True, default=()
     )  # numbers of the law: `drives.Fitted`
@@ -193,7 +191,7 @@ class Robot(Staged):
     ):
         tree = chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # slender links in a plane
         leading = tree.leading
-        S, c = tree.follow()
+        S, _ = tree.follow()
         self.tree, self.floats = StaticTree(tree), tree.floats
         self.joints, self.parent, self.slides = tree.joints, tree.parent, tree.slides
         self.carriers = tuple(k for k, link in enumerate(tree.links) if link)
@@ -203,9 +201,8 @@ class Robot(Staged):
             return tuple(tuple(float(v) for v in row) for row in a)
 
         self.axes, self.anchors = rounded(tree.axis), rounded(tree.anchor[list(self.carriers)])
-        self.reference, self.shift = tuple(map(float, tree.reference)), tuple(map(float, c))
+        self.reference, self.coupling = tuple(map(float, tree.reference)), coupled(tree)
         self.lifted = None if tree.lifted is None else rounded(tree.lifted)
-        self.coupling = rounded(S) if tree.couplings or tree.floats else None
         bodies = np.array(
             [body_of(tree.inertia[k], tree.anchor[k])[0] for k in self.carriers]
         ).reshape(-1, 10)
@@ -434,34 +431,26 @@ class Robot(Staged):
     def _worked_out(self) -> tuple[dynamics.Body, dynamics.Base]:
         return (self.body(), self.standing()) if self.prepared is None else self.prepared
 
-    def all_joints(self, q: Any, moves: bool = False) -> Any:
-        """Positions (rates where it `moves`) of all joints, mimics among them."""
-        if self.coupling is None:
-            return q
-        S = np.array(self.coupling)
-        return S @ q if moves else S @ q + np.array(self.shift)
-
-    def _leading(self, tau: Any) -> Any:
-        return tau if self.coupling is None else np.array(self.coupling).T @ tau
-
     def _spring(self, q: Float[Array, " n"]) -> Float[Array, " n"]:
         return self.stiffness * (q - self.springref)
 
     def matrices(self, q, qd) -> Any:
         body, base = self._worked_out()
-        plan = plan_of(self.parent)
-        q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
+        plan, own = plan_of(self.parent), q - self.encoder_bias
+        S, q, bent = (
+            self.coupling.jacobian(own),
+            self.coupling.positions(own),
+            self.coupling.bent(own, qd),
+        )
+        qd = carried(S, qd)
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         M = dynamics.mass_matrix(plan, body, E) + jnp.diag(jnp.asarray(self.armature))
-        bias = dynamics.inverse_dynamics(
-            plan, body, E, base, qd, jnp.zeros_like(qd)
-        ) + self._spring(q)
+        bias = dynamics.inverse_dynamics(plan, body, E, base, qd, bent) + self._spring(q)
+        if self.coupling.curves:
+            bias = bias + self.armature * bent
         if self.floats:
             M, bias = without_slides(M, bias)
-        if self.coupling is None:
-            return M, bias
-        S = np.array(self.coupling)
-        return S.T @ M @ S, S.T @ bias
+        return (M, bias) if S is None else (S.T @ M @ S, S.T @ bias)
 
     def damped(self, h, x, tau, qd, slope, stiffness):
         """Where goals drive, by one evaluation in the middle of the step: their law is quicker than
@@ -474,41 +463,46 @@ class Robot(Staged):
 
     @property
     def of_one_joint(self):
-        return frozenset({"armature", "stiffness"} if self.coupling is None else ())
+        return frozenset({"armature", "stiffness"} if self.coupling.ratios is None else ())
 
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [nq], dissipation excluded."""
         (body, base), plan = self._worked_out(), plan_of(self.parent)
-        q, qd, qdd = (
-            self.all_joints(q - self.encoder_bias),
-            self.all_joints(qd, True),
-            self.all_joints(qdd, True),
+        own = q - self.encoder_bias
+        S, q, bent = (
+            self.coupling.jacobian(own),
+            self.coupling.positions(own),
+            self.coupling.bent(own, qd),
         )
+        qd, qdd = carried(S, qd), carried(S, qdd) + bent
         E = dynamics.frames(plan, body, q - np.array(self.reference))
 
         def force(a):
             return dynamics.inverse_dynamics(plan, body, E, base, qd, a)
 
         tau = balanced(force, qdd, body) if self.floats else force(qdd)
-        return self._leading(tau + self.armature * qdd + self._spring(q))
+        return gathered(S, tau + self.armature * qdd + self._spring(q))
 
     def rotors(self):
         own = jnp.asarray(self.armature)
-        return own if self.coupling is None else jnp.asarray(np.array(self.coupling).T ** 2) @ own
+        ratios = self.coupling.ratios
+        return own if ratios is None else jnp.asarray(np.array(ratios).T ** 2) @ own
 
     def momenta(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Float[Array, " nq"]:
         """Generalised momenta of a robot on a free base, armature excluded, in the frame in which
         its linear momentum is 0.
         """
         body, plan = self._worked_out()[0], plan_of(self.parent)
-        q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
+        own = q - self.encoder_bias
+        S, q = self.coupling.jacobian(own), self.coupling.positions(own)
+        qd = carried(S, qd)
         zero, E = 0.0 * q[0], dynamics.frames(plan, body, q - np.array(self.reference))
         rest = dynamics.still((zero, zero, zero))
 
         def forces(a):
             return dynamics.inverse_dynamics(plan, body, E, rest, 0 * qd, a)
 
-        return self._leading(balanced(forces, qd, body))
+        return gathered(S, balanced(forces, qd, body))
 
     def drive(self, signature, u, q, qd):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
@@ -516,25 +510,27 @@ class Robot(Staged):
             tau = jnp.concatenate([u[: q.shape[0] - 3], jnp.zeros(3, u.dtype)])
         if self.rides and signature.inputs:
             tau = tau - self._carried(u[-len(RIDE) :], q, qd)
-        return tau - self.cubic_damping * qd**3
+        return tau - self.cubic_damping * qd**3 - self.coupling.braked(q - self.encoder_bias, qd)
 
     def _carried(self, ride: Any, q: Any, qd: Any) -> Any:
         """Joint torque that the base's motion takes beside that of the base at rest."""
         (body, base), plan = self._worked_out(), plan_of(self.parent)
-        q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
+        own = q - self.encoder_bias
+        S, q = self.coupling.jacobian(own), self.coupling.positions(own)
+        qd = carried(S, qd)
         E, still = dynamics.frames(plan, body, q - np.array(self.reference)), jnp.zeros_like(qd)
         moving, resting = (
             dynamics.inverse_dynamics(plan, body, E, b, qd, still)
             for b in (self.riding(ride), base)
         )
-        return self._leading(moving - resting)
+        return gathered(S, moving - resting)
 
     def outline(self, x, signature):
         """The tree as one line that goes out along each limb and back."""
         E = dynamics.frames(
             plan_of(self.parent),
             self.body(),
-            self.all_joints(x[0] - self.encoder_bias) - np.array(self.reference),
+            self.coupling.positions(x[0] - self.encoder_bias) - np.array(self.reference),
         )
         p = jnp.stack(dynamics.poses(plan_of(self.parent), E, plan_of(self.parent).route).p, -1)
         R = jnp.stack(

@@ -9,13 +9,13 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 24.0,
+    measure_house.DENSITY: 23.8,
     "fmt: skip": 14,
     "lines over 100 columns": 105,
     "not recorded": 36,
-    "functions of more than 15 decisions": 63,
+    "functions of more than 15 decisions": 38,
     "calls with 8 or more positional arguments": 6,
-    "comprehensions with a loop or choice inside": 260,
+    "comprehensions with a loop or choice inside": 132,
     "named lambdas": 3,
     "class names in two or more modules": 1,
     "effect ids quoted": 3,

@@ -18,13 +18,15 @@ from jaxid.diagnosis.goals.floor import Between, not_this_file
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.how_far import not_measured
 from jaxid.diagnosis.hypothesis import SearchResult
+from jaxid.diagnosis.probability import RULE
 from jaxid.diagnosis.result import HowFar, Regime, Which
 from jaxid.diagnosis.selection import indistinct
-from jaxid.diagnosis.torque import run as torque_run
+from jaxid.diagnosis.torque import judge as torque_judge
 from jaxid.diagnosis.torque.against_reference import verdict_against
 from jaxid.diagnosis.torque.algebra import ColumnPrior, Gram
 from jaxid.diagnosis.torque.answer import Answer
 from jaxid.diagnosis.torque.choose import Chooser
+from jaxid.diagnosis.torque.weigh import Weighed
 from jaxid.diagnosis.verdict import astray, Gaps, judge, upheld, Verdict
 from jaxid.fitting import ending, lost_runs
 from jaxid.fitting.result import Estimate, Score
@@ -240,7 +242,7 @@ def test_no_verdict_by_torque_rests_on_what_is_no_number(bad, at, different):
     """
     values = [1.0, 50.0, 1.0, 10.0]
     values[at] = bad
-    judged, study = torque_run._judged, cast(Any, None)
+    judged, study = torque_judge.judged_by_torque, cast(Any, None)
     nominal = torque_answer({0: values[0], 1: values[1]})
     final = torque_answer({0: values[2], 1: values[3]}, (DRAG,))
     found: Any = SimpleNamespace(
@@ -252,9 +254,11 @@ def test_no_verdict_by_torque_rests_on_what_is_no_number(bad, at, different):
         fit=[0],
         base=None,
         different=different,
+        claims=(),
+        weighed=Weighed(cast(Any, SimpleNamespace(rule=RULE, units=())), (), (), {}),
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(torque_run, "_astray", lambda study, answer: ())
+        patch.setattr(torque_judge, "astray", lambda study, answer: ())
         told = judged(study, found)
         assert told.name in ("unknown", "partly")
         assert told.name == "unknown" or values[1] > values[3]

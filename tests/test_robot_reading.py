@@ -102,9 +102,7 @@ def test_what_a_tree_cannot_express_is_refused_by_name():
 
 
 def test_what_ties_joints_together_is_named_with_all_of_them():
-    """Joints of a tendon, of a loop through its two branches, of a curved equality, and behind a
-    ball joint.
-    """
+    """Joints of a tendon, of a loop through its two branches, and behind a ball joint."""
     tendon = '<tendon><fixed name="t"><joint joint="lift" coef="1"/><joint joint="elbow" coef="1"/></fixed></tendon>'
     driven = (
         tendon
@@ -113,9 +111,6 @@ def test_what_ties_joints_together_is_named_with_all_of_them():
     both = ("lift", "elbow")
     loop = '<equality><connect name="loop" body1="l1" body2="l2" anchor="0 0 0"/></equality>'
     to_the_world = '<equality><connect name="loop" body1="l2" anchor="0 0 0"/></equality>'
-    curved = (
-        '<equality><joint name="e" joint1="elbow" joint2="lift" polycoef="0 1 2 0 0"/></equality>'
-    )
     cases = (
         (mjcf(more=tendon), []),
         (mjcf(more=tendon.replace('"t"', '"t" damping="1"')), [("tendon 't'", both)]),
@@ -123,7 +118,6 @@ def test_what_ties_joints_together_is_named_with_all_of_them():
         (mjcf(more=driven), [("tendon 't'", both)]),
         (mjcf(more=loop), [("equality 'loop' (connect)", ("elbow",))]),
         (mjcf(more=to_the_world), [("equality 'loop' (connect)", both)]),
-        (mjcf(more=curved), [("equality 'e', a polynomial", ("elbow", "lift"))]),
         (mjcf(joint='<joint name="lift" type="ball"/>'), [("ball joint 'lift'", ("elbow",))]),
     )
     for text, expected in cases:

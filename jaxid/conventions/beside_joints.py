@@ -69,7 +69,7 @@ def signals_beside(
     hidden = chain.mechanism.hidden_states
     readings = joint_readings(chain)
     positions = [r.q for r in readings if r.q is not None]
-    read = {k for r in readings for k in r}
+    read = set().union(*readings)
     outputs = [k for k in range(len(chain.signature.outputs)) if k not in read]
     if len(positions) < chain.nq or not dataset.inputs or not (outputs or hidden):
         return []

@@ -31,7 +31,7 @@ from jaxid.conventions.rates import contradictions
 from jaxid.conventions.registers import register, told_once
 from jaxid.conventions.samples import Shown
 from jaxid.data.capacity import give_back
-from jaxid.data.dataset import Dataset
+from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.noise import noise_floor
 from jaxid.data.repeats import one_way_sentences
 from jaxid.dynamics.chain import Chain
@@ -145,9 +145,10 @@ def check_folder(
 def _usable(found: list[DataFinding], dataset: Dataset) -> bool:
     """Whether any output moves in any run of the recording."""
     names = [e.name for e in dataset.experiments[:4]]
-    still = {
-        f.channel for f in found if f.kind == "does_not_move" and all(n in f.text for n in names)
-    }
+    still = set()
+    for finding in found:
+        if finding.kind == "does_not_move" and all(name in finding.text for name in names):
+            still.add(finding.channel)
     return any(c.name not in still for c in dataset.outputs)
 
 
@@ -223,22 +224,19 @@ def _beginnings(data: Dataset) -> Dataset:
     def cut(x):
         return None if x is None else x[part]
 
-    return replace(
-        data,
-        experiments=tuple(
-            replace(
-                e,
-                t=e.t[part],
-                u=e.u[part],
-                y=e.y[part],
-                auxiliary={k: v[part] for k, v in e.auxiliary.items()},
-                past=None,
-                scatter=cut(e.scatter),
-                left_out=cut(e.left_out),
-            )
-            for e in data.experiments
-        ),
-    )
+    def beginning(e: Experiment) -> Experiment:
+        return replace(
+            e,
+            t=e.t[part],
+            u=e.u[part],
+            y=e.y[part],
+            auxiliary={k: v[part] for k, v in e.auxiliary.items()},
+            past=None,
+            scatter=cut(e.scatter),
+            left_out=cut(e.left_out),
+        )
+
+    return replace(data, experiments=tuple(map(beginning, data.experiments)))
 
 
 def _law_read(
@@ -361,8 +359,11 @@ def _nothing_to_mend(before: float, after: float) -> bool:
 
 def _laws(chain: Chain) -> tuple[str, ...]:
     """The laws of `ForceFit` that a model lacks, as effects at each place."""
-    kinds = [k for k in LAWS if k.name not in chain.contents]
-    return tuple(f"{k.name}@{place}" for k in kinds for place in chain.offers(k))
+    laws: list[str] = []
+    for kind in LAWS:
+        if kind.name not in chain.contents:
+            laws += [f"{kind.name}@{place}" for place in chain.offers(kind)]
+    return tuple(laws)
 
 
 __all__ = ["Checked", "DataFinding", "run_check"]

@@ -390,9 +390,10 @@ def _scaled(reading: Reading, names: Names) -> Callable[[SampledMotion], Sampled
 def _line(binding: Binding, reading: Reading, mending: Mending) -> str:
     if reading.kind == "swapped_channels":
         return exchange_lines(binding.dataset, *reading.channels)
-    several = len(reading.channels) > 1
-    told = [(c, lines(binding.dataset, c, mending.forms[c])) for c in reading.channels]
-    return "\n".join(f"{line}  # of {c}" if several else line for c, line in told)
+    told = {c: lines(binding.dataset, c, mending.forms[c]) for c in reading.channels}
+    if len(told) == 1:
+        return "".join(told.values())
+    return "\n".join(f"{line}  # of {c}" for c, line in told.items())
 
 
 def _headline(reading: Reading, value: float, binding: Binding, what: str) -> str:

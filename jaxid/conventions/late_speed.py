@@ -107,10 +107,8 @@ def lateness(dataset: Dataset, position: Channel, speed: Channel) -> Lateness | 
 
 def _stretches(dataset: Dataset, position: Channel, speed: Channel) -> Iterator[Stretch]:
     """Parts of all runs, each of them filtered as a whole."""
-    whole = [
-        (e, *(samples_of(dataset, c, e) for c in (position, speed))) for e in dataset.experiments
-    ]
-    for e, q, v in whole:
+    for e in dataset.experiments:
+        q, v = samples_of(dataset, position, e), samples_of(dataset, speed, e)
         if q is None or v is None or len(e.t) < 3 * SHORTEST or not np.ptp(q) or not np.ptp(v):
             continue
         t = e.t[:LONGEST]

@@ -169,20 +169,23 @@ def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
     if not unit and abs(offset - s.offset) > 1e-9 * max(1.0, abs(s.offset)):
         out.append(f"offset = {_short(offset)}")
     for key, value in forms.items():
-        if key == "unwrap":
-            turn = found.unit == "rad" and abs(value - 2 * np.pi) < 1e-6
-            out.append(
-                "unwrap = true" if turn else f"unwrap = {_short(value / s.factor / abs(s.scale))}"
-            )
-        elif key == "shift":
-            out.append(f"shift = {s.shift + value}")
-        elif key == "delay_s":
-            out.append(f"delay_s = {s.delay_s + value:.4g}")
-        elif key == "clock_ppm":
-            out.append(f"clock_ppm = {s.clock_ppm + value:.4g}")
-        elif key not in ("scale", "offset"):
-            out.append(f"{key} = {str(value).lower() if isinstance(value, bool) else value}")
+        if key not in ("scale", "offset"):
+            out.append(f"{key} = {_form_text(found, s, key, value)}")
     return "\n".join(out)
+
+
+def _form_text(channel: Channel, s: StatedChannel, key: str, value: Any) -> str:
+    """The value of a form, on top of what stands there already."""
+    if key == "unwrap":
+        turn = channel.unit == "rad" and abs(value - 2 * np.pi) < 1e-6
+        return "true" if turn else _short(value / s.factor / abs(s.scale))
+    if key == "shift":
+        return str(s.shift + value)
+    if key == "delay_s":
+        return f"{s.delay_s + value:.4g}"
+    if key == "clock_ppm":
+        return f"{s.clock_ppm + value:.4g}"
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _unit(channel: Channel, s: StatedChannel, factor: float) -> str:
@@ -225,8 +228,6 @@ def _short(value: float) -> str:
 
 def exchange_lines(dataset: Dataset, a: str, b: str) -> str:
     """The `column` lines that make two channels take each other's samples."""
-    column = {
-        c.name: c.stated.column if c.stated and c.stated.column else c.name
-        for c in dataset.channels
-    }
+    column = {c.name: c.name for c in dataset.channels}
+    column |= {c.name: c.stated.column for c in dataset.channels if c.stated and c.stated.column}
     return f'column = "{column[b]}"  # of {a}\ncolumn = "{column[a]}"  # of {b}'

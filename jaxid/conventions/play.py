@@ -124,7 +124,8 @@ def _ratio(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float | None:
     """
     if not pairs:
         return None
-    x, y = (np.concatenate([p[k] - np.mean(p[k]) for p in pairs]) for k in (0, 1))
+    x = np.concatenate([first - np.mean(first) for first, _ in pairs])
+    y = np.concatenate([second - np.mean(second) for _, second in pairs])
     product, power = float(x @ y), float(x @ x) * float(y @ y)
     if power == 0 or product**2 < ONE_JOINT * power:
         return None

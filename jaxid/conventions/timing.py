@@ -171,13 +171,14 @@ def _before_causes(
         return
     near = _nearest_rows(fit, m, plain.worst)
     late, common, _ = _told(fit, near)
-    told = [common if common is not None else (x.rows, x.std) for x in late]
-    rows = np.array(
-        [value if value >= EARLY and value > SURE * std else 0.0 for value, std in told]
-    )
-    if not rows.any() or any(
-        std > max(KNOWN, SHARE * value) for (value, std), k in zip(told, rows, strict=True) if k
-    ):
+    told = [(x.rows, x.std) for x in late] if common is None else [common] * len(late)
+    rows = np.zeros(len(told))
+    for k, (value, std) in enumerate(told):
+        if value >= EARLY and value > SURE * std:
+            rows[k] = value
+            if std > max(KNOWN, SHARE * value):
+                return
+    if not rows.any():
         return
     left = fit.fit(replace(m, rows=m.rows + rows)).worst
     if left > GONE * plain.worst:
@@ -343,8 +344,9 @@ def _clock(binding: Binding, m: SampledMotion, names: Names, drift: float, std: 
         " within a run: no delay grows like that."
     )
     other = names.joints if channels is names.inputs else names.inputs
-    several = len(channels) > 1
-    told = [lines(binding.dataset, c, forms) + (f"  # of {c}" if several else "") for c in channels]
+    told = [lines(binding.dataset, c, forms) for c in channels]
+    if len(channels) > 1:
+        told = [f"{line}  # of {c}" for line, c in zip(told, channels, strict=True)]
     finding = DataFinding(
         "clock",
         channels[0],

@@ -28,11 +28,11 @@ def unsigned(binding: Binding, fit: ForceFit, m: SampledMotion, names: Names) ->
     if plain.worst < 0.3:
         return None
     inputs = [c.name for c in binding.dataset.inputs]
-    raw = {
-        n: np.concatenate([e.u[:, inputs.index(n)] for e in binding.dataset.experiments])
-        for n, unit in zip(names.inputs, names.input_units, strict=True)
-        if unit in TWO_WAY
-    }
+    u = np.concatenate([e.u for e in binding.dataset.experiments])
+    two_way = [
+        n for n, unit in zip(names.inputs, names.input_units, strict=True) if unit in TWO_WAY
+    ]
+    raw = {n: u[:, inputs.index(n)] for n in two_way}
     one_way = [
         n
         for n, u in raw.items()

@@ -324,11 +324,11 @@ class TorqueAtTheNoise(Reason):
 
 
 @dataclass(frozen=True)
-class NothingPredicts(Reason):
+class NothingSure(Reason):
     gap: float
     form = (
-        "There is a gap ({gap:times} times the noise), and no effect of the library predicts the"
-        " runs that were not fitted better."
+        "There is a gap ({gap:times} times the noise), and no effect of the library is probable"
+        " enough to be claimed."
     )
 
 

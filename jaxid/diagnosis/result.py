@@ -8,6 +8,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
+from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.budget import budget, Step
 from jaxid.diagnosis.cause import words
 from jaxid.display import Displayed, displays
@@ -147,14 +148,14 @@ class Which:
     doubts: dict[str, str] = field(
         default_factory=dict
     )  # "effect at location" -> why it is not to be believed as it stands
+    belief: Belief | None = None  # probabilities, where a way of asking gives them
 
     def to_dict(self) -> dict[str, Any]:
+        told = {} if self.belief is None else self.belief.to_dict()
         return {
             "verdict": self.verdict,
-            "effects": [
-                {**e.to_dict(), "text": words(e, "plain"), "check": words(e, "check")}
-                for e in self.effects
-            ],
+            **told,
+            "effects": [self._effect(e) for e in self.effects],
             "confusable_with": [
                 {"effect": e.effect, "location": e.location} for e in self.confusable_with
             ],
@@ -162,6 +163,10 @@ class Which:
             "text": self.text,
             "doubts": self.doubts,
         }
+
+    def _effect(self, e: EffectEstimate) -> dict[str, Any]:
+        told = {} if self.belief is None else self.belief.of(e.effect, e.location)
+        return {**e.to_dict(), **told, "text": words(e, "plain"), "check": words(e, "check")}
 
 
 @dataclass(frozen=True)

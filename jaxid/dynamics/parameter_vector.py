@@ -177,6 +177,13 @@ def own_entries(chain: Chain) -> list[Entry]:
     return list(_entries(chain, lambda e: isinstance(e, kinds)))
 
 
+def _short_name(short: str, joint: str, number: int | None) -> str:
+    """What a mechanism calls a number of its own effect, of several by joint or number."""
+    if "{joint}" in short:
+        return short.replace("{joint}", joint)
+    return short if number is None else f"{short}{number + 1}"
+
+
 def _value(chain: Chain, entry: Entry) -> Any:
     """The number of an entry as the chain has it."""
     owner = chain.mechanism if entry.owner < 0 else chain.effects[entry.owner]
@@ -209,11 +216,10 @@ def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) ->
             short = ids.get(effect.name, {}).get(field)
             for k, place in enumerate(places):
                 name = f"{effect.name}.{field}@{place}"
-                if short and "{joint}" in short:
+                if short:
                     is_input = effect.location == "input" and k < len(joints)
-                    name = short.replace("{joint}", joints[k] if is_input else place)
-                elif short:
-                    name = short if len(places) == 1 else f"{short}{k + 1}"
+                    joint = joints[k] if is_input else place
+                    name = _short_name(short, joint, k if len(places) > 1 else None)
                 own_unit = unit(channel_unit(chain, effect, k, spec.unit), k)
                 yield Entry(name, i, field, k, place, spec, own_unit)
 

@@ -65,10 +65,7 @@ def excite(
     """
     began = time.perf_counter()
     _check_counts(harmonics=(harmonics, 2), starts=(starts, 1), iterations=(iterations, 1))
-    if criterion is not None and criterion not in CRITERIA:
-        raise UsageError(f"there is no criterion {criterion!r}{nearest(criterion, CRITERIA)}")
-    if friction not in FRICTIONS:
-        raise UsageError(f"there is no friction law {friction!r}{nearest(friction, FRICTIONS)}")
+    _check_words(criterion, friction)
     if not (duration_s > 0 and rate_hz > 0 and duration_s * rate_hz <= 1e6):
         raise UsageError(
             f"{duration_s:g} s at {rate_hz:g} Hz: give a positive duration and rate, at most a"
@@ -133,6 +130,13 @@ def _check_counts(**counts: tuple[int, int]) -> None:
     for name, (value, least) in counts.items():
         if value < least:
             raise UsageError(f"{name} is {value}; give at least {least}")
+
+
+def _check_words(criterion: str | None, friction: str) -> None:
+    if criterion is not None and criterion not in CRITERIA:
+        raise UsageError(f"there is no criterion {criterion!r}{nearest(criterion, CRITERIA)}")
+    if friction not in FRICTIONS:
+        raise UsageError(f"there is no friction law {friction!r}{nearest(friction, FRICTIONS)}")
 
 
 def _check_lines(harmonics: int, base: float, duration_s: float, rate_hz: float) -> None:

@@ -91,10 +91,14 @@ def reweighed(
         last = fitter.nearby().minimise_each([(weighed, begin, key)], left(), progress)[0]
         spent += last.evaluations
         end = end if last.failed else last
+    found = replace(end, loss=weighed.loss(end.z), evaluations=spent)
+    return Reweighed(weighed, found, _note(problem, level))
+
+
+def _note(problem: FitProblem, level: np.ndarray) -> str:
     channels = zip(problem.runs.channels, level, strict=True)
     named = ", ".join(f"{name} {x:.3g}" for (name, _), x in channels)
-    note = f"channels are weighed by what the model leaves of them, in times their noise: {named}"
-    return Reweighed(weighed, replace(end, loss=weighed.loss(end.z), evaluations=spent), note)
+    return f"channels are weighed by what the model leaves of them, in times their noise: {named}"
 
 
 def weighed_by(problem: FitProblem, factors: np.ndarray) -> FitProblem:

@@ -86,11 +86,11 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
     except (OSError, ValueError) as error:
         raise UsageError(f"{folder} is no recording that could be finished ({error})") from error
     events = read_events(folder)
-    closed = next((e for e in reversed(events) if e["kind"] == "end"), None)
+    unknown = {"text": "the recording process ended without closing the recording"}
+    closed = next((e for e in reversed(events) if e["kind"] == "end"), unknown)
     if end_reason is None:
-        unknown = "the recording process ended without closing the recording"
-        end_reason = unknown if closed is None else str(closed["text"])
-    complete = closed is not None and bool(closed.get("complete"))
+        end_reason = str(closed["text"])
+    complete = bool(closed.get("complete"))
     streams = [Stream.from_dict(s) for s in about["streams"]]
     main = streams[0]
     rows = read_rows(folder, main)
@@ -123,9 +123,7 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
         "duplicated": timed.duplicated,
         "gaps": timed.gaps,
         "clocks": run.clocks,
-        "channels": {
-            c.name: {"raw_unit": c.raw_unit, "scale": c.scale} for c in run.columns if c.raw_unit
-        },
+        "channels": _raw_units(run.columns),
         "events": [{**e, "t": timed.since_start(e["host"])} for e in events],
         "notes": run.notes,
         "raw_sha256": {s.name: _sha256(folder / f"{s.name}.rows") for s in streams},
@@ -344,6 +342,11 @@ def _experiment(
     if about.get("constants"):
         entry["constants"] = about["constants"]
     return entry
+
+
+def _raw_units(columns: list[Column]) -> dict[str, Any]:
+    """What the values of channels were before they were converted."""
+    return {c.name: {"raw_unit": c.raw_unit, "scale": c.scale} for c in columns if c.raw_unit}
 
 
 def _sha256(path: Path) -> str:

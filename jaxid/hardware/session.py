@@ -59,6 +59,10 @@ class _RecordingWatch:
     def moving(self) -> bool:
         return self.phase in ("arming", "playing")
 
+    def played_since(self, now: float) -> float:
+        """Seconds since the path was played to its end; 0 before."""
+        return 0.0 if self.done_at is None else now - self.done_at
+
 
 def record(
     device: Device,
@@ -371,16 +375,12 @@ def _watched(
         if progress is not None and now - told > 0.2:
             told = now
             watch.pauses.lap()
-            progress(
-                "recording",
-                round(10 * (now - watch.began)),
-                round(10 * total),
-                f"{recorder.counts[0]} samples",
-            )
+            done, samples = round(10 * (now - watch.began)), recorder.counts[0]
+            progress("recording", done, round(10 * total), f"{samples} samples")
             watch.pauses.lap(doing="showing the progress")
         if plan is None and now - watch.began >= seconds:
             return "the time was over"
-        if watch.phase == "played" and watch.done_at is not None and now - watch.done_at > 0.25:
+        if watch.played_since(now) > 0.25:
             return "the path was played"
 
 

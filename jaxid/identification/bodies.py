@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.rigid_body import pseudo_inertia
@@ -25,7 +26,9 @@ def _of_pseudo(P: np.ndarray) -> np.ndarray:
     return np.stack([*six, P[..., 0, 3], P[..., 1, 3], P[..., 2, 3], P[..., 3, 3]], -1)
 
 
-def consistent_bodies(x: np.ndarray, prior: np.ndarray) -> np.ndarray:
+def consistent_bodies(
+    x: Float[np.ndarray, "links 10"], prior: Float[np.ndarray, "links 10"]
+) -> Float[np.ndarray, "links 10"]:
     """Inertial parameters [links 10] of log-Cholesky numbers [links 10], zero at the prior's bodies
     (Rucker, Wensing 2022).
 
@@ -64,14 +67,14 @@ class Bodies:
 
 
 def constrained(
-    W: np.ndarray,
-    b: np.ndarray,
+    W: Float[np.ndarray, "rows numbers"],
+    b: Float[np.ndarray, " rows"],
     base: BaseParameters,
-    prior: np.ndarray,
-    levels: np.ndarray,
+    prior: Float[np.ndarray, "links 11"],
+    levels: Bool[np.ndarray, " friction"],
     drives: bool,
     strength: float = 1e-3,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, "links 11"]]:
     """(theta, standard parameters [links 11]): least squares over bodies that can exist.
 
     `prior` [links 11] holds bodies that can exist, from which directions that no motion determines

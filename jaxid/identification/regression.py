@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.noise import noise_floor
@@ -64,12 +65,12 @@ LAWS: dict[str, FrictionLaw] = {
 }
 
 
-def power(qd: Any, exponent: np.ndarray) -> Any:
+def power(qd: Any, exponent: Float[np.ndarray, " n"]) -> Any:
     """|qd|^exponent sign(qd), the law of `power_law_friction`."""
     return qd * (qd * qd + 1e-6) ** ((exponent - 1) / 2)
 
 
-def friction_columns(law: FrictionLaw, qd: Any, exponent: np.ndarray) -> Any:
+def friction_columns(law: FrictionLaw, qd: Any, exponent: Float[np.ndarray, " n"]) -> Any:
     """Values [samples k n] of the k columns of a law at each joint's velocity [samples n], NumPy's
     or JAX.
     """
@@ -93,29 +94,28 @@ class RegressionRun:
 
     name: str
     split: str
-    t: np.ndarray
-    q: np.ndarray  # the motion of all samples [all samples n]
-    qd: np.ndarray
-    qdd: np.ndarray
-    Y: np.ndarray  # [rows n base], filtered: every `spacing`-th of the samples that count
-    tau: np.ndarray  # [samples n]
-    tau_raw: np.ndarray
+    t: Float[np.ndarray, " samples"]
+    q: Float[np.ndarray, "all n"]  # the motion of all samples
+    qd: Float[np.ndarray, "all n"]
+    qdd: Float[np.ndarray, "all n"]
+    Y: Float[np.ndarray, "rows n base"]  # filtered: every `spacing`-th of the samples that count
+    tau: Float[np.ndarray, "samples n"]
+    tau_raw: Float[np.ndarray, "samples n"]
     kept: slice  # the samples whose rows count
     cutoff_hz: float
-    times: np.ndarray  # of all samples
+    times: Float[np.ndarray, " all"]
     inertia: Callable[[slice], np.ndarray]  # columns of inertia, unfiltered, of some of all samples
-    moves: np.ndarray = field(
-        default_factory=lambda: np.ones(1)
-    )  # [n] 0 for joints that stand still: their torque says nothing
+    #: 0 for joints that stand still: their torque says nothing.
+    moves: Float[np.ndarray, " n"] = field(default_factory=lambda: np.ones(1))
 
-    def filtered(self, x: np.ndarray) -> np.ndarray:
+    def filtered(self, x: Float[np.ndarray, "all n"]) -> Float[np.ndarray, "samples n"]:
         """Series [all samples n] through the low-pass, at the samples that count."""
         out = np.empty((len(self.t), x.shape[1]))
         for at, smooth, _ in self.stretches(x.__getitem__):
             out[at] = smooth
         return out
 
-    def solved(self, rows: Callable[[slice], np.ndarray]) -> np.ndarray:
+    def solved(self, rows: Callable[[slice], np.ndarray]) -> Float[np.ndarray, "rows ..."]:
         """Series [all samples n ...] through the low-pass, at the rows that are solved."""
         return np.concatenate([smooth for _, smooth, _ in self.stretches(rows, spacing(self))])
 
@@ -224,7 +224,9 @@ def _with_inertia(
     return replace(run, Y=run.solved(run.inertia))
 
 
-def full_rows(run: RegressionRun, law: FrictionLaw, exponent: np.ndarray) -> np.ndarray:
+def full_rows(
+    run: RegressionRun, law: FrictionLaw, exponent: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "rows n numbers"]:
     """W [rows n base + k n] of the rows of a run that are solved: inertia, then the law's columns,
     parameter by parameter over the joints.
     """
@@ -281,8 +283,11 @@ def torques(
 
 
 def exponent_slopes(
-    run: RegressionRun, law: FrictionLaw, theta: np.ndarray, exponent: np.ndarray
-) -> np.ndarray:
+    run: RegressionRun,
+    law: FrictionLaw,
+    theta: Float[np.ndarray, " numbers"],
+    exponent: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "rows n n"]:
     """Derivative of the torque by each joint's exponent at the rows that are solved, [rows n n],
     filtered.
     """

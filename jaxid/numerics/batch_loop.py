@@ -236,7 +236,8 @@ class _Lanes:
     def _equation(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
         name, inner = eqn.primitive.name, called(eqn)
         if not any(a.batched for a in args):
-            return [Value(x, False) for x in bound(eqn, [a.content for a in args])]
+            contents = [a.content for a in args]
+            return [Value(x, False) for x in bound(eqn, contents)]
         if inner is not None:
             marked = self.level == 0 and eqn.params.get("name") == _NAME
             if marked and _worth_it(inner.jaxpr):

@@ -51,10 +51,11 @@ def means(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], edges: np.n
     told = [k for k, values in enumerate(found) if values]
     values = [np.array(found[k]) for k in told]
     middle = 0.5 * (edges[1:] + edges[:-1])
-    half = [
-        1.96 * np.std(v, ddof=1) / np.sqrt(len(v)) if len(v) >= VISITS else np.nan for v in values
-    ]
-    return Means(middle[told], np.array([v.mean() for v in values]), np.array(half))
+    half = np.full(len(values), np.nan)
+    for k, v in enumerate(values):
+        if len(v) >= VISITS:
+            half[k] = 1.96 * np.std(v, ddof=1) / np.sqrt(len(v))
+    return Means(middle[told], np.array([v.mean() for v in values]), half)
 
 
 def moving(force: MissingForce) -> np.ndarray:

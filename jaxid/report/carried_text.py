@@ -23,39 +23,28 @@ def export_text(exported: Exported, folder: Any = "") -> str:
     written.
     """
     head = ("effect or number", "at", "field", "value", "how")
-    rows = [
-        (
-            one_line(r.effect),
-            one_line(r.location),
-            one_line(r.field) or "-",
-            f"{_short(r.value)} {one_line(r.unit)}".strip(),
-            r.how,
-        )
-        for r in exported.rows
-        if not r.kept
-    ]
-    same = by_effect((one_line(r.effect), one_line(r.location)) for r in exported.rows if r.kept)
-    notes = dict.fromkeys(
-        f"{one_line(r.effect)}{f' at {one_line(r.location)}' if r.location else ''}:"
-        f" {one_line(r.note)}"
-        for r in exported.rows
-        if r.how != "exact" and not r.kept
-    )
+    rows, same, notes = [], [], {}
+    for r in exported.rows:
+        effect, location = one_line(r.effect), one_line(r.location)
+        if r.kept:
+            same.append((effect, location))
+            continue
+        value = f"{_short(r.value)} {one_line(r.unit)}".strip()
+        rows.append((effect, location, one_line(r.field) or "-", value, r.how))
+        if r.how != "exact":
+            place = f" at {location}" if r.location else ""
+            notes[f"{effect}{place}: {one_line(r.note)}"] = None
+    lines = [table(head, rows)]
+    if same:
+        kept = [f"{effect} at {listed(at)}" for effect, at in by_effect(same).items()]
+        lines.append(f"as the file has them, which the data allow: {'; '.join(kept)}")
+    lines += [*notes, *map(one_line, exported.notes)]
     names = [one_line(name) for name in (*exported.files, "export.json")]
-    files = (
-        f"written: {listed(f'{folder}/{name}' for name in names)}"
-        if folder
-        else f"files: {listed(names)}"
-    )
-    kept = (
-        [
-            "as the file has them, which the data allow:"
-            f" {'; '.join(f'{k} at {listed(at)}' for k, at in same.items())}"
-        ]
-        if same
-        else []
-    )
-    return "\n".join([table(head, rows), *kept, *notes, *map(one_line, exported.notes), files])
+    if folder:
+        lines.append(f"written: {listed(f'{folder}/{name}' for name in names)}")
+    else:
+        lines.append(f"files: {listed(names)}")
+    return "\n".join(lines)
 
 
 def _short(value: Any) -> str:
@@ -68,30 +57,21 @@ def _short(value: Any) -> str:
 
 def replay_text(result: Replay) -> str:
     """Each joint's error in every run of a simulator beside the other's."""
-    other, patched = result.other, any("before" in r for r in result.rows)
-    columns = (*(["before"] if patched else []), "mujoco", other, "difference")
+    other = result.other
+    columns = ["mujoco", other, "difference"]
+    titles = ["rms error in MuJoCo", f"in {'the other file' if other == 'against' else 'jaxid'}"]
+    if any("before" in r for r in result.rows):
+        columns.insert(0, "before")
+        titles[0:1] = ["rms error in MuJoCo before", "patched"]
 
     def value(v):
         return "-" if v is None else number(v)
 
-    rows = [
-        (
-            one_line(r["experiment"]),
-            one_line(r["joint"]),
-            *(value(r.get(c)) for c in columns),
-            r["unit"],
-        )
-        for r in result.rows
-    ]
-    head = (
-        "run",
-        "joint",
-        *(["rms error in MuJoCo before"] if patched else []),
-        "patched" if patched else "rms error in MuJoCo",
-        f"in {'the other file' if other == 'against' else 'jaxid'}",
-        "between both",
-        "unit",
-    )
+    rows = []
+    for r in result.rows:
+        values = [value(r.get(column)) for column in columns]
+        rows.append((one_line(r["experiment"]), one_line(r["joint"]), *values, r["unit"]))
+    head = ("run", "joint", *titles, "between both", "unit")
     return "\n".join(
         [
             f"{one_line(result.robot)} on {one_line(result.dataset)}",

@@ -53,10 +53,7 @@ def _section(findings, headline: str, dataset: str, model: str, notes) -> Sectio
             "headline": headline,
             "dataset": dataset,
             "model": model,
-            "rows": [
-                (f, _state(f), _gap(f), f.line.split("\n") if f.line else [], _same(f))
-                for f in findings
-            ],
+            "rows": [(f, _state(f), _gap(f), f.line.splitlines(), _same(f)) for f in findings],
             "notes": notes,
             "mending": any(f.line or _gap(f) for f in findings),
         },

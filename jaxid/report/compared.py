@@ -92,8 +92,9 @@ def draw_convergence(c: Comparison, axes: Axes, by: str) -> None:
     column = 0 if by == "evaluations" else 1
     for fitter in c.fitters:
         runs = c.of(fitter)
-        ends = [x for r in runs for x in r.history[[0, -1], column] if x > 0]
-        if not ends:
+        ends = np.concatenate([r.history[[0, -1], column] for r in runs])
+        ends = ends[ends > 0]
+        if not ends.size:
             continue
         grid = np.geomspace(max(min(ends), 1e-4), max(ends) * (1 + 1e-9), 160)
         curves = np.array([excess(c, along(r, grid, column)) for r in runs])

@@ -16,12 +16,9 @@ if TYPE_CHECKING:
 
 
 def section(fit: Fit, history: bool = True) -> Section:
-    rows = [
-        (split, channel, s)
-        for split, channels in fit.scores.items()
-        for channel, s in channels.items()
-    ]
-    rows += [("windows", channel, s) for channel, s in fit.windowed.items()]
+    rows = []
+    for split, channels in {**fit.scores, "windows": fit.windowed}.items():
+        rows += [(split, channel, s) for channel, s in channels.items()]
     return Section(
         "fitted.html",
         {
@@ -86,14 +83,9 @@ def recursion_picture(fit: Fit):
     def draw(figure):
         for k, name in enumerate(names):
             axes = figure.add_subplot(len(names), 1, k + 1)
-            value = np.array([s.parameters[name][0] for s in fit.recursion])
-            std = np.array(
-                [
-                    np.nan if s.parameters[name][1] is None else s.parameters[name][1]
-                    for s in fit.recursion
-                ],
-                float,
-            )
+            found = [s.parameters[name] for s in fit.recursion]
+            value = np.array([mean for mean, _ in found])
+            std = np.array([deviation for _, deviation in found], float)  # nan for None
             axes.fill_between(
                 at, value - 2 * std, value + 2 * std, color=plot.BLUE, alpha=0.2, linewidth=0
             )

@@ -89,9 +89,11 @@ def friction_rows(result: Identification) -> list[tuple[str, str, list[str]]]:
     def told(value, std):
         return pair(value, std) if std is not None and np.isfinite(std) else "not determined"
 
-    return [
-        (k, joints[0][k]["unit"], [told(j[k]["value"], j[k]["std"]) for j in joints]) for k in keys
-    ]
+    rows = []
+    for key in keys:
+        values = [told(joint[key]["value"], joint[key]["std"]) for joint in joints]
+        rows.append((key, joints[0][key]["unit"], values))
+    return rows
 
 
 def beside_head(result: Identification) -> tuple[str, ...]:
@@ -118,17 +120,13 @@ def base_rows(result: Identification) -> list[tuple[str, ...]]:
     combination, remark.
     """
     std, stated = result.std(), _stated(result)
-    return [
-        (
-            result.names[i],
-            pair(float(result.theta[i]), float(std[i])),
-            *(_beside(stated.get(result.names[i])) if stated else ()),
-            result.units[i],
-            result.expressions[i],
-            "" if result.identifiable[i] else "not determined by these data",
-        )
-        for i in range(result.base_count)
-    ]
+    rows = []
+    for i in range(result.base_count):
+        name, value = result.names[i], pair(float(result.theta[i]), float(std[i]))
+        beside = _beside(stated.get(name)) if stated else ()
+        remark = "" if result.identifiable[i] else "not determined by these data"
+        rows.append((name, value, *beside, result.units[i], result.expressions[i], remark))
+    return rows
 
 
 def payload_rows(result: Identification) -> list[tuple[str, str, str]]:

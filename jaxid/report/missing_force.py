@@ -5,9 +5,10 @@ regime.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from jaxid import wording
 from jaxid.report import binned, plot
@@ -29,9 +30,10 @@ def section(
     forces: Sequence[MissingForce], regimes: Sequence[Regime], where: Sequence[Finding] = ()
 ) -> Section | None:
     """`where`: the findings; the variable that the first of a joint is a law of is drawn first."""
-    joints = list(dict.fromkeys(f.joint for f in forces))
-    most = {j: max(supplied(f) for f in forces if f.joint == j) for j in joints}
-    joints.sort(key=lambda j: -most[j])
+    most: dict[str, float] = {}
+    for force in forces:
+        most[force.joint] = max(most.get(force.joint, -np.inf), supplied(force))
+    joints = sorted(most, key=lambda joint: -most[joint])
     told_by = {w.channel: w.variable for w in reversed(where)}
     pictures = []
     for i, joint in enumerate(joints[:SHOWN]):
@@ -88,17 +90,7 @@ def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
     """
     longest = max(forces, key=lambda f: len(f.t))
     unit = longest.unit
-    against = [
-        ("qd", f"velocity ({plot.label(longest.qd_unit, 20)})"),
-        ("q", f"position ({plot.label(longest.q_unit, 20)})"),
-        ("load", f"{'command' if variable == 'command' else 'load'} ({plot.label(unit, 20)})"),
-    ]
-    against = [
-        (field, title)
-        for field, title in against
-        if any(np.ptp(getattr(f, field)) > 0 for f in forces)
-    ]
-    against.sort(key=lambda a: a[0] != FIELDS.get(variable))
+    against = _against(forces, longest, variable)
     added = any(not np.array_equal(f.before, f.after) for f in forces)
     bounds = plot.limits(*(plot.series(f.before) for f in forces), quantile=0.005)
 
@@ -108,31 +100,21 @@ def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
         panels, over_time, spectrum_axes = layout(figure, kinds, len(against))
         level, points = None, plot.points(figure)
         for kind, row in zip(kinds, panels, strict=True):
-            for axes, (field, title) in zip(row, against, strict=True):
+            for axes, (field, title) in zip(row, against.items(), strict=True):
                 binned.draw(axes, forces, field, kind, law=added and kind == "before")
                 axes.set_xlabel(title)
             if kind == "before":
-                level = plot.limits(
-                    *(line.get_ydata() for axes in row for line in axes.get_lines()), quantile=0.0
-                )
+                level = _level(row)
+            still = "still " if kind == "after" else ""
             for axes in row:
                 if level:
                     axes.set_ylim(level)
                 if axes.get_subplotspec().is_first_col() or plot.narrow(figure):
-                    axes.set_ylabel(
-                        f"{'still ' if kind == 'after' else ''}missing ({plot.label(unit, 20)})"
-                    )
-        over_time.plot(
-            *plot.thin(longest.t, plot.series(longest.before), points),
-            color=plot.VERMILLION,
-            linewidth=0.9,
-        )
-        if added:
-            over_time.plot(
-                *plot.thin(longest.t, plot.series(longest.after), points),
-                color=plot.BLUE,
-                linewidth=0.9,
-            )
+                    axes.set_ylabel(f"{still}missing ({plot.label(unit, 20)})")
+        drawn = [(longest.before, plot.VERMILLION), (longest.after, plot.BLUE)][: len(kinds)]
+        for force, color in drawn:
+            thinned = plot.thin(longest.t, plot.series(force), points)
+            over_time.plot(*thinned, color=color, linewidth=0.9)
         draw_noise(over_time, longest.t, plot.series(longest.floor), points // 4)
         over_time.set_xlabel(f"time in {plot.label(longest.experiment)} (s)")
         over_time.set_ylabel(f"missing ({plot.label(unit, 20)})")
@@ -145,6 +127,31 @@ def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
     return plot.svg(name, (plot.WIDE, 7.6 if added else 5.4), draw, 1.9 * (len(against) + 2) + 0.8)
 
 
+def _against(
+    forces: Sequence[MissingForce], longest: MissingForce, variable: str
+) -> dict[str, str]:
+    """Field -> title of what the force is drawn against: what varies, the `variable` first."""
+    load = "command" if variable == "command" else "load"
+    titles = {
+        "qd": f"velocity ({plot.label(longest.qd_unit, 20)})",
+        "q": f"position ({plot.label(longest.q_unit, 20)})",
+        "load": f"{load} ({plot.label(longest.unit, 20)})",
+    }
+    against = {}
+    for field in sorted(titles, key=lambda field: field != FIELDS.get(variable)):
+        if any(np.ptp(getattr(f, field)) > 0 for f in forces):
+            against[field] = titles[field]
+    return against
+
+
+def _level(row: Sequence[Axes]) -> Any:
+    """Limits of what is drawn in a row."""
+    lines: list[Any] = []
+    for axes in row:
+        lines += axes.get_lines()
+    return plot.limits(*(line.get_ydata() for line in lines), quantile=0.0)
+
+
 def layout(figure, kinds: Sequence[str], count: int):
     """Axes [kind][field] of the means, one over time, one of the spectrum; on phones a field is a
     row, before beside after.
@@ -155,11 +162,8 @@ def layout(figure, kinds: Sequence[str], count: int):
             rows[k].subgridspec(1, len(kinds)).subplots(sharey=True, squeeze=False)[0]
             for k in range(count)
         ]
-        return (
-            [[row[i] for row in by_field] for i in range(len(kinds))],
-            figure.add_subplot(rows[-2]),
-            figure.add_subplot(rows[-1]),
-        )
+        by_kind = list(map(list, zip(*by_field, strict=True))) or [[] for _ in kinds]
+        return by_kind, figure.add_subplot(rows[-2]), figure.add_subplot(rows[-1])
     rows = figure.add_gridspec(len(kinds) + 1, 1)
     panels = [
         rows[i].subgridspec(1, max(1, count)).subplots(sharey=True, squeeze=False)[0][:count]
@@ -275,9 +279,11 @@ def regime_picture(regimes: Sequence[Regime]):
         axes.set_yticks(range(len(regimes)), [between.join(label) for label in labels])
         axes.set_ylim(len(regimes) - 0.4, -0.6)
         axes.tick_params(axis="y", length=0)
-        ends = [
-            x for r in regimes for x in (r.strength, *(r.null[1:] if r.supplied is None else ()))
-        ]
+        ends: list[float] = []
+        for r in regimes:
+            ends.append(r.strength)
+            if r.supplied is None:
+                ends += r.null[1:]
         axes.set_xlim(0, 1.12 * max([1.0, *map(plot.drawable, ends)]))
         axes.set_xlabel("missing force there, as a multiple of that over the whole recording (rms)")
         handles = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from jaxid.report import text
 from jaxid.report.page import Section
@@ -16,11 +16,10 @@ if TYPE_CHECKING:
 def section(fit: Fit, nominal: Fit | None = None) -> Section | None:
     """The parameters of `fit`, beside those of the nominal model where one is given."""
     before = {} if nominal is None else dict(text.parameter_rows(nominal))
-    stated = {
-        name: s.stated
-        for s in fit.stated
-        for name in (s.parameter, f"{s.parameter}@{s.joint}", f"{s.parameter}@{s.link}")
-    }
+    stated: dict[str, Any] = {}
+    for s in fit.stated:
+        names = (s.parameter, f"{s.parameter}@{s.joint}", f"{s.parameter}@{s.link}")
+        stated |= dict.fromkeys(names, s.stated)
     rows = [
         (name, p, before.get(name), stated.get(name), place(p), text.remark(p))
         for name, p in text.parameter_rows(fit)

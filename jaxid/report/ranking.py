@@ -56,11 +56,10 @@ def rounds(rows: list[tuple[Ranked, str]]) -> dict[tuple[str, ...], list[tuple[R
     groups: dict[tuple[str, ...], list[tuple[Ranked, str]]] = {}
     for row in rows:
         groups.setdefault(tuple(sorted(row[0].beside)), []).append(row)
-    told = {
-        k: own
-        for k, own in groups.items()
-        if len(own) > 2 or not k or any(kind == "named" for _, kind in own)
-    }
+    told = {}
+    for beside, own in groups.items():
+        if len(own) > 2 or not beside or "named" in {kind for _, kind in own}:
+            told[beside] = own
     return dict(sorted(told.items(), key=lambda pair: len(pair[0])))
 
 
@@ -112,7 +111,8 @@ def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:
         )
         if logarithmic:
             plot.plain_log(axes.xaxis)
-        present = [kind for kind in palette if any(k == kind for _, k in rows)]
+        shown = {kind for _, kind in rows}
+        present = [kind for kind in palette if kind in shown]
         handles = [
             axes.barh([0], [0], color=palette[kind], label=meaning[kind]) for kind in present
         ]

@@ -12,7 +12,7 @@ from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.study.papers.result import Reproduction
+    from jaxid.study.papers.result import PaperPart, PaperTable, Reproduction
 
 
 def section(result: Reproduction) -> Section:
@@ -20,28 +20,24 @@ def section(result: Reproduction) -> Section:
         "reproduced.html",
         {
             "r": result,
-            "parts": [
-                {
-                    "title": part.title,
-                    "text": part.text,
-                    "tables": [
-                        {
-                            "title": t.title,
-                            "note": t.note,
-                            "columns": t.columns,
-                            "rows": [[cell(c) for c in row] for row in t.rows],
-                        }
-                        for t in part.tables
-                    ],
-                    "pictures": [
-                        (p.caption, plot.svg(p.name, p.size, p.draw)) for p in part.pictures
-                    ],
-                }
-                for part in result.parts
-            ],
+            "parts": list(map(_part, result.parts)),
             "seconds": wording.number(result.wall_time_s, 3),
         },
     )
+
+
+def _part(part: PaperPart) -> dict[str, Any]:
+    return {
+        "title": part.title,
+        "text": part.text,
+        "tables": list(map(_table, part.tables)),
+        "pictures": [(p.caption, plot.svg(p.name, p.size, p.draw)) for p in part.pictures],
+    }
+
+
+def _table(t: PaperTable) -> dict[str, Any]:
+    rows = [list(map(cell, row)) for row in t.rows]
+    return {"title": t.title, "note": t.note, "columns": t.columns, "rows": rows}
 
 
 def cell(value: Any) -> tuple[str, bool]:

@@ -105,31 +105,15 @@ def stated_sentences(
     """Numbers that were stated and that the data refute, worst first: each in a sentence, or all in
     one where they are many. One that is told as an effect that is missing is not told again.
     """
-    told = {(e.location, p.value) for e in named for p in e.parameters.values()}
+    told: set[tuple[str, float]] = set()
+    for e in named:
+        told |= {(e.location, p.value) for p in e.parameters.values()}
     refuted = [s for s in stated if s.refuted and (s.joint, s.fitted) not in told]
     refuted.sort(key=lambda s: -abs(s.deviation or 0.0))
     if len(refuted) <= 2:
         return [sentence(s.text) for s in refuted]
-
-    def unit(s):
-        return "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
-
     every = [s.parameter for s in stated]
-
-    # "armature of elbow_flex", but not "kp / inertia"
-    def several(s):
-        return " " not in s.parameter and (s.link or every.count(s.parameter) > 1)
-
-    def best(s):
-        return s.fitted if s.beside is None else s.beside
-
-    def name(s):
-        return s.text.partition(":")[0] if several(s) else s.parameter
-
-    shown = [
-        f"{one_line(name(s))} {number(s.stated)} → {number(best(s), 4)}{unit(s)}"
-        for s in refuted[:STATED]
-    ]
+    shown = [_stated_beside_found(s, every) for s in refuted[:STATED]]
     more = f", and {len(refuted) - STATED} more" if len(refuted) > STATED else ""
     off = dict.fromkeys(number(abs(s.deviation or 0.0), 2) for s in (refuted[-1], refuted[0]))
     return [
@@ -138,18 +122,33 @@ def stated_sentences(
     ]
 
 
+def _stated_beside_found(s: StatedNumber, every: Sequence[str]) -> str:
+    """`armature of elbow_flex 0.1 → 0.2 kg m^2`; `every`: the names of all stated numbers."""
+    name = s.parameter
+    # "armature of elbow_flex", but not "kp / inertia"
+    if " " not in name and (s.link or every.count(name) > 1):
+        name = s.text.partition(":")[0]
+    best = s.fitted if s.beside is None else s.beside
+    unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
+    return f"{one_line(name)} {number(s.stated)} → {number(best, 4)}{unit}"
+
+
 #: This many groups of numbers are listed.
 GROUPS = 6
 
 
 def together(fit: Fit) -> str:
     """Numbers that the data determine only together, group by group; empty where there are none."""
-    own = [[name for name in group if not name.startswith("start of ")] for group in fit.correlated]
-    groups = list(dict.fromkeys(one_line(", ".join(group)) for group in own if len(group) > 1))
+    groups: dict[str, None] = {}
+    for group in fit.correlated:
+        own = [name for name in group if not name.startswith("start of ")]
+        if len(own) > 1:
+            groups[one_line(", ".join(own))] = None
     if not groups:
         return ""
+    shown = "; ".join(list(groups)[:GROUPS])
     more = f"; and {len(groups) - GROUPS} more groups" if len(groups) > GROUPS else ""
-    return f"The data determine only together, not one by one: {'; '.join(groups[:GROUPS])}{more}"
+    return f"The data determine only together, not one by one: {shown}{more}"
 
 
 def meaning(which: Which) -> list[str]:
@@ -161,9 +160,9 @@ def meaning(which: Which) -> list[str]:
         if told := words(e, "plain"):
             told = f"If so: {told[:1].lower()}{told[1:]}" if str(e) in which.doubts else told
             said.setdefault(told, []).append(one_line(e.location))
-    return [
-        (f"{listed(at)}: " if len(which.effects) > 1 else "") + told for told, at in said.items()
-    ]
+    if len(which.effects) == 1:
+        return list(said)
+    return [f"{listed(at)}: {told}" for told, at in said.items()]
 
 
 def to_check(which: Which) -> list[str]:
@@ -180,10 +179,8 @@ def lacks(which: Which, said: Callable[[Sequence[EffectEstimate]], str], same: s
     """What the model lacks, and what may be the `same`; what is not to be believed as it stands is
     no more than possible.
     """
-    sure, perhaps = (
-        [e for e in which.effects if (str(e) in which.doubts) == doubted]
-        for doubted in (False, True)
-    )
+    sure = [e for e in which.effects if str(e) not in which.doubts]
+    perhaps = [e for e in which.effects if str(e) in which.doubts]
     if not sure:
         return f"Something is missing, and {said(perhaps)} may be part of it."
     possible = f", perhaps {said(perhaps)}" if perhaps else ""
@@ -389,17 +386,16 @@ def joint_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[tuple
     effects = any(
         r.get("with_effects") is not None and r["with_effects"] != r["retuned"] for r in last
     )
-    head = [
-        "joint",
-        "data",
-        last[0]["text"] if last else "",
-        "re-tuned",
-        *(["with the effects"] if effects else []),
-    ]
-    columns = ("as_it_stands", "retuned", *(("with_effects",) if effects else ()))
-    return head, [
-        (r["joint"], r["split"], *(f"{number(r[c])} {r['unit']}" for c in columns)) for r in last
-    ]
+    head = ["joint", "data", last[0]["text"] if last else "", "re-tuned"]
+    columns = ["as_it_stands", "retuned"]
+    if effects:
+        head.append("with the effects")
+        columns.append("with_effects")
+    found = []
+    for r in last:
+        errors = [f"{number(r[column])} {r['unit']}" for column in columns]
+        found.append((r["joint"], r["split"], *errors))
+    return head, found
 
 
 def joint_table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -442,11 +438,11 @@ def fit_text(fit: Fit) -> str:
     ]
     if fit.recursion:
         parts.append(recursion_table(fit))
-    scores = [
-        (split, channel, f"{number(s.rmse)} {s.unit}", percent(s.nrmse), percent(s.relative_error))
-        for split, channels in fit.scores.items()
-        for channel, s in channels.items()
-    ]
+    scores = []
+    for split, channels in fit.scores.items():
+        for channel, s in channels.items():
+            error, relative = f"{number(s.rmse)} {s.unit}", percent(s.relative_error)
+            scores.append((split, channel, error, percent(s.nrmse), relative))
     if scores:
         parts.append(table(("data", "channel", "rms error", "of its std", "relative"), scores))
     parts += [together(fit)]
@@ -467,24 +463,21 @@ def recursion_table(fit: Fit, most: int = 10, columns: int = 4) -> str:
     shown = sorted(
         {round(k * (count - 1) / max(1, min(most, count) - 1)) for k in range(min(most, count))}
     )
-    rows = [
-        (
-            str(k + 1),
-            number(fit.recursion[k].t),
-            *(number(fit.recursion[k].parameters[name][0]) for name in names),
-        )
-        for k in shown
-    ]
+    rows = []
+    for k in shown:
+        step = fit.recursion[k]
+        values = [number(step.parameters[name][0]) for name in names]
+        rows.append((str(k + 1), number(step.t), *values))
     return table(("recursion", "until (s)", *map(one_line, names)), rows)
 
 
 def simulation_text(simulation: Simulation) -> str:
     """The rms error of every run."""
-    rows = [
-        (f"run_{i}", channel, f"{number(rmse)} {simulation.units.get(channel, '')}")
-        for i, channels in enumerate(simulation.rmse, start=1)
-        for channel, rmse in channels.items()
-    ]
+    rows = []
+    for i, channels in enumerate(simulation.rmse, start=1):
+        for channel, rmse in channels.items():
+            error = f"{number(rmse)} {simulation.units.get(channel, '')}"
+            rows.append((f"run_{i}", channel, error))
     head = f"model {one_line(simulation.model)}, {len(simulation.runs)} runs simulated"
     return "\n".join(
         [head, table(("run", "channel", "rms error"), rows), *map(one_line, simulation.notes)]
@@ -504,6 +497,11 @@ def identification_text(result: Identification) -> str:
     )
     from jaxid.wording import table
 
+    def recording_row(e: Any) -> tuple[str, ...]:
+        each = [error(r, 1) for r in e.relative_error_per_joint]
+        whole, unfiltered = error(e.relative_error), error(e.unfiltered_relative_error)
+        return (e.file, e.split, whole, *each, unfiltered)
+
     joints = result.labels
     parts = [
         *data_lines(result.data),
@@ -514,16 +512,7 @@ def identification_text(result: Identification) -> str:
         *(f"{answer[0].upper()}{answer[1:]}." for answer in result.answers),
         table(
             ("recording", "data", "all joints", *joints, "unfiltered"),
-            [
-                (
-                    e.file,
-                    e.split,
-                    error(e.relative_error),
-                    *(error(r, 1) for r in e.relative_error_per_joint),
-                    error(e.unfiltered_relative_error),
-                )
-                for e in result.experiments
-            ],
+            list(map(recording_row, result.experiments)),
         ),
         table(
             ("friction", *joints),

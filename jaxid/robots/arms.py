@@ -4,6 +4,7 @@ none was recorded.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.dynamics.kinematics import ArmTable, geometry_of
 from jaxid.dynamics.urdf import z_to
 from jaxid.errors import UsageError
+from jaxid.robots.channels import goal, torque
 from jaxid.robots.match import matched, notes_of, prepared
 from jaxid.robots.tree import Tree, turned
 
@@ -112,28 +114,29 @@ def table_of(tree: Tree) -> ArmTable:
 
 def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
     """The recorded joints as q1 … with their torques as tau1 …, goals as auxiliary q1_cmd …"""
-    slides = tree.slides
-    channels = [Channel(f"q{k + 1}", "output", "m" if s else "rad") for k, s in enumerate(slides)]
-    channels += [Channel(f"tau{k + 1}", "input", "N" if s else "N m") for k, s in enumerate(slides)]
-    outputs, inputs = ([c.name for c in group] for group in (dataset.outputs, dataset.inputs))
+    channels, torques = [], []
+    for k, slides in enumerate(tree.slides, 1):
+        channels.append(Channel(f"q{k}", "output", "m" if slides else "rad"))
+        torques.append(Channel(f"tau{k}", "input", "N" if slides else "N m"))
+    channels += torques
+    outputs, inputs = [c.name for c in dataset.outputs], [c.name for c in dataset.inputs]
     iy = [outputs.index(j) for j in tree.joints]
 
     held = all(c.hold == "zero" for c in dataset.inputs if c.name.endswith("_cmd"))
 
+    def columns(e: Experiment, names: Iterable[str]) -> np.ndarray:
+        return e.u[:, [inputs.index(name) for name in names]]
+
     def one(e: Experiment) -> Experiment:
         y = e.y[:, iy]
         if law is None:
-            tau = e.u[:, [inputs.index(f"{j}_tau") for j in tree.joints]]
-            goals = {
-                f"q{k + 1}_cmd": e.auxiliary[f"{j}_cmd"]
-                for k, j in enumerate(tree.joints)
-                if f"{j}_cmd" in e.auxiliary
-            }
+            tau = columns(e, map(torque, tree.joints))
+            goals = _recorded_goals(e, tree.joints)
         else:
-            goal = e.u[:, [inputs.index(f"{j}_cmd") for j in tree.joints]]
-            rate = e.u[:, [inputs.index(n) for n in law.rates]] if law.rates else None
-            tau = law.torque(e.t, goal, y, rate, held)
-            goals = {f"q{k + 1}_cmd": goal[:, k] for k in range(tree.n)}
+            wanted = columns(e, map(goal, tree.joints))
+            rate = columns(e, law.rates) if law.rates else None
+            tau = law.torque(e.t, wanted, y, rate, held)
+            goals = {f"q{k}_cmd": column for k, column in enumerate(wanted.T, 1)}
         unread = None if e.left_out is None else e.left_out[:, iy]
         return replace(
             e,
@@ -148,7 +151,13 @@ def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
         )
 
     experiments = tuple(map(one, dataset.experiments))
-    goals = [
-        Channel(n, "auxiliary", "rad") for n in (experiments[0].auxiliary if experiments else {})
-    ]
+    goals = []
+    for first in experiments[:1]:
+        goals += [Channel(name, "auxiliary", "rad") for name in first.auxiliary]
     return replace(dataset, channels=(*channels, *goals), experiments=experiments, controller=None)
+
+
+def _recorded_goals(e: Experiment, joints: Sequence[str]) -> dict[str, np.ndarray]:
+    """The goals that stand beside the torques, as q1_cmd …"""
+    recorded = {f"q{k}_cmd": e.auxiliary.get(goal(joint)) for k, joint in enumerate(joints, 1)}
+    return {name: values for name, values in recorded.items() if values is not None}

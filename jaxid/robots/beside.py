@@ -22,21 +22,25 @@ FINE = 1e-4
 
 def as_inputs(dataset: Dataset, names: Sequence[str]) -> Dataset:
     """The dataset with these auxiliary channels as inputs."""
-    chosen = {n for n in names if n not in {c.name for c in dataset.inputs}}
+    before = [c.name for c in dataset.inputs]
+    chosen = set(names) - set(before)
     if not chosen:
         return dataset
-    moved = tuple(replace(c, role="input") if c.name in chosen else c for c in dataset.channels)
-    order = [c.name for c in moved if c.role == "input"]
-    before = [c.name for c in dataset.inputs]
+    moved, order = [], []
+    for c in dataset.channels:
+        channel = replace(c, role="input") if c.name in chosen else c
+        moved.append(channel)
+        if channel.role == "input":
+            order.append(c.name)
 
     def one(e: Experiment) -> Experiment:
-        columns = [e.auxiliary[n] if n in chosen else e.u[:, before.index(n)] for n in order]
+        columns = dict(zip(before, e.u.T, strict=True)) | e.auxiliary
         rest = {k: v for k, v in e.auxiliary.items() if k not in chosen}
-        return replace(
-            e, u=np.stack(columns, 1), auxiliary=rest, past=None if e.past is None else one(e.past)
-        )
+        u = np.stack([columns[name] for name in order], 1)
+        return replace(e, u=u, auxiliary=rest, past=None if e.past is None else one(e.past))
 
-    return replace(dataset, channels=moved, experiments=tuple(map(one, dataset.experiments)))
+    experiments = tuple(map(one, dataset.experiments))
+    return replace(dataset, channels=tuple(moved), experiments=experiments)
 
 
 def left_out(dataset: Dataset, names: Sequence[str]) -> Dataset:
@@ -136,6 +140,35 @@ def with_base(dataset: Dataset, tree: Tree) -> Dataset:
             " the base move so"
         )
         return dataset if note in dataset.notes else replace(dataset, notes=(*dataset.notes, note))
+    _refuse_base(dataset, tree, recorded)
+    own = {c.name for c in dataset.inputs} & set(recorded)
+    kept = [i for i, c in enumerate(dataset.inputs) if c.name not in own]
+    read = _reader(dataset, own)
+
+    def one(e: Experiment) -> Experiment:
+        motion = np.zeros((len(ANGLES), 3, len(e.t)))  # [angle, order of derivative, time]
+        for k, angle in enumerate(ANGLES):
+            if f"base_{angle}" in recorded:
+                motion[k] = _motion(e.t, read(e, f"base_{angle}"))
+        columns = motion.transpose(2, 1, 0).reshape(len(e.t), -1)
+        rest = {k: v for k, v in e.auxiliary.items() if k not in recorded}
+        u = np.concatenate([e.u[:, kept], columns], 1)
+        return replace(e, u=u, auxiliary=rest, past=None if e.past is None else one(e.past))
+
+    ride: list[Channel] = []
+    for end, unit in {"": "rad", "_qd": "rad/s", "_qdd": "rad/s^2"}.items():
+        ride += [Channel(f"base_{k}{end}", "input", unit, hold="linear") for k in ANGLES]
+    channels = (*(c for c in dataset.channels if c.name not in recorded), *ride)
+    note = f"the base turns about its origin as recorded ({', '.join(recorded)})"
+    return replace(
+        dataset,
+        channels=channels,
+        experiments=tuple(map(one, dataset.experiments)),
+        notes=(*dataset.notes, note),
+    )
+
+
+def _refuse_base(dataset: Dataset, tree: Tree, recorded: Sequence[str]) -> None:
     for c in dataset.channels:
         if c.name in recorded and (c.unit != "rad" or c.role == "output"):
             raise UsageError(
@@ -148,38 +181,6 @@ def with_base(dataset: Dataset, tree: Tree) -> Dataset:
             f"{tree.file}: a joint is called {taken[0]!r}, which is the name of an angle of a base"
             " that moves: rename it"
         )
-    own = {c.name for c in dataset.inputs} & set(recorded)
-    kept = [i for i, c in enumerate(dataset.inputs) if c.name not in own]
-    read = _reader(dataset, own)
-
-    def one(e: Experiment) -> Experiment:
-        motion = [
-            (
-                _motion(e.t, read(e, f"base_{k}"))
-                if f"base_{k}" in recorded
-                else np.zeros((3, len(e.t)))
-            )
-            for k in ANGLES
-        ]
-        columns = [m[order] for order in range(3) for m in motion]
-        rest = {k: v for k, v in e.auxiliary.items() if k not in recorded}
-        u = np.concatenate([e.u[:, kept], np.stack(columns, 1)], 1)
-        return replace(e, u=u, auxiliary=rest, past=None if e.past is None else one(e.past))
-
-    units = (("", "rad"), ("_qd", "rad/s"), ("_qdd", "rad/s^2"))
-    ride = [
-        Channel(f"base_{k}{end}", "input", unit, hold="linear")
-        for end, unit in units
-        for k in ANGLES
-    ]
-    channels = (*(c for c in dataset.channels if c.name not in recorded), *ride)
-    note = f"the base turns about its origin as recorded ({', '.join(recorded)})"
-    return replace(
-        dataset,
-        channels=channels,
-        experiments=tuple(map(one, dataset.experiments)),
-        notes=(*dataset.notes, note),
-    )
 
 
 def _reader(dataset: Dataset, inputs: set[str]) -> Callable[[Experiment, str], np.ndarray]:

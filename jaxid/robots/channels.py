@@ -4,6 +4,8 @@ carried along.
 
 from __future__ import annotations
 
+from itertools import product
+
 from jaxid.dynamics.mechanism import Signature
 from jaxid.robots.tree import Tree
 
@@ -23,10 +25,9 @@ def torque(joint: str) -> str:
 
 
 #: How a base that is measured moves: its angles, their rates and accelerations.
+_OF_ANGLES = {"": "rad", "_qd": "rad/s", "_qdd": "rad/s^2"}
 RIDE = tuple(
-    (f"base_{k}{end}", unit)
-    for end, unit in (("", "rad"), ("_qd", "rad/s"), ("_qdd", "rad/s^2"))
-    for k in PLACE[3:]
+    (f"base_{angle}{end}", unit) for (end, unit), angle in product(_OF_ANGLES.items(), PLACE[3:])
 )
 
 
@@ -37,20 +38,21 @@ def signature_of(
     joint positions out, by the joints' names.
     """
     joints = tree.leading
-    driven_joints = tree.driven
     slides = tuple(tree.slides[tree.joints.index(j)] for j in joints)
-    outputs = tuple((j, "m" if s else "rad") for j, s in zip(joints, slides, strict=True))
-    goals = tuple((goal(j), unit) for j, (_, unit) in zip(driven_joints, outputs, strict=False))
-    torques = tuple(
-        (torque(j), "N" if s else "N m") for j, s in zip(driven_joints, slides, strict=False)
-    )
-    beside = (
-        *((n, f"{unit}/s") for n, (_, unit) in zip(rates, outputs, strict=False)),
-        *(RIDE if rides else ()),
-    )
+    units, forces = [], []
+    for slide in slides:
+        units.append("m" if slide else "rad")
+        forces.append("N" if slide else "N m")
+    if driven:
+        inputs = [(goal(j), unit) for j, unit in zip(tree.driven, units, strict=False)]
+    else:
+        inputs = [(torque(j), unit) for j, unit in zip(tree.driven, forces, strict=False)]
+    beside = [(name, f"{unit}/s") for name, unit in zip(rates, units, strict=False)]
+    if rides:
+        beside += RIDE
     return Signature(
-        (*(goals if driven else torques), *beside),
-        outputs,
+        (*inputs, *beside),
+        tuple(zip(joints, units, strict=True)),
         joints,
         prismatic=slides if any(slides) else (),
         beside=len(beside),

@@ -246,20 +246,7 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     number that does not exist.
     """
     kind, settings = controller.kind, dict(controller.settings)
-    if kind not in NEEDED:
-        raise UsageError(f"there is no controller of kind {kind!r}{nearest(kind, NEEDED)}")
-    allowed = (*NEEDED[kind], *(k for k in NUMBERS if k not in ("kp", "kd", "ki")), *OTHER)
-    for key in settings:
-        if key not in allowed:
-            raise UsageError(
-                f"[controller]: kind {kind!r} has no setting {key!r}{nearest(key, allowed)}"
-            )
-    for key in NEEDED[kind]:
-        if key not in settings:
-            raise UsageError(
-                f"[controller]: kind {kind!r} needs {' and '.join(NEEDED[kind])}; {key!r} is"
-                " missing"
-            )
+    _check_settings(kind, settings)
 
     def number(key):
         return per_joint(settings, key, NUMBERS.get(key, 0.0), joints)
@@ -270,11 +257,6 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     if min(delay) < 0 or max(delay) > LONGEST_DELAY_S:
         raise UsageError(
             f"[controller]: delay is {settings['delay']!r}; it is from 0 to {LONGEST_DELAY_S:g} s"
-        )
-    if settings.get("disturbance"):
-        raise UsageError(
-            "[controller]: a disturbance is not simulated where the goal drives; make the goals"
-            " auxiliary channels"
         )
     every = settings.get("sample_time", period)
     if not isinstance(every, int | float) or every < 0:
@@ -313,6 +295,29 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
         fit=fit,
         spread=tuple(spread.items()),
     )
+
+
+def _check_settings(kind: str, settings: Mapping[str, Any]) -> None:
+    """Refuses an unknown kind or setting, one that is missing, and a disturbance."""
+    if kind not in NEEDED:
+        raise UsageError(f"there is no controller of kind {kind!r}{nearest(kind, NEEDED)}")
+    needed = NEEDED[kind]
+    allowed = (*needed, *(k for k in NUMBERS if k not in ("kp", "kd", "ki")), *OTHER)
+    for key in settings:
+        if key not in allowed:
+            raise UsageError(
+                f"[controller]: kind {kind!r} has no setting {key!r}{nearest(key, allowed)}"
+            )
+    for key in needed:
+        if key not in settings:
+            raise UsageError(
+                f"[controller]: kind {kind!r} needs {' and '.join(needed)}; {key!r} is missing"
+            )
+    if settings.get("disturbance"):
+        raise UsageError(
+            "[controller]: a disturbance is not simulated where the goal drives; make the goals"
+            " auxiliary channels"
+        )
 
 
 def _spread(stated: Any, can: Sequence[str]) -> dict[str, float]:

@@ -13,6 +13,7 @@ body, chapter 6).
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import chain
 from typing import Any, NamedTuple
 
 import jax
@@ -132,7 +133,7 @@ def body(
     # R0 K and R0 K K of the axis' cross product matrix K: rows times axis
     first = tuple(cross(row, a) for row in rows)
     second = tuple(cross(row, a) for row in first)
-    turns = [jnp.asarray(v) for matrix in (rows, first, second) for row in matrix for v in row]
+    turns = [jnp.asarray(v) for v in chain.from_iterable((*rows, *first, *second))]
     every = spread(plan, jnp.concatenate([jnp.stack(turns), place[:3], inertia.T]))
     empty = 1 - spread(plan, np.ones(len(slides)))
     every = every if plan.dense else every.at[np.array([0, 4, 8])].add(empty)
@@ -160,10 +161,9 @@ def frames(plan: TreePlan, body: Body, q: Float[Array, " n"]) -> Placements:
     """Frame of each place in the frame before it; `q` from the reference."""
     here = spread(plan, q)
     s, c = sincos(here)
-    rows = tuple(
-        tuple(r0 + s * r1 + (1 - c) * r2 for r0, r1, r2 in zip(a, b, d, strict=True))
-        for a, b, d in zip(body.R0, body.R1, body.R2, strict=True)
-    )
+    rows = []
+    for a, b, d in zip(body.R0, body.R1, body.R2, strict=True):
+        rows.append([r0 + s * r1 + (1 - c) * r2 for r0, r1, r2 in zip(a, b, d, strict=True)])
     x, y, z = ((rows[0][k], rows[1][k], rows[2][k]) for k in range(3))
     if body.slide is None:
         return Placements(x, y, z, body.p)
@@ -369,7 +369,8 @@ def falling(angles: Any, gravity: Float[Array, " 3"], tilt: Any = None) -> tuple
     pitch and yaw, and by a `tilt` (angle, axis) further.
     """
     R = turn(*angles)
-    fall: Any = tuple(sum(R[i][k] * gravity[i] for i in range(3)) for k in range(3))
+    x, y, z = R
+    fall: Any = tuple(x[k] * gravity[0] + y[k] * gravity[1] + z[k] * gravity[2] for k in range(3))
     if tilt is not None:  # v cos - (axis x v) sin + axis (axis . v) (1 - cos)
         angle, axis = tilt
         sine, cosine = sincos(angle)

@@ -83,12 +83,15 @@ def floating(tree: Tree) -> Tree:
     inertia[5] = trunk
     axes = np.eye(3)[[0, 1, 2, 2, 1, 0]]
     endless = {"lower": -np.inf, "upper": np.inf, "velocity": np.inf, "effort": np.inf}
+    parent = [-1, 0, 1, 2, 3, 4]
+    for up in tree.parent:
+        parent.append(5 if up < 0 else up + 6)
     zero = ("reference", "anchor", "armature", "damping", "frictionloss", "stiffness", "spring")
     return replace(
         tree,
         joints=(*FLOATS, *tree.joints),
         links=(*("",) * 5, tree.carrier, *tree.links),
-        parent=(-1, 0, 1, 2, 3, 4, *(5 if up < 0 else up + 6 for up in tree.parent)),
+        parent=tuple(parent),
         slides=(True,) * 3 + (False,) * 3 + tree.slides,
         axis=np.concatenate([axes, tree.axis]),
         place=place,

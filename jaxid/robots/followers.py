@@ -1,14 +1,17 @@
 """Joints that a file couples, where a recording shows another one of them than the one that leads
 in the file.
 
-A coupling q_follower = offset + ratio q_leader is turned about: whichever of the coupled joints is
-recorded leads. Numbers of drives go over by virtual work: torque_lead = ratio torque_follower.
+A coupling is turned about: whichever of the coupled joints is recorded leads. Along a line numbers
+of drives go over by virtual work, torque_lead = ratio torque_follower; along a curve the joint that
+is driven leads, and what was recorded of another one goes over to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.robots.tree import Actuator, Coupling, Tree
@@ -30,9 +33,9 @@ def led(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
 
     notes = []
     for leader in dict.fromkeys(c.leader for c in tree.couplings):
-        coupled = [c.follower for c in tree.couplings if c.leader == leader and c.ratio != 0]
+        coupled = [c.follower for c in tree.couplings if c.leader == leader and c.turns]
         recorded = [j for j in (leader, *coupled) if shown(j)]
-        driven = [j for j in recorded if any(j + end in names for end in DRIVES)]
+        driven = [j for j in recorded if _driven(j, names)]
         lead = (*driven, *recorded, leader)[0]
         if lead != leader:
             tree = led_by(tree, lead)
@@ -45,6 +48,8 @@ def led(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
 
 
 def _equation(c: Coupling) -> str:
+    if c.curve is not None:
+        return f"{c.follower} along a curve of {c.leader}"
     offset = f"{c.offset:.4g} + " if c.offset else ""
     return f"{c.follower} = {offset}{c.ratio:.4g} {c.leader}"
 
@@ -54,15 +59,13 @@ def led_by(tree: Tree, lead: str) -> Tree:
     be 0.
     """
     own = next(c for c in tree.couplings if c.follower == lead)
-    back = Coupling(own.leader, lead, -own.offset / own.ratio, 1 / own.ratio)
+    back = own.turned()
     couplings = []
     for c in tree.couplings:
         if c is own:
             couplings.append(back)
         elif c.leader == own.leader:
-            couplings.append(
-                Coupling(c.follower, lead, c.offset + c.ratio * back.offset, c.ratio * back.ratio)
-            )
+            couplings.append(c.through(back))
         else:
             couplings.append(c)
     return replace(tree, couplings=tuple(couplings))
@@ -71,7 +74,7 @@ def led_by(tree: Tree, lead: str) -> Tree:
 def led_as(tree: Tree, leads: Sequence[str]) -> Tree:
     """The tree in which these joints lead those that the file couples to them."""
     for joint in leads:
-        own = [c for c in tree.couplings if c.follower == joint and c.ratio != 0]
+        own = [c for c in tree.couplings if c.follower == joint and c.turns]
         tree = led_by(tree, joint) if own else tree
     return _with_drives(tree)
 
@@ -82,7 +85,8 @@ def _with_drives(tree: Tree) -> Tree:
     """
     actuators = dict(tree.actuators)
     for c in tree.couplings:
-        if c.follower in actuators and c.leader not in actuators and c.ratio != 0:
+        straight = c.curve is None and c.ratio != 0
+        if c.follower in actuators and c.leader not in actuators and straight:
             actuators[c.leader] = _seen_from_leader(actuators[c.follower], c)
     return tree if len(actuators) == len(tree.actuators) else replace(tree, actuators=actuators)
 
@@ -112,10 +116,71 @@ def drives_led(dataset: Dataset, tree: Tree) -> Dataset:
     for c in tree.couplings:
         for end in DRIVES:
             names = {channel.name for channel in dataset.channels}
-            wanted = c.ratio != 0 and (c.leader in outputs or f"{c.leader}_qd" in outputs)
+            straight = c.curve is None and c.ratio != 0
+            wanted = straight and (c.leader in outputs or f"{c.leader}_qd" in outputs)
             if wanted and c.follower + end in names and not {c.leader + e for e in DRIVES} & names:
                 dataset = _moved(dataset, tree, c, end)
     return dataset
+
+
+def outputs_led(dataset: Dataset, tree: Tree) -> Dataset:
+    """The dataset with positions that were recorded of joints as those of the joint that is driven,
+    where a curve couples them and nobody recorded that one.
+    """
+    outputs = {channel.name for channel in dataset.outputs}
+    names = {channel.name for channel in dataset.channels}
+    curved = [c for c in tree.couplings if c.curve is not None]
+    for leader in dict.fromkeys(c.leader for c in curved):
+        own = {c.follower: c for c in tree.couplings if c.leader == leader and c.turns}
+        joints = (leader, *own)
+        driven = [j for j in joints if _driven(j, names)]
+        shown = [j for j in joints if j in outputs]
+        if len(driven) == 1 and shown and driven[0] not in names:
+            to_leader = None if shown[0] == leader else own[shown[0]].turned()
+            from_leader = own.get(driven[0])
+            steps = [c for c in (to_leader, from_leader) if c is not None]
+            dataset = _read_as(dataset, steps)
+    return dataset
+
+
+def _driven(joint: str, names: Collection[str]) -> bool:
+    return any(joint + end in names for end in DRIVES)
+
+
+def _read_as(dataset: Dataset, steps: Sequence[Coupling]) -> Dataset:
+    """The dataset with the output of one joint as that of another, coupled in these steps; its
+    noise by the slope in the middle of the recording.
+    """
+    whole = steps[0] if len(steps) == 1 else steps[1].through(steps[0])
+    old, new = whole.leader, whole.follower
+    column = [c.name for c in dataset.outputs].index(old)
+    middle = float(np.median(np.concatenate([e.y[:, column] for e in dataset.experiments])))
+    slope = abs(float(whole.as_curve.at(middle)[1]))
+
+    def one(e: Experiment) -> Experiment:
+        y = e.y.copy()
+        y[:, column] = whole.at(y[:, column])
+        return replace(e, y=y, past=None if e.past is None else one(e.past))
+
+    def scaled(size):
+        return None if size is None else size * slope
+
+    names = [c.name for c in dataset.channels]
+    place = names.index(old)
+    channel = dataset.channels[place]
+    moved = replace(
+        channel,
+        name=new,
+        noise_std=scaled(channel.noise_std),
+        resolution=scaled(channel.resolution),
+    )
+    note = f"the position of {old} is taken as that of {new}, as the file couples them"
+    return replace(
+        dataset,
+        channels=(*dataset.channels[:place], moved, *dataset.channels[place + 1 :]),
+        experiments=tuple(map(one, dataset.experiments)),
+        notes=(*dataset.notes, note),
+    )
 
 
 def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
@@ -156,9 +221,12 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
         if column is not None:
             u = u.copy()
             u[:, column] = at_leader(u[:, column])
-        auxiliary = {
-            new if k == old else k: at_leader(v) if k == old else v for k, v in e.auxiliary.items()
-        }
+        auxiliary = {}
+        for name, values in e.auxiliary.items():
+            if name == old:
+                auxiliary[new] = at_leader(values)
+            else:
+                auxiliary[name] = values
         return replace(e, u=u, auxiliary=auxiliary, past=None if e.past is None else one(e.past))
 
     what = "goal" if end == "_cmd" else "torque"
@@ -166,9 +234,10 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
         f"the {what} of {c.follower} is taken as that of {c.leader}, as the file couples them:"
         f" {_equation(c)}"
     )
+    at = dataset.channels.index(channel)
     return replace(
         dataset,
-        channels=tuple(moved if channel.name == old else channel for channel in dataset.channels),
+        channels=(*dataset.channels[:at], moved, *dataset.channels[at + 1 :]),
         experiments=tuple(map(one, dataset.experiments)),
         notes=(*dataset.notes, note),
     )

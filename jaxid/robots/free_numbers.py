@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -14,21 +16,20 @@ from jaxid.robots.tree import Tree
 
 def held(robot: Any) -> frozenset[str]:
     """Names of the numbers that no fit moves unless it is told to."""
+    tree = robot.tree.tree
     joints, fitted = robot.signatures[0].joints, {one.name for one in robot.fitted}
-    out = {
-        f"{field}@{link}" for field in BODY for link in robot.links
-    } - robot.tree.tree.free_moments()
-    out |= {
-        f"{field}@{j}"
-        for field in ("encoder_bias", "stiffness", "quadratic_damping")
-        for j in robot.joints
-    }
+    out = _all(BODY, robot.links) - tree.free_moments()
+    out |= _all(("encoder_bias", "stiffness", "quadratic_damping"), robot.joints)
     out |= {"base_roll", "base_pitch"}
-    out |= {f"armature@{j}" for j in robot.joints if j not in robot.tree.tree.driven}
+    out |= {f"armature@{j}" for j in robot.joints if j not in tree.driven}
     if robot.floats:
-        out |= {f"{field}@{j}" for field in ("damping", "frictionloss") for j in ANGLES}
+        out |= _all(("damping", "frictionloss"), ANGLES)
     law = ("kp", "kd", "ki", "lowest", "highest", "delay", "timeconst")
-    return frozenset(out | {f"{field}@{j}" for field in law for j in joints} - fitted)
+    return frozenset(out | _all(law, joints) - fitted)
+
+
+def _all(fields: Iterable[str], places: Iterable[str]) -> set[str]:
+    return {f"{field}@{place}" for field, place in product(fields, places)}
 
 
 def spec_of(robot: Any, field: str, place: int, spec: ParameterSpec) -> ParameterSpec:

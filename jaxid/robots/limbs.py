@@ -37,10 +37,10 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
     names = {*own.joints, *links}
 
     def mine(name):
-        return name in own.joints or name.rsplit("_", 1)[0] in own.joints
+        return not {name, name.rsplit("_", 1)[0]}.isdisjoint(own.joints)
 
     def stray(name):
-        return not any(name == j or name.rsplit("_", 1)[0] == j for j in tree.joints)
+        return {name, name.rsplit("_", 1)[0]}.isdisjoint(tree.joints)
 
     law = None if dataset.controller is None else _law(dataset.controller, tree.leading, joints)
     rates = _rates(law, own.leading)
@@ -53,13 +53,16 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
     iu = [i for i, c in enumerate(dataset.inputs) if c.name in kept]
     iy = [i for i, c in enumerate(dataset.outputs) if c.name in kept]
 
+    def of_outputs(values):
+        return None if values is None else values[:, iy]
+
     def cut(e: Experiment) -> Experiment:
         return replace(
             e,
             u=e.u[:, iu],
             y=e.y[:, iy],
-            scatter=None if e.scatter is None else e.scatter[:, iy],
-            left_out=None if e.left_out is None else e.left_out[:, iy],
+            scatter=of_outputs(e.scatter),
+            left_out=of_outputs(e.left_out),
             auxiliary={k: v for k, v in e.auxiliary.items() if k in kept},
             initial=None if e.initial is None else {k: v for k, v in e.initial.items() if mine(k)},
             constants=_own(e.constants, names),

@@ -5,7 +5,7 @@ drives the others.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,14 +22,13 @@ from jaxid.errors import nearest, UsageError
 from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
-from jaxid.robots.floating import ANGLES, floating, refuse_unmeasured, wanted
-from jaxid.robots.followers import drives_led, led
+from jaxid.robots.floating import floating, refuse_unmeasured, wanted
+from jaxid.robots.followers import drives_led, led, outputs_led
 from jaxid.robots.mjcf_text import expanded
-from jaxid.robots.tree import Tree
+from jaxid.robots.recorded_joints import held_at, POSE as POSE, refuse_unknown
+from jaxid.robots.tree import Coupling, Tree
 
 
-#: Constant under which a dataset states where a joint that it does not record was held.
-POSE = "pose@"
 #: What is recorded of a joint beside its position, by the ending of the channel's name; a numbered
 #: channel has the word in front.
 KINDS = {"_cmd": "goal", "_tau": "torque", "_qd": "speed"}
@@ -127,37 +126,21 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
     """
     notes, have = [], {c.name for c in dataset.channels}
     joints, gone = of_the_file(dict(joints or {}), tree, have)
-    if out := [c for channel in gone for c in forms_of(channel, channel) if c in have]:
+    out = _channels_of(gone, have)
+    if out:
         dataset = left_out(dataset, out)
         notes = [f"left out, for {tree.file or 'the robot'} lacks them: {', '.join(gone.values())}"]
         have = {c.name for c in dataset.channels}
-    numbered = sorted(
-        (c.name for c in dataset.outputs if re.fullmatch(r"q\d*", c.name)),
-        key=lambda c: int(c[1:] or 1),
-    )
-    if not joints and numbered and not have & set(tree.joints):
-        places = [int(c[1:] or 1) for c in numbered]
-        if max(places) > len(tree.leading):
-            raise UsageError(
-                f"channel {numbered[-1]} has no joint: {tree.file} has {', '.join(tree.leading)}"
-            )
-        joints = {c: tree.leading[k - 1] for c, k in zip(numbered, places, strict=True)}
-        listed = ", ".join(f"{c} = {j}" for c, j in joints.items())
-        notes += [
-            f"joints by the order of the file, as the recording does not name them: {listed} (else"
-            " state [model.joints])"
-        ]
-    elif not joints and numbered and {c.name for c in dataset.outputs} <= set(tree.joints):
-        joints = {
-            c: c for c in numbered
-        }  # joints that are named q, q1 …: their torques are tau, tau1 …
-    names = {}
+    if not joints:
+        joints, said = _numbered_joints(dataset, tree)
+        notes += said
+    names: dict[str, str] = {}
     for channel, joint in joints.items():
         forms = forms_of(channel, joint)
         names |= {old: new for old, new in forms.items() if old in have and old not in names}
     if not names:
         return replace(dataset, notes=(*dataset.notes, *notes)) if notes else dataset
-    clash = sorted({new for new in names.values() if new in have and new not in names})
+    clash = sorted(have & set(names.values()) - names.keys())
     if clash:
         raise UsageError(
             f"the recording has a channel {clash[0]!r} beside the one that [model.joints] names so:"
@@ -173,6 +156,40 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
         experiments=tuple(_renamed(e, new) for e in dataset.experiments),
         notes=(*dataset.notes, *notes),
     )
+
+
+def _channels_of(positions: Iterable[str], have: set[str]) -> list[str]:
+    """The recorded channels of joints, by those of their positions."""
+    found: list[str] = []
+    for channel in positions:
+        found += [form for form in forms_of(channel, channel) if form in have]
+    return found
+
+
+def _numbered_joints(dataset: Dataset, tree: Tree) -> tuple[dict[str, str], list[str]]:
+    """(channel -> joint of the file, note) of positions q1 … that nothing names."""
+    outputs = [c.name for c in dataset.outputs]
+    numbered = {c: int(c[1:] or 1) for c in outputs if re.fullmatch(r"q\d*", c)}
+    if not numbered:
+        return {}, []
+    in_order = sorted(numbered, key=lambda c: numbered[c])
+    if {c.name for c in dataset.channels}.isdisjoint(tree.joints):
+        last = in_order[-1]
+        if numbered[last] > len(tree.leading):
+            raise UsageError(
+                f"channel {last} has no joint: {tree.file} has {', '.join(tree.leading)}"
+            )
+        joints = {c: tree.leading[numbered[c] - 1] for c in in_order}
+        listed = ", ".join(f"{c} = {j}" for c, j in joints.items())
+        note = (
+            f"joints by the order of the file, as the recording does not name them: {listed} (else"
+            " state [model.joints])"
+        )
+        return joints, [note]
+    if set(outputs) <= set(tree.joints):
+        # joints that are named q, q1 …: their torques are tau, tau1 …
+        return {c: c for c in in_order}, []
+    return {}, []
 
 
 def _renamed(e: Experiment, new: Any) -> Experiment:
@@ -270,7 +287,7 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     tree: Tree = model.tree.tree  # type: ignore[attr-defined]
     spec = dataset.model
     dataset = named(dataset, tree, spec.joints if spec is not None else None)
-    dataset = driving(drives_led(dataset, tree), tree)
+    dataset = driving(drives_led(outputs_led(dataset, tree), tree), tree)
     tree, _ = led(tree, dataset)
     return model, with_base(with_rates(dataset, tree), tree)
 
@@ -301,42 +318,28 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     tree: Tree = robot.tree.tree
     tree, notes = recorded(tree, dataset)
     spec = dataset.model
-    joints, inputs = tree.driven, {c.name for c in dataset.inputs}
-    goals, torques = ([j for j in joints if f"{j}{end}" in inputs] for end in ("_cmd", "_tau"))
-    if goals and torques:
-        raise UsageError(
-            "both goals (NAME_cmd) and torques (NAME_tau) are inputs: the goal is an input where it"
-            " drives the model, and auxiliary where a torque does; give one of them role ="
-            ' "auxiliary"'
-        )
     free = spec is not None and spec.free
-    for what, own, end in (("goal", goals, "_cmd"), ("torque", torques, "_tau")):
-        lacking = [j for j in joints if j not in own]
-        if own and lacking:
-            raise UsageError(
-                f"no {what} is recorded of {', '.join(lacking)}: add {lacking[0]}{end}, or take the"
-                " joint's output out"
-            )
-    if not (goals or torques or free):
+    what = _driven_by(tree.driven, dataset)
+    if not (what or free):
+        joint = tree.driven[0]
         raise UsageError(
-            f"nothing drives the robot: add goals ({joints[0]}_cmd) or torques ({joints[0]}_tau) as"
+            f"nothing drives the robot: add goals ({joint}_cmd) or torques ({joint}_tau) as"
             " inputs, or say free = true"
         )
-    out = type(robot)(tree, driven=False, rides=rides(dataset) and bool(goals or torques))
-    if goals:
+    out = type(robot)(tree, driven=False, rides=rides(dataset) and bool(what))
+    if what == "goal":
         first = (dataset.split("fit") or dataset.experiments)[0]
         period = float(np.median(np.diff(first.t)))
-        law = (
-            stated_law(dataset.controller, joints, period)
-            if dataset.controller is not None
-            else file_law(tree)
-        )
-        out = out.driven_by(law)
+        if dataset.controller is not None:
+            out = out.driven_by(stated_law(dataset.controller, tree.driven, period))
+        else:
+            out = out.driven_by(file_law(tree))
     out = _placed(out, spec)
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
     signature = with_speeds(out.signatures[0], {c.name: c.unit for c in dataset.outputs})
     units = {c.name: c.unit for c in dataset.channels}
-    for name, unit in (*signature.outputs, *(() if free else signature.inputs)):
+    needed = signature.outputs if free else (*signature.outputs, *signature.inputs)
+    for name, unit in needed:
         if (have := units.get(name, unit)) != unit:
             raise UsageError(
                 f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}:"
@@ -345,14 +348,37 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
 
 
+def _driven_by(joints: Sequence[str], dataset: Dataset) -> str:
+    """What drives the joints: "goal", "torque", or "" for nothing."""
+    inputs = {c.name for c in dataset.inputs}
+    driven = {}
+    for what, end in (("goal", "_cmd"), ("torque", "_tau")):
+        own = [j for j in joints if f"{j}{end}" in inputs]
+        if own:
+            driven[what] = [j for j in joints if j not in own]
+    if len(driven) > 1:
+        raise UsageError(
+            "both goals (NAME_cmd) and torques (NAME_tau) are inputs: the goal is an input where it"
+            " drives the model, and auxiliary where a torque does; give one of them role ="
+            ' "auxiliary"'
+        )
+    for what, lacking in driven.items():
+        if lacking:
+            end = "_cmd" if what == "goal" else "_tau"
+            raise UsageError(
+                f"no {what} is recorded of {', '.join(lacking)}: add {lacking[0]}{end}, or take the"
+                " joint's output out"
+            )
+        return what
+    return ""
+
+
 def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     """The tree with joints that the dataset does not measure held, and what is to be said of it."""
     outputs = {c.name for c in dataset.outputs}
-    names = [c.name for c in dataset.channels]
     if tree.floats:
         refuse_unmeasured(tree, dataset)
     tree, notes = led(tree, dataset)
-    constants = dataset.model.constants if dataset.model is not None else {}
     measured = [j for j in tree.leading if j in outputs or f"{j}_qd" in outputs]
     followers = {c.follower: c.leader for c in tree.couplings if c.follower in outputs}
     for follower, leader in followers.items():
@@ -371,49 +397,34 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
             " [model.joints]: q1 = "
             f'"{tree.leading[0]}"'
         )
-    unknown = sorted(n for n in outputs - set(tree.joints) - {f"{j}_qd" for j in tree.joints})
-    if unknown and unknown[0] in ANGLES:
-        raise UsageError(
-            f'output {unknown[0]!r} is how the base turns: [model.base] kind = "free" compares it;'
-            ' of a base that is moved (kind = "prescribed") give it role = "auxiliary"'
-        )
-    if unknown:
-        raise UsageError(
-            f"output {unknown[0]!r} is no joint of"
-            f" {tree.file or 'the robot'}{nearest(unknown[0], tree.leading)}; map it under"
-            ' [model.joints], or give it role = "auxiliary"'
-        )
-    held: dict[str, float] = {}
-    for joint in tree.leading:
-        if joint in measured:
-            continue
-        if f"{joint}_cmd" in names and f"{POSE}{joint}" not in constants and joint not in names:
-            raise UsageError(
-                f"{joint} has a goal and no measured position: record it, or state where it was"
-                " held under [model.constants]: "
-                f'"{POSE}{joint}" = 0.0'
-            )
-        series = [e.auxiliary[joint] for e in dataset.experiments if joint in e.auxiliary]
-        value = float(np.mean(np.concatenate(series))) if series else tree.neutral(joint)
-        held[joint] = constants.get(f"{POSE}{joint}", value)
+    refuse_unknown(tree, outputs)
+    held = {joint: held_at(tree, dataset, joint) for joint in tree.leading if joint not in measured}
     locked = tree.locked(held)
+    said = list(notes)
     if held:  # and what follows these
         own = {joint: v for joint, v in locked.held.items() if joint not in tree.held}
         listed = ", ".join(f"{joint} at {v:.4g}" for joint, v in own.items())
-        notes = (
-            *notes,
-            (
-                f"not recorded and held: {listed} (state {POSE}NAME under [model.constants] where"
-                " that is wrong)"
-            ),
+        said.append(
+            f"not recorded and held: {listed} (state {POSE}NAME under [model.constants] where"
+            " that is wrong)"
         )
     if tree.ties:
         listed = "; ".join(f"{t.what}, of {', '.join(t.joints)}" for t in tree.ties)
-        notes = (*notes, f"not simulated, for all joints that it acts on are held: {listed}")
+        said.append(f"not simulated, for all joints that it acts on are held: {listed}")
+    curved = [c for c in tree.couplings if c.curve is not None and c.leader in measured]
+    if curved:
+        listed = ", ".join(f"{c.follower} with {c.leader} at {_about(c):.3g}" for c in curved)
+        said.append(
+            f"coupled by a curve: {listed}; dry friction of a follower counts as it does there"
+        )
     if followers:
         listed = ", ".join(f"{a} follows {b}" for a, b in followers.items())
-        notes = (*notes, f"{listed}, as the file says: not compared")
-    return locked, notes
+        said.append(f"{listed}, as the file says: not compared")
+    return locked, tuple(said)
+
+
+def _about(c: Coupling) -> float:
+    return c.as_curve.about
 
 
 def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxid.dynamics.rigid_body import about_origin
 from jaxid.errors import UsageError
+from jaxid.robots.curves import Curve, Polynomial
 from jaxid.robots.mjcf_spec import compilable, compiled, first_of, library
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.mjcf_ties import resolved, Tendon, Ties
@@ -253,18 +254,7 @@ class _Reader:
             if b < 0:
                 fixed[first] = float(start + c[0])
                 continue
-            second = self.name("JOINT", b)
-            if np.any(c[2:]):
-                self.ties.add(f"equality {name!r}, a polynomial of degree above 1", (first, second))
-                continue
-            out.append(
-                Coupling(
-                    first,
-                    second,
-                    float(start + c[0] - c[1] * m.qpos0[m.jnt_qposadr[b]]),
-                    float(c[1]),
-                )
-            )
+            out.append(Coupling.by(first, self.name("JOINT", b), self.curve(c, float(start), b)))
         couplings, rest = resolved(out)
         for c in rest:
             self.ties.add(
@@ -272,6 +262,22 @@ class _Reader:
                 (c.follower, c.leader),
             )
         return couplings, fixed
+
+    def curve(self, c: np.ndarray, start: float, leader: int) -> Curve:
+        """Of a joint that leaves `start` by the polynomial `c` of how far its leader has left its
+        own.
+        """
+        m = self.m
+        own = float(m.qpos0[m.jnt_qposadr[leader]])
+        moved = np.polynomial.Polynomial(c)(np.polynomial.Polynomial([-own, 1.0])).coef
+        coefficients = np.zeros(5)
+        coefficients[: len(moved)] = moved
+        coefficients[0] += start
+        low, high = map(float, m.jnt_range[leader])
+        limited = bool(m.jnt_limited[leader]) and low < high
+        ends = (low, high) if limited else (-np.inf, np.inf)
+        about = (low + high) / 2 if limited else own
+        return Curve((Polynomial(tuple(map(float, coefficients)), *ends),), about)
 
     def loop(self, e: int, name: str, kind: int) -> None:
         """An equality between bodies."""

@@ -82,9 +82,7 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
         geom.contype = geom.conaffinity = 0
         geom.material = ""
     for name in DROPPED:
-        for one in list(getattr(spec, name)):
-            if not (name == "geoms" and one in kept):
-                spec.delete(one)
+        _drop(spec, name, kept if name == "geoms" else ())
     without_tendons(mujoco, spec)
     spec.compiler.balanceinertia = False
     spec.compiler.fusestatic = False
@@ -185,6 +183,13 @@ def _moves(body: Any) -> bool:
     return any(len(b.joints) for b in _up(body))
 
 
+def _drop(spec: Any, kind: str, kept: Sequence[Any]) -> None:
+    """Takes out all elements of a kind but those that are `kept`."""
+    for one in list(getattr(spec, kind)):
+        if one not in kept:
+            spec.delete(one)
+
+
 def _loose(body: Any) -> bool:
     """Whether a body moves as a whole with all that it is joined to, like a box on a table: no
     joint but a free one is there.
@@ -194,8 +199,10 @@ def _loose(body: Any) -> bool:
     if not up or not _moves(body):
         return False
     root = up[-1]
-    below = [root, *root.find_all("body")]
-    return all(j.type == free for b in below for j in b.joints)
+    joints: list[Any] = []
+    for below in (root, *root.find_all("body")):
+        joints += below.joints
+    return all(joint.type == free for joint in joints)
 
 
 def heavy(body: Any, spec: Any) -> Iterable[Any]:

@@ -1,5 +1,5 @@
 """What an MJCF file lets act among several joints and a tree of single joints cannot express:
-tendons, loops, curved couplings.
+tendons and loops.
 
 The joints that such a tie acts on are named with it. They are held together, or the robot is
 refused: see `jaxid.robots.match`.
@@ -34,13 +34,9 @@ class Tendon:
 def acting_tendons(mujoco: Any, spec: Any) -> tuple[list[Tendon], list[str]]:
     """(tendons of a spec that drive, couple or brake, names that are used and stand nowhere)."""
     used = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_TENDON}
-    used |= {
-        n
-        for e in spec.equalities
-        if e.type == mujoco.mjtEq.mjEQ_TENDON
-        for n in (e.name1, e.name2)
-        if n
-    }
+    for e in spec.equalities:
+        if e.type == mujoco.mjtEq.mjEQ_TENDON:
+            used |= {name for name in (e.name1, e.name2) if name}
     automatic = bool(spec.compiler.autolimits)
     acting = []
     for tendon in spec.tendons:
@@ -111,7 +107,7 @@ class Ties:
         """
         paths = [self.above(b) for b in bodies]
         common = set(paths[0]).intersection(*paths[1:])
-        numbers = sorted({j for path in paths for j in path} - common)
+        numbers = sorted(set().union(*paths) - common)
         single = [j for j in numbers if int(self.m.jnt_type[j]) in self.singles()]
         return [self.joint(j) for j in single]
 
@@ -169,5 +165,5 @@ def _led(c: Coupling, by_name: Mapping[str, Coupling]) -> Coupling | None:
             return None
         seen.add(c.leader)
         up = by_name[c.leader]
-        c = Coupling(c.follower, up.leader, c.offset + c.ratio * up.offset, c.ratio * up.ratio)
+        c = c.through(up)
     return c

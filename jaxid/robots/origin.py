@@ -29,35 +29,35 @@ def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
     """
     tree: Tree = mechanism.tree.tree
     path = (geometry.path if geometry is not None else "") or tree.file
-    law = mechanism.drive_law
+    base: dict[str, Any] = {}
+    for angle in ("roll", "pitch", "yaw"):
+        base[angle] = float(np.asarray(getattr(mechanism, f"base_{angle}")))
+    if tree.floats:
+        base["kind"] = "free"
     return {
         "file": path,
         "sha256": digest(path),
         "joints": list(tree.joints[6 * tree.floats :]),
         "leads": list(tree.driven),
         "held": {k: float(v) for k, v in tree.held.items()},
-        "base": (
-            {
-                k: float(np.asarray(getattr(mechanism, f"base_{k}")))
-                for k in ("roll", "pitch", "yaw")
-            }
-            | ({"kind": "free"} if tree.floats else {})
-        ),
-        "drive": (
-            None
-            if law is None
-            else {
-                "origin": "[controller]" if law.origin == "[controller]" else "file",
-                "kind": law.kind,
-                "velocity": law.velocity,
-                "rate": law.rate,
-                "period": law.period,
-                "joints": {
-                    j: {k: float(getattr(law, k)[i]) for k in LAW}
-                    for i, j in enumerate(tree.driven)
-                },
-            }
-        ),
+        "base": base,
+        "drive": _drive(mechanism.drive_law, tree.driven),
+    }
+
+
+def _drive(law: Any, joints: Sequence[str]) -> dict[str, Any] | None:
+    if law is None:
+        return None
+    numbers = {}
+    for i, joint in enumerate(joints):
+        numbers[joint] = {name: float(getattr(law, name)[i]) for name in LAW}
+    return {
+        "origin": "[controller]" if law.origin == "[controller]" else "file",
+        "kind": law.kind,
+        "velocity": law.velocity,
+        "rate": law.rate,
+        "period": law.period,
+        "joints": numbers,
     }
 
 
@@ -75,14 +75,15 @@ def origin_on(model: object, dataset: Dataset) -> dict[str, Any]:
 
 def joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """That of a robot whose limbs were looked at one by one."""
-    out = dict(parts[0])
-    for kind in ("joints", "leads"):
-        out[kind] = [j for p in parts for j in p.get(kind, ())]
+    out: dict[str, Any] = dict(parts[0]) | {"joints": [], "leads": []}
+    numbers: dict[str, Any] = {}
+    for part in parts:
+        out["joints"] += part.get("joints", ())
+        out["leads"] += part.get("leads", ())
+        if out.get("drive"):
+            numbers |= part["drive"]["joints"]
     if out.get("drive"):
-        out["drive"] = {
-            **out["drive"],
-            "joints": {j: n for p in parts for j, n in p["drive"]["joints"].items()},
-        }
+        out["drive"] = {**out["drive"], "joints": numbers}
     return out
 
 

@@ -8,7 +8,7 @@ carries it.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxid.dynamics.rigid_body import moved, Placements
 from jaxid.errors import nearest, UsageError
+from jaxid.robots.curves import Curve, Polynomial
 from jaxid.robots.steps import Steps
 
 
@@ -26,12 +27,47 @@ FLOATS = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint that follows another: q_follower = offset + ratio q_leader."""
+    """A joint that follows another: q_follower = offset + ratio q_leader, or by a `curve`, which
+    that line touches.
+    """
 
     follower: str
     leader: str
     offset: float
     ratio: float
+    curve: Curve | None = None
+
+    @classmethod
+    def by(cls, follower: str, leader: str, curve: Curve) -> Coupling:
+        """Along a curve; a line where it is one."""
+        if not all(piece.straight for piece in curve.pieces):
+            return cls(follower, leader, *curve.tangent(), curve)
+        return cls(follower, leader, *replace(curve, about=0.0).tangent())
+
+    @property
+    def as_curve(self) -> Curve:
+        return self.curve or Curve((Polynomial((self.offset, self.ratio)),), 0.0)
+
+    @property
+    def turns(self) -> bool:
+        """Whether the follower may lead as well."""
+        return self.as_curve.turns
+
+    def at(self, leader: Any) -> Any:
+        """Position of the follower."""
+        return self.as_curve.at(leader)[0]
+
+    def turned(self) -> Coupling:
+        """The leader as the follower."""
+        return self.by(self.leader, self.follower, self.as_curve.turned())
+
+    def through(self, before: Coupling) -> Coupling:
+        """The follower of a leader that follows another one itself."""
+        pieces = (*before.as_curve.pieces, *self.as_curve.pieces)
+        about = before.curve.about if before.curve is not None else 0.0
+        if before.curve is None and self.curve is not None and before.ratio:
+            about = (self.curve.about - before.offset) / before.ratio
+        return self.by(self.follower, before.leader, Curve(pieces, about))
 
 
 @dataclass(frozen=True)
@@ -170,9 +206,10 @@ class Tree:
         )
         out: dict[str, Any] = {name: getattr(self, name)[k] for name in arrays}
         out["lifted"] = None if self.lifted is None else self.lifted[k]
-        return out | {
-            name: tuple(getattr(self, name)[i] for i in k) for name in ("joints", "links", "slides")
-        }
+        for name in ("joints", "links", "slides"):
+            of_all = getattr(self, name)
+            out[name] = tuple(of_all[i] for i in k)
+        return out
 
     def locked(self, pose: Mapping[str, float]) -> Tree:
         """The same with these joints (and what follows them) held; their bodies belong to what
@@ -181,7 +218,7 @@ class Tree:
         held = {self.joint(name): float(value) for name, value in pose.items()}
         for c in self.couplings:
             if c.leader in pose:
-                held[self.joint(c.follower)] = c.offset + c.ratio * float(pose[c.leader])
+                held[self.joint(c.follower)] = float(c.at(float(pose[c.leader])))
         if not held:
             return self
         keep = [k for k in range(self.n) if k not in held]
@@ -190,29 +227,25 @@ class Tree:
         inertia, places, parents = fields["inertia"].copy(), [], []
         lifted = None if self.lifted is None else fields["lifted"].copy()
         trunk = np.array(self.trunk)
-        carrier: dict[
-            int, tuple[int, np.ndarray]
-        ] = {}  # held node -> (node that carries it or -1, its frame there)
+        # held node -> (node that carries it or -1, its frame there)
+        carrier: dict[int, tuple[int, np.ndarray]] = {}
         for k in range(self.n):  # parents stand before their children
             up, T = self.parent[k], self.place[k]
             if up in carrier:
                 up, before = carrier[up]
                 T = before @ T
-            if k in held:
-                carrier[k] = (
-                    up,
-                    T @ motion(self.axis[k], self.slides[k], held[k] - self.reference[k]),
-                )
-                if up >= 0:
-                    inertia[number[up]] += turned(self.inertia[k], carrier[k][1])
-                    if lifted is not None and self.lifted is not None:
-                        lifted[number[up]] += turned(self.lifted[k], carrier[k][1])
-                else:
-                    trunk += turned(self.inertia[k], carrier[k][1])
-            else:
+            if k not in held:
                 places.append(T)
                 parents.append(number.get(up, -1))
-        gone = {self.joints[k] for k in held}
+                continue
+            T = T @ motion(self.axis[k], self.slides[k], held[k] - self.reference[k])
+            carrier[k] = up, T
+            if up < 0:
+                trunk += turned(self.inertia[k], T)
+                continue
+            inertia[number[up]] += turned(self.inertia[k], T)
+            if lifted is not None and self.lifted is not None:
+                lifted[number[up]] += turned(self.lifted[k], T)
         own = {
             **fields,
             "place": np.array(places).reshape(-1, 4, 4),
@@ -221,21 +254,23 @@ class Tree:
             "parent": tuple(parents),
         }
         own["trunk"] = tuple(trunk.tolist())
+        values = {self.joints[k]: value for k, value in held.items()}
+        return replace(self._without(values.keys()), **own, held={**self.held, **values})
+
+    def _without(self, gone: Collection[str]) -> Tree:
+        """What is said of joints, without those that are gone."""
+
+        def left(of_joints: Mapping[str, Any]) -> dict[str, Any]:
+            return {joint: value for joint, value in of_joints.items() if joint not in gone}
+
+        couplings = [c for c in self.couplings if not {c.follower, c.leader} & set(gone)]
+        ties = [t for t in self.ties if set(t.joints) & set(self.joints) - set(gone)]
         return replace(
             self,
-            **own,
-            couplings=tuple(
-                c for c in self.couplings if c.follower not in gone and c.leader not in gone
-            ),
-            actuators={k: a for k, a in self.actuators.items() if k not in gone},
-            poses={
-                name: {j: v for j, v in p.items() if j not in gone}
-                for name, p in self.poses.items()
-            },
-            ties=tuple(
-                t for t in self.ties if not gone.issuperset(set(t.joints) & set(self.joints))
-            ),
-            held={**self.held, **{self.joints[k]: value for k, value in held.items()}},
+            couplings=tuple(couplings),
+            actuators=left(self.actuators),
+            poses={name: left(pose) for name, pose in self.poses.items()},
+            ties=tuple(ties),
         )
 
     def path_to(self, link: str) -> tuple[str, ...]:
@@ -316,8 +351,10 @@ class Tree:
         for k, up in enumerate(self.parent):
             root[k] = root[up] if up >= 0 else k
         for c in self.couplings:
-            a, b = root[self.joint(c.follower)], root[self.joint(c.leader)]
-            root = [min(a, b) if r in (a, b) else r for r in root]
+            ends = {root[self.joint(c.follower)], root[self.joint(c.leader)]}
+            for k, r in enumerate(root):
+                if r in ends:
+                    root[k] = min(ends)
         groups: dict[int, list[str]] = {}
         for k, name in enumerate(self.joints):
             if name in self.leading:
@@ -328,17 +365,19 @@ class Tree:
         """The limbs of these joints alone; they must be whole limbs."""
         wanted = {*joints, *(c.follower for c in self.couplings if c.leader in joints)}
         keep = [k for k, name in enumerate(self.joints) if name in wanted]
-        number = {k: i for i, k in enumerate(keep)}
+        number = {-1: -1} | {k: i for i, k in enumerate(keep)}
         return replace(
             self,
             **self.taken(keep),
-            parent=tuple(number[self.parent[k]] if self.parent[k] >= 0 else -1 for k in keep),
+            parent=tuple(number[self.parent[k]] for k in keep),
             couplings=tuple(c for c in self.couplings if c.follower in wanted),
             actuators={k: a for k, a in self.actuators.items() if k in wanted},
         )
 
     def follow(self) -> tuple[np.ndarray, np.ndarray]:
-        """(S [n leading], c [n]) with the positions of all joints S q + c."""
+        """(S [n leading], c [n]) with the positions of all joints S q + c; curves as the lines that
+        touch them.
+        """
         leading = self.leading
         S, c = np.zeros((self.n, len(leading))), np.zeros(self.n)
         for k, name in enumerate(self.joints):
@@ -356,7 +395,9 @@ class StaticTree:
     def __init__(self, tree: Tree):
         self.tree = tree
         own = [v for k, v in vars(tree).items() if k != "steps"]  # which are of another simulator
-        parts = [repr(v) if not isinstance(v, np.ndarray) else v.tobytes().hex() for v in own]
+        parts = []
+        for v in own:
+            parts.append(v.tobytes().hex() if isinstance(v, np.ndarray) else repr(v))
         self._key = hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def __eq__(self, other: object) -> bool:

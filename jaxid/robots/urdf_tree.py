@@ -104,17 +104,15 @@ def _massless(
     """Joints that move nothing of mass, neither by themselves nor by what follows them or what they
     follow (fingers without <inertial>, wheels for show).
     """
-    alone = {
-        j.name
-        for k, j in enumerate(joints)
-        if not sum(body[9] for i, body in enumerate(bodies) if _behind(i, k, parent)) > 0
-    }
-    heavy = {
-        name
-        for c in couplings
-        for name in (c.follower, c.leader)
-        if not {c.follower, c.leader} <= alone
-    }
+    alone = set()
+    for k, joint in enumerate(joints):
+        behind = [body for i, body in enumerate(bodies) if _behind(i, k, parent)]
+        if not sum(body[9] for body in behind) > 0:
+            alone.add(joint.name)
+    heavy: set[str] = set()
+    for c in couplings:
+        if not {c.follower, c.leader} <= alone:
+            heavy |= {c.follower, c.leader}
     return [j for j in joints if j.name in alone - heavy]
 
 

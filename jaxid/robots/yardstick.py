@@ -22,55 +22,57 @@ def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
     """Rows of the table by place in the layout: numbers that a file or the dataset states and that
     were fitted, each by itself; `found` by place in the layout.
     """
-    mechanism = binding.chain.mechanism
-    held = getattr(mechanism, "tree", None)
+    held = getattr(binding.chain.mechanism, "tree", None)
     tree: Tree | None = None if held is None else held.tree
     rows: dict[int, dict[str, Any]] = {}
-    for i, estimate in found.items():
-        name = binding.layout.entries[i].name
-        kind, _, place = name.partition("@")
-        value = float(binding.theta[i])
+    for i in found:
+        kind = binding.layout.entries[i].name.partition("@")[0]
         if i not in binding.nominal:  # an effect's: no file has it
             continue
-        if i not in binding.stated and (tree is None or not _states(tree, kind, value)):
-            continue
-        std = estimate.std
-        added = (
-            0.0
-            if tree is None or kind != "armature"
-            else _added_by_steps(binding, found, tree, place)
-        )
-        off = estimate.value - value
-        if added:
-            off = nearest(value, estimate.value, added) - value
-        deviation = apart(value + off, value, std)
-        # Of a number that is another one the file has to state what its simulator's steps do not
-        # add by themselves.
-        refuted = deviation is not None and abs(deviation) > REFUTED
-        fitted = estimate.value - added if added and refuted else estimate.value
-        more = f"; the file's own steps add {added:.2g} to it" if added else ""
-        link = place if tree is not None and place in tree.links else _link(tree, place)
-        joint = (
-            place if tree is None or place in tree.joints else tree.joints[tree.links.index(place)]
-        )
-        text = (
-            f"{kind.replace('_', ' ')} of {place or mechanism.name}: {fitted:.4g} {estimate.unit},"
-            f" stated {value:.4g}{more}"
-        )
-        if deviation is not None:
-            text += f" ({abs(deviation):.1f} standard deviations)"
-        rows[i] = {
-            "joint": joint,
-            "link": link,
-            "parameter": kind,
-            "stated": value,
-            "fitted": fitted,
-            "std": std,
-            "unit": estimate.unit,
-            "deviation": deviation,
-            "text": text,
-        }
+        of_file = tree is not None and _states(tree, kind, float(binding.theta[i]))
+        if of_file or i in binding.stated:
+            rows[i] = _row(binding, found, i, tree)
     return rows
+
+
+def _row(binding: Any, found: Mapping[int, Any], i: int, tree: Tree | None) -> dict[str, Any]:
+    """One number as it is stated and as it was fitted."""
+    kind, _, place = binding.layout.entries[i].name.partition("@")
+    estimate, value = found[i], float(binding.theta[i])
+    added, off = 0.0, estimate.value - value
+    if tree is not None and kind == "armature":
+        added = _added_by_steps(binding, found, tree, place)
+    if added:
+        off = nearest(value, estimate.value, added) - value
+    deviation = apart(value + off, value, estimate.std)
+    # Of a number that is another one the file has to state what its simulator's steps do not
+    # add by themselves.
+    refuted = deviation is not None and abs(deviation) > REFUTED
+    fitted = estimate.value - added if added and refuted else estimate.value
+    link, joint = _link(tree, place), place
+    if tree is not None and place in tree.links:
+        link = place
+    if tree is not None and place not in tree.joints:
+        joint = tree.joints[tree.links.index(place)]
+    text = (
+        f"{kind.replace('_', ' ')} of {place or binding.chain.mechanism.name}: {fitted:.4g}"
+        f" {estimate.unit}, stated {value:.4g}"
+    )
+    if added:
+        text += f"; the file's own steps add {added:.2g} to it"
+    if deviation is not None:
+        text += f" ({abs(deviation):.1f} standard deviations)"
+    return {
+        "joint": joint,
+        "link": link,
+        "parameter": kind,
+        "stated": value,
+        "fitted": fitted,
+        "std": estimate.std,
+        "unit": estimate.unit,
+        "deviation": deviation,
+        "text": text,
+    }
 
 
 def _added_by_steps(binding: Any, found: Mapping[int, Any], tree: Tree, joint: str) -> float:
@@ -113,29 +115,29 @@ def sentences(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """
     out: list[tuple[float, str]] = []
     wrong = [r for r in rows if r["deviation"] is not None and abs(r["deviation"]) > REFUTED]
-    links = dict.fromkeys(r["link"] for r in wrong if r["parameter"].startswith("com_"))
-    for link in links:
-        own = {
-            r["parameter"][-1]: r
-            for r in rows
-            if r["link"] == link and r["parameter"].startswith("com_")
-        }
-        was, now = (np.array([r[k] for r in own.values()]) for k in ("stated", "fitted"))
-        std = np.array([r["std"] if r["std"] else np.nan for r in own.values()])
-        size = float(was @ was)
-        if size < 1e-12 or not np.isfinite(std).all():
-            continue
-        share = float((now - was) @ was / size)
-        doubt = float(np.sqrt(np.sum((was * std) ** 2)) / size)
-        if abs(share) > REFUTED * doubt and abs(share) > 0.01:
-            more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
-            out.append(
-                (abs(share) / doubt, f"link {link} carries {more} first moment than the file says")
-            )
+    moments = [r for r in rows if r["parameter"].startswith("com_")]
+    for link in dict.fromkeys(r["link"] for r in wrong if r["parameter"].startswith("com_")):
+        own = {r["parameter"][-1]: r for r in moments if r["link"] == link}
+        out += _first_moment(link, list(own.values()))
     for r in wrong:
         if not r["parameter"].startswith("com_"):
             out.append((abs(r["deviation"]), r["text"]))
     return tuple(text for _, text in sorted(out, key=lambda one: -one[0]))
+
+
+def _first_moment(link: str, rows: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
+    """(deviation, sentence) where a link's first moment is another one along that of the file."""
+    was, now = np.array([r["stated"] for r in rows]), np.array([r["fitted"] for r in rows])
+    std = np.array([r["std"] or np.nan for r in rows])
+    size = float(was @ was)
+    if size < 1e-12 or not np.isfinite(std).all():
+        return []
+    share = float((now - was) @ was / size)
+    doubt = float(np.sqrt(np.sum((was * std) ** 2)) / size)
+    if abs(share) <= max(REFUTED * doubt, 0.01):
+        return []
+    more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
+    return [(abs(share) / doubt, f"link {link} carries {more} first moment than the file says")]
 
 
 def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:

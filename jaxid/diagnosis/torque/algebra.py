@@ -69,11 +69,11 @@ def weighted(
         for _ in range(ROUNDS):
             share = 1 / (1 + (u / size[j]) ** 2)
             size[j] = max(np.sqrt(np.sum(share * r**2) / np.sum(share)), 1e-12)
-        memory[j] = _memory([r / np.hypot(size[j], u) for r, u in own])
+        memory[j] = memory_of([r / np.hypot(size[j], u) for r, u in own])
     return Weights(size, memory)
 
 
-def _memory(series: Sequence[np.ndarray]) -> float:
+def memory_of(series: Sequence[np.ndarray]) -> float:
     """1 + 2 sum of the autocorrelation of some series up to the first lag where it is lost."""
     power, found = sum(float(r @ r) for r in series), 1.0
     for lag in range(1, max(map(len, series)) // 3 + 1):

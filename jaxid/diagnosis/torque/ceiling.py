@@ -11,6 +11,7 @@ import numpy as np
 from jaxid.diagnosis.budget import closed
 from jaxid.diagnosis.torque.algebra import ColumnPrior, gram, solve, Weights
 from jaxid.diagnosis.torque.answer import Answer
+from jaxid.diagnosis.torque.free_laws import hats
 from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.diagnosis.torque.study import TorqueRows, TorqueStudy
 
@@ -103,14 +104,7 @@ def _bumps(
     """[time n k]: hats over position times hats over speed, and the load against the motion."""
     out = []
     for j, (q, qd) in enumerate(edges):
-        a, b = _hats(run.q[:, j], q), _hats(run.qd[:, j], qd)
+        a, b = hats(run.q[:, j], q), hats(run.qd[:, j], qd)
         both = (a[:, :, None] * b[:, None, :]).reshape(len(a), -1)
         out.append(np.column_stack([both, load[:, j] * np.tanh(run.qd[:, j] / turn[j])]))
     return np.stack(out, 1)
-
-
-def _hats(x: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Piecewise linear hats [time knots], constant beyond the ends."""
-    if np.ptp(knots) <= 0:
-        return np.ones((len(x), 1)) * np.eye(len(knots))[:1]
-    return np.stack([np.interp(x, knots, row) for row in np.eye(len(knots))], -1)

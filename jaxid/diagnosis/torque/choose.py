@@ -250,9 +250,9 @@ class Chooser:
             every = [k for (e, _), (_, k) in found.items() if e == effect]
             lone = all(len(self.units[k].joints) == 1 for k in every)
             sets += [(*chosen.units, *every)] if lone and len(every) > 1 else []
-        return [m for s in sets if (m := self._lively(s, chosen.units)) is not None]
+        return [m for s in sets if (m := self.lively(s, chosen.units)) is not None]
 
-    def _lively(self, units: Sequence[int], base: Sequence[int] = ()) -> Model | None:
+    def lively(self, units: Sequence[int], base: Sequence[int] = ()) -> Model | None:
         """The model of a set, without those of its units that would act the wrong way round; None
         where none is left of what it has beyond `base`.
         """

@@ -91,33 +91,36 @@ def _numbers(sheet: Sheet, found: ExportOutcome, done: set[str]) -> None:
         elif not (tree is not None and field in ("base_roll", "base_pitch")):
             _plain_number(sheet, name, number)
     for link, numbers in links.items():
-        assert sheet.tree is not None
-        own = [
-            n
-            for name, n in found.parameters.items()
-            if name.partition("@")[2] == link and name.partition("@")[0] in BODY
-        ]
-        if not all(n.kept for n in own):
-            sheet.bodies[link] = body_before(sheet.tree, link), from_numbers(numbers)
-        for name, number in found.parameters.items():
-            field, _, place = name.partition("@")
-            if place == link and field in BODY:
-                was = numbers_of(sheet.tree, link)[field]
-                sheet.record(
-                    [
-                        RobotChange(
-                            effect=field,
-                            location=link,
-                            quantity="inertial",
-                            place=link,
-                            value=number.value,
-                            before=was,
-                            unit=number.unit,
-                            note=number.doubt,
-                        )
-                    ]
-                )
+        _body_numbers(sheet, found, link, numbers)
     _base(sheet, found)
+
+
+def _body_numbers(
+    sheet: Sheet, found: ExportOutcome, link: str, numbers: Mapping[str, float]
+) -> None:
+    """The inertia of a link by its ten numbers."""
+    tree = sheet.tree
+    assert tree is not None
+    own = {}
+    for name, number in found.parameters.items():
+        field, _, place = name.partition("@")
+        if place == link and field in BODY:
+            own[field] = number
+    if not all(number.kept for number in own.values()):
+        sheet.bodies[link] = body_before(tree, link), from_numbers(dict(numbers))
+    was = numbers_of(tree, link)
+    for field, number in own.items():
+        change = RobotChange(
+            effect=field,
+            location=link,
+            quantity="inertial",
+            place=link,
+            value=number.value,
+            before=was[field],
+            unit=number.unit,
+            note=number.doubt,
+        )
+        sheet.record([change])
 
 
 def _joint_number(sheet: Sheet, effect: str, joint: str, quantity: str, number: Number) -> None:
@@ -186,18 +189,16 @@ def _torque(sheet: Sheet, effect: str, location: str, joint: str, number: Number
 
 
 def _base(sheet: Sheet, found: ExportOutcome) -> None:
-    own = {
-        k: found.parameters[f"base_{k}"]
-        for k in ("roll", "pitch")
-        if f"base_{k}" in found.parameters
-    }
+    base = found.robot.get("base") or {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}
+    now, own = dict(base), {}
+    for k in ("roll", "pitch"):
+        if f"base_{k}" in found.parameters:
+            own[k] = found.parameters[f"base_{k}"]
+            now[k] = own[k].value
     if not own or sheet.gravity is None:
         return
-    base = found.robot.get("base") or {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}
-    roll, pitch, yaw = (own[k].value if k in own else base[k] for k in ("roll", "pitch", "yaw"))
-    g = turned_gravity(
-        sheet.gravity[1], roll, pitch, yaw, (base["roll"], base["pitch"], base["yaw"])
-    )
+    before = (base["roll"], base["pitch"], base["yaw"])
+    g = turned_gravity(sheet.gravity[1], now["roll"], now["pitch"], now["yaw"], before)
     sheet.gravity = sheet.gravity[0], g
     sheet.record(
         [
@@ -280,7 +281,9 @@ def _joint_effect(sheet: Sheet, effect: Named, own: StandsFor, joint: str) -> No
     if own.after is not None:
         after = own.after(sheet.after[joint], value, sheet.driven)
     sheet.set(joint, **after)
-    said = dict.fromkeys("force" if name in FORCE else name for name in after)
+    said: dict[str, None] = {}
+    for name in after:
+        said["force" if name in FORCE else name] = None
     for quantity in said:
         if quantity != own.quantity and not _stated(sheet, joint, quantity):
             continue
@@ -341,9 +344,10 @@ def _payload(sheet: Sheet, effect: Named, own: StandsFor) -> None:
     link, ends = tree.links[k], [i for i, up in enumerate(tree.parent) if up == k]
     before, after = sheet.bodies.get(link, (body_before(tree, link),) * 2)
     at = tree.anchor[k] + tree.place[ends[0]][:3, 3] if ends else after.com
-    beyond = np.array(
-        [effect.value(name) if name in effect.numbers else 0.0 for name in ("dx", "dy", "dz")]
-    )
+    beyond = np.zeros(3)
+    for axis, name in enumerate(("dx", "dy", "dz")):
+        if name in effect.numbers:
+            beyond[axis] = effect.value(name)
     at = at + beyond
     sheet.bodies[link] = before, with_point(after, effect.value(own.number), at)
     where = "where the next joint is" if ends else "at the link's centre of mass"

@@ -4,13 +4,23 @@ says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from jaxid.robots.export.law_code import c_code, code, lawful
 from jaxid.robots.export.sheet import JointNumbers, LinkInertia, Sheet
-from jaxid.robots.export.target import by_joint, CODE, coded, Field, joined, NONE, rows_of, Written
+from jaxid.robots.export.target import (
+    by_joint,
+    CODE,
+    coded,
+    ExportRow,
+    Field,
+    joined,
+    NONE,
+    rows_of,
+    Written,
+)
 
 
 QUANTITIES = (*JointNumbers.__dataclass_fields__, "force")
@@ -37,28 +47,27 @@ def written(
         how = NONE
     effects = {None: "", "c": "effects.h"}.get(library, "effects.py")
     lacking = coded(effects, elsewhere, how, remembers=not plugin)
-    out = Written(rows_of(sheet, fields, lacking))
-    out.rows = [
-        replace(r, note=joined(r.note, f"written for {version}, not run")) if r.field else r
-        for r in out.rows
-    ]
+    untried = f"written for {version}, not run"
+    out = Written(_noted(rows_of(sheet, fields, lacking), untried))
     numbers = by_joint(sheet, [q for q in QUANTITIES if q in fields])
-    bodies = (
-        {link: after for link, (_, after) in sheet.bodies.items()} if "inertial" in fields else {}
-    )
-    if (
-        numbers
-        or bodies
-        or ("gravity" in fields and any(c.quantity == "gravity" for c in sheet.changes))
-    ):
+    bodies = {}
+    if "inertial" in fields:
+        bodies = {link: after for link, (_, after) in sheet.bodies.items()}
+    turned = "gravity" in fields and "gravity" in {c.quantity for c in sheet.changes}
+    if numbers or bodies or turned:
         out.files[file] = writer(sheet, numbers, bodies)
     if library and (
         laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code")
     ):
-        head = f"Laws that no field says; written for {version}, not run."
+        head = f"Laws that no field says; {untried}."
         out.files[effects] = c_code(laws, head) if plugin else code(laws, head, tail, library)
-    out.notes.append(f"written for {version}, not run")
+    out.notes.append(untried)
     return out
+
+
+def _noted(rows: Sequence[ExportRow], note: str) -> list[ExportRow]:
+    """The rows, those that have a field with a note."""
+    return [replace(r, note=joined(r.note, note)) if r.field else r for r in rows]
 
 
 def central(body: LinkInertia) -> list[float]:

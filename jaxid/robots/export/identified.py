@@ -217,7 +217,9 @@ def nearest_bodies(
     """
     n = sum(name.startswith("m") and name[1:].isdigit() for name in names)
     place = {name: i for i, name in enumerate(names)}
-    link = np.array([[place[f"{kind}{k + 1}"] for kind in TEN] for k in range(n)])
+    link = np.zeros((n, len(TEN)), int)
+    for k in range(n):
+        link[k] = [place[f"{kind}{k + 1}"] for kind in TEN]
     drives = np.array([i for name, i in place.items() if name.startswith("Ia")], int)
     mass = max(float(np.sum(np.abs(phi[link[:, 9]]))), 1e-6)
     length = max(float(np.sqrt(np.abs(phi[link[:, [0, 3, 5]]]).max() / mass)), 1e-3)

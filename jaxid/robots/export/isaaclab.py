@@ -70,37 +70,42 @@ def _text(
         for c in sheet.changes
         if c.quantity == StribeckFriction.name
     }
-    for joint in dict.fromkeys([*numbers, *(j for j in extra if j)]):
-        own, now = numbers.get(joint, {}), sheet.after[joint]
-        kind = "DelayedPDActuatorCfg" if now.delay else "IdealPDActuatorCfg"
-        given: dict[str, Any] = {"stiffness": now.kp, "damping": now.kd} if sheet.driven else {}
-        given |= {"armature": now.armature} if "armature" in own else {}
-        given |= {"viscous_friction": now.damping} if "damping" in own else {}
-        if "frictionloss" in own or joint in extra:
-            given |= {
-                "friction": now.frictionloss + extra.get(joint, 0.0),
-                "dynamic_friction": now.frictionloss,
-            }
-        effort = limit([now.lowest, now.highest])
-        if effort is not None and ("force" in own or "highest" in own or sheet.driven):
-            given |= {"actuator_effort_limit": effort, "joint_effort_limit": effort}
-        lines += [
-            f"        {joint!r}: {kind}(",
-            f"            joint_names_expr=[{re.escape(joint)!r}],",
-        ]
-        lines += [f"            {k}={float(v)!r}," for k, v in given.items()]
-        if not sheet.driven:
-            lines.append(
-                "            stiffness=..., damping=...,  # your gains: the recording was driven by"
-                " torques"
-            )
-        if now.delay:
-            lines += [
-                f"            {end}_delay=round({now.delay!r} / physics_dt),"
-                for end in ("min", "max")
-            ]
-        lines.append("        ),")
+    for joint in dict.fromkeys([*numbers, *filter(None, extra)]):
+        lines += _actuator(sheet, joint, numbers.get(joint, {}), extra.get(joint))
     return "\n".join([*lines, "    }", ""])
+
+
+def _actuator(sheet: Sheet, joint: str, own: Mapping[str, Any], extra: float | None) -> list[str]:
+    """The lines of one joint; `extra`: what dry friction has more at rest than in motion."""
+    now = sheet.after[joint]
+    kind = "DelayedPDActuatorCfg" if now.delay else "IdealPDActuatorCfg"
+    given: dict[str, Any] = {}
+    if sheet.driven:
+        given |= {"stiffness": now.kp, "damping": now.kd}
+    if "armature" in own:
+        given["armature"] = now.armature
+    if "damping" in own:
+        given["viscous_friction"] = now.damping
+    if "frictionloss" in own or extra is not None:
+        given["friction"] = now.frictionloss + (extra or 0.0)
+        given["dynamic_friction"] = now.frictionloss
+    effort = limit([now.lowest, now.highest])
+    if effort is not None and ("force" in own or "highest" in own or sheet.driven):
+        given |= {"actuator_effort_limit": effort, "joint_effort_limit": effort}
+    lines = [
+        f"        {joint!r}: {kind}(",
+        f"            joint_names_expr=[{re.escape(joint)!r}],",
+    ]
+    lines += [f"            {k}={float(v)!r}," for k, v in given.items()]
+    if not sheet.driven:
+        lines.append(
+            "            stiffness=..., damping=...,  # your gains: the recording was driven by"
+            " torques"
+        )
+    if now.delay:
+        for end in ("min", "max"):
+            lines.append(f"            {end}_delay=round({now.delay!r} / physics_dt),")
+    return [*lines, "        ),"]
 
 
 _TAIL = """

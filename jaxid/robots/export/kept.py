@@ -33,10 +33,9 @@ def kept(found: ExportOutcome) -> ExportOutcome:
     moved = {}
     for k, name in enumerate(names):
         moved[name] = replace(every[name], value=float(change.value[k]), std=float(change.std[k]))
-    numbers = {
-        k: _as_stated(n, stated[k]) if k in left else _rounded(moved.get(k, n))
-        for k, n in found.parameters.items()
-    }
+    numbers = {}
+    for k, n in found.parameters.items():
+        numbers[k] = _as_stated(n, stated[k]) if k in left else _rounded(moved.get(k, n))
     effects = []
     for e in found.effects:
         own = {k: _rounded(moved.get(_name(e, k), n)) for k, n in e.numbers.items()}

@@ -196,18 +196,11 @@ class _Patch:
         fields: dict[tuple[str, str], Field | None] = {}
         if found is None:
             return {(k, joint): None for k in changed}
-        own = {
-            k: v
-            for k, v in self._joint_attributes(
-                joint, changed, was_, now, fields, found[1].attributes
-            ).items()
-            if v is not None
-        }
+        text, element = found
+        every = self._joint_attributes(joint, changed, was_, now, fields, element.attributes)
+        own = {k: v for k, v in every.items() if v is not None}
         if own:
-            found[0].set(
-                found[1],
-                {k: v if isinstance(v, str) else numbers(np.atleast_1d(v)) for k, v in own.items()},
-            )
+            text.set(element, {k: _as_text(v) for k, v in own.items()})
             self.ops.append(Op("joint", joint, own))
         drive = changed & {*OF_LAW, "torque", "drive"}
         if drive:
@@ -381,13 +374,7 @@ class _Patch:
         attributes, tag = words.attributes(changed, now, element.name)
         if tag != element.name:
             text.rename(element, tag)
-        text.set(
-            element,
-            {
-                k: v if v is None or isinstance(v, str) else numbers(np.atleast_1d(v))
-                for k, v in attributes.items()
-            },
-        )
+        text.set(element, {k: _as_text(v) for k, v in attributes.items()})
         self._widen(joint, now)
         self.ops.append(Op("actuator", joint, words.general(changed, now)))
         at, law = f"{tag}[{joint}]@", self.sheet.sampled > 0 and self.sheet.driven
@@ -412,7 +399,7 @@ class _Patch:
         at_joint = (
             f"at the joint: the file's number stands before gear {gear:g}" if gear != 1 else ""
         )
-        notes = {k: joined(note, at_joint if k in geared else "") for k in names}
+        notes = dict.fromkeys(names, note) | dict.fromkeys(geared, joined(note, at_joint))
         out: dict[tuple[str, str], Field | None] = {
             (k, joint): Field(at + name.get(k, "forcerange"), how, notes[k]) for k in names
         }
@@ -550,12 +537,9 @@ class _Patch:
             "body": ("body_",),
             "actuator": ("actuator_", "opt"),
         }
-        allowed = tuple(p for op in self.ops for p in meant.get(op.kind, ())) + (
-            "tendon_length0",
-            "stat",
-            "cam_",
-            "light_",
-        )
+        allowed = ("tendon_length0", "stat", "cam_", "light_")
+        for op in self.ops:
+            allowed += meant.get(op.kind, ())
         for name in (
             "dof_damping",
             "dof_frictionloss",
@@ -571,3 +555,10 @@ class _Patch:
                     f"{self.file.path}: the patched file would change {name}, which was not meant;"
                     " nothing was written"
                 )
+
+
+def _as_text(value: Any) -> str | None:
+    """The value of an attribute; None takes it out."""
+    if value is None or isinstance(value, str):
+        return value
+    return numbers(np.atleast_1d(value))

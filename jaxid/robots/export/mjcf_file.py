@@ -75,14 +75,13 @@ class MjcfFile:
 
     def actuator(self, joint: str) -> tuple[XmlText, Element] | None:
         """The one actuator that acts on a joint; None where there is none, or several."""
-        found = [
-            (text, one)
-            for text in self.texts.values()
-            for one in text.elements
-            if one.name in ACTUATORS
-            and "default" not in one.above()
-            and joint in (one.attributes.get("joint"), one.attributes.get("jointinparent"))
-        ]
+        found = []
+        for text in self.texts.values():
+            for one in text.elements:
+                if one.name not in ACTUATORS or "default" in one.above():
+                    continue
+                if joint in (one.attributes.get("joint"), one.attributes.get("jointinparent")):
+                    found.append((text, one))
         return found[0] if len(found) == 1 else None
 
     def option(self) -> tuple[XmlText, Element | None]:

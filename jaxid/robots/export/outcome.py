@@ -83,10 +83,10 @@ class ExportOutcome:
         def other(place):
             return joints.get(place, place)
 
-        numbers = {
-            f"{k.partition('@')[0]}@{other(k.partition('@')[2])}" if "@" in k else k: n
-            for k, n in self.parameters.items()
-        }
+        numbers = {}
+        for name, number in self.parameters.items():
+            field, at_sign, place = name.partition("@")
+            numbers[f"{field}@{other(place)}" if at_sign else name] = number
         inputs = {"tau", "force", "u"} if len(joints) == 1 else set()
 
         def at(e):
@@ -118,14 +118,7 @@ def outcome(content: Any) -> ExportOutcome:
     effects = which.get("effects", []) if isinstance(which, Mapping) else []
     parameters = content.get("parameters", {})
     robot = content.get("robot") or {}
-    if (
-        not isinstance(effects, list)
-        or not isinstance(parameters, Mapping)
-        or not isinstance(robot, Mapping)
-    ):
-        raise UsageError("effects, parameters or robot of the result are not what jaxid writes")
-    if len(effects) > MOST or len(parameters) > MOST:
-        raise UsageError(f"the result has more than {MOST} numbers or effects")
+    _check_kinds(effects, parameters, robot)
     if kind != "identification" and not parameters and not effects:
         raise UsageError(
             "the result holds no numbers: the fit failed, and there is nothing to carry over"
@@ -204,6 +197,14 @@ def _effect(entry: Any) -> Named:
     )
 
 
+def _check_kinds(effects: Any, parameters: Any, robot: Any) -> None:
+    tables = isinstance(parameters, Mapping) and isinstance(robot, Mapping)
+    if not isinstance(effects, list) or not tables:
+        raise UsageError("effects, parameters or robot of the result are not what jaxid writes")
+    if max(len(effects), len(parameters)) > MOST:
+        raise UsageError(f"the result has more than {MOST} numbers or effects")
+
+
 def _covariance(entry: Any, names: Any) -> tuple[tuple[str, ...], np.ndarray]:
     """(names, matrix), empty where the result has none."""
     rows = entry.get("matrix") if isinstance(entry, Mapping) else entry
@@ -211,9 +212,7 @@ def _covariance(entry: Any, names: Any) -> tuple[tuple[str, ...], np.ndarray]:
     if not isinstance(rows, list) or not isinstance(names, list):
         return (), np.zeros((0, 0))
     try:
-        matrix = np.array(
-            [[np.nan if v is None else float(v) for v in row] for row in rows]
-        ).reshape(len(rows), -1)
+        matrix = np.array(rows, float).reshape(len(rows), -1)  # nan for None
     except (TypeError, ValueError):
         raise UsageError("the covariance of the result is no matrix") from None
     n = min(len(names), len(matrix), matrix.shape[1] if matrix.size else 0)
@@ -226,36 +225,41 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
     """
     if not robot:
         return {}
-    drive = robot.get("drive")
-    own: dict[str, Any] | None = None
-    if isinstance(drive, Mapping):
-        joints = drive.get("joints")
-        if not isinstance(joints, Mapping) or not all(
-            isinstance(n, Mapping) for n in joints.values()
-        ):
-            raise UsageError("robot.drive.joints of the result is no table by joint")
-        own = {**drive, "joints": {_name(j, "drive"): _law(n) for j, n in joints.items()}}
     held = robot.get("held") or {}
     base = robot.get("base") or {}
+    place: dict[str, Any] = {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")}
+    if base.get("kind") == "free":
+        place["kind"] = "free"
     return {
         "file": str(robot.get("file") or "")[:4096],
         "sha256": str(robot.get("sha256") or "")[:64],
-        "joints": [_name(j, "robot.joints") for j in robot.get("joints") or []],
-        "leads": [_name(j, "robot.leads") for j in robot.get("leads") or []],
+        "joints": _names(robot, "joints"),
+        "leads": _names(robot, "leads"),
         "held": {_name(k, "robot.held"): number(k, v) for k, v in held.items()},
-        "base": (
-            {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")}
-            | ({"kind": "free"} if base.get("kind") == "free" else {})
-        ),
-        "without": [_name(n, "robot.without") for n in robot.get("without") or []],
-        "drive": own,
+        "base": place,
+        "without": _names(robot, "without"),
+        "drive": _drive(robot.get("drive")),
         "taken_off": robot.get("taken_off") is True,
     }
 
 
+def _names(robot: Mapping[str, Any], key: str) -> list[str]:
+    return [_name(name, f"robot.{key}") for name in robot.get(key) or []]
+
+
+def _drive(drive: Any) -> dict[str, Any] | None:
+    if not isinstance(drive, Mapping):
+        return None
+    joints = drive.get("joints")
+    if not isinstance(joints, Mapping) or not all(isinstance(n, Mapping) for n in joints.values()):
+        raise UsageError("robot.drive.joints of the result is no table by joint")
+    return {**drive, "joints": {_name(j, "drive"): _law(n) for j, n in joints.items()}}
+
+
 def _law(numbers: Mapping[str, Any]) -> dict[str, float]:
     endless = {"lowest": -math.inf, "highest": math.inf}
-    return {
-        _name(k, "drive"): endless[k] if v is None and k in endless else number(k, v)
-        for k, v in numbers.items()
-    }
+    law = {}
+    for key, value in numbers.items():
+        without_limit = value is None and key in endless
+        law[_name(key, "drive")] = endless[key] if without_limit else number(key, value)
+    return law

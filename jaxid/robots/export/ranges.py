@@ -100,7 +100,7 @@ def _draws(found: ExportOutcome, numbers: Mapping[str, Number]) -> dict[str, Any
     high = np.array([n.upper for n in every])
     mean = np.array([n.value for n in every])
     values = draws(mean, C, low, high, DRAWS) if names else np.zeros((0, 0))
-    return {"names": names, "values": [[_digits(x) for x in row] for row in values]}
+    return {"names": names, "values": [list(map(_digits, row)) for row in values]}
 
 
 def _digits(x: float) -> float:
@@ -203,9 +203,10 @@ def _correlation(
         C = positive(C)
     size = np.sqrt(np.diag(C))
     R = C / np.outer(size, size)
-    return names, [
-        [None if not np.isfinite(v) else float(np.clip(v, -1, 1)) for v in row] for row in R
-    ]
+    rows: list[list[float | None]] = np.clip(R, -1, 1).tolist()
+    for i, j in np.argwhere(~np.isfinite(R)):
+        rows[i][j] = None
+    return names, rows
 
 
 def _by_field(rows: Mapping[str, Any], field: str) -> dict[str, list[float]]:

@@ -74,11 +74,7 @@ def export(
     found = outcome(content)
     path = _file(found, robot, beside)
     target = TARGETS[to]
-    tree = (
-        None
-        if path is None
-        else based(read_tree(path), (found.robot.get("base") or {}).get("kind") == "free")
-    )
+    tree = None if path is None else _tree(found, path)
     in_steps, said = _in_steps(found, tree, path) if to == "mjcf" else (found, ())
     told = kept(in_steps)
     sheet = _sheet(told, tree, path)
@@ -94,9 +90,14 @@ def export(
         written.rows = [_with_step(r, tree) for r in written.rows]
     else:
         written = target.write(sheet, told, path if patches else None)
-    more = ranges_of(found, to, told) if ranges else None
-    rows = tuple(written.rows)
-    files = {**written.files, **(more.files if more else {})}
+    rows, files = tuple(written.rows), dict(written.files)
+    notes = [*_caveats(found), *sheet.notes, *written.notes]
+    table = None
+    if ranges:
+        more = ranges_of(found, to, told)
+        files |= more.files
+        notes += more.notes
+        table = more.table
     source = {
         "schema": 1,
         "kind": "export",
@@ -104,8 +105,13 @@ def export(
         "robot": _of_file(found, path),
         "result": _numbers(found),
     }
-    notes = (*_caveats(found), *sheet.notes, *written.notes, *(more.notes if more else ()))
-    return Exported(to, rows, files, notes, source, more.table if more else None)
+    return Exported(to, rows, files, tuple(notes), source, table)
+
+
+def _tree(found: ExportOutcome, path: Path) -> Tree:
+    """The tree of the file, on a base that floats where that of the result does."""
+    base = found.robot.get("base") or {}
+    return based(read_tree(path), base.get("kind") == "free")
 
 
 def _with_step(row: ExportRow, tree: Tree | None) -> ExportRow:
@@ -235,26 +241,28 @@ def _joints(found: ExportOutcome) -> list[str]:
     if found.robot.get("joints"):
         return list(found.robot["joints"])
     if found.kind == "identification":
-        return [
-            str(r.get("joint"))
-            for r in found.content.get("friction") or []
-            if isinstance(r, Mapping)
-        ]
-    places = [n.partition("@")[2] for n in found.parameters if "@" in n]
-    ends = ("_cmd", "_tau", "_qd")
-    places += [
-        next((e.location.removesuffix(x) for x in ends if e.location.endswith(x)), e.location)
-        for e in found.effects
-    ]
+        friction = found.content.get("friction") or []
+        return [str(r.get("joint")) for r in friction if isinstance(r, Mapping)]
+    places, count = [], 1
+    for name in found.parameters:
+        field, at_sign, place = name.partition("@")
+        if at_sign:
+            places.append(place)
+        else:
+            count = max(count, int(field[len(field.rstrip("0123456789")) :] or 1))
+    places += [_joint_of(e.location) for e in found.effects]
     shown = [j for j in dict.fromkeys(places) if j not in ("tau", "force", "u")]
-    count = max(
-        [1, *(int(n[len(n.rstrip("0123456789")) :] or 1) for n in found.parameters if "@" not in n)]
-    )
-    return (
-        shown
-        if len(shown) >= count
-        else [*shown, *(f"q{k + 1}" if count > 1 else "q" for k in range(len(shown), count))]
-    )
+    for k in range(len(shown), count):
+        shown.append(f"q{k + 1}" if count > 1 else "q")
+    return shown
+
+
+def _joint_of(channel: str) -> str:
+    """`elbow` of `elbow_cmd`, `elbow_tau` or `elbow_qd`."""
+    for end in ("_cmd", "_tau", "_qd"):
+        if channel.endswith(end):
+            return channel.removesuffix(end)
+    return channel
 
 
 def _identified(found: ExportOutcome, tree: Tree, path: Path | None) -> Sheet:

@@ -108,10 +108,11 @@ def rows_of(
     sheet: Sheet, fields: Mapping[str, Field], lacking: Callable[[RobotChange], ExportRow]
 ) -> list[ExportRow]:
     """A row for each change; `lacking` makes that of a quantity without a field."""
-    return [
-        row(sheet, c, fields[c.quantity]) if c.quantity in fields else lacking(c)
-        for c in sheet.changes
-    ]
+    rows = []
+    for c in sheet.changes:
+        known = c.quantity in fields
+        rows.append(row(sheet, c, fields[c.quantity]) if known else lacking(c))
+    return rows
 
 
 def row(sheet: Sheet, change: RobotChange, own: Field) -> ExportRow:

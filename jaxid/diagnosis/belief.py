@@ -1,0 +1,99 @@
+"""How probable it is that each effect is missing, that one of several is, that a law of no name is,
+or that nothing is; and what each named effect is worth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What one named effect is worth on held-out runs, as shares of the mean square above the noise
+    that the re-tuned model leaves: what it closes by itself (`alone`), and what is lost when it is
+    left out of all that is named (`missed_without`, with its 95 % interval).
+    """
+
+    alone: float
+    missed_without: float
+    missed_interval_95: tuple[float, float] | None = None
+
+    @property
+    def share(self) -> bool:
+        """Whether both figures say the same, so that it is a share of the gap. Where not, another
+        named effect could stand for a part of it.
+        """
+        spread = 0.0
+        if self.missed_interval_95 is not None:
+            low, high = self.missed_interval_95
+            spread = (high - low) / 2
+        return abs(self.alone - self.missed_without) <= max(0.1, spread)
+
+
+@dataclass(frozen=True)
+class EffectFamily:
+    """Effects at one place of which at least one is missing, with that probability."""
+
+    effects: tuple[str, ...]
+    location: str
+    probability: float
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class FreeLaw:
+    """A law of no name: where it acts, and what it depends on."""
+
+    at: str
+    over: str
+    probability: float
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Probabilities of a diagnosis. `places`: of each effect at each place; `probability`: that all
+    named effects are missing, or one of the family that each stands for; `none`: that nothing is.
+    """
+
+    places: dict[tuple[str, str], float]
+    probability: float | None = None
+    families: tuple[EffectFamily, ...] = ()
+    free_law: FreeLaw | None = None
+    none: float = 0.0
+    worth: dict[tuple[str, str], Worth] = field(default_factory=dict)
+
+    def of(self, effect: str, location: str) -> dict[str, Any]:
+        """What is told of one named effect."""
+        told: dict[str, Any] = {"probability": self.places.get((effect, location))}
+        worth = self.worth.get((effect, location))
+        if worth is not None:
+            told |= asdict(worth)
+        return told
+
+    def possible(self, least: float) -> list[tuple[str, str, float]]:
+        """Effects and places of at least this probability, most probable first."""
+        found = [(*place, p) for place, p in self.places.items() if p >= least]
+        return sorted(found, key=lambda entry: -entry[2])
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "probability": self.probability,
+            "families": [f.to_dict() for f in self.families],
+            "free_law": None if self.free_law is None else self.free_law.to_dict(),
+            "none": self.none,
+        }
+
+
+def product(each: Sequence[float]) -> float:
+    """Of probabilities of what is independent."""
+    out = 1.0
+    for p in each:
+        out *= p
+    return out

@@ -1,0 +1,122 @@
+"""What is claimed of what a search by torque found, on runs that chose and on runs that did not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.diagnosis.budget import closed
+from jaxid.diagnosis.reasons import (
+    NothingSure,
+    NotMostHeldOut,
+    Remark,
+    TorqueAtTheNoise,
+    TorqueHeldOut,
+    Undetermined,
+)
+from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.torque.against_reference import verdict_against
+from jaxid.diagnosis.torque.answer import Answer, scores
+from jaxid.diagnosis.torque.claims import believed
+from jaxid.diagnosis.torque.found import Found
+from jaxid.diagnosis.torque.library import Unit
+from jaxid.diagnosis.torque.study import TorqueStudy
+from jaxid.diagnosis.verdict import Verdict
+from jaxid.fitting.scores import lost
+from jaxid.wording import listed
+
+
+#: Effects that are mentioned as possible at most.
+MENTIONED = 4
+
+
+def judged_by_torque(study: TorqueStudy, found: Found) -> Verdict:
+    """What is named comes down to the noise on runs that chose and on runs that did not."""
+    nominal, final, split = found.nominal, found.final, [found.choose, found.judge]
+    sets = [w for w in split if w] or [found.fit]
+    before = [nominal.gap(w) for w in sets]
+    after = [final.gap(w) for w in sets]
+    if lost_at := astray(study, final):
+        return Verdict("unknown", (Undetermined(lost_at[0]),))
+    if found.as_before is not None and final.units:
+        said = tuple(_said(u) for u in final.units)
+        usual = max(1.0, nominal.gap(found.fit))
+        return verdict_against(said, found.as_before, final, sets, usual)
+    if not final.units:
+        gaps = [nominal.gap(w) for w in (found.fit, *sets) if w]
+        measured = [g for g in gaps if not np.isnan(g)]  # nan where no joint moves in a set of runs
+        if measured and max(measured) <= LIMITS.seen:
+            return Verdict("none", (TorqueAtTheNoise(),))
+        gap = max(measured, default=float("nan"))
+        return Verdict("unknown", (NothingSure(gap), *_possible(found)))
+    names = tuple(_said(u) for u in final.units)
+    base = found.base.final.units if found.base else ()
+    beside = (Remark(f"The model lacks {listed(_said(u) for u in base)}."),) if base else ()
+    better = all(a < b for a, b in zip(after, before, strict=True))
+    share = min(closed(b**2, a**2) for b, a in zip(before, after, strict=True))
+    # Where the question is what differs, what the model leaves of the runs that it was fitted to is
+    # what repeats would differ by.
+    fitted = nominal.gap(found.fit)
+    least = max(1.0, fitted) if found.different and np.isfinite(fitted) else 1.0
+    held = TorqueHeldOut(
+        names, share, max(after), found.different, fitted=least if least > LIMITS.seen else 0.0
+    )
+    if not better:
+        return Verdict("unknown", (NotMostHeldOut(names, share, max(after)),))
+    families = _families(found)
+    inside = closed(nominal.gap(found.fit) ** 2, final.gap(found.fit) ** 2)
+    most = np.isfinite(before).all() and min(share, inside) >= LIMITS.named
+    if max(after) <= LIMITS.left * least or most:
+        return Verdict("named", (*beside, held, *families))
+    return Verdict("partly", (*beside, replace(held, whole=False), *families, *_over(found)))
+
+
+def _families(found: Found) -> list[Remark]:
+    """What each effect stands for that is not sure by itself."""
+    if found.weighed is None:
+        return []
+    units, out = found.weighed.scales.units, []
+    for claim in found.claims:
+        if claim.instead:
+            own = units[claim.unit]
+            either = " or ".join(units[u].effect for u in claim.instead)
+            out.append(Remark(f"In the place of {own} it may be {either}."))
+    return out
+
+
+def _possible(found: Found) -> list[Remark]:
+    """What is not sure enough to be claimed."""
+    if found.weighed is None:
+        return []
+    rule = found.weighed.scales.rule
+    belief = believed(found.weighed, ())
+    names = [f"{effect} at {place}" for effect, place, _ in belief.possible(rule.possible)]
+    said = [Remark(f"Possible: {listed(names[:MENTIONED])}.")] if names else []
+    return [*said, *_over(found)]
+
+
+def _over(found: Found) -> list[Remark]:
+    """What a law of no name depends on, where it is probable."""
+    if found.weighed is None:
+        return []
+    law = believed(found.weighed, ()).free_law
+    if law is None or law.probability < found.weighed.scales.rule.sure:
+        return []
+    return [Remark(f"What is missing at {law.at} depends on {law.over}, by a law of no name.")]
+
+
+def astray(study: TorqueStudy, answer: Answer) -> tuple[str, ...]:
+    """A sentence where a model predicts held-out torque worse than none would."""
+    noise = {
+        c: s for (c, _), s in zip(study.binding.chain.torque_channels, study.noise, strict=True)
+    }
+    return lost(scores(answer), noise)
+
+
+def _said(unit: Unit) -> str:
+    return (
+        f"payload at link {unit.joints[-1] + 1} ({unit.location})"
+        if unit.effect == "payload"
+        else str(unit)
+    )
