@@ -297,9 +297,8 @@ def further_run(how_far: HowFar) -> str:
     """What a further run like the report runs is to show."""
     assert how_far.shrinkage_interval_95 is not None
     lowest, highest = how_far.shrinkage_interval_95
-    reach = f"{_share(lowest)} to {_share(highest)}"
-    if lowest > 1 - CLOSE:
-        reach = "as much"
+    close = lowest > 1 - CLOSE
+    reach = "as much" if close else f"{_share(lowest)} to {_share(highest)}"
     said = f"With 95 % probability a further run closes {reach}."
     if how_far.interval_from != "blocks":
         return said
@@ -307,9 +306,7 @@ def further_run(how_far: HowFar) -> str:
 
 
 def _share(closed: float) -> str:
-    if closed < 0:
-        return "less than nothing"
-    return percent(min(closed, 1.0))
+    return "less than nothing" if closed < 0 else percent(min(closed, 1.0))
 
 
 def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
