@@ -217,7 +217,7 @@ def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
     ]
     terminal = " ".join(text.diagnosis_text(found).split())
     for words in (*cards, terminal):
-        check_numbers(words.replace("with 95 % probability", ""))
+        check_numbers(words.replace("With 95 % probability", ""))
     json.dumps(finite(found.to_dict()), allow_nan=False)
     everything = " ".join([*cards, terminal])
     assert ("Nothing is missing" in everything) == (verdict == "none")

@@ -163,7 +163,7 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
                 f"No interval: {how_far.interval_reason.rstrip('.').removeprefix('no interval: ')}."
             )
     else:
-        sentences.append(f"In a further run: {text.interval(how_far)}.")
+        sentences.append(text.further_run(how_far))
     return fact, [s for s in sentences if s]
 
 

@@ -276,7 +276,7 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
     if how_far.shrinkage_interval_95 is None:
         reason = one_line(how_far.interval_reason).rstrip(".").removeprefix("no interval: ")
         return f"{head} (no interval: {reason})." if reason else f"{head}."
-    return f"{head} (in a further run {interval(how_far)})."
+    return f"{head}. {further_run(how_far)}"
 
 
 def telling(how_far: HowFar) -> list[str]:
@@ -293,21 +293,20 @@ def telling(how_far: HowFar) -> list[str]:
     return sorted(order, key=lambda name: -order[name] if math.isfinite(order[name]) else -math.inf)
 
 
-def interval(how_far: HowFar) -> str:
+def further_run(how_far: HowFar) -> str:
     """What a further run like the report runs is to show."""
     assert how_far.shrinkage_interval_95 is not None
-    low, high = how_far.shrinkage_interval_95
-    reach = f"{_at_most_all(low)} to {_at_most_all(high)}"
-    if low > 1 - CLOSE:
-        reach = "as much"
-    doubt = ""
-    if how_far.interval_from == "blocks":
-        doubt = "; how runs differ is not known from fewer than eight"
-    return f"{reach}, with 95 % probability{doubt}"
+    lowest, highest = how_far.shrinkage_interval_95
+    close = lowest > 1 - CLOSE
+    reach = "as much" if close else f"{_share(lowest)} to {_share(highest)}"
+    said = f"With 95 % probability a further run closes {reach}."
+    if how_far.interval_from != "blocks":
+        return said
+    return f"{said} How runs differ is not known from fewer than eight report runs."
 
 
-def _at_most_all(share: float) -> str:
-    return "below 0 %" if share < 0 else percent(min(share, 1.0))
+def _share(closed: float) -> str:
+    return "less than nothing" if closed < 0 else percent(min(closed, 1.0))
 
 
 def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
