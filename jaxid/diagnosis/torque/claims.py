@@ -60,15 +60,15 @@ def _of_kinds(scales: Scales, found: list[TorqueClaim], most: int) -> list[Torqu
         return found
     units = [claim.unit for claim in found]
     question = Question(scales, [], units, scales.moving, scales.rule.directions)
-    effects = [scales.units[u].effect for u in units]
-    kept = list(range(len(units)))
+    effects = np.array([scales.units[u].effect for u in units])
+    kept = np.arange(len(units))
     while len(kinds) > most:
         ordered = sorted(kinds)
-        without = [tuple(k for k in kept if effects[k] != kind) for kind in ordered]
-        worth, _ = question.judged(without)
+        without = [kept[effects[kept] != kind] for kind in ordered]
+        worth, _ = question.judged([tuple(s.tolist()) for s in without])
         last = int(np.argmax(worth))
         kinds.discard(ordered[last])
-        kept = list(without[last])
+        kept = without[last]
     return [found[k] for k in kept]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -14,7 +14,7 @@ from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Weights
 from jaxid.diagnosis.torque.answer import Answer, of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.claims import claims, sets_by_place, TorqueClaim
-from jaxid.diagnosis.torque.judged import scales
+from jaxid.diagnosis.torque.judged import only_in, scales
 from jaxid.diagnosis.torque.library import units
 from jaxid.diagnosis.torque.study import TorqueRows, TorqueStudy
 from jaxid.diagnosis.torque.weigh import weigh, Weighed
@@ -148,9 +148,7 @@ def difference(study: TorqueStudy, found: Found, most: int) -> Found | None:
     more = [k for k in study.kinds if k.quantity() == "inertial"]
     every = [*found.rows.units, *units(study.plant, more, study.runs, found.rows.theta, True)]
     mask = np.array([r.split != "fit" for r in study.runs], float)
-    acting = [
-        replace(u, columns=[c * m for c, m in zip(u.columns, mask, strict=True)]) for u in every
-    ]
+    acting = [only_in(u, mask) for u in every]
     rows = [
         np.concatenate([x[:, :, base.at], *(u.columns[k] for u in acting), x[:, :, -1:]], 2)
         for k, x in enumerate(found.rows.rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,12 +45,7 @@ def judged_by_torque(study: TorqueStudy, found: Found) -> Verdict:
         usual = max(1.0, nominal.gap(found.fit))
         return verdict_against(said, found.as_before, final, sets, usual)
     if not final.units:
-        gaps = [nominal.gap(w) for w in (found.fit, *sets) if w]
-        measured = [g for g in gaps if not np.isnan(g)]  # nan where no joint moves in a set of runs
-        if measured and max(measured) <= LIMITS.seen:
-            return Verdict("none", (TorqueAtTheNoise(),))
-        gap = max(measured, default=float("nan"))
-        return Verdict("unknown", (NothingSure(gap), *_possible(found)))
+        return _nothing_claimed(found, [found.fit, *sets])
     names = tuple(_said(u) for u in final.units)
     base = found.base.final.units if found.base else ()
     beside = (Remark(f"The model lacks {listed(_said(u) for u in base)}."),) if base else ()
@@ -70,6 +66,16 @@ def judged_by_torque(study: TorqueStudy, found: Found) -> Verdict:
     if max(after) <= LIMITS.left * least or most:
         return Verdict("named", (*beside, held, *families))
     return Verdict("partly", (*beside, replace(held, whole=False), *families, *_over(found)))
+
+
+def _nothing_claimed(found: Found, sets: Sequence[Sequence[int]]) -> Verdict:
+    """By what the re-tuned model leaves of sets of runs."""
+    gaps = [found.nominal.gap(which) for which in sets if which]
+    measured = [gap for gap in gaps if not np.isnan(gap)]  # nan where no joint moves
+    if measured and max(measured) <= LIMITS.seen:
+        return Verdict("none", (TorqueAtTheNoise(),))
+    largest = max(measured, default=float("nan"))
+    return Verdict("unknown", (NothingSure(largest), *_possible(found)))
 
 
 def _families(found: Found) -> list[Remark]:

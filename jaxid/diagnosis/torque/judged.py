@@ -35,7 +35,7 @@ def scales(
     runs = [study.runs[k] for k in which]
     free = free_units(runs, study.binding.chain.signature.joints, study.plant.turn)
     if acting is not None:
-        free = [_only_in(u, acting[list(which)]) for u in free]
+        free = [only_in(u, acting[list(which)]) for u in free]
     judged = []
     for place, k in enumerate(which):
         x, moves = rows.rows[k], study.runs[k].moves
@@ -50,7 +50,8 @@ def scales(
     return Scales(data, [*rows.units, *free], rows.size)
 
 
-def _only_in(unit: Unit, acting: np.ndarray) -> Unit:
+def only_in(unit: Unit, acting: np.ndarray) -> Unit:
+    """A unit that acts in runs where `acting` [runs] is one, and not where it is nothing."""
     columns = [x * one for x, one in zip(unit.columns, acting, strict=True)]
     return replace(unit, columns=columns)
 
