@@ -122,7 +122,9 @@ def test_a_bound_leaves_the_covariance_positive_semidefinite(quiet):
     assert quiet.model is not None
     tight = replace(quiet.model, parameters={"viscous": ParameterPrior(0.1, 0.0, 0.15)})
     bounded = jaxid.fit("joint", replace(quiet, model=tight), fitter="ls")
-    assert bounded.parameters["viscous"].at_bound and bounded.parameters["viscous"].std > 0
+    viscous = bounded.parameters["viscous"]
+    assert viscous.at_bound and viscous.std is not None and viscous.std > 0
+    assert bounded.covariance is not None
     C = bounded.covariance.matrix
     size = np.sqrt(np.diag(C))
     assert np.linalg.eigvalsh(C / size / size[:, None]).min() > -1e-9

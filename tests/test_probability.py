@@ -69,9 +69,10 @@ def scales(
 ) -> Scales:
     """Two runs with some columns in them; all columns times `by`, those of `gone` nothing."""
     rng = np.random.default_rng(seed)
-    runs = []
+    runs, p = [], 0
     for _ in range(2):
         x = columns_of(rng)
+        p = x.shape[2]
         x[:, :, list(gone)] = 0.0
         theta = np.zeros(x.shape[2])
         theta[:2] = (3.0, -2.0)
@@ -81,7 +82,6 @@ def scales(
         rows = np.concatenate([x * by, target[:, :, None]], axis=2) * noise
         ones = np.full((SAMPLES, JOINTS), noise)
         runs.append(JudgedRun(rows, 1 / ones, ones, np.ones(JOINTS, bool)))
-    p = x.shape[2]
     return Scales(HeldOutRows(runs, ColumnPrior(np.zeros((p, p)), np.zeros(p)), 4.0), UNITS, 2)
 
 
