@@ -15,6 +15,7 @@ from jaxid.dynamics.parameter import settings
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.robots import match as robots
+from jaxid.robots.floating import ANGLES
 
 
 def held_friction(
@@ -32,7 +33,7 @@ def held_friction(
         for i in of_effect:
             entry = layout.entries[i]
             held = i in fixed and i not in free and not entry.spec.fixed
-            if held and entry.location not in robots.ANGLES:  # nothing brakes a base that floats
+            if held and entry.location not in ANGLES:  # nothing brakes a base that floats
                 own.append(i)
         if own and not set(of_effect).isdisjoint(free):
             names = wording.listed([layout.names[i] for i in own])
