@@ -17,6 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxid.extras import EXTRAS
+from jaxid.numerics.versions import versions
+from jaxid.robots.mjcf_spec import library
 from jaxid.serialise import SCHEMA
 
 
@@ -93,7 +95,7 @@ def examine(tell: Callable[[str], None] | None = None) -> Health:
     return Health(
         python=f"{platform.python_version()} ({sys.executable})",
         system=platform.platform(),
-        packages={name: _version(name) for name in PACKAGES},
+        packages=versions(PACKAGES),
         cores=_cores(),
         memory_bytes=_memory(),
         devices=tuple(str(device) for device in jax.devices()),
@@ -102,15 +104,6 @@ def examine(tell: Callable[[str], None] | None = None) -> Health:
         extras=_extras(),
         tests=tuple(tests),
     )
-
-
-def _version(package: str) -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def _cores() -> int:
@@ -237,9 +230,7 @@ def the_delay_is_named() -> Test:
 
 def mujoco_steps() -> Test:
     """MuJoCo's run of the joint against the closed form."""
-    from importlib import import_module
-
-    mujoco: Any = import_module("mujoco")  # its members are not listed for a type checker
+    mujoco = library()
     model = mujoco.MjModel.from_xml_string(f"""
         <mujoco><option timestep="{PERIOD / 20}" integrator="RK4" gravity="0 0 0"/><worldbody><body>
         <joint name="q" type="hinge" axis="0 1 0" damping="{VISCOUS}"/>

@@ -28,6 +28,11 @@ def _visible(character: str) -> str:
     return "?" if unicodedata.category(character) in _INVISIBLE else character
 
 
+def first_sentence(text: str) -> str:
+    """Without its full stop, on one line."""
+    return " ".join(text.split()).split(". ")[0].rstrip(".")
+
+
 def clean(text: object) -> str:
     """Like `one_line`, keeping line breaks."""
     return "\n".join(one_line(line) for line in str(text).split("\n"))

@@ -39,11 +39,29 @@ def header_row(_ctx, _param, value: str | None) -> int | None:
     return int(value)
 
 
+OVERWRITE = click.option(
+    "--overwrite", is_flag=True, help="Replace a folder that has other content."
+)
+JOIN = click.option(
+    "--join",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    metavar="FILE",
+    help="Tables: another file whose columns are taken too; repeat it.",
+)
+RATE = click.option(
+    "--rate",
+    type=click.FloatRange(0, min_open=True),
+    metavar="HZ",
+    help="Tables without times: the sampling rate.",
+)
+
+
 @click.command("import")
 @click.argument("kind", metavar="KIND")
 @click.argument("files", type=click.Path(path_type=Path), metavar="FILE…", nargs=-1, required=True)
 @OUT
-@click.option("--overwrite", is_flag=True, help="Replace a folder that has other content.")
+@OVERWRITE
 @click.option(
     "--channel",
     "channels",
@@ -54,25 +72,14 @@ def header_row(_ctx, _param, value: str | None) -> int | None:
         " 'q*=positions[*]:rad'."
     ),
 )
-@click.option(
-    "--join",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    metavar="FILE",
-    help="Tables: another file whose columns are taken too; repeat it.",
-)
+@JOIN
 @click.option(
     "--rows",
     callback=interval,
     metavar="FIRST:END",
     help="Tables: samples to take, chosen before anything is judged.",
 )
-@click.option(
-    "--rate",
-    type=click.FloatRange(0, min_open=True),
-    metavar="HZ",
-    help="Tables without times: the sampling rate.",
-)
+@RATE
 @click.option(
     "--separator", metavar="C", help="Text: what stands between columns; default: recognised."
 )

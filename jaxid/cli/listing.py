@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxid.errors import nearest, UsageError
 from jaxid.serialise import finite, SCHEMA
-from jaxid.wording import one_line, table
+from jaxid.wording import first_sentence, one_line, table
 
 
 def find(kind: str, name: str | None) -> list[Any]:
@@ -98,10 +98,6 @@ def channels(pairs: Sequence[tuple[str, str]]) -> str:
 def signature(of: Any) -> str:
     """`tau (N m) → q (rad)`."""
     return " → ".join(channels(side) for side in (of.inputs, of.outputs))
-
-
-def first_sentence(text: str) -> str:
-    return " ".join(text.split()).split(". ")[0].rstrip(".")
 
 
 def description(info: Any) -> str:

@@ -12,6 +12,7 @@ from typing import Any, TYPE_CHECKING
 import click
 
 from jaxid.cli import terminal
+from jaxid.cli.importing import JOIN, OVERWRITE, RATE
 from jaxid.cli.options import output_options
 from jaxid.errors import SUCCESS
 
@@ -54,20 +55,9 @@ def pairs(_ctx, _param, values: tuple[str, ...]) -> dict[str, str]:
     metavar="NAME=input|output|auxiliary",
     help="Role of a channel; default: by its name; repeat it.",
 )
-@click.option(
-    "--join",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    metavar="FILE",
-    help="Another file whose columns are taken too; repeat it.",
-)
-@click.option(
-    "--rate",
-    type=click.FloatRange(0, min_open=True),
-    metavar="HZ",
-    help="The sampling rate, where the files hold no times.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace a folder that has other content.")
+@JOIN
+@RATE
+@OVERWRITE
 @output_options
 def new(folder, files, model, units, roles, join, rate, overwrite, as_json, quiet) -> int:
     """Make a dataset folder from the files of a recording.

@@ -11,7 +11,7 @@ import abc
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 
 #: A direction of the scaled columns in which products say less than this share of what they say
@@ -60,13 +60,6 @@ class NormalEquations(LinearEquations):
         cls, A: Float[np.ndarray, "rows numbers"], b: Float[np.ndarray, " rows"]
     ) -> NormalEquations:
         return cls(A.T @ A, A.T @ b)
-
-    @classmethod
-    def of_columns(
-        cls, products: Float[np.ndarray, "all all"], at: Int[np.ndarray, " numbers"]
-    ) -> NormalEquations:
-        """Of the columns `at`, from sums of products of all columns and, last, the target."""
-        return cls(products[np.ix_(at, at)], products[at, -1])
 
     def beside(
         self, information: Float[np.ndarray, "numbers numbers"], mean: Numbers

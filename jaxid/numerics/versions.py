@@ -14,6 +14,10 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from jaxid.errors import UsageError
 
 
+#: What computes a result.
+RESULT_PACKAGES = ("jaxid", "jax", "numpy", "scipy")
+
+
 @functools.cache
 def check_jax() -> None:
     """Raises `UsageError` for a JAX that is older than the versions jaxid was run with; warns of a
@@ -67,12 +71,12 @@ def remedy(bounds: str) -> str:
     return f"{sys.executable} -m pip install 'jax{bounds}'"
 
 
-def versions() -> dict[str, str]:
-    """Versions of what computes a result, for its JSON."""
+def versions(packages: Sequence[str] = RESULT_PACKAGES) -> dict[str, str]:
+    """Version of each package, by default of what computes a result, for its JSON."""
     from importlib.metadata import PackageNotFoundError, version
 
     out = {}
-    for name in ("jaxid", "jax", "numpy", "scipy"):
+    for name in packages:
         try:
             out[name] = version(name)
         except PackageNotFoundError:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from jaxid import catalogue
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.mechanism import Signature
-from jaxid.wording import one_line
+from jaxid.wording import first_sentence
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def proposed_models(dataset: Dataset) -> tuple[ProposedModel, ...]:
             renamed = _renamed(inputs, outputs, signature)
             if renamed is None:
                 continue
-            found = ProposedModel(name, _first_sentence(info.text), renamed)
+            found = ProposedModel(name, first_sentence(info.text), renamed)
             (alike if renamed else named).append(found)
             break
     return tuple(named or alike)
@@ -60,10 +60,6 @@ def _renamed(
         return None
     pairs = zip([*inputs, *outputs], [*signature.inputs, *signature.outputs], strict=True)
     return {mine: other for (mine, _), (other, _) in pairs if mine != other}
-
-
-def _first_sentence(text: str) -> str:
-    return one_line(text).split(". ")[0].rstrip(".")
 
 
 def _channels(dataset: Dataset, role: str) -> list[tuple[str, str]]:
