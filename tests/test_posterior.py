@@ -145,6 +145,7 @@ def test_its_files_are_those_of_arviz(found, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_the_truth_lies_inside_as_often_as_it_is_said(clean):
     inside = []
     for seed in range(1, 13):

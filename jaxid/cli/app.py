@@ -140,9 +140,7 @@ SOLVER = click.option(
     metavar="S",
     help="Seconds of such a block.",
 )
-@click.option(
-    "--posterior", is_flag=True, help="Also draw from the posterior about the fit (NUTS)."
-)
+@click.option("--posterior", is_flag=True, help="Also draw from the posterior (NUTS).")
 @click.option("--draws", type=click.IntRange(100), metavar="N", help="Of each of its four chains.")
 @SOLVER
 @AS_RECORDED

@@ -1,10 +1,10 @@
-"""Draws from a density over a box by the no-U-turn sampler of blackjax, several chains side by side.
+"""Draws from a density over a box by the no-U-turn sampler of blackjax, several chains at once.
 
-A number z between its bounds is z = lower + s (softplus(u) - softplus(u - (upper - lower) / s)): a
+A number between its bounds is z = lower + s (softplus(u) - softplus(u - (upper - lower) / s)): a
 straight line but for the last s to either bound, s being about its standard deviation. Its
 log |dz / du| joins the density, so that z itself is flat between its bounds. The chains move in w,
-with u = centre + L w and L from the curvature at the fit: what the data say is then about a standard
-normal distribution.
+with u = centre + L w and L from the curvature at the fit: what the data say is then about a
+standard normal distribution.
 
 Hoffman and Gelman 2014 (NUTS); Stan's warm-up in windows (step and mass matrix).
 """
@@ -135,8 +135,8 @@ def sample(
     progress: Progress | None = None,
 ) -> Draws:
     """Draws of z from `density(w, box, data)`, a log-density of w; chains begin about the centre
-    of the box. Raises `UsageError` where the density is no number about there, and where blackjax is
-    not installed.
+    of the box. Raises `UsageError` where the density is no number about there, and where blackjax
+    is not installed.
     """
     blackjax = needed("blackjax")
     size = int(box.centre.shape[0])

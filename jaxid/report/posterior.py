@@ -1,4 +1,4 @@
-"""The posterior of a fit: a table of its numbers, a corner plot, and the chains one over the other."""
+"""The posterior of a fit: a table of its numbers, a corner plot, and the chains."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 #: Most numbers in the corner plot, and cells along an axis of one of its panels.
 DRAWN, CELLS = 6, 24
-#: Shares of the draws that the lines of a panel enclose: one and two standard deviations of a normal
-#: distribution in the plane.
+#: Shares of the draws that the lines of a panel enclose: one and two standard deviations of a
+#: normal distribution in the plane.
 ENCLOSED = (0.865, 0.393)
 COLORS = (plot.BLUE, plot.VERMILLION, plot.GREEN, plot.PURPLE)
 
