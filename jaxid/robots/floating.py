@@ -121,7 +121,7 @@ def balanced(force: Callable[[Any], Any], a: Any, body: Any) -> Any:
     """Forces at all nodes of accelerations `a`, the base's slides accelerated so that none is left
     there; `force` is affine.
     """
-    return force(a.at[:3].set(-force(a)[:3] / jnp.sum(body.inertia[9])))
+    return force(a.at[:3].set(-force(a)[:3] / jnp.sum(body.bodies.inertia[9])))
 
 
 def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
