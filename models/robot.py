@@ -497,8 +497,8 @@ class Robot(Staged):
         own = q - self.encoder_bias
         S, q = self.coupling.jacobian(own), self.coupling.positions(own)
         qd = carried(S, qd)
-        zero, E = 0.0 * q[0], dynamics.frames(plan, body, q - np.array(self.reference))
-        rest = still((zero, zero, zero))
+        E = dynamics.frames(plan, body, q - np.array(self.reference))
+        rest = still((0.0 * q[0],) * 3)
 
         def forces(a):
             return dynamics.inverse_dynamics(plan, body, E, rest, 0 * qd, a)
@@ -535,12 +535,8 @@ class Robot(Staged):
             self.coupling.positions(x[0] - self.encoder_bias) - np.array(self.reference),
         )
         p = jnp.stack(dynamics.poses(plan_of(self.parent), E).p, -1)
-        R = jnp.stack(
-            [
-                jnp.stack(row)
-                for row in dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
-            ]
-        )
+        rows = dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
+        R = jnp.stack([jnp.stack(row) for row in rows])
         p = jnp.concatenate([p, jnp.zeros((1, 3))]) @ R.T
         return p[np.array(dynamics.tour(self.parent))]
 

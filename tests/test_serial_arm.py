@@ -24,10 +24,10 @@ from jaxid.dynamics.effect import Command
 from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
 from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.dynamics.urdf import read_urdf
 from jaxid.errors import UsageError
 from jaxid.models import Panda, SerialArm, UR10, UR10e
 from jaxid.numerics.precision import float64
+from jaxid.robots.urdf import read_urdf
 from simulated import Simulator
 
 

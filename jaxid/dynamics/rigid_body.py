@@ -44,7 +44,7 @@ class Placements(NamedTuple):
     p: Vector
 
 
-class Bodies(NamedTuple):
+class Linkage(NamedTuple):
     """Joints and what they carry, level by level [n ...]."""
 
     turn: Vector  # axis of a hinge in the frame of its body, else 0
@@ -126,7 +126,7 @@ def still(fall: Sequence[Any]) -> Base:
     return Base(rest, rest, (zero - fall[0], zero - fall[1], zero - fall[2]))
 
 
-def chain_of(prismatic: Sequence[bool], batch: int, inertia: Any = None) -> Bodies:
+def chain_of(prismatic: Sequence[bool], batch: int, inertia: Any = None) -> Linkage:
     """The bodies of an arm whose joints have the z axes of their frames; `batch` is the number of
     axes behind the joints, `inertia` [n 10] (a regressor needs none).
     """
@@ -137,7 +137,7 @@ def chain_of(prismatic: Sequence[bool], batch: int, inertia: Any = None) -> Bodi
     slides = column(np.array(prismatic, np.float64))
     zero = np.zeros_like(slides)
     numbers = () if inertia is None else inertia.T
-    return Bodies(
+    return Linkage(
         turn=(zero, zero, 1 - slides),
         slide=(zero, zero, slides) if any(prismatic) else None,
         inertia=tuple(map(column, numbers)),
@@ -177,7 +177,7 @@ def _from_base(route: Any) -> Any:
     return out
 
 
-def _next(E: Placements, bodies: Bodies, motion: Base, qd: Any, qdd: Any) -> Base:
+def _next(E: Placements, bodies: Linkage, motion: Base, qd: Any, qdd: Any) -> Base:
     """Motion of a body from that of the one before; rates and accelerations of its joint."""
     w, wd, a = motion
     a = into(E, add(a, add(cross(wd, E.p), cross(w, cross(w, E.p)))))
@@ -190,7 +190,7 @@ def _next(E: Placements, bodies: Bodies, motion: Base, qd: Any, qdd: Any) -> Bas
     return Base(add(w, rate), wd, a)
 
 
-def _along(bodies: Bodies, force: Vector, moment: Vector) -> Any:
+def _along(bodies: Linkage, force: Vector, moment: Vector) -> Any:
     """What a joint carries of a force and a moment."""
     if bodies.slide is None:
         return inner(bodies.turn, moment)
@@ -202,7 +202,7 @@ def _along(bodies: Bodies, force: Vector, moment: Vector) -> Any:
 
 def inverse_dynamics(
     E: Placements,
-    bodies: Bodies,
+    bodies: Linkage,
     base: Base,
     qd: Float[Any, "n ..."],
     qdd: Float[Any, "n ..."],
@@ -237,7 +237,7 @@ def inverse_dynamics(
     return _loop(inwards, (none, none), (E, opened, force, moment), reverse=True)[1]
 
 
-def mass_matrix(E: Placements, bodies: Bodies, at: np.ndarray) -> Float[Any, "n joints ..."]:
+def mass_matrix(E: Placements, bodies: Linkage, at: np.ndarray) -> Float[Any, "n joints ..."]:
     """Joint space inertia without that of the drives, at and above its diagonal: force at each
     place per acceleration of each joint. `at` [n joints ...]: 1 where a joint stands.
     """
@@ -294,7 +294,7 @@ def moved(E: Placements, inertia: Any) -> tuple[Any, ...]:
 
 def regressor(
     E: Placements,
-    bodies: Bodies,
+    bodies: Linkage,
     base: Base,
     qd: Float[Any, "n ..."],
     qdd: Float[Any, "n ..."],

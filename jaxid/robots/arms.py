@@ -12,11 +12,11 @@ import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.dynamics.kinematics import ArmTable, geometry_of
-from jaxid.dynamics.urdf import z_to
 from jaxid.errors import UsageError
 from jaxid.robots.channels import goal, torque
 from jaxid.robots.match import matched, notes_of, prepared
 from jaxid.robots.tree import Tree, turned
+from jaxid.robots.urdf import z_to
 
 
 def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:

@@ -22,7 +22,7 @@ from jaxid.dynamics.mechanism import Free
 from jaxid.dynamics.rigid_body import (
     add,
     Base,
-    Bodies,
+    Linkage,
     cross,
     inner,
     Placements,
@@ -99,7 +99,7 @@ class Body(NamedTuple):
     R1: tuple[Vector, Vector, Vector]
     R2: tuple[Vector, Vector, Vector]
     p: Vector
-    bodies: Bodies
+    bodies: Linkage
     lifted: tuple[Any, ...] | None = None  # None: nothing carries any weight
 
 
@@ -142,7 +142,7 @@ def body(
         R1=matrix(9),  # pyright: ignore
         R2=matrix(18),  # pyright: ignore
         p=tuple(every[27:30]),  # type: ignore[arg-type]
-        bodies=Bodies(
+        bodies=Linkage(
             turn=parts(hinge),
             slide=parts(sliding) if any(slides) else None,
             inertia=tuple(every[30:40]),

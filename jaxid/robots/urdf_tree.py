@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.dynamics.urdf import MOVING, read_links
 from jaxid.errors import UsageError
 from jaxid.robots.bodies import fault
 from jaxid.robots.tree import Coupling, Tree, turned
+from jaxid.robots.urdf import MOVING, read_links
 
 
 def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:

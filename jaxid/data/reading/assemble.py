@@ -268,7 +268,7 @@ def _model_info(
     if entry.name is None:
         return None
     from jaxid import catalogue
-    from jaxid.dynamics.urdf_table import arm_table
+    from jaxid.robots.arm_table import arm_table
 
     names = catalogue.model_names()
     if entry.name not in names:
