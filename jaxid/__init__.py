@@ -5,11 +5,9 @@ missing, how far the gap shrinks.
 used.
 """
 
-import sys as _sys
 from importlib import import_module as _import_module
 from pathlib import Path as _Path
 from typing import TYPE_CHECKING as _TYPE_CHECKING
-
 
 # Forks are watched from the beginning.
 from jaxid.numerics import forked as _forked  # noqa: F401

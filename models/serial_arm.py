@@ -343,6 +343,6 @@ class SerialArm(AbstractArm):
         """The chain of a URDF from `root` (default: its root link) to `tip` (default: the only
         leaf).
         """
-        from jaxid.robots.urdf import read_urdf
+        from jaxid.robots.urdf_tree import read_urdf
 
         return cls(read_urdf(path, tip, root))

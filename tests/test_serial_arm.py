@@ -27,7 +27,7 @@ from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import UsageError
 from jaxid.models import Panda, SerialArm, UR10, UR10e
 from jaxid.numerics.precision import float64
-from jaxid.robots.urdf import read_urdf
+from jaxid.robots.urdf_tree import read_urdf
 from simulated import Simulator
 
 

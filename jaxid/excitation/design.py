@@ -168,7 +168,7 @@ def mechanism_of(model: object) -> tuple[Any, Any]:
         robot = robot_from(model, getattr(model, "tip", None))
         return robot, robot.limits()
     if isinstance(model, str) and model.lower().endswith(".urdf"):
-        from jaxid.robots.urdf import read_urdf
+        from jaxid.robots.urdf_tree import read_urdf
 
         table = read_urdf(model, getattr(model, "tip", None))
         return catalogue.model_class("serial_arm")(table), table

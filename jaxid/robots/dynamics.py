@@ -22,9 +22,9 @@ from jaxid.dynamics.mechanism import Free
 from jaxid.dynamics.rigid_body import (
     add,
     Base,
-    Linkage,
     cross,
     inner,
+    Linkage,
     Placements,
     scaled,
     symmetric,

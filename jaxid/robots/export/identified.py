@@ -14,11 +14,11 @@ import numpy as np
 from jaxid.errors import UsageError
 from jaxid.models.effects import ConstantTorque, PowerLawFriction, StribeckFriction
 from jaxid.robots.arms import table_of
+from jaxid.robots.chain_table import z_to
 from jaxid.robots.export.apply import carried
 from jaxid.robots.export.outcome import ExportOutcome, Named, Number, number
 from jaxid.robots.export.sheet import body_before, from_ten, of_tree, RobotChange, Sheet
 from jaxid.robots.tree import Tree, turned
-from jaxid.robots.urdf import z_to
 
 
 TEN = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
