@@ -75,7 +75,7 @@ def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
         channels.append(Channel(f"q{k}", "output", "m" if slides else "rad"))
         torques.append(Channel(f"tau{k}", "input", "N" if slides else "N m"))
     channels += torques
-    outputs, inputs = [c.name for c in dataset.outputs], [c.name for c in dataset.inputs]
+    outputs, inputs = dataset.output_names, dataset.input_names
     iy = [outputs.index(j) for j in tree.joints]
 
     held = all(c.hold == "zero" for c in dataset.inputs if c.name.endswith("_cmd"))

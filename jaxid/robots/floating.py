@@ -128,7 +128,7 @@ def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
     """Raises `UsageError` where a recording does not show how a free base turns, or shows it where
     the angles are singular.
     """
-    outputs = [c.name for c in dataset.outputs]
+    outputs = dataset.output_names
     if lacking := [a for a in ANGLES if a not in outputs]:
         raise UsageError(
             f"a free base needs its attitude as outputs {', '.join(ANGLES)} (rad; Rz(yaw) Ry(pitch)"

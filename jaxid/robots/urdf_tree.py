@@ -18,6 +18,7 @@ from jaxid.robots.bodies import fault, negative
 from jaxid.robots.chain_table import table_of
 from jaxid.robots.tree import Coupling, Tree, turned
 from jaxid.robots.urdf import MOVING, read_links, read_robot, root_of, tip_of, UrdfJoint, UrdfRobot
+from jaxid.wording import names_of
 
 
 class _Walk(NamedTuple):
@@ -134,7 +135,7 @@ def _walked(path: Path, robot: UrdfRobot, root: str) -> _Walk:
     faults = {name: fault(name, phi) for name, phi in robot.inertia.items()}
     tree = Tree(
         file=str(path),
-        joints=tuple(j.name for j in joints),
+        joints=tuple(names_of(joints)),
         links=tuple(j.child for j in joints),
         parent=tuple(up for _, up, _ in nodes),
         slides=tuple(j.kind == "prismatic" for j in joints),
@@ -203,7 +204,7 @@ def _behind(node: int, joint: int, parent: tuple[int, ...]) -> bool:
 
 def _couplings(path: Path, joints: list[UrdfJoint]) -> tuple[Coupling, ...]:
     out = [Coupling(j.name, *j.mimic) for j in joints if j.mimic is not None]
-    names, followers = {j.name for j in joints}, {c.follower for c in out}
+    names, followers = set(names_of(joints)), {c.follower for c in out}
     for c in out:
         if c.leader not in names:
             raise UsageError(

@@ -355,7 +355,7 @@ def _signature_faults(
             problems.append(problem)
     if problems:
         return problems
-    outputs = [name for name, _ in signature.outputs]
+    outputs = signature.output_names
     for reading in have.values():
         if reading.entry.role == "output" and reading.name not in outputs:
             message = (
