@@ -211,7 +211,7 @@ LONG = {
     "jaxid/report/text.py": 531,
     "jaxid/robots/export/mjcf.py": 564,
     "jaxid/study/papers/flexible_link.py": 553,
-    "models/robot.py": 579,
+    "models/robot.py": 577,
 }
 
 

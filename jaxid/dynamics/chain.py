@@ -122,12 +122,10 @@ class Chain(eqx.Module):
         """Positions of the joints' own coordinates among the outputs; empty where not every joint
         is measured.
         """
-        names = self.signature.output_names
-        return (
-            [names.index(j) for j in self.signature.joints]
-            if set(self.signature.joints) <= set(names)
-            else []
-        )
+        names, joints = self.signature.output_names, self.signature.joints
+        if not set(joints) <= set(names):
+            return []
+        return [names.index(j) for j in joints]
 
     def places(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
         """Names of the locations that an effect's parameters are counted by in this model."""
@@ -163,7 +161,7 @@ class Chain(eqx.Module):
 
     def with_effects(self, *effects: Effect) -> Chain:
         """The same model with more effects; one that it already has is replaced."""
-        return self._with([*self.without(*(names_of(effects))).effects, *effects])
+        return self._with([*self.without(*names_of(effects)).effects, *effects])
 
     def with_mechanism(self, mechanism: Mechanism) -> Chain:
         """The same effects on another mechanism with the same places."""
