@@ -210,7 +210,7 @@ LONG = {
     "jaxid/dynamics/chain.py": 530,
     "jaxid/robots/export/mjcf.py": 564,
     "jaxid/study/papers/flexible_link.py": 553,
-    "models/robot.py": 579,
+    "models/robot.py": 577,
 }
 
 
