@@ -36,7 +36,7 @@ DRAW_S, SOON_S, SOON = 0.5, 2.0, 0.04
 WIDTH = 20
 
 
-class Share:
+class ShareOfWork:
     """What share of the work is done, as its stages come; it never falls while they go on."""
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class Bar:
     def __init__(self, stream: TextIO | None = None, seconds: float | None = None):
         self._stream = sys.stderr if stream is None else stream
         self._seconds = seconds
-        self._share, self._text = Share(), ""
+        self._share, self._text = ShareOfWork(), ""
         self._began = time.monotonic()
         self._drawn = 0  # letters of the line as it stands
         self._lock = threading.Lock()
@@ -159,7 +159,7 @@ def tell(stage: str, done: int, total: int, text: str = "") -> None:
         callback(stage, done, total, text)
 
 
-class Table:
+class RedrawnLines:
     """Lines on a terminal that are drawn anew in their place."""
 
     def __init__(self, stream: TextIO | None = None):

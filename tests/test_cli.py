@@ -140,6 +140,7 @@ def test_fit(calls, tmp_path, capsys):
         "cutoff_hz": None,
         "window": None,
         "forgetting": None,
+        "posterior": False,
         "block_s": None,
         "as_recorded": False,
     }

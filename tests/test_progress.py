@@ -12,7 +12,7 @@ import jaxid
 from jaxid import progress
 from jaxid.cli import terminal
 from jaxid.diagnosis.selection import in_lead
-from jaxid.progress import Bar, duration, left, Share, Table
+from jaxid.progress import Bar, duration, left, RedrawnLines, ShareOfWork
 
 
 def refitted(fit: float, validation: float, *effects: str) -> Any:
@@ -42,7 +42,7 @@ def test_the_time_is_that_of_the_command(capsys, monkeypatch):
     assert capsys.readouterr().out == "The command took 53.0 s\n"
 
 
-def told(share: Share, *stages: tuple[str, int, int]) -> list[float | None]:
+def told(share: ShareOfWork, *stages: tuple[str, int, int]) -> list[float | None]:
     seen = []
     for stage in stages:
         share.tell(*stage)
@@ -52,7 +52,7 @@ def told(share: Share, *stages: tuple[str, int, int]) -> list[float | None]:
 
 def test_the_share_of_a_diagnosis_never_falls():
     seen = told(
-        Share(),
+        ShareOfWork(),
         ("nominal fit", 0, 1),
         ("screen", 0, 3),
         ("refit", 0, 3),
@@ -65,8 +65,8 @@ def test_the_share_of_a_diagnosis_never_falls():
 
 
 def test_the_share_of_a_counted_stage_is_what_is_counted():
-    assert told(Share(), ("de", 1, 4), ("de", 3, 4), ("posterior", 0, 8)) == [0.25, 0.75, 0.0]
-    assert told(Share(), ("unknown length", 3, 0)) == [None]
+    assert told(ShareOfWork(), ("de", 1, 4), ("de", 3, 4), ("posterior", 0, 8)) == [0.25, 0.75, 0.0]
+    assert told(ShareOfWork(), ("unknown length", 3, 0)) == [None]
 
 
 def test_the_time_that_is_left_is_told_once_it_is_known():
@@ -116,7 +116,7 @@ def test_code_without_a_callback_reaches_the_one_that_listens():
 
 def test_lines_are_drawn_in_their_place():
     stream = io.StringIO()
-    table = Table(stream)
+    table = RedrawnLines(stream)
     table.show("one\ntwo")
     table.show("three")
     table.stop()

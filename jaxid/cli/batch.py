@@ -12,7 +12,7 @@ from jaxid import wording
 from jaxid.cli import terminal
 from jaxid.cli.app import FAILED, INTERRUPTED, SUCCESS
 from jaxid.cli.options import output_options
-from jaxid.progress import Table
+from jaxid.progress import RedrawnLines
 
 
 @click.command()
@@ -118,7 +118,7 @@ class LiveTable:
     def __init__(self, quiet: bool):
         self.on = not quiet and sys.stderr.isatty()
         self._drawn = 0.0
-        self._table = Table()
+        self._table = RedrawnLines()
 
     def __enter__(self) -> LiveTable:
         return self
