@@ -21,7 +21,6 @@ from jaxid.report import (
     posterior,
     ranking,
     recorded,
-    reproduced,
     traces,
     unseen,
     yardstick,
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from jaxid.fitting.comparison import Comparison
     from jaxid.fitting.result import Fit
     from jaxid.identification.result import Identification
-    from jaxid.study.papers.result import Reproduction
 
 
 def diagnosis_page(diagnosis: Diagnosis) -> str:
@@ -122,16 +120,6 @@ def check_page(result: Checked) -> str:
         f"{one_line(result.dataset)}: check",
         [checked.section(result)],
         "check.json",
-        json_bytes(result),
-    )
-
-
-def reproduction_page(result: Reproduction) -> str:
-    """The page of a paper that was done again."""
-    return render(
-        f"Paper {result.paper}: {one_line(result.title)}",
-        [reproduced.section(result)],
-        "result.json",
         json_bytes(result),
     )
 
