@@ -41,6 +41,7 @@ from jaxid.diagnosis.reasons import NotBelievable, Remark, Stopped
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.torque.no_name import with_law_of_no_name
 from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import BlindSpots, BlindSpotSearch
@@ -331,6 +332,10 @@ def _run(
             )[0]
 
         found = asked_last(found, nominal, own.name, ask)
+    if not still:
+        visible = possible(nominal, allowed, InverseDynamics.name)
+        plain = bind(model, dataset, without=without)
+        found = with_law_of_no_name(found, plain, visible, max_effects)
     unseen = asked is not None and JITTER in asked and not stamps
     notes = (
         *found.notes,
@@ -430,7 +435,13 @@ def _diagnosed(
     rivals = None if pair is None else rivals_of(bench, pair)
     confusable = tuple(EffectEstimate(c.effect, c.location) for c in mates)
     which = Which(
-        verdict.name, estimates if named else (), confusable, ranking, verdict.text, against
+        verdict.name,
+        estimates if named else (),
+        confusable,
+        ranking,
+        verdict.text,
+        against,
+        search.belief,
     )
     advised = advice(
         verdict=verdict.name,

@@ -47,13 +47,20 @@ from jaxid.diagnosis.selection import (
     in_lead,
     indistinct,
     joint_loss,
+    mirror_images,
     mirrored,
-    not_borne_out,
-    outweighed,
+    next_to_form,
     rivals_among,
     significant,
 )
 from jaxid.diagnosis.shortlist import shortlist
+from jaxid.diagnosis.simulated import (
+    believed,
+    log_weight,
+    simulated_sets,
+    SimulatedClaim,
+    SimulatedSets,
+)
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
@@ -258,8 +265,10 @@ class Searcher:
             needless or at_floor(self.nominal)
         ):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
-        several = len(chosen.effects) > 1
         alike = list(dict.fromkeys((*mates, *mirrored(self.bench, chosen, pool))))
+        chosen, claims, sets = self._claimed(chosen, alike)
+        if not chosen.effects:
+            mates, alike = {}, []
         told_apart = (
             mates or not alike
         )  # a mirrored effect alone: no input tells what no recording can
@@ -268,18 +277,37 @@ class Searcher:
             if told_apart
             else None
         )
-        fitted = self._stale | self.known
-        each = without_each(chosen, fitted)
         return SearchResult(
             self.nominal,
             chosen,
             self.tried,
             alike,
             rivals,
-            several,
-            each,
+            len(chosen.effects) > 1,
+            without_each(chosen, self._stale | self.known),
             cut_short=self._cut_short,
+            belief=believed(sets, claims, chosen),
+            possible=tuple(c for c in sets.possible() if c not in chosen.effects),
         )
+
+    def _claimed(
+        self, chosen: Hypothesis, alike: Sequence[Candidate]
+    ) -> tuple[Hypothesis, list[SimulatedClaim], SimulatedSets]:
+        """The chosen hypothesis without what is not sure enough to be claimed, what is claimed, and
+        all sets that were fitted.
+        """
+        while True:
+            fitted = [*self._stale.values(), *self.known.values(), self.nominal, chosen]
+            sets = simulated_sets([*fitted, *mirror_images(self.bench, chosen, alike)])
+            claims = {c: sets.claim(c, alike) for c in chosen.effects}
+            sure = [claim for claim in claims.values() if claim is not None]
+            if len(sure) == len(claims):
+                return chosen, sure, sets
+            if not sure:
+                return self.nominal, [], sets
+            unsure = [c for c, claim in claims.items() if claim is None]
+            weakest = min(unsure, key=sets.of)
+            chosen = self.refit([left_out(self.bench, chosen, weakest)], chosen)[0]
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first
@@ -519,16 +547,20 @@ class Searcher:
         return self.refit(beside(self.bench, h, kept, by_torque, base))
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
-        """Takes out effects that are no longer needed beside the others (explain too little, or
-        nothing of the report data), what one refines as well where there is none of it; the smaller
-        set gets every chance, from where the larger one ended.
+        """Takes out effects that are not worth their price beside the others, what one refines as
+        well where there is none of it; the smaller set gets every chance, from where the larger one
+        ended.
         """
         while len(h.effects) > 1:
             smaller = self.refit([left_out(self.bench, h, c) for c in h.effects], h)
+            worth = log_weight(h)
             needless = [
-                s for s in smaller if not significant(s, h) or outweighed(self.nominal, h, s)
+                s
+                for s in smaller
+                if not significant(s, h)
+                or log_weight(s) >= worth
+                or next_to_form(self.nominal, h, s)
             ]
-            needless = needless or not_borne_out(self.bench, self.residual, h, smaller)
             if not needless:
                 return h
             h = min(needless, key=lambda s: s.validation.loss)

@@ -31,6 +31,7 @@ from jaxid.diagnosis.reasons import (
     NotMost,
     PartOnReport,
     Reason,
+    Remark,
     WithinAStep,
 )
 from jaxid.diagnosis.thresholds import LIMITS
@@ -38,7 +39,7 @@ from jaxid.errors import UsageError
 from jaxid.fitting.scores import scored
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
-from jaxid.wording import placed
+from jaxid.wording import listed, placed
 
 
 class Diverged(UsageError):
@@ -94,6 +95,8 @@ class Gaps(NamedTuple):
     after: float
 
 
+#: Effects that are mentioned as possible at most.
+MENTIONED = 4
 #: Half a step of an encoder, in standard deviations of what rounding to its steps does.
 HALF_A_STEP = np.sqrt(3.0)
 #: Mean square that such zeros leave at most beside the noise.
@@ -120,7 +123,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
     if not search.chosen.effects:
         if nominal.loss <= floor and search.nominal.fit_loss <= level(search.nominal.path.count):
             return Verdict("none", (AtTheNoise(),))
-        return Verdict("unknown", (NothingExplains(gap), *_nearer(search)))
+        return Verdict("unknown", (NothingExplains(gap), *_nearer(search), *_possible(search)))
     closed = share_closed(nominal.loss, chosen.loss)
     names = placed(map(str, search.chosen.effects))
     left = float(np.sqrt(max(chosen.loss, 1.0)))
@@ -137,7 +140,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
     )
     if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
         return Verdict("named", (Lacks(names, left), *each))
-    if closed >= LIMITS.partly:
+    if closed >= LIMITS.partly or (search.belief is not None and closed > 0):
         return Verdict("partly", (LacksInPart(names, closed, left), *each))
     if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
         return Verdict("partly", (FollowsFitRuns(names, closed, left),))
@@ -183,6 +186,13 @@ def _nearer(search: SearchResult) -> tuple[Reason, ...]:
         return ()
     share = share_closed(search.nominal.validation.loss, top.validation.loss)
     return (NearerOnValidation(placed(map(str, top.effects)), share),)
+
+
+def _possible(search: SearchResult) -> tuple[Reason, ...]:
+    """What is not sure enough to be claimed."""
+    if not search.possible:
+        return ()
+    return (Remark(f"Possible: {listed(map(str, search.possible[:MENTIONED]))}."),)
 
 
 def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
