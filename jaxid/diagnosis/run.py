@@ -38,6 +38,7 @@ from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
 from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
 from jaxid.diagnosis.reasons import NotBelievable, Remark, Stopped
+from jaxid.diagnosis.rest_before import asked_from_rest
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.thresholds import LIMITS
@@ -321,17 +322,17 @@ def _run(
                 " left: models are compared over windows, each with its own start"
             )
             found = dataclasses.replace(again, notes=(*again.notes, note))
+
+    def ask(names: tuple[str, ...], data: Dataset = dataset) -> Diagnosis:
+        wider = bind(model, data, without=without, candidates=possible(nominal, names))
+        return _diagnosed(
+            dataclasses.replace(question, binding=wider, allowed=names, known=Interim(silent=True))
+        )[0]
+
     if asked is None and not still:
-
-        def ask(names: tuple[str, ...]) -> Diagnosis:
-            wider = bind(model, dataset, without=without, candidates=possible(nominal, names))
-            return _diagnosed(
-                dataclasses.replace(
-                    question, binding=wider, allowed=names, known=Interim(silent=True)
-                )
-            )[0]
-
         found = asked_last(found, nominal, own.name, ask)
+    if not still and own.free_run:
+        found = asked_from_rest(found, binding.dataset, others, ask)
     if not still:
         visible = possible(nominal, allowed, InverseDynamics.name)
         plain = bind(model, dataset, without=without)
