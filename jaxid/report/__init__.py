@@ -18,9 +18,9 @@ from jaxid.report import (
     identified,
     missing_force,
     parameters,
+    posterior,
     ranking,
     recorded,
-    reproduced,
     traces,
     unseen,
     yardstick,
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from jaxid.fitting.comparison import Comparison
     from jaxid.fitting.result import Fit
     from jaxid.identification.result import Identification
-    from jaxid.study.papers.result import Reproduction
 
 
 def diagnosis_page(diagnosis: Diagnosis) -> str:
@@ -76,6 +75,7 @@ def fit_page(fit: Fit) -> str:
         checked.asked(fit.data),
         yardstick.section(fit.per_joint, fit.stated),
         parameters.section(fit),
+        posterior.section(fit.posterior),
         traces.section(fit.traces),
         background.of_fit(fit),
     ]
@@ -120,16 +120,6 @@ def check_page(result: Checked) -> str:
         f"{one_line(result.dataset)}: check",
         [checked.section(result)],
         "check.json",
-        json_bytes(result),
-    )
-
-
-def reproduction_page(result: Reproduction) -> str:
-    """The page of a paper that was done again."""
-    return render(
-        f"Paper {result.paper}: {one_line(result.title)}",
-        [reproduced.section(result)],
-        "result.json",
         json_bytes(result),
     )
 
