@@ -90,7 +90,7 @@ class SearchResult:
     most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to those
     that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked
     beside that. `cut_short`: not all was asked, as the search had simulated as much as it may.
-    `belief`: probabilities of what was fitted, and `possible` what is not sure enough to be claimed.
+    `belief`: probabilities of what was fitted; `possible`: what is not sure enough to be claimed.
     """
 
     nominal: Hypothesis

@@ -65,7 +65,8 @@ def asked_from_rest(
 
 def with_rest_before(dataset: Dataset, chain: Chain) -> Dataset | None:
     """The dataset whose runs from rest have a sample before them, with the command nearest their
-    first one that keeps the model `chain` at rest; None where the first ones do so, or no run tells.
+    first one that keeps the model `chain` at rest; None where the first ones do so, or no run
+    tells.
     """
     if not chain.direct or any(channel.hold == "linear" for channel in dataset.inputs):
         return None

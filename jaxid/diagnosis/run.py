@@ -46,7 +46,7 @@ from jaxid.diagnosis.torque.no_name import with_law_of_no_name
 from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import BlindSpots, BlindSpotSearch
-from jaxid.diagnosis.verdict import Diverged, standing_still
+from jaxid.diagnosis.verdict import check_followed, Diverged, standing_still
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
@@ -60,21 +60,18 @@ from jaxid.fitting.lost_runs import (
     by_windows,
     decays,
     DIVERGES,
-    FOLLOWS,
     growth,
-    LOST,
     SENSITIVE,
 )
 from jaxid.fitting.per_joint import per_joint, with_effects
 from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
-from jaxid.fitting.scores import free_runs, scores
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import STEP
 from jaxid.storage.interim import Interim
-from jaxid.wording import percent, times
+from jaxid.wording import times
 
 
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
@@ -514,7 +511,7 @@ def _search(question: DiagnosisRequest) -> tuple[ProblemBuilder, Fit, SearchResu
         and by_torque(binding)
         and binding.chain.nq >= AN_ARM
     ):
-        _check_followed(bench, problem.theta(nominal.z), problem.starts(nominal.z))
+        check_followed(bench, problem.theta(nominal.z), problem.starts(nominal.z))
     converged, stopped = nominal.converged, nominal.stopped
     nominal = levenberg_marquardt([(problem, nominal.z)], 3, 1e-9)[0]
 
@@ -563,19 +560,6 @@ def _search(question: DiagnosisRequest) -> tuple[ProblemBuilder, Fit, SearchResu
         search,
         compile_time,
     )
-
-
-def _check_followed(bench: ProblemBuilder, theta: np.ndarray, starts: np.ndarray) -> None:
-    """Raises `Diverged` where a descent that did not end left free runs that do not follow the
-    recording: no effect can be seen beside that.
-    """
-    off = max(
-        s.nrmse
-        for s in scores(bench, "fit", free_runs(bench, "fit", [theta], starts[None])[0]).values()
-    )
-    if not off <= FOLLOWS:
-        note = LOST.format(percent(off))
-        raise Diverged(f"{note}; give other start values or bounds", True, note)
 
 
 def _so_far(

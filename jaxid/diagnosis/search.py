@@ -49,18 +49,12 @@ from jaxid.diagnosis.selection import (
     joint_loss,
     mirror_images,
     mirrored,
-    next_to_form,
+    needed,
     rivals_among,
     significant,
 )
 from jaxid.diagnosis.shortlist import shortlist
-from jaxid.diagnosis.simulated import (
-    believed,
-    log_weight,
-    simulated_sets,
-    SimulatedClaim,
-    SimulatedSets,
-)
+from jaxid.diagnosis.simulated import believed, claimed, simulated_sets, SimulatedSets
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
@@ -266,17 +260,12 @@ class Searcher:
         ):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
         alike = list(dict.fromkeys((*mates, *mirrored(self.bench, chosen, pool))))
-        chosen, claims, sets = self._claimed(chosen, alike)
+        chosen, claims, sets = claimed(chosen, self.nominal, alike, self._fitted, self._smaller)
         if not chosen.effects:
             mates, alike = {}, []
-        told_apart = (
-            mates or not alike
-        )  # a mirrored effect alone: no input tells what no recording can
-        rivals = (
-            rivals_among(list(self.known.values()), chosen, list(mates.values()))
-            if told_apart
-            else None
-        )
+        rivals = None
+        if mates or not alike:  # of a mirrored effect alone no input tells what no recording can
+            rivals = rivals_among(list(self.known.values()), chosen, list(mates.values()))
         return SearchResult(
             self.nominal,
             chosen,
@@ -290,24 +279,13 @@ class Searcher:
             possible=tuple(c for c in sets.possible() if c not in chosen.effects),
         )
 
-    def _claimed(
-        self, chosen: Hypothesis, alike: Sequence[Candidate]
-    ) -> tuple[Hypothesis, list[SimulatedClaim], SimulatedSets]:
-        """The chosen hypothesis without what is not sure enough to be claimed, what is claimed, and
-        all sets that were fitted.
-        """
-        while True:
-            fitted = [*self._stale.values(), *self.known.values(), self.nominal, chosen]
-            sets = simulated_sets([*fitted, *mirror_images(self.bench, chosen, alike)])
-            claims = {c: sets.claim(c, alike) for c in chosen.effects}
-            sure = [claim for claim in claims.values() if claim is not None]
-            if len(sure) == len(claims):
-                return chosen, sure, sets
-            if not sure:
-                return self.nominal, [], sets
-            unsure = [c for c, claim in claims.items() if claim is None]
-            weakest = min(unsure, key=sets.of)
-            chosen = self.refit([left_out(self.bench, chosen, weakest)], chosen)[0]
+    def _fitted(self, chosen: Hypothesis, alike: Sequence[Candidate]) -> SimulatedSets:
+        """All sets that were fitted, and what says the same as the chosen one."""
+        fitted = [*self._stale.values(), *self.known.values(), self.nominal, chosen]
+        return simulated_sets([*fitted, *mirror_images(self.bench, chosen, alike)])
+
+    def _smaller(self, h: Hypothesis, c: Candidate) -> Hypothesis:
+        return self.refit([left_out(self.bench, h, c)], h)[0]
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first
@@ -328,13 +306,8 @@ class Searcher:
         is missing; at most `room` more than `h` has.
         """
         most = len(h.effects) + room
-        out = self.refit(
-            [
-                (effects, starts)
-                for effects, starts in pairs(self.bench, found)
-                if len(effects) <= most
-            ]
-        )
+        sets = pairs(self.bench, found)
+        out = self.refit([(effects, starts) for effects, starts in sets if len(effects) <= most])
         lead = min(found, key=lambda f: f.fit_loss, default=h)
         if lead.fit_loss < LIMITS.conflict * h.fit_loss and len(lead.effects) < most:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
@@ -553,14 +526,7 @@ class Searcher:
         """
         while len(h.effects) > 1:
             smaller = self.refit([left_out(self.bench, h, c) for c in h.effects], h)
-            worth = log_weight(h)
-            needless = [
-                s
-                for s in smaller
-                if not significant(s, h)
-                or log_weight(s) >= worth
-                or next_to_form(self.nominal, h, s)
-            ]
+            needless = [s for s in smaller if not needed(self.nominal, h, s)]
             if not needless:
                 return h
             h = min(needless, key=lambda s: s.validation.loss)

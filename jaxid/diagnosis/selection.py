@@ -12,7 +12,7 @@ import numpy as np
 from jaxid.diagnosis.evidence import inflation, memory, worth
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of
 from jaxid.diagnosis.shortlist import is_timing
-from jaxid.diagnosis.simulated import told_apart
+from jaxid.diagnosis.simulated import log_weight, told_apart
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.wording import listed, times
@@ -197,6 +197,13 @@ def next_to_form(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> boo
     gained = joint_loss(without) - joint_loss(h)
     explained = joint_loss(nominal) - joint_loss(h)
     return joint_loss(without) < LIMITS.close_above and gained < LIMITS.form * explained
+
+
+def needed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
+    """Whether what `h` has beyond a smaller set is there, and worth its price."""
+    if not significant(without, h) or next_to_form(nominal, h, without):
+        return False
+    return log_weight(h) > log_weight(without)
 
 
 def at_floor(h: Hypothesis) -> bool:

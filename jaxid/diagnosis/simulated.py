@@ -6,8 +6,9 @@ its evidence, and a probability is a sum over all sets that were fitted.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -86,10 +87,10 @@ def simulated_sets(fitted: Iterable[Hypothesis], rule: EvidenceRule = SIMULATED)
     """Each set once, as it was fitted last; what diverged has no evidence."""
     each = {key_of(h.effects): h for h in fitted}
     hypotheses = tuple(sorted(each.values(), key=lambda h: len(h.effects)))
-    candidates = tuple(dict.fromkeys(c for h in hypotheses for c in h.effects))
+    candidates = tuple(dict.fromkeys(chain.from_iterable(h.effects for h in hypotheses)))
     units = tuple(SetMember(c.effect, c.location, len(c.index)) for c in candidates)
     place = {c: k for k, c in enumerate(candidates)}
-    sets = tuple(tuple(place[c] for c in h.effects) for h in hypotheses)
+    sets = tuple(tuple(map(place.__getitem__, h.effects)) for h in hypotheses)
     weights = normalised(np.array([log_weight(h, rule) for h in hypotheses]))
     return SimulatedSets(hypotheses, candidates, Probabilities(units, sets, weights), rule)
 
@@ -114,6 +115,28 @@ def _left(h: Hypothesis) -> float:
     """
     fitted = h.fit_loss * h.path.count + h.size
     return fitted + h.validation.loss * h.validation.count
+
+
+def claimed(
+    chosen: Hypothesis,
+    nominal: Hypothesis,
+    alike: Sequence[Candidate],
+    fitted: Callable[[Hypothesis, Sequence[Candidate]], SimulatedSets],
+    without: Callable[[Hypothesis, Candidate], Hypothesis],
+) -> tuple[Hypothesis, list[SimulatedClaim], SimulatedSets]:
+    """The chosen set without what is not sure enough to be claimed, what is claimed, and all sets
+    that were `fitted`; `without` refits a set without one of its effects.
+    """
+    while True:
+        sets = fitted(chosen, alike)
+        claims = {c: sets.claim(c, alike) for c in chosen.effects}
+        sure = [claim for claim in claims.values() if claim is not None]
+        if len(sure) == len(claims):
+            return chosen, sure, sets
+        if not sure:
+            return nominal, [], sets
+        unsure = [c for c, claim in claims.items() if claim is None]
+        chosen = without(chosen, min(unsure, key=sets.of))
 
 
 def believed(sets: SimulatedSets, claims: Sequence[SimulatedClaim], chosen: Hypothesis) -> Belief:

@@ -36,10 +36,12 @@ from jaxid.diagnosis.reasons import (
 )
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.errors import UsageError
-from jaxid.fitting.scores import scored
+from jaxid.fitting.lost_runs import FOLLOWS, LOST
+from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.scores import free_runs, scored, scores
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
-from jaxid.wording import listed, placed
+from jaxid.wording import listed, percent, placed
 
 
 class Diverged(UsageError):
@@ -236,6 +238,19 @@ def astray(
         (place for place in found if not place[1] <= LIMITS.left),
         key=lambda place: -np.nan_to_num(place[1], nan=np.inf),
     )
+
+
+def check_followed(bench: ProblemBuilder, theta: np.ndarray, starts: np.ndarray) -> None:
+    """Raises `Diverged` where a descent that did not end left free runs that do not follow the
+    recording: no effect can be seen beside that.
+    """
+    off = max(
+        s.nrmse
+        for s in scores(bench, "fit", free_runs(bench, "fit", [theta], starts[None])[0]).values()
+    )
+    if not off <= FOLLOWS:
+        note = LOST.format(percent(off))
+        raise Diverged(f"{note}; give other start values or bounds", True, note)
 
 
 def standing_still(binding: Binding) -> tuple[str, ...]:
