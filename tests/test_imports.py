@@ -23,6 +23,7 @@ LAYERS = (
         "extras",
         "lazy",
         "numerics",
+        "progress",
         "runtime",
         "serialise",
         "storage",

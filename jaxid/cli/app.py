@@ -272,7 +272,7 @@ def diagnose(
     jaxid, data = start(dataset, out)
     from jaxid.report.text import diagnosis_text
 
-    with Output(out, as_json, quiet) as output:
+    with Output(out, as_json, quiet, seconds) as output:
         result = jaxid.diagnose(
             model,
             data,
