@@ -45,7 +45,7 @@ LAYERS = (
     ("report",),
     ("storage.result_files",),
     ("api",),
-    ("doctor", "hardware", "study"),
+    ("benchmark", "doctor", "hardware", "study"),
     ("cli",),
     ("__main__",),
 )

@@ -42,6 +42,7 @@ from jaxid.storage.stopping import INTERRUPTED, stoppable
 #: has it under that name.
 MODULES = {
     "batch": "jaxid.cli.batch",
+    "benchmark": "jaxid.cli.benchmark",
     "check": "jaxid.cli.check",
     "compare": "jaxid.cli.compare",
     "doctor": "jaxid.cli.doctor",
