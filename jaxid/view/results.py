@@ -25,7 +25,7 @@ DRAWN = 4000
 
 
 @dataclass(frozen=True)
-class Shown:
+class SavedResult:
     """One result: its name on the page, the content of its file, and its effects by label."""
 
     name: str
@@ -38,7 +38,7 @@ class Shown:
         return {**self.content, "effects": kept}
 
 
-def read_results(folders: Sequence[Path]) -> list[Shown]:
+def read_results(folders: Sequence[Path]) -> list[SavedResult]:
     """The results in these folders. Raises `UsageError` for one that has none."""
     found = []
     for folder in folders:
@@ -53,14 +53,14 @@ def read_results(folders: Sequence[Path]) -> list[Shown]:
             effects = {f"{e['effect']} at {e['location']}": e for e in content["effects"]}
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UsageError(f"{files[0]} is no result of jaxid ({error})") from error
-        found.append(Shown(one_line(folder.name or folder), content, effects))
+        found.append(SavedResult(one_line(folder.name or folder), content, effects))
     return found
 
 
 class Viewer:
     """Free runs of results on one recording; each is simulated when it is asked for, and kept."""
 
-    def __init__(self, results: Sequence[Shown], dataset: Dataset, model: str | None = None):
+    def __init__(self, results: Sequence[SavedResult], dataset: Dataset, model: str | None = None):
         self.results, self.model = list(results), model
         self.dataset = self._as_fitted(dataset)
         self._kept: dict[tuple[int, frozenset[str]], Any] = {}
