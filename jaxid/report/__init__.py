@@ -25,7 +25,7 @@ from jaxid.report import (
     unseen,
     yardstick,
 )
-from jaxid.report.page import render, render_fragment
+from jaxid.report.page import render, render_fragment, Section
 from jaxid.serialise import json_bytes
 from jaxid.storage.atomic_files import replace_files
 from jaxid.wording import one_line
@@ -56,6 +56,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
         missing_force.section(diagnosis.missing_force, diagnosis.regimes, diagnosis.where),
         ranking.section(diagnosis.which),
         parameters.section(diagnosis.final, diagnosis.nominal if diagnosis.which.effects else None),
+        Section("words.html", {}),
         background.of_diagnosis(diagnosis),
     ]
     return render(
