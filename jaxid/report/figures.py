@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxid.errors import nearest, UsageError
 from jaxid.report import plot
-from jaxid.report.answer import draw_gap
+from jaxid.report.budget_picture import draw_gap
 from jaxid.report.traces import colors
 
 
@@ -134,7 +134,7 @@ def fit(result: Fit, channel: str | None = None, ax: Axes | None = None) -> Axes
 
 def diagnosis(result: Diagnosis, ax: Axes | None = None) -> Axes:
     ax = new_axes(7.0, 1.9) if ax is None else ax
-    return draw_gap(ax, result.how_far, result.which.verdict)
+    return draw_gap(ax, result)
 
 
 def missing_force(force: MissingForce, after: bool = False, ax: Axes | None = None) -> Axes:
