@@ -10,6 +10,7 @@ from itertools import chain
 import numpy as np
 
 from jaxid import catalogue
+from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.evidence import HeldOut, memory
 from jaxid.diagnosis.torque.library import shows
 from jaxid.dynamics.chain import Chain
@@ -21,6 +22,7 @@ from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics
+from jaxid.wording import names_of
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,7 @@ class SearchResult:
     most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to those
     that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked
     beside that. `cut_short`: not all was asked, as the search had simulated as much as it may.
+    `belief`: probabilities of what was fitted; `possible`: what is not sure enough to be claimed.
     """
 
     nominal: Hypothesis
@@ -100,6 +103,8 @@ class SearchResult:
     settled: tuple[Hypothesis, Hypothesis] | None = None
     stands: Hypothesis | None = None
     cut_short: bool = False
+    belief: Belief | None = None
+    possible: tuple[Candidate, ...] = ()
 
 
 def without_each(
@@ -159,7 +164,7 @@ def check_asked(nominal: Chain, asked: Sequence[str], residual: str = "") -> Non
         elif not possible(nominal, [name], residual):
             why.append(f"{residual} compares torques at joints and cannot see {name}")
     if why:
-        able = [k.name for k in possible(nominal, catalogue.effect_names(), residual)]
+        able = names_of(possible(nominal, catalogue.effect_names(), residual))
         raise UsageError(f"{'; '.join(why)}. Candidates are: {', '.join(able) or 'none'}")
 
 

@@ -148,7 +148,7 @@ def findings(
     its place is then told.
     """
     b = bench.binding
-    joints, outputs = b.chain.signature.joints, [n for n, _ in b.chain.signature.outputs]
+    joints, outputs = b.chain.signature.joints, b.chain.signature.output_names
     unit = b.chain.signature.unit("{F}")
 
     def energy_of(j, masks):

@@ -12,10 +12,10 @@ import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.display import Displayed, displays
+from jaxid.fitting.exportable import Exportable
 from jaxid.numerics.versions import versions
-from jaxid.robots.export.result import Exportable
 from jaxid.serialise import model_digest, SCHEMA
-from jaxid.storage import frames
+from jaxid.storage.frames import frame
 
 
 if TYPE_CHECKING:
@@ -23,7 +23,21 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from jaxid.dynamics.chain import Chain
+    from jaxid.fitting.posterior import Posterior
     from jaxid.fitting.stated import StatedNumber
+
+
+#: Of a fit as a table.
+FRAME_COLUMNS = (
+    "parameter",
+    "value",
+    "std",
+    "unit",
+    "lower",
+    "upper",
+    "at_bound",
+    "identifiable",
+)
 
 
 @dataclass(frozen=True)
@@ -187,6 +201,7 @@ class Fit(Displayed, Exportable):
     )
     recursion: tuple[Any, ...] = ()  # of a fit along its blocks: a `recursion.Step` each
     model_sha256: str = ""  # of the file of a model of the user's own
+    posterior: Posterior | None = None  # draws, where they were asked for
 
     @property
     def state(self) -> str:
@@ -207,7 +222,12 @@ class Fit(Displayed, Exportable):
         """A row for each fitted number, those of added effects as `dead_zone.width@tau`. Raises
         `UsageError` without pandas.
         """
-        return frames.of_fit(self)
+        found = dict(self.parameters)
+        for e in self.effects:
+            for name, estimate in e.parameters.items():
+                found[f"{e.effect}.{name}@{e.location}"] = estimate
+        rows = [{"parameter": name, **estimate.to_dict()} for name, estimate in found.items()]
+        return frame(rows, FRAME_COLUMNS)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -243,6 +263,7 @@ class Fit(Displayed, Exportable):
             "versions": versions(),
             "notes": list(self.notes),
             **({"recursion": [s.to_dict() for s in self.recursion]} if self.recursion else {}),
+            **({} if self.posterior is None else {"posterior": self.posterior.to_dict()}),
         } | as_data(self.data)
 
     def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:

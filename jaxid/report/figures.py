@@ -13,6 +13,7 @@ from jaxid.errors import nearest, UsageError
 from jaxid.report import plot
 from jaxid.report.budget_picture import draw_gap
 from jaxid.report.traces import colors
+from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def legend(ax: Axes, count: int) -> None:
 
 
 def dataset(data: Dataset, channel: str | None = None, ax: Axes | None = None) -> Axes:
-    names = [c.name for c in (*data.outputs, *data.inputs)] + [
+    names = names_of((*data.outputs, *data.inputs)) + [
         c.name for c in data.channels if c.role == "auxiliary"
     ]
     channel = pick("channel", channel, names if data.experiments else [])

@@ -12,6 +12,7 @@ from jaxid.diagnosis.reasons import WithinAStep
 from jaxid.report.budget_text import budget_sentence
 from jaxid.report.effect_text import alike_words, effect_name, lacks, meaning
 from jaxid.report.other_numbers import first_of_all
+from jaxid.report.posterior_text import posterior_lines
 from jaxid.wording import (
     CLOSE,
     listed,
@@ -368,6 +369,7 @@ def fit_text(fit: Fit) -> str:
     ]
     if fit.recursion:
         parts.append(recursion_table(fit))
+    parts += posterior_lines(fit.posterior)
     scores = []
     for split, channels in fit.scores.items():
         for channel, s in channels.items():
