@@ -121,7 +121,7 @@ def _claimed(
     few = m.thinned(FEW) if many else m
     if not np.isfinite(before) or before <= 2 * FLOOR:
         return None
-    if not before > ALIKE * (fit.noise(recorded, binding, few) + FLOOR):
+    if not before > ALIKE * (fit.least_noise(recorded, binding, few) + FLOOR):
         return None
     tried: list[Judged] = []
     hopeless = ALIKE * GONE * before

@@ -341,9 +341,19 @@ class ForceFit:
         """What the sensors' noise alone leaves of a fit, as a share of the drive, at the samples of
         a motion.
         """
+        return self._noise_at(fitted.x[: len(self.free)], binding, m)
+
+    def least_noise(self, fitted: ReadingFit, binding: Binding, m: SampledMotion) -> float:
+        """The same, or with the numbers that the fit started from where that is less: along a wrong
+        reading numbers run away, and noise with them.
+        """
+        start = self.binding.theta[self.free]
+        return float(np.fmin(self.noise(fitted, binding, m), self._noise_at(start, binding, m)))
+
+    def _noise_at(self, numbers: np.ndarray, binding: Binding, m: SampledMotion) -> float:
         rng = np.random.default_rng(0)
         theta = binding.theta.copy()
-        theta[self.free] = fitted.x[: len(self.free)]
+        theta[self.free] = numbers
         norm = self.norm(m, theta)
         runs = [e for e in binding.dataset.experiments if e.split != "report"]
         noisy = _noise_motion(binding, runs, rng, m)
