@@ -26,7 +26,7 @@ KEPT = 16
 
 
 @dataclass(frozen=True)
-class Places:
+class LimbPlaces:
     """Where the joints, inputs and free numbers of a limb stand among the robot's."""
 
     joints: list[int]
@@ -54,7 +54,7 @@ class Limb:
     """A limb's own fit, its places among the robot's, and its latest fits by what was fitted."""
 
     fit: ForceFit
-    places: Places
+    places: LimbPlaces
     kept: OrderedDict[bytes, ReadingFit] = field(default_factory=OrderedDict)
 
     def fitted(self, m: SampledMotion, laws: bool) -> ReadingFit:
@@ -130,8 +130,11 @@ def force_fit(
         found = [_limb(whole, bind(robot, own)) for robot, own in limbs]
     except UsageError:  # a limb lacks by itself what it has beside the others
         return whole
-    taken = [number for limb in found for number in limb.places.numbers]
-    joints = [joint for limb in found for joint in limb.places.joints]
+    taken: list[int] = []
+    joints: list[int] = []
+    for limb in found:
+        taken += limb.places.numbers
+        joints += limb.places.joints
     if sorted(taken) != list(range(len(whole.free))) or sorted(joints) != list(range(whole.nq)):
         return whole
     return FitByLimb(binding, motion, found)
@@ -141,7 +144,7 @@ def _limb(whole: ForceFit, bound: Binding) -> Limb:
     """A limb bound to its part of the recording. Raises `UsageError` where it has what the robot
     has not.
     """
-    places = Places(
+    places = LimbPlaces(
         joints=_among(_joints(bound), _joints(whole.binding)),
         inputs=_among(_inputs(bound), _inputs(whole.binding)),
         numbers=[],
