@@ -404,7 +404,7 @@ class AsStated:
     ) -> None:
         """Changed numbers of joints once more, with MuJoCo's run of the file that has them: its dry
         friction creeps by what the friction is, and its steps by the damping. They are the answer
-        where they come to the noise so.
+        where they come to the noise so, and nothing explains the recording surely better.
         """
         assert self.alone is not None and self.stepped is not None
         wide, names = self.alone.decider.bench.binding.layout, self.plain.layout.names
@@ -423,10 +423,11 @@ class AsStated:
         stands = begin.copy()
         stands[index] += self.plain.theta[index] - theta[index]
         before = self.stepped, self.alone, self.enough
+        told = min(map(self.alone.evidence, self.enough), default=np.inf) + LIMITS.decisive
         self.stepped = replace(taken, theta=stands)
         change = StatedDifference(Proposal((), (), begin), tuple(index))
         self._compare(self.stepped, [change], made, progress)
-        if not self.enough:
+        if not any(self.alone.evidence(h) < told for h in self.enough):
             self.stepped, self.alone, self.enough = before
 
     @property
