@@ -41,7 +41,7 @@ from reference import multisine
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
-from benchmarks import twins  # noqa: E402
+from jaxid.benchmark import numpy_twin as twins, plants  # noqa: E402
 
 
 DATA = Path(os.environ.get("JAXID_DATA", ROOT.parent / "shared" / "data"))
@@ -64,7 +64,7 @@ def recording(model: str, seed: int, **truth) -> jaxid.Dataset:
                 rng.uniform(-0.5, 0.5) if rng.uniform() < 0.6 else 0.0
             )
         us.append(u)
-    plant = dataclasses.replace(twins.PLANTS[model], rate=200, noise=NOISE, resolution=0.0)
+    plant = dataclasses.replace(plants.PLANTS[model], rate=200, noise=NOISE, resolution=0.0)
     numbers = plant.nominal | {k: np.array([x]) for k, x in truth.items()}
     y = twins.recorded(
         plant,
@@ -167,7 +167,7 @@ def test_an_arm_thrown_over_the_top():
     joint 2.
     """
     t, rng = np.arange(1200) / 200, np.random.default_rng(3)
-    plant = dataclasses.replace(twins.PLANTS["planar_arm"], rate=200)
+    plant = dataclasses.replace(plants.PLANTS["planar_arm"], rate=200)
     lines = 2 * np.pi * rng.uniform(0.3, 1.5, (4, 2, 6)), rng.uniform(0, 6, (4, 2, 6))
     u = (
         np.array([22.0, 7.0])
@@ -176,8 +176,8 @@ def test_an_arm_thrown_over_the_top():
     )
     numbers = plant.nominal | {"scale": (0.0, 0.07)}
     every = {
-        k: np.tile(numbers.get(k, (twins.NEUTRAL.get(k, 0.0),) * 2), (4, 1))
-        for k in {**twins.NEUTRAL, **numbers}
+        k: np.tile(numbers.get(k, (plants.NEUTRAL.get(k, 0.0),) * 2), (4, 1))
+        for k in {**plants.NEUTRAL, **numbers}
     }
     y = twins.recorded(plant, u, every, rng)
     data = jaxid.Dataset.from_arrays(
@@ -375,7 +375,7 @@ def commanded_arm(drag: tuple[float, float]) -> jaxid.Dataset:
     """A two-link arm along prescribed motion without rests, its torque by the twin's equations with
     noise: three runs of 6 s.
     """
-    t, plant = np.arange(1200) / 200, twins.PLANTS["planar_arm"]
+    t, plant = np.arange(1200) / 200, plants.PLANTS["planar_arm"]
     numbers = {
         k: np.tile(x, (len(t), 1))
         for k, x in {"payload": (0.0, 0.0), "tilt": (0.0, 0.0), **plant.nominal}.items()
@@ -1043,7 +1043,7 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     u = [
         a * multisine(t, [0.4], seed=k, periods=2, lines=6)[:, 0] for k, a in enumerate((0.35, 1.0))
     ]
-    plant = dataclasses.replace(twins.PLANTS["pendulum"], rate=200, noise=NOISE, resolution=0.0)
+    plant = dataclasses.replace(plants.PLANTS["pendulum"], rate=200, noise=NOISE, resolution=0.0)
     numbers = {
         k: np.tile(x, (2, 1)) for k, x in (plant.nominal | {"limit": np.array([0.3])}).items()
     }
@@ -1084,7 +1084,7 @@ def test_a_limit_far_below_the_commands_is_found():
     """
     t = np.arange(1200) / 200
     u = [2 * multisine(t, [1.0], seed=k, periods=2, lines=6)[:, 0] for k in range(3)]
-    plant = dataclasses.replace(twins.PLANTS["servo"], rate=200, noise=NOISE, resolution=0.0)
+    plant = dataclasses.replace(plants.PLANTS["servo"], rate=200, noise=NOISE, resolution=0.0)
     numbers = {
         k: np.tile(x, (3, 1)) for k, x in (plant.nominal | {"limit": np.array([0.25])}).items()
     }

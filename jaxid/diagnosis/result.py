@@ -14,11 +14,11 @@ from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.budget import budget, Step
 from jaxid.diagnosis.cause import words
 from jaxid.display import Displayed, displays
+from jaxid.fitting.exportable import Exportable
 from jaxid.fitting.result import EffectEstimate, Fit, Trace, with_origin
 from jaxid.numerics.versions import versions
-from jaxid.robots.export.result import Exportable
 from jaxid.serialise import model_digest, SCHEMA
-from jaxid.storage import frames
+from jaxid.storage.frames import frame
 
 
 if TYPE_CHECKING:
@@ -304,7 +304,12 @@ class Diagnosis(Displayed, Exportable):
         """A row for each candidate that was refitted, best first. Raises `UsageError` without
         pandas.
         """
-        return frames.of_diagnosis(self)
+        named = {(e.effect, e.location) for e in self.which.effects}
+        rows = []
+        for r in self.which.ranking:
+            rows.append({**r.to_dict(), "named": (r.effect, r.location) in named})
+        columns = ("effect", "location", "named", "validation_gap", "bic", "evidence", "text")
+        return frame(rows, columns)
 
     def to_dict(self) -> dict[str, Any]:
         return {
