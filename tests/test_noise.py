@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import constants
 
-import jaxid
 from jaxid.data.dataset import Channel, Dataset, Experiment
-from jaxid.data.noise import noise_floor, quantisation_step, RESAMPLED, sensor_noise
+from jaxid.data.noise import noise_floor, quantisation_step, sensor_noise
 from jaxid.data.units import conversion, si_unit, unit_names, UnitError
 
 
@@ -267,24 +266,3 @@ def test_what_repeats_differ_by_adds_up_along_a_run_not_within_windows():
         dataset(*(MOTION + noise(1e-4, k) for k in range(3))), window=lambda e: 1.0
     )["q"]
     assert alike.std == pytest.approx(1e-4, rel=0.1)
-
-
-@pytest.mark.parametrize("rows, known", [(0.0, True), (5.0, True), (5.5, False)])
-def test_an_input_that_was_resampled_acts_when_is_known_no_better_than_within_a_row(
-    rows, known, tmp_path
-):
-    """What that makes of the output is no gap; an input that moves by whole rows is what it was."""
-    t, step = np.arange(0, 5, 0.004), 0.004
-    q = 0.8 * np.sin(3 * t) + 2e-4 * np.random.default_rng(0).standard_normal(len(t))
-    table = np.stack([t, np.cos(3 * t), q], 1)
-    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="t,tau,q", comments="")
-    late = f"delay_s = {rows * step}" if rows else ""
-    (tmp_path / "dataset.toml").write_text(
-        f'name = "late"\n[channels.tau]\nrole = "input"\nunit = "N m"\n{late}\n'
-        '[channels.q]\nrole = "output"\nunit = "rad"\n[[experiments]]\nfile = "run.csv"\n'
-    )
-    noise = noise_floor(jaxid.load_dataset(tmp_path))["q"]
-    within_a_row = RESAMPLED * 0.8 * 3 / np.sqrt(2) * step
-    expected = 2e-4 if known else np.hypot(2e-4, within_a_row)
-    assert noise.std == pytest.approx(expected, rel=0.1)
-    assert ("resampled" in noise.text) is not known

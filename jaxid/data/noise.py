@@ -9,7 +9,7 @@ floor is the sensor's alone: what the machine does differently from run to run i
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import comb, sqrt
 
 import numpy as np
@@ -23,9 +23,6 @@ from jaxid.wording import names_of
 BLOCK = 50  # samples; the median over blocks keeps impacts and reversals out of the estimate
 HELD = 1e-6  # the floor of an output that never moves
 _LEAST_SHARE = 1e-9  # of the motion: the floor of data that are free of noise
-#: When an input acts that was resampled between its samples, one standard deviation in rows: within
-#: a row neither what held it nor what reported it late is known better.
-RESAMPLED = 0.05
 
 
 @dataclass(frozen=True)
@@ -65,48 +62,10 @@ def noise_floor(
         alone = "; the sensor's alone, for no run was repeated"
     elif not scattered:
         alone = "; the sensor's alone, for repeats change one way"
-    floors = {
+    return {
         channel.name: _floor(channel, i, runs, scattered, window, alone)
         for i, channel in enumerate(dataset.outputs)
     }
-    rows = _rows_in_doubt(dataset, runs)
-    if readings or not rows:
-        return floors
-    return {
-        channel.name: _with_late_input(floors[channel.name], rows, runs, i)
-        for i, channel in enumerate(dataset.outputs)
-    }
-
-
-def _rows_in_doubt(dataset: Dataset, runs: Sequence[Experiment]) -> float:
-    """By how many rows an input may act otherwise than it says: those that a stated delay or clock
-    puts between their samples are resampled.
-    """
-    steps = [float(np.median(np.diff(e.t))) for e in runs if len(e.t) > 1]
-    for channel in dataset.inputs:
-        stated = channel.stated
-        if stated is None or not steps:
-            continue
-        between = [abs(stated.delay_s / h - round(stated.delay_s / h)) for h in steps]
-        if stated.clock_ppm or max(between) > RESAMPLED:
-            return RESAMPLED
-    return 0.0
-
-
-def _with_late_input(noise: Noise, rows: float, runs: Sequence[Experiment], column: int) -> Noise:
-    """The noise beside what an output is off by, where its input acts so many rows sooner or
-    later: as far as it moves within them.
-    """
-    moved = [np.diff(e.y[e.read[:, column], column]) for e in runs]
-    per_row = float(np.sqrt(np.mean(np.concatenate(moved) ** 2))) if moved else 0.0
-    std = float(np.hypot(noise.std, rows * per_row))
-    if not std > 1.2 * noise.std:
-        return noise
-    text = (
-        f"{noise.text}; an input was resampled between its rows, so that nearer than {std:.2g}"
-        f" {noise.unit} says nothing"
-    )
-    return replace(noise, std=std, text=text)
 
 
 def _floor(
