@@ -10,6 +10,7 @@ from itertools import chain
 import numpy as np
 
 from jaxid import catalogue
+from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.evidence import HeldOut, memory
 from jaxid.diagnosis.torque.library import shows
 from jaxid.dynamics.chain import Chain
@@ -89,6 +90,7 @@ class SearchResult:
     most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to those
     that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked
     beside that. `cut_short`: not all was asked, as the search had simulated as much as it may.
+    `belief`: probabilities of what was fitted; `possible`: what is not sure enough to be claimed.
     """
 
     nominal: Hypothesis
@@ -101,6 +103,8 @@ class SearchResult:
     settled: tuple[Hypothesis, Hypothesis] | None = None
     stands: Hypothesis | None = None
     cut_short: bool = False
+    belief: Belief | None = None
+    possible: tuple[Candidate, ...] = ()
 
 
 def without_each(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import product
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -161,11 +162,10 @@ class Which:
 
     def to_dict(self) -> dict[str, Any]:
         belief = self.belief or Belief({})
-        places = {
-            (group.common.effect, place): group.locations
-            for group in alike(self.effects)
-            for place in group.locations
-        }
+        places: dict[tuple[str, str], Sequence[str]] = {}
+        for group in alike(self.effects):
+            at = group.locations
+            places |= dict.fromkeys(product([group.common.effect], at), at)
         return {
             "verdict": self.verdict,
             **belief.to_dict(),
