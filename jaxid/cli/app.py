@@ -56,6 +56,8 @@ MODULES = {
     "reproduce": "jaxid.cli.reproduce",
     "emulate": "jaxid.cli.emulate",
     "replay": "jaxid.cli.export",
+    "view": "jaxid.cli.view",
+    "watch": "jaxid.cli.view",
 }
 
 
