@@ -360,7 +360,8 @@ class AsStated:
         if self.taken is not None and not np.all(
             self.taken.floor <= np.maximum(between.left, self.plain.sigma)
         ):
-            self.taken = None  # the difference is known less well than what the file leaves: nothing can be told beside it
+            # The difference is known less well than what the file leaves: nothing shows beside it.
+            self.taken = None
         #: Whether it explains the recording by itself.
         self.stands = self.taken is not None and self.taken.accounts(self.plain)
         self.stepped = (
