@@ -22,6 +22,7 @@ from jaxid.diagnosis.account import (
     traces,
     where_it_lies,
 )
+from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.believable import beside_bounds, doubts
 from jaxid.diagnosis.claim import Judge
 from jaxid.diagnosis.foreseen import looked_at
@@ -40,6 +41,7 @@ from jaxid.diagnosis.reasons import NotBelievable, Remark, Stopped
 from jaxid.diagnosis.rest_before import asked_from_rest
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.search import Searcher
+from jaxid.diagnosis.simulated import worth
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.no_name import with_law_of_no_name
 from jaxid.diagnosis.torque.reference import ReferenceNumbers
@@ -427,7 +429,7 @@ def _diagnosed(
         ranking,
         verdict.text,
         against,
-        search.belief,
+        search.belief or Belief({}, worth=worth([search.nominal, *search.tried], search.chosen)),
     )
     advised = advice(
         verdict=verdict.name,
