@@ -108,13 +108,13 @@ def main() -> dict[str, Any]:
     if not (found := rows()):
         raise FileNotFoundError("nothing is entered; see benchmarks/public.py")
     text = (
-        "Blind cases of `jaxid benchmark make`, answered by jaxid and by simple programs (benchmarks/entries.py), "
+        "Blind cases of `jaxid benchmark make`, answered by simple programs (benchmarks/entries.py; jaxid itself is not entered yet), "
         "scored by the rules of docs/benchmark.md; 95 % intervals. Entries with the same key answered the same cases. "
         "The sample is small: four cases each of arms by torque, robots under goals with exact and loose files, with a "
         "floor, broken conventions, and rigs by MuJoCo (seed 927411863, `--cases 4`), so the intervals are wide, and "
         "differences between entries that overlap say nothing. An entry that cannot do a case leaves it to what it "
-        "holds likely beforehand. No entry but the neural residual predicts the torque of the exam, so how far is 0 there; "
-        "where cases are not answered they count as nothing said."
+        "holds likely beforehand: no entry but mujoco.sysid simulates, none reads conventions. Only the neural residual "
+        "predicts the exam, by torque alone, so how far is 0 elsewhere. Cases that are not answered count as nothing said."
     )
     return {"title": "The public benchmark", "text": text, "rows": found}
 
