@@ -154,6 +154,7 @@ def test_links_lead_somewhere():
                     "models",
                     "fitters",
                     "benchmarks",
+                    "leaderboard",
                     "notebooks",
                 ), target
             elif target.startswith("notebooks/") and page.parent == ROOT / "docs":
