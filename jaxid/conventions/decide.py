@@ -35,7 +35,7 @@ from jaxid.force.columns import FEW
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.numerics.pool import Pool
 from jaxid.problem.binding import Binding
-from jaxid.wording import listed
+from jaxid.wording import listed, number
 
 
 MOST = 4  # findings, one after another
@@ -435,7 +435,8 @@ def _words(
 ) -> str:
     name = listed(reading.channels)
     model = "the model, beside any friction and spring that it may lack," if laws else "the model"
-    of = f"{model} leaves {100 * gap[0]:.2g} % of the drive as recorded and {100 * gap[1]:.2g} % so"
+    before, after = (number(100 * share, 2) for share in gap)
+    of = f"{model} leaves {before} % of the drive as recorded and {after} % so"
     if reading.kind == "sign":
         said = f"{name} seem{'s' * (len(reading.channels) == 1)} to count the other way"
     elif reading.kind == "swapped_channels":

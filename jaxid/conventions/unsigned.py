@@ -14,7 +14,7 @@ from jaxid.conventions.readings import Names
 from jaxid.conventions.samples import Shown
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import Binding
-from jaxid.wording import listed
+from jaxid.wording import listed, number
 
 
 #: Units of what drives one way or the other: a pressure or a goal that is never negative says
@@ -45,7 +45,7 @@ def unsigned(binding: Binding, fit: ForceFit, m: SampledMotion, names: Names) ->
             text = (
                 f"{listed(tuple(one_way))} never changes its sign, and the motion asks for both:"
                 " the sensor seems to read its size alone (with the signs that the motion asks"
-                f" for, what is missing falls from {100 * plain.worst:.2g} to {100 * left:.2g} %)."
+                f" for, what is missing falls from {number(100 * plain.worst, 2)} to {number(100 * left, 2)} %)."
                 " Record the signed reading, or multiply by the sign of the command."
             )
             return Shown(DataFinding("unsigned", name, None, text), Mending())
