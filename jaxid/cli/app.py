@@ -232,6 +232,11 @@ def fit(
     metavar="FILE",
     help="TOML: of that run; default: what was recorded.",
 )
+@click.option(
+    "--accuracy",
+    metavar="SIZE",
+    help='What is left within it is not missing: "1 mrad", or "q = 1 mrad, position = 0.1 mm".',
+)
 @SECONDS
 @AS_RECORDED
 @output_options
@@ -248,6 +253,7 @@ def diagnose(
     seed,
     next_,
     limits,
+    accuracy,
     seconds,
     as_recorded,
     as_json,
@@ -279,6 +285,7 @@ def diagnose(
             progress=output.progress,
             as_recorded=as_recorded,
             seconds=seconds,
+            accuracy=accuracy,
         )
         code = output.deliver(result, diagnosis_text)
     if next_ is not None:

@@ -5,7 +5,7 @@ or that nothing is; and what each named effect is worth.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 
@@ -76,6 +76,11 @@ class Belief:
         if worth is not None:
             told |= asdict(worth)
         return told
+
+    def beside(self, more: dict[tuple[str, str], float]) -> Belief:
+        """With further effects at places, of which each is there with such a probability."""
+        sure = product([p for p in (self.probability, *more.values()) if p is not None])
+        return replace(self, places=self.places | more, probability=sure, none=0.0)
 
     def possible(self, least: float) -> list[tuple[str, str, float]]:
         """Effects and places of at least this probability, most probable first."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 
 import numpy as np
 
 from jaxid import catalogue
+from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.evidence import HeldOut, memory
 from jaxid.diagnosis.torque.library import shows
 from jaxid.dynamics.chain import Chain
@@ -88,6 +89,7 @@ class SearchResult:
     most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to those
     that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked
     beside that. `cut_short`: not all was asked, as the search had simulated as much as it may.
+    `belief`: the probabilities of what was asked, where there are any.
     """
 
     nominal: Hypothesis
@@ -100,6 +102,13 @@ class SearchResult:
     settled: tuple[Hypothesis, Hypothesis] | None = None
     stands: Hypothesis | None = None
     cut_short: bool = False
+    belief: Belief | None = None
+
+    def believed(self, claimed: bool) -> Belief | None:
+        """The probabilities, where what was chosen is claimed or is not."""
+        if self.belief is None or claimed:
+            return self.belief
+        return replace(self.belief, probability=None, families=(), worth={})
 
 
 def without_each(

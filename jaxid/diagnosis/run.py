@@ -23,7 +23,7 @@ from jaxid.diagnosis.account import (
     traces,
     where_it_lies,
 )
-from jaxid.diagnosis.believable import beside_bounds, doubts
+from jaxid.diagnosis.believable import doubts
 from jaxid.diagnosis.claim import Judge
 from jaxid.diagnosis.goals.run import (
     begin_simulations,
@@ -69,6 +69,7 @@ from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.fitting.scores import free_runs, scores
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
+from jaxid.problem.trust import told
 from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import STEP
 from jaxid.storage.interim import Interim
@@ -383,15 +384,8 @@ def _diagnosed(
         return fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
 
     final_fit = assembled() if named or question.search is None else nominal_fit
-    against = doubts(estimates, final_fit.covariance) if verdict.name in ("named", "partly") else {}
-    if verdict.name in ("named", "partly") and question.search is not None:
-        spec = binding.dataset.model
-        bounded = (
-            {n for n, p in spec.parameters.items() if p.lower is not None or p.upper is not None}
-            if spec
-            else ()
-        )
-        against = beside_bounds(estimates, final_fit.parameters, bounded) | against
+    doubtful = verdict.claims and search.belief is None
+    against = doubts(estimates, final_fit.covariance) if doubtful else {}
     if against:
         verdict = verdict if len(against) < len(estimates) else verdict.unclaimed()
         verdict = verdict.but("partly", NotBelievable(tuple(dict.fromkeys(against.values()))))
@@ -401,7 +395,6 @@ def _diagnosed(
     how_far = dataclasses.replace(
         how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint)
     )
-    mates = search.confusable if named else []
     findings, pictures, rows = where_it_lies(
         bench,
         search.stands if named and search.stands else nominal,
@@ -428,10 +421,10 @@ def _diagnosed(
     if verdict.name == "none":
         pair = (search.nominal, looked.rival) if looked.rival else None
     rivals = None if pair is None else rivals_of(bench, pair)
+    mates = search.confusable if named else []
     confusable = tuple(EffectEstimate(c.effect, c.location) for c in mates)
-    which = Which(
-        verdict.name, estimates if named else (), confusable, ranking, verdict.text, against
-    )
+    claimed, belief = estimates if named else (), search.believed(bool(named))
+    which = Which(verdict.name, claimed, confusable, ranking, verdict.text, against, belief)
     advised = advice(
         verdict=verdict.name,
         named=[c.effect for c in named],
@@ -461,6 +454,8 @@ def _diagnosed(
         notes=(*binding.dataset.notes, *notes_of(binding, final_fit, compile_time)),
         unseen=looked.unseen,
         rivals=rivals,
+        trust=told(binding),
+        accuracy=binding.dataset.accuracy,
     )
     if stopped:
         raise Interrupted(found) from stopped

@@ -130,14 +130,18 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
         else ()
     )
     # Several that leave more than the noise may together only come close to something else.
-    close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LIMITS.left
+    believed = search.belief is not None
+    close = (
+        search.several and not believed and max(left, np.sqrt(search.chosen.fit_loss)) > LIMITS.left
+    )
     followed = share_closed(search.nominal.fit_loss, search.chosen.fit_loss)
     closed_on_both = closed >= LIMITS.named and (
         followed >= LIMITS.named or search.chosen.fit_loss <= LIMITS.left**2
     )
     if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
         return Verdict("named", (Lacks(names, left), *each))
-    if closed >= LIMITS.partly:
+    # What is claimed with a probability need not account for most of a gap.
+    if closed >= LIMITS.partly or (believed and closed > 0):
         return Verdict("partly", (LacksInPart(names, closed, left), *each))
     if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
         return Verdict("partly", (FollowsFitRuns(names, closed, left),))

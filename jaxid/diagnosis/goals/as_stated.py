@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.goals.changes import changes, StatedDifference
 from jaxid.diagnosis.goals.floor import Between, between_simulators, seen_early
 from jaxid.diagnosis.goals.gains import held_gains
@@ -21,6 +22,7 @@ from jaxid.diagnosis.goals.propose import as_vector, candidates_of
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
+from jaxid.diagnosis.probability import normalised, RULE
 from jaxid.diagnosis.selection import indistinct, joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import level
@@ -159,6 +161,7 @@ class Alone:
         decider.asked = self.own
         self.stands = decider.refit((), self.theta)
         self.tried: list[Hypothesis] = []
+        self.asked: list[Hypothesis] = []
         self.as_likely: Hypothesis | None = (
             None  # the re-tuned model, where the data do not tell it from what was found
         )
@@ -184,6 +187,7 @@ class Alone:
         if out and not any(map(self.decider.at_noise, out)):
             nearest = min(out, key=joint_loss)
             out = [self.decider.polished(h) if h is nearest else h for h in out]
+        self.asked = out
         self.tried = [h for h in out if not self.of_numbers(h)]
         good = [h for h in out if self.decider.at_noise(h)]
         least = min(map(joint_loss, good), default=0.0)
@@ -237,7 +241,33 @@ class Alone:
             None,
             len({c.effect for c in chosen.effects}) > 1,
             stands=self.stands,
+            belief=self.belief([chosen, nominal]),
         )
+
+    def belief(self, more: Sequence[Hypothesis]) -> Belief:
+        """How probable each effect is, of all single changes that were asked and of some more
+        models: by their sums of squares with what their numbers cost. A number that is off is no
+        effect, and as likely beforehand as none.
+        """
+        each: dict[frozenset[tuple[str, str]], float] = {}
+        for h in (self.stands, *self.asked, *more):
+            places = self._places(h)
+            prior = RULE.log_prior if places else 0.0
+            each[places] = max(each.get(places, -np.inf), prior - self.evidence(h) / 2)
+        weights = dict(zip(each, normalised(np.array(list(each.values()))).tolist(), strict=True))
+        known: dict[tuple[str, str], float] = {}
+        for places, weight in weights.items():
+            for place in places:
+                known[place] = known.get(place, 0.0) + weight
+        chosen = self._places(more[0])
+        none = weights.get(frozenset(), 0.0)
+        return Belief(known, weights[chosen] if chosen else None, none=none)
+
+    def _places(self, h: Hypothesis) -> frozenset[tuple[str, str]]:
+        """Effects and places; none of numbers of the model."""
+        if self.of_numbers(h):
+            return frozenset()
+        return frozenset((c.effect, c.location) for c in h.effects)
 
     def told(self, h: Hypothesis) -> list[int]:
         """Which numbers of what is changed (all of the file's where no effect is) the fit runs tell
@@ -406,7 +436,8 @@ class AsStated:
         """
         if self.alone is not None and self.lacks:
             return self.alone.searched(nominal, self.enough)
-        found = decider.with_what_the_file_lacks(decider.decided(nominal, [], np.inf))
+        plain = SearchResult(nominal, nominal, belief=Belief({}, none=1.0))
+        found = decider.with_what_the_file_lacks(plain)
         return found if self.alone is None else replace(found, stands=self.alone.stands)
 
     def said(self) -> str:
