@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.dynamics.rigid_body import regressor
+from jaxid.dynamics.rigid_body import chain_of, regressor, still
 from jaxid.identification.online import OnlineIdentification
 from jaxid.models import UR10
 from jaxid.numerics.precision import float64
@@ -133,7 +133,9 @@ def batches() -> list[dict[str, Any]]:
     with float64():
         inverse = jax.jit(lambda q, qd, x: arm.inverse(q, qd, x))
         columns = jax.jit(
-            lambda q, qd, x: regressor(arm.placements(q), arm.prismatic, arm.free_fall(), qd, x)
+            lambda q, qd, x: regressor(
+                arm.placements(q), chain_of(arm.prismatic, 1), still(arm.free_fall()), qd, x
+            )
         )
         forward = jax.jit(
             lambda q, qd, u: jax.lax.map(

@@ -5,12 +5,9 @@ missing, how far the gap shrinks.
 used.
 """
 
-import sys as _sys
 from importlib import import_module as _import_module
 from pathlib import Path as _Path
 from typing import TYPE_CHECKING as _TYPE_CHECKING
-
-from jaxid.lazy import Moved as _Moved
 
 # Forks are watched from the beginning.
 from jaxid.numerics import forked as _forked  # noqa: F401
@@ -84,24 +81,6 @@ def __getattr__(name: str):
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
-
-# Former names, for scripts that were written before the packages: to go with the next version.
-_FORMER = {
-    "chain": "dynamics.chain",
-    "effect": "dynamics.effect",
-    "experiment": "data.dataset",
-    "fitter": "fitting.population",
-    "frequency": "problem.frequency_response",
-    "kinematics": "dynamics.kinematics",
-    "mechanism": "dynamics.mechanism",
-    "online": "identification.online",
-    "parameter": "dynamics.parameter",
-    "residual": "problem.residual",
-    "urdf": "dynamics.urdf",
-}
-_sys.meta_path.append(
-    _Moved({f"jaxid.{former}": f"jaxid.{place}" for former, place in _FORMER.items()})
-)
 
 # Installed, models/ and fitters/ lie in this folder; in a checkout beside it (in it are only stubs
 # for type checkers).

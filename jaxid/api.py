@@ -17,6 +17,7 @@ from jaxid.deadline import answered_in_time, share_of_time
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import nearest, UsageError
+from jaxid.extras import required
 from jaxid.fitting.comparison import Comparison
 from jaxid.fitting.fitter import AbstractFitter, Progress
 from jaxid.fitting.limbs import each
@@ -35,6 +36,7 @@ from jaxid.serialise import with_effects
 
 
 if TYPE_CHECKING:
+    from jaxid.fitting.nuts import Sampling
     from jaxid.fitting.replay import Replay
 
 
@@ -56,6 +58,7 @@ def fit(
     window: int | None = None,
     forgetting: float | None = None,
     block_s: float | None = None,
+    posterior: Sampling | bool = False,
 ) -> Fit:
     """Fits the parameters of a model to a dataset.
 
@@ -70,7 +73,8 @@ def fit(
 
     With a `window` (blocks) or `forgetting` (0 to 1, 1 forgets nothing) the fit goes along the fit
     runs block by block, of `block_s` seconds or as `recursion.in_blocks` cuts them, each at the
-    same cost: see `jaxid.fitting.recursion`.
+    same cost: see `jaxid.fitting.recursion`. With `posterior`, true or a `Sampling`, chains are
+    drawn about the fit: see `jaxid.fitting.posterior`.
     """
     from jaxid.fitting.recursion import in_blocks, RecursionSettings
 
@@ -80,7 +84,12 @@ def fit(
         if window is None and forgetting is None:
             raise UsageError("blocks belong to a window or to forgetting: give one of them")
         along = RecursionSettings(window, 1.0 if forgetting is None else forgetting, block_s)
+    if posterior:
+        required("blackjax")
+        required("arviz")
     if len(limbs := limbs_of(model, dataset)) > 1:
+        if posterior:
+            raise UsageError("limbs that do not move each other are sampled one by one")
         chosen = tuple(effects)
 
         def work(robot, data):
@@ -124,7 +133,32 @@ def fit(
         solver=solver,
         along=along,
     )
+    if posterior:
+        found = _with_posterior(binding, compared, solver, found, posterior, seed, progress)
     return replace(found, data=checked.findings, wall_time_s=time.perf_counter() - began)
+
+
+def _with_posterior(
+    binding: Binding,
+    residual: Residual | str | None,
+    solver: Any,
+    found: Fit,
+    posterior: Sampling | bool,
+    seed: int,
+    progress: Progress | None,
+) -> Fit:
+    """The fit with draws about it. On Ctrl-C `Interrupted` carries the fit without."""
+    from jaxid.fitting.nuts import Sampling
+    from jaxid.fitting.posterior import posterior_of
+
+    compared = resolve_residual(residual)
+    sampling = posterior if isinstance(posterior, Sampling) else Sampling()
+    bound = with_solver(binding, solver, compared)
+    try:
+        drawn = posterior_of(bound, compared, found, sampling, seed, progress)
+    except KeyboardInterrupt as stop:
+        raise Interrupted(found) from stop
+    return replace(found, posterior=drawn)
 
 
 def _refuse_effects(

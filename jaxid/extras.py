@@ -11,6 +11,8 @@ from jaxid.errors import UsageError
 
 #: Package on disk -> (the extra that brings it, what needs it).
 EXTRAS = {
+    "arviz": ("posterior", "`--posterior`"),
+    "blackjax": ("posterior", "`--posterior`"),
     "cryptography": ("batch", "`--cluster slurm`"),
     "dask": ("batch", "`jaxid batch`"),
     "distributed": ("batch", "`jaxid batch`"),

@@ -9,7 +9,7 @@ import textwrap
 import unicodedata
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from typing import Protocol
+from typing import Any, Protocol
 
 
 # Format characters that turn the direction of text around or hide it; control characters are
@@ -22,6 +22,11 @@ def one_line(text: object) -> str:
     sequences) as `?`.
     """
     return "".join(map(_visible, str(text)))
+
+
+def names_of(things: Iterable[Any]) -> list[str]:
+    """The `name` of each: channels, effects, runs, files."""
+    return [thing.name for thing in things]
 
 
 def _visible(character: str) -> str:

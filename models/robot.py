@@ -20,6 +20,7 @@ from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.mechanism import Signature, Staged
 from jaxid.dynamics.parameter import constant, param, ParameterSpec
+from jaxid.dynamics.rigid_body import Base, still
 from jaxid.robots import dynamics, free_numbers
 from jaxid.robots.bodies import BODY, body_of, point_mass, ten_numbers
 from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
@@ -404,11 +405,11 @@ class Robot(Staged):
             None if self.lifted is None else np.array(self.lifted),
         )
 
-    def standing(self) -> dynamics.Base:
+    def standing(self) -> Base:
         """Gravity in the frame of the tilted base."""
-        return dynamics.still(self._fall((self.base_roll, self.base_pitch, self.base_yaw)))  # type: ignore[arg-type]
+        return still(self._fall((self.base_roll, self.base_pitch, self.base_yaw)))  # type: ignore[arg-type]
 
-    def riding(self, ride: Float[Array, " 9"]) -> dynamics.Base:
+    def riding(self, ride: Float[Array, " 9"]) -> Base:
         """Gravity and the base's own motion (`RIDE`), turned about its origin, in its frame."""
         offset = jnp.stack(
             [jnp.asarray(self.base_roll), jnp.asarray(self.base_pitch), jnp.asarray(self.base_yaw)]
@@ -417,7 +418,7 @@ class Robot(Staged):
         w, wd = jax.jvp(dynamics.angular_velocity, (angles, rates), (rates, ride[6:]))
         fall = self._fall(tuple(angles))
         zero = 0.0 * w[0]
-        return dynamics.Base(tuple(w), tuple(wd), tuple(zero - f for f in fall))  # type: ignore[arg-type]
+        return Base(tuple(w), tuple(wd), tuple(zero - f for f in fall))  # type: ignore[arg-type]
 
     def _fall(self, angles: Any) -> tuple[Any, ...]:
         """Vector of free fall in the frame of a base that is turned so."""
@@ -428,7 +429,7 @@ class Robot(Staged):
             lambda m: m.prepared, self, (self.body(), self.standing()), is_leaf=lambda x: x is None
         )
 
-    def _worked_out(self) -> tuple[dynamics.Body, dynamics.Base]:
+    def _worked_out(self) -> tuple[dynamics.Body, Base]:
         return (self.body(), self.standing()) if self.prepared is None else self.prepared
 
     def _spring(self, q: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -496,8 +497,8 @@ class Robot(Staged):
         own = q - self.encoder_bias
         S, q = self.coupling.jacobian(own), self.coupling.positions(own)
         qd = carried(S, qd)
-        zero, E = 0.0 * q[0], dynamics.frames(plan, body, q - np.array(self.reference))
-        rest = dynamics.still((zero, zero, zero))
+        E = dynamics.frames(plan, body, q - np.array(self.reference))
+        rest = still((0.0 * q[0],) * 3)
 
         def forces(a):
             return dynamics.inverse_dynamics(plan, body, E, rest, 0 * qd, a)
@@ -518,9 +519,10 @@ class Robot(Staged):
         own = q - self.encoder_bias
         S, q = self.coupling.jacobian(own), self.coupling.positions(own)
         qd = carried(S, qd)
-        E, still = dynamics.frames(plan, body, q - np.array(self.reference)), jnp.zeros_like(qd)
+        E = dynamics.frames(plan, body, q - np.array(self.reference))
+        steady = jnp.zeros_like(qd)
         moving, resting = (
-            dynamics.inverse_dynamics(plan, body, E, b, qd, still)
+            dynamics.inverse_dynamics(plan, body, E, b, qd, steady)
             for b in (self.riding(ride), base)
         )
         return gathered(S, moving - resting)
@@ -532,13 +534,9 @@ class Robot(Staged):
             self.body(),
             self.coupling.positions(x[0] - self.encoder_bias) - np.array(self.reference),
         )
-        p = jnp.stack(dynamics.poses(plan_of(self.parent), E, plan_of(self.parent).route).p, -1)
-        R = jnp.stack(
-            [
-                jnp.stack(row)
-                for row in dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
-            ]
-        )
+        p = jnp.stack(dynamics.poses(plan_of(self.parent), E).p, -1)
+        rows = dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
+        R = jnp.stack([jnp.stack(row) for row in rows])
         p = jnp.concatenate([p, jnp.zeros((1, 3))]) @ R.T
         return p[np.array(dynamics.tour(self.parent))]
 

@@ -17,7 +17,17 @@ from jaxid.dynamics.effect import InputEffect
 from jaxid.dynamics.kinematics import ArmTable, free_fall, modified_dh, placements
 from jaxid.dynamics.mechanism import Signature, Staged
 from jaxid.dynamics.parameter import constant, param, ParameterSpec, Quantity, with_fields
-from jaxid.dynamics.rigid_body import INERTIA, inverse_dynamics, mass_matrix, Placements, poses
+from jaxid.dynamics.rigid_body import (
+    chain_of,
+    each_joint,
+    INERTIA,
+    inverse_dynamics,
+    mass_matrix,
+    Placements,
+    poses,
+    still,
+    symmetric,
+)
 from jaxid.models.effects import ConstantTorque, CoulombFriction, PowerLawFriction
 
 
@@ -262,21 +272,21 @@ class AbstractArm(Staged):
         return free_fall(self.gravity, jnp.asarray(self.base_roll), jnp.asarray(self.base_pitch))
 
     def matrices(self, q, qd):
-        E, phi = self.placements(q), self.inertia()
-        M = mass_matrix(E, self.prismatic, phi) + jnp.diag(jnp.asarray(self.Ia))
-        return M, inverse_dynamics(E, self.prismatic, phi, self.free_fall(), qd, jnp.zeros_like(qd))
+        E = self.placements(q)
+        bodies = chain_of(self.prismatic, batch=0, inertia=self.inertia())
+        M = symmetric(mass_matrix(E, bodies, each_joint(len(self.prismatic), batch=0)))
+        bias = inverse_dynamics(E, bodies, still(self.free_fall()), qd, jnp.zeros_like(qd))
+        return M + jnp.diag(jnp.asarray(self.Ia)), bias
 
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [n ...] (any number of samples behind the joints), friction
         excluded.
         """
-        Ia = jnp.asarray(self.Ia).reshape(-1, *(1,) * (qdd.ndim - 1))
-        return (
-            inverse_dynamics(
-                self.placements(q), self.prismatic, self.inertia(), self.free_fall(), qd, qdd
-            )
-            + Ia * qdd
-        )
+        batch = qdd.ndim - 1
+        bodies = chain_of(self.prismatic, batch, self.inertia())
+        tau = inverse_dynamics(self.placements(q), bodies, still(self.free_fall()), qd, qdd)
+        Ia = jnp.asarray(self.Ia).reshape(-1, *(1,) * batch)
+        return tau + Ia * qdd
 
     def rotors(self):
         return jnp.asarray(self.Ia)
@@ -333,6 +343,6 @@ class SerialArm(AbstractArm):
         """The chain of a URDF from `root` (default: its root link) to `tip` (default: the only
         leaf).
         """
-        from jaxid.dynamics.urdf import read_urdf
+        from jaxid.robots.urdf_tree import read_urdf
 
         return cls(read_urdf(path, tip, root))

@@ -34,6 +34,8 @@ def test_without_an_effect_what_is_left_is_that_of_the_numbers():
     steps = {s.step: s for s in budget(gaps(20.0, 3.0, 1.0, ceiling=0.5), (), "unknown")}
     assert "effects" not in steps and steps["left"].gap == 3.0
     assert steps["any_free_law"].gap == pytest.approx((1 + 0.5 * 8) ** 0.5)
+    *_, law = budget(gaps(20.0, 3.0, 1.0, ceiling=0.5), (), "unknown", law="position")
+    assert law.to_dict() == {"step": "any_free_law", "gap": law.gap, "law": "position"}
 
 
 @pytest.mark.parametrize("nothing", [float("nan"), float("inf")])

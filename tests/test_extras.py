@@ -66,6 +66,7 @@ def test_what_the_core_requires_is_in_no_extra():
             "hardware",
         ),
         (("batch", "STUDY"), "batch"),
+        (("fit", "examples/servo_pendulum", "--out", "OUT", "--posterior"), "posterior"),
     ],
 )
 def test_a_command_names_the_extra_that_it_misses(

@@ -9,7 +9,7 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 23.8,
+    measure_house.DENSITY: 23.7,
     "fmt: skip": 14,
     "lines over 100 columns": 105,
     "not recorded": 36,

@@ -208,10 +208,9 @@ LONG = {
     "jaxid/diagnosis/search.py": 577,
     "jaxid/diagnosis/unseen.py": 502,
     "jaxid/dynamics/chain.py": 530,
-    "jaxid/report/text.py": 531,
     "jaxid/robots/export/mjcf.py": 564,
     "jaxid/study/papers/flexible_link.py": 553,
-    "models/robot.py": 579,
+    "models/robot.py": 577,
 }
 
 

@@ -23,7 +23,7 @@ from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import astray, Gaps, judge, level, upheld, Verdict
 from jaxid.fitting.result import EffectEstimate, Estimate
 from jaxid.fitting.stated import sentence_of, StatedNumber
-from jaxid.report import answer, identified, text
+from jaxid.report import answer, effect_text, identified, text
 from jaxid.report.display import write
 from jaxid.serialise import finite
 from report_sample import sample_diagnosis, sample_fit
@@ -376,7 +376,7 @@ def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
 def test_what_is_doubted_stands_behind_what_is_sure():
     drags = [EffectEstimate("quadratic_drag", q) for q in ("q1", "q2", "q3")]
     which = Which("partly", tuple(drags), (), (), "", {str(drags[1]): "it does nothing"})
-    assert text.lacks(which, lambda effects: " and ".join(map(str, effects))) == (
+    assert effect_text.lacks(which, lambda effects: " and ".join(map(str, effects))) == (
         "The model lacks quadratic_drag at q1 and quadratic_drag at q3, perhaps quadratic_drag at q2, and something more that no "
         "known effect explains."
     )
@@ -405,11 +405,11 @@ def test_one_law_at_many_joints_is_said_once():
 
     lag = (EffectEstimate("actuator_lag", "tau1"),)
     assert (
-        text.at_places(drag("q1", "q2") + lag)
+        effect_text.at_places(drag("q1", "q2") + lag)
         == "quadratic drag at q1 and q2 and actuator lag at tau1"
     )
-    assert text.at_places(drag("q1", "q2", "q3", "q4")) == "quadratic drag at 4 places"
-    said = text.meaning(Which("partly", drag("q1", "q2"), (), (), ""))
+    assert effect_text.at_places(drag("q1", "q2", "q3", "q4")) == "quadratic drag at 4 places"
+    said = effect_text.meaning(Which("partly", drag("q1", "q2"), (), (), ""))
     assert len(said) == 1 and said[0].startswith("q1 and q2: ")
 
 

@@ -24,10 +24,10 @@ from jaxid.dynamics.effect import Command
 from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
 from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.dynamics.urdf import read_urdf
 from jaxid.errors import UsageError
 from jaxid.models import Panda, SerialArm, UR10, UR10e
 from jaxid.numerics.precision import float64
+from jaxid.robots.urdf_tree import read_urdf
 from simulated import Simulator
 
 
@@ -198,18 +198,18 @@ def test_compiled_and_plain_recursions_agree():
     q, qd, qdd = np.random.default_rng(0).uniform(-2, 2, (3, 6, 30))
     E = kin.placements(arm, arm.prismatic, q)
     phi = table_of(arm).inertia
+    bodies, base = rb.chain_of(arm.prismatic, batch=1, inertia=phi), rb.still(DOWN)
     plain = (
-        rb.inverse_dynamics(E, arm.prismatic, phi, DOWN, qd, qdd),
-        rb.regressor(E, arm.prismatic, DOWN, qd, qdd),
+        rb.inverse_dynamics(E, bodies, base, qd, qdd),
+        rb.regressor(E, bodies, base, qd, qdd),
     )
     with float64():
 
         @jax.jit
         def run(q, qd, qdd):
             E = kin.placements(arm, arm.prismatic, q)
-            return rb.inverse_dynamics(E, arm.prismatic, phi, DOWN, qd, qdd), rb.regressor(
-                E, arm.prismatic, DOWN, qd, qdd
-            )
+            tau = rb.inverse_dynamics(E, bodies, base, qd, qdd)
+            return tau, rb.regressor(E, bodies, base, qd, qdd)
 
         for a, b in zip(run(*(jnp.asarray(x) for x in (q, qd, qdd))), plain, strict=True):
             assert np.allclose(a, b, rtol=1e-11, atol=1e-11)

@@ -19,6 +19,7 @@ from jaxid.cli import terminal
 from jaxid.cli.model import MODEL as MODEL
 from jaxid.cli.options import (
     AS_RECORDED,
+    asked_posterior,
     CUTOFF,
     DATASET,
     effects_option,
@@ -139,6 +140,8 @@ SOLVER = click.option(
     metavar="S",
     help="Seconds of such a block.",
 )
+@click.option("--posterior", is_flag=True, help="Also draw from the posterior (NUTS).")
+@click.option("--draws", type=click.IntRange(100), metavar="N", help="Of each of its four chains.")
 @SOLVER
 @AS_RECORDED
 @output_options
@@ -157,6 +160,8 @@ def fit(
     window,
     forgetting,
     block_s,
+    posterior,
+    draws,
     solver,
     as_recorded,
     as_json,
@@ -165,8 +170,9 @@ def fit(
     """Fit a model to a dataset.
 
     With --window or --forgetting along the data, at the same cost for every block. Writes fit.json
-    and report.html into DIR.
+    and report.html into DIR; with --posterior also posterior.nc (for ArviZ) and posterior.png.
     """
+    sampling = asked_posterior(posterior, draws)
     jaxid, data = start(dataset, out)
     foretell("fit", model, data, quiet)
     from jaxid.report.text import fit_text
@@ -186,6 +192,7 @@ def fit(
             window=window,
             forgetting=forgetting,
             block_s=block_s,
+            posterior=sampling,
             solver=solver,
             progress=output.progress,
             as_recorded=as_recorded,

@@ -15,6 +15,7 @@ from jaxid.cli import terminal
 from jaxid.cli.importing import JOIN, OVERWRITE, RATE
 from jaxid.cli.options import output_options
 from jaxid.errors import SUCCESS
+from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:
@@ -112,9 +113,9 @@ def content(
         "kind": "new",
         "folder": str(done.folder),
         "channels": {c.name: {"role": c.role, "unit": c.unit} for c in data.channels},
-        "experiments": [e.name for e in data.experiments],
+        "experiments": names_of(data.experiments),
         "model": model,
-        "models": [p.name for p in proposed],
+        "models": names_of(proposed),
         "command": done.command,
     }
 
@@ -141,7 +142,7 @@ def chosen(proposed: Sequence[ProposedModel], asking: bool) -> str | None:
         return None
     for model in proposed:
         terminal.say(str(model))
-    return click.prompt("model", type=click.Choice([model.name for model in proposed]))
+    return click.prompt("model", type=click.Choice(names_of(proposed)))
 
 
 def write_model(path: Path, model: str) -> None:

@@ -104,6 +104,27 @@ SEED = click.option(
 )
 
 
+def asked_posterior(posterior: bool, draws: int | None) -> Any:
+    """What is to be drawn beside a fit, False for nothing. Raises `UsageError` where an extra is
+    missing.
+    """
+    from jaxid.errors import UsageError
+    from jaxid.extras import required
+
+    if not posterior:
+        if draws is not None:
+            raise UsageError("--draws belongs to --posterior")
+        return False
+    required("blackjax")
+    required("arviz")
+    from jaxid import runtime
+
+    runtime.prepare()
+    from jaxid.fitting.nuts import Sampling
+
+    return Sampling() if draws is None else Sampling(draws=draws)
+
+
 def start(dataset: str, out: Path) -> tuple[Any, Any]:
     """Loads the dataset, then makes sure that results can be written, before any long work."""
     from jaxid import runtime

@@ -41,6 +41,7 @@ from jaxid.problem.binding import bind, Binding
 from jaxid.robots.floating import wanted
 from jaxid.robots.match import prepared
 from jaxid.robots.stops import sentences_of
+from jaxid.wording import names_of
 
 
 #: What a short fit of a bound model, with more effects, leaves of a dataset, times the noise; None
@@ -144,7 +145,7 @@ def check_folder(
 
 def _usable(found: list[DataFinding], dataset: Dataset) -> bool:
     """Whether any output moves in any run of the recording."""
-    names = [e.name for e in dataset.experiments[:4]]
+    names = names_of(dataset.experiments[:4])
     still = set()
     for finding in found:
         if finding.kind == "does_not_move" and all(name in finding.text for name in names):
@@ -250,7 +251,7 @@ def _law_read(
         own, _ = _bound(model, data, without)
         return None if own is None else gap(own, data, effects)
 
-    return law_reading(data, left, tuple(n for n, _ in binding.chain.signature.inputs))
+    return law_reading(data, left, tuple(binding.chain.signature.input_names))
 
 
 def _by_model(

@@ -17,6 +17,7 @@ from jaxid.dynamics.joint_readings import read_by
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
+from jaxid.wording import names_of
 
 
 Change = Callable[[SampledMotion], SampledMotion]
@@ -144,7 +145,7 @@ class Names:
     def __init__(self, binding: Binding):
         iu, _ = columns(binding.dataset, binding.chain)
         inputs = [binding.dataset.inputs[i] for i in iu[: len(binding.chain.signature.commands)]]
-        self.inputs = [c.name for c in inputs]
+        self.inputs = names_of(inputs)
         self.input_units = [c.unit for c in inputs]
         outputs = [binding.chain.signature.outputs[k] for k in read_by(binding.chain)]
         self.joints, self.joint_units = [name for name, _ in outputs], [unit for _, unit in outputs]

@@ -15,6 +15,7 @@ from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.mending import lines, Mending
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.forms import glitches
+from jaxid.wording import names_of
 
 
 #: Words of goals in names of channels: q_cmd, target_position, qref, Sollposition.
@@ -59,7 +60,7 @@ def series(dataset: Dataset, channel: Channel) -> Iterator[tuple[Experiment, np.
             if channel.name in e.auxiliary:
                 yield e, e.auxiliary[channel.name][:LONGEST]
             continue
-        column = [c.name for c in group].index(channel.name)
+        column = names_of(group).index(channel.name)
         values = e.u if channel.role == "input" else e.y
         keep = slice(None) if channel.role == "input" else e.read[:LONGEST, column]
         yield e, values[:LONGEST, column][keep]
@@ -70,7 +71,7 @@ def samples_of(dataset: Dataset, channel: Channel, e: Experiment) -> np.ndarray 
     if channel.role == "auxiliary":
         values = e.auxiliary.get(channel.name)
         return None if values is None else values[:LONGEST]
-    column = [c.name for c in dataset.outputs].index(channel.name)
+    column = dataset.output_names.index(channel.name)
     return e.motion()[:LONGEST, column]
 
 
@@ -189,7 +190,7 @@ def _timed(
     dataset: Dataset, channel: Channel
 ) -> Iterator[tuple[Experiment, np.ndarray, np.ndarray]]:
     """Each run with the times and the samples of an output [time] that count."""
-    column = [c.name for c in dataset.outputs].index(channel.name)
+    column = dataset.output_names.index(channel.name)
     for e, y in series(dataset, channel):
         yield e, e.t[:LONGEST][e.read[:LONGEST, column]], y
 

@@ -27,7 +27,7 @@ def unsigned(binding: Binding, fit: ForceFit, m: SampledMotion, names: Names) ->
     plain = fit.fit(m)
     if plain.worst < 0.3:
         return None
-    inputs = [c.name for c in binding.dataset.inputs]
+    inputs = binding.dataset.input_names
     u = np.concatenate([e.u for e in binding.dataset.experiments])
     two_way = [
         n for n, unit in zip(names.inputs, names.input_units, strict=True) if unit in TWO_WAY

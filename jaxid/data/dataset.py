@@ -17,6 +17,7 @@ from jaxid.data.experiment import (
     StatedChannel as StatedChannel,
 )
 from jaxid.display import displays
+from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:
@@ -116,6 +117,14 @@ class Dataset:
     @property
     def outputs(self) -> tuple[Channel, ...]:
         return tuple(c for c in self.channels if c.role == "output")
+
+    @property
+    def input_names(self) -> list[str]:
+        return names_of(self.inputs)
+
+    @property
+    def output_names(self) -> list[str]:
+        return names_of(self.outputs)
 
     def split(self, name: str) -> tuple[Experiment, ...]:
         """The runs of one split: "fit", "validation" or "report"."""

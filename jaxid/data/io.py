@@ -21,6 +21,7 @@ from jaxid.data.schema import ExperimentEntry, read_document
 from jaxid.data.table import read_table, Table
 from jaxid.errors import DatasetError, DatasetProblem
 from jaxid.storage.small_files import read_small
+from jaxid.wording import names_of
 
 
 SUFFIXES = (".csv", ".parquet", ".pq")
@@ -279,7 +280,7 @@ def _exchange(new: Path, target: Path) -> None:
 
 
 def _same_files(a: Path, b: Path) -> bool:
-    names = sorted(p.name for p in a.iterdir())
-    return names == sorted(p.name for p in b.iterdir()) and all(
+    names = sorted(names_of(a.iterdir()))
+    return names == sorted(names_of(b.iterdir())) and all(
         (b / n).is_file() and (a / n).read_bytes() == (b / n).read_bytes() for n in names
     )

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from jaxid.errors import nearest, UsageError
 from jaxid.storage.small_files import read_small
+from jaxid.wording import names_of
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Limits:
             raise UsageError(f"limits {path}: cannot be read ({error.strerror})") from error
         except ValueError as error:
             raise UsageError(f"limits {path}: not readable as TOML: {error}") from error
-        known = [f.name for f in fields(cls)]
+        known = names_of(fields(cls))
         for name in content:
             if name not in known:
                 raise UsageError(f"limits {path}: there is no limit {name!r}{nearest(name, known)}")

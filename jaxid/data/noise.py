@@ -17,6 +17,7 @@ import numpy as np
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.repeats import one_way, repeats, together
 from jaxid.data.units import si_unit
+from jaxid.wording import names_of
 
 
 BLOCK = 50  # samples; the median over blocks keeps impacts and reversals out of the estimate
@@ -54,7 +55,7 @@ def noise_floor(
     drifting: set[str] = set()
     if groups:
         for drift in one_way(dataset.experiments):
-            drifting |= {e.name for e in drift.runs}
+            drifting |= set(names_of(drift.runs))
     scattered = [g for g in groups if g[0].name not in drifting]
     alone = ""
     if not groups:

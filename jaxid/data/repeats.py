@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
-from jaxid.wording import listed
+from jaxid.wording import listed, names_of
 
 
 #: Of this many runs in any order, one in sixty changes one way by chance; of four, one in twelve,
@@ -105,7 +105,7 @@ def one_way_sentences(dataset: Dataset) -> list[str]:
 
 
 def _sentence(dataset: Dataset, found: OneWay) -> str:
-    names = [e.name for e in found.runs]
+    names = names_of(found.runs)
     told = listed(names) if len(names) <= 6 else f"{names[0]} to {names[-1]}"
     moved = [
         f"{off:.2g} {c.unit} in {c.name}"

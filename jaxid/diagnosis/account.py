@@ -83,7 +83,7 @@ def where_it_lies(
     """Findings, pictures and regime table; no finding where there is no gap."""
     starts = _starts(bench, nominal)
     joints = bench.binding.chain.signature.joints
-    inputs = [n for n, _ in bench.binding.chain.signature.inputs]
+    inputs = bench.binding.chain.signature.input_names
     causes: dict[str, EffectEstimate] = {}
     for e in named:
         joint = e.location if e.location in joints else None

@@ -60,22 +60,25 @@ class FreeLaw:
 class Belief:
     """Probabilities of a diagnosis. `places`: of each effect at each place; `probability`: that all
     named effects are missing, or one of the family that each stands for; `none`: that nothing is.
+    What was not asked is None.
     """
 
     places: dict[tuple[str, str], float]
     probability: float | None = None
     families: tuple[EffectFamily, ...] = ()
     free_law: FreeLaw | None = None
-    none: float = 0.0
+    none: float | None = None
     worth: dict[tuple[str, str], Worth] = field(default_factory=dict)
 
     def of(self, effect: str, location: str) -> dict[str, Any]:
         """What is told of one named effect."""
-        told: dict[str, Any] = {"probability": self.places.get((effect, location))}
         worth = self.worth.get((effect, location))
-        if worth is not None:
-            told |= asdict(worth)
-        return told
+        return {
+            "probability": self.places.get((effect, location)),
+            "alone": None if worth is None else worth.alone,
+            "missed_without": None if worth is None else worth.missed_without,
+            "missed_interval_95": None if worth is None else worth.missed_interval_95,
+        }
 
     def beside(self, more: dict[tuple[str, str], float]) -> Belief:
         """With further effects at places, of which each is there with such a probability."""

@@ -14,6 +14,7 @@ from jaxid.diagnosis.missing import joint_load, Missing
 from jaxid.diagnosis.regimes import regimes
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import scored
+from jaxid.wording import names_of
 
 
 #: A regime with fewer samples is left out.
@@ -47,7 +48,7 @@ class Share:
 
 def by_run(bench: ProblemBuilder, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
     """Of every run of a split; `models` as stated, re-tuned, with the effects."""
-    names = [e.name for e in bench.binding.experiments(split)]
+    names = names_of(bench.binding.experiments(split))
     if any(len(m.residual) != len(names) for m in models):
         return ()
     return tuple(

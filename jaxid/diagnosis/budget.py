@@ -29,7 +29,8 @@ class Step:
 
     `closes` is the share of the mean square above the noise that it takes from the step before,
     None where that has no size. `of` are the stated numbers that re-tuning moves, `rms` what is
-    left of each output, (value, unit).
+    left of each output, (value, unit), `law` what a free law at a joint is a law of ("" where no
+    one variable stands out).
     """
 
     step: str  # stated, numbers, effects, left, any_free_law
@@ -37,6 +38,7 @@ class Step:
     closes: float | None = None
     of: tuple[str, ...] = ()
     rms: dict[str, tuple[float, str]] = field(default_factory=dict)
+    law: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         content: dict[str, Any] = {"step": self.step, "gap": self.gap}
@@ -46,12 +48,16 @@ class Step:
             content["of"] = list(self.of)
         if self.step == "left":
             content["rms"] = {name: list(value) for name, value in self.rms.items()}
+        if self.step == "any_free_law":
+            content["law"] = self.law
         return content
 
 
-def budget(how_far: HowFar, stated: Sequence[StatedNumber], verdict: str) -> tuple[Step, ...]:
+def budget(
+    how_far: HowFar, stated: Sequence[StatedNumber], verdict: str, law: str = ""
+) -> tuple[Step, ...]:
     """The steps from the model as stated to what no free law at the joints could close; `stated`
-    are the numbers with which it began.
+    are the numbers with which it began, `law` what a law of no name depends on.
     """
     before, retuned = how_far.gap_before, how_far.gap_retuned
     robot = bool(how_far.per_joint)
@@ -68,7 +74,7 @@ def budget(how_far: HowFar, stated: Sequence[StatedNumber], verdict: str) -> tup
     if how_far.ceiling is not None:
         share = min(max(how_far.ceiling, 0.0), 1.0)
         reached = math.hypot(math.sqrt(share), math.sqrt(1 - share) * retuned)
-        steps.append(Step("any_free_law", min(reached, max(left, 1.0))))
+        steps.append(Step("any_free_law", min(reached, max(left, 1.0)), law=law))
     return tuple(steps)
 
 

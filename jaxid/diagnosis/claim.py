@@ -66,11 +66,7 @@ class Judge:
     def claim(self) -> Claim:
         """What is claimed by all sets of data."""
         # A zero of each run's own: what is compared has to be the outputs of free runs.
-        names = (
-            [n for n, _ in self.bench.binding.chain.signature.outputs]
-            if self.residual.free_run
-            else []
-        )
+        names = self.bench.binding.chain.signature.output_names if self.residual.free_run else []
         counted = np.array(
             [self.bench.binding.noise[n].source == "quantisation" for n in names], bool
         )

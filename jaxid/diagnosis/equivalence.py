@@ -33,6 +33,7 @@ from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import FitProblem, rows
 from jaxid.problem.residual import OutputError
 from jaxid.robots.match import is_file, robot_from
+from jaxid.wording import names_of
 
 
 #: A weak effect is this share of a probe: what a first-order re-tuning leaves of one that is
@@ -131,7 +132,7 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     parts = list(rows([(p, z)]))
     base = np.concatenate([part.r.ravel() for part in parts])
     remaining = Retuning(parts, p.size).remaining
-    pool = candidates(bench, tuple(k.name for k in library))
+    pool = candidates(bench, tuple(names_of(library)))
     shapes, thetas, owner = binding.layout.shapes, [], []
     for k, c in enumerate(pool):
         for full in probes_of(bench, c, theta):
@@ -278,7 +279,7 @@ def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, 
 
     t = np.arange(int(RATE * SECONDS)) / RATE
     rng = np.random.default_rng(0)
-    names = [n for n, _ in chain.signature.inputs]
+    names = chain.signature.input_names
     units = dict((*chain.signature.inputs, *chain.signature.outputs))
     shape = {}
     for name, unit in chain.signature.inputs:

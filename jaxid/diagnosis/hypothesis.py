@@ -22,6 +22,7 @@ from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics
+from jaxid.wording import names_of
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,7 @@ def check_asked(nominal: Chain, asked: Sequence[str], residual: str = "") -> Non
         elif not possible(nominal, [name], residual):
             why.append(f"{residual} compares torques at joints and cannot see {name}")
     if why:
-        able = [k.name for k in possible(nominal, catalogue.effect_names(), residual)]
+        able = names_of(possible(nominal, catalogue.effect_names(), residual))
         raise UsageError(f"{'; '.join(why)}. Candidates are: {', '.join(able) or 'none'}")
 
 

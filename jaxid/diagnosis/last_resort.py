@@ -11,7 +11,7 @@ from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.runtime import Interrupted
-from jaxid.wording import times
+from jaxid.wording import names_of, times
 
 
 #: Verdict without such laws -> verdicts with them that take its place.
@@ -40,8 +40,8 @@ def asked_last(
     before, late = found.which.verdict, last_resorts(nominal, residual)
     if before not in SAYS_MORE or not late:
         return found
-    named, names = [e.effect for e in found.which.effects], [k.name for k in late]
-    simpler = [k.name for k in possible(nominal, [n for k in late for n in k.resembles], residual)]
+    named, names = [e.effect for e in found.which.effects], names_of(late)
+    simpler = names_of(possible(nominal, [n for k in late for n in k.resembles], residual))
     try:
         again = ask(tuple(dict.fromkeys([*named, *names, *simpler])))
     except Interrupted as stop:

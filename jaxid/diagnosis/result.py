@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
+from jaxid.diagnosis.alike import alike
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.budget import budget, Step
 from jaxid.diagnosis.cause import words
@@ -33,7 +35,8 @@ if TYPE_CHECKING:
 class Finding:
     """One place where the gap lies. `times_noise_floor` is the missing signal there over what noise
     would show there; `variable` what the force is a law of (or what tells the regime), `range`
-    where in it (None: an open end).
+    where in it (None: an open end). `value` is what is missing there, rms in `unit`; `direction` of
+    the motion in which it is (forward, backward, both; "" where that is not told).
     """
 
     channel: str
@@ -45,6 +48,9 @@ class Finding:
     text: str
     variable: str = ""
     range: tuple[float | None, float | None] | None = None
+    direction: str = ""
+    value: float | None = None
+    unit: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -56,6 +62,9 @@ class Finding:
             "times_noise_floor": self.times_noise_floor,
             "variable": self.variable,
             "range": None if self.range is None else list(self.range),
+            "direction": self.direction,
+            "value": self.value,
+            "unit": self.unit,
             "text": self.text,
         }
 
@@ -151,11 +160,18 @@ class Which:
     belief: Belief | None = None  # probabilities, where a way of asking gives them
 
     def to_dict(self) -> dict[str, Any]:
-        told = {} if self.belief is None else self.belief.to_dict()
+        belief = self.belief or Belief({})
+        places = {
+            (group.common.effect, place): group.locations
+            for group in alike(self.effects)
+            for place in group.locations
+        }
         return {
             "verdict": self.verdict,
-            **told,
-            "effects": [self._effect(e) for e in self.effects],
+            **belief.to_dict(),
+            "effects": [
+                self._effect(e, belief, places[e.effect, e.location]) for e in self.effects
+            ],
             "confusable_with": [
                 {"effect": e.effect, "location": e.location} for e in self.confusable_with
             ],
@@ -164,9 +180,15 @@ class Which:
             "doubts": self.doubts,
         }
 
-    def _effect(self, e: EffectEstimate) -> dict[str, Any]:
-        told = {} if self.belief is None else self.belief.of(e.effect, e.location)
-        return {**e.to_dict(), **told, "text": words(e, "plain"), "check": words(e, "check")}
+    @staticmethod
+    def _effect(e: EffectEstimate, belief: Belief, places: Sequence[str]) -> dict[str, Any]:
+        return {
+            **e.to_dict(),
+            "locations": list(places),
+            **belief.of(e.effect, e.location),
+            "text": words(e, "plain"),
+            "check": words(e, "check"),
+        }
 
 
 @dataclass(frozen=True)
@@ -266,7 +288,8 @@ class Diagnosis(Displayed, Exportable):
     def budget(self) -> tuple[Step, ...]:
         """Gaps from the model as stated to what is left, step by step, on held-out runs."""
         stated = self.nominal.stated or self.final.stated
-        return budget(self.how_far, stated, self.which.verdict)
+        law = None if self.which.belief is None else self.which.belief.free_law
+        return budget(self.how_far, stated, self.which.verdict, "" if law is None else law.over)
 
     def next_run(self, **settings: Any) -> Excitation:
         """What to record next: the input that best tells the two leading hypotheses apart, within

@@ -269,7 +269,7 @@ def _run(
     still = standing_still(binding)
     stamps, others = {}, tuple(n for n in allowed if n != JITTER)
     if any(k.name == JITTER for k in library):
-        names = [n for n, _ in binding.chain.signature.outputs]
+        names = binding.chain.signature.output_names
         stamps = {
             c: s for c, s in scattered_stamps(binding.dataset, binding.noise).items() if c in names
         }

@@ -27,6 +27,8 @@ from jaxid.wording import number, percent
 
 
 WINDOW_S = 0.5
+#: Share of a force's energy that lies in one direction of motion, from which it is said to.
+ONE_WAY = 0.9
 
 #: Each regime in words, and what tells it.
 _WORDS = {
@@ -146,7 +148,7 @@ def findings(
     its place is then told.
     """
     b = bench.binding
-    joints, outputs = b.chain.signature.joints, [n for n, _ in b.chain.signature.outputs]
+    joints, outputs = b.chain.signature.joints, b.chain.signature.output_names
     unit = b.chain.signature.unit("{F}")
 
     def energy_of(j, masks):
@@ -210,9 +212,28 @@ def findings(
                     text=text,
                     variable=told_by,
                     range=limits,
+                    direction=_direction(found, j, force, inside),
+                    value=strength,
+                    unit=unit,
                 )
             )
     return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
+
+
+def _direction(
+    found: Sequence[Missing], joint: int, force: Sequence[np.ndarray], masks: Sequence[np.ndarray]
+) -> str:
+    """In which direction of a joint's motion a force lies: forward, backward or both."""
+    speed = np.concatenate([m.qd[k, joint] for m, k in zip(found, masks, strict=True)])
+    own = np.concatenate([f[k] for f, k in zip(force, masks, strict=True)])
+    energy = float(own @ own)
+    if energy == 0:
+        return ""
+    forward = float(np.sum(own[speed > 0] ** 2)) / energy
+    backward = float(np.sum(own[speed < 0] ** 2)) / energy
+    if forward > ONE_WAY:
+        return "forward"
+    return "backward" if backward > ONE_WAY else "both"
 
 
 def _range(
@@ -325,6 +346,8 @@ def output_findings(
                     text=text,
                     variable=told_by,
                     range=limits,
+                    value=rms,
+                    unit=unit,
                 )
             )
     return sorted(out, key=lambda f: -f.times_noise_floor)[:3]

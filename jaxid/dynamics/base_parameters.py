@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.dynamics.kinematics import free_fall, placements
-from jaxid.dynamics.rigid_body import INERTIA, inverse_dynamics, regressor
+from jaxid.dynamics.rigid_body import chain_of, INERTIA, inverse_dynamics, regressor, still
 
 
 #: A column counts as dependent where less than this share of it lies outside the span of the kept
@@ -109,7 +109,9 @@ def torque_columns(arm: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> 
     n, count = q.shape[1], q.shape[0]
     E, fall, qd_rows, qdd_rows = _joint_rows(arm, q, qd, qdd)
     Y = np.zeros((count, n, n, len(STANDARD)))
-    Y[..., :10] = np.moveaxis(regressor(E, arm.prismatic, fall, qd_rows, qdd_rows), 3, 0)
+    bodies = chain_of(arm.prismatic, batch=1)
+    columns = regressor(E, bodies, still(fall), qd_rows, qdd_rows)
+    Y[..., :10] = np.moveaxis(columns, 3, 0)
     Y[:, np.arange(n), np.arange(n), 10] = qdd
     return Y.reshape(count, n, -1)
 
@@ -122,10 +124,9 @@ def standard_torque(
     """
     E, fall, qd_rows, qdd_rows = _joint_rows(arm, q, qd, qdd)
     table = phi.reshape(-1, len(STANDARD))
-    return (
-        inverse_dynamics(E, arm.prismatic, table[:, :10], fall, qd_rows, qdd_rows).T
-        + table[:, 10] * qdd
-    )
+    bodies = chain_of(arm.prismatic, batch=1, inertia=table[:, :10])
+    tau = inverse_dynamics(E, bodies, still(fall), qd_rows, qdd_rows)
+    return tau.T + table[:, 10] * qdd
 
 
 def _joint_rows(

@@ -37,6 +37,7 @@ from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.dynamics.present import at_time, numbers_of
 from jaxid.numerics.fast_math import dot, fence
+from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:
@@ -121,19 +122,17 @@ class Chain(eqx.Module):
         """Positions of the joints' own coordinates among the outputs; empty where not every joint
         is measured.
         """
-        names = [n for n, _ in self.signature.outputs]
-        return (
-            [names.index(j) for j in self.signature.joints]
-            if set(self.signature.joints) <= set(names)
-            else []
-        )
+        names, joints = self.signature.output_names, self.signature.joints
+        if not set(joints) <= set(names):
+            return []
+        return [names.index(j) for j in joints]
 
     def places(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
         """Names of the locations that an effect's parameters are counted by in this model."""
         if effect.location == "joint":
             return self.signature.joints
         if effect.location == "number":
-            return tuple(n.name for n in self.numbers)
+            return tuple(names_of(self.numbers))
         return self.mechanism.places(effect, self.signature)
 
     def offers(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
@@ -162,7 +161,7 @@ class Chain(eqx.Module):
 
     def with_effects(self, *effects: Effect) -> Chain:
         """The same model with more effects; one that it already has is replaced."""
-        return self._with([*self.without(*(e.name for e in effects)).effects, *effects])
+        return self._with([*self.without(*names_of(effects)).effects, *effects])
 
     def with_mechanism(self, mechanism: Mechanism) -> Chain:
         """The same effects on another mechanism with the same places."""
@@ -318,7 +317,7 @@ class Chain(eqx.Module):
 
     def _off(self) -> Array | float:
         """By how much the encoders of the joints are off, [nq]."""
-        names = [n for n, _ in self.signature.outputs]
+        names = self.signature.output_names
         total: Array | float = 0.0
         for _, e in self.at(OutputEffect):
             off = e.offset()

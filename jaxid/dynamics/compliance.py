@@ -251,7 +251,7 @@ class Compliant(Mechanism):
         inner, q, _, t = x
         y = self.inner.output(inner, jnp.where(self.present, t, tau), rests & ~self.present)
         signature = mechanism_of(self.base).signatures[0]
-        names, joints = [n for n, _ in signature.outputs], signature.joints
+        names, joints = signature.output_names, signature.joints
         for column, name in enumerate(names):
             if name in joints:  # the encoder sits at the motor
                 j = joints.index(name)

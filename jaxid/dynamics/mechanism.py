@@ -50,6 +50,14 @@ class Signature(NamedTuple):
     rates: int = 0
 
     @property
+    def input_names(self) -> list[str]:
+        return [name for name, _ in self.inputs]
+
+    @property
+    def output_names(self) -> list[str]:
+        return [name for name, _ in self.outputs]
+
+    @property
     def commands(self) -> tuple[tuple[str, str], ...]:
         """The inputs that command joints."""
         return self.inputs[: len(self.inputs) - self.beside]

@@ -17,6 +17,7 @@ from typing import Any
 
 from jaxid.data.model_names import parts_of
 from jaxid.errors import nearest, UsageError
+from jaxid.wording import names_of
 
 
 #: Class attributes that every model has.
@@ -183,7 +184,7 @@ def _refuse_unusable(kind: type, file: str) -> None:
             " README shows"
         )
     name = getattr(kind, "name", None)
-    if name in {m.name for m in MODELS}:
+    if name in set(names_of(MODELS)):
         raise UsageError(
             f"{kind.__name__} in {file} has the name {name!r} of a model of jaxid: give it another"
             " `name`"

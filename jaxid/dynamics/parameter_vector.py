@@ -16,6 +16,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter import ParameterSpec, resolve, specs, TypicalMagnitudes
 from jaxid.errors import nearest, UsageError
+from jaxid.wording import names_of
 
 
 class Entry(NamedTuple):
@@ -86,7 +87,7 @@ class ParameterVector:
         """
         self.chain, self.solver = chain, solver
         self.entries = tuple(_entries(chain))
-        self.names = [e.name for e in self.entries]
+        self.names = names_of(self.entries)
         self.values = np.array([_value(chain, e) for e in self.entries], np.float64)
         self._leaves: list[tuple[int, str, int]] = []
         for name in specs(chain.mechanism):

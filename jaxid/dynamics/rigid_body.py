@@ -1,19 +1,19 @@
-"""Rigid-body dynamics of a serial chain: recursive Newton-Euler, composite rigid body, torque
-regressor.
+"""Rigid-body dynamics of a tree of joints: recursive Newton-Euler, composite rigid bodies, torque
+regressor. An arm is a tree without branches.
 
-Every link carries a frame whose z axis is the axis of its own joint. Vectors are tuples of three
-arrays of equal shape, in the frame of the link at hand, and each recursion is one loop over the
-joints: `lax.scan` for JAX arrays, a plain loop for NumPy's. All arrays have the joint first and may
-have any number of batch axes behind it ([n], or [n samples]); the arithmetic is elementwise, so
-that a batch runs as vector code. (Written out joint by joint, XLA recomputes shared terms without
-limit.)
+The bodies stand in levels, each joined to one of the level before. Vectors are tuples of three
+arrays of equal shape, in the frame of the body at hand, and each recursion is one loop over the
+levels: `lax.scan` for JAX arrays, a plain loop for NumPy's. All arrays have the level first. What
+stands behind it is worked on elementwise, so that it runs as vector code: nothing or the samples of
+an arm ([n], [n samples]), the bodies of one level of a tree ([levels slots]). (Written out joint by
+joint, XLA recomputes shared terms without limit.)
 
-The inertia of a link is ten numbers that the torque is linear in, about the ORIGIN of its frame and
+The inertia of a body is ten numbers that the torque is linear in, about the ORIGIN of its frame and
 in its axes: Ixx Ixy Ixz Iyy Iyz Izz mx my mz m.
 
 Sources: Luh, Walker, Paul 1980 (Newton-Euler); Featherstone, Rigid Body Dynamics Algorithms, 2008
-(composite rigid body); Kane's virtual power for the regressor: the torque of joint k is the sum
-over links of their partial velocity times wrench.
+(composite rigid body, chapter 6); Kane's virtual power for the regressor: the torque of joint k is
+the sum over links of their partial velocity times wrench.
 """
 
 from __future__ import annotations
@@ -42,6 +42,26 @@ class Placements(NamedTuple):
     y: Vector
     z: Vector
     p: Vector
+
+
+class Linkage(NamedTuple):
+    """Joints and what they carry, level by level [n ...]."""
+
+    turn: Vector  # axis of a hinge in the frame of its body, else 0
+    slide: Vector | None  # axis of a slide, else 0; None where no joint slides
+    inertia: tuple[Any, ...]  # ten numbers
+    #: [n slots slots] of zeros and ones: from the slots of the level before. None: slot by slot.
+    route: Any = None
+
+
+class Base(NamedTuple):
+    """Motion of the base in its own frame: angular velocity and acceleration, acceleration of its
+    origin minus gravity.
+    """
+
+    w: Vector
+    wd: Vector
+    a: Vector
 
 
 # ---- vectors as tuples of components
@@ -94,129 +114,160 @@ def _loop(step: Callable, carry: Any, xs: Any, reverse: bool = False) -> tuple[A
     return carry, jax.tree.map(lambda *rows: np.stack(rows), *out)
 
 
-def _rows(a: Any, like: Any) -> tuple[Any, ...]:
-    """Columns of an array [n k] as k arrays that broadcast against `like` [n ...]."""
-    return tuple(a[:, i].reshape(a.shape[0], *(1,) * (like.ndim - 1)) for i in range(a.shape[1]))
+# ---- what the recursions need
 
 
-class _Split(NamedTuple):
-    """Rates of revolute and of prismatic joints, each zero for the other kind; None where a chain
-    has no such joint.
+def still(fall: Sequence[Any]) -> Base:
+    """A base at rest in gravity; `fall` the vector of free fall in its frame, m/s^2: (0, 0, -9.81)
+    for a robot that stands upright.
+    """
+    zero = 0.0 * fall[0]
+    rest = (zero, zero, zero)
+    return Base(rest, rest, (zero - fall[0], zero - fall[1], zero - fall[2]))
+
+
+def chain_of(prismatic: Sequence[bool], batch: int, inertia: Any = None) -> Linkage:
+    """The bodies of an arm whose joints have the z axes of their frames; `batch` is the number of
+    axes behind the joints, `inertia` [n 10] (a regressor needs none).
     """
 
-    revolute: Any
-    prismatic: Any
+    def column(values: Any) -> Any:
+        return values.reshape(len(prismatic), *(1,) * batch)
+
+    slides = column(np.array(prismatic, np.float64))
+    zero = np.zeros_like(slides)
+    numbers = () if inertia is None else inertia.T
+    return Linkage(
+        turn=(zero, zero, 1 - slides),
+        slide=(zero, zero, slides) if any(prismatic) else None,
+        inertia=tuple(map(column, numbers)),
+    )
 
 
-def _split(prismatic: Sequence[bool], rate: Any) -> _Split:
-    mask = np.array(prismatic, np.float64).reshape(-1, *(1,) * (rate.ndim - 1))
-    if not any(prismatic):
-        return _Split(rate, None)
-    return _Split((1 - mask) * rate, mask * rate)
+def each_joint(n: int, batch: int) -> np.ndarray:
+    """Which joint stands at which level of an arm: [level joint ...], ones on the diagonal."""
+    return np.eye(n).reshape(n, n, *(1,) * batch)
 
 
-def _pick(prismatic: Sequence[bool], like: Any) -> Any:
-    """1 for a prismatic joint, 0 for a revolute one, [n 1 ...]; None where all are revolute."""
-    if not any(prismatic):
+def _rest(E: Placements, *others: Any) -> Any:
+    """Zeros of the shape that all arrays have behind the levels."""
+    return np.zeros(np.broadcast_shapes(*(a.shape[1:] for a in (E.x[0], *others))))
+
+
+def _from_level_before(route: Any, parts: Any) -> Any:
+    """Values at the slots of the level before [... slots], at the slots of their children."""
+    if route is None:
+        return parts
+    return jax.tree.map(lambda v: jnp.sum(v[..., None, :] * route, -1), parts)
+
+
+def _to_level_before(route: Any, parts: Any) -> Any:
+    """Sums over the children [... slots] at the slots of their parents."""
+    if route is None:
+        return parts
+    return jax.tree.map(lambda v: jnp.sum(v[..., :, None] * route, -2), parts)
+
+
+def _from_base(route: Any) -> Any:
+    """The route with the base's motion going to all slots of the first level."""
+    if route is None:
         return None
-    return np.array(prismatic, np.float64).reshape(-1, *(1,) * (like.ndim - 1)) + 0 * like
+    out = np.array(route)
+    out[0] = np.eye(out.shape[1])
+    return out
 
 
-def _motion(
-    E: Placements, w: Vector, wd: Vector, a: Vector, qd: _Split, qdd: _Split
-) -> tuple[Vector, Vector, Vector]:
-    """Angular velocity, angular acceleration and acceleration of the origin, from one link to the
-    next.
-    """
+def _next(E: Placements, bodies: Linkage, motion: Base, qd: Any, qdd: Any) -> Base:
+    """Motion of a body from that of the one before; rates and accelerations of its joint."""
+    w, wd, a = motion
     a = into(E, add(a, add(cross(wd, E.p), cross(w, cross(w, E.p)))))
     w, wd = into(E, w), into(E, wd)
-    if qd.prismatic is not None:
-        v = 2 * qd.prismatic
-        a = a[0] + w[1] * v, a[1] - w[0] * v, a[2] + qdd.prismatic
-    wd = wd[0] + w[1] * qd.revolute, wd[1] - w[0] * qd.revolute, wd[2] + qdd.revolute
-    return (w[0], w[1], w[2] + qd.revolute), wd, a
+    if bodies.slide is not None:
+        coriolis = cross(w, scaled(2 * qd, bodies.slide))
+        a = add(a, add(scaled(qdd, bodies.slide), coriolis))
+    rate = scaled(qd, bodies.turn)
+    wd = add(wd, add(scaled(qdd, bodies.turn), cross(w, rate)))
+    return Base(add(w, rate), wd, a)
 
 
-def _start(gravity: Sequence[Any], qdd: Any) -> tuple[Vector, Vector, Vector]:
-    zero = 0 * qdd[0]
-    rest = (zero, zero, zero)
-    return rest, rest, (zero - gravity[0], zero - gravity[1], zero - gravity[2])
+def _along(bodies: Linkage, force: Vector, moment: Vector) -> Any:
+    """What a joint carries of a force and a moment."""
+    if bodies.slide is None:
+        return inner(bodies.turn, moment)
+    return inner(bodies.turn, moment) + inner(bodies.slide, force)
+
+
+# ---- the recursions
 
 
 def inverse_dynamics(
     E: Placements,
-    prismatic: Sequence[bool],
-    inertia: Float[Any, "n 10"],
-    gravity: Sequence[Any],
+    bodies: Linkage,
+    base: Base,
     qd: Float[Any, "n ..."],
     qdd: Float[Any, "n ..."],
 ) -> Float[Any, "n ..."]:
-    """Joint torque (N m; N at prismatic joints) of a motion, drive inertia and friction excluded.
-
-    `gravity` is the vector of free fall in the base frame, m/s^2, (0, 0, -9.81) for a robot that
-    stands upright.
+    """Joint torque (N m; N where a joint slides) of a motion, drive inertia and friction
+    excluded.
     """
 
     def outwards(carry, x):
-        E, qd, qdd, phi = x
-        w, wd, a = carry
-        w, wd, a = _motion(E, w, wd, a, qd, qdd)
+        E, bodies, qd, qdd = x
+        carry = _from_level_before(bodies.route, carry)
+        w, wd, a = _next(E, bodies, carry, qd, qdd)
+        phi = bodies.inertia
         h = phi[6:9]
         force = add(scaled(phi[9], a), add(cross(wd, h), cross(w, cross(w, h))))
         moment = add(add(times(phi, wd), cross(w, times(phi, w))), cross(h, a))
-        return (w, wd, a), (force, moment)
+        return Base(w, wd, a), (force, moment)
 
     def inwards(carry, x):
-        E, force, moment, pick = x
+        E, bodies, force, moment = x
         force, moment = add(carry[0], force), add(carry[1], moment)
-        tau = moment[2] if pick is None else moment[2] + pick * (force[2] - moment[2])
+        tau = _along(bodies, force, moment)
         before = out_of(E, force)
-        return (before, add(out_of(E, moment), cross(E.p, before))), tau
+        beyond = before, add(out_of(E, moment), cross(E.p, before))
+        return _to_level_before(bodies.route, beyond), tau
 
-    xs = (E, _split(prismatic, qd), _split(prismatic, qdd), _rows(inertia, qdd))
-    start = _start(gravity, qdd + 0 * E.x[0])
-    _, (force, moment) = _loop(outwards, start, xs)
-    return _loop(inwards, start[:1] * 2, (E, force, moment, _pick(prismatic, qdd)), reverse=True)[1]
+    zero = _rest(E, qd, qdd)
+    start = jax.tree.map(lambda component: component + zero, base)
+    opened = bodies._replace(route=_from_base(bodies.route))
+    _, (force, moment) = _loop(outwards, start, (E, opened, qd, qdd))
+    none = (zero, zero, zero)
+    return _loop(inwards, (none, none), (E, opened, force, moment), reverse=True)[1]
 
 
-def mass_matrix(
-    E: Placements, prismatic: Sequence[bool], inertia: Float[Any, "n 10"]
-) -> Float[Any, "n n ..."]:
-    """Joint space inertia without that of the drives; exactly symmetric."""
-    like = E.x[0]
-    n = like.shape[0]
-    zero = 0 * like[0]
-    column = np.eye(n).reshape(n, n, *(1,) * (like.ndim - 1))
+def mass_matrix(E: Placements, bodies: Linkage, at: np.ndarray) -> Float[Any, "n joints ..."]:
+    """Joint space inertia without that of the drives, at and above its diagonal: force at each
+    place per acceleration of each joint. `at` [n joints ...]: 1 where a joint stands.
+    """
 
     def inwards(carry, x):
-        E, phi, own, pick = x
+        E, bodies, at = x
         total, force, moment = carry
-        total = tuple(a + b for a, b in zip(total, phi, strict=True))
-        _, _, xz, _, yz, zz, hx, hy, _, m = total
-        if (
-            pick is None
-        ):  # force and moment that turn (or shift) everything beyond this joint at unit acceleration
-            f, c = (-hy, hx), (xz, yz, zz)
-            force = force[0] + own * f[0], force[1] + own * f[1], force[2]
-        else:
-            keep = 1 - pick
-            f, c = (
-                (-keep * hy, keep * hx, pick * m),
-                (keep * xz + pick * hy, keep * yz - pick * hx, keep * zz),
-            )
-            force = force[0] + own * f[0], force[1] + own * f[1], force[2] + own * f[2]
-        moment = moment[0] + own * c[0], moment[1] + own * c[1], moment[2] + own * c[2]
-        row = moment[2] if pick is None else moment[2] + pick * (force[2] - moment[2])
+        total = tuple(a + b for a, b in zip(total, bodies.inertia, strict=True))
+        h, m = total[6:9], total[9]
+        # force and moment that give everything beyond this joint unit acceleration along it
+        f, c = cross(bodies.turn, h), times(total, bodies.turn)
+        if bodies.slide is not None:
+            f, c = add(f, scaled(m, bodies.slide)), add(c, cross(h, bodies.slide))
+        force, moment = add(force, scaled(at, f)), add(moment, scaled(at, c))
+        row = _along(bodies, force, moment)
         before = out_of(E, force)
-        return (moved(E, total), before, add(out_of(E, moment), cross(E.p, before))), row
+        beyond = moved(E, total), before, add(out_of(E, moment), cross(E.p, before))
+        return _to_level_before(bodies.route, beyond), row
 
-    columns = (0 * column[0] * like,) * 3
-    carry = ((zero,) * 10, columns, columns)
-    upper = _loop(
-        inwards, carry, (E, _rows(inertia, like), column, _pick(prismatic, like)), reverse=True
-    )[1]
-    swap = jnp.swapaxes if not isinstance(upper, np.ndarray) else np.swapaxes
-    return upper + swap(upper, 0, 1) - upper * np.eye(n).reshape(n, n, *(1,) * (like.ndim - 1))
+    zero = _rest(E)
+    none = np.zeros((at.shape[1], *zero.shape))
+    carry = ((zero,) * len(INERTIA), (none,) * 3, (none,) * 3)
+    return _loop(inwards, carry, (E, bodies, at), reverse=True)[1]
+
+
+def symmetric(upper: Float[Any, "n n ..."]) -> Float[Any, "n n ..."]:
+    """A matrix from its entries at and above the diagonal, exactly symmetric."""
+    n = upper.shape[0]
+    diagonal = np.eye(n).reshape(n, n, *(1,) * (upper.ndim - 2))
+    return upper + upper.swapaxes(0, 1) - upper * diagonal
 
 
 def moved(E: Placements, inertia: Any) -> tuple[Any, ...]:
@@ -243,30 +294,28 @@ def moved(E: Placements, inertia: Any) -> tuple[Any, ...]:
 
 def regressor(
     E: Placements,
-    prismatic: Sequence[bool],
-    gravity: Sequence[Any],
+    bodies: Linkage,
+    base: Base,
     qd: Float[Any, "n ..."],
     qdd: Float[Any, "n ..."],
 ) -> Float[Any, "n n 10 ..."]:
     """Y[k, j]: torque of joint k per inertial parameter of link j, so that tau_k = sum_j Y[k, j]
-    inertia_j.
+    inertia_j. For arms.
 
     One loop over the links: each carries its motion and the partial velocities of all joints
     (angular `u`, linear `v`), and projects the wrench of its ten unit inertias onto them.
     """
-    like = qdd + 0 * E.x[0]
-    n = like.shape[0]
-    column = np.eye(n).reshape(n, n, *(1,) * (like.ndim - 1))
+    zero = _rest(E, qd, qdd)
+    n = len(qd)
 
     def outwards(carry, x):
-        (w, wd, a), u, v = carry
-        E, qd, qdd, own, pick = x
-        w, wd, a = _motion(E, w, wd, a, qd, qdd)
+        motion, u, v = carry
+        E, bodies, qd, qdd, at = x
+        w, wd, a = _next(E, bodies, motion, qd, qdd)
         u, v = into(E, u), into(E, add(v, cross(u, E.p)))
-        if pick is None:
-            u = u[0], u[1], u[2] + own
-        else:
-            u, v = (u[0], u[1], u[2] + (1 - pick) * own), (v[0], v[1], v[2] + pick * own)
+        u = add(u, scaled(at, bodies.turn))
+        if bodies.slide is not None:
+            v = add(v, scaled(at, bodies.slide))
         t = cross(u, w)
 
         def both(i, j):
@@ -281,39 +330,35 @@ def regressor(
             u[2] * wd[2] + t[2] * w[2],
         )
         first = add(cross(v, wd), add(cross(cross(v, w), w), cross(a, u)))
-        return ((w, wd, a), u, v), (*turn, *first, inner(v, a))
+        return (Base(w, wd, a), u, v), (*turn, *first, inner(v, a))
 
-    columns = (0 * column[0] * like,) * 3
-    xs = (
-        E,
-        _split(prismatic, qd),
-        _split(prismatic, qdd),
-        column + 0 * like[:, None],
-        _pick(prismatic, qdd),
-    )
-    made = _loop(outwards, (_start(gravity, like), columns, columns), xs)[1]
+    start = jax.tree.map(lambda component: component + zero, base)
+    none = (np.zeros((n, *zero.shape)),) * 3
+    xs = (E, bodies, qd, qdd, each_joint(n, zero.ndim))
+    made = _loop(outwards, (start, none, none), xs)[1]
     # ten arrays [link joint *batch] -> [joint link 10 *batch]
-    stack, swap = (
-        (np.stack, np.swapaxes) if isinstance(made[0], np.ndarray) else (jnp.stack, jnp.swapaxes)
-    )
-    return swap(stack(made, 2), 0, 1)
+    stack = np.stack if isinstance(made[0], np.ndarray) else jnp.stack
+    return stack(made, 2).swapaxes(0, 1)
 
 
-def poses(E: Placements) -> Placements:
+def poses(E: Placements, route: Any = None) -> Placements:
     """Frames of the links in the base frame instead of the frame before."""
 
     def outwards(carry, x):
+        E, route = x
+        up = _from_level_before(route, carry)
         here = Placements(
-            out_of(carry, x.x),
-            out_of(carry, x.y),
-            out_of(carry, x.z),
-            add(carry.p, out_of(carry, x.p)),
+            out_of(up, E.x),
+            out_of(up, E.y),
+            out_of(up, E.z),
+            add(up.p, out_of(up, E.p)),
         )
         return here, here
 
-    one, zero = 0 * E.p[0][0] + 1, 0 * E.p[0][0]
+    zero = _rest(E)
+    one = zero + 1
     base = Placements((one, zero, zero), (zero, one, zero), (zero, zero, one), (zero, zero, zero))
-    return _loop(outwards, base, E)[1]
+    return _loop(outwards, base, (E, _from_base(route)))[1]
 
 
 def pseudo_inertia(inertia: np.ndarray) -> np.ndarray:

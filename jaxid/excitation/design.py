@@ -28,6 +28,7 @@ from jaxid.excitation.trajectories import (
 )
 from jaxid.identification.regression import LAWS
 from jaxid.robots.match import is_file, robot_from, spec_of_file
+from jaxid.wording import names_of
 
 
 FRICTIONS = ("model", *LAWS)
@@ -168,7 +169,7 @@ def mechanism_of(model: object) -> tuple[Any, Any]:
         robot = robot_from(model, getattr(model, "tip", None))
         return robot, robot.limits()
     if isinstance(model, str) and model.lower().endswith(".urdf"):
-        from jaxid.dynamics.urdf import read_urdf
+        from jaxid.robots.urdf_tree import read_urdf
 
         table = read_urdf(model, getattr(model, "tip", None))
         return catalogue.model_class("serial_arm")(table), table
@@ -185,7 +186,7 @@ def _with(chain: Chain, content: Mapping[str, Any] | None) -> Chain:
     """The chain with the values of a fit."""
     if content is None:
         return chain
-    present = {e.name for e in chain.effects}
+    present = set(names_of(chain.effects))
     added = []
     for e in content.get("effects", []):
         kind = catalogue.effect_class(e["effect"], chain.mechanism)

@@ -94,8 +94,8 @@ def described(
     qd = np.gradient(q, float(t[1] - t[0]), axis=0)
     used = reached(signature.joints, signature, bounds, q, qd, None)
     used += _inputs_used(signature, family, u)
-    inputs = [name for name, _ in signature.inputs]
-    outputs = [name for name, _ in signature.outputs]
+    inputs = signature.input_names
+    outputs = signature.output_names
     commands = dict(zip(inputs, u.T, strict=True))
     currents: dict[str, np.ndarray] = {}
     if gains is not None:

@@ -29,7 +29,7 @@ from jaxtyping import Array, Float
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.dynamics.rigid_body import regressor
+from jaxid.dynamics.rigid_body import chain_of, regressor, still
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.clearance import gaps, heights, Links, links_of, nodes
@@ -98,9 +98,8 @@ class ArmTask(TrajectoryTask):
 
     def columns(self, q, qd, qdd):
         n = q.shape[1]
-        Y = regressor(
-            self.arm.placements(q.T), self.arm.prismatic, self.arm.free_fall(), qd.T, qdd.T
-        )
+        bodies, base = chain_of(self.arm.prismatic, batch=1), still(self.arm.free_fall())
+        Y = regressor(self.arm.placements(q.T), bodies, base, qd.T, qdd.T)
         drives = jnp.eye(n)[:, :, None] * qdd.T[:, None]
         Y = jnp.moveaxis(jnp.concatenate([Y, drives[:, :, None]], 2), 3, 0).reshape(len(q), n, -1)[
             :, :, np.array(self.kept)

@@ -92,7 +92,7 @@ def growth(bench: ProblemBuilder, theta: np.ndarray) -> float:
     measured, or have inner states.
     """
     b = bench.binding
-    names = [n for n, _ in b.chain.signature.outputs]
+    names = b.chain.signature.output_names
     seen = [names.index(j) for j in b.chain.signature.joints if j in names]
     if not b.motions or b.chain.mechanism.hidden_states or not seen:
         return 0.0

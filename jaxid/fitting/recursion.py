@@ -35,6 +35,7 @@ from jaxid.problem.objective import rows
 from jaxid.problem.problem import FitProblem, NumberPrior
 from jaxid.problem.residual import Residual
 from jaxid.simulation import sample_buffers as samples
+from jaxid.wording import names_of
 
 
 #: A dataset of fewer fit runs is cut in time into about this many blocks.
@@ -272,9 +273,7 @@ def followed(
     if isinstance(fitter, AbstractPopulation):
         yield from follow(fitter, again(), starts, key, GENERATIONS, budget)
         return
-    single = (
-        replace(fitter, restarts=0) if "restarts" in {f.name for f in fields(fitter)} else fitter
-    )
+    single = replace(fitter, restarts=0) if "restarts" in set(names_of(fields(fitter))) else fitter
     z, names = starts[0], first.names
     for number, problem in enumerate(again()):
         own = starts if number == 0 else [carried(z[None], names, problem)[0]]

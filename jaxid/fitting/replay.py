@@ -200,7 +200,7 @@ def _by_its_model(
         "parameters": result.get("parameters", {}),
         "effects": list(result.get("effects", ())),
     }
-    joints = [c.name for c in dataset.outputs]
+    joints = dataset.output_names
     found = _simulated(content, dataset, result["model"], joints, notes)
     if found[0] is not None:
         notes.append(f"jaxid's run is of the {result['model']} that {robot.name} was exported from")
@@ -230,7 +230,7 @@ def measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.
     """The stated start, else positions of the first sample and speeds of the first samples, 0 where
     the run begins at rest.
     """
-    outputs = [c.name for c in data.outputs]
+    outputs = data.output_names
     y = e.y[:, [outputs.index(j) for j in joints]]
     n = min(len(e.t), 5)
     speed = np.zeros(len(joints))
@@ -257,7 +257,7 @@ def in_mujoco(
     free, held_notes = recorded(tree, data)
     notes += held_notes
     joints = free.leading
-    inputs = [c.name for c in data.inputs]
+    inputs = data.input_names
     kind = _driven_by(data, joints, path)
     law = None
     if kind == "goal" and not _own_actuators(tree, joints):
@@ -290,7 +290,7 @@ def in_mujoco(
 
 def _driven_by(data: Dataset, joints: Sequence[str], path: Path) -> str:
     """What of the recording drives the joints: "goal", "torque", or "free" for nothing."""
-    inputs = [c.name for c in data.inputs]
+    inputs = data.input_names
     if all(f"{j}_cmd" in inputs for j in joints):
         return "goal"
     if all(f"{j}_tau" in inputs for j in joints):
@@ -370,7 +370,7 @@ def _worse(rows: list[dict[str, Any]]) -> list[str]:
 def _compared(
     data: Dataset, tree: Tree, ours: list, other: list | None, name: str, before: list | None = None
 ) -> tuple[list[dict[str, Any]], list[dict]]:
-    joints, outputs = joints_of(data, tree), [c.name for c in data.outputs]
+    joints, outputs = joints_of(data, tree), data.output_names
     rows, runs = [], []
 
     def rms(x):

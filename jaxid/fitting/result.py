@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from jaxid.dynamics.chain import Chain
+    from jaxid.fitting.posterior import Posterior
     from jaxid.fitting.stated import StatedNumber
 
 
@@ -187,6 +188,7 @@ class Fit(Displayed, Exportable):
     )
     recursion: tuple[Any, ...] = ()  # of a fit along its blocks: a `recursion.Step` each
     model_sha256: str = ""  # of the file of a model of the user's own
+    posterior: Posterior | None = None  # draws, where they were asked for
 
     @property
     def state(self) -> str:
@@ -243,6 +245,7 @@ class Fit(Displayed, Exportable):
             "versions": versions(),
             "notes": list(self.notes),
             **({"recursion": [s.to_dict() for s in self.recursion]} if self.recursion else {}),
+            **({} if self.posterior is None else {"posterior": self.posterior.to_dict()}),
         } | as_data(self.data)
 
     def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:

@@ -22,6 +22,7 @@ from jaxid.problem.binding import bind, Binding, resolve_model
 from jaxid.problem.solver import with_solver
 from jaxid.simulation import sample_buffers as samples
 from jaxid.simulation.animation import motion, OutlineMotion
+from jaxid.wording import names_of
 
 
 def simulate_dataset(
@@ -37,7 +38,7 @@ def simulate_dataset(
     runs: dict[str, dict[str, np.ndarray]] = {}
     rmse: dict[str, dict[str, float]] = {}
     starts: dict[str, np.ndarray] = {}
-    names = [name for name, _ in binding.chain.signature.outputs]
+    names = binding.chain.signature.output_names
     _, iy = samples.columns(binding.dataset, binding.chain)
     for split in dict.fromkeys(e.split for e in dataset.experiments):
         begin = estimate_starts(bench, split, [theta])
@@ -59,7 +60,7 @@ def simulate_dataset(
             chain = binding.layout.model(jnp.asarray(own))
             return motion(chain, binding.dataset, e, starts[e.name], binding.sigma)
 
-    order = [e.name for e in dataset.experiments]
+    order = names_of(dataset.experiments)
     return Simulation(
         model=binding.chain.mechanism.name,
         runs=tuple(runs[n] for n in order),

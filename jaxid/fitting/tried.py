@@ -51,7 +51,7 @@ class OnRecording:
         joints = joints_of(data, tree)
         starts = [measured_start(e, data, joints) for e in data.experiments]
         runs = in_mujoco(data, path, tree, None, starts, [])
-        outputs = [c.name for c in data.outputs]
+        outputs = data.output_names
         off: dict[str, float] = {}
         for k, joint in enumerate(joints):
             c = outputs.index(joint)

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxid.hardware.clock import ClockMap, from_arrivals, within_tick
 from jaxid.hardware.recorder import Stream, StreamRows
+from jaxid.wording import names_of
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def _device_clock(stream: Stream, rows: StreamRows) -> _DeviceClock:
     if not tick:
         host = from_arrivals(device[rising], rows.host[rising])
         return _DeviceClock(device, host, 0.0, host)
-    names = [c.name for c in stream.columns]
+    names = names_of(stream.columns)
     sent = rows.values[rising, names.index("t_sent")]
     answered = rows.values[rising, names.index("t_received")]
     fine = device.copy()

@@ -33,6 +33,7 @@ from jaxid.hardware.preflight import (
 from jaxid.hardware.recorder import Column, COMMANDS, Recorder, Stream, SUFFIX
 from jaxid.hardware.sensor import SensorSpec, SerialSensor
 from jaxid.hardware.trajectory import Trajectory
+from jaxid.wording import names_of
 
 
 SILENCE_S = 0.5  # a device that sends nothing for so long is lost
@@ -106,13 +107,13 @@ def record(
             sensor.open()
         own = device.streams()
         streams = [*own, *(s.spec.stream() for s in serial)]
-        if len({s.name for s in streams}) < len(streams):
+        if len(set(names_of(streams))) < len(streams):
             raise UsageError("two devices have the same name; rename a sensor")
         files = [s for s in sensors if s.file is not None]
         columns = _columns([*streams, *(s.stream() for s in files)])
         channel_map(model, columns, joint, gains)
         if number > 1:
-            refuse_other_columns(out, [c.name for c in columns])
+            refuse_other_columns(out, names_of(columns))
         bounds = (limits or Limits()).within(device.limits(), device.joints)
         refuse_size(out, streams, play.duration if play is not None else float(seconds or 0.0))
         if play is not None:

@@ -18,7 +18,7 @@ def commanded(dataset: Dataset) -> Dataset:
 
     Raises `UsageError` where a run lacks one.
     """
-    names = [c.name for c in dataset.outputs]
+    names = dataset.output_names
     lacking = [
         f"{n}_cmd" for n in names if any(f"{n}_cmd" not in e.auxiliary for e in dataset.experiments)
     ]

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.dynamics.rigid_body import regressor
+from jaxid.dynamics.rigid_body import chain_of, regressor, still
 from jaxid.errors import UsageError
 from jaxid.fitting.recursive_least_squares import RecursiveState, refuse_forgetting, ridge_rls, Rule
 from jaxid.identification.payload import payload_of, PayloadEstimate, published_rows
@@ -42,7 +42,8 @@ def regressor_row(
 ) -> Float[Array, "n p"]:
     """Columns of base parameters, then F_c, F_v, offset of each joint, at one sample."""
     n = q.shape[0]
-    Y = regressor(arm.placements(q), arm.prismatic, arm.free_fall(), qd, qdd)
+    bodies = chain_of(arm.prismatic, batch=q.ndim - 1)
+    Y = regressor(arm.placements(q), bodies, still(arm.free_fall()), qd, qdd)
     Y = jnp.concatenate([Y, (jnp.eye(n) * qdd[:, None])[:, :, None]], 2).reshape(n, 11 * n)[:, kept]
     power = qd * (qd * qd + 1e-6) ** ((exponent - 1) / 2)
     return jnp.concatenate([Y, jnp.diag(jnp.tanh(qd / REST)), jnp.diag(power), jnp.eye(n)], 1)

@@ -42,6 +42,7 @@ from jaxid.problem.starting_values import (
 )
 from jaxid.problem.typical import typical_magnitudes
 from jaxid.robots import match as robots
+from jaxid.wording import names_of
 
 
 #: The effect whose strength is read off the recording: it is noise, which no residual shows the
@@ -119,7 +120,7 @@ class Binding:
 
     def motions_of(self, experiments: Iterable[Experiment]) -> list[Motion] | None:
         """Motions of these runs, or None where the model does not measure its joints."""
-        names = [e.name for e in experiments]
+        names = names_of(experiments)
         return (
             [self.motions[n] for n in names]
             if self.motions and set(names) <= set(self.motions)
@@ -185,7 +186,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
 
 
 def _check_left_out(chain: Chain, names: Iterable[str]) -> None:
-    has = [e.name for e in chain.effects]
+    has = names_of(chain.effects)
     builtin = [kind.name for kind, _ in chain.mechanism.builtin]
     for name in names:
         catalogue.effect_class(name)
@@ -240,7 +241,7 @@ def _check_gains(chain: Chain, spec: ModelSpec | None) -> None:
 
 
 def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
-    inputs, outputs = {c.name for c in dataset.inputs}, {c.name: c.unit for c in dataset.outputs}
+    inputs, outputs = set(dataset.input_names), {c.name: c.unit for c in dataset.outputs}
     free = dataset.model is not None and dataset.model.free
     wanted = []
     for signature in mechanism.signatures:
@@ -312,7 +313,7 @@ def bind(
     added = [parse_effect(e, nominal) for e in effects]
     chain = _with_effects(nominal, [kind for kind, _ in added], candidates)
     dataset, noise, stamps = _noise(dataset, nominal, added)
-    names = [n for n, _ in chain.signature.outputs]
+    names = chain.signature.output_names
     alone = noise
     if any(n.source == "repeatability" for n in noise.values()):
         alone = noise_floor(dataset, readings=True)
@@ -324,7 +325,7 @@ def bind(
     layout = ParameterVector(chain)
     held = chain.mechanism.held() - values.priors.keys()
     fixed = values.fixed | {layout.index(name) for name in held if name in layout.names}
-    own = own_numbers(layout, {e.name for e in nominal.effects})
+    own = own_numbers(layout, set(names_of(nominal.effects)))
     free = free_numbers(layout, own - fixed, added)
     motions: dict[str, Motion] = {}
     if all_read(chain):
@@ -365,7 +366,7 @@ def _with_effects(
     nominal: Chain, added: Iterable[type[Effect]], candidates: Iterable[type[Effect]]
 ) -> Chain:
     """The chain with what it lacks of the effects, at their neutral values."""
-    present = {e.name for e in nominal.effects}
+    present = set(names_of(nominal.effects))
     kinds = dict.fromkeys(kind for kind in added if kind.name not in present)
     kinds |= dict.fromkeys(kind for kind in candidates if kind.name not in nominal.contents)
     return nominal.with_effects(*map(neutral, kinds))

@@ -252,7 +252,7 @@ class FrequencyResponseError(Residual):
                 "a frequency response from records needs a model with one input; measure responses,"
                 " or output_error"
             )
-        outputs = [n for n, _ in chain.signature.outputs]
+        outputs = chain.signature.output_names
         output = (
             len(outputs) - 1 if self.output is None else _position(self.output, outputs, "output")
         )

@@ -6,7 +6,7 @@ from typing import Any
 
 from jaxid import catalogue
 from jaxid.data.dataset import ModelSpec
-from jaxid.dynamics.urdf_table import arm_table
+from jaxid.robots.arm_table import arm_table
 
 
 def named_model(text: str, stated: ModelSpec | None) -> Any:

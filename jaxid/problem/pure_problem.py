@@ -153,6 +153,16 @@ def residual_of(z: Vector, problem: Problem) -> Float[Array, " n"]:
     return _residual(problem, z)
 
 
+def log_density_of(z: Vector, problem: Problem) -> Float[Array, ""]:
+    """`problem.log_density(z)` as a function of both."""
+    return _log_density(problem, z)
+
+
+def with_noise(problem: Problem, factor: float) -> Problem:
+    """The same problem with the noise of every channel this many times as large."""
+    return eqx.tree_at(lambda p: p._weights, problem, problem._weights / factor)
+
+
 @dataclass(frozen=True, eq=False)
 class _Predict:
     """Prediction of one record, [length columns], as a pure function."""

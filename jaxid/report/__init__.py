@@ -18,6 +18,7 @@ from jaxid.report import (
     identified,
     missing_force,
     parameters,
+    posterior,
     ranking,
     recorded,
     reproduced,
@@ -76,6 +77,7 @@ def fit_page(fit: Fit) -> str:
         checked.asked(fit.data),
         yardstick.section(fit.per_joint, fit.stated),
         parameters.section(fit),
+        posterior.section(fit.posterior),
         traces.section(fit.traces),
         background.of_fit(fit),
     ]

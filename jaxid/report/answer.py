@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from jaxid import wording
-from jaxid.report import plot, text
+from jaxid.diagnosis.alike import alike
+from jaxid.report import effect_text, text
+from jaxid.report.budget_picture import gap_picture
 from jaxid.report.budget_text import budget_sentence, headline_of_unknown
 from jaxid.report.other_numbers import first_of_all, other_numbers, other_places
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from jaxid.diagnosis.result import Diagnosis, Finding, HowFar
-    from jaxid.fitting.result import EffectEstimate
 
 
 def section(diagnosis: Diagnosis) -> Section:
@@ -33,7 +32,7 @@ def section(diagnosis: Diagnosis) -> Section:
             "picture": (
                 None
                 if which.verdict == "none" or not text.measured(how_far)
-                else gap_picture(how_far, which.verdict)
+                else gap_picture(diagnosis)
             ),
             "effects_added": bool(which.effects),
             "channels": [(name, how_far.per_channel[name]) for name in text.telling(how_far)],
@@ -55,10 +54,6 @@ def _used(how_far: HowFar) -> str:
     )
 
 
-def words(effect: EffectEstimate) -> str:
-    return f"{effect.effect.replace('_', ' ')} at {effect.location}"
-
-
 def headline(diagnosis: Diagnosis) -> str:
     which = diagnosis.which
     if not text.measured(diagnosis.how_far):
@@ -67,9 +62,9 @@ def headline(diagnosis: Diagnosis) -> str:
         return other_numbers(diagnosis) or "Nothing is missing: the model reaches the noise."
     if which.verdict == "unknown":
         return headline_of_unknown(diagnosis)
-    return text.lacks(
+    return effect_text.lacks(
         which,
-        text.at_places,
+        effect_text.at_places,
         ", or an effect that looks the same in these data" if which.confusable_with else "",
     )
 
@@ -122,20 +117,26 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     which = diagnosis.which
     if which.verdict in ("none", "unknown"):
         return _nothing_named(diagnosis)
-    sentences = text.meaning(which)
-    for effect in which.effects:
-        prefix = f"{words(effect)}: " if len(which.effects) > 1 else ""
-        inside = ", ".join(
-            f"{name} {text.value_with_std(p)}" for name, p in effect.parameters.items()
-        )
+    sentences = effect_text.meaning(which)
+    groups = alike(which.effects)
+    for group in groups:
+        inside = effect_text.parameters_of(group.common)
+        prefix = ""
+        if len(which.effects) > 1:
+            kind = group.common.effect.replace("_", " ")
+            prefix = f"{kind} at {effect_text.named_places(group.locations)}: "
         if inside:
             sentences.append(prefix + inside)
     if which.verdict == "partly":
         sentences.append("A clear remainder is left that no known effect explains.")
     own = which.verdict == "named" and len(which.effects) == 1  # said above
-    sentences += [*text.to_check(which), text.confusable_sentence(which), "" if own else which.text]
+    sentences += [
+        *effect_text.to_check(which),
+        text.confusable_sentence(which),
+        "" if own else which.text,
+    ]
     perhaps = "Perhaps " if len(which.doubts) == len(which.effects) else ""
-    return f"{perhaps}{text.at_places(which.effects)}", [s for s in sentences if s]
+    return f"{perhaps}{effect_text.at_places(which.effects)}", [s for s in sentences if s]
 
 
 def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
@@ -165,65 +166,3 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     else:
         sentences.append(text.further_run(how_far))
     return fact, [s for s in sentences if s]
-
-
-def gap_picture(how_far: HowFar, verdict: str):
-    """Bars of the gap before, after retuning and after adding the effect, against the noise."""
-    bars = 3 if verdict in ("named", "partly") else 2
-    return plot.svg(
-        "gap",
-        (plot.WIDE, 0.62 + 0.42 * bars),
-        lambda figure: draw_gap(figure.add_subplot(), how_far, verdict),
-    )
-
-
-def draw_gap(axes: Axes, how_far: HowFar, verdict: str) -> Axes:
-    """The same on Axes."""
-    bars = [
-        ("as stated", how_far.gap_before, plot.VERMILLION),
-        ("re-tuned", how_far.gap_retuned, plot.ORANGE),
-    ]
-    if verdict in ("named", "partly"):
-        bars.append(("with the missing effect", how_far.gap_after, plot.BLUE))
-    floor = how_far.noise_floor if 0 < how_far.noise_floor < plot.LARGEST else 1.0
-    longest = max([floor, *(plot.drawable(gap) for _, gap, _ in bars)])
-    logarithmic = longest > 15 * floor
-    axes.grid(False, axis="y")
-    if logarithmic:
-        axes.set_xscale("log")
-    start = floor if logarithmic else 0.0
-    for i, (_, exact, color) in enumerate(bars):
-        gap = plot.drawable(exact)
-        axes.barh(i, gap - start, left=start, color=color, height=0.62)
-        axes.annotate(
-            wording.times(exact),
-            (max(gap, start), i),
-            xytext=(5, 0),
-            textcoords="offset points",
-            va="center",
-            fontweight="bold",
-            color="#000000",
-        )
-    axes.axvline(floor, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.2)
-    axes.annotate(
-        "noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left"
-    )
-    axes.set_yticks(range(len(bars)), [name for name, _, _ in bars])
-    axes.set_ylim(len(bars) - 0.5, -0.85)
-    low = min([floor, *(gap for _, gap, _ in bars if 0 < gap < floor)])
-    axes.set_xlim(
-        *(
-            (low / 1.25, longest * (longest / floor) ** 0.1)
-            if logarithmic
-            else (0.0, 1.12 * longest)
-        )
-    )
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
-    axes.set_xlabel(
-        f"gap on {how_far.split} data, in multiples of the noise"
-        + (" (logarithmic)" if logarithmic else "")
-    )
-    if logarithmic:
-        plot.plain_log(axes.xaxis)
-    return axes

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from jaxid import wording
 from jaxid.numerics.versions import versions
-from jaxid.report import text
+from jaxid.report.effect_text import effect_name
 from jaxid.report.page import Section
 
 
@@ -25,9 +25,9 @@ def of_diagnosis(diagnosis: Diagnosis) -> Section:
     return Section(
         "background.html",
         {
-            "named": wording.listed(text.effect_name(e) for e in diagnosis.which.effects),
+            "named": wording.listed(effect_name(e) for e in diagnosis.which.effects),
             "several": len(diagnosis.which.effects) > 1,
-            "confusable": [text.effect_name(e) for e in diagnosis.which.confusable_with],
+            "confusable": [effect_name(e) for e in diagnosis.which.confusable_with],
             "next_experiment": diagnosis.next_experiment,
             "notes": list(notes),
             "facts": [

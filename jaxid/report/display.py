@@ -19,7 +19,7 @@ from jaxid.fitting.replay import Replay
 from jaxid.fitting.result import Fit, Trace
 from jaxid.fitting.simulation import Simulation
 from jaxid.identification.result import Identification
-from jaxid.report import figures
+from jaxid.report import figures, posterior
 from jaxid.report.carried_text import export_text, replay_text
 from jaxid.report.compared import comparison_picture
 from jaxid.report.comparison_text import comparison_text
@@ -29,6 +29,8 @@ from jaxid.robots.export.run import Exported
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from jaxid.fitting.posterior import Posterior
 
 
 def _nothing_for(value: Any) -> Any:
@@ -57,6 +59,11 @@ def fragment(value: Any) -> str:
 def picture(value: Any, *args: Any) -> Axes:
     """Draws a value on axes. Raises `TypeError` for a value without a picture."""
     return _nothing_for(value)
+
+
+def image(value: Posterior) -> bytes:
+    """The picture of a posterior as a PNG."""
+    return posterior.corner_file(value)
 
 
 def write(value: Any, path: str | Path) -> Path:

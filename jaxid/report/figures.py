@@ -11,8 +11,9 @@ import numpy as np
 
 from jaxid.errors import nearest, UsageError
 from jaxid.report import plot
-from jaxid.report.answer import draw_gap
+from jaxid.report.budget_picture import draw_gap
 from jaxid.report.traces import colors
+from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def legend(ax: Axes, count: int) -> None:
 
 
 def dataset(data: Dataset, channel: str | None = None, ax: Axes | None = None) -> Axes:
-    names = [c.name for c in (*data.outputs, *data.inputs)] + [
+    names = names_of((*data.outputs, *data.inputs)) + [
         c.name for c in data.channels if c.role == "auxiliary"
     ]
     channel = pick("channel", channel, names if data.experiments else [])
@@ -134,7 +135,7 @@ def fit(result: Fit, channel: str | None = None, ax: Axes | None = None) -> Axes
 
 def diagnosis(result: Diagnosis, ax: Axes | None = None) -> Axes:
     ax = new_axes(7.0, 1.9) if ax is None else ax
-    return draw_gap(ax, result.how_far, result.which.verdict)
+    return draw_gap(ax, result)
 
 
 def missing_force(force: MissingForce, after: bool = False, ax: Axes | None = None) -> Axes:

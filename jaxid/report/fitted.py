@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxid import wording
 from jaxid.report import plot, text
+from jaxid.report.effect_text import effect_name
 from jaxid.report.page import Section
 
 
@@ -24,7 +25,7 @@ def section(fit: Fit, history: bool = True) -> Section:
         {
             "fit": fit,
             "headline": headline(fit),
-            "effects": wording.listed(text.effect_name(e) for e in fit.effects),
+            "effects": wording.listed(effect_name(e) for e in fit.effects),
             "rows": rows,
             "history": history_picture(fit) if history and len(fit.history) > 2 else None,
             "recursion": recursion_picture(fit) if history and len(fit.recursion) > 1 else None,

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TYPE_CHECKING
 
 from jaxid.conventions.finding import data_lines
-from jaxid.diagnosis.cause import words
+from jaxid.diagnosis.alike import alike
 from jaxid.diagnosis.reasons import WithinAStep
 from jaxid.report.budget_text import budget_sentence
+from jaxid.report.effect_text import alike_words, effect_name, lacks, meaning
 from jaxid.report.other_numbers import first_of_all
+from jaxid.report.posterior_text import posterior_lines
 from jaxid.wording import (
-    by_effect,
     CLOSE,
     listed,
     number,
@@ -43,36 +44,6 @@ def remark(estimate: Estimate) -> str:
     if estimate.at_bound:
         return "at its bound"
     return ""
-
-
-def effect_name(effect: EffectEstimate) -> str:
-    return one_line(f"{effect.effect} at {effect.location}")
-
-
-#: This many places of one effect are named in a headline.
-PLACES = 3
-
-
-def at_places(effects: Sequence[EffectEstimate]) -> str:
-    """`dead zone at tau1 and tau2 and backlash at q1`: every effect once, with its places, or how
-    many they are.
-    """
-    places = by_effect((e.effect, one_line(e.location)) for e in effects)
-
-    def named(at):
-        return listed(at) if len(at) <= PLACES else f"{len(at)} places"
-
-    return listed(
-        f"{one_line(effect).replace('_', ' ')} at {named(at)}" for effect, at in places.items()
-    )
-
-
-def effect_with_parameters(effect: EffectEstimate) -> str:
-    """`dead_zone at tau (width 0.312 ± 0.004 N m)`."""
-    inside = ", ".join(
-        f"{one_line(name)} {value_with_std(p)}" for name, p in effect.parameters.items()
-    )
-    return effect_name(effect) + (f" ({inside})" if inside else "")
 
 
 def where_sentence(finding: Finding) -> str:
@@ -151,49 +122,12 @@ def together(fit: Fit) -> str:
     return f"The data determine only together, not one by one: {shown}{more}"
 
 
-def meaning(which: Which) -> list[str]:
-    """What the named effects are, in plain words; with the place of each where they are several."""
-    if which.verdict not in ("named", "partly"):
-        return []
-    said: dict[str, list[str]] = {}
-    for e in which.effects:
-        if told := words(e, "plain"):
-            told = f"If so: {told[:1].lower()}{told[1:]}" if str(e) in which.doubts else told
-            said.setdefault(told, []).append(one_line(e.location))
-    if len(which.effects) == 1:
-        return list(said)
-    return [f"{listed(at)}: {told}" for told, at in said.items()]
-
-
-def to_check(which: Which) -> list[str]:
-    """What to look for at the machine."""
-    told = (
-        [words(e, "check") for e in which.effects] if which.verdict in ("named", "partly") else []
-    )
-    return [
-        f"At the machine: {check[:1].lower()}{check[1:]}" for check in dict.fromkeys(told) if check
-    ]
-
-
-def lacks(which: Which, said: Callable[[Sequence[EffectEstimate]], str], same: str = "") -> str:
-    """What the model lacks, and what may be the `same`; what is not to be believed as it stands is
-    no more than possible.
-    """
-    sure = [e for e in which.effects if str(e) not in which.doubts]
-    perhaps = [e for e in which.effects if str(e) in which.doubts]
-    if not sure:
-        return f"Something is missing, and {said(perhaps)} may be part of it."
-    possible = f", perhaps {said(perhaps)}" if perhaps else ""
-    rest = ", and something more that no known effect explains" if which.verdict == "partly" else ""
-    return f"The model lacks {said(sure)}{same}{possible}{rest}."
-
-
 def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
     """The verdict in plain words."""
     if how_far is not None and not measured(how_far):
         return which.text or "Nothing can be judged: the data kept for it stand still."
     if which.verdict in ("named", "partly"):
-        return lacks(which, lambda effects: listed(map(effect_with_parameters, effects)))
+        return lacks(which, lambda effects: listed(map(alike_words, alike(effects))))
     if which.verdict == "none":
         if WithinAStep.where in which.text:
             return f"Nothing is missing. {which.text}"
@@ -354,6 +288,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
             f" {one_line(diagnosis.model)}{COMPARED.get(diagnosis.final.simulation, '')}"
         ),
         joint_table(how_far.per_joint),
+        paragraph("FIRST", [budget_sentence(diagnosis)]),
         paragraph("STATED", stated_sentences(diagnosis.final.stated, diagnosis.which.effects)),
         (
             ""
@@ -364,7 +299,6 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         paragraph(
             "HOW FAR",
             [
-                budget_sentence(diagnosis),
                 how_far_sentence(how_far, which.verdict),
                 shrinkage_sentence(how_far, which.verdict),
                 *(channel_sentence(how_far, name, which.verdict) for name in channels),
@@ -435,6 +369,7 @@ def fit_text(fit: Fit) -> str:
     ]
     if fit.recursion:
         parts.append(recursion_table(fit))
+    parts += posterior_lines(fit.posterior)
     scores = []
     for split, channels in fit.scores.items():
         for channel, s in channels.items():

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
-from jaxid.dynamics.kinematics import ArmTable, geometry_of
-from jaxid.dynamics.urdf import z_to
 from jaxid.errors import UsageError
+from jaxid.robots.chain_table import table_of
 from jaxid.robots.channels import goal, torque
 from jaxid.robots.match import matched, notes_of, prepared
-from jaxid.robots.tree import Tree, turned
+from jaxid.robots.tree import Tree
 
 
 def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
@@ -69,49 +68,6 @@ def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
     return arm, replace(data, notes=(*data.notes, *notes_of(robot, dataset), *said))
 
 
-def table_of(tree: Tree) -> ArmTable:
-    """The chain of a tree that has one limb, frames turned so that z is each joint's axis."""
-    if tree.couplings or any(up != k - 1 for k, up in enumerate(tree.parent)):
-        raise UsageError(
-            f"{tree.file}: the recorded joints are {len(tree.limbs())} limbs or branch; identify"
-            " takes one chain at a time: name its end by --tip (or [model] tip):"
-            f" {', '.join(tree.ends)}"
-        )
-    geometry, inertia, before = [], [], np.eye(4)
-    for k in range(tree.n):
-        turn = np.eye(4)
-        turn[:3, :3] = z_to(tree.axis[k])
-        offset = -tree.reference[k]
-        here = before @ tree.place[k] @ turn
-        geometry.append(geometry_of(here))
-        if tree.slides[k]:
-            geometry[-1] = (*geometry[-1][:2], geometry[-1][2] + offset, *geometry[-1][3:])
-        else:
-            geometry[-1] = (*geometry[-1][:3], geometry[-1][3] + offset, *geometry[-1][4:])
-        before = np.linalg.inv(turn)
-        inertia.append(turned(tree.inertia[k], before))
-    a, alpha, d, theta, b, gamma = np.array(geometry).T
-    return ArmTable(
-        a=a,
-        alpha=alpha,
-        d=d,
-        theta=theta,
-        b=b,
-        gamma=gamma,
-        prismatic=tree.slides,
-        inertia=np.array(inertia),
-        drive_inertia=tree.armature.copy(),
-        tool=before,
-        joints=tree.joints,
-        lower=tree.lower,
-        upper=tree.upper,
-        velocity=tree.velocity,
-        effort=tree.effort,
-        viscous=tree.damping[:, 0].copy(),
-        coulomb=tree.frictionloss.copy(),
-    )
-
-
 def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
     """The recorded joints as q1 … with their torques as tau1 …, goals as auxiliary q1_cmd …"""
     channels, torques = [], []
@@ -119,7 +75,7 @@ def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
         channels.append(Channel(f"q{k}", "output", "m" if slides else "rad"))
         torques.append(Channel(f"tau{k}", "input", "N" if slides else "N m"))
     channels += torques
-    outputs, inputs = [c.name for c in dataset.outputs], [c.name for c in dataset.inputs]
+    outputs, inputs = dataset.output_names, dataset.input_names
     iy = [outputs.index(j) for j in tree.joints]
 
     held = all(c.hold == "zero" for c in dataset.inputs if c.name.endswith("_cmd"))

@@ -22,7 +22,7 @@ FINE = 1e-4
 
 def as_inputs(dataset: Dataset, names: Sequence[str]) -> Dataset:
     """The dataset with these auxiliary channels as inputs."""
-    before = [c.name for c in dataset.inputs]
+    before = dataset.input_names
     chosen = set(names) - set(before)
     if not chosen:
         return dataset
@@ -76,7 +76,7 @@ def with_rates(dataset: Dataset, tree: Tree) -> Dataset:
 
     Raises `UsageError` for one that is not recorded.
     """
-    inputs = {c.name for c in dataset.inputs}
+    inputs = set(dataset.input_names)
     stated = (
         dataset.controller.settings.get("reference_velocity")
         if dataset.controller is not None
@@ -141,7 +141,7 @@ def with_base(dataset: Dataset, tree: Tree) -> Dataset:
         )
         return dataset if note in dataset.notes else replace(dataset, notes=(*dataset.notes, note))
     _refuse_base(dataset, tree, recorded)
-    own = {c.name for c in dataset.inputs} & set(recorded)
+    own = set(dataset.input_names) & set(recorded)
     kept = [i for i, c in enumerate(dataset.inputs) if c.name not in own]
     read = _reader(dataset, own)
 
@@ -184,7 +184,7 @@ def _refuse_base(dataset: Dataset, tree: Tree, recorded: Sequence[str]) -> None:
 
 
 def _reader(dataset: Dataset, inputs: set[str]) -> Callable[[Experiment, str], np.ndarray]:
-    names = [c.name for c in dataset.inputs]
+    names = dataset.input_names
     return lambda e, name: e.u[:, names.index(name)] if name in inputs else e.auxiliary[name]
 
 

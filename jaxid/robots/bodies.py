@@ -77,6 +77,13 @@ def principal_moments(inertia: np.ndarray) -> np.ndarray:
     return np.linalg.eigvalsh(I)
 
 
+def negative(inertia: np.ndarray) -> bool:
+    """Whether a mass or a principal moment of inertia of ten numbers is negative."""
+    moments = principal_moments(inertia)
+    size = max(float(np.abs(moments).max()), 1e-300)
+    return bool(inertia[9] < 0 or moments[0] < -DIGITS * size)
+
+
 def fault(link: str, inertia: np.ndarray) -> str | None:
     """What no body can have in these numbers, with the values; None: nothing."""
     inertia = np.asarray(inertia, np.float64)

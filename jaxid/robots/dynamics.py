@@ -1,13 +1,9 @@
-"""Rigid-body dynamics of a tree of joints: recursive Newton-Euler and composite rigid bodies, level
-by level.
+"""The nodes of a robot's tree as the levels of `jaxid.dynamics.rigid_body`, and what its base does.
 
 Nodes of equal depth are one vector. A node stands in the slot of its parent; where a body carries
 several, the others take slots of their own, so that a level is the level above it routed by a
-matrix of zeros and ones (by nothing, where limbs part at the base alone). Each recursion is one
-`lax.scan` over the levels; places without a node hold a massless body on a rigid joint.
-
-Sources: Luh, Walker, Paul 1980; Featherstone, Rigid Body Dynamics Algorithms, 2008 (composite rigid
-body, chapter 6).
+matrix of zeros and ones (by nothing, where limbs part at the base alone). Places without a node
+hold a massless body on a rigid joint.
 """
 
 from __future__ import annotations
@@ -21,17 +17,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.dynamics import rigid_body
 from jaxid.dynamics.mechanism import Free
 from jaxid.dynamics.rigid_body import (
     add,
+    Base,
     cross,
     inner,
-    into,
-    moved,
-    out_of,
+    Linkage,
     Placements,
     scaled,
-    times,
+    symmetric,
     Vector,
 )
 from jaxid.numerics.fast_math import dot, inverse, sincos
@@ -95,18 +91,15 @@ def gathered(plan: TreePlan, places: Any) -> Any:
 
 class Body(NamedTuple):
     """What does not depend on the state, all at the places [levels slots]: frames at the reference
-    as three matrices by rows with R(q) = R0 + sin(q) R1 + (1 - cos(q)) R2, origins, axes split by
-    kind, inertia (ten), the route, and bodies (ten) whose weight something else carries.
+    as three matrices by rows with R(q) = R0 + sin(q) R1 + (1 - cos(q)) R2, origins, the bodies on
+    their joints, and bodies (ten numbers) whose weight something else carries.
     """
 
     R0: tuple[Vector, Vector, Vector]
     R1: tuple[Vector, Vector, Vector]
     R2: tuple[Vector, Vector, Vector]
     p: Vector
-    turn: Vector  # axis of a hinge, else 0
-    slide: Vector | None  # axis of a slide, in the node's frame, else 0; None where no joint slides
-    inertia: tuple[Any, ...]
-    route: Any
+    bodies: Linkage
     lifted: tuple[Any, ...] | None = None  # None: nothing carries any weight
 
 
@@ -149,10 +142,12 @@ def body(
         R1=matrix(9),  # pyright: ignore
         R2=matrix(18),  # pyright: ignore
         p=tuple(every[27:30]),  # type: ignore[arg-type]
-        turn=parts(hinge),
-        slide=parts(sliding) if any(slides) else None,
-        inertia=tuple(every[30:40]),
-        route=plan.route,  # type: ignore[arg-type]
+        bodies=Linkage(
+            turn=parts(hinge),
+            slide=parts(sliding) if any(slides) else None,
+            inertia=tuple(every[30:40]),
+            route=plan.route,
+        ),
         lifted=None if lifted is None else parts(lifted),
     )
 
@@ -165,39 +160,12 @@ def frames(plan: TreePlan, body: Body, q: Float[Array, " n"]) -> Placements:
     for a, b, d in zip(body.R0, body.R1, body.R2, strict=True):
         rows.append([r0 + s * r1 + (1 - c) * r2 for r0, r1, r2 in zip(a, b, d, strict=True)])
     x, y, z = ((rows[0][k], rows[1][k], rows[2][k]) for k in range(3))
-    if body.slide is None:
+    if body.bodies.slide is None:
         return Placements(x, y, z, body.p)
-    along = body.slide
+    along = body.bodies.slide
     return Placements(
         x, y, z, add(body.p, scaled(here, tuple(inner(row, along) for row in body.R0)))
     )  # type: ignore[arg-type]
-
-
-def _routed(route: Any, parts: Any) -> Any:
-    """Values of the level above at the slots of their children; `route` None: where they are."""
-    return parts if route is None else jax.tree.map(lambda v: dot(route, v), parts)
-
-
-def _summed(route: Any, parts: Any) -> Any:
-    """Sums over the children at the slots of their parents."""
-    return parts if route is None else jax.tree.map(lambda v: dot(route.T, v), parts)
-
-
-class Base(NamedTuple):
-    """Motion of the base in its own frame: angular velocity and acceleration, acceleration of its
-    origin minus gravity.
-    """
-
-    w: Vector
-    wd: Vector
-    a: Vector
-
-
-def still(fall: Vector) -> Base:
-    """A base at rest in gravity; `fall` the vector of free fall in its frame, m/s^2."""
-    zero = 0.0 * fall[0]
-    rest = (zero, zero, zero)
-    return Base(rest, rest, (zero - fall[0], zero - fall[1], zero - fall[2]))
 
 
 def inverse_dynamics(
@@ -211,101 +179,24 @@ def inverse_dynamics(
     """Force or torque at every joint for a motion; armature, damping, friction and springs
     excluded, and the weight of what is lifted.
     """
-    tau = _moving(plan, body, E, base, qd, qdd)
-    if body.lifted is None:
-        return tau
-    zero = tuple(0.0 * part for part in base.a)
-    at_rest = Base(zero, zero, base.a)  # pyright: ignore
-    weight = _moving(plan, body._replace(inertia=body.lifted), E, at_rest, 0 * qd, 0 * qdd)
-    return tau - weight
-
-
-def _moving(
-    plan: TreePlan,
-    body: Body,
-    E: Placements,
-    base: Base,
-    qd: Float[Array, " n"],
-    qdd: Float[Array, " n"],
-) -> Float[Array, " n"]:
-    """The same, the weight of what is lifted among it."""
     v, a = spread(plan, qd), spread(plan, qdd)
-
-    def outwards(carry, x):
-        E, turn, slide, v, a, phi, route = x
-        w, wd, acc = _routed(route, carry)
-        acc = into(E, add(acc, add(cross(wd, E.p), cross(w, cross(w, E.p)))))
-        w, wd = into(E, w), into(E, wd)
-        if slide is not None:
-            acc = add(acc, add(scaled(a, slide), scaled(2 * v, cross(w, slide))))
-        wd = add(wd, add(scaled(a, turn), scaled(v, cross(w, turn))))
-        w = add(w, scaled(v, turn))
-        h = phi[6:9]
-        force = add(scaled(phi[9], acc), add(cross(wd, h), cross(w, cross(w, h))))
-        moment = add(add(times(phi, wd), cross(w, times(phi, w))), cross(h, acc))
-        return (w, wd, acc), (force, moment)
-
-    def inwards(carry, x):
-        E, turn, slide, force, moment, route = x
-        force, moment = add(carry[0], force), add(carry[1], moment)
-        tau = inner(turn, moment) if slide is None else inner(turn, moment) + inner(slide, force)
-        before = out_of(E, force)
-        return _summed(route, (before, add(out_of(E, moment), cross(E.p, before)))), tau
-
-    row = jnp.zeros(plan.slots)
-    start = jax.tree.map(lambda c: c + row, tuple(base))
-    first = None if body.route is None else jnp.asarray(_opened(body.route))
-    _, (force, moment) = jax.lax.scan(
-        outwards, start, (E, body.turn, body.slide, v, a, body.inertia, first)
-    )
-    zero = (row, row, row)
-    tau = jax.lax.scan(
-        inwards, (zero, zero), (E, body.turn, body.slide, force, moment, first), reverse=True
-    )[1]
+    tau = rigid_body.inverse_dynamics(E, body.bodies, base, v, a)
+    if body.lifted is not None:
+        zero = tuple(0.0 * part for part in base.a)
+        at_rest = Base(zero, zero, base.a)  # pyright: ignore
+        lifted = body.bodies._replace(inertia=body.lifted)
+        tau = tau - rigid_body.inverse_dynamics(E, lifted, at_rest, 0 * v, 0 * a)
     return gathered(plan, tau)
-
-
-def _opened(route: np.ndarray) -> np.ndarray:
-    """The route with the base's motion going to all slots of the first level."""
-    out = route.copy()
-    out[0] = np.eye(route.shape[1])
-    return out
 
 
 def mass_matrix(plan: TreePlan, body: Body, E: Placements) -> Float[Array, "n n"]:
     """Joint space inertia without armature; exactly symmetric."""
     n = len(plan.at)
-    own = np.zeros((plan.levels * plan.slots, n))
-    own[plan.at, np.arange(n)] = 1.0
-    own = own.reshape(plan.levels, plan.slots, n)
-
-    # beside the joints that cause a force
-    def column(v):
-        return v[:, None]
-
-    def inwards(carry, x):
-        E, turn, slide, phi, own, route = x
-        total, force, moment = carry
-        total = tuple(a + b for a, b in zip(total, phi, strict=True))
-        h, m = total[6:9], total[9]
-        # force and moment that give everything beyond this joint unit acceleration along it
-        f, c = cross(turn, h), times(total, turn)
-        if slide is not None:
-            f, c = add(f, scaled(m, slide)), add(c, cross(h, slide))
-        force = tuple(b + own * column(a) for a, b in zip(f, force, strict=True))
-        moment = tuple(b + own * column(a) for a, b in zip(c, moment, strict=True))
-        row = inner(tuple(map(column, turn)), moment)  # type: ignore[arg-type]
-        row = row if slide is None else row + inner(tuple(map(column, slide)), force)  # type: ignore[arg-type]
-        wide = jax.tree.map(column, E)
-        before = out_of(wide, force)
-        after = add(out_of(wide, moment), cross(wide.p, before))
-        return _summed(route, (moved(E, total), before, after)), row
-
-    zero, wide = jnp.zeros(plan.slots), jnp.zeros((plan.slots, n))
-    carry = ((zero,) * 10, (wide,) * 3, (wide,) * 3)
-    xs = (E, body.turn, body.slide, body.inertia, own, body.route)
-    upper = gathered(plan, jax.lax.scan(inwards, carry, xs, reverse=True)[1])
-    return upper + upper.T - upper * np.eye(n)
+    at = np.zeros((plan.levels * plan.slots, n))
+    at[plan.at, np.arange(n)] = 1.0
+    at = at.reshape(plan.levels, plan.slots, n).swapaxes(1, 2)
+    upper = rigid_body.mass_matrix(E, body.bodies, at)
+    return symmetric(gathered(plan, upper.swapaxes(1, 2)))
 
 
 #: A joint that a law holds so tightly that it swings by more than sqrt(2) rad in a step is taken to
@@ -337,20 +228,9 @@ def middle_step(
     return Free(w, A, q + h / 2 * (v + w)), w, A
 
 
-def poses(plan: TreePlan, E: Placements, route: Any) -> Placements:
+def poses(plan: TreePlan, E: Placements) -> Placements:
     """Frames of the nodes in the base's frame, components [n]."""
-
-    def outwards(carry, x):
-        E, route = x
-        up = _routed(route, carry)
-        here = Placements(
-            out_of(up, E.x), out_of(up, E.y), out_of(up, E.z), add(up.p, out_of(up, E.p))
-        )
-        return here, here
-
-    one, zero = jnp.ones(plan.slots), jnp.zeros(plan.slots)
-    start = Placements((one, zero, zero), (zero, one, zero), (zero, zero, one), (zero, zero, zero))
-    found = jax.lax.scan(outwards, start, (E, None if route is None else _opened(route)))[1]
+    found = rigid_body.poses(E, plan.route)
     return jax.tree.map(lambda v: gathered(plan, v), found)
 
 

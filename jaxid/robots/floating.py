@@ -121,14 +121,14 @@ def balanced(force: Callable[[Any], Any], a: Any, body: Any) -> Any:
     """Forces at all nodes of accelerations `a`, the base's slides accelerated so that none is left
     there; `force` is affine.
     """
-    return force(a.at[:3].set(-force(a)[:3] / jnp.sum(body.inertia[9])))
+    return force(a.at[:3].set(-force(a)[:3] / jnp.sum(body.bodies.inertia[9])))
 
 
 def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
     """Raises `UsageError` where a recording does not show how a free base turns, or shows it where
     the angles are singular.
     """
-    outputs = [c.name for c in dataset.outputs]
+    outputs = dataset.output_names
     if lacking := [a for a in ANGLES if a not in outputs]:
         raise UsageError(
             f"a free base needs its attitude as outputs {', '.join(ANGLES)} (rad; Rz(yaw) Ry(pitch)"

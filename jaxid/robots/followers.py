@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.robots.tree import Actuator, Coupling, Tree
+from jaxid.wording import names_of
 
 
 #: Endings of the channels that drive a joint.
@@ -25,8 +26,8 @@ def led(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     """(tree in which recorded joints lead those that the file couples to them, what is to be said
     of it).
     """
-    outputs = {c.name for c in dataset.outputs}
-    names = {c.name for c in dataset.channels}
+    outputs = set(dataset.output_names)
+    names = set(names_of(dataset.channels))
 
     def shown(joint):
         return joint in outputs or f"{joint}_qd" in outputs
@@ -112,10 +113,10 @@ def drives_led(dataset: Dataset, tree: Tree) -> Dataset:
     that lead them, where those have none.
     """
     tree, _ = led(tree, dataset)
-    outputs = {c.name for c in dataset.outputs}
+    outputs = set(dataset.output_names)
     for c in tree.couplings:
         for end in DRIVES:
-            names = {channel.name for channel in dataset.channels}
+            names = set(names_of(dataset.channels))
             straight = c.curve is None and c.ratio != 0
             wanted = straight and (c.leader in outputs or f"{c.leader}_qd" in outputs)
             if wanted and c.follower + end in names and not {c.leader + e for e in DRIVES} & names:
@@ -127,8 +128,8 @@ def outputs_led(dataset: Dataset, tree: Tree) -> Dataset:
     """The dataset with positions that were recorded of joints as those of the joint that is driven,
     where a curve couples them and nobody recorded that one.
     """
-    outputs = {channel.name for channel in dataset.outputs}
-    names = {channel.name for channel in dataset.channels}
+    outputs = set(dataset.output_names)
+    names = set(names_of(dataset.channels))
     curved = [c for c in tree.couplings if c.curve is not None]
     for leader in dict.fromkeys(c.leader for c in curved):
         own = {c.follower: c for c in tree.couplings if c.leader == leader and c.turns}
@@ -153,7 +154,7 @@ def _read_as(dataset: Dataset, steps: Sequence[Coupling]) -> Dataset:
     """
     whole = steps[0] if len(steps) == 1 else steps[1].through(steps[0])
     old, new = whole.leader, whole.follower
-    column = [c.name for c in dataset.outputs].index(old)
+    column = dataset.output_names.index(old)
     middle = float(np.median(np.concatenate([e.y[:, column] for e in dataset.experiments])))
     slope = abs(float(whole.as_curve.at(middle)[1]))
 
@@ -165,7 +166,7 @@ def _read_as(dataset: Dataset, steps: Sequence[Coupling]) -> Dataset:
     def scaled(size):
         return None if size is None else size * slope
 
-    names = [c.name for c in dataset.channels]
+    names = names_of(dataset.channels)
     place = names.index(old)
     channel = dataset.channels[place]
     moved = replace(
@@ -245,5 +246,5 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
 
 def _column(inputs: Sequence[Channel], name: str) -> int | None:
     """Place of an input, None where it is auxiliary."""
-    names = [c.name for c in inputs]
+    names = names_of(inputs)
     return names.index(name) if name in names else None

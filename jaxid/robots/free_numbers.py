@@ -12,12 +12,13 @@ from jaxid.dynamics.parameter import ParameterSpec
 from jaxid.robots.bodies import BODY
 from jaxid.robots.floating import ANGLES
 from jaxid.robots.tree import Tree
+from jaxid.wording import names_of
 
 
 def held(robot: Any) -> frozenset[str]:
     """Names of the numbers that no fit moves unless it is told to."""
     tree = robot.tree.tree
-    joints, fitted = robot.signatures[0].joints, {one.name for one in robot.fitted}
+    joints, fitted = robot.signatures[0].joints, set(names_of(robot.fitted))
     out = _all(BODY, robot.links) - tree.free_moments()
     out |= _all(("encoder_bias", "stiffness", "quadratic_damping"), robot.joints)
     out |= {"base_roll", "base_pitch"}

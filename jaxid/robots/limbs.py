@@ -13,6 +13,7 @@ from jaxid.robots.beside import rates_of
 from jaxid.robots.drives import NUMBERS
 from jaxid.robots.match import is_robot, prepared, recorded
 from jaxid.robots.tree import Tree
+from jaxid.wording import names_of
 
 
 def limbs_of(model: object, dataset: Dataset) -> list[tuple[Any, Dataset]]:
@@ -49,7 +50,7 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
         return stray(c.name) and (c.name.startswith("base_") or c.role == "auxiliary")
 
     keep = [c for c in dataset.channels if mine(c.name) or c.name in rates or also(c)]
-    kept = {c.name for c in keep}
+    kept = set(names_of(keep))
     iu = [i for i, c in enumerate(dataset.inputs) if c.name in kept]
     iy = [i for i, c in enumerate(dataset.outputs) if c.name in kept]
 

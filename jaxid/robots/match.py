@@ -27,6 +27,7 @@ from jaxid.robots.followers import drives_led, led, outputs_led
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.recorded_joints import held_at, POSE as POSE, refuse_unknown
 from jaxid.robots.tree import Coupling, Tree
+from jaxid.wording import names_of
 
 
 #: What is recorded of a joint beside its position, by the ending of the channel's name; a numbered
@@ -124,13 +125,13 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
 
     Raises `UsageError` for a joint that the robot lacks.
     """
-    notes, have = [], {c.name for c in dataset.channels}
+    notes, have = [], set(names_of(dataset.channels))
     joints, gone = of_the_file(dict(joints or {}), tree, have)
     out = _channels_of(gone, have)
     if out:
         dataset = left_out(dataset, out)
         notes = [f"left out, for {tree.file or 'the robot'} lacks them: {', '.join(gone.values())}"]
-        have = {c.name for c in dataset.channels}
+        have = set(names_of(dataset.channels))
     if not joints:
         joints, said = _numbered_joints(dataset, tree)
         notes += said
@@ -168,12 +169,12 @@ def _channels_of(positions: Iterable[str], have: set[str]) -> list[str]:
 
 def _numbered_joints(dataset: Dataset, tree: Tree) -> tuple[dict[str, str], list[str]]:
     """(channel -> joint of the file, note) of positions q1 … that nothing names."""
-    outputs = [c.name for c in dataset.outputs]
+    outputs = dataset.output_names
     numbered = {c: int(c[1:] or 1) for c in outputs if re.fullmatch(r"q\d*", c)}
     if not numbered:
         return {}, []
     in_order = sorted(numbered, key=lambda c: numbered[c])
-    if {c.name for c in dataset.channels}.isdisjoint(tree.joints):
+    if set(names_of(dataset.channels)).isdisjoint(tree.joints):
         last = in_order[-1]
         if numbered[last] > len(tree.leading):
             raise UsageError(
@@ -205,7 +206,7 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
     """The dataset with its goals as inputs where they alone can drive: no torque is an input, and
     the goals are auxiliary.
     """
-    inputs = {c.name for c in dataset.inputs}
+    inputs = set(dataset.input_names)
     goals = [
         c
         for c in dataset.channels
@@ -225,7 +226,7 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
     ):
         return dataset
     note = "no torque was recorded: the goals drive through the stated law"
-    moved = as_inputs(dataset, [c.name for c in goals])
+    moved = as_inputs(dataset, names_of(goals))
     return replace(
         moved,
         model=None if spec is None else replace(spec, free=False),
@@ -301,7 +302,7 @@ def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
     except UsageError:
         return path  # `SerialArm.from_urdf` says what is wrong with it
     tree: Tree = robot.tree.tree
-    names, spec = {c.name for c in dataset.channels}, dataset.model
+    names, spec = set(names_of(dataset.channels)), dataset.model
     torque = any(c.unit in ("N m", "N", "A") for c in dataset.inputs)
     chain = all(up == k - 1 for k, up in enumerate(tree.parent))
     goals = dataset.controller is not None and not torque
@@ -350,7 +351,7 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
 
 def _driven_by(joints: Sequence[str], dataset: Dataset) -> str:
     """What drives the joints: "goal", "torque", or "" for nothing."""
-    inputs = {c.name for c in dataset.inputs}
+    inputs = set(dataset.input_names)
     driven = {}
     for what, end in (("goal", "_cmd"), ("torque", "_tau")):
         own = [j for j in joints if f"{j}{end}" in inputs]
@@ -375,7 +376,7 @@ def _driven_by(joints: Sequence[str], dataset: Dataset) -> str:
 
 def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     """The tree with joints that the dataset does not measure held, and what is to be said of it."""
-    outputs = {c.name for c in dataset.outputs}
+    outputs = set(dataset.output_names)
     if tree.floats:
         refuse_unmeasured(tree, dataset)
     tree, notes = led(tree, dataset)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.robots.tree import Coupling, Tie
+from jaxid.wording import names_of
 
 
 #: Fields of a tendon that let it push or brake.
@@ -46,7 +47,7 @@ def acting_tendons(mujoco: Any, spec: Any) -> tuple[list[Tendon], list[str]]:
         limited = stated == 1 or (stated == 2 and ranged)
         if pushes or limited or tendon.name in used:
             acting.append(_run_of(mujoco, tendon))
-    lost = sorted(used - {t.name for t in spec.tendons})
+    lost = sorted(used - set(names_of(spec.tendons)))
     return acting, lost
 
 

@@ -8,6 +8,7 @@ from jaxid.data.dataset import Dataset
 from jaxid.errors import nearest, UsageError
 from jaxid.robots.floating import ANGLES
 from jaxid.robots.tree import Tree
+from jaxid.wording import names_of
 
 
 #: Constant under which a dataset states where a joint that it does not record was held.
@@ -36,7 +37,7 @@ def held_at(tree: Tree, dataset: Dataset, joint: str) -> float:
     """Where a joint without a measured position is held: as stated, as recorded beside, or as the
     file has it.
     """
-    names = {c.name for c in dataset.channels}
+    names = set(names_of(dataset.channels))
     constants = dataset.model.constants if dataset.model is not None else {}
     stated = f"{POSE}{joint}"
     if stated in constants:

@@ -14,7 +14,7 @@ from jaxid.wording import number
 
 def at_stops(tree: Tree, dataset: Dataset) -> list[tuple[str, float]]:
     """Joints with a share of their samples that lie at a stop or past it, in any run."""
-    outputs, found = [c.name for c in dataset.outputs], []
+    outputs, found = dataset.output_names, []
     for joint in (j for j in tree.joints if j in outputs):
         k = tree.joint(joint)
         q = np.concatenate([e.y[:, outputs.index(joint)] for e in dataset.experiments])

@@ -84,8 +84,8 @@ def refuse_endless(experiments: Sequence[Experiment], step: float) -> None:
 
 def columns(dataset: Dataset, chain: Chain) -> tuple[list[int], list[int]]:
     """Positions of the model's inputs and outputs among the dataset's channels."""
-    inputs = [c.name for c in dataset.inputs]
-    outputs = [c.name for c in dataset.outputs]
+    inputs = dataset.input_names
+    outputs = dataset.output_names
     if dataset.model is not None and dataset.model.free:
         return [], [outputs.index(n) for n, _ in chain.signature.outputs]
     return (

@@ -21,6 +21,8 @@ from jaxid.storage.atomic_files import replace_files, settle
 PARTIAL, PAGE = "partial", "report.html"
 #: Kinds of results that have a page.
 DRAWN = ("fit", "diagnosis", "comparison", "identification", "check", "reproduction")
+#: The draws of a posterior, and their picture.
+DRAWS = ("posterior.nc", "posterior.png")
 #: Names of JSON files that are not those of their kind.
 FILES = {"reproduction": "result"}
 
@@ -91,6 +93,8 @@ def _tables(result: Any) -> dict[str, bytes]:
         return {"runs.parquet": result.parquet()}
     if kind == "replay":
         return result.tables()
+    if kind == "fit":
+        return _draws(result)
     if kind != "simulation":
         return {}
     import pyarrow
@@ -108,9 +112,16 @@ def _tables(result: Any) -> dict[str, bytes]:
     return files
 
 
+def _draws(fit: Any) -> dict[str, bytes]:
+    """The draws of a fit's posterior and their picture, where there are any."""
+    if fit.posterior is None:
+        return {}
+    return dict(zip(DRAWS, (fit.posterior.netcdf(), displays().image(fit.posterior)), strict=True))
+
+
 def _written(place: Path) -> list[str]:
     """Names of the files that stopped runs may have left."""
-    names = [json_name(kind) for kind in DRAWN] + ["runs.parquet", PAGE]
+    names = [json_name(kind) for kind in DRAWN] + ["runs.parquet", PAGE, *DRAWS]
     return [name for name in names if (place / name).is_file()]
 
 
@@ -140,6 +151,8 @@ def _obsolete(folder: Path, name: str, files: dict[str, bytes]) -> list[str]:
         page = Path(name).with_suffix(".html").name
         if (about := result_of((folder / page).read_bytes())) and about[0] == name:
             out.append(page)
+    if name == "fit.json" and (folder / name).is_file():
+        out += [draws for draws in DRAWS if draws not in files and (folder / draws).is_file()]
     if name == "simulation.json":
         with suppress(OSError, ValueError, KeyError, TypeError):
             older = len(json.loads((folder / name).read_bytes())["rmse"])

@@ -15,6 +15,7 @@ from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.data.importers.runs import first_line, paths_of
 from jaxid.data.io import save_dataset
 from jaxid.errors import DatasetError, DatasetProblem, nearest
+from jaxid.wording import names_of
 
 
 _RESOLUTION = 5.0e-8  # m, the position encoder of the benchmark
@@ -65,7 +66,7 @@ def import_emps(
                 "Janot, Gautier, Brunot, Data Set and Reference Models of EMPS, 2019"
                 " (nonlinearbenchmark.org)"
             ),
-            "files": ", ".join(p.name for p in paths),
+            "files": ", ".join(names_of(paths)),
         },
         names=[p.stem.lower() for p in paths],
         split=[_split(r) for r in recordings],

@@ -15,6 +15,7 @@ from jaxid.data.importers.propose import recognised
 from jaxid.data.importers.source import read_source
 from jaxid.data.importers.text import StatedFormat
 from jaxid.errors import nearest, UsageError
+from jaxid.wording import names_of
 
 
 ROLES = ("input", "output", "auxiliary")
@@ -90,7 +91,7 @@ def _with_units(
 
 def _known(channels: Sequence[Proposed], said: Mapping[str, str]) -> None:
     """Raises `UsageError` for a name that is neither a channel's nor a column's."""
-    names = [*(c.name for c in channels), *(c.column for c in channels)]
+    names = [*(names_of(channels)), *(c.column for c in channels)]
     for name in said:
         if name not in names:
             listed = ", ".join(f"{c.name} (column {c.column})" for c in channels)

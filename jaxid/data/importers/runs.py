@@ -22,6 +22,7 @@ from jaxid.data.io import save_dataset
 from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.registers import found_sign, register_words
 from jaxid.errors import DatasetError, DatasetProblem, DatasetWarning
+from jaxid.wording import names_of
 
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
@@ -167,10 +168,10 @@ def save_runs(
             description=f"imported from {kind}; {said}",
             source={
                 "source": kind,
-                "files": ", ".join(run.name for run in runs),
+                "files": ", ".join(names_of(runs)),
                 **(beside or {}),
             },
-            names=_unique([run.name for run in runs]),
+            names=_unique(names_of(runs)),
             split_at_gaps=True,
             valid=_finite_where_blank(shared),
             resolution=_by_channel(keys, resolution or {}),

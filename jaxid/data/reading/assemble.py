@@ -268,7 +268,7 @@ def _model_info(
     if entry.name is None:
         return None
     from jaxid import catalogue
-    from jaxid.dynamics.urdf_table import arm_table
+    from jaxid.robots.arm_table import arm_table
 
     names = catalogue.model_names()
     if entry.name not in names:
@@ -355,7 +355,7 @@ def _signature_faults(
             problems.append(problem)
     if problems:
         return problems
-    outputs = [name for name, _ in signature.outputs]
+    outputs = signature.output_names
     for reading in have.values():
         if reading.entry.role == "output" and reading.name not in outputs:
             message = (

@@ -8,8 +8,8 @@ from typing import Any
 from jaxid.data.dataset import Dataset, Geometry, ModelSpec, ParameterPrior
 from jaxid.data.schema import Document, Places
 from jaxid.data.schema_model import ModelEntry, PriorEntry
-from jaxid.dynamics.urdf_table import arm_table
 from jaxid.errors import DatasetError, DatasetProblem, UsageError
+from jaxid.robots.arm_table import arm_table
 
 
 def model_spec(entry: ModelEntry) -> ModelSpec:

@@ -63,7 +63,7 @@ class Difference:
         return all(loss <= level(count(split)) for split, loss in left.items())
 
     def said(self, binding: Binding) -> str:
-        names = [name for name, _ in binding.chain.signature.outputs]
+        names = binding.chain.signature.output_names
         every = [
             f"{name} {size:.2g} {binding.noise[name].unit}"
             for name, size in zip(names, self.by_split["fit"].size, strict=True)

@@ -172,7 +172,7 @@ def not_this_file(binding: Binding, between: Between | None, apart: np.ndarray |
     if not ours > theirs > level(sum(len(e.t) for e in binding.experiments("fit")) * len(apart)):
         return ""
     worst = int(np.argmax(apart / binding.sigma))
-    names = [name for name, _ in binding.chain.signature.outputs]
+    names = binding.chain.signature.output_names
     unit = binding.noise[names[worst]].unit
     text = (
         f"MuJoCo's run of the file leaves {between.left[worst]:.2g} {unit} of {names[worst]}, and"

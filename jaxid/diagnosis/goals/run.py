@@ -46,7 +46,7 @@ from jaxid.fitting.result import Fit
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
 from jaxid.simulation.sample_buffers import STEP, step_count
-from jaxid.wording import listed
+from jaxid.wording import listed, names_of
 
 
 #: Is told of the nominal fit and of what is known so far: what a run that is stopped keeps.
@@ -171,7 +171,7 @@ def diagnose_led(
     apart = _apart(study, between, plain.free)
     study = study.with_binding(with_floor(wide, apart.size))
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
-    asked = f"asked along the measured motion: {listed(sorted(k.name for k in kinds))}"
+    asked = f"asked along the measured motion: {listed(sorted(names_of(kinds)))}"
     left = sorted(k.name for k in library if not shown(k))
     notes.append(
         f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}"

@@ -218,7 +218,7 @@ def _driven(
     one would explain itself.
     """
     b, n = plant.binding, plant.binding.chain.nq
-    names = [name for name, _ in b.chain.signature.inputs]
+    names = b.chain.signature.input_names
     rigid = [plant.rigid(r, theta) for r in runs]
     series = [kind.column(f, r.step) for r, f in zip(runs, rigid, strict=True)]
     rows = [r.rows(x) for r, x in zip(runs, series, strict=True)]

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from jaxid.errors import nearest, UsageError
+from jaxid.wording import names_of
 
 
 #: Longest step of a simulation (s).
@@ -139,7 +140,7 @@ def _chain(model: str, effects: Sequence[Mapping[str, Any]], count: int) -> Any:
             f"an emulator of {count} joints takes models with one driven revolute joint, or"
             f" with {count}; {model} is none"
         )
-    present = {e.name for e in chain.effects}
+    present = set(names_of(chain.effects))
     added = {}
     for effect in effects:
         kind = catalogue.effect_class(effect["effect"])

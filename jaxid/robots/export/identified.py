@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.dynamics.urdf import z_to
 from jaxid.errors import UsageError
 from jaxid.models.effects import ConstantTorque, PowerLawFriction, StribeckFriction
 from jaxid.robots.arms import table_of
+from jaxid.robots.chain_table import z_to
 from jaxid.robots.export.apply import carried
 from jaxid.robots.export.outcome import ExportOutcome, Named, Number, number
 from jaxid.robots.export.sheet import body_before, from_ten, of_tree, RobotChange, Sheet

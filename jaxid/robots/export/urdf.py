@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxid.dynamics.urdf import read_links
 from jaxid.errors import UsageError
 from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.outcome import ExportOutcome
@@ -23,6 +22,7 @@ from jaxid.robots.export.target import (
 )
 from jaxid.robots.export.xml_text import Element, number as digits, numbers, XmlText
 from jaxid.robots.tree import motion, roll_pitch_yaw
+from jaxid.robots.urdf import read_links
 from jaxid.storage.small_files import read_small
 
 

@@ -1,13 +1,10 @@
-"""Serial chains from URDF files, read safely: no entities, no external references.
+"""The links and joints of a URDF file, read safely: no entities, no external references.
 
-Revolute, continuous and prismatic joints become the joints of the chain; links behind fixed joints are added to the link that
-carries them. The frames are those of the URDF, turned where a joint's axis is not its z axis so that it becomes z (an axis along
--z is turned about x); inertial parameters are turned with them.
+Frames and axes are those of the file; inertial parameters are about the frames of the links.
 """
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -15,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.dynamics.kinematics import ArmTable, geometry_of
-from jaxid.dynamics.rigid_body import about_origin, moved, Placements
-from jaxid.errors import DatasetWarning, nearest, UsageError
+from jaxid.dynamics.rigid_body import about_origin
+from jaxid.errors import nearest, UsageError
+from jaxid.robots.tree import rotation
 from jaxid.storage.xml_tree import Declares, xml_root
 
 
@@ -25,7 +22,7 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 
 @dataclass
-class _Joint:
+class UrdfJoint:
     name: str
     kind: str
     parent: str
@@ -38,84 +35,22 @@ class _Joint:
 
 
 @dataclass
-class _Robot:
+class UrdfRobot:
     inertia: dict[str, np.ndarray] = field(
         default_factory=dict
     )  # link -> ten numbers about its frame
-    joints: dict[str, _Joint] = field(default_factory=dict)
-    impossible: dict[str, str] = field(
-        default_factory=dict
-    )  # link -> why no body can have its inertia
+    joints: dict[str, UrdfJoint] = field(default_factory=dict)
 
-    def children(self, link: str) -> list[_Joint]:
+    def children(self, link: str) -> list[UrdfJoint]:
         return [j for j in self.joints.values() if j.parent == link]
 
 
-def read_urdf(
-    path: str | Path, tip: str | None = None, root: str | None = None, text: str | None = None
-) -> ArmTable:
-    """The chain from `root` (default: the link without a parent) to `tip` (default: the end of the
-    only branch that moves).
-
-    With `text` that is read, and the path only named in messages. Moving joints off the chain are
-    locked at zero, their links added to the chain's. Raises `UsageError` for what is not a chain of
-    such joints, naming the joint or link.
-    """
-    robot = _read(Path(path), text)
-    root = _root(robot, root, path)
-    tip = _tip(robot, root, tip, path)
-    chain = _chain_to(robot, root, tip, path)
-    moving = [j for j in chain if j.kind in MOVING]
-    if not moving:
-        raise UsageError(f"{path}: no joint moves between {root!r} and {tip!r}")
-    for link in _behind(robot, moving[0].child):
-        if link in robot.impossible:  # of what stands still nothing shows
-            _tell(f"{path}: {robot.impossible[link]}", refuse="negative" in robot.impossible[link])
-    for j in chain:
-        if j.mimic:
-            raise UsageError(
-                f"{path}: joint {j.name!r} mimics another; jaxid takes chains of independent joints"
-            )
-    geometry, inertia, before, k = [], [], np.eye(4), -1
-    on_chain = {j.name for j in chain}
-    for j in chain:
-        here = before @ j.T
-        if j.kind not in MOVING:
-            if k >= 0:
-                inertia[k] = inertia[k] + _turned(_lumped(robot, j.child, on_chain), here)
-            before = here
-            continue
-        turn = np.eye(4)
-        turn[:3, :3] = z_to(j.axis)
-        geometry.append(geometry_of(here @ turn))
-        before = np.linalg.inv(turn)
-        inertia.append(_turned(_lumped(robot, j.child, on_chain), before))
-        k += 1
-    a, alpha, d, theta, b, gamma = np.array(geometry).T
-    limits = np.array([j.limits for j in moving]).T
-    return ArmTable(
-        a,
-        alpha,
-        d,
-        theta,
-        b,
-        gamma,
-        tuple(j.kind == "prismatic" for j in moving),
-        np.array(inertia),
-        np.zeros(len(moving)),
-        before,
-        tuple(j.name for j in moving),
-        *limits,
-        *np.array([j.dynamics for j in moving]).T,
-    )
-
-
-def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
+def read_links(path: Path, text: str | None = None) -> tuple[UrdfRobot, str]:
     """The links and joints of a URDF, and its root link. Raises `UsageError` for what is no
     tree.
     """
-    robot = _read(path, text)
-    root = _root(robot, None, path)
+    robot = read_robot(path, text)
+    root = root_of(robot, None, path)
     reached, edge = {root}, [root]
     while edge:
         joints = chain.from_iterable(map(robot.children, edge))
@@ -160,14 +95,15 @@ def _robot_element(path: Path, text: str | None) -> Any:
     return tree
 
 
-def _read(path: Path, text: str | None = None) -> _Robot:
+def read_robot(path: Path, text: str | None = None) -> UrdfRobot:
+    """All links and joints, in the order of the file."""
     tree = _robot_element(path, text)
-    robot = _Robot()
+    robot = UrdfRobot()
     for link in tree.findall("link"):
         name = _text(link, "name", path, "a link")
         if name in robot.inertia:
             raise UsageError(f"{path}: link {name!r} stands there twice")
-        robot.inertia[name] = _inertia(link, path, name, robot)
+        robot.inertia[name] = _inertia(link, path, name)
     for element in tree.findall("joint"):
         joint = _joint(element, path)
         for link in (joint.parent, joint.child):
@@ -215,19 +151,12 @@ def _origin(element: Any, path: Path, what: str) -> np.ndarray:
     T = np.eye(4)
     if element is not None:
         roll, pitch, yaw = _numbers(element.get("rpy"), "0 0 0", 3, path, f"rpy of {what}")
-        T[:3, :3] = _rotation(2, yaw) @ _rotation(1, pitch) @ _rotation(0, roll)
+        T[:3, :3] = rotation(roll, pitch, yaw)
         T[:3, 3] = _numbers(element.get("xyz"), "0 0 0", 3, path, f"xyz of {what}")
     return T
 
 
-def _rotation(axis: int, angle: float) -> np.ndarray:
-    R, i, j = np.eye(3), (axis + 1) % 3, (axis + 2) % 3
-    R[i, i] = R[j, j] = np.cos(angle)
-    R[j, i], R[i, j] = np.sin(angle), -np.sin(angle)
-    return R
-
-
-def _inertia(link: Any, path: Path, name: str, robot: _Robot) -> np.ndarray:
+def _inertia(link: Any, path: Path, name: str) -> np.ndarray:
     inertial = link.find("inertial")
     if inertial is None:
         return np.zeros(10)
@@ -239,38 +168,12 @@ def _inertia(link: Any, path: Path, name: str, robot: _Robot) -> np.ndarray:
     xx, xy, xz, yy, yz, zz = (
         _number(tensor, key, "0", path, f"inertia of {what}:") for key in keys
     )
-    if why := _impossible(m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])):
-        robot.impossible[name] = f"{what} has {why}"
     R = T[:3, :3]
     I = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
     return about_origin(m, T[:3, 3], I[np.triu_indices(3)])
 
 
-def _tell(text: str, refuse: bool) -> None:
-    """Refuses what cannot be simulated; an inertia beyond the sum of the others is in many makers'
-    files, and only said.
-    """
-    if refuse:
-        raise UsageError(f"{text}. Correct its <inertial>")
-    warnings.warn(f"{text}; it is taken as it stands", DatasetWarning, stacklevel=4)
-
-
-def _impossible(m: float, I: np.ndarray) -> str:
-    """Why no body has this mass and this inertia about its centre of mass [3 3]; empty where one
-    can.
-    """
-    if m < 0:
-        return f"a mass of {m:g} kg, and a mass is not negative"
-    moments = np.linalg.eigvalsh(I)
-    said = "principal moments of inertia of " + ", ".join(f"{v:.4g}" for v in moments) + " kg m^2"
-    if moments[0] < -1e-6 * max(float(np.abs(moments).max()), 1e-300):
-        return f"{said}, and none can be negative"
-    if moments[2] > (moments[0] + moments[1]) * (1 + 1e-3) + 1e-12:
-        return f"{said}, which no body can have: one exceeds the sum of the others"
-    return ""
-
-
-def _joint(element: Any, path: Path) -> _Joint:
+def _joint(element: Any, path: Path) -> UrdfJoint:
     name = _text(element, "name", path, "a joint")
     kind = _text(element, "type", path, f"joint {name!r}")
     if kind not in (*MOVING, "fixed"):
@@ -310,7 +213,7 @@ def _joint(element: Any, path: Path) -> _Joint:
         return _number(limit, key, "0", path, what)
 
     losses = f"dynamics of joint {name!r}:"
-    return _Joint(
+    return UrdfJoint(
         name=name,
         kind=kind,
         parent=ends[0],
@@ -337,7 +240,8 @@ def _mimic(tag: Any, path: Path, name: str) -> tuple[str, float, float] | None:
     return _text(tag, "joint", path, f"<mimic> of joint {name!r}"), offset, ratio
 
 
-def _root(robot: _Robot, root: str | None, path: Any) -> str:
+def root_of(robot: UrdfRobot, root: str | None, path: Any) -> str:
+    """The link that the joints begin at: `root`, or the one without a parent."""
     if root is not None:
         if root not in robot.inertia:
             raise UsageError(f"{path}: there is no link {root!r}{nearest(root, robot.inertia)}")
@@ -358,7 +262,8 @@ def _root(robot: _Robot, root: str | None, path: Any) -> str:
     return roots[0]
 
 
-def _tip(robot: _Robot, root: str, tip: str | None, path: Any) -> str:
+def tip_of(robot: UrdfRobot, root: str, tip: str | None, path: Any) -> str:
+    """The link that a chain ends at: `tip`, or the end of the only branch that moves."""
     if tip is not None:
         if tip not in robot.inertia:
             raise UsageError(f"{path}: there is no link {tip!r}{nearest(tip, robot.inertia)}")
@@ -379,7 +284,7 @@ def _tip(robot: _Robot, root: str, tip: str | None, path: Any) -> str:
         link = moving[0].child
 
 
-def _ends(robot: _Robot, link: str) -> list[str]:
+def _ends(robot: UrdfRobot, link: str) -> list[str]:
     """The last link that moves of each branch."""
     behind = [j.child for j in robot.children(link) if _moves(robot, j)]
     if not behind:
@@ -387,52 +292,5 @@ def _ends(robot: _Robot, link: str) -> list[str]:
     return list(chain.from_iterable(_ends(robot, child) for child in behind))
 
 
-def _behind(robot: _Robot, link: str) -> list[str]:
-    """A link and everything that hangs on it."""
-    behind = [link]
-    for joint in robot.children(link):
-        behind += _behind(robot, joint.child)
-    return behind
-
-
-def _moves(robot: _Robot, joint: _Joint) -> bool:
+def _moves(robot: UrdfRobot, joint: UrdfJoint) -> bool:
     return joint.kind in MOVING or any(_moves(robot, j) for j in robot.children(joint.child))
-
-
-def _chain_to(robot: _Robot, root: str, tip: str, path: Any) -> list[_Joint]:
-    of_child = {j.child: j for j in robot.joints.values()}
-    chain: list[_Joint] = []
-    link = tip
-    while link != root:
-        if link not in of_child or len(chain) > len(of_child):
-            raise UsageError(f"{path}: link {tip!r} does not hang on {root!r}")
-        chain.append(of_child[link])
-        link = of_child[link].parent
-    return chain[::-1]
-
-
-def _lumped(robot: _Robot, link: str, on_chain: set[str]) -> np.ndarray:
-    """Ten numbers of a link and of everything that hangs on it off the chain, in the link's
-    frame.
-    """
-    total = robot.inertia[link].copy()
-    for j in robot.children(link):
-        if j.name not in on_chain:
-            total += _turned(_lumped(robot, j.child, on_chain), j.T)
-    return total
-
-
-def _turned(inertia: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Ten numbers of a body, from the frame that stands at T into the frame around it."""
-    x, y, z, p = (tuple(T[:3, k]) for k in range(4))
-    return np.array(moved(Placements(x, y, z, p), inertia))
-
-
-def z_to(axis: np.ndarray) -> np.ndarray:
-    """The smallest rotation that takes z into the axis; about x where the axis is -z."""
-    c = axis[2]
-    if c < -1 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    v = np.array([-axis[1], axis[0], 0.0])  # z x axis
-    S = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + S + S @ S / (1 + c)

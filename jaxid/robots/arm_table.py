@@ -12,7 +12,7 @@ def arm_table(geometry: Geometry) -> Any:
     from jaxid.dynamics import kinematics
 
     if geometry.urdf:
-        from jaxid.dynamics.urdf import read_urdf
+        from jaxid.robots.urdf_tree import read_urdf
 
         return read_urdf(geometry.file, geometry.tip, geometry.root, text=geometry.urdf)
     make: Any = (
