@@ -31,10 +31,11 @@ from jaxid.runtime import prepare  # noqa: E402
 
 prepare()
 
-from benchmarks.blind_cases import CONTROLS, dataset, KINDS, STRENGTH, write_set  # noqa: E402
-from benchmarks.twins import PLANTS  # noqa: E402
+from benchmarks.blind_cases import CONTROLS, KINDS, STRENGTH, write_set  # noqa: E402
 from jaxid import catalogue  # noqa: E402
 from jaxid.api import diagnose, fit  # noqa: E402
+from jaxid.benchmark.plants import PLANTS  # noqa: E402
+from jaxid.benchmark.rigs import dataset  # noqa: E402
 from jaxid.data.dataset import Dataset  # noqa: E402
 from jaxid.data.io import load_dataset  # noqa: E402
 from jaxid.diagnosis.budget import shrink  # noqa: E402
@@ -203,7 +204,7 @@ def main() -> dict[str, Any]:
     lines = RESULTS.read_text().splitlines() if RESULTS.exists() else []
     rows = [json.loads(line) for line in lines]
     text = (
-        "Recordings of separately written twins (benchmarks/twins.py), written to folders without their key, which was read "
+        "Recordings of separately written twins (jaxid.benchmark), written to folders without their key, which was read "
         "afterwards. The search was tuned on seeds 1, 3 and 20 to 23 and on two real recordings; each row is of the seed that "
         "stands in it, run once with the rules as they were then. Rules that came after rows they would change: several effects "
         "are `partly` if they leave 1.5 times the noise (after the flexible link's outsider that got a name; on report data too, "

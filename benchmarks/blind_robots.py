@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ prepare()
 
 import jaxid  # noqa: E402
 from benchmarks.blind_summary import held, share  # noqa: E402
-from benchmarks.robot_arms import Arm, as_named, case, dataset, KINDS, RATE, recorded  # noqa: E402
+from jaxid.benchmark.goal_arms import case, dataset, GoalArm, KINDS, RATE, recorded, STEP  # noqa: E402
 from jaxid.diagnosis.budget import shrink  # noqa: E402
 from jaxid.diagnosis.goals.as_stated import TAKEN_OFF  # noqa: E402
 from jaxid.diagnosis.verdict import level  # noqa: E402
@@ -116,6 +117,45 @@ def score(c: dict[str, Any], found: Any) -> dict[str, Any]:
     }
 
 
+def as_named(arm: GoalArm, found: Any) -> tuple[GoalArm, str, int, dict[str, Any]] | None:
+    """The arm with the one effect that a diagnosis names written into it, as `withheld` gives it;
+    None where it names none or several, or what the simulation of this benchmark has not.
+    """
+    if found.which.verdict != "named" or len(found.which.effects) != 1:
+        return None
+    e, real = found.which.effects[0], deepcopy(arm)
+    p = {name: x.value for name, x in e.parameters.items()}
+    j = 0 if e.effect == "gravity_offset" else int(e.location.split("_")[0][1:]) - 1
+    beside: dict[str, Any] = {}
+    if e.effect == "torque_scale":
+        for numbers in (real.kp, real.kv, real.limit):
+            numbers[j] *= 1 + p["gain"]
+    elif e.effect == "payload":
+        end = arm.length[j] * (
+            0.5 if j == arm.n - 1 else 1.0
+        )  # from the next joint, else from the link's centre of mass
+        real.more["payload"] = {
+            j: (p["mass"], np.array([end + p.get("dx", 0.0), p.get("dy", 0.0), p.get("dz", 0.0)]))
+        }
+    elif e.effect == "gravity_offset":
+        real.more["tilt"] = (0.0, p["tilt"])
+    elif e.effect in (
+        "input_delay",
+        "sensor_bias",
+        "constant_torque",
+        "stribeck_friction",
+        "saturation",
+    ):
+        beside = {"top" if name == "limit" else name: value for name, value in p.items()}
+        if "torque" in p:
+            beside["torque"] = -p["torque"]  # as friction, against the motion
+        if "delay" in p:  # goals wait for a step to begin
+            beside["delay"] = round(p["delay"] / STEP) * STEP
+    else:
+        return None
+    return real, e.effect, j, beside
+
+
 def further(long: dict[str, Any], found: Any, seconds: float) -> list[float] | None:
     """Share of the file's gap that is closed in those of further runs in which there is one, which
     go on behind `seconds` of `long`; what is closed twice counts once, as in a diagnosis. Where the
@@ -124,7 +164,7 @@ def further(long: dict[str, Any], found: Any, seconds: float) -> list[float] | N
     """
     arm = long["arm"]
 
-    def in_mujoco(arm: Arm, kind: str, j: int, beside: dict[str, Any]) -> np.ndarray:
+    def in_mujoco(arm: GoalArm, kind: str, j: int, beside: dict[str, Any]) -> np.ndarray:
         return recorded(arm, kind, j, beside, long["u"], np.random.default_rng(0), noise=0.0)
 
     if any(TAKEN_OFF in note for note in found.notes):
@@ -148,7 +188,7 @@ def further(long: dict[str, Any], found: Any, seconds: float) -> list[float] | N
     return [min(1.0, shrink(b, a)) for b, a, count in left if b > level(count)]
 
 
-def as_file(arm: Arm, folder: str) -> Path:
+def as_file(arm: GoalArm, folder: str) -> Path:
     path = Path(folder) / "arm.xml"
     path.write_text(arm.xml())
     return path

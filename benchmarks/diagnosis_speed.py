@@ -46,10 +46,10 @@ def datasets(
     model: str, rate: int, runs: int, seconds: float, withheld: list[dict[str, Any]]
 ) -> list[Any]:
     """A recording for each set of withheld effects, from rest, all integrated side by side."""
-    from blind_cases import commands, PLANTS
-    from twins import NEUTRAL, recorded
-
     import jaxid
+    from jaxid.benchmark.numpy_twin import recorded
+    from jaxid.benchmark.plants import NEUTRAL, PLANTS
+    from jaxid.benchmark.withheld import commands
 
     plant = dataclasses.replace(PLANTS[model], rate=rate)
     rng = np.random.default_rng(8)

@@ -4,7 +4,7 @@
 
 Six machines whose model lacks nothing, under uneven clocks, rounded time stamps, lost rows, coarse
 encoders, long standstill, repeats, short runs, speeds beside positions and torques that are
-measured. The equations are those of benchmarks/twins.py, which imports nothing of the product. A
+measured. The equations are those of jaxid.benchmark, which imports nothing of the product. A
 finding that is applied is a false alarm; so is one that is asked with a gap.
 """
 
@@ -24,7 +24,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.twins import NEUTRAL, Plant, PLANTS, torque_of  # noqa: E402
+from jaxid.benchmark.laws import torque_of  # noqa: E402
+from jaxid.benchmark.plants import NEUTRAL, PLANTS, TwinPlant  # noqa: E402
 from jaxid.data.dataset import Dataset  # noqa: E402
 
 
@@ -32,7 +33,7 @@ STEP = 2.5e-4  # s, of the simulation; every true sample lies on its grid
 SECONDS = 6.0
 
 
-def _closed_loop() -> Plant:
+def _closed_loop() -> TwinPlant:
     """A joint that a position law with a limited torque drives, recorded by that torque."""
     numbers = PLANTS["joint"].nominal | {"k_t": (0.1,), "k_e": (0.05,), "gain": (4e-3,)}
     return replace(
@@ -40,14 +41,14 @@ def _closed_loop() -> Plant:
     )
 
 
-def _cart() -> Plant:
+def _cart() -> TwinPlant:
     ports = {"inputs": (("force", "N"),), "outputs": (("position", "m"),)}
     numbers = {"J": (1.5,), "viscous": (2.0,), "coulomb": (1.0,), "offset": (0.1,)}
     return replace(PLANTS["joint"], **ports, nominal=numbers, torque=(8.0,), speed=(1.0,))
 
 
 #: Machine -> the model that it is recorded for, and its plant.
-MACHINES: dict[str, tuple[str, Plant]] = {
+MACHINES: dict[str, tuple[str, TwinPlant]] = {
     "joint": ("joint", PLANTS["joint"]),
     "cart": ("joint", _cart()),
     "pendulum": ("pendulum", PLANTS["pendulum"]),
@@ -293,7 +294,7 @@ def _simulated(machine: str, chosen: Sequence[Form]) -> list[Twin]:
     return twins
 
 
-def _motion(plant: Plant, u: np.ndarray, p: dict[str, np.ndarray]) -> np.ndarray:
+def _motion(plant: TwinPlant, u: np.ndarray, p: dict[str, np.ndarray]) -> np.ndarray:
     """Positions [lanes steps n] from rest at zero, under commands u [lanes steps n] on the
     simulation's grid.
 
@@ -326,7 +327,7 @@ def _motion(plant: Plant, u: np.ndarray, p: dict[str, np.ndarray]) -> np.ndarray
 
 
 def _torque(
-    plant: Plant, p: dict[str, np.ndarray], goal: np.ndarray, q: np.ndarray, rows: np.ndarray
+    plant: TwinPlant, p: dict[str, np.ndarray], goal: np.ndarray, q: np.ndarray, rows: np.ndarray
 ) -> np.ndarray:
     """What a position law made, as the mean from each sample to the next [time n]."""
     v = np.gradient(q, STEP, axis=0)
@@ -339,7 +340,7 @@ def _torque(
 
 def _record(
     twin: Twin,
-    plant: Plant,
+    plant: TwinPlant,
     machine: str,
     t: np.ndarray,
     stamps: np.ndarray,

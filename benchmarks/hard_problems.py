@@ -28,8 +28,9 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 import jaxid  # noqa: E402
-from benchmarks.twins import PLANTS, recorded  # noqa: E402
 from jaxid import fitters  # noqa: E402
+from jaxid.benchmark.numpy_twin import recorded  # noqa: E402
+from jaxid.benchmark.plants import PLANTS  # noqa: E402
 from jaxid.data.dataset import Dataset  # noqa: E402
 from jaxid.study.papers import flexible_link  # noqa: E402
 

@@ -22,7 +22,8 @@ sys.path[:0] = [
     str(Path(__file__).resolve().parents[1] / "tests"),
 ]
 
-from benchmarks import space_manipulator as arm, twins  # noqa: E402
+from benchmarks import space_manipulator as arm  # noqa: E402
+from jaxid.benchmark import numpy_twin, plants  # noqa: E402
 from jaxid.runtime import prepare  # noqa: E402
 
 
@@ -58,10 +59,10 @@ def both(seed: int) -> np.ndarray:
 
 def tracker(commands: list[np.ndarray], **numbers: tuple[float, float]) -> Dataset:
     """Driven by torque, 0.1 degree noise; published numbers but for those given."""
-    plant = dataclasses.replace(twins.PLANTS["tracker"], noise=np.deg2rad(0.1), resolution=0.0)
+    plant = dataclasses.replace(plants.PLANTS["tracker"], noise=np.deg2rad(0.1), resolution=0.0)
     known = {"J": (0.117, 0.1), "viscous": (1.9, 1.495)} | numbers
     lanes = {k: np.tile(x, (len(commands), 1)) for k, x in known.items()}
-    y = twins.recorded(plant, np.array(commands), lanes, np.random.default_rng(0))
+    y = numpy_twin.recorded(plant, np.array(commands), lanes, np.random.default_rng(0))
     return Dataset.from_arrays(
         [np.arange(1000) / 100] * len(commands),
         inputs={n: [u[:, i] for u in commands] for i, (n, _) in enumerate(plant.inputs)},

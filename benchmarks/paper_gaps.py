@@ -28,8 +28,8 @@ from jaxid.runtime import prepare  # noqa: E402
 
 prepare()
 
-from benchmarks import twins  # noqa: E402
 from jaxid.api import diagnose, fit  # noqa: E402
+from jaxid.benchmark import link_twin, numpy_twin as twins, plants  # noqa: E402
 from jaxid.data.dataset import Dataset  # noqa: E402
 from jaxid.models import FlexibleLink, Joint, Tracker  # noqa: E402
 from jaxid.problem.frequency_response import FrequencyResponseError  # noqa: E402
@@ -39,7 +39,7 @@ SPLITS = ("fit", "fit", "validation", "report")
 
 
 def recorded(
-    plant: twins.Plant, u: np.ndarray, y: np.ndarray, units: dict[str, str] | None = None
+    plant: plants.TwinPlant, u: np.ndarray, y: np.ndarray, units: dict[str, str] | None = None
 ) -> Dataset:
     """Runs [runs samples channels], the commands named and measured as in `units`."""
     inputs = units or dict(plant.inputs)
@@ -62,7 +62,7 @@ def tracker() -> Dataset:
     """Stepped in volts, one axis after the other as in paper 003, on motors as its Table 1 has
     them; 0.1 degree noise.
     """
-    plant = dataclasses.replace(twins.PLANTS["tracker"], noise=np.deg2rad(0.1), resolution=0.0)
+    plant = dataclasses.replace(plants.PLANTS["tracker"], noise=np.deg2rad(0.1), resolution=0.0)
     t = np.arange(1000) / 100
     u = np.zeros((4, 1000, 2))
     for run, (axis, first, second) in enumerate(
@@ -81,7 +81,7 @@ def tracker() -> Dataset:
 
 def joint() -> Dataset:
     """Dry friction, and 0.09 N m (s/rad)^0.5 that the model takes for viscous friction."""
-    plant, rng = twins.PLANTS["joint"], np.random.default_rng(1)
+    plant, rng = plants.PLANTS["joint"], np.random.default_rng(1)
     t = np.arange(int(8 * plant.rate)) / plant.rate
 
     def waves():
@@ -96,7 +96,7 @@ def joint() -> Dataset:
     return recorded(plant, u, y)
 
 
-LINK = {k: v for k, v in twins.LINK.items() if k != "coulomb"}
+LINK = {k: v for k, v in plants.LINK.items() if k != "coulomb"}
 
 
 def turning_link(torque: float) -> Dataset:
@@ -104,7 +104,7 @@ def turning_link(torque: float) -> Dataset:
     tension.
     """
     plant, rng = (
-        dataclasses.replace(twins.PLANTS["flexible_link"], resolution=0.0),
+        dataclasses.replace(plants.PLANTS["flexible_link"], resolution=0.0),
         np.random.default_rng(2),
     )
     t = np.arange(int(4 * plant.rate)) / plant.rate
@@ -129,7 +129,7 @@ def beam(t: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Hub angle and tip acceleration [samples 2] under held torques: Lagrange's equations with the
     tension's foreshortening.
     """
-    Mp, Kp, c, rigid, G = twins.link_matrices(0.0)
+    Mp, Kp, c, rigid, G = link_twin.link_matrices(0.0)
     S, n = Mp - G, len(c)
     C, K = LINK["alpha"] * Mp + LINK["beta"] * LINK["E"] * Kp, LINK["E"] * Kp
 
@@ -152,7 +152,7 @@ def beam(t: np.ndarray, u: np.ndarray) -> np.ndarray:
         path = solve_ivp(field, (t[a], t[b]), x, "Radau", t[a : b + 1], rtol=1e-8, atol=1e-10).y
         for k in range(a, b + 1):
             now = acceleration(path[:, k - a], float(u[k]))
-            out[k] = path[0, k - a], twins.LONG * now[0] + now[n - 1]
+            out[k] = path[0, k - a], link_twin.LONG * now[0] + now[n - 1]
         x = path[:, -1]
     return out
 
@@ -161,7 +161,7 @@ def rubbing_link() -> Dataset:
     """The paper's pulse (0.241 N m for 0.3 s) on a hub whose dry friction, 0.1071 N m, the model
     does not have.
     """
-    plant = twins.PLANTS["flexible_link"]
+    plant = plants.PLANTS["flexible_link"]
     t = np.arange(int(4 * plant.rate)) / plant.rate
     u = np.array(
         [

@@ -34,17 +34,16 @@ import numpy as np  # noqa: E402
 
 import jaxid  # noqa: E402
 from benchmarks.rig_twins import (  # noqa: E402
-    CartPole,
-    CartPoleTwin,
     Cylinder,
     Furuta,
     FurutaTwin,
-    motion,
     multisine,
     Rack,
     SlideTwin,
     Wheel,
 )
+from jaxid.benchmark.cart_pole import CartPole  # noqa: E402
+from jaxid.benchmark.scipy_twin import CartPoleTwin, motion  # noqa: E402
 from jaxid.data.dataset import ModelSpec  # noqa: E402
 
 

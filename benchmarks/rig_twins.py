@@ -2,7 +2,7 @@
 their own.
 
 A model follows the recipe of the README: its numbers, its mass matrix or energies, its `drive`. A
-twin is simulated by SciPy's `solve_ivp`; standstill begins and ends by its events.
+twin is simulated by `jaxid.benchmark.scipy_twin.motion`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from scipy.integrate import solve_ivp
 
-from jaxid.dynamics.mechanism import Lagrangian, Rigid, Signature
+from jaxid.benchmark.cart_pole import OF_EACH_JOINT
+from jaxid.dynamics.mechanism import Rigid, Signature
 from jaxid.dynamics.parameter import constant, param
 from jaxid.models.effects import CoulombFriction, StribeckFriction, ViscousFriction
 
@@ -26,43 +26,6 @@ OF_ONE_AXIS = (
     (ViscousFriction, {"coefficient": "viscous"}),
     (CoulombFriction, {"level": "coulomb"}),
 )
-OF_EACH_JOINT = (
-    (ViscousFriction, {"coefficient": "viscous_{joint}"}),
-    (CoulombFriction, {"level": "coulomb_{joint}"}),
-)
-
-
-class CartPole(Lagrangian):
-    """A cart on a rail, driven by a motor's volts through a pinion; a pole hangs from it (theta = 0
-    hangs down).
-    """
-
-    name: ClassVar[str] = "cart_pole"
-    signatures: ClassVar[tuple[Signature, ...]] = (
-        Signature((("u", "V"),), (("x", "m"), ("theta", "rad")), ("x", "theta")),
-    )
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = OF_EACH_JOINT
-    equations: ClassVar[str] = "Lagrange's, with force = gear k / (R r) (u - gear k v / r)"
-    source: ClassVar[str] = "textbook"
-    cart: Array = param(1.5, 0.05, 20.0, unit="kg", log=True)
-    J: Array = param(0.02, 1e-3, 1.0, unit="kg m^2", log=True)
-    moment: Array = constant(0.23 * 0.33, unit="kg m")
-    pole: Array = constant(0.23, unit="kg")
-    k: Array = constant(0.00767, unit="N m/A")
-    R: Array = constant(2.6, unit="ohm")
-    gear: Array = constant(3.71, unit="1")
-    r: Array = constant(0.00635, unit="m")
-
-    def drive(self, signature, u, q, qd):
-        ratio = self.gear / self.r
-        return jnp.stack([ratio * self.k / self.R * (u[0] - ratio * self.k * qd[0]), 0.0 * u[0]])
-
-    def kinetic_energy(self, q, qd):
-        moving = (self.cart + self.pole) * qd[0] ** 2 + self.J * qd[1] ** 2
-        return moving / 2 + self.moment * jnp.cos(q[1]) * qd[0] * qd[1]
-
-    def potential_energy(self, q):
-        return -self.moment * 9.81 * jnp.cos(q[1])
 
 
 class Furuta(Rigid):
@@ -165,27 +128,6 @@ class Wheel(Rigid):
 # ---- the twins: equations of their own
 
 
-class CartPoleTwin:
-    """Newton's equations of cart and pole; volts through winding, gear and pinion."""
-
-    def __init__(self, dead_zone: float = 0.0):
-        self.dead_zone = dead_zone
-
-    def __call__(self, q, v, u):
-        volts = np.sign(u[0]) * max(abs(u[0]) - self.dead_zone, 0.0)
-        motor = v[0] / 0.00635 * 3.71
-        force = 3.71 * 0.00767 * (volts - 0.00767 * motor) / 2.6 / 0.00635
-        mass, length, J = 0.23, 0.33, 0.0335
-        M = np.array(
-            [[0.82 + mass, mass * length * np.cos(q[1])], [mass * length * np.cos(q[1]), J]]
-        )
-        cart = force - 3.0 * v[0] + mass * length * np.sin(q[1]) * v[1] ** 2
-        return M, np.array([cart, -0.0024 * v[1] - mass * 9.81 * length * np.sin(q[1])])
-
-    def dry(self, speed: float) -> float:
-        return 0.6
-
-
 class FurutaTwin:
     """Lagrange's equations of arm and pendulum by hand; a cable may pull the arm back."""
 
@@ -220,60 +162,6 @@ class SlideTwin:
 
     def dry(self, speed: float) -> float:
         return self.level + self.more * np.exp(-((speed / self.at) ** 2))
-
-
-def motion(plant, t: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray, delay: float = 0.0):
-    """Positions and speeds [time nq] at t; every input holds until the next one, dry friction acts
-    on the first joint, which stands still until what pulls at it exceeds its level.
-    """
-    n = len(q)
-
-    def accelerations(x, command, way):
-        M, force = plant(x[:n], x[n:], command)
-        if way == 0:
-            a = np.zeros(n)
-            a[1:] = np.linalg.solve(M[1:, 1:], force[1:]) if n > 1 else ()
-            return a, float(force[0] - M[0] @ a)
-        force[0] -= way * plant.dry(abs(x[n]))
-        return np.linalg.solve(M, force), 0.0
-
-    def next_way(x, command):
-        if x[n] != 0:
-            return np.sign(x[n])
-        held = accelerations(x, command, 0)[1]
-        return np.sign(held) if abs(held) > plant.dry(0.0) else 0.0
-
-    edges = np.unique(np.round(np.concatenate([t, t[:-1] + delay]), 9))
-    edges = edges[edges <= t[-1] + 1e-9]
-    x, out = np.concatenate([q, v]), []
-    samples = set(np.round(t, 9))
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
-        if a in samples:
-            out.append(x.copy())
-        k = np.searchsorted(t, a - delay + 1e-7) - 1
-        command = u[k] if k >= 0 else 0 * u[0]
-        while b - a > 1e-10:
-            way = next_way(x, command)
-
-            def slope(s, x, w=way, c=command):
-                return np.concatenate([x[n:], accelerations(x, c, w)[0]])
-
-            def stop(s, x, w=way, c=command):
-                if not w:
-                    return plant.dry(0.0) - abs(accelerations(x, c, 0)[1])
-                return w * x[n] + (1e-12 if s == start else 0.0)
-
-            start = a
-            stop.terminal, stop.direction = True, -1  # pyright: ignore[reportFunctionMemberAccess]
-            end = solve_ivp(slope, (a, b), x, rtol=1e-8, atol=1e-10, first_step=b - a, events=stop)
-            a, x = float(end.t[-1]), end.y[:, -1]
-            if end.status == 1 and way:
-                x[n] = 0.0
-            elif end.status == 1:
-                x[n] = 1e-9 * np.sign(accelerations(x, command, 0)[1])
-    out.append(x.copy())
-    states = np.array(out)
-    return states[:, :n], states[:, n:]
 
 
 def multisine(

@@ -1,7 +1,7 @@
 """Robots under goals: how long a diagnosis takes, and `mujoco.sysid` beside it, fitting the same
 numbers to the same log.
 
-Arms of `benchmarks/robot_arms.py` with Stribeck friction withheld at one joint, three joints for 20
+Arms of `jaxid/benchmark/goal_arms.py` with Stribeck friction withheld at one joint, three joints for 20
 s at 500 Hz and seven for 60 s at 250 Hz, and two real recordings. Each diagnosis runs in a process
 of its own: with no compiled programs on disk, with them, and as the whole command with its page.
 `mujoco.sysid` gets the file's numbers that jaxid re-tunes (centres of mass, armature, damping, dry
@@ -48,11 +48,11 @@ LONGEST_S = 600.0
 
 def twin(name: str, folder: Path) -> tuple[Path, Path]:
     """Dataset and file of an arm that lacks Stribeck friction at one joint."""
-    from benchmarks import robot_arms as arms
+    from jaxid.benchmark import goal_arms as arms
 
     n, seconds, rate = ARMS[name]
     rng = np.random.default_rng([7, n])
-    arm = arms.Arm.drawn(rng, n)
+    arm = arms.GoalArm.drawn(rng, n)
     real, j, beside = arms.withheld(arm, "stribeck_friction", rng)
     u = arms.goals(n, seconds, rng, rate)
     q = arms.recorded(real, "stribeck_friction", j, beside, u, rng, rate)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from jaxid.numerics.program_cache import own_folder, want
 from jaxid.numerics.versions import check_jax
+from jaxid.progress import Bar, Callback
 
 
 # XLA on the CPU runs small while loops op by op on one thread; with this limit the loop over
@@ -51,6 +54,9 @@ def prepare(streaming: bool = False) -> None:
         wanted = (LOOP_FLAG, LEVEL_FLAG) if cpu else (LOOP_FLAG,)
         ours = [flag for flag in wanted if flag.split("=")[0].lstrip("-") not in flags]
         os.environ["XLA_FLAGS"] = " ".join([*flags.split(), *ours])
+    # XLA writes to standard error from beneath Python: a program that compiles long is no error, and
+    # what fails raises.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     # NumPy's matrices are small here; more threads only wait for each other (measured: 3 to 5 times
     # the CPU time).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -73,6 +79,19 @@ def prepare(streaming: bool = False) -> None:
         import jax  # it does not read this setting from the environment
 
         jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+@contextmanager
+def progress_bar(seconds: float | None = None) -> Iterator[Callback]:
+    """A line that says how far long work is, for a script or a notebook: what it yields goes to the
+    argument `progress` of `jaxid.fit`, `diagnose`, `compare` and `identify`. `seconds`: the limit
+    that the work is given.
+    """
+    bar = Bar(seconds=seconds)
+    try:
+        yield bar
+    finally:
+        bar.stop()
 
 
 def cache_folder() -> Path | None:

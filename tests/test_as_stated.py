@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxid
-from benchmarks.robot_arms import Arm, dataset, goals, RATE, recorded
+from jaxid.benchmark.goal_arms import dataset, GoalArm, goals, RATE, recorded
 from jaxid.diagnosis.goals.as_stated import by_its_steps, Difference, difference
 from jaxid.diagnosis.goals.floor import between_simulators
 from jaxid.diagnosis.goals.run import loop_step
@@ -21,7 +21,7 @@ from jaxid.problem.binding import bind
 from jaxid.problem.residual import OutputError
 
 
-ARM = Arm(
+ARM = GoalArm(
     ["0 1 0", "0 1 0"],
     np.array([0.25, 0.2]),
     np.array([0.5, 0.4]),

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import jaxid
-from benchmarks.conventions import Recording, recording
+from jaxid.benchmark.broken import recording, SoundRecording
 from jaxid.conventions import checking
 
 
-def moved(r: Recording, rows: float) -> Recording:
+def moved(r: SoundRecording, rows: float) -> SoundRecording:
     """The recording with its inputs that many rows later (before 0: earlier, as where a drive has a
     delay).
     """
@@ -23,7 +23,7 @@ def moved(r: Recording, rows: float) -> Recording:
     return replace(r, u=u)
 
 
-def found(r: Recording) -> list:
+def found(r: SoundRecording) -> list:
     return [(f.kind, f.channel, f.applied) for f in checking.run_check(None, r.dataset()).findings]
 
 

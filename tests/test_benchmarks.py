@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import reference as ref
-from benchmarks import blind_cases, diffrax_reference, recovery, run_all, twins, twins_mujoco
-from benchmarks.blind_cases import commands, plan, recordings
+from benchmarks import blind_cases, diffrax_reference, recovery, run_all
+from benchmarks.blind_cases import plan, recordings
+from jaxid.benchmark import laws, mujoco_twin, numpy_twin as twins, plants, withheld
+from jaxid.benchmark.withheld import commands
 from jaxid.models import Pendulum, PlanarArm
 
 
@@ -43,7 +45,7 @@ def test_the_twins_of_the_blind_cases_are_those_of_the_tests():
     """Against the event-exact simulator; several lanes with an effect each, 3e-4 rad being the
     recordings' noise.
     """
-    plant = twins.PLANTS["pendulum"]
+    plant = plants.PLANTS["pendulum"]
     t = np.arange(100) / plant.rate
     u = ref.multisine(t, [0.6], 3, periods=0.6, lines=4)
     effects = [
@@ -57,7 +59,7 @@ def test_the_twins_of_the_blind_cases_are_those_of_the_tests():
     ]
     nominal = {"viscous": 0.03, "coulomb": 0.04, "offset": 0.01}
     numbers = {"J": 0.06, "mgl": 0.9, **nominal}
-    p = {k: np.full((len(effects), 1), float(x)) for k, x in {**twins.NEUTRAL, **numbers}.items()}
+    p = {k: np.full((len(effects), 1), float(x)) for k, x in {**plants.NEUTRAL, **numbers}.items()}
     for lane, (own, _) in enumerate(effects):
         for k, x in own.items():
             p[k][lane] = x
@@ -72,12 +74,12 @@ def test_the_arms_twin_is_as_good_as_its_noise():
     """Dry friction between two coupled links: taken with the mass matrix of a step's beginning it
     is off by more than the noise once the arm swings.
     """
-    plant = twins.PLANTS["planar_arm"]
+    plant = plants.PLANTS["planar_arm"]
     t = np.arange(200) / plant.rate
     u = ref.multisine(t, [22.0, 7.0], 5, periods=0.8, lines=5)
     p = {
         k: np.array([plant.nominal.get(k, (x, x))] * 2, float)
-        for k, x in (twins.NEUTRAL | plant.nominal).items()
+        for k, x in (plants.NEUTRAL | plant.nominal).items()
     }
     p["compliance"][1, 0], p["spring_damping"][1, 0] = (
         5e-5,
@@ -93,13 +95,13 @@ def test_the_arms_twin_is_as_good_as_its_noise():
     )  # the other joint's dry friction reaches the link behind the spring
 
 
-@pytest.mark.parametrize("model", twins_mujoco.PLANTS)
+@pytest.mark.parametrize("model", mujoco_twin.PLANTS)
 @pytest.mark.slow
 def test_the_twins_of_mujoco_are_the_same_machines(model):
     """For 1.5 s, with what MuJoCo has itself and what is set anew before every step; the arm swings
     over the top.
     """
-    plant = twins.PLANTS[model]
+    plant = plants.PLANTS[model]
     u = commands(plant, np.random.default_rng(4), 1)[:, : int(1.5 * plant.rate)]
     own = {
         "payload": 0.05,
@@ -116,22 +118,22 @@ def test_the_twins_of_mujoco_are_the_same_machines(model):
             "payload": 0.0,
             "tilt": 0.0,
         }  # no gravity; payloads of the tracker are of its barrel alone
-    p = {k: np.full((1, plant.n), float(x)) for k, x in (twins.NEUTRAL | own).items()}
+    p = {k: np.full((1, plant.n), float(x)) for k, x in (plants.NEUTRAL | own).items()}
     p |= {k: np.array([x]) for k, x in plant.nominal.items()}
-    fast, slow = round(1 / plant.rate / twins_mujoco.STEP), round(1 / plant.rate / plant.step)
+    fast, slow = round(1 / plant.rate / mujoco_twin.STEP), round(1 / plant.rate / plant.step)
     h = 1 / plant.rate / fast
-    q = twins_mujoco.simulated(
-        plant, twins.fine(u, p, fast, h)[0], {k: x[0] for k, x in p.items()}, h
+    q = mujoco_twin.simulated(
+        plant, laws.fine(u, p, fast, h)[0], {k: x[0] for k, x in p.items()}, h
     )[::fast]
     reference = twins.rigid(plant, u, p, slow, plant.step)[0, ::slow]
     assert np.ptp(reference, 0).min() > 0.05 and np.abs(q - reference).max() < 5 * plant.noise
 
 
 def test_cases_that_begin_in_motion_state_neither_rest_nor_splits(monkeypatch):
-    monkeypatch.setitem(blind_cases.SECONDS, "joint", 0.5)
+    monkeypatch.setitem(withheld.SECONDS, "joint", 0.5)
     monkeypatch.setattr(blind_cases, "BEFORE_S", 0.5)
     (data,), _, _ = recordings(plan("joint", 3, ("moving_control",))[:1], 3)
-    plant = twins.PLANTS["joint"]
+    plant = plants.PLANTS["joint"]
     assert [(e.split, e.at_rest, e.initial, len(e)) for e in data.experiments] == [
         ("fit", False, None, plant.rate // 2)
     ] * 3

@@ -17,7 +17,8 @@ from jaxtyping import Array
 from scipy.signal import butter, lfilter, sosfilt
 
 import jaxid
-from benchmarks.conventions import broken, found, KINDS, recording
+from benchmarks.conventions import found
+from jaxid.benchmark.broken import broken, KINDS, recording
 from jaxid.cli.app import main
 from jaxid.conventions import checking, finding, law
 from jaxid.conventions.mending import mended, Mending

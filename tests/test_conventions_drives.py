@@ -12,7 +12,7 @@ from jaxtyping import Array
 from scipy.integrate import cumulative_trapezoid
 
 import jaxid
-from benchmarks.conventions import recording
+from jaxid.benchmark.broken import recording
 from jaxid.conventions import checking
 from jaxid.conventions.missing_force import measured
 from jaxid.dynamics.mechanism import Rigid, Signature

@@ -13,8 +13,9 @@ import pytest
 from jaxtyping import Array
 
 import jaxid
-from benchmarks.conventions import recording
-from benchmarks.twins import LINK, PLANTS, recorded
+from jaxid.benchmark.broken import recording
+from jaxid.benchmark.numpy_twin import recorded
+from jaxid.benchmark.plants import LINK, PLANTS
 from jaxid.conventions import checking
 from jaxid.conventions.beside_joints import followed, Run
 from jaxid.conventions.readings import nearest_factor, whole_ratio

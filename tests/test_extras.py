@@ -54,7 +54,7 @@ def test_what_the_core_requires_is_in_no_extra():
     required = {Requirement(line).name for line in PROJECT["dependencies"]}
     optional = {DISTRIBUTIONS.get(package, package) for package in extras.EXTRAS}
     assert not required & optional
-    assert len(required) <= 17
+    assert len(required) <= 15
 
 
 @pytest.mark.parametrize(

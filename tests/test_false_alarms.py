@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.conventions import broken, recording
 from benchmarks.false_alarms import alarms, CLOCKS, Form, forms, instants, twins
+from jaxid.benchmark.broken import broken, recording
 from jaxid.conventions.checking import run_check
 from jaxid.conventions.runs import _first_speed
 from jaxid.conventions.samples import _lone

@@ -30,7 +30,7 @@ from jaxid.problem.residual import OutputError
 
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from benchmarks import twins  # noqa: E402
+from jaxid.benchmark import numpy_twin as twins, plants  # noqa: E402
 
 
 NOISE = 1e-3
@@ -485,7 +485,7 @@ def test_a_part_cut_from_a_run_starts_before_its_sensor():
 @pytest.mark.slow
 def test_a_part_cut_from_a_run_knows_how_its_spring_is_twisted():
     """A link behind a spring swings on as it did: it follows the measured motor up to the cut."""
-    plant = dataclasses.replace(twins.PLANTS["pendulum"], resolution=0.0, noise=0.0)
+    plant = dataclasses.replace(plants.PLANTS["pendulum"], resolution=0.0, noise=0.0)
     t, noise = np.arange(1600) * 0.005, 3e-4
     u = ref.multisine(t, [0.5], 3, periods=3, lines=8)
     own = {

@@ -23,6 +23,7 @@ LAYERS = (
         "extras",
         "lazy",
         "numerics",
+        "progress",
         "runtime",
         "serialise",
         "storage",
@@ -44,7 +45,7 @@ LAYERS = (
     ("report",),
     ("storage.result_files",),
     ("api",),
-    ("doctor", "hardware", "study"),
+    ("benchmark", "doctor", "hardware", "study"),
     ("cli",),
     ("__main__",),
 )

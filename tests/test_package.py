@@ -101,7 +101,6 @@ def test_import_loads_nothing_heavy():
         "pydantic",
         "pandas",
         "pyarrow",
-        "rich",
         "jinja2",
     )
     loaded = run(f"import sys, jaxid; print([m for m in {heavy!r} if m in sys.modules])")
@@ -174,6 +173,7 @@ print(json.dumps(set_ | {"kept": jax.config.values["jax_compilation_cache_dir"]}
         chosen["XLA_FLAGS"].count("xla_backend_optimization_level") == 1
     )  # what the user has set wins
     assert after["JAX_PLATFORMS"] == "cpu"
+    assert after["TF_CPP_MIN_LOG_LEVEL"] == "3"  # no line of XLA on the terminal
     assert after["kept"] == str(tmp_path / "cache") and "JAX_COMPILATION_CACHE_DIR" not in after
     assert (tmp_path / "cache").is_dir()
 

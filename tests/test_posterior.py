@@ -139,7 +139,7 @@ def test_its_files_are_those_of_arviz(found, tmp_path):
     assert data.attrs["dataset_sha256"] == found.dataset_sha256
     assert (tmp_path / "posterior.png").read_bytes().startswith(b"\x89PNG")
     page = (tmp_path / "report.html").read_text()
-    assert "<h2>Posterior</h2>" in page and "posterior.nc" in page
+    assert ">Posterior</h2>" in page and "posterior.nc" in page
     assert "posterior of" in repr(found)
     assert found.to_dict()["posterior"]["parameters"]["inertia"]["unit"] == "kg m^2"
 

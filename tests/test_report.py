@@ -12,6 +12,7 @@ from jaxid import wording
 from jaxid.diagnosis.result import HowFar
 from jaxid.fitting.result import Estimate
 from jaxid.report import diagnosis_fragment, plot, text
+from jaxid.report.answer import short
 from jaxid.report.display import write
 from jaxid.report.missing_force import spectrum
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
@@ -46,7 +47,6 @@ def assert_harmless(source: str) -> Page:
         "img",
         "form",
         "base",
-        "a",
         "foreignobject",
     }
     for tag, attributes in page.elements:
@@ -404,7 +404,54 @@ def test_stated_numbers_stand_beside_those_of_the_fit(tmp_path):
     page = write(replace(sample_fit(), stated=stated), tmp_path / "fit.html").read_text(
         encoding="utf-8"
     )
-    assert '<th class="n">stated</th>' in page and ">0.0777<" in page
+    assert '<th scope="col" class="n">stated</th>' in page and ">0.0777<" in page
     assert '<th class="n">stated</th>' not in write(sample_fit(), tmp_path / "b.html").read_text(
         encoding="utf-8"
     )
+
+
+def contrast(color: str) -> float:
+    """That of a colour to white (WCAG 2.2)."""
+    parts = np.array([int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(1.05 / (linear @ [0.2126, 0.7152, 0.0722] + 0.05))
+
+
+def test_what_is_drawn_stands_out_from_the_page():
+    names = ("ORANGE", "SKY", "GREEN", "BLUE", "VERMILLION", "PURPLE", "GREY", "BLACK")
+    assert {n: c for n in names if (c := contrast(getattr(plot, n))) < 3.0} == {}
+
+
+def test_every_picture_stands_once_and_says_what_it_shows(tmp_path):
+    source = sample_diagnosis().report(tmp_path / "page.html").read_text(encoding="utf-8")
+    page = Page(source)
+    tags = [tag for tag, _ in page.elements]
+    pictures = [attributes for tag, attributes in page.elements if tag == "svg"]
+    assert len(pictures) == tags.count("figure")
+    assert all(p["role"] == "img" and p["aria-label"] for p in pictures)
+    assert tags.count("desc") == len(pictures)
+    assert "q (rad); measured − model (rad) over time (s)" in page.text
+    assert "Shown: measured, nominal model, with coulomb_friction at q" in page.text
+
+
+def test_tables_have_captions_and_their_heads_a_scope(tmp_path):
+    source = sample_diagnosis().report(tmp_path / "page.html").read_text(encoding="utf-8")
+    tags = [tag for tag, _ in Page(source).elements]
+    assert tags.count("caption") == tags.count("table") > 3
+    heads = [attributes for tag, attributes in Page(source).elements if tag == "th"]
+    assert {h.get("scope") for h in heads} == {"col", "row"}
+
+
+def test_a_page_has_its_contents_and_a_notebook_has_none(tmp_path):
+    source = sample_diagnosis().report(tmp_path / "page.html").read_text(encoding="utf-8")
+    links = [a["href"] for tag, a in Page(source).elements if tag == "a"]
+    places = [a["id"] for tag, a in Page(source).elements if tag == "h2"]
+    assert links == [f"#{place}" for place in places] and len(set(links)) == len(links) > 3
+    assert "<nav" not in sample_diagnosis()._repr_html_()
+
+
+def test_a_card_has_room_for_sixty_words():
+    sentence = " ".join(["word"] * 25) + "."
+    card = short("A fact", [sentence, sentence, sentence])
+    assert card == (("A fact", [sentence, sentence]), [sentence])
+    assert short("A fact", [" ".join(["long"] * 90)]).more == []

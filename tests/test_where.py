@@ -20,7 +20,7 @@ from reference import multisine
 
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from benchmarks import twins  # noqa: E402
+from jaxid.benchmark import numpy_twin as twins, plants  # noqa: E402
 
 
 N, JOINTS = 2000, ("a", "b")
@@ -197,7 +197,7 @@ def test_a_right_model_shows_what_noise_shows():
     """At each joint, though one moves faster than the other: what is measured and what is simulated
     pass the same filters.
     """
-    plant, t = dataclasses.replace(twins.PLANTS["tracker"], resolution=0.0), np.arange(800) / 100
+    plant, t = dataclasses.replace(plants.PLANTS["tracker"], resolution=0.0), np.arange(800) / 100
     slow, fast = (
         multisine(t, [a], seed=s, periods=p, lines=6)[:, 0]
         for a, s, p in ((1.0, 1, 4.0), (0.8, 2, 0.8))

@@ -42,6 +42,7 @@ from jaxid.storage.stopping import INTERRUPTED, stoppable
 #: has it under that name.
 MODULES = {
     "batch": "jaxid.cli.batch",
+    "benchmark": "jaxid.cli.benchmark",
     "check": "jaxid.cli.check",
     "compare": "jaxid.cli.compare",
     "doctor": "jaxid.cli.doctor",
@@ -278,7 +279,7 @@ def diagnose(
     jaxid, data = start(dataset, out)
     from jaxid.report.text import diagnosis_text
 
-    with Output(out, as_json, quiet) as output:
+    with Output(out, as_json, quiet, seconds) as output:
         result = jaxid.diagnose(
             model,
             data,

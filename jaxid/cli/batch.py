@@ -12,6 +12,7 @@ from jaxid import wording
 from jaxid.cli import terminal
 from jaxid.cli.app import FAILED, INTERRUPTED, SUCCESS
 from jaxid.cli.options import output_options
+from jaxid.progress import RedrawnLines
 
 
 @click.command()
@@ -117,25 +118,18 @@ class LiveTable:
     def __init__(self, quiet: bool):
         self.on = not quiet and sys.stderr.isatty()
         self._drawn = 0.0
+        self._table = RedrawnLines()
 
     def __enter__(self) -> LiveTable:
-        if self.on:
-            from rich.console import Console
-            from rich.live import Live
-
-            self._live = Live(console=Console(stderr=True), transient=True, auto_refresh=False)
-            self._live.start()
         return self
 
     def __exit__(self, *exception) -> None:
         if self.on:
-            self._live.stop()
+            self._table.stop()
 
     def show(self, progress) -> None:
         if self.on and time.monotonic() - self._drawn > 0.5:
-            from rich.text import Text
-
             from jaxid.study.words import progress_text
 
             self._drawn = time.monotonic()
-            self._live.update(Text(wording.clean(progress_text(progress))), refresh=True)
+            self._table.show(wording.clean(progress_text(progress)))

@@ -124,7 +124,7 @@ def identify(
     foretell("identify", model, data, quiet)
     from jaxid.report.text import identification_text  # with matplotlib
 
-    with Output(out, as_json, quiet) as output:
+    with Output(out, as_json, quiet, seconds) as output:
         result = jaxid.identify(
             model,
             data,
@@ -137,5 +137,6 @@ def identify(
             as_recorded=as_recorded,
             motion=motion,
             seconds=seconds,
+            progress=output.progress,
         )
         return output.deliver(result, identification_text)

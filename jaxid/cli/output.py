@@ -28,15 +28,16 @@ class Output:
     (`deliver`). Ctrl-C, SIGTERM and SIGHUP leave what there is.
     """
 
-    def __init__(self, out: Path, as_json: bool, quiet: bool):
+    def __init__(self, out: Path, as_json: bool, quiet: bool, seconds: float | None = None):
         self.out, self.as_json, self.quiet = out, as_json, quiet
+        self._progress = terminal.Progress(quiet, seconds)
         self.kept: Path | None = None  # what is saved by now
         self._latest: Any = None
         self._told = False  # what was kept, after an interruption
         self._stack = ExitStack()
 
     def __enter__(self) -> Output:
-        self._progress = self._stack.enter_context(terminal.Progress(self.quiet))
+        self._stack.enter_context(self._progress)
         self._stack.enter_context(stoppable(self._last_words))
         self._stack.enter_context(listening(self.interim))
         return self

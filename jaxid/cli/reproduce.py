@@ -31,8 +31,8 @@ def reproduce(paper, budget, out, as_json, quiet) -> int:
 
     runtime.prepare()
     writable_folder(out)
-    from jaxid.report.reproduced import lines
     from jaxid.study.papers import reproduce as run
+    from jaxid.study.papers.page import lines
 
     with Output(out, as_json, quiet) as output:
         return output.deliver(run(paper, budget, output.progress), lines)

@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from jaxid.errors import DatasetWarning
+from jaxid.progress import Bar
 from jaxid.wording import clean, complain as complain, number, one_line
 
 
@@ -53,10 +54,10 @@ def say_time() -> None:
 
 
 def give_back() -> None:
-    """Shows the cursor again that a progress bar hides, for a process that ends at once."""
+    """Takes a line of progress away, for a process that ends at once."""
     with suppress(OSError):
         if sys.stderr.isatty():
-            sys.stderr.write("\r\x1b[K\x1b[?25h")
+            sys.stderr.write("\r\x1b[K")
 
 
 def interrupted() -> None:
@@ -88,39 +89,25 @@ LINE_S = 30.0
 
 
 class Progress:
-    """A progress bar on standard error while work goes on; a line every half minute where that is
-    no terminal.
+    """A line of progress on standard error while work goes on; one every half minute where that is
+    no terminal. `seconds`: the limit that the work was given.
     """
 
-    def __init__(self, quiet: bool):
+    def __init__(self, quiet: bool, seconds: float | None = None):
         self.callback: Callable[[str, int, int, str], None] | None = None
-        self._bar = None
+        self._bar: Bar | None = None
+        self._seconds = seconds
         if quiet:
             return
-        if not sys.stderr.isatty():
-            self._began = self._told = time.monotonic()
-            self.callback = self._line
+        if sys.stderr.isatty():
+            self.callback = self._drawn
             return
-        from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            Progress as Bar,
-            SpinnerColumn,
-            TextColumn,
-            TimeElapsedColumn,
-        )
+        self._began = self._told = time.monotonic()
+        self.callback = self._line
 
-        self._bar = Bar(
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            BarColumn(bar_width=30),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[text]}", markup=False),
-            console=Console(stderr=True),
-            transient=True,
-        )
-        self._tasks = {}
-        self.callback = self._advance
+    def _drawn(self, stage: str, done: int, total: int, text: str) -> None:
+        if self._bar is not None:
+            self._bar(stage, done, total, text)
 
     def _line(self, stage: str, done: int, total: int, text: str) -> None:
         now = time.monotonic()
@@ -132,18 +119,9 @@ class Progress:
                 f" ({now - self._began:.0f} s)"
             )
 
-    def _advance(self, stage: str, done: int, total: int, text: str) -> None:
-        assert self._bar is not None
-        stage, text = one_line(stage), one_line(text)
-        if stage not in self._tasks:
-            for task in self._tasks.values():
-                self._bar.stop_task(task)
-            self._tasks[stage] = self._bar.add_task(stage, total=total or None, text=text)
-        self._bar.update(self._tasks[stage], completed=done, total=total or None, text=text)
-
     def __enter__(self) -> Progress:
-        if self._bar is not None:
-            self._bar.start()
+        if self.callback == self._drawn:
+            self._bar = Bar(seconds=self._seconds)
         return self
 
     def stop(self) -> None:

@@ -52,6 +52,10 @@ class FreeLaw:
     over: str
     probability: float
 
+    @property
+    def sentence(self) -> str:
+        return f"What is missing at {self.at} depends on {self.over}, by a law of no name."
+
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
 

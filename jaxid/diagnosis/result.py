@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import product
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -14,11 +15,11 @@ from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.budget import budget, Step
 from jaxid.diagnosis.cause import words
 from jaxid.display import Displayed, displays
+from jaxid.fitting.exportable import Exportable
 from jaxid.fitting.result import EffectEstimate, Fit, Trace, with_origin
 from jaxid.numerics.versions import versions
-from jaxid.robots.export.result import Exportable
 from jaxid.serialise import model_digest, SCHEMA
-from jaxid.storage import frames
+from jaxid.storage.frames import frame
 
 
 if TYPE_CHECKING:
@@ -161,11 +162,10 @@ class Which:
 
     def to_dict(self) -> dict[str, Any]:
         belief = self.belief or Belief({})
-        places = {
-            (group.common.effect, place): group.locations
-            for group in alike(self.effects)
-            for place in group.locations
-        }
+        places: dict[tuple[str, str], Sequence[str]] = {}
+        for group in alike(self.effects):
+            at = group.locations
+            places |= dict.fromkeys(product([group.common.effect], at), at)
         return {
             "verdict": self.verdict,
             **belief.to_dict(),
@@ -306,7 +306,12 @@ class Diagnosis(Displayed, Exportable):
         """A row for each candidate that was refitted, best first. Raises `UsageError` without
         pandas.
         """
-        return frames.of_diagnosis(self)
+        named = {(e.effect, e.location) for e in self.which.effects}
+        rows = []
+        for r in self.which.ranking:
+            rows.append({**r.to_dict(), "named": (r.effect, r.location) in named})
+        columns = ("effect", "location", "named", "validation_gap", "bic", "evidence", "text")
+        return frame(rows, columns)
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -38,13 +38,15 @@ from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
 from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
 from jaxid.diagnosis.reasons import NotBelievable, Remark, Stopped
+from jaxid.diagnosis.rest_before import asked_from_rest
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.torque.no_name import with_law_of_no_name
 from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import BlindSpots, BlindSpotSearch
-from jaxid.diagnosis.verdict import Diverged, standing_still
+from jaxid.diagnosis.verdict import check_followed, Diverged, standing_still
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
@@ -58,22 +60,19 @@ from jaxid.fitting.lost_runs import (
     by_windows,
     decays,
     DIVERGES,
-    FOLLOWS,
     growth,
-    LOST,
     SENSITIVE,
 )
 from jaxid.fitting.per_joint import per_joint, with_effects
 from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
-from jaxid.fitting.scores import free_runs, scores
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.problem.trust import told
 from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import STEP
 from jaxid.storage.interim import Interim
-from jaxid.wording import percent, times
+from jaxid.wording import times
 
 
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
@@ -321,17 +320,21 @@ def _run(
                 " left: models are compared over windows, each with its own start"
             )
             found = dataclasses.replace(again, notes=(*again.notes, note))
+
+    def ask(names: tuple[str, ...], data: Dataset = dataset) -> Diagnosis:
+        wider = bind(model, data, without=without, candidates=possible(nominal, names))
+        return _diagnosed(
+            dataclasses.replace(question, binding=wider, allowed=names, known=Interim(silent=True))
+        )[0]
+
     if asked is None and not still:
-
-        def ask(names: tuple[str, ...]) -> Diagnosis:
-            wider = bind(model, dataset, without=without, candidates=possible(nominal, names))
-            return _diagnosed(
-                dataclasses.replace(
-                    question, binding=wider, allowed=names, known=Interim(silent=True)
-                )
-            )[0]
-
         found = asked_last(found, nominal, own.name, ask)
+    if not still and own.free_run:
+        found = asked_from_rest(found, binding.dataset, others, ask)
+    if not still:
+        visible = possible(nominal, allowed, InverseDynamics.name)
+        plain = bind(model, dataset, without=without)
+        found = with_law_of_no_name(found, plain, visible, max_effects)
     unseen = asked is not None and JITTER in asked and not stamps
     notes = (
         *found.notes,
@@ -384,7 +387,7 @@ def _diagnosed(
         return fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
 
     final_fit = assembled() if named or question.search is None else nominal_fit
-    doubtful = verdict.claims and search.belief is None
+    doubtful = verdict.claims and question.search is None
     against = doubts(estimates, final_fit.covariance) if doubtful else {}
     if against:
         verdict = verdict if len(against) < len(estimates) else verdict.unclaimed()
@@ -497,7 +500,7 @@ def _search(question: DiagnosisRequest) -> tuple[ProblemBuilder, Fit, SearchResu
         and by_torque(binding)
         and binding.chain.nq >= AN_ARM
     ):
-        _check_followed(bench, problem.theta(nominal.z), problem.starts(nominal.z))
+        check_followed(bench, problem.theta(nominal.z), problem.starts(nominal.z))
     converged, stopped = nominal.converged, nominal.stopped
     nominal = levenberg_marquardt([(problem, nominal.z)], 3, 1e-9)[0]
 
@@ -546,19 +549,6 @@ def _search(question: DiagnosisRequest) -> tuple[ProblemBuilder, Fit, SearchResu
         search,
         compile_time,
     )
-
-
-def _check_followed(bench: ProblemBuilder, theta: np.ndarray, starts: np.ndarray) -> None:
-    """Raises `Diverged` where a descent that did not end left free runs that do not follow the
-    recording: no effect can be seen beside that.
-    """
-    off = max(
-        s.nrmse
-        for s in scores(bench, "fit", free_runs(bench, "fit", [theta], starts[None])[0]).values()
-    )
-    if not off <= FOLLOWS:
-        note = LOST.format(percent(off))
-        raise Diverged(f"{note}; give other start values or bounds", True, note)
 
 
 def _so_far(

@@ -47,13 +47,14 @@ from jaxid.diagnosis.selection import (
     in_lead,
     indistinct,
     joint_loss,
+    mirror_images,
     mirrored,
-    not_borne_out,
-    outweighed,
+    needed,
     rivals_among,
     significant,
 )
 from jaxid.diagnosis.shortlist import shortlist
+from jaxid.diagnosis.simulated import believed, claimed, simulated_sets, SimulatedSets
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
@@ -258,28 +259,33 @@ class Searcher:
             needless or at_floor(self.nominal)
         ):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
-        several = len(chosen.effects) > 1
         alike = list(dict.fromkeys((*mates, *mirrored(self.bench, chosen, pool))))
-        told_apart = (
-            mates or not alike
-        )  # a mirrored effect alone: no input tells what no recording can
-        rivals = (
-            rivals_among(list(self.known.values()), chosen, list(mates.values()))
-            if told_apart
-            else None
-        )
-        fitted = self._stale | self.known
-        each = without_each(chosen, fitted)
+        chosen, claims, sets = claimed(chosen, self.nominal, alike, self._fitted, self._smaller)
+        if not chosen.effects:
+            mates, alike = {}, []
+        rivals = None
+        if mates or not alike:  # of a mirrored effect alone no input tells what no recording can
+            rivals = rivals_among(list(self.known.values()), chosen, list(mates.values()))
         return SearchResult(
             self.nominal,
             chosen,
             self.tried,
             alike,
             rivals,
-            several,
-            each,
+            len(chosen.effects) > 1,
+            without_each(chosen, self._stale | self.known),
             cut_short=self._cut_short,
+            belief=believed(sets, claims, chosen),
+            possible=tuple(c for c in sets.possible() if c not in chosen.effects),
         )
+
+    def _fitted(self, chosen: Hypothesis, alike: Sequence[Candidate]) -> SimulatedSets:
+        """All sets that were fitted, and what says the same as the chosen one."""
+        fitted = [*self._stale.values(), *self.known.values(), self.nominal, chosen]
+        return simulated_sets([*fitted, *mirror_images(self.bench, chosen, alike)])
+
+    def _smaller(self, h: Hypothesis, c: Candidate) -> Hypothesis:
+        return self.refit([left_out(self.bench, h, c)], h)[0]
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first
@@ -300,13 +306,8 @@ class Searcher:
         is missing; at most `room` more than `h` has.
         """
         most = len(h.effects) + room
-        out = self.refit(
-            [
-                (effects, starts)
-                for effects, starts in pairs(self.bench, found)
-                if len(effects) <= most
-            ]
-        )
+        sets = pairs(self.bench, found)
+        out = self.refit([(effects, starts) for effects, starts in sets if len(effects) <= most])
         lead = min(found, key=lambda f: f.fit_loss, default=h)
         if lead.fit_loss < LIMITS.conflict * h.fit_loss and len(lead.effects) < most:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
@@ -519,16 +520,13 @@ class Searcher:
         return self.refit(beside(self.bench, h, kept, by_torque, base))
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
-        """Takes out effects that are no longer needed beside the others (explain too little, or
-        nothing of the report data), what one refines as well where there is none of it; the smaller
-        set gets every chance, from where the larger one ended.
+        """Takes out effects that are not worth their price beside the others, what one refines as
+        well where there is none of it; the smaller set gets every chance, from where the larger one
+        ended.
         """
         while len(h.effects) > 1:
             smaller = self.refit([left_out(self.bench, h, c) for c in h.effects], h)
-            needless = [
-                s for s in smaller if not significant(s, h) or outweighed(self.nominal, h, s)
-            ]
-            needless = needless or not_borne_out(self.bench, self.residual, h, smaller)
+            needless = [s for s in smaller if not needed(self.nominal, h, s)]
             if not needless:
                 return h
             h = min(needless, key=lambda s: s.validation.loss)

@@ -5,15 +5,16 @@ choice among those alike.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from jaxid.diagnosis.evidence import held_out, inflation, memory, worth
+from jaxid.diagnosis.evidence import inflation, memory, worth
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of
 from jaxid.diagnosis.shortlist import is_timing
+from jaxid.diagnosis.simulated import log_weight, told_apart
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import ProblemBuilder
-from jaxid.problem.residual import Residual
 from jaxid.wording import listed, times
 
 
@@ -143,25 +144,12 @@ def simpler(bench: ProblemBuilder, before: Hypothesis, h: Hypothesis, top: Hypot
 
 
 def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
-    """Whether neither the validation runs nor these and the fit runs together tell `h` from the
-    chosen hypothesis. One whose losses are no numbers is told from nothing, and passes for nothing.
+    """Whether the data do not tell `h` from the chosen hypothesis. One whose losses are no numbers
+    is told from nothing, and passes for nothing.
     """
     if not np.isfinite(joint_loss(h)):
         return False
-    if not np.isfinite(joint_loss(chosen)):
-        return True
-    factor = inflation(chosen.validation)
-    both = (
-        (joint_loss(h) - joint_loss(chosen))
-        * (chosen.path.count + chosen.validation.count)
-        / factor
-    )
-    doubt = (
-        max(2 * LIMITS.decisive, unexplained(chosen))
-        if joint_loss(h) < LIMITS.close_above
-        else 2 * LIMITS.decisive
-    )
-    return worth(chosen.validation, h.validation, factor) < LIMITS.decisive and both < doubt
+    return not np.isfinite(joint_loss(chosen)) or not told_apart(chosen, h)
 
 
 def mirrored(
@@ -186,37 +174,36 @@ def mirrored(
     return [c for c in alike if len(inputs if c.location in inputs else outputs) == 1]
 
 
-def unexplained(h: Hypothesis) -> float:
-    """Chi-square units that a hypothesis leaves above the noise, beyond chance: the creep of a
-    simulator's contacts, a stated noise that is a little low, something that no effect here
-    explains. Any of the effects may stand in for a part of it.
+def mirror_images(
+    bench: ProblemBuilder, chosen: Hypothesis, alike: Sequence[Candidate]
+) -> list[Hypothesis]:
+    """The chosen hypothesis with an effect in exchange for one that says the same of any recording:
+    it leaves as much.
     """
-    count = h.path.count + h.validation.count
-    return float((joint_loss(h) - 1) * count - np.sqrt(2 * count))
+    out = []
+    for c in chosen.effects:
+        mirror = effect_of(bench, c).mirrors
+        for e in alike:
+            if mirror and e.effect == mirror and e not in chosen.effects:
+                effects = tuple(e if own is c else own for own in chosen.effects)
+                out.append(replace(chosen, effects=effects))
+    return out
 
 
-def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
-    """Whether an effect beside others, next to the noise, explains less than what stays unexplained
-    with it, or so little that the exact form of the others' laws is not known as well.
+def next_to_form(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
+    """Whether an effect beside others, next to the noise, explains so little that the exact form of
+    the others' laws is not known as well.
     """
     gained = joint_loss(without) - joint_loss(h)
-    form = gained < LIMITS.form * (joint_loss(nominal) - joint_loss(h))
-    return joint_loss(without) < LIMITS.close_above and (
-        form or gained * (h.path.count + h.validation.count) < unexplained(h)
-    )
+    explained = joint_loss(nominal) - joint_loss(h)
+    return joint_loss(without) < LIMITS.close_above and gained < LIMITS.form * explained
 
 
-def not_borne_out(
-    bench: ProblemBuilder, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]
-) -> list[Hypothesis]:
-    """Those of smaller sets close to the noise that predict the report data as well: what these do
-    not show is no claim.
-    """
-    close = [s for s in smaller if joint_loss(s) < LIMITS.close_above]
-    if not close or not bench.binding.experiments("report"):
-        return []
-    whole, *parts = held_out(bench, "report", [x.theta for x in (h, *close)], residual)
-    return [s for s, part in zip(close, parts, strict=True) if part.gap <= whole.gap]
+def needed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
+    """Whether what `h` has beyond a smaller set is there, and worth its price."""
+    if not significant(without, h) or next_to_form(nominal, h, without):
+        return False
+    return log_weight(h) > log_weight(without)
 
 
 def at_floor(h: Hypothesis) -> bool:

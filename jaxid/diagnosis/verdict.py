@@ -31,14 +31,17 @@ from jaxid.diagnosis.reasons import (
     NotMost,
     PartOnReport,
     Reason,
+    Remark,
     WithinAStep,
 )
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.errors import UsageError
-from jaxid.fitting.scores import scored
+from jaxid.fitting.lost_runs import FOLLOWS, LOST
+from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.scores import free_runs, scored, scores
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
-from jaxid.wording import placed
+from jaxid.wording import listed, percent, placed
 
 
 class Diverged(UsageError):
@@ -94,6 +97,8 @@ class Gaps(NamedTuple):
     after: float
 
 
+#: Effects that are mentioned as possible at most.
+MENTIONED = 4
 #: Half a step of an encoder, in standard deviations of what rounding to its steps does.
 HALF_A_STEP = np.sqrt(3.0)
 #: Mean square that such zeros leave at most beside the noise.
@@ -120,7 +125,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
     if not search.chosen.effects:
         if nominal.loss <= floor and search.nominal.fit_loss <= level(search.nominal.path.count):
             return Verdict("none", (AtTheNoise(),))
-        return Verdict("unknown", (NothingExplains(gap), *_nearer(search)))
+        return Verdict("unknown", (NothingExplains(gap), *_nearer(search), *_possible(search)))
     closed = share_closed(nominal.loss, chosen.loss)
     names = placed(map(str, search.chosen.effects))
     left = float(np.sqrt(max(chosen.loss, 1.0)))
@@ -130,10 +135,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
         else ()
     )
     # Several that leave more than the noise may together only come close to something else.
-    believed = search.belief is not None
-    close = (
-        search.several and not believed and max(left, np.sqrt(search.chosen.fit_loss)) > LIMITS.left
-    )
+    close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LIMITS.left
     followed = share_closed(search.nominal.fit_loss, search.chosen.fit_loss)
     closed_on_both = closed >= LIMITS.named and (
         followed >= LIMITS.named or search.chosen.fit_loss <= LIMITS.left**2
@@ -141,7 +143,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
     if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
         return Verdict("named", (Lacks(names, left), *each))
     # What is claimed with a probability need not account for most of a gap.
-    if closed >= LIMITS.partly or (believed and closed > 0):
+    if closed >= LIMITS.partly or (search.belief is not None and closed > 0):
         return Verdict("partly", (LacksInPart(names, closed, left), *each))
     if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
         return Verdict("partly", (FollowsFitRuns(names, closed, left),))
@@ -189,6 +191,13 @@ def _nearer(search: SearchResult) -> tuple[Reason, ...]:
     return (NearerOnValidation(placed(map(str, top.effects)), share),)
 
 
+def _possible(search: SearchResult) -> tuple[Reason, ...]:
+    """What is not sure enough to be claimed."""
+    if not search.possible:
+        return ()
+    return (Remark(f"Possible: {listed(map(str, search.possible[:MENTIONED]))}."),)
+
+
 def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
     """A verdict that names effects (`several` of them) once the report data have been seen."""
     before, retuned, after = gaps
@@ -230,6 +239,19 @@ def astray(
         (place for place in found if not place[1] <= LIMITS.left),
         key=lambda place: -np.nan_to_num(place[1], nan=np.inf),
     )
+
+
+def check_followed(bench: ProblemBuilder, theta: np.ndarray, starts: np.ndarray) -> None:
+    """Raises `Diverged` where a descent that did not end left free runs that do not follow the
+    recording: no effect can be seen beside that.
+    """
+    off = max(
+        s.nrmse
+        for s in scores(bench, "fit", free_runs(bench, "fit", [theta], starts[None])[0]).values()
+    )
+    if not off <= FOLLOWS:
+        note = LOST.format(percent(off))
+        raise Diverged(f"{note}; give other start values or bounds", True, note)
 
 
 def standing_still(binding: Binding) -> tuple[str, ...]:

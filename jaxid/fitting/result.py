@@ -12,10 +12,10 @@ import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.display import Displayed, displays
+from jaxid.fitting.exportable import Exportable
 from jaxid.numerics.versions import versions
-from jaxid.robots.export.result import Exportable
 from jaxid.serialise import model_digest, SCHEMA
-from jaxid.storage import frames
+from jaxid.storage.frames import frame
 
 
 if TYPE_CHECKING:
@@ -25,6 +25,19 @@ if TYPE_CHECKING:
     from jaxid.dynamics.chain import Chain
     from jaxid.fitting.posterior import Posterior
     from jaxid.fitting.stated import StatedNumber
+
+
+#: Of a fit as a table.
+FRAME_COLUMNS = (
+    "parameter",
+    "value",
+    "std",
+    "unit",
+    "lower",
+    "upper",
+    "at_bound",
+    "identifiable",
+)
 
 
 @dataclass(frozen=True)
@@ -209,7 +222,12 @@ class Fit(Displayed, Exportable):
         """A row for each fitted number, those of added effects as `dead_zone.width@tau`. Raises
         `UsageError` without pandas.
         """
-        return frames.of_fit(self)
+        found = dict(self.parameters)
+        for e in self.effects:
+            for name, estimate in e.parameters.items():
+                found[f"{e.effect}.{name}@{e.location}"] = estimate
+        rows = [{"parameter": name, **estimate.to_dict()} for name, estimate in found.items()]
+        return frame(rows, FRAME_COLUMNS)
 
     def to_dict(self) -> dict[str, Any]:
         return {

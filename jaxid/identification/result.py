@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.display import Displayed
+from jaxid.fitting.exportable import Exportable
 from jaxid.identification.payload import PayloadEstimate
 from jaxid.numerics.versions import versions
-from jaxid.robots.export.result import Exportable
 from jaxid.serialise import SCHEMA
 
 

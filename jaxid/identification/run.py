@@ -47,6 +47,7 @@ from jaxid.identification.solving import fit_law, law_problem, LawFit
 from jaxid.identification.stated import answered, values_of
 from jaxid.identification.trust import NEAR_THE_FILE, nearer_the_file
 from jaxid.problem.binding import resolve_model
+from jaxid.progress import Callback, tell, telling
 from jaxid.robots.arms import as_arm
 from jaxid.robots.floating import refuse_free
 from jaxid.robots.origin import origin_on
@@ -71,6 +72,7 @@ def identify(
     as_recorded: bool = False,
     motion: str = "measured",
     seconds: float | None = None,
+    progress: Callback | None = None,
 ) -> Identification:
     """Base parameters and friction of a serial arm from recorded motion and torque.
 
@@ -104,7 +106,8 @@ def identify(
             motion=motion,
         )
 
-    return answered_in_time(seconds, answer)
+    with telling(progress):
+        return answered_in_time(seconds, answer)
 
 
 def _identification(
@@ -143,6 +146,7 @@ def _identification(
     known = unloaded(before, method, base, n) if method in PAPER else None
     fits, near, met = _fits(recorded, method, friction, known, bool(robot) and before is None)
     tried = list(fits)
+    tell("how far", 0, 1, "every run by every law")
     scores, predicted = _scored(runs, [(LAWS[k], f.theta, f.exponent) for k, f in fits.items()])
     trials = [_trial(LAWS[name], own) for name, own in zip(tried, scores, strict=True)]
     chosen = _choose(trials)
@@ -271,9 +275,10 @@ def _fits(
     by = recorded.instruments() if method == "iv" else None
     tried = list(LAWS) if friction == "auto" else [friction]
     fits: dict[str, LawFit] = {}
-    for name in tried:
+    for number, name in enumerate(tried):
         if fits and search_is_over():
             break
+        tell("friction law", number, len(tried) + 1, name)
         fits[name] = fit_law(law_problem(LAWS[name], runs, chain, base), method, by)
     near: dict[str, float] = {}
     if of_a_file and method == "wls":

@@ -21,12 +21,11 @@ from jaxid.report import (
     posterior,
     ranking,
     recorded,
-    reproduced,
     traces,
     unseen,
     yardstick,
 )
-from jaxid.report.page import render, render_fragment
+from jaxid.report.page import render, render_fragment, Section
 from jaxid.serialise import json_bytes
 from jaxid.storage.atomic_files import replace_files
 from jaxid.wording import one_line
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from jaxid.fitting.comparison import Comparison
     from jaxid.fitting.result import Fit
     from jaxid.identification.result import Identification
-    from jaxid.study.papers.result import Reproduction
 
 
 def diagnosis_page(diagnosis: Diagnosis) -> str:
@@ -58,6 +56,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
         missing_force.section(diagnosis.missing_force, diagnosis.regimes, diagnosis.where),
         ranking.section(diagnosis.which),
         parameters.section(diagnosis.final, diagnosis.nominal if diagnosis.which.effects else None),
+        Section("words.html", {}),
         background.of_diagnosis(diagnosis),
     ]
     return render(
@@ -122,16 +121,6 @@ def check_page(result: Checked) -> str:
         f"{one_line(result.dataset)}: check",
         [checked.section(result)],
         "check.json",
-        json_bytes(result),
-    )
-
-
-def reproduction_page(result: Reproduction) -> str:
-    """The page of a paper that was done again."""
-    return render(
-        f"Paper {result.paper}: {one_line(result.title)}",
-        [reproduced.section(result)],
-        "result.json",
         json_bytes(result),
     )
 

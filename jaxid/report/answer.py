@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import NamedTuple, TYPE_CHECKING
 
 from jaxid import wording
 from jaxid.diagnosis.alike import alike
@@ -17,17 +18,47 @@ if TYPE_CHECKING:
     from jaxid.diagnosis.result import Diagnosis, Finding, HowFar
 
 
+#: Most words of a card, its fact included.
+WORDS = 60
+QUESTIONS = {"where": "Where", "which": "Which effect", "far": "How far"}
+
+
+class Card(NamedTuple):
+    """A fact with the sentences that a card has room for, and those that stand below the cards."""
+
+    shown: tuple[str, list[str]]
+    more: list[str]
+
+
+def short(fact: str, sentences: Sequence[str]) -> Card:
+    """A card of at most `WORDS` words; its first sentence stands there in any case."""
+    shown: list[str] = []
+    count = len(fact.split())
+    for k, sentence in enumerate(sentences):
+        count += len(sentence.split())
+        if k and count > WORDS:
+            return Card((fact, shown), list(sentences[k:]))
+        shown.append(sentence)
+    return Card((fact, shown), [])
+
+
 def section(diagnosis: Diagnosis) -> Section:
     which, how_far = diagnosis.which, diagnosis.how_far
+    cards = {
+        "where": short(*where_card(diagnosis)),
+        "which": short(*which_card(diagnosis)),
+        "far": short(*far_card(diagnosis)),
+    }
     return Section(
         "answer.html",
         {
             "diagnosis": diagnosis,
             "headline": headline(diagnosis),
             "stated": text.stated_sentences(diagnosis.final.stated, which.effects),
-            "where": where_card(diagnosis),
-            "which": which_card(diagnosis),
-            "far": far_card(diagnosis),
+            "where": cards["where"].shown,
+            "which": cards["which"].shown,
+            "far": cards["far"].shown,
+            "more": [(QUESTIONS[k], card.more) for k, card in cards.items() if card.more],
             "remark": how_far.text[:1].upper() + how_far.text[1:],
             "picture": (
                 None

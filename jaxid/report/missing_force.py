@@ -260,7 +260,7 @@ def regime_picture(regimes: Sequence[Regime]):
         axes.grid(False, axis="y")
         for i, r in enumerate(regimes):
             strength, (low, high) = plot.drawable(r.strength), map(plot.drawable, r.null)
-            axes.barh(i, strength, height=0.6, color=plot.VERMILLION if r.stands_out else "#b5b5b5")
+            axes.barh(i, strength, height=0.6, color=plot.VERMILLION if r.stands_out else plot.GREY)
             end = strength
             if r.supplied is None:
                 axes.plot(
@@ -288,7 +288,7 @@ def regime_picture(regimes: Sequence[Regime]):
         axes.set_xlabel("missing force there, as a multiple of that over the whole recording (rms)")
         handles = [
             axes.barh([0], [0], color=plot.VERMILLION, label="stronger than elsewhere"),
-            axes.barh([0], [0], color="#b5b5b5", label="as elsewhere, or weaker"),
+            axes.barh([0], [0], color=plot.GREY, label="as elsewhere, or weaker"),
         ]
         if guessed:
             handles += axes.plot(

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from jaxid import wording
 from jaxid.report import text
+from jaxid.report.accessible import accessible, with_contents
 from jaxid.wording import one_line
 
 
@@ -44,7 +45,11 @@ def render(title: str, sections: Iterable[Section | None], result: str, content:
     """
     digest = hashlib.sha256(content).hexdigest()
     return _environment.get_template("page.html").render(
-        title=title, style=_style(), body=_body(sections), result=result, digest=digest
+        title=title,
+        style=_style(),
+        body=Markup(with_contents(_body(sections))),
+        result=result,
+        digest=digest,
     )
 
 
@@ -56,7 +61,7 @@ def _body(sections: Iterable[Section | None]) -> Markup:
     parts = [
         _environment.get_template(s.template).render(s.context) for s in sections if s is not None
     ]
-    return Markup("\n".join(parts))
+    return Markup(accessible("\n".join(parts)))
 
 
 def _style() -> Markup:

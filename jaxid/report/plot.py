@@ -13,7 +13,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from markupsafe import Markup
+from markupsafe import escape, Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -22,11 +22,12 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from jaxid.wording import one_line
 
 
-# Okabe and Ito: told apart by colour-blind readers, and in grey.
+# Okabe and Ito, told apart by colour-blind readers and in grey; orange and sky are darker, so that
+# each has a contrast of 3 to white.
 BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
     "#000000",
-    "#e69f00",
-    "#56b4e9",
+    "#bf7e00",
+    "#2f95d0",
     "#009e73",
     "#0072b2",
     "#d55e00",
@@ -34,8 +35,8 @@ BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
 )
 GREY, PALE = "#8c8c8c", "#dddddd"
 
-#: Inches that a picture is wide on screens and on paper, and on phones: letters of 9 points are
-#: then at least 9 pixels high.
+#: Inches that a picture of a whole page is drawn for, and what it is at most: two stand side by side
+#: on a screen, one on a phone, and letters of 9 points are then at least 9 pixels high.
 WIDE, NARROW = 9.2, 4.4
 LETTER = 0.075  # inches that a letter of 9 points takes, roughly
 
@@ -65,12 +66,14 @@ def svg(
     draw: Callable[[Figure], object],
     narrow_height: float | None = None,
 ) -> Markup:
-    """What `draw` draws on a figure of this size (inches), as two SVG elements of which a page
-    shows one: for screens and paper, and for phones (`NARROW` and `narrow_height` inches; by
-    default as high as the other). The same bytes for the same data.
+    """What `draw` draws as one SVG element that screens, phones and paper show: `NARROW` inches
+    wide at most, and `narrow_height` high where it is narrower than `size` (inches) says. The same
+    bytes for the same data.
     """
-    phone = element(f"{name}-narrow", (NARROW, narrow_height or size[1]), draw)
-    return Markup(element(name, size, draw) + phone.replace("<svg ", '<svg class="narrow" ', 1))
+    wide, height = size
+    if wide > NARROW:
+        height = narrow_height or height
+    return Markup(element(name, (min(wide, NARROW), height), draw))
 
 
 def element(name: str, size: tuple[float, float], draw: Callable[[Figure], object]) -> str:
@@ -89,6 +92,7 @@ def element(name: str, size: tuple[float, float], draw: Callable[[Figure], objec
             _laid_out(figure)
         figure.set_layout_engine("none")
         buffer = io.StringIO()  # not by `savefig`, which would lay it out by drawing it once more
+        spoken = described(figure)
         canvas.print_svg(
             buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
         )
@@ -98,7 +102,40 @@ def element(name: str, size: tuple[float, float], draw: Callable[[Figure], objec
     source = re.sub(r"<!--.*?-->", "", source, flags=re.DOTALL)
     source = re.sub(r'<g id="[^"]*"(/?)>', r"<g\1>", source)  # the same in every picture of a page
     source = re.sub(r' d="[^"]*"', _shorter, source)
-    return re.sub(r"\n\s*", "\n", source)
+    source = re.sub(r"\n\s*", "\n", source)
+    return re.sub(r"<svg ([^>]*)>", lambda found: _spoken(found[1], *spoken), source, count=1)
+
+
+def _spoken(attributes: str, title: str, description: str) -> str:
+    """The opening tag of a picture with what a screen reader says of it."""
+    names = f"<title>{escape(title)}</title><desc>{escape(description)}</desc>"
+    return f'<svg role="img" aria-label="{escape(title)}" {attributes}>{names}'
+
+
+def described(figure: Figure) -> tuple[str, str]:
+    """A title of a picture, made of what its axes are called, and what it shows: the entries of its
+    legends, the ticks that are words.
+    """
+    titles: dict[str, None] = {}
+    shown: dict[str, None] = {}
+    for axes in figure.axes:
+        across, upward = _on_one_line(axes.get_xlabel()), _on_one_line(axes.get_ylabel())
+        both = " over ".join(filter(None, (upward, across)))
+        titles |= dict.fromkeys(filter(None, [both]))
+        ticks = [*axes.get_yticklabels(), *axes.get_xticklabels()]
+        words = [_on_one_line(tick.get_text()) for tick in ticks]
+        shown |= dict.fromkeys(word for word in words if any(map(str.isalpha, word)))
+        legend = axes.get_legend()
+        if legend is not None:
+            shown |= dict.fromkeys(_on_one_line(t.get_text()) for t in legend.get_texts())
+    for legend in figure.legends:
+        shown |= dict.fromkeys(_on_one_line(t.get_text()) for t in legend.get_texts())
+    title = "; ".join(titles) or "picture"
+    return title, f"{title}. Shown: {', '.join(shown)}." if shown else f"{title}."
+
+
+def _on_one_line(label: str) -> str:
+    return " ".join(one_line(label.replace("\n", " ")).split())
 
 
 def narrow(figure: Figure) -> bool:

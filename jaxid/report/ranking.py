@@ -77,7 +77,7 @@ def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:
     """Bars of the validation gap; the noise is 1."""
     gaps = [plot.drawable(r.validation_gap) for r, _ in rows]
     logarithmic = max(gaps) > 30 and min(gaps) > 0
-    palette = {"named": plot.BLUE, "confusable": plot.SKY, "": "#b5b5b5"}
+    palette = {"named": plot.BLUE, "confusable": plot.SKY, "": plot.GREY}
     meaning = {"named": "named", "confusable": "cannot be told from it", "": "other"}
 
     def draw(figure):

@@ -42,8 +42,7 @@ class Found:
     fit: list[int]
     choose: list[int]
     judge: list[int]
-    #: What was weighed; nothing where what differs from a reference is asked.
-    weighed: Weighed | None
+    weighed: Weighed
     claims: tuple[TorqueClaim, ...]
     #: What was found in all runs, where the effects act in those alone that were not fitted.
     base: Found | None = None
@@ -63,13 +62,13 @@ def searched(study: TorqueStudy, most: int) -> Found:
         chooser = study.chooser(rows, weights, fit, choose, most)
         nominal = of_model(study, rows, chooser.nominal)
         before = as_before(chooser, nominal, [choose, judge], fit)
-        weighed, claimed = None, []
-        if chooser.departs is None:
-            weighed = weigh(scales(study, rows, weights, chooser, [*fit, *choose]))
-            claimed = claims(weighed, most)
-            chosen = chooser.lively([claim.unit for claim in claimed]) or chooser.nominal
-        else:
-            chosen = _different(chooser, nominal, before, [fit, choose])
+        weighed = weigh(scales(study, rows, weights, chooser, [*fit, *choose]))
+        claimed = claims(weighed, most)
+        if chooser.departs is not None and _as_reference(chooser, nominal, [fit, choose]):
+            claimed = []
+        chosen = chooser.lively([claim.unit for claim in claimed]) or chooser.nominal
+        if before is not None:
+            chosen = chooser.different(chosen)
         found = Found(
             chooser=chooser,
             rows=rows,
@@ -104,10 +103,8 @@ def searched(study: TorqueStudy, most: int) -> Found:
     return found
 
 
-def _different(
-    chooser: Chooser, nominal: Answer, before: Answer | None, split: Sequence[Sequence[int]]
-) -> Model:
-    """What differs from a reference; nothing where the re-tuned model reaches the noise, at every
+def _as_reference(chooser: Chooser, nominal: Answer, split: Sequence[Sequence[int]]) -> bool:
+    """Whether nothing differs from a reference: the re-tuned model reaches the noise, at every
     joint and in every set of runs, with numbers that are as near to the reference's as chance lets
     them.
     """
@@ -117,16 +114,11 @@ def _different(
     joints = range(len(nominal.study.noise))
     gaps = [nominal.gap(which, j) for which, j in product(split, joints)]
     quiet = nominal.gap(split[0]) ** 2 <= level(round(chooser.fit.rows)) + 0.1
-    if near and quiet and not any(gap > LIMITS.seen for gap in gaps):
-        return chooser.nominal
-    chosen = chooser.run()
-    return chosen if before is None else chooser.different(chosen)
+    return near and quiet and not any(gap > LIMITS.seen for gap in gaps)
 
 
 def _ranked(found: Found) -> None:
     """Has the numbers worked out of what the ranking shows."""
-    if found.weighed is None:
-        return
     for s in sets_by_place(found.weighed, RANKED):
         found.chooser.model(s)
 

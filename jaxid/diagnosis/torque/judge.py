@@ -23,13 +23,9 @@ from jaxid.diagnosis.torque.claims import believed
 from jaxid.diagnosis.torque.found import Found
 from jaxid.diagnosis.torque.library import Unit
 from jaxid.diagnosis.torque.study import TorqueStudy
-from jaxid.diagnosis.verdict import Verdict
+from jaxid.diagnosis.verdict import MENTIONED, Verdict
 from jaxid.fitting.scores import lost
 from jaxid.wording import listed
-
-
-#: Effects that are mentioned as possible at most.
-MENTIONED = 4
 
 
 def judged_by_torque(study: TorqueStudy, found: Found) -> Verdict:
@@ -80,8 +76,6 @@ def _nothing_claimed(found: Found, sets: Sequence[Sequence[int]]) -> Verdict:
 
 def _families(found: Found) -> list[Remark]:
     """What each effect stands for that is not sure by itself."""
-    if found.weighed is None:
-        return []
     units, out = found.weighed.scales.units, []
     for claim in found.claims:
         if claim.instead:
@@ -93,8 +87,6 @@ def _families(found: Found) -> list[Remark]:
 
 def _possible(found: Found) -> list[Remark]:
     """What is not sure enough to be claimed."""
-    if found.weighed is None:
-        return []
     rule = found.weighed.scales.rule
     belief = believed(found.weighed, ())
     names = [f"{effect} at {place}" for effect, place, _ in belief.possible(rule.possible)]
@@ -104,12 +96,10 @@ def _possible(found: Found) -> list[Remark]:
 
 def _over(found: Found) -> list[Remark]:
     """What a law of no name depends on, where it is probable."""
-    if found.weighed is None:
-        return []
     law = believed(found.weighed, ()).free_law
     if law is None or law.probability < found.weighed.scales.rule.sure:
         return []
-    return [Remark(f"What is missing at {law.at} depends on {law.over}, by a law of no name.")]
+    return [Remark(law.sentence)]
 
 
 def astray(study: TorqueStudy, answer: Answer) -> tuple[str, ...]:

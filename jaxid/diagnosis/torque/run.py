@@ -111,12 +111,8 @@ def _answered(study: TorqueStudy, found: Found, most: int, seed: int, began: flo
     ):  # what it leaves says where its numbers are wrong, not where the machine is
         findings = ()
     each = worth(study, found.rows, found.chooser, found.chosen, which) if claimed else {}
-    belief, mates = None, []
-    if found.weighed is not None:
-        belief = believed(found.weighed, found.claims if claimed else (), each)
-        mates = instead(found.weighed, found.claims) if claimed else []
-    elif claimed:
-        mates = [found.chooser.units[k] for k in found.chooser.confusable(found.chosen)]
+    belief = believed(found.weighed, found.claims if claimed else (), each)
+    mates = instead(found.weighed, found.claims) if claimed else []
     named = effects if claimed else ()
     nominal_fit = _fit(study, found.nominal, plain, plain_spread, (), seed, began)
     final_fit = nominal_fit

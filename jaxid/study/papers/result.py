@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from jaxid.numerics.versions import versions
-from jaxid.report import reproduction_page
 from jaxid.report.display import page
 from jaxid.serialise import SCHEMA
+from jaxid.study.papers.page import reproduction_page
 
 
 #: What can be said of a claim.

@@ -1,7 +1,7 @@
 """Twins of the blind cases simulated by MuJoCo: its multibody dynamics, its constraints for dry
 friction, stops and play.
 
-The same numbers as in benchmarks/twins.py, for those plants and effects that MuJoCo can express.
+The same numbers as in numpy_twin.py, for those plants and effects that MuJoCo can express.
 What MuJoCo has itself is left to it: damping, dry friction (`frictionloss`, a soft constraint: a
 joint that should stand still creeps), rotor inertia, springs, payloads, gravity's direction, a
 rotor behind a spring, play as a joint with stops, a swinging mass. What it has not (what the drive
@@ -18,29 +18,34 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from benchmarks.twins import fine, Lanes, NEUTRAL, Plant, sensed
+from jaxid.benchmark.laws import fine
+from jaxid.benchmark.numpy_twin import sensed
+from jaxid.benchmark.plants import Lanes, NEUTRAL, TwinPlant
 
 
 #: Effects that are expressed; a mass that swings on a second joint turns with the link, which is
 #: another effect.
-EFFECTS = (
-    "dead_zone", "saturation", "supply_droop", "torque_scale", "actuator_lag", "input_delay", "input_hold", "back_emf",
-    "torque_ripple", "viscous_friction", "coulomb_friction", "asymmetric_friction", "stribeck_friction", "quadratic_drag",
-    "load_dependent_friction", "position_dependent_friction", "backlash", "joint_elasticity", "payload", "constant_torque",
-    "gravity_offset", "spring_torque", "reflected_inertia", "flexible_mode", "sensor_bias", "sensor_scale", "sensor_lag",
-    "sensor_delay", "timestamp_jitter",
-)  # fmt: skip
+EFFECTS = """
+dead_zone saturation supply_droop torque_scale actuator_lag input_delay input_hold back_emf
+torque_ripple viscous_friction coulomb_friction asymmetric_friction stribeck_friction
+quadratic_drag load_dependent_friction position_dependent_friction backlash joint_elasticity
+payload constant_torque gravity_offset spring_torque reflected_inertia flexible_mode sensor_bias
+sensor_scale sensor_lag sensor_delay timestamp_jitter
+""".split()
 ON_ONE_JOINT = ("flexible_mode",)
 STEP = 2e-4
 #: Time constant (s), damping ratio and impedance of dry friction and stops: as stiff as the step
 #: allows. MuJoCo's defaults creep so much that no real joint looks like it.
-STIFF = 'solreffriction="0.0004 1" solimpfriction="0.99 0.999 0.001" solreflimit="0.0004 1" solimplimit="0.99 0.999 0.0001"'
+STIFF = (
+    'solreffriction="0.0004 1" solimpfriction="0.99 0.999 0.001" '
+    'solreflimit="0.0004 1" solimplimit="0.99 0.999 0.0001"'
+)
 _MJ: Any = mujoco
 
 Own = dict[str, np.ndarray]  # numbers of one lane: [joints]
 
 
-def recorded(plant: Plant, u: np.ndarray, p: Lanes, rng: np.random.Generator) -> np.ndarray:
+def recorded(plant: TwinPlant, u: np.ndarray, p: Lanes, rng: np.random.Generator) -> np.ndarray:
     """What the sensors write down [lanes samples ny] under commands u [lanes samples nu], from rest
     at zero.
     """
@@ -51,26 +56,24 @@ def recorded(plant: Plant, u: np.ndarray, p: Lanes, rng: np.random.Generator) ->
     parts = round(1 / plant.rate / STEP)
     h = 1 / plant.rate / parts
     table = fine(u, p, parts, h)
-    q = np.stack(
-        [
-            simulated(plant, table[k], {name: x[k] for name, x in p.items()}, h)
-            for k in range(len(u))
-        ]
-    )
-    return sensed(plant, q, p, parts, h, rng)
+    runs = []
+    for k in range(len(u)):
+        own = {name: x[k] for name, x in p.items()}
+        runs.append(simulated(plant, table[k], own, h))
+    return sensed(plant, np.stack(runs), p, parts, h, rng)
 
 
-def simulated(plant: Plant, table: np.ndarray, p: Own, h: float) -> np.ndarray:
+def simulated(plant: TwinPlant, table: np.ndarray, p: Own, h: float) -> np.ndarray:
     """Positions [steps n] that the encoders see (those of the motors) under commands on the fine
     grid [steps n].
     """
     model = _MJ.MjModel.from_xml_string(machine(plant, p, h))
     data = _MJ.MjData(model)
     dofs = [int(model.joint(f"motor{j}").dofadr[0]) for j in range(plant.n)]
-    drives = [
-        Drive(plant, {k: float(x[j]) for k, x in p.items()}, float(table[0, j]), h)
-        for j in range(plant.n)
-    ]
+    drives = []
+    for j in range(plant.n):
+        own = {k: float(x[j]) for k, x in p.items()}
+        drives.append(TwinDrive(plant, own, float(table[0, j]), h))
     out = np.empty(table.shape)
     for k, commands in enumerate(table.tolist()):
         out[k] = data.qpos[dofs]
@@ -81,12 +84,12 @@ def simulated(plant: Plant, table: np.ndarray, p: Own, h: float) -> np.ndarray:
     return out
 
 
-class Drive:
+class TwinDrive:
     """What acts on one joint besides what MuJoCo simulates itself: torque of the drive, and the
     level of dry friction.
     """
 
-    def __init__(self, plant: Plant, p: dict[str, float], command: float, h: float):
+    def __init__(self, plant: TwinPlant, p: dict[str, float], command: float, h: float):
         self.servo, self.p, self.lagged = plant.model == "servo", p, command
         self.follow = exp(-h / p["lag"]) if p["lag"] > 0 else 0.0
 
@@ -115,12 +118,13 @@ class Drive:
         return tau - smooth - (plus - minus) / 2, (plus + minus) / 2
 
 
-def machine(plant: Plant, p: Own, h: float) -> str:
+def machine(plant: TwinPlant, p: Own, h: float) -> str:
     """The plant as MJCF."""
     gravity, body = PLANTS[plant.model](p)
     return (
-        f'<mujoco><option timestep="{h}" integrator="RK4" gravity="{gravity[0]} {gravity[1]} {gravity[2]}">'
-        '<flag contact="disable"/></option><compiler autolimits="true" inertiafromgeom="false" angle="radian"/>'
+        f'<mujoco><option timestep="{h}" integrator="RK4" '
+        f'gravity="{gravity[0]} {gravity[1]} {gravity[2]}"><flag contact="disable"/></option>'
+        '<compiler autolimits="true" inertiafromgeom="false" angle="radian"/>'
         f'<default><joint type="hinge" {STIFF}/></default><worldbody>{body}</worldbody></mujoco>'
     )
 
@@ -150,14 +154,15 @@ def _jointed(
         return float(p[name][j]) if name in p else 0.0
 
     joint = (
-        f'<joint name="motor{j}" axis="{axis}" damping="{v("viscous") + v("back_emf")!r}" stiffness="{v("spring")!r}" '
-        f'armature="{{}}" frictionloss="{max(v("coulomb"), 1e-9)!r}"/>'
+        f'<joint name="motor{j}" axis="{axis}" damping="{v("viscous") + v("back_emf")!r}" '
+        f'stiffness="{v("spring")!r}" armature="{{}}" frictionloss="{max(v("coulomb"), 1e-9)!r}"/>'
     )
     small = _inertial(1e-6, (0, 0, 0), (1e-9, 1e-9, 1e-9))
     if v("swing"):
         w, inertia = 2 * pi * v("swing_frequency"), v("swing")
         link += (
-            f'<body>{_inertial(1e-6, (0, 0, 0), (inertia,) * 3)}<joint axis="{axis}" stiffness="{inertia * w * w!r}" '
+            f"<body>{_inertial(1e-6, (0, 0, 0), (inertia,) * 3)}"
+            f'<joint axis="{axis}" stiffness="{inertia * w * w!r}" '
             f'damping="{2 * v("swing_damping") * w * inertia!r}"/></body>'
         )
     rigid = armature + v("reflected")

@@ -6,22 +6,34 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from jaxid import wording
 from jaxid.report import plot
-from jaxid.report.page import Section
+from jaxid.report.page import render, Section
+from jaxid.serialise import json_bytes
+from jaxid.wording import number, one_line, wrapped
 
 
 if TYPE_CHECKING:
     from jaxid.study.papers.result import PaperPart, PaperTable, Reproduction
 
 
+def reproduction_page(result: Reproduction) -> str:
+    """The page of a paper that was done again."""
+    return render(
+        f"Paper {result.paper}: {one_line(result.title)}",
+        [section(result)],
+        "result.json",
+        json_bytes(result),
+    )
+
+
 def section(result: Reproduction) -> Section:
+    """Claims and experiments."""
     return Section(
         "reproduced.html",
         {
             "r": result,
             "parts": list(map(_part, result.parts)),
-            "seconds": wording.number(result.wall_time_s, 3),
+            "seconds": number(result.wall_time_s, 3),
         },
     )
 
@@ -44,7 +56,7 @@ def cell(value: Any) -> tuple[str, bool]:
     """How a cell is written, and whether it is a number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return ("–" if value is None else str(value)), False
-    return (str(value) if isinstance(value, int) else wording.number(float(value), 4)), True
+    return (str(value) if isinstance(value, int) else number(float(value), 4)), True
 
 
 def lines(result: Reproduction) -> str:
@@ -52,13 +64,10 @@ def lines(result: Reproduction) -> str:
     rows = [(c.verdict, c.claim, c.paper or "–", c.ours or c.why) for c in result.claims]
     return "\n".join(
         [
-            wording.wrapped(
+            wrapped(
                 f"Paper {result.paper}, {result.title} ({result.budget} budget): {result.headline}"
             ),
-            *(
-                wording.wrapped(f"{v}: {c}. Paper: {p}. Here: {o}", "- ", "  ")
-                for v, c, p, o in rows
-            ),
+            *(wrapped(f"{v}: {c}. Paper: {p}. Here: {o}", "- ", "  ") for v, c, p, o in rows),
             f"{result.wall_time_s:.0f} s",
         ]
     )

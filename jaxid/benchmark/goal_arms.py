@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-import jaxid
+from jaxid.data.dataset import Dataset
 
 
 RATE, STEP = 500, 1e-3
@@ -32,7 +32,7 @@ KINDS = (
 
 
 @dataclass
-class Arm:
+class GoalArm:
     """An arm as its file states it: one row for each joint."""
 
     axes: list[str]
@@ -47,7 +47,7 @@ class Arm:
     more: dict[str, Any] = field(default_factory=dict)  # what the recorded arm has beyond its file
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, n: int | None = None) -> Arm:
+    def drawn(cls, rng: np.random.Generator, n: int | None = None) -> GoalArm:
         n = n or int(rng.integers(2, 4))
         axes = [str(rng.choice(["0 1 0", "0 1 0", "1 0 0", "0 0 1"])) for _ in range(n)]
         axes[0], axes[1] = "0 1 0", axes[1] if n > 2 else "0 1 0"
@@ -58,15 +58,15 @@ class Arm:
         outer = np.arange(n)[::-1] + 1.0
         kp = between(20, 40) * outer
         return cls(
-            axes,
-            between(0.15, 0.3),
-            between(0.2, 0.6),
-            between(0.01, 0.04) * outer,
-            between(0.3, 0.8) * outer,
-            between(0.03, 0.1) * outer,
-            kp,
-            0.02 * kp,
-            0.8 * kp,
+            axes=axes,
+            length=between(0.15, 0.3),
+            mass=between(0.2, 0.6),
+            armature=between(0.01, 0.04) * outer,
+            damping=between(0.3, 0.8) * outer,
+            frictionloss=between(0.03, 0.1) * outer,
+            kp=kp,
+            kv=0.02 * kp,
+            limit=0.8 * kp,
         )
 
     @property
@@ -75,65 +75,81 @@ class Arm:
 
     def xml(self, play: int | None = None) -> str:
         """`play`: the joint that has a second hinge with play."""
-        tilt = self.more.get("tilt", (0.0, 0.0))
         open_, close = "", ""
         for k in range(self.n):
-            m, c = self.mass[k], np.array([self.length[k] / 2, 0.0, 0.0])
-            load, at = self.more.get("payload", {}).get(k, (0.0, np.zeros(3)))
-            total = m + load
-            com = (m * c + load * np.asarray(at)) / total
-            I = m * self.length[k] ** 2 / 12
-            apart = [(m, c - com), (load, np.asarray(at) - com)]
-            inertia = np.diag([0.1 * I + 1e-5, I, I]) + sum(
-                w * (d @ d * np.eye(3) - np.outer(d, d)) for w, d in apart
+            opened, closed = self._link(k, play == k)
+            open_, close = open_ + opened, closed + close
+        actuators = "".join(self._actuator(k) for k in range(self.n))
+        floor = ""
+        if "floor" in self.more:
+            floor = (
+                f'<geom name="floor" type="plane" size="2 2 0.1" pos="0 0 {self.more["floor"]}"/>'
             )
-            full = [
-                inertia[0, 0],
-                inertia[1, 1],
-                inertia[2, 2],
-                inertia[0, 1],
-                inertia[0, 2],
-                inertia[1, 2],
-            ]
-            place = f"{self.length[k - 1]} 0 0" if k else "0 0 0.2"
-            numbers = " ".join(f"{v:.9g}" for v in full)
-            own = (
-                f'<joint name="j{k + 1}" axis="{self.axes[k]}" armature="{self.armature[k]}" damping="{self.damping[k]}" '
-                f'frictionloss="{self.frictionloss[k]}"/>'
-            )
-            body = f'<inertial pos="{" ".join(f"{v:.9g}" for v in com)}" mass="{total}" fullinertia="{numbers}"/>'
-            if play == k:
-                open_ += (
-                    f'<body name="r{k + 1}" pos="{place}">{own}'
-                    '<inertial pos="0 0 0" mass="1e-3" diaginertia="1e-6 1e-6 1e-6"/>'
-                    f'<body name="l{k + 1}"><joint name="play" axis="{self.axes[k]}" limited="true" '
-                    f'range="-{self.more["play"]} {self.more["play"]}" damping="0.01" armature="1e-4"/>{body}'
-                )
-                close = "</body></body>" + close
-            else:
-                open_ += f'<body name="l{k + 1}" pos="{place}">{own}{body}'
-                close = "</body>" + close
-        acts = "".join(
+        gravity = " ".join(f"{v:.9g}" for v in self._gravity())
+        option = (
+            f'<option timestep="{STEP}" integrator="implicitfast" gravity="{gravity}"/>'
+            f'<default><joint solreffriction="{2 * STEP} 1" solimpfriction=".99 .9999 .001"/>'
+            "</default>"
+        )
+        return (
+            f'<mujoco model="arm"><compiler angle="radian"/>{option}<worldbody>{floor}{open_}'
+            f"{close}</worldbody><actuator>{actuators}</actuator></mujoco>"
+        )
+
+    def _gravity(self) -> np.ndarray:
+        roll, pitch = self.more.get("tilt", (0.0, 0.0))
+        down = [np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)]
+        return 9.81 * np.array(down)
+
+    def _link(self, k: int, play: bool) -> tuple[str, str]:
+        """What opens the body of a link, and what closes it."""
+        place = f"{self.length[k - 1]} 0 0" if k else "0 0 0.2"
+        joint = (
+            f'<joint name="j{k + 1}" axis="{self.axes[k]}" armature="{self.armature[k]}" '
+            f'damping="{self.damping[k]}" frictionloss="{self.frictionloss[k]}"/>'
+        )
+        body = self._body(k)
+        if not play:
+            return f'<body name="l{k + 1}" pos="{place}">{joint}{body}', "</body>"
+        reach = self.more["play"]
+        opened = (
+            f'<body name="r{k + 1}" pos="{place}">{joint}'
+            '<inertial pos="0 0 0" mass="1e-3" diaginertia="1e-6 1e-6 1e-6"/>'
+            f'<body name="l{k + 1}"><joint name="play" axis="{self.axes[k]}" limited="true" '
+            f'range="-{reach} {reach}" damping="0.01" armature="1e-4"/>{body}'
+        )
+        return opened, "</body></body>"
+
+    def _body(self, k: int) -> str:
+        """Mass of a link with its load; a ball at the end of the last one, where there is a
+        floor.
+        """
+        mass, middle = self.mass[k], np.array([self.length[k] / 2, 0.0, 0.0])
+        load, at = self.more.get("payload", {}).get(k, (0.0, np.zeros(3)))
+        total = mass + load
+        com = (mass * middle + load * np.asarray(at)) / total
+        across = mass * self.length[k] ** 2 / 12
+        inertia = np.diag([0.1 * across + 1e-5, across, across])
+        for part, apart in ((mass, middle - com), (load, np.asarray(at) - com)):
+            inertia = inertia + part * (apart @ apart * np.eye(3) - np.outer(apart, apart))
+        rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+        numbers = " ".join(f"{v:.9g}" for v in inertia[rows, columns])
+        position = " ".join(f"{v:.9g}" for v in com)
+        body = f'<inertial pos="{position}" mass="{total}" fullinertia="{numbers}"/>'
+        if "floor" in self.more and k == self.n - 1:
+            body += f'<geom name="tip" type="sphere" size="0.02" pos="{self.length[k]} 0 0"/>'
+        return body
+
+    def _actuator(self, k: int) -> str:
+        return (
             f'<position name="a{k + 1}" joint="j{k + 1}" kp="{self.kp[k]}" kv="{self.kv[k]}" '
             f'forcerange="-{self.limit[k]} {self.limit[k]}"/>'
-            for k in range(self.n)
-        )
-        g = 9.81 * np.array(
-            [
-                np.sin(tilt[1]),
-                -np.sin(tilt[0]) * np.cos(tilt[1]),
-                -np.cos(tilt[0]) * np.cos(tilt[1]),
-            ]
-        )
-        option = f'<option timestep="{STEP}" integrator="implicitfast" gravity="{" ".join(f"{v:.9g}" for v in g)}"/>'
-        firm = f'<default><joint solreffriction="{2 * STEP} 1" solimpfriction=".99 .9999 .001"/></default>'
-        return (
-            f'<mujoco model="arm"><compiler angle="radian"/>{option}{firm}<worldbody>{open_}{close}</worldbody>'
-            f"<actuator>{acts}</actuator></mujoco>"
         )
 
 
-def withheld(arm: Arm, kind: str, rng: np.random.Generator) -> tuple[Arm, int, dict[str, Any]]:
+def withheld(
+    arm: GoalArm, kind: str, rng: np.random.Generator
+) -> tuple[GoalArm, int, dict[str, Any]]:
     """The arm that is recorded, the joint of the effect, and what acts beside MuJoCo's own
     model.
     """
@@ -184,7 +200,7 @@ def goals(n: int, seconds: float, rng: np.random.Generator, rate: float = RATE) 
 
 
 def recorded(
-    arm: Arm,
+    arm: GoalArm,
     kind: str,
     j: int,
     beside: dict[str, Any],
@@ -227,7 +243,7 @@ def recorded(
 
 
 def limited(
-    arm: Arm, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.random.Generator
+    arm: GoalArm, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.random.Generator
 ) -> dict[str, Any]:
     """`beside` with the most torque that a drive gives which gives less than the file says: a share
     of what a motion asks for.
@@ -247,7 +263,7 @@ def case(
     """
     rng = np.random.default_rng([seed, number])
     kind = KINDS[number % len(KINDS)]
-    arm = Arm.drawn(rng)
+    arm = GoalArm.drawn(rng)
     real, j, beside = withheld(arm, kind, rng)
     wrong = np.random.default_rng([seed, number, 1])
     for numbers in (real.armature, real.damping, real.frictionloss):
@@ -264,53 +280,14 @@ def case(
     }
 
 
-def dataset(c: dict[str, Any]) -> jaxid.Dataset:
+def dataset(c: dict[str, Any]) -> Dataset:
     n = c["arm"].n
     t = np.arange(len(c["u"])) / c.get("rate", RATE)
     joints = [f"j{k + 1}" for k in range(n)]
-    return jaxid.Dataset.from_arrays(
+    return Dataset.from_arrays(
         t,
         {f"{j}_cmd": c["u"][:, k] for k, j in enumerate(joints)},
         {j: c["q"][:, k] for k, j in enumerate(joints)},
-        units={x: "rad" for j in joints for x in (j, f"{j}_cmd")},
+        units=dict.fromkeys([*joints, *(f"{j}_cmd" for j in joints)], "rad"),
         check_model=False,
     )
-
-
-def as_named(arm: Arm, found: Any) -> tuple[Arm, str, int, dict[str, Any]] | None:
-    """The arm with the one effect that a diagnosis names written into it, as `withheld` gives it;
-    None where it names none or several, or what the simulation of this benchmark has not.
-    """
-    if found.which.verdict != "named" or len(found.which.effects) != 1:
-        return None
-    e, real = found.which.effects[0], deepcopy(arm)
-    p = {name: x.value for name, x in e.parameters.items()}
-    j = 0 if e.effect == "gravity_offset" else int(e.location.split("_")[0][1:]) - 1
-    beside: dict[str, Any] = {}
-    if e.effect == "torque_scale":
-        for numbers in (real.kp, real.kv, real.limit):
-            numbers[j] *= 1 + p["gain"]
-    elif e.effect == "payload":
-        end = arm.length[j] * (
-            0.5 if j == arm.n - 1 else 1.0
-        )  # from the next joint, else from the link's centre of mass
-        real.more["payload"] = {
-            j: (p["mass"], np.array([end + p.get("dx", 0.0), p.get("dy", 0.0), p.get("dz", 0.0)]))
-        }
-    elif e.effect == "gravity_offset":
-        real.more["tilt"] = (0.0, p["tilt"])
-    elif e.effect in (
-        "input_delay",
-        "sensor_bias",
-        "constant_torque",
-        "stribeck_friction",
-        "saturation",
-    ):
-        beside = {"top" if name == "limit" else name: value for name, value in p.items()}
-        if "torque" in p:
-            beside["torque"] = -p["torque"]  # as friction, against the motion
-        if "delay" in p:  # goals wait for a step to begin
-            beside["delay"] = round(p["delay"] / STEP) * STEP
-    else:
-        return None
-    return real, e.effect, j, beside

@@ -1,0 +1,1 @@
+"""The public yardstick: blind cases whose gaps are known, and what answers to them are worth."""

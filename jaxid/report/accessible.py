@@ -1,0 +1,83 @@
+"""A page for everybody: a table of contents, and tables that a screen reader can announce.
+
+The templates say what stands where; this adds what follows from it: an id for every heading, the
+list of them, the scope of every head of a column or row, and a caption for every table, which is
+the heading or the sentence that it stands under.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+
+_HEADING = re.compile(r"<h2>(.*?)</h2>", re.DOTALL)
+_TAG = re.compile(r"<[^>]*>")
+#: Fewer headings than this are seen at a glance.
+FEW = 3
+
+
+def accessible(body: str) -> str:
+    """A body with scopes and captions."""
+    return "".join(_with_captions(body))
+
+
+def with_contents(body: str) -> str:
+    """The body of a page with an id for each heading, and the list of them below its answer."""
+    body, headings = _with_ids(body)
+    if len(headings) < FEW:
+        return body
+    links = "".join(f'<li><a href="#{place}">{title}</a></li>' for place, title in headings)
+    contents = f'<nav class="contents" aria-label="On this page"><ul>{links}</ul></nav>'
+    return body.replace("</section>", f"</section>\n{contents}", 1)
+
+
+def _with_ids(body: str) -> tuple[str, list[tuple[str, str]]]:
+    """The body with an id in each second heading, and the headings."""
+    headings: list[tuple[str, str]] = []
+
+    def named(match: re.Match[str]) -> str:
+        title = _TAG.sub("", match[1]).strip()
+        words = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:40]
+        taken = {place for place, _ in headings}
+        place = words if words and words not in taken else f"{words}-{len(headings)}"
+        headings.append((place, title))
+        return f'<h2 id="{place}">{match[1]}</h2>'
+
+    return _HEADING.sub(named, body), headings
+
+
+def _with_captions(body: str) -> Iterator[str]:
+    """The body in parts, with captions and scopes in its tables."""
+    said = ""
+    for part in re.split(r"(<table.*?</table>)", body, flags=re.DOTALL):
+        if not part.startswith("<table"):
+            found = re.findall(r"<(h[12]|figcaption)[^>]*>(.*?)</\1>", part, re.DOTALL)
+            said = _TAG.sub("", found[-1][1]).strip() if found else said
+            yield part
+            continue
+        yield _scoped(part if "<caption" in part else _captioned(part, said))
+
+
+def _captioned(table: str, said: str) -> str:
+    return re.sub(r"^(<table[^>]*>)", rf"\1<caption>{_literal(said)}</caption>", table, count=1)
+
+
+def _literal(text: str) -> str:
+    """The text where a backslash is one."""
+    return text.replace("\\", "\\\\")
+
+
+def _scoped(table: str) -> str:
+    """A head above several columns is that of a column, one that begins a row that of the row."""
+    head, end, rest = table.partition("</thead>")
+    if not end:
+        first, close, rest = table.partition("</tr>")
+        if first.count("<th") > 1:
+            return _heads(first, "col") + close + _heads(rest, "row")
+        return _heads(table, "row")
+    return _heads(head, "col") + end + _heads(rest, "row")
+
+
+def _heads(part: str, scope: str) -> str:
+    return re.sub(r"<th(?=[ >])", f'<th scope="{scope}"', part)

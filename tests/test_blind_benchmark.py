@@ -1,0 +1,226 @@
+"""The public benchmark: cases remade to the byte, scored as the rules say, entered by a stranger."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid import catalogue
+from jaxid.benchmark import case, make as making, rig_sets, score as scoring, withheld
+from jaxid.benchmark.answers import CaseAnswer, read_entry
+from jaxid.cli.app import main
+from jaxid.errors import UsageError
+
+
+ROOT = Path(__file__).parents[1]
+#: Sets that take no long integration, and cases of each here.
+QUICK = {"arms": 2, "conventions": 4, "robots": 1}
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("benchmark")
+    for name, count in QUICK.items():
+        making.make(name, 5, folder / name, count, workers=1)
+    return {name: folder / name for name in QUICK}
+
+
+def truths(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "key.json").read_text())["cases"]
+
+
+def perfect(truth: dict[str, Any]) -> dict[str, Any]:
+    """The answer of one who has read the key."""
+    names = {f"{one['effect']}@{one['joint']}": one for one in truth["missing"]}
+    out: dict[str, Any] = {"missing": dict.fromkeys(names, 1.0), "seconds": 1.0}
+    out["nothing"] = float(not names and not truth["outside"])
+    out["other"] = float(bool(truth["outside"]))
+    out["where"] = dict.fromkeys(truth["over"][:1], 1.0)
+    out["size"] = {n: one["size"] for n, one in names.items() if one["size"] is not None}
+    if truth["exam"]:
+        out["exam"], out["how_far"] = truth["exam"]["truth"], [0.9, 1.0]
+    return out
+
+
+def entered(path: Path, answers: dict[str, Any]) -> Path:
+    path.write_text(json.dumps({"entry": "test", "answers": answers}))
+    return path
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_cases_are_remade_to_the_byte(made, tmp_path, name):
+    """By another number of processes, too; another seed makes others."""
+    making.make(name, 5, tmp_path / "again", QUICK[name], workers=2)
+    assert digests(tmp_path / "again") == digests(made[name])
+    making.make(name, 6, tmp_path / "other", QUICK[name], workers=1)
+    assert digests(tmp_path / "other") != digests(made[name])
+
+
+@pytest.mark.parametrize("simulator, number", [("numpy", 1), ("mujoco", 7)])
+def test_rigs_are_remade_to_the_byte(monkeypatch, tmp_path, simulator, number):
+    monkeypatch.setitem(withheld.SECONDS, "pendulum", 0.4)
+    monkeypatch.setattr(rig_sets, "EXAM_S", 0.4)
+    found = []
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        drafts = rig_sets.drafts("poor", 11, [number])
+        found.append(making._written(drafts, {("poor", number): "0001"}, folder, 1))
+    assert digests(tmp_path / "a") == digests(tmp_path / "b") and found[0] == found[1]
+    assert found[0]["0001"]["simulator"] == simulator
+    data = jaxid.load_dataset(tmp_path / "a" / "0001")
+    assert data.model is not None and data.model.name == "pendulum"
+    assert (tmp_path / "a" / "0001" / "model.xml").is_file()
+
+
+def test_the_published_folder_does_not_tell_the_key(made):
+    for name, folder in made.items():
+        text = "".join(p.read_text() for p in (folder / "cases").rglob("*.json"))
+        about = json.loads((folder / "cases" / "benchmark.json").read_text())
+        digest = hashlib.sha256((folder / "key.json").read_bytes()).hexdigest()
+        assert about["key_sha256"] == digest, name
+        for word in ("seed", "outside", "alike", "truth", "number"):
+            assert f'"{word}"' not in text, (name, word)
+
+
+def test_a_file_of_the_model_is_read_by_the_product(made):
+    """Robots by their MJCF, which stands beside the recording."""
+    for name in ("arms", "robots"):
+        folder = made[name] / "cases" / "0001"
+        data = jaxid.load_dataset(folder)
+        question = json.loads((folder / "case.json").read_text())
+        assert set(question["joints"]) <= {c.name for c in data.outputs}
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_who_knows_the_key_has_all(made, tmp_path, name):
+    key = truths(made[name])
+    path = entered(tmp_path / "answers.json", {k: perfect(t) for k, t in key.items()})
+    found = scoring.score(made[name], path).overall
+    for measure in ("class", "place", "size", "where", "how_far", "how_far_held"):
+        if found[measure] is not None:
+            assert found[measure]["value"] == 1.0, measure
+    assert found["brier"]["value"] == 0.0 and found["calibration_error"] == 0.0
+    assert found["sure_and_wrong"] is None or found["sure_and_wrong"]["value"] == 0.0
+
+
+def test_saying_nothing_earns_nothing(made, tmp_path):
+    found = scoring.score(made["arms"], entered(tmp_path / "a.json", {})).overall
+    assert found["class"]["value"] == 0.0 and found["brier"]["value"] == 1.0
+    assert found["how_far"]["value"] == 0.0 and found["sure"] == 0
+
+
+MISSING = [{"effect": "input_delay", "joint": "q", "size": 0.01, "alike": ["sensor_delay@q"]}]
+TRUTH: dict[str, Any] = {
+    "set": "rigs",
+    "missing": MISSING,
+    "outside": "",
+    "over": ["command"],
+    "joints": ["q"],
+    "exam": {"truth": {"q": [1.0, 1.0]}, "stated": {"q": [1.5, 0.5]}, "noise": {"q": 0.1}},
+}
+
+
+def test_what_no_recording_tells_apart_counts_as_the_same():
+    told = CaseAnswer(missing={"sensor_delay@q": 0.6, "input_delay@q": 0.3}, nothing=0.1)
+    found = scoring.marks_of(TRUTH, told, ["input_delay"])
+    assert found.right and found.brier == pytest.approx(0.1**2 + 0.1**2)
+    wrong = CaseAnswer(missing={"dead_zone@q": 0.96}, nothing=0.04)
+    marks = scoring.marks_of(TRUTH, wrong, ["input_delay"])
+    assert not marks.right and marks.claims == (False,)
+    assert marks.brier == pytest.approx(0.96**2 + 0.04**2 + 1.0)
+
+
+def test_a_tie_is_no_answer():
+    tied = CaseAnswer(missing={"input_delay@q": 0.5, "dead_zone@q": 0.5})
+    assert not scoring.marks_of(TRUTH, tied, []).right
+
+
+@pytest.mark.parametrize("error, expected", [(0.0, 1.0), (0.3, 1 - 8 / 24), (0.5, 0.0), (5, -1.0)])
+def test_how_far_is_the_share_of_the_gap_beyond_the_noise(error, expected):
+    told = CaseAnswer(exam={"q": [1.0 + error, 1.0 - error]})
+    assert scoring.how_far(TRUTH["exam"], told) == pytest.approx(expected)
+
+
+def test_calibration_error_is_that_of_the_bins():
+    said = [(0.75, True), (0.75, False), (0.25, False), (0.0, True)]
+    expected = (2 * abs(0.75 - 0.5) + abs(0.25 - 0.0)) / 3
+    assert scoring.calibration_error(said) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "answer, words",
+    [
+        ({"missing": {"coulomb_friction@j1": 1.5}}, ["'missing'", "1.5 is no probability"]),
+        ({"missing": {"coulom_friction@j1": 0.5}}, ["'missing'", "coulomb_friction"]),
+        ({"missing": {"coulomb_friction@j99": 0.5}}, ["'missing'", "joint after @"]),
+        ({"nothing": "no"}, ["'nothing'", "'no' is no probability"]),
+        ({"where": {"weather": 0.5}}, ["'where'", "position, speed"]),
+        ({"exam": {"j1_tau": [0.0]}}, ["'exam'", "list of 40 numbers"]),
+        ({"how_far": [1.0, 0.0]}, ["'how_far'", "[low, high]"]),
+        ({"mising": {}}, ["'mising'", "missing"]),
+        ([], ["not an object"]),
+    ],
+)
+def test_bad_answers_exit_2_and_name_case_and_key(made, tmp_path, capsys, answer, words):
+    path = entered(tmp_path / "answers.json", {"0001": answer})
+    assert main(["benchmark", "score", str(made["arms"]), str(path)]) == 2
+    said = capsys.readouterr().err
+    assert all(word in said for word in ("'0001'", *words)), said
+    assert not (tmp_path / "score.json").exists()
+
+
+def test_an_unknown_case_and_another_key_are_refused(made, tmp_path):
+    path = entered(tmp_path / "answers.json", {"9999": {}})
+    with pytest.raises(UsageError, match="9999"):
+        scoring.score(made["arms"], path)
+    with pytest.raises(UsageError, match="no set is called"):
+        making.make("rig", 1, tmp_path / "x")
+    with pytest.raises(UsageError, match="JSON"):
+        (tmp_path / "bad.json").write_text("{")
+        read_entry(tmp_path / "bad.json", {})
+    other = tmp_path / "other"
+    making.make("arms", 7, other, 1, workers=1)
+    (other / "key.json").write_text((made["arms"] / "key.json").read_text())
+    with pytest.raises(UsageError, match="hash"):
+        scoring.score(other, entered(tmp_path / "a.json", {}))
+
+
+def test_a_stranger_enters_by_the_rules_alone(made, tmp_path):
+    """NumPy alone: nothing of jaxid is imported, and the key is not there."""
+    script = (ROOT / "tests" / "stranger.py").read_text()
+    assert "import jaxid" not in script and "from jaxid" not in script
+    path = tmp_path / "answers.json"
+    for name, folder in made.items():
+        command = [sys.executable, "tests/stranger.py", str(folder / "cases"), str(path)]
+        subprocess.run(command, cwd=ROOT, check=True, timeout=300)
+        assert main(["benchmark", "score", str(folder), str(path), "--json"]) == 0
+        found = json.loads((tmp_path / "score.json").read_text())
+        assert found["entry"] == "a stranger" and found["answered"] == QUICK[name]
+
+
+def test_every_effect_that_may_be_withheld_has_its_words():
+    words = set(case.DEPENDS_ON)
+    assert words <= set(catalogue.effect_names())
+    for groups in rig_sets.ALIKE.values():
+        assert words >= set(np.concatenate([np.array(g) for g in groups]))
+    for model in rig_sets.MODELS:
+        plant, chain = rig_sets.PLANTS[model], rig_sets.chain_of(model)
+        assert set(rig_sets.names_of(plant, chain)) <= words
+    assert set(rig_sets.NUMBERS) <= set(case.SIZES) <= words
+    assert sum(one.cases for one in making.SETS.values()) == 1200
+    assert making.SETS["outsiders"].cases == 300

@@ -1,0 +1,88 @@
+"""Probabilities of sets of effects that were simulated, and what is claimed of them."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxid.diagnosis.hypothesis import Candidate
+from jaxid.diagnosis.simulated import (
+    believed,
+    log_weight,
+    simulated_sets,
+    told_apart,
+    worth,
+)
+
+
+ROWS = 4000
+LAG = Candidate("actuator_lag", "tau", (0,))
+DELAY = Candidate("input_delay", "tau", (1,))
+DRAG = Candidate("quadratic_drag", "q", (2,))
+
+
+def leaving(left: float, *effects: Candidate, held: float | None = None) -> Any:
+    """A set that leaves these mean squares of fit and validation runs."""
+    validation = left if held is None else held
+    series = np.full((ROWS, 1), np.sqrt(validation))
+    return SimpleNamespace(
+        effects=effects,
+        size=len(effects),
+        fit_loss=left,
+        path=SimpleNamespace(count=ROWS),
+        validation=SimpleNamespace(loss=validation, count=ROWS, settled=[series]),
+    )
+
+
+def test_what_comes_down_to_the_noise_is_claimed_alone():
+    sets = simulated_sets([leaving(90.0), leaving(1.0, LAG), leaving(40.0, DELAY)])
+    claim = sets.claim(LAG, [DELAY])
+    assert claim is not None and claim.probability > 0.99 and not claim.instead
+    assert sets.claim(DELAY, []) is None
+
+
+def test_two_that_say_the_same_are_a_family():
+    sets = simulated_sets([leaving(90.0), leaving(1.0, LAG), leaving(1.0, DELAY)])
+    assert sets.of(LAG) == pytest.approx(0.5, abs=0.01)
+    claim = sets.claim(LAG, [DELAY])
+    assert claim is not None and claim.instead == (DELAY,) and claim.probability > 0.99
+    told = believed(sets, [claim], leaving(1.0, LAG)).to_dict()
+    assert tuple(told["families"][0]["effects"]) == ("actuator_lag", "input_delay")
+    assert sets.claim(LAG, []) is None
+
+
+@pytest.mark.parametrize(("left", "claimed"), [(50.0, False), (20.0, False), (2.0, True)])
+def test_most_of_the_gap_has_to_go(left, claimed):
+    """One law that mends a part of what another one does wrong is no more than possible."""
+    sets = simulated_sets([leaving(100.0), leaving(left, DRAG)])
+    assert (sets.claim(DRAG, []) is not None) is claimed
+
+
+def test_more_effects_cost_more_than_chance_gives():
+    one, two = leaving(1.0, LAG), leaving(0.999, LAG, DRAG)
+    assert log_weight(one) > log_weight(two)
+    sets = simulated_sets([leaving(90.0), one, two])
+    assert sets.claim(LAG, []) is not None and sets.claim(DRAG, []) is None
+
+
+def test_what_diverged_has_no_probability():
+    sets = simulated_sets([leaving(90.0), leaving(float("nan"), LAG)])
+    assert sets.of(LAG) == 0.0 and sets.found.none == 1.0
+
+
+def test_sets_are_told_apart_by_their_probability_not_by_single_readings():
+    assert told_apart(leaving(1.0, LAG), leaving(1.05, DELAY))
+    assert not told_apart(leaving(1.0, LAG), leaving(1.0005, DELAY))
+    assert not told_apart(leaving(50.0, LAG), leaving(60.0, DELAY))
+
+
+def test_what_each_effect_is_worth():
+    nominal, both = leaving(101.0), leaving(1.0, LAG, DRAG)
+    alone, other = leaving(41.0, LAG), leaving(61.0, DRAG)
+    found = worth([nominal, alone, other, both], both)
+    lag = found["actuator_lag", "tau"]
+    assert lag.alone == pytest.approx(0.6) and lag.missed_without == pytest.approx(0.6)
+    drag = found["quadratic_drag", "q"]
+    assert drag.alone == pytest.approx(0.4) and drag.missed_without == pytest.approx(0.4)
+    assert worth([nominal], nominal) == {}
