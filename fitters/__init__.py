@@ -4,6 +4,10 @@
 if __name__ != "jaxid.fitters":
     raise ImportError("import jaxid.fitters, not fitters")
 
+from typing import Any
+
+from jaxid.fitting.fitter import AbstractFitter as _AbstractFitter
+
 from .ade import RandToBestDE
 from .bfgs import BFGS
 from .cmaes import CMAES
@@ -24,7 +28,8 @@ from .rde import RecursiveDE
 from .shade import Shade
 
 
-FITTERS = (
+#: In this order they are listed; what is not named here comes last, by its name.
+_FIRST = (
     LevenbergMarquardt,
     Hybrid,
     BFGS,
@@ -45,25 +50,14 @@ FITTERS = (
     OptimistixNelderMead,
 )
 
-__all__ = [
-    "BFGS",
-    "CMAES",
-    "FITTERS",
-    "DifferentialEvolution",
-    "GeneticAlgorithm",
-    "Hybrid",
-    "InstrumentalVariables",
-    "LeastSquares",
-    "LevenbergMarquardt",
-    "Optimistix",
-    "OptimistixBFGS",
-    "OptimistixDogleg",
-    "OptimistixLM",
-    "OptimistixNelderMead",
-    "ParticleSwarm",
-    "RandToBestDE",
-    "RecursiveDE",
-    "RecursiveLeastSquares",
-    "Shade",
-    "WeightedLeastSquares",
-]
+
+def _registered() -> tuple[Any, ...]:
+    """All but the one that has to be given a solver."""
+    kinds = {
+        v for v in globals().values() if isinstance(v, type) and issubclass(v, _AbstractFitter)
+    }
+    later = kinds - {_AbstractFitter, *_FIRST, Optimistix}
+    return (*_FIRST, *sorted(later, key=lambda kind: kind.name))
+
+
+FITTERS: tuple[Any, ...] = _registered()

@@ -281,14 +281,15 @@ def text_of(kind: type) -> str:
     return " ".join((kind.__doc__ or "").split())
 
 
-RESIDUALS = (
-    "output_error",
-    "multiple_shooting",
-    "inverse_dynamics",
-    "frequency_response",
-    "closed_loop",
-    "momentum",
-)
+#: Each residual by its name: its module and its class. A new one has its file and a line here.
+RESIDUALS = {
+    "output_error": "jaxid.problem.residual:OutputError",
+    "multiple_shooting": "jaxid.problem.residual:MultipleShooting",
+    "inverse_dynamics": "jaxid.problem.residual:InverseDynamics",
+    "frequency_response": "jaxid.problem.frequency_response:FrequencyResponseError",
+    "closed_loop": "jaxid.problem.closed_loop:ClosedLoopOutputError",
+    "momentum": "jaxid.problem.momentum:Momentum",
+}
 
 
 LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")

@@ -24,6 +24,8 @@ EXTRAS = {
     "nptdms": ("tdms", "a TDMS file"),
     "mcap": ("ros", "an MCAP file"),
     "rosbags": ("ros", "a ROS recording"),
+    "bokeh": ("view", "`jaxid view` or `jaxid watch`"),
+    "tornado": ("view", "`jaxid view` or `jaxid watch`"),
 }
 
 

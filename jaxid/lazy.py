@@ -26,3 +26,9 @@ def attach(
         return sorted({*vars(sys.modules[package]), *home})
 
     return get, names, sorted(home)
+
+
+def at(place: str) -> Any:
+    """What stands at `module:name`."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,19 @@ def with_effects(content: Any) -> Any:
     )
     named = which.get("effects") if isinstance(which, dict) else None
     return content if named is None or "effects" in content else {**content, "effects": named}
+
+
+def plain(value: Any) -> Any:
+    """The same nested data without values of jaxid's own: what has a `to_dict` as that says, tuples
+    as lists.
+    """
+    if hasattr(value, "to_dict"):
+        return value.to_dict()
+    if isinstance(value, Mapping):
+        return {k: plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    return value
 
 
 def finite(value: Any) -> Any:

@@ -4,6 +4,10 @@
 if __name__ != "jaxid.models":
     raise ImportError("import jaxid.models, not models")
 
+from typing import Any
+
+from jaxid.dynamics.mechanism import Mechanism as _Mechanism
+
 from .arm_presets import Panda, UR10, UR10e
 from .flexible_arm import FlexibleArm
 from .flexible_link import FlexibleLink
@@ -17,7 +21,8 @@ from .space_manipulator import SpaceManipulator
 from .tracker import Tracker
 
 
-MODELS = (
+#: In this order they are listed; what is not named here comes last, by its name.
+_FIRST = (
     Joint,
     Pendulum,
     Servo,
@@ -33,19 +38,11 @@ MODELS = (
     SpaceManipulator,
 )
 
-__all__ = [
-    "MODELS",
-    "FlexibleArm",
-    "FlexibleLink",
-    "Joint",
-    "Panda",
-    "Pendulum",
-    "PlanarArm",
-    "Robot",
-    "SerialArm",
-    "Servo",
-    "SpaceManipulator",
-    "Tracker",
-    "UR10",
-    "UR10e",
-]
+
+def _registered() -> tuple[Any, ...]:
+    kinds = {v for v in globals().values() if isinstance(v, type) and issubclass(v, _Mechanism)}
+    later = kinds - {_Mechanism, *_FIRST}
+    return (*_FIRST, *sorted(later, key=lambda kind: kind.name))
+
+
+MODELS: tuple[Any, ...] = _registered()

@@ -112,9 +112,6 @@ class RandomSearch(AbstractPopulation):
             state.radius * self.shrink,
         )
 
-    def best(self, state):
-        return state.z, state.loss
-
     def spread(self, state):
         return state.radius
 

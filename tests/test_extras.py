@@ -66,6 +66,8 @@ def test_what_the_core_requires_is_in_no_extra():
             "hardware",
         ),
         (("batch", "STUDY"), "batch"),
+        (("view", "examples", "--dataset", "examples/servo_pendulum"), "view"),
+        (("watch", "OUT"), "view"),
         (("fit", "examples/servo_pendulum", "--out", "OUT", "--posterior"), "posterior"),
     ],
 )

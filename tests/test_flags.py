@@ -22,8 +22,8 @@ EVERYWHERE = {
     "--seed": ("fit", "diagnose", "compare", "excite"),
     "--seconds": ("diagnose", "compare", "identify"),
 }
-#: Emulators go on until they are stopped: they have no result.
-WITHOUT_RESULT = ("emulate",)
+#: Emulators and pages go on until they are stopped: they have no result.
+WITHOUT_RESULT = ("emulate", "view", "watch")
 
 
 def commands() -> dict[str, click.Command]:

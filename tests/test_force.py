@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 from jaxid.force.covariance import (
     correlation_time,
     covariance_of_rows,
+    no_narrower,
     of_joints,
     of_scores,
     sandwich,
@@ -132,6 +133,13 @@ def test_a_covariance_is_positive_semidefinite_and_no_narrower_than_the_least():
         size = np.sqrt(np.diag(made))
         assert np.linalg.eigvalsh(made / size / size[:, None]).min() > -1e-12
         assert np.all(size >= np.sqrt(np.diag(least)) / np.diag(slope) * (1 - 1e-9))
+
+
+def test_a_variance_that_rounding_took_is_the_least_one():
+    """Stretched from nothing it would be no number, and so would all that goes with it."""
+    made = np.array([[4.0, 1.0, 1e-3], [1.0, 1.0, 0.0], [1e-3, 0.0, 0.0]])
+    wider = no_narrower(made, np.array([1.0, 4.0, 9.0]))
+    assert np.allclose(wider, [[4.0, 2.0, 0.0], [2.0, 4.0, 0.0], [0.0, 0.0, 9.0]])
 
 
 def test_rows_that_share_noise_count_less():

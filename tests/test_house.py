@@ -9,9 +9,9 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 23.7,
+    measure_house.DENSITY: 23.6,
     "fmt: skip": 14,
-    "lines over 100 columns": 105,
+    "lines over 100 columns": 103,
     "not recorded": 36,
     "functions of more than 15 decisions": 38,
     "calls with 8 or more positional arguments": 6,

@@ -45,7 +45,7 @@ LAYERS = (
     ("report",),
     ("storage.result_files",),
     ("api",),
-    ("benchmark", "doctor", "hardware", "study"),
+    ("benchmark", "doctor", "hardware", "study", "view"),
     ("cli",),
     ("__main__",),
 )

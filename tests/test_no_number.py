@@ -286,7 +286,9 @@ def test_a_force_that_is_no_number_lies_nowhere(bad):
     force, null = np.ones((50, 1)), np.full((4, 50, 1), 0.1)
     force[7] = bad
     found: Any = SimpleNamespace(force=force, null=null, keep=np.ones(50, bool))
-    signature = SimpleNamespace(joints=("q",), outputs=(("q", "rad"),), unit=lambda text: "N m")
+    signature = SimpleNamespace(
+        joints=("q",), outputs=(("q", "rad"),), output_names=["q"], unit=lambda text: "N m"
+    )
     bench: Any = SimpleNamespace(
         binding=SimpleNamespace(chain=SimpleNamespace(signature=signature))
     )
@@ -322,7 +324,7 @@ def test_a_free_run_that_is_no_number_is_astray(bad, first):
 
 @pytest.mark.parametrize("bad", NONE)
 def test_a_run_beside_which_another_diverges_grows_without_end(bad):
-    signature = SimpleNamespace(outputs=(("q", "rad"),), joints=("q",))
+    signature = SimpleNamespace(outputs=(("q", "rad"),), output_names=["q"], joints=("q",))
     mechanism = SimpleNamespace(hidden_states=False)
     chain = SimpleNamespace(signature=signature, mechanism=mechanism, nq=1)
     binding = SimpleNamespace(chain=chain, motions={"a": 1}, experiments=lambda split: [1])

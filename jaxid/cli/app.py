@@ -55,6 +55,8 @@ MODULES = {
     "reproduce": "jaxid.cli.reproduce",
     "emulate": "jaxid.cli.emulate",
     "replay": "jaxid.cli.export",
+    "view": "jaxid.cli.view",
+    "watch": "jaxid.cli.view",
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,15 @@ import click
 from jaxid.cli import terminal
 from jaxid.cli.app import SUCCESS
 from jaxid.cli.options import OUT, output_options
+from jaxid.data.importers import IMPORTERS
 
 
 #: Kinds that are read by a map of channels, whatever a file turns out to be.
 TABLES = ("csv", "mat", "npz", "json", "torch", "tdms", "parquet", "lvm")
-KINDS = ("emps", "ur_rtde_csv", "rosbag", "mcap", "lerobot", *TABLES)
+KINDS = (*IMPORTERS, *TABLES)
+TABLE_OPTIONS = ("channels", "join", "rows", "rate", "separator", "decimal", "header", "first")
+#: Options whose values have another name than the option.
+SPELLED = {"channels": "channel", "ranges": "range"}
 
 
 def interval(_ctx, _param, value: str | None) -> tuple[int, int] | None:
@@ -37,6 +41,11 @@ def header_row(_ctx, _param, value: str | None) -> int | None:
     if not value.isdigit() or int(value) < 1:
         raise click.BadParameter("write the number of the row as an editor shows it, or none")
     return int(value)
+
+
+def listed(_ctx, _param, value: str | None) -> tuple[str, ...]:
+    """`A,B,…`."""
+    return tuple(filter(None, (value or "").split(",")))
 
 
 OVERWRITE = click.option(
@@ -106,12 +115,12 @@ RATE = click.option(
 )
 @click.option(
     "--command-joints",
+    callback=listed,
     metavar="A,B,…",
     help="rosbag, mcap: the joints of a command without names, in its order.",
 )
 @click.option(
     "--unit",
-    "units",
     multiple=True,
     metavar="[NAME=]U",
     help="lerobot: the unit of states and actions; repeat it.",
@@ -174,53 +183,38 @@ def _convert(
     kind: str, files: Any, out: Path, overwrite: bool, options: dict[str, Any]
 ) -> tuple[Path, str]:
     """The folder, and the command that says what was recognised."""
-    from jaxid.data.importers import emps as importers, robot
+    from jaxid.lazy import at
+
+    given = {name: value for name, value in options.items() if value not in (None, ())}
+    if kind in TABLES:
+        _refuse_others(kind, given, TABLE_OPTIONS)
+        return _convert_table(files, out, overwrite, options)
+    importer = IMPORTERS[kind]
+    _refuse_others(kind, given, importer.options)
+    return at(importer.place)(files, out, overwrite=overwrite, **given), ""
+
+
+def _refuse_others(kind: str, given: Iterable[str], allowed: Sequence[str]) -> None:
     from jaxid.errors import UsageError
 
-    tables = ("channels", "join", "rows", "rate", "separator", "decimal", "header", "first")
-    own = {
-        "lerobot": ("units", "calibration", "ranges"),
-        **dict.fromkeys(("rosbag", "mcap"), ("topic", "command_topic", "command_joints")),
-    }
-    allowed = tables if kind in TABLES else own.get(kind, ())
-    for name, value in options.items():
-        if name not in allowed and value not in (None, ()):
-            said = {"channels": "channel", "units": "unit", "ranges": "range"}.get(
-                name, name
-            ).replace("_", "-")
+    for name in given:
+        if name not in allowed:
+            said = SPELLED.get(name, name).replace("_", "-")
             raise UsageError(f"--{said} has no meaning for recordings of kind {kind!r}")
-    if kind in TABLES:
-        from jaxid.data.importers.map import import_table
-        from jaxid.data.importers.text import separator_of, StatedFormat
 
-        stated = StatedFormat(
-            separator_of(options["separator"]),
-            options["decimal"],
-            options["header"],
-            options["first"],
-        )
-        chosen = {k: options[k] for k in ("channels", "join", "rows", "rate")}
-        done = import_table(files, out, stated=stated, overwrite=overwrite, **chosen)
-        return done.folder, done.command
-    converters: dict[str, Callable[..., Path]] = {
-        "emps": importers.import_emps,
-        "ur_rtde_csv": robot.import_ur_rtde_csv,
-        "rosbag": robot.import_rosbag,
-        "mcap": robot.import_mcap,
-        "lerobot": robot.import_lerobot,
-    }
-    more: dict[str, Any] = {}
-    if kind == "lerobot":
-        more = {
-            "unit": options["units"] or None,
-            "calibration": options["calibration"],
-            "ranges": options["ranges"],
-        }
-    elif kind in own:
-        joints = tuple(j for j in (options["command_joints"] or "").split(",") if j)
-        more = {
-            "topic": options["topic"],
-            "command_topic": options["command_topic"],
-            "command_joints": joints,
-        }
-    return converters[kind](files, out, overwrite=overwrite, **more), ""
+
+def _convert_table(
+    files: Any, out: Path, overwrite: bool, options: dict[str, Any]
+) -> tuple[Path, str]:
+    from jaxid.data.importers.map import import_table
+    from jaxid.data.importers.text import separator_of, StatedFormat
+
+    stated = StatedFormat(
+        separator_of(options["separator"]),
+        options["decimal"],
+        options["header"],
+        options["first"],
+    )
+    chosen = {k: options[k] for k in ("channels", "join", "rows", "rate")}
+    done = import_table(files, out, stated=stated, overwrite=overwrite, **chosen)
+    return done.folder, done.command

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import click
@@ -57,6 +60,9 @@ def _common(command: Callable) -> Callable:
             type=click.Path(),
             metavar="TRAJECTORY",
             help="A file, or a folder of `jaxid excite`.",
+        ),
+        click.option(
+            "--watch", is_flag=True, help="Show it in the browser, as `jaxid watch` does."
         ),
         click.option("--live", is_flag=True, help="Move. Without it a path is only checked."),
         click.option(
@@ -197,7 +203,29 @@ def recover(folder, as_json, quiet) -> int:
     return SUCCESS
 
 
-def _record(device, out, play, limits, sensors, as_json, quiet, gain, constants, **options) -> int:
+@contextmanager
+def _watched(out: Path, model: str | None) -> Iterator[None]:
+    """While this is open, `jaxid watch` shows the recording: in a process of its own, which costs
+    the recording no time.
+    """
+    from jaxid.extras import required
+
+    required("bokeh")
+    required("tornado")
+    words = [sys.executable, "-m", "jaxid", "watch", str(out)]
+    if model is not None:
+        words += ["--model", model]
+    shown = subprocess.Popen(words, stdout=sys.stderr, start_new_session=True)
+    try:
+        yield
+    finally:
+        shown.terminate()
+        shown.wait()
+
+
+def _record(
+    device, out, play, limits, sensors, as_json, quiet, gain, constants, watch, **options
+) -> int:
     from jaxid.hardware import HardwareError, Limits, record, SensorSpec, Trajectory
 
     if play is not None:
@@ -207,8 +235,9 @@ def _record(device, out, play, limits, sensors, as_json, quiet, gain, constants,
     # A batch system ends a job with SIGTERM, a lost connection with SIGHUP, and a shell has
     # background jobs ignore SIGINT: the device is let go in any case.
     before = {n: signal.signal(n, signal.default_int_handler) for n in {signal.SIGINT, *ending()}}
+    shown = _watched(out, options.get("model")) if watch else nullcontext()
     try:
-        with terminal.Progress(quiet) as progress:
+        with shown, terminal.Progress(quiet) as progress:
             result = record(
                 device,
                 out,

@@ -8,6 +8,7 @@ from typing import Any
 
 from jaxid.data.dataset import Dataset
 from jaxid.display import Displayed
+from jaxid.serialise import plain
 from jaxid.wording import one_line
 
 
@@ -61,19 +62,21 @@ class DataFinding:
 
     def to_dict(self) -> dict[str, Any]:
         """The form in which it stands in every result's JSON."""
-        return {
-            "kind": self.kind,
-            "channel": self.channel,
-            "value": self.value,
-            "interval_95": None if self.interval_95 is None else list(self.interval_95),
-            "gap_before": self.gap_before,
-            "gap_if_mended": self.gap_if_mended,
-            "decisive": self.decisive,
-            "applied": self.applied,
-            "line": self.line,
-            "same_as": [{"kind": kind, "channel": channel} for kind, channel in self.same_as],
-            "text": self.text,
-        }
+        return plain(
+            {
+                "kind": self.kind,
+                "channel": self.channel,
+                "value": self.value,
+                "interval_95": self.interval_95,
+                "gap_before": self.gap_before,
+                "gap_if_mended": self.gap_if_mended,
+                "decisive": self.decisive,
+                "applied": self.applied,
+                "line": self.line,
+                "same_as": [{"kind": kind, "channel": channel} for kind, channel in self.same_as],
+                "text": self.text,
+            }
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,19 +99,21 @@ class Checked(Displayed):
         from jaxid.numerics.versions import versions
         from jaxid.serialise import model_digest, SCHEMA
 
-        return {
-            "schema": SCHEMA,
-            "kind": "check",
-            "dataset": self.dataset,
-            "dataset_sha256": self.dataset_sha256,
-            "model": self.model,
-            **model_digest(self.model_sha256),
-            "usable": self.usable,
-            **as_data(self.findings),
-            "wall_time_s": self.wall_time_s,
-            "notes": list(self.notes),
-            "versions": versions(),
-        }
+        return plain(
+            {
+                "schema": SCHEMA,
+                "kind": "check",
+                "dataset": self.dataset,
+                "dataset_sha256": self.dataset_sha256,
+                "model": self.model,
+                **model_digest(self.model_sha256),
+                "usable": self.usable,
+                **as_data(self.findings),
+                "wall_time_s": self.wall_time_s,
+                "notes": self.notes,
+                "versions": versions(),
+            }
+        )
 
 
 def data_lines(findings: Sequence[DataFinding]) -> list[str]:

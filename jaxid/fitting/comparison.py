@@ -12,7 +12,7 @@ import numpy as np
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.display import Displayed, displays
 from jaxid.numerics.versions import versions
-from jaxid.serialise import model_digest, SCHEMA
+from jaxid.serialise import model_digest, plain, SCHEMA
 
 
 if TYPE_CHECKING:
@@ -81,21 +81,23 @@ class Summary:
     compile_time_s: float  # the largest of a run: the first compiles, the others share its programs
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "fitter": self.fitter,
-            "runs": self.runs,
-            "successes": self.successes,
-            "success_interval_95": list(self.success_interval_95),
-            "successes_in_time": self.in_time,
-            "success_in_time_interval_95": list(self.in_time_interval_95),
-            "evaluations_to_target": self.evaluations_to_target.to_dict(),
-            "seconds_to_target": self.seconds_to_target.to_dict(),
-            "expected_evaluations": self.expected_evaluations,
-            "loss": self.loss.to_dict(),
-            "evaluations": self.evaluations,
-            "seconds": self.seconds,
-            "compile_time_s": self.compile_time_s,
-        }
+        return plain(
+            {
+                "fitter": self.fitter,
+                "runs": self.runs,
+                "successes": self.successes,
+                "success_interval_95": self.success_interval_95,
+                "successes_in_time": self.in_time,
+                "success_in_time_interval_95": self.in_time_interval_95,
+                "evaluations_to_target": self.evaluations_to_target,
+                "seconds_to_target": self.seconds_to_target,
+                "expected_evaluations": self.expected_evaluations,
+                "loss": self.loss,
+                "evaluations": self.evaluations,
+                "seconds": self.seconds,
+                "compile_time_s": self.compile_time_s,
+            }
+        )
 
 
 @dataclass(frozen=True)
@@ -201,31 +203,33 @@ class Comparison(Displayed):
         return frame(rows, (*columns, *names))
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "schema": SCHEMA,
-            "kind": "comparison",
-            "model": self.model,
-            "effects": list(self.effects),
-            "dataset": self.dataset,
-            "dataset_sha256": self.dataset_sha256,
-            **model_digest(self.model_sha256),
-            "residual": self.residual,
-            "loss_name": self.loss_name,
-            "budget": self.budget,
-            "limit_s": self.limit_s,
-            "starts": self.starts,
-            "tolerance": self.tolerance,
-            "best_loss": self.best_loss,
-            "target": self.target,
-            "common_time_s": self.common_time,
-            "best": {name: k.to_dict() for name, k in self.best.items()},
-            "fitters": [s.to_dict() for s in self.table],
-            "runs": [self._row(r) for r in self.runs],
-            "wall_time_s": self.wall_time_s,
-            **as_data(self.data),
-            "notes": list(self.notes),
-            "versions": versions(),
-        }
+        return plain(
+            {
+                "schema": SCHEMA,
+                "kind": "comparison",
+                "model": self.model,
+                "effects": self.effects,
+                "dataset": self.dataset,
+                "dataset_sha256": self.dataset_sha256,
+                **model_digest(self.model_sha256),
+                "residual": self.residual,
+                "loss_name": self.loss_name,
+                "budget": self.budget,
+                "limit_s": self.limit_s,
+                "starts": self.starts,
+                "tolerance": self.tolerance,
+                "best_loss": self.best_loss,
+                "target": self.target,
+                "common_time_s": self.common_time,
+                "best": self.best,
+                "fitters": self.table,
+                "runs": [self._row(r) for r in self.runs],
+                "wall_time_s": self.wall_time_s,
+                **as_data(self.data),
+                "notes": self.notes,
+                "versions": versions(),
+            }
+        )
 
     def _row(self, run: FitterRun) -> dict[str, Any]:
         evaluations, seconds = run.reached(self.target)

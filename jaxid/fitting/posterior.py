@@ -36,6 +36,7 @@ from jaxid.problem.problem import FitProblem
 from jaxid.problem.pure_problem import pure, with_noise
 from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
+from jaxid.serialise import plain
 from jaxid.simulation import sample_buffers as samples
 
 
@@ -131,16 +132,18 @@ class Posterior:
             return file.read_bytes()
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "chains": self.chains,
-            "draws": self.diverging.shape[1],
-            "warmup": self.warmup,
-            "divergences": self.divergences,
-            "converged": self.converged,
-            "text": self.statement,
-            "noise_factor": self.noise_factor,
-            "parameters": {name: m.to_dict() for name, m in self.parameters.items()},
-        }
+        return plain(
+            {
+                "chains": self.chains,
+                "draws": self.diverging.shape[1],
+                "warmup": self.warmup,
+                "divergences": self.divergences,
+                "converged": self.converged,
+                "text": self.statement,
+                "noise_factor": self.noise_factor,
+                "parameters": self.parameters,
+            }
+        )
 
 
 def posterior_of(

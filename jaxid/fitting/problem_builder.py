@@ -13,7 +13,7 @@ from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
-from jaxid.problem.momentum import Momentum, told_by
+from jaxid.problem.momentum import told_by
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics, OutputError, Residual, Runs
 from jaxid.simulation import sample_buffers as samples
@@ -131,7 +131,7 @@ class ProblemBuilder:
                 " smaller, the less is left. Take them out of [controller] fit, or use the"
                 " residual output_error"
             )
-        if isinstance(residual, Momentum) and len(free):
+        if residual.momenta and len(free):
             free = told_by(b.layout, list(free))
         runs = self.runs(residual, split)
         priors = b.priors if "fit" in split.split("+") else None  # they count once
@@ -223,7 +223,7 @@ def start_values(
     `residual` of momentum nothing: none may have been recorded.
     """
     b = bench.binding
-    if isinstance(residual, Momentum):
+    if residual is not None and residual.momenta:
         return [b.theta]
     guesses = [b.theta]
     told = [i for i in free if i not in b.gains]

@@ -25,7 +25,7 @@ from jaxid.robots.export.save import ROWS, source_of
 from jaxid.robots.match import driving, named, recorded
 from jaxid.robots.origin import digest
 from jaxid.robots.tree import rotation, Tree
-from jaxid.serialise import SCHEMA
+from jaxid.serialise import plain, SCHEMA
 from jaxid.simulation.mujoco_run import Driven, MujocoRobot
 
 
@@ -49,14 +49,16 @@ class Replay(Printed):
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "schema": SCHEMA,
-            "kind": "replay",
-            "dataset": self.dataset,
-            "robot": self.robot,
-            "per_joint": list(self.rows),
-            "notes": list(self.notes),
-        }
+        return plain(
+            {
+                "schema": SCHEMA,
+                "kind": "replay",
+                "dataset": self.dataset,
+                "robot": self.robot,
+                "per_joint": self.rows,
+                "notes": self.notes,
+            }
+        )
 
     def tables(self) -> dict[str, bytes]:
         """The runs as Parquet: name -> content."""

@@ -4,7 +4,6 @@ report.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, TYPE_CHECKING
 
@@ -14,7 +13,7 @@ from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.display import Displayed, displays
 from jaxid.fitting.exportable import Exportable
 from jaxid.numerics.versions import versions
-from jaxid.serialise import model_digest, SCHEMA
+from jaxid.serialise import model_digest, plain, SCHEMA
 from jaxid.storage.frames import frame
 
 
@@ -71,7 +70,7 @@ class Covariance:
     matrix: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
-        return {"names": list(self.names), "matrix": self.matrix}
+        return plain({"names": self.names, "matrix": self.matrix})
 
 
 @dataclass(frozen=True)
@@ -83,11 +82,13 @@ class EffectEstimate:
     parameters: dict[str, Estimate] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "effect": self.effect,
-            "location": self.location,
-            "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
-        }
+        return plain(
+            {
+                "effect": self.effect,
+                "location": self.location,
+                "parameters": self.parameters,
+            }
+        )
 
     def __str__(self) -> str:
         return f"{self.effect} at {self.location}"
@@ -230,11 +231,11 @@ class Fit(Displayed, Exportable):
         return frame(rows, FRAME_COLUMNS)
 
     def to_dict(self) -> dict[str, Any]:
-        return {
+        content = {
             "schema": SCHEMA,
             "kind": "fit",
             "model": self.model,
-            "effects": [e.to_dict() for e in self.effects],
+            "effects": self.effects,
             "fitter": self.fitter,
             "residual": self.residual,
             "loss_name": self.loss_name,
@@ -245,14 +246,14 @@ class Fit(Displayed, Exportable):
             "stopped_because": self.stopped_because,
             "loss": self.loss,
             "reweighted_loss": self.reweighted_loss,
-            "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
+            "parameters": self.parameters,
             "simulation": self.simulation,
-            **{split: _scores_dict(rows) for split, rows in self.scores.items()},
-            "free_run": {split: _scores_dict(rows) for split, rows in self.free_run.items()},
-            "windowed": _scores_dict(self.windowed),
-            "correlated": [list(g) for g in self.correlated],
-            "stated": [s.to_dict() for s in self.stated],
-            "how_far": {"per_joint": list(self.per_joint)},
+            **self.scores,
+            "free_run": self.free_run,
+            "windowed": self.windowed,
+            "correlated": self.correlated,
+            "stated": self.stated,
+            "how_far": {"per_joint": self.per_joint},
             **with_origin(self),
             "evaluations": self.evaluations,
             "wall_time_s": self.wall_time_s,
@@ -261,17 +262,17 @@ class Fit(Displayed, Exportable):
             "dataset_sha256": self.dataset_sha256,
             **model_digest(self.model_sha256),
             "versions": versions(),
-            "notes": list(self.notes),
-            **({"recursion": [s.to_dict() for s in self.recursion]} if self.recursion else {}),
-            **({} if self.posterior is None else {"posterior": self.posterior.to_dict()}),
-        } | as_data(self.data)
+            "notes": self.notes,
+            **as_data(self.data),
+        }
+        if self.recursion:
+            content["recursion"] = self.recursion
+        if self.posterior is not None:
+            content["posterior"] = self.posterior
+        return plain(content)
 
     def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:
         """Draws a channel (default: the first) as measured and as simulated, on data that were not
         fitted where there are any.
         """
         return displays().picture(self, channel, ax)
-
-
-def _scores_dict(rows: Mapping[str, Score]) -> dict[str, Any]:
-    return {channel: score.to_dict() for channel, score in rows.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast, TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -22,13 +22,16 @@ from jaxid.fitting.reweighting import reweighed
 from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
 from jaxid.problem.binding import Binding
-from jaxid.problem.momentum import Momentum
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
 from jaxid.runtime import Interrupted
 from jaxid.simulation import sample_buffers as samples
 from jaxid.storage.interim import Interim
+
+
+if TYPE_CHECKING:
+    from jaxid.problem.momentum import Momentum
 
 
 #: A fit that took less is soon made again: nothing is saved before its end.
@@ -45,8 +48,11 @@ def fit_binding(
     progress: Progress | None,
 ) -> Fit:
     """The whole of `jaxid.fit` once model and data are bound."""
-    if isinstance(residual, Momentum) and binding.chain.timed:
-        return fit_change(binding, fitter, residual, loss, seed, budget, progress)
+    momenta = None
+    if residual is not None and residual.momenta:
+        momenta = cast("Momentum", residual)
+    if momenta is not None and binding.chain.timed:
+        return fit_change(binding, fitter, momenta, loss, seed, budget, progress)
     known, benches = Interim(after=WORTH_SAVING_S), ProblemBuilders(binding)
 
     def fitted(residual: Residual | None, begin: np.ndarray | None, spent: int) -> Fit:
@@ -67,8 +73,8 @@ def fit_binding(
 
     try:
         fit = fitted(residual, None, 0)
-        if isinstance(residual, Momentum):
-            return noticed(binding, residual, fit)
+        if momenta is not None:
+            return noticed(binding, momenta, fit)
         free = residual is None and default_residual(binding).free_run and loss == "sum_of_squares"
         if not free or (budget is not None and fit.evaluations >= budget):
             return fit
@@ -305,7 +311,7 @@ class ProblemBuilders:
         key = repr(residual), loss
         if key not in self._starts:
             guesses = start_values(bench, self.binding.free, seed, residual=residual)
-            if isinstance(residual, Momentum):
+            if residual.momenta:
                 return self._starts.setdefault(key, guesses)
             problem = bench.problem(residual, "fit", self.binding.free, guesses[0], loss=loss)
             self._starts[key] = [*guesses, *probe_starts(bench, problem, guesses[0])]

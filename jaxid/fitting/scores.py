@@ -11,7 +11,7 @@ from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Score, Trace
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
-from jaxid.problem.momentum import Momentum, of_the_joints
+from jaxid.problem.momentum import of_the_joints
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import OutputError, Residual
 from jaxid.simulation import sample_buffers as samples
@@ -147,7 +147,7 @@ def torque_scores(
     runs = problem.runs
     out = {}
     missing = np.concatenate(problem.predictions(problem.z(theta)))
-    if isinstance(residual, Momentum):
+    if residual.momenta:
         drive = of_the_joints(problem, theta)
     else:
         from jaxid.force.torque_filter import measured_torque

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.display import Printed
-from jaxid.serialise import model_digest, SCHEMA
+from jaxid.serialise import model_digest, plain, SCHEMA
 
 
 @dataclass(frozen=True, repr=False)
@@ -34,13 +34,15 @@ class Simulation(Printed):
     """Of the file of a model of the user's own."""
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "schema": SCHEMA,
-            "kind": "simulation",
-            "model": self.model,
-            **model_digest(self.model_sha256),
-            "solver": self.solver,
-            "rmse": list(self.rmse),
-            "units": self.units,
-            "notes": list(self.notes),
-        }
+        return plain(
+            {
+                "schema": SCHEMA,
+                "kind": "simulation",
+                "model": self.model,
+                **model_digest(self.model_sha256),
+                "solver": self.solver,
+                "rmse": self.rmse,
+                "units": self.units,
+                "notes": self.notes,
+            }
+        )

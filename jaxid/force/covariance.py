@@ -140,13 +140,19 @@ def sandwich(
     return positive(no_narrower(made, np.diag(inverse @ least @ inverse.T)))
 
 
+#: Share of the least variance below which a variance is rounding.
+SMALLEST = 1e-12
+
+
 def no_narrower(
     covariance: Float[np.ndarray, "numbers numbers"], least: Float[np.ndarray, " numbers"]
 ) -> Float[np.ndarray, "numbers numbers"]:
     """A covariance with variances of at least `least`; its correlations stay."""
-    own = np.maximum(np.diag(covariance), 1e-300)
-    stretch = np.sqrt(np.maximum(1.0, least / own))
-    return covariance * stretch * stretch[:, None]
+    own = np.diag(covariance)
+    told = own > SMALLEST * least  # of less than that, correlations are rounding
+    stretch = np.sqrt(np.maximum(1.0, least / np.where(told, own, np.inf)))
+    wider = np.where(told & told[:, None], covariance, 0.0) * stretch * stretch[:, None]
+    return wider + np.diag(np.where(told, 0.0, least))
 
 
 @dataclass(frozen=True)

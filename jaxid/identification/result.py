@@ -14,7 +14,7 @@ from jaxid.display import Displayed
 from jaxid.fitting.exportable import Exportable
 from jaxid.identification.payload import PayloadEstimate
 from jaxid.numerics.versions import versions
-from jaxid.serialise import SCHEMA
+from jaxid.serialise import plain, SCHEMA
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,16 @@ class RunScore:
             "relative_error": self.unfiltered_relative_error,
             "rmse_per_joint": list(self.unfiltered_rmse_per_joint),
         }
-        return {
-            "file": self.file,
-            "split": self.split,
-            "relative_error": self.relative_error,
-            "relative_error_per_joint": list(self.relative_error_per_joint),
-            "rmse_per_joint": list(self.rmse_per_joint),
-            "unfiltered": unfiltered,
-        }
+        return plain(
+            {
+                "file": self.file,
+                "split": self.split,
+                "relative_error": self.relative_error,
+                "relative_error_per_joint": self.relative_error_per_joint,
+                "rmse_per_joint": self.rmse_per_joint,
+                "unfiltered": unfiltered,
+            }
+        )
 
 
 @dataclass(frozen=True)

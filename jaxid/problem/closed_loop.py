@@ -29,7 +29,6 @@ from jaxid.problem.residual import (
     overrides,
     record_of,
     Residual,
-    RESIDUALS,
     Runs,
     Simulation,
 )
@@ -225,6 +224,3 @@ def input_noise(experiments: Sequence[Experiment], inputs: Sequence[int]) -> np.
         span = float(np.percentile(np.abs(np.concatenate(series)), 99))
         out.append(max(1.4826 * float(np.median(np.abs(third))), 1e-3 * span, 1e-12))
     return np.array(out)
-
-
-RESIDUALS[ClosedLoopOutputError.name] = ClosedLoopOutputError

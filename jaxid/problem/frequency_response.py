@@ -24,7 +24,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
-from jaxid.problem.residual import overrides, record_of, Residual, RESIDUALS, Runs, Simulation
+from jaxid.problem.residual import overrides, record_of, Residual, Runs, Simulation
 from jaxid.problem.response_lines import estimate, merged, parts_of
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import BatchSimulator
@@ -422,9 +422,6 @@ def _position(name: str, names: Sequence[str], kind: str) -> int:
     if name not in names:
         raise UsageError(f"the model has no {kind} {name!r}{nearest(name, names)}")
     return list(names).index(name)
-
-
-RESIDUALS[FrequencyResponseError.name] = FrequencyResponseError
 
 
 def _alike(experiments: Sequence[Experiment]) -> tuple[int, np.ndarray]:

@@ -37,7 +37,6 @@ from jaxid.problem.residual import (
     InverseDynamics,
     overrides,
     record_of,
-    RESIDUALS,
     Runs,
     Simulation,
 )
@@ -285,6 +284,3 @@ def of_the_joints(problem: Any, theta: np.ndarray) -> np.ndarray:
             )
             out.append(np.asarray(L)[: len(r.samples)])
     return np.concatenate(out)
-
-
-RESIDUALS[Momentum.name] = Momentum

@@ -12,12 +12,12 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from itertools import chain, pairwise
 from typing import ClassVar, Literal
 
 import numpy as np
 
+from jaxid.catalogue import RESIDUALS
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.noise import edges, Window
 from jaxid.dynamics.chain import Chain
@@ -25,6 +25,7 @@ from jaxid.dynamics.joint_readings import joint_readings, position_matters, star
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.force.torque_filter import decimated_torque_lane, evenly, torque_setting, TorqueSetting
+from jaxid.lazy import at
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
 from jaxid.simulation import sample_buffers as recorded
@@ -121,6 +122,11 @@ class Residual(abc.ABC):
         no start is unknown.
         """
         return self.simulation in ("inverse_dynamics", "momentum")
+
+    @property
+    def momenta(self) -> bool:
+        """Whether a momentum along the measured motion is compared, which no torque tells of."""
+        return self.simulation == "momentum"
 
     @property
     def window(self) -> Window | None:
@@ -450,9 +456,11 @@ def record_of(
     )
 
 
-RESIDUALS: dict[str, type[Residual]] = {
-    r.name: r for r in (OutputError, MultipleShooting, InverseDynamics)
-}
+def residual_class(name: str) -> type[Residual]:
+    """The residual of a name. Raises `UsageError` for one that does not exist."""
+    if name not in RESIDUALS:
+        raise UsageError(f"there is no residual {name!r}{nearest(name, RESIDUALS)}")
+    return at(RESIDUALS[name])
 
 
 def resolve_residual(
@@ -461,24 +469,17 @@ def resolve_residual(
     """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics` and `momentum`. Raises
     `UsageError` for one that does not exist.
     """
-    if residual is not None or cutoff_hz is not None:
-        for module in ("closed_loop", "frequency_response", "momentum"):  # which enter their own
-            import_module(f"jaxid.problem.{module}")
+    kind = residual_class(residual) if isinstance(residual, str) else type(residual)
     if cutoff_hz is not None:
-        name = residual if isinstance(residual, str | None) else residual.name
-        if name not in (InverseDynamics.name, "momentum"):
+        if "cutoff_hz" not in getattr(kind, "__dataclass_fields__", ()):
             raise UsageError(
                 "a cutoff is the low-pass of inverse_dynamics and momentum: give"
                 " residual='inverse_dynamics' (--residual) with it"
             )
         if not cutoff_hz > 0:
             raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")
-        return RESIDUALS[str(name)](cutoff_hz=cutoff_hz)  # type: ignore[call-arg]
-    if isinstance(residual, str):
-        if residual not in RESIDUALS:
-            raise UsageError(f"there is no residual {residual!r}{nearest(residual, RESIDUALS)}")
-        return RESIDUALS[residual]()
-    return residual
+        return kind(cutoff_hz=cutoff_hz)  # type: ignore[call-arg]
+    return kind() if isinstance(residual, str) else residual  # type: ignore[return-value]
 
 
 def _heads(e: Experiment, own: Experiment, part: Callable[[int, int, int], Record]) -> list[Record]:

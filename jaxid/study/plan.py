@@ -36,7 +36,6 @@ MOST = 1_000_000
 #: A study or a dataset.toml above this size is none.
 LARGEST_BYTES = 10_000_000
 SEEDS = 2**31 - 1
-RESIDUAL_NAMES = (*RESIDUALS, "frequency_response")
 
 
 class _StrictTable(BaseModel):
@@ -335,7 +334,7 @@ def _meaningless(
         yield places.problem(
             (*key, name), f"{name!r} has no meaning for the command {entry.command!r}", "Remove it"
         )
-    for name, choices in (("residual", RESIDUAL_NAMES), ("loss", LOSSES)):
+    for name, choices in (("residual", RESIDUALS), ("loss", LOSSES)):
         value = getattr(entry, name)
         if value is not None and value not in choices:
             yield places.problem(

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from jaxid.numerics.versions import versions
 from jaxid.report.display import page
-from jaxid.serialise import SCHEMA
+from jaxid.serialise import plain, SCHEMA
 from jaxid.study.papers.page import reproduction_page
 
 
@@ -72,11 +72,13 @@ class PaperPart(NamedTuple):
     claims: tuple[PaperClaim, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "title": self.title,
-            "text": list(self.text),
-            "tables": [t.to_dict() for t in self.tables],
-        }
+        return plain(
+            {
+                "title": self.title,
+                "text": self.text,
+                "tables": self.tables,
+            }
+        )
 
 
 @dataclass(frozen=True)
@@ -118,21 +120,23 @@ class Reproduction:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "schema": SCHEMA,
-            "kind": "reproduction",
-            "paper": self.paper,
-            "title": self.title,
-            "doi": self.doi,
-            "about": self.about,
-            "budget": self.budget,
-            "headline": self.headline,
-            "claims": [c._asdict() for c in self.claims],
-            "parts": [p.to_dict() for p in self.parts],
-            "notes": list(self.notes),
-            "wall_time_s": self.wall_time_s,
-            "versions": versions(),
-        }
+        return plain(
+            {
+                "schema": SCHEMA,
+                "kind": "reproduction",
+                "paper": self.paper,
+                "title": self.title,
+                "doi": self.doi,
+                "about": self.about,
+                "budget": self.budget,
+                "headline": self.headline,
+                "claims": [c._asdict() for c in self.claims],
+                "parts": self.parts,
+                "notes": self.notes,
+                "wall_time_s": self.wall_time_s,
+                "versions": versions(),
+            }
+        )
 
 
 page.register(Reproduction, reproduction_page)

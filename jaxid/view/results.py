@@ -1,0 +1,125 @@
+"""Results in their folders, run again on their recording with effects switched on or off."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import jaxid
+from jaxid.data.dataset import Dataset
+from jaxid.errors import UsageError
+from jaxid.serialise import with_effects
+from jaxid.wording import one_line
+
+
+#: Files that tell the numbers of a model.
+KINDS = ("diagnosis.json", "fit.json")
+#: Samples of a run that are drawn.
+DRAWN = 4000
+
+
+@dataclass(frozen=True)
+class SavedResult:
+    """One result: its name on the page, the content of its file, and its effects by label."""
+
+    name: str
+    content: dict[str, Any]
+    effects: dict[str, dict[str, Any]]
+
+    def without(self, off: frozenset[str]) -> dict[str, Any]:
+        """The content where these effects are switched off."""
+        kept = [effect for label, effect in self.effects.items() if label not in off]
+        return {**self.content, "effects": kept}
+
+
+def read_results(folders: Sequence[Path]) -> list[SavedResult]:
+    """The results in these folders. Raises `UsageError` for one that has none."""
+    found = []
+    for folder in folders:
+        files = [folder / kind for kind in KINDS if (folder / kind).is_file()]
+        if folder.is_file():
+            files = [folder]
+        if not files:
+            raise UsageError(f"{folder}: neither diagnosis.json nor fit.json is in it")
+        try:
+            content = with_effects(json.loads(files[0].read_text(encoding="utf-8")))
+            content = {**content, "model": content["model"], "parameters": content["parameters"]}
+            effects = {f"{e['effect']} at {e['location']}": e for e in content["effects"]}
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UsageError(f"{files[0]} is no result of jaxid ({error})") from error
+        found.append(SavedResult(one_line(folder.name or folder), content, effects))
+    return found
+
+
+class Viewer:
+    """Free runs of results on one recording; each is simulated when it is asked for, and kept."""
+
+    def __init__(self, results: Sequence[SavedResult], dataset: Dataset, model: str | None = None):
+        self.results, self.model = list(results), model
+        self.dataset = self._as_fitted(dataset)
+        self._kept: dict[tuple[int, frozenset[str]], Any] = {}
+        self._lock = threading.Lock()
+
+    def _as_fitted(self, dataset: Dataset) -> Dataset:
+        """The recording with what its check mended, where a result was made of that."""
+        if not any(r.content.get("data") for r in self.results):
+            return dataset
+        model = self.model or self.results[0].content["model"]
+        named = None if dataset.model is not None else model
+        return jaxid.check(self.model or named, dataset).mended or dataset
+
+    @property
+    def runs(self) -> list[str]:
+        return [one_line(f"{e.name} ({e.split})") for e in self.dataset.experiments]
+
+    @property
+    def outputs(self) -> dict[str, str]:
+        """Name -> unit of what is simulated."""
+        return dict(self._simulated(0, frozenset()).units)
+
+    def other_data(self) -> list[str]:
+        """Results that were made of another recording than the one that is shown."""
+        own = {self.dataset.sha256}
+        return [
+            r.name
+            for r in self.results
+            if r.content.get("dataset_sha256") not in own and not r.content.get("data")
+        ]
+
+    def series(self, run: int, off: Sequence[frozenset[str]]) -> dict[str, Any]:
+        """Of a run, thinned: `t`, and by output what was `measured`, what each result simulates and
+        its rms error over all samples.
+        """
+        experiment = self.dataset.experiments[run]
+        step = max(1, -(-len(experiment.t) // DRAWN))
+        thin = slice(None, None, step)
+        column = {c.name: k for k, c in enumerate(self.dataset.outputs)}
+        channels: dict[str, Any] = {}
+        for name in self.outputs:
+            measured = experiment.y[:, column[name]]
+            simulated, errors = [], []
+            for number, switched in enumerate(off):
+                y = np.asarray(self._simulated(number, switched).runs[run][name])
+                simulated.append(y[thin])
+                errors.append(float(np.sqrt(np.nanmean((y - measured) ** 2))))
+            channels[name] = {
+                "measured": measured[thin],
+                "simulated": simulated,
+                "rms": errors,
+            }
+        return {"t": experiment.t[thin], "channels": channels}
+
+    def _simulated(self, number: int, off: frozenset[str]) -> Any:
+        key = number, off
+        with self._lock:  # one simulation at a time: they share programs
+            if key not in self._kept:
+                content = self.results[number].without(off)
+                named = self.model if self.dataset.model is None or self.model else None
+                self._kept[key] = jaxid.simulate(named, self.dataset, content)
+            return self._kept[key]

@@ -1,0 +1,252 @@
+"""`jaxid view` and `jaxid watch`: who is answered, what is drawn, and what is known by when."""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import json
+import re
+import shutil
+import subprocess
+import threading
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+import jaxid
+from emulators import Emulator
+from jaxid.hardware import Dynamixel, record
+from jaxid.view.recording import excitation, turns, watch_site, Watcher
+from jaxid.view.server import Site
+
+
+pytest.importorskip("bokeh")
+
+BROWSER = next(
+    (b for b in ("chromium", "chromium-browser", "google-chrome", "chrome") if shutil.which(b)),
+    None,
+)
+BROWSED = pytest.mark.skipif(BROWSER is None, reason="no Chromium here: no page was looked at")
+NUMBERS = {"inertia": 0.05, "gravity_torque": 1.0, "viscous": 0.05, "coulomb": 0.05, "offset": 0.01}
+
+
+@contextmanager
+def served(site: Site) -> Iterator[str]:
+    """The site on a thread; its address."""
+    ready, stop = threading.Event(), asyncio.Event()
+    loop = asyncio.new_event_loop()
+
+    def work() -> None:
+        loop.run_until_complete(site.serve(0, lambda _: ready.set(), stop))
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    assert ready.wait(60)
+    try:
+        yield site.address
+    finally:
+        loop.call_soon_threadsafe(stop.set)
+        thread.join(30)
+        loop.close()
+
+
+def status(url: str, **headers: str) -> int:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def asked(site: Site, name: str, **parameters: str) -> Any:
+    """What an address answers to who has the cookie."""
+    url = f"http://127.0.0.1:{site.port}/{name}?{urllib.parse.urlencode(parameters)}"
+    cookie = f"jaxid{site.port}={site.token}"
+    with urllib.request.urlopen(urllib.request.Request(url, headers={"Cookie": cookie})) as answer:
+        return json.loads(answer.read())
+
+
+def browsed(address: str, folder: Path) -> str:
+    """The page as a browser has built it."""
+    assert BROWSER is not None
+    command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+    command += [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=30000", address]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=250, check=True)
+    return html.unescape(shown.stdout)
+
+
+def motion(seconds: float = 6.0) -> tuple[np.ndarray, np.ndarray]:
+    t = np.arange(0.0, seconds, 0.01)
+    return t, 0.9 * np.sin(3 * t) + 0.6 * np.sin(7.1 * t + 1)
+
+
+def dataset(q: np.ndarray, t: np.ndarray, tau: np.ndarray) -> jaxid.Dataset:
+    return jaxid.Dataset.from_arrays(
+        t,
+        {"tau": tau},
+        {"q": q},
+        units={"tau": "N m", "q": "rad"},
+        noise_std={"q": 1e-4},
+        model="pendulum",
+        at_rest=True,
+    )
+
+
+def content(width: float | None) -> dict[str, Any]:
+    """A result as its file holds it."""
+    effects = []
+    if width is not None:
+        numbers = {"width": {"value": width}}
+        effects = [{"effect": "dead_zone", "location": "tau", "parameters": numbers}]
+    parameters = {name: {"value": value} for name, value in NUMBERS.items()}
+    return {"kind": "fit", "model": "pendulum", "parameters": parameters, "effects": effects}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory) -> Path:
+    """A folder with a recording of a pendulum with a dead zone, and two results."""
+    folder = tmp_path_factory.mktemp("view")
+    t, tau = motion()
+    still = dataset(0.1 * t, t, tau)
+    q = np.asarray(jaxid.simulate("pendulum", still, content(0.2)).runs[0]["q"])
+    data = dataset(q + 1e-4 * np.random.default_rng(0).normal(size=t.size), t, tau)
+    jaxid.save_dataset(data, folder / "data")
+    for name, width in (("with", 0.2), ("without", None)):
+        (folder / name).mkdir()
+        (folder / name / "fit.json").write_text(json.dumps(content(width)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def site(recorded) -> Site:
+    from jaxid.view.compare import results_site
+    from jaxid.view.results import read_results, Viewer
+
+    results = read_results([recorded / "with", recorded / "without"])
+    return results_site(Viewer(results, jaxid.load_dataset(recorded / "data")))
+
+
+def test_only_who_has_the_token_is_answered():
+    site = Site("<p>page</p>", {}, {"told": lambda _: {"a": 1}})
+    with served(site) as address:
+        base = address.partition("?")[0]
+        cookie = f"jaxid{site.port}={site.token}"
+        assert status(base) == status(f"{base}?token=wrong") == status(f"{base}told") == 403
+        assert status(address) == 200
+        assert status(f"{base}told", Cookie=cookie) == 200
+        assert status(f"{base}told", Cookie=f"jaxid{site.port}=wrong") == 403
+        assert status(f"{base}told", Cookie=cookie, Host="attacker.example") == 403
+        assert status(f"{base}../../etc/passwd", Cookie=cookie) == 404
+        assert status(f"{base}told?token={site.token}") == 403, "the token opens the page alone"
+
+
+def test_nothing_listens_beyond_the_loopback():
+    before = {c.laddr for c in psutil.Process().net_connections() if c.status == "LISTEN"}
+    with served(Site("", {}, {})):
+        after = {c.laddr for c in psutil.Process().net_connections() if c.status == "LISTEN"}
+        assert {address.ip for address in after - before} == {"127.0.0.1"}
+
+
+def test_a_switched_off_effect_changes_its_own_free_run_alone(site):
+    with served(site):
+        about = asked(site, "about")
+        on = asked(site, "series", run="0", off="[[], []]")
+        off = asked(site, "series", run="0", off='[["dead_zone at tau"], []]')
+        refused = asked(site, "series", run="7", off="[[], []]")
+    assert [r["effects"] for r in about["results"]] == [["dead_zone at tau"], []]
+    assert on["rms"]["q"][0] < 3e-4 < 0.01 < on["rms"]["q"][1]
+    assert off["rms"]["q"][0] == off["rms"]["q"][1] == on["rms"]["q"][1]
+    assert off["simulated"]["q"][0]["y"] != on["simulated"]["q"][0]["y"]
+    assert "no such run" in refused["error"]
+
+
+@BROWSED
+@pytest.mark.timeout(600)
+def test_results_lie_over_each_other_in_a_browser(site, tmp_path):
+    with served(site) as address:
+        shown = browsed(address, tmp_path)
+        switched = browsed(f"{address}&off=dead_zone%20at%20tau", tmp_path)
+    assert "bk-GridPlot" in shown and "Content Security" not in shown
+    errors = [
+        re.findall(r"q: with (\S+) rad, without (\S+) rad", page) for page in (shown, switched)
+    ]
+    (good, bad), (same, other) = errors[0][0], errors[1][0]
+    assert float(good) < 3e-4 < float(bad)
+    assert same == other == bad
+
+
+def test_a_folder_without_a_result_is_refused(tmp_path):
+    from jaxid.view.results import read_results
+
+    with pytest.raises(jaxid.UsageError, match="neither diagnosis.json nor fit.json"):
+        read_results([tmp_path])
+    (tmp_path / "fit.json").write_text("{}")
+    with pytest.raises(jaxid.UsageError, match="no result of jaxid"):
+        read_results([tmp_path])
+
+
+# ---- a recording while it is made
+
+
+def test_numbers_become_known_as_the_motion_goes_on(recorded, tmp_path):
+    t, tau = motion()
+    data = jaxid.load_dataset(recorded / "data")
+    run = data.experiments[0]
+    first = t < 2.0
+    jaxid.save_dataset(dataset(run.y[first, 0], t[first], tau[first]), tmp_path / "short")
+    early = Watcher(tmp_path / "short").look()
+    assert "less than 3 s" in early["waiting"] and "numbers" not in early
+    late = Watcher(recorded / "data").look()
+    assert late["state"] == "the recording has ended"
+    assert late["excitation"][0]["range"] > 0.5 and late["excitation"][0]["turns"] >= 2
+    known = {row["name"]: row["known"] for row in late["numbers"]}
+    assert known["inertia"] and known["gravity_torque"]
+    assert late["enough"] == all(known.values())
+    none = Watcher(recorded / "data", known=1e-6).look()
+    assert not none["enough"]
+
+
+def test_turns_are_counted_beyond_the_noise():
+    t = np.linspace(0, 10, 2001)
+    wave = np.sin(2 * np.pi * t) + 0.01 * np.random.default_rng(0).normal(size=t.size)
+    assert turns(wave) in (19, 20, 21)
+    assert turns(np.zeros(5)) == 0
+    assert excitation(dataset(wave, t, wave))[0]["unit"] == "rad"
+
+
+@pytest.mark.realtime
+@BROWSED
+@pytest.mark.timeout(600)
+def test_a_servo_is_watched_while_it_is_recorded(tmp_path):
+    emulator = Emulator.servo(tmp_path)
+    out = tmp_path / "out"
+    watcher = Watcher(out)
+    try:
+        servo = Dynamixel(emulator.address, [1], rate=100.0)
+        thread = threading.Thread(target=record, args=(servo, out), kwargs={"seconds": 20.0})
+        thread.start()
+        until = time.monotonic() + 15
+        while not watcher.rows() and time.monotonic() < until:
+            time.sleep(0.1)
+        assert watcher.look()["state"] == "recording"
+        channels = watcher.rows()
+        with served(watch_site(watcher)) as address:
+            watcher.begin()
+            shown = browsed(address, tmp_path)
+        thread.join(60)
+    finally:
+        watcher.stop()
+        emulator.close()
+    assert any(name.startswith("q") for name in channels)
+    assert "bk-GridPlot" in shown
+    assert (out / "dataset.toml").is_file(), "looking on does nothing to the recording"
+    assert not list(out.glob("*.recording"))
