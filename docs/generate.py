@@ -10,6 +10,8 @@ import re
 import shutil
 from pathlib import Path
 
+import effect_pages
+
 
 #: Models whose equivalences the atlas quotes.
 QUOTED = ("joint", "pendulum", "planar_arm")
@@ -56,6 +58,7 @@ def write(folder: Path, root: Path) -> None:
     file = kept / "equivalences.json"
     alike = json.loads(file.read_text()) if file.is_file() else {}
     (folder / "effects.md").write_text(effects(pictures, alike), encoding="utf-8")
+    effect_pages.write(folder / "effects", pictures, lambda name: _mates(name, alike))
     (folder / "models.md").write_text(models(), encoding="utf-8")
     (folder / "fitters.md").write_text(fitters(), encoding="utf-8")
     (folder / "thresholds.md").write_text(thresholds(), encoding="utf-8")
@@ -150,6 +153,10 @@ def effects(pictures: Path, alike: dict) -> str:
             if mates := _mates(info.name, alike):
                 out += ["Cannot be told from", f": {mates}", ""]
             out += ["Where", f": {info.locations}", "", "Source", f": {plain(info.source)}", ""]
+            out += [
+                f"More, and what to write in simulators: [{info.name}](effects/{info.name})",
+                "",
+            ]
             if info.parameters:
                 rows = [
                     [
@@ -162,7 +169,7 @@ def effects(pictures: Path, alike: dict) -> str:
                     for p in info.parameters
                 ]
                 out += [table(["parameter", "unit", "neutral", "bounds", "meaning"], rows), ""]
-    return "\n".join(out)
+    return "\n".join([*out, "```{toctree}", ":hidden:", ":glob:", "", "effects/*", "```", ""])
 
 
 def _mates(effect: str, alike: dict) -> str:

@@ -54,7 +54,7 @@ def prepare(streaming: bool = False) -> None:
         wanted = (LOOP_FLAG, LEVEL_FLAG) if cpu else (LOOP_FLAG,)
         ours = [flag for flag in wanted if flag.split("=")[0].lstrip("-") not in flags]
         os.environ["XLA_FLAGS"] = " ".join([*flags.split(), *ours])
-    # XLA writes to standard error from beneath Python: a program that compiles long is no error, and
+    # XLA writes to standard error from beneath Python. A program that compiles long is no error;
     # what fails raises.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     # NumPy's matrices are small here; more threads only wait for each other (measured: 3 to 5 times

@@ -189,6 +189,24 @@ def test_every_effect_has_a_place_in_the_atlas(monkeypatch, tmp_path):
         assert f"## {fitter}\n" in generate.fitters()
 
 
+def test_every_effect_has_a_page_of_its_own(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    import effect_pages  # pyright: ignore[reportMissingImports]
+
+    effect_pages.write(tmp_path, tmp_path, lambda name: "")
+    written = {file.stem: file.read_text() for file in tmp_path.glob("*.md")}
+    assert set(written) == set(catalogue.effect_names())
+    for name, page in written.items():
+        heads = [line for line in page.splitlines() if line.startswith("## ")]
+        wanted = ("looks like", "Where", "Equation", "confused", "record", "simulator")
+        assert all(any(word in head for head in heads) for word in wanted), name
+        assert catalogue.describe_effect(name).equation in page
+    assert "u - clip(u, -width, width)" in written["dead_zone"]
+    assert "[COMMAND] --> joint" in written["dead_zone"]
+    assert "`damping`" in written["viscous_friction"]
+    assert "mend the time stamps" in written["timestamp_jitter"]
+
+
 def test_the_site_builds_without_warnings(tmp_path):
     """Notebooks without their outputs, which `make docs` computes; in a copy, for the build writes
     pages beside its sources.

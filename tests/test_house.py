@@ -9,13 +9,13 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 23.6,
+    measure_house.DENSITY: 23.5,
     "fmt: skip": 14,
-    "lines over 100 columns": 103,
-    "not recorded": 36,
-    "functions of more than 15 decisions": 38,
-    "calls with 8 or more positional arguments": 6,
-    "comprehensions with a loop or choice inside": 132,
+    "lines over 100 columns": 102,
+    "thresholds without a recorded case": 24,
+    "functions of more than 15 decisions": 37,
+    "calls with 8 or more positional arguments": 5,
+    "comprehensions with a loop or choice inside": 131,
     "named lambdas": 3,
     "class names in two or more modules": 1,
     "effect ids quoted": 3,

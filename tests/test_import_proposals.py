@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import tomllib
 
 import numpy as np
 import pytest
@@ -160,3 +161,43 @@ def test_blocks_with_other_times_are_read_where_they_were(tmp_path):
     np.testing.assert_allclose(e.y[e.read[:, 0], 0], Q)
     np.testing.assert_allclose(e.t[e.read[:, 0]], T + 0.004, atol=1e-9)
     np.testing.assert_allclose(e.u[::2, 0], TAU)
+
+
+def test_joints_that_are_elements_of_lists_are_one_recording(tmp_path, capsys):
+    joints = 3
+    header = ["tick_ms"]
+    columns = [1e3 * T]
+    for k in range(joints):
+        header += [f"motor_state[{k}].q", f"motor_state[{k}].tau_est"]
+        columns += [Q + k, TAU + k]
+    for k in range(joints):
+        header += [f"motor_cmd[{k}].q", f"motor_cmd[{k}].kp"]
+        columns += [Q - k, 20.0 + 0 * Q]
+    path = tmp_path / "lowstate.csv"
+    path.write_text(plain(",".join(header), columns))
+    assert main(["import", "csv", str(path), "--out", str(tmp_path / "out")]) == 2
+    command = capsys.readouterr().err.split("unit: ")[1].split(" (roles")[0]
+    assert "'kp*=motor_cmd[*].kp:1:auxiliary'" in command
+    assert main([*shlex.split(command)[1:], "--quiet"]) == 0
+    (e,) = load_dataset(tmp_path / "out", check_model=False).experiments
+    np.testing.assert_allclose(e.y, np.stack([Q, Q + 1, Q + 2], axis=1), atol=1e-6)
+    np.testing.assert_allclose(e.u, np.stack([TAU, TAU + 1, TAU + 2], axis=1), atol=1e-6)
+
+
+def test_names_of_joints_beside_arrays_name_the_channels_again_by_the_printed_command(
+    tmp_path, capsys
+):
+    path = tmp_path / "log.npz"
+    names = ["FL_hip", "FR_hip", "FL_knee", "FR_knee"]
+    positions = np.stack([Q + k for k in range(4)], axis=1)
+    np.savez(path, time=T, joint_pos=positions, joint_pos_target=-positions, joint_names=names)
+    wanted = ["--channel", "t=time:s", "--channel", "q*=joint_pos[*]:rad"]
+    wanted += ["--channel", "q*_cmd=joint_pos_target[*]:rad:input"]
+    command = ["import", "npz", str(path), *wanted, "--out", str(tmp_path / "a")]
+    for folder in ("a", "b"):
+        command[command.index("--out") + 1] = str(tmp_path / folder)
+        assert main(command) == 0
+        stated = tomllib.loads((tmp_path / folder / "dataset.toml").read_text())
+        assert stated["model"]["joints"] == {f"q{k}": n for k, n in enumerate(names, 1)}
+        said = capsys.readouterr().out.split("said in full: ")[1].splitlines()[0]
+        command = shlex.split(said)[1:]

@@ -265,6 +265,46 @@ def test_commands_of_ros2_control(tmp_path):
         quiet(import_rosbag, bag.path, tmp_path / "o", command_topic="/commands")
 
 
+INTERFACES = {
+    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
+    "control_msgs/msg/DynamicJointState": (
+        "std_msgs/Header header\nstring[] joint_names\n"
+        "control_msgs/InterfaceValue[] interface_values\n"
+    ),
+}
+
+
+def test_joints_of_ros2_control_among_sensors(tmp_path):
+    value, state = INTERFACES
+    with Bag(tmp_path / "bag") as bag:
+        for name, definition in INTERFACES.items():
+            bag.register(name, definition)
+        for k in range(N):
+            values = [
+                bag.message(
+                    value,
+                    interface_names=["effort", "position", "temperature"],
+                    values=np.array([TAU[k, j], Q[k, j], 40.0]),
+                )
+                for j in range(3)
+            ]
+            wrist = bag.message(value, interface_names=["force.x"], values=np.array([1.0]))
+            bag.write(
+                "/dynamic_joint_states",
+                state,
+                k,
+                bag.message(
+                    state,
+                    header=bag.header(k),
+                    joint_names=[*NAMES, "wrist_sensor"],
+                    interface_values=[*values, wrist],
+                ),
+            )
+    data = both(bag, tmp_path / "o")
+    np.testing.assert_array_equal(data.experiments[0].y, Q)
+    np.testing.assert_array_equal(data.experiments[0].u, TAU)
+
+
 MOTORS = {
     "unitree_go/msg/MotorState": "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 tau_est\n",
     "unitree_go/msg/LowState": "uint32 tick\nunitree_go/MotorState[20] motor_state\n",

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxid.diagnosis.belief import Belief, FreeLaw, joined_beliefs
 from jaxid.diagnosis.hypothesis import Candidate
 from jaxid.diagnosis.simulated import (
     believed,
@@ -75,6 +76,17 @@ def test_sets_are_told_apart_by_their_probability_not_by_single_readings():
     assert told_apart(leaving(1.0, LAG), leaving(1.05, DELAY))
     assert not told_apart(leaving(1.0, LAG), leaving(1.0005, DELAY))
     assert not told_apart(leaving(50.0, LAG), leaving(60.0, DELAY))
+
+
+def test_parts_of_a_machine_are_joined():
+    law = FreeLaw("q2", "position", 0.97)
+    one = Belief({("actuator_lag", "tau"): 0.99}, probability=0.99, none=0.01)
+    other = Belief({("quadratic_drag", "q"): 0.4}, free_law=law, none=0.5)
+    found = joined_beliefs([one, other])
+    assert found is not None and found.free_law == law
+    assert set(found.places) == {("actuator_lag", "tau"), ("quadratic_drag", "q")}
+    assert (found.probability, found.none) == (0.99, 0.005)
+    assert joined_beliefs([]) is None
 
 
 def test_what_each_effect_is_worth():

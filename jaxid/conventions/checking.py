@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxid.conventions import bodies, runs, samples
 from jaxid.conventions.beside_joints import FreeRuns, signals_beside
+from jaxid.conventions.by_limb import force_fit
 from jaxid.conventions.copies import copies
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
@@ -25,7 +26,7 @@ from jaxid.conventions.late_speed import late_speeds
 from jaxid.conventions.law import is_open, law_reading, OTHER, read_as
 from jaxid.conventions.limits import ALIKE, GONE
 from jaxid.conventions.mending import mended, Mending
-from jaxid.conventions.missing_force import ForceFit, LAWS, LONGEST, measured, NEIGHBOURS
+from jaxid.conventions.missing_force import LAWS, LONGEST, measured, NEIGHBOURS
 from jaxid.conventions.play import plays
 from jaxid.conventions.rates import contradictions
 from jaxid.conventions.registers import register, told_once
@@ -39,6 +40,7 @@ from jaxid.dynamics.model_file import sha256_of
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.problem.binding import bind, Binding
 from jaxid.robots.floating import wanted
+from jaxid.robots.limbs import limbs_of
 from jaxid.robots.match import prepared
 from jaxid.robots.stops import sentences_of
 from jaxid.wording import names_of
@@ -93,7 +95,7 @@ def run_check(
                         binding = _bound(model, data, tuple(without))[0] or binding
                 found += bodies.impossible(binding.chain.mechanism)
                 notes += sentences_of(binding.chain.mechanism, binding.dataset)
-                more, data = _by_model(binding, data, as_recorded, gap, free)
+                more, data = _by_model(model, binding, data, as_recorded, gap, free)
                 found = told_once(found, more)
             except (
                 UsageError
@@ -255,6 +257,7 @@ def _law_read(
 
 
 def _by_model(
+    model: object,
     binding: Binding,
     data: Dataset,
     as_recorded: bool,
@@ -267,7 +270,9 @@ def _by_model(
     )  # along a free motion every reading fits with another scale
     many = len(binding.free) > MOST_NUMBERS
     motion = measured(binding, NEIGHBOURS) if driven and binding.free else None
-    fit = None if motion is None else ForceFit(binding, motion)
+    fit = None
+    if motion is not None:
+        fit = force_fit(binding, motion, limbs_of(model, _beginnings(data.with_splits())))
     plain, motion = contradictions(
         binding, data, fit, motion
     )  # which no simulation has to bear out

@@ -121,7 +121,7 @@ def _claimed(
     few = m.thinned(FEW) if many else m
     if not np.isfinite(before) or before <= 2 * FLOOR:
         return None
-    if not before > ALIKE * (fit.noise(recorded, binding, few) + FLOOR):
+    if not before > ALIKE * (fit.least_noise(recorded, binding, few) + FLOOR):
         return None
     tried: list[Judged] = []
     hopeless = ALIKE * GONE * before
@@ -144,13 +144,8 @@ def _claimed(
     best = tried[0]
     near = [t for t in tried[1:] if t.left <= ALIKE * best.left]
     same = [t for t in near if t.reading.kind == best.reading.kind]
-    # Of equals the one that changes least, and inputs before outputs (the order in which they were
-    # made).
     if best.reading.kind in ("sign", "swapped_channels"):
-        order = [r.channels for r in (*signs(names), *exchanges(names))]
-        best, *same = sorted(
-            [best, *same], key=lambda t: (len(t.reading.channels), order.index(t.reading.channels))
-        )
+        best, *same = _by_least_change(fit, names, [best, *same])
     if best.reading.kind == "scale":  # of equals one that has a name
         best, *same = sorted([best, *same], key=lambda t: (not _named(t.reading, names), t.left))
         near = [t for t in tried if t is not best and t.left <= ALIKE * tried[0].left]
@@ -234,6 +229,22 @@ def _claimed(
     return Shown(finding, mending if decisive else Mending(), laws), (
         change(m) if decisive else None
     )
+
+
+def _by_least_change(fit: ForceFit, names: Names, equals: list[Judged]) -> list[Judged]:
+    """Of equals first those that leave the model's numbers nearest to where they were: an angle and
+    its goal that both count the other way differ by the sign of the weight alone. Of these the one
+    of least channels, inputs before outputs (the order in which readings are made).
+    """
+    order = [r.channels for r in (*signs(names), *exchanges(names))]
+    moved = [fit.moved(t.fitted) for t in equals]
+    near = ALIKE * min(moved) + FLOOR
+
+    def rank(place: int) -> tuple[bool, int, int]:
+        channels = equals[place].reading.channels
+        return moved[place] > near, len(channels), order.index(channels)
+
+    return [equals[place] for place in sorted(range(len(equals)), key=rank)]
 
 
 def _named(reading: Reading, names: Names) -> bool:

@@ -298,8 +298,8 @@ class ForceFit:
         x, left, J = descend(residual, slopes, start, room, train, limit)
         own, moved = at(x)
         share = left * (norm / self.norm(moved, own))
-        fitted = _rms(share, m.weight, train)
-        held = _rms(share, m.weight, m.held) if m.held.any() else fitted
+        fitted = rms_left(share, m.weight, train)
+        held = rms_left(share, m.weight, m.held) if m.held.any() else fitted
         return ReadingFit(x, fitted, held, left, J)
 
     def _law_columns(self, m: SampledMotion, weight: np.ndarray, norm: np.ndarray) -> np.ndarray:
@@ -328,13 +328,32 @@ class ForceFit:
             reach=np.inf if self.forces.linear else REACH,
         )
 
+    def moved(self, fitted: ReadingFit) -> float:
+        """How far the model's numbers are from where they started, rms in their usual sizes."""
+        if not self.free:
+            return 0.0
+        start = self.binding.theta[self.free]
+        usual = np.maximum(np.abs(start), self.binding.scale[self.free])
+        change = (fitted.x[: len(self.free)] - start) / usual
+        return float(np.sqrt(np.mean(change**2)))
+
     def noise(self, fitted: ReadingFit, binding: Binding, m: SampledMotion) -> float:
         """What the sensors' noise alone leaves of a fit, as a share of the drive, at the samples of
         a motion.
         """
+        return self._noise_at(fitted.x[: len(self.free)], binding, m)
+
+    def least_noise(self, fitted: ReadingFit, binding: Binding, m: SampledMotion) -> float:
+        """The same, or with the numbers that the fit started from where that is less: along a wrong
+        reading numbers run away, and noise with them.
+        """
+        start = self.binding.theta[self.free]
+        return float(np.fmin(self.noise(fitted, binding, m), self._noise_at(start, binding, m)))
+
+    def _noise_at(self, numbers: np.ndarray, binding: Binding, m: SampledMotion) -> float:
         rng = np.random.default_rng(0)
         theta = binding.theta.copy()
-        theta[self.free] = fitted.x[: len(self.free)]
+        theta[self.free] = numbers
         norm = self.norm(m, theta)
         runs = [e for e in binding.dataset.experiments if e.split != "report"]
         noisy = _noise_motion(binding, runs, rng, m)
@@ -376,7 +395,7 @@ class ForceFit:
         )
 
 
-def _rms(left: np.ndarray, weight: np.ndarray, rows: np.ndarray) -> float:
+def rms_left(left: np.ndarray, weight: np.ndarray, rows: np.ndarray) -> float:
     """Root mean square of what is left [rows nq] of some rows, of those joints that count there."""
     return float(np.sqrt(np.sum(left[rows] ** 2) / max(1, np.count_nonzero(weight[rows]))))
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 
@@ -109,3 +110,25 @@ def product(each: Sequence[float]) -> float:
     for p in each:
         out *= p
     return out
+
+
+def joined_beliefs(parts: Sequence[Belief]) -> Belief | None:
+    """Of parts of a machine that do not move each other; None of none."""
+    if not parts:
+        return None
+    places: dict[tuple[str, str], float] = {}
+    worth: dict[tuple[str, str], Worth] = {}
+    for part in parts:
+        places |= part.places
+        worth |= part.worth
+    sure = [part.probability for part in parts if part.probability is not None]
+    absent = [part.none for part in parts if part.none is not None]
+    laws = [part.free_law for part in parts if part.free_law is not None]
+    return Belief(
+        places=places,
+        probability=product(sure) if sure else None,
+        families=tuple(chain.from_iterable(part.families for part in parts)),
+        free_law=max(laws, key=lambda law: law.probability, default=None),
+        none=product(absent) if len(absent) == len(parts) else None,
+        worth=worth,
+    )

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.belief import joined_beliefs
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.budget import shrink
 from jaxid.diagnosis.result import Diagnosis, HowFar, Which
@@ -138,7 +139,16 @@ def _which(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]]) -> Whic
     )
     verdict = verdict_of([d.which.verdict for d in parts])
     doubts = {k: why for d in parts for k, why in d.which.doubts.items()}
-    return Which(verdict, every("effects"), every("confusable_with"), ranking, text, doubts)
+    beliefs = [d.which.belief for d in parts if d.which.belief is not None]
+    return Which(
+        verdict=verdict,
+        effects=every("effects"),
+        confusable_with=every("confusable_with"),
+        ranking=ranking,
+        text=text,
+        doubts=doubts,
+        belief=joined_beliefs(beliefs),
+    )
 
 
 def _mean(gaps: Sequence[float], weights: Sequence[float]) -> float:

@@ -23,6 +23,7 @@ from jaxid.diagnosis.account import (
     traces,
     where_it_lies,
 )
+from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.believable import doubts
 from jaxid.diagnosis.claim import Judge
 from jaxid.diagnosis.goals.run import (
@@ -41,6 +42,7 @@ from jaxid.diagnosis.reasons import NotBelievable, Remark, Stopped
 from jaxid.diagnosis.rest_before import asked_from_rest
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.search import Searcher
+from jaxid.diagnosis.simulated import worth
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.no_name import with_law_of_no_name
 from jaxid.diagnosis.torque.reference import ReferenceNumbers
@@ -427,6 +429,7 @@ def _diagnosed(
     mates = search.confusable if named else []
     confusable = tuple(EffectEstimate(c.effect, c.location) for c in mates)
     claimed, belief = estimates if named else (), search.believed(bool(named))
+    belief = belief or Belief({}, worth=worth([search.nominal, *search.tried], search.chosen))
     which = Which(verdict.name, claimed, confusable, ranking, verdict.text, against, belief)
     advised = advice(
         verdict=verdict.name,

@@ -1,8 +1,7 @@
 """What a device may be told and may do: checked for a whole path before any motion, clamped at
 every command, compared with every measurement.
 
-This is not a safety function: it protects against mistakes in a trajectory, not people. Keep the
-emergency stop in reach.
+They protect against mistakes in a trajectory, not people. Keep the emergency stop in reach.
 """
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
 )
 GREY, PALE = "#8c8c8c", "#dddddd"
 
-#: Inches that a picture of a whole page is drawn for, and what it is at most: two stand side by side
-#: on a screen, one on a phone, and letters of 9 points are then at least 9 pixels high.
+#: Inches that a picture of a whole page is drawn for, and what it is at most: two stand side by
+#: side on a screen, one on a phone, and letters of 9 points are then at least 9 pixels high.
 WIDE, NARROW = 9.2, 4.4
 LETTER = 0.075  # inches that a letter of 9 points takes, roughly
 

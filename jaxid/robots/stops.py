@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.robots.tree import Tree
-from jaxid.wording import number
+from jaxid.wording import number, percent
 
 
 def at_stops(tree: Tree, dataset: Dataset) -> list[tuple[str, float]]:
@@ -41,7 +41,7 @@ def sentences(tree: Tree, dataset: Dataset) -> tuple[str, ...]:
         unit = "m" if tree.slides[k] else "rad"
         ends = f"{number(float(tree.lower[k]))} to {number(float(tree.upper[k]))} {unit}"
         told.append(
-            f"{joint} stands at or past its range ({ends}) in {100 * share:.2g} % of the samples"
+            f"{joint} stands at or past its range ({ends}) in {percent(share)} of the samples"
         )
     text = f"{'; '.join(told)}: MuJoCo stops it there, jaxid's model has no stops"
     return (f"{text}{_in_degrees(tree, [j for j, _ in found])}",)

@@ -1,1 +1,1 @@
-"""Pages that answer while they are looked at: results side by side, a recording while it is made."""
+"""Pages that answer while they are looked at: results side by side, a recording being made."""

@@ -46,10 +46,10 @@ def results_site(viewer: Viewer) -> Site:
 
     def series(given: Mapping[str, str]) -> Any:
         found = asked(given)
-        simulated = {
-            name: [{"y": y, "left": channel["measured"] - y} for y in channel["simulated"]]
-            for name, channel in found["channels"].items()
-        }
+        simulated = {}
+        for name, channel in found["channels"].items():
+            measured = channel["measured"]
+            simulated[name] = [{"y": y, "left": measured - y} for y in channel["simulated"]]
         return {"simulated": simulated, "rms": _errors(found)}
 
     files = {**bokeh_files(), "view.js": FILES / "view.js", "view.css": FILES / "view.css"}

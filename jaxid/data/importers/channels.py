@@ -75,9 +75,10 @@ def channels_of(
         meanings |= {c: replace(meanings[c], quantity="position") for c in goals}
     drive = next((kind for kind in _DRIVES if kind in groups), None)
     measured = [kind for kind in (("position", False), ("velocity", False)) if kind in groups]
+    roles = {drive: "input"} | dict.fromkeys(measured[:1], "output")
     found: list[Proposed] = []
     for kind, members in groups.items():
-        role = "output" if kind in measured[:1] else "input" if kind == drive else "auxiliary"
+        role = roles.get(kind, "auxiliary")
         found += _of_group(members, meanings, role, everything)
     if found and not measured:
         place = next((k for k, c in enumerate(found) if not c.quantity), 0)
@@ -93,7 +94,7 @@ def _of_group(
     """Columns of one quantity: one by its name, several as a pattern, or else numbered."""
     meaning = meanings[members[0]]
     if not meaning.quantity:
-        return [Proposed(_plain(c), c, meanings[c].unit, role, "") for c in members]
+        return _nameless(members, meanings, role, everything)
     base, tail = _base(meaning), "_cmd" if meaning.goal else ""
     if len(members) == 1:
         return [Proposed(f"{base}{tail}", members[0], meaning.unit, role, meaning.quantity)]
@@ -111,6 +112,29 @@ def _of_group(
         Proposed(f"{stem}{k}{tail}", c, meanings[c].unit, role, meaning.quantity)
         for k, c in enumerate(members, 1)
     ]
+
+
+def _nameless(
+    members: Sequence[str], meanings: Mapping[str, Meaning], role: str, everything: Sequence[str]
+) -> list[Proposed]:
+    """Columns of no known quantity: each by its own name, those of a list as a pattern."""
+    families: dict[str, list[str]] = {}
+    for column in members:
+        indices = re.findall(r"\[\d+\]", column)
+        family = column
+        if len(indices) == 1:
+            family = column.replace(indices[0], "[*]")
+        families.setdefault(family, []).append(column)
+    found = []
+    for family, columns in families.items():
+        whole = list((captures_of(family, list(everything)) or {}).values()) == columns
+        units = {meanings[c].unit for c in columns}
+        if role == "auxiliary" and len(columns) > 1 and whole and len(units) == 1:
+            name = f"{_plain(family)}*"
+            found.append(Proposed(name, family, units.pop(), role, ""))
+            continue
+        found += [Proposed(_plain(c), c, meanings[c].unit, role, "") for c in columns]
+    return found
 
 
 def _base(meaning: Meaning) -> str:

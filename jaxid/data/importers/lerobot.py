@@ -170,6 +170,7 @@ def _normalised_joints(sets: Sequence[Episodes]) -> tuple[dict[str, str], bool]:
 
 
 def _is_gripper(name: str) -> bool:
+    """Whether it is a gripper's joint, which the recorder normalises to 0..100, not -100..100."""
     return "gripper" in name.lower()
 
 
@@ -200,27 +201,28 @@ def _written(
     channels.
     """
     joints: dict[str, str] = {}
-    channels: dict[str, tuple[int, np.ndarray | None, Scale]] = {}
+    columns_of: dict[str, tuple[int, Scale]] = {}
     roles: dict[str, tuple[str | None, str]] = {}
     for j, (name, scale) in enumerate(kept):
-        base = f"q{len(joints) + 1}" if scale.unit else f"gripper{j + 1}"
         if scale.unit:
+            base = f"q{len(joints) + 1}"
             joints[base] = name
-        roles[base] = ("output" if scale.unit else "auxiliary", scale.unit or "1")
-        roles[f"{base}_cmd"] = ("input" if scale.unit else "auxiliary", scale.unit or "1")
-        channels[base] = (j, None, scale)
+            roles[base] = ("output", scale.unit)
+            roles[f"{base}_cmd"] = ("input", scale.unit)
+        else:
+            base = f"gripper{j + 1}"
+            roles[base] = roles[f"{base}_cmd"] = ("auxiliary", "1")
+        columns_of[base] = (j, scale)
     runs: list[ImportedRun] = []
     for s in sets:
         for number in np.unique(s.episode):
             own = s.episode == number
-            columns = {
-                f"{c}_cmd": k.factor * s.action[own, j] + k.offset
-                for c, (j, _, k) in channels.items()
-            }
-            columns |= {
-                c: k.factor * s.state[own, j] + k.offset for c, (j, _, k) in channels.items()
-            }
-            runs += runs_of(f"episode_{int(number)}", s.t[own], columns, s.path.name)
+            goals: dict[str, np.ndarray] = {}
+            states: dict[str, np.ndarray] = {}
+            for channel, (j, scale) in columns_of.items():
+                goals[f"{channel}_cmd"] = scale.factor * s.action[own, j] + scale.offset
+                states[channel] = scale.factor * s.state[own, j] + scale.offset
+            runs += runs_of(f"episode_{int(number)}", s.t[own], goals | states, s.path.name)
     said = "joints are " + ", ".join(f"{c} = {n}" for c, n in joints.items())
     return save_runs(
         runs,
@@ -407,15 +409,8 @@ def _ranged(
             raise UsageError(
                 f"--range {text}: state the unit of its ends, --unit deg, and two ends that differ"
             )
-        out[name] = _between(low, high, _from_zero(name), unit)
+        out[name] = _between(low, high, _is_gripper(name), unit)
     return out
-
-
-def _from_zero(name: str) -> bool:
-    """Whether the recorder normalises a joint to 0..100: it does so for grippers, and takes
-    -100..100 for all others.
-    """
-    return "gripper" in name.lower()
 
 
 def _between(low: float, high: float, from_zero: bool, unit: str) -> Scale:
@@ -454,8 +449,8 @@ def _calibrated(path: Path, names: Sequence[str], sets: Sequence[Episodes]) -> d
     out = {}
     for name in names:
         half = np.pi * (float(motors[name]["range_max"]) - float(motors[name]["range_min"])) / _TURN
-        low, high = (0.0, 2 * half) if _from_zero(name) else (-half, half)
+        low, high = (0.0, 2 * half) if _is_gripper(name) else (-half, half)
         if motors[name].get("drive_mode"):
             low, high = high, low
-        out[name] = _between(low, high, _from_zero(name), "rad")
+        out[name] = _between(low, high, _is_gripper(name), "rad")
     return out

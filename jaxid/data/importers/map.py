@@ -30,6 +30,7 @@ from jaxid.data.importers.runs import (
 )
 from jaxid.data.importers.source import (
     find_column,
+    joint_names_of,
     numbers_of,
     parts_of,
     read_source,
@@ -50,12 +51,16 @@ ROLES = ("input", "output", "auxiliary")
 
 @dataclass(frozen=True)
 class Wanted:
-    """One `--channel`: what is written into `name`, of which column; None where it is not said."""
+    """One `--channel`: what is written into `name`, of which column; None where it is not said.
+
+    `pattern`: `q*=positions[*]`, where the channel is one of several that were asked for at once.
+    """
 
     name: str
     column: str
     unit: str | None
     role: str | None
+    pattern: str = ""
 
 
 @dataclass(frozen=True)
@@ -114,8 +119,24 @@ def import_table(
         beside=constants,
         joints={f"q{k}": name for name, k in joints.items() if f"q{k}" in roles},
     )
-    said = [f"{w.name}={w.column}:{w.unit}:{roles[w.name][0]}" for w in found]
-    return Imported(folder, full_command(asked, clock, said))
+    return Imported(folder, full_command(asked, clock, _in_full(found, roles)))
+
+
+def _in_full(found: Sequence[Wanted], roles: Mapping[str, tuple[str, str]]) -> list[str]:
+    """The channels with units and roles, as `--channel` takes them: those of a pattern at once,
+    which keeps the names of joints.
+    """
+    ends: dict[str, set[str]] = {}
+    for w in found:
+        ends.setdefault(w.pattern, set()).add(f"{w.unit}:{roles[w.name][0]}")
+    said: dict[str, None] = {}
+    for w in found:
+        end = f"{w.unit}:{roles[w.name][0]}"
+        if w.pattern and len(ends[w.pattern]) == 1:
+            said[f"{w.pattern}:{end}"] = None
+        else:
+            said[f"{w.name}={w.column}:{end}"] = None
+    return list(said)
 
 
 def _clock_and_channels(
@@ -184,11 +205,8 @@ def _read(
         t, start = _nominal(source, clock, series, rate, length, notes), None
     else:
         t, start = times_of(source, flat[name], name, clock.unit, rows)
-        notes += (
-            [f"{source.path.name}: --rate is not used, for its times were recorded"]
-            if rate is not None
-            else []
-        )
+        if rate is not None:
+            notes.append(f"{source.path.name}: --rate is not used, for its times were recorded")
     chosen = slice(*rows) if rows is not None else slice(None)
     t = t[chosen]
     own = [w for w in found if w.column in series]
@@ -234,7 +252,7 @@ def _expanded(
             if not columns:
                 message = f"no column matches {w.column!r} (there is: {', '.join(everything[:20])})"
                 complain(w.column, message, "Write 'q*=pos_*:rad' or 'q*=q[*]:rad'")
-            found += _one_a_joint(w, columns, joints)
+            found += _one_a_joint(w, _by_name(columns, joint_names_of(source)), joints)
             continue
         column = find_column(source, series, w.column)
         if column is None and w.column in everything:
@@ -255,14 +273,23 @@ def _expanded(
     return found
 
 
+def _by_name(columns: dict[str, str], names: Sequence[str]) -> dict[str, str]:
+    """What `*` stands for -> column, with the file's own names of the joints for their numbers."""
+    if len(columns) != len(names) or not all(capture.isdigit() for capture in columns):
+        return columns
+    order = sorted(columns, key=int)
+    return {name: columns[capture] for name, capture in zip(names, order, strict=True)}
+
+
 def _one_a_joint(
     pattern: Wanted, columns: Mapping[str, str], joints: dict[str, int]
 ) -> list[Wanted]:
     """A pattern as channels in order of the joints; `columns`: what `*` stands for -> column."""
     numbers = joint_numbers(list(columns), joints)
     by_joint = sorted((numbers[capture], column) for capture, column in columns.items())
+    asked = f"{pattern.name}={pattern.column}"
     return [
-        replace(pattern, name=pattern.name.replace("*", str(number)), column=column)
+        replace(pattern, name=pattern.name.replace("*", str(number)), column=column, pattern=asked)
         for number, column in by_joint
     ]
 
@@ -289,20 +316,17 @@ def _nominal(
 ) -> np.ndarray:
     """Times of a file that has none: its samples by a rate that is stated."""
     stated = stated_rate(source)
-    if rate is None and stated is None:
+    if rate is not None:
+        hz, said = rate, "--rate"
+    elif stated is not None:
+        hz, said = stated[1], f"{stated[0]!r} of the file"
+    else:
         message = f"there is no column {clock.column!r} for the time{nearest(clock.column, series)}"
         raise refused(
             source.path,
             message,
             "Name it, --channel t=COLUMN:UNIT, or state the sampling rate: --rate HZ",
         )
-    hz, said = (
-        (rate, "--rate")
-        if rate is not None
-        else (stated[1], f"{stated[0]!r} of the file")
-        if stated
-        else (1.0, "")
-    )
     notes.append(
         f"{source.path.name}: its times are nominal, samples at {hz:g} Hz by {said}; none were"
         " recorded"

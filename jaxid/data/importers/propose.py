@@ -13,19 +13,19 @@ from jaxid.data.importers.arrays import Arrays
 from jaxid.data.importers.channels import channels_of, Proposed
 from jaxid.data.importers.command import command_with, ImportRequest
 from jaxid.data.importers.joining import Joined, joined_files, names_once
-from jaxid.data.importers.source import parts_of, series_of, Source, stated_rate
+from jaxid.data.importers.source import (
+    parts_of,
+    series_of,
+    Source,
+    stated_rate,
+    TIME,
+)
 from jaxid.data.importers.traces import unit_of
 from jaxid.data.registers import found_sign, register_words
 from jaxid.data.table import Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND
 
 
-#: Names that a column of times has, and the unit behind them: `t`, `Time`, `__time`, `stamp_ns`,
-#: `log.t_ms`, `X_Value`.
-_TIME = re.compile(
-    r"(?:.*[./])?_*(?:t|time|timestamp|time_?stamp|stamp|zeit|temps|x_value|clock)s?(?:_?(s|ms|us|ns|sec|seconds))?",
-    re.I,
-)
 _SHOWN = 40  # columns and channels that are listed
 
 
@@ -194,7 +194,7 @@ def _time(source: Source, series: Arrays) -> str | None:
     """`t=COLUMN:UNIT` of what looks like the time; None where a stated rate stands for it."""
     if source.clock:
         return f"t={source.clock}:{unit_of(series[source.clock])}"
-    names = [n for n in series if _TIME.fullmatch(n)]
+    names = [n for n in series if TIME.fullmatch(n)]
     if not names and stated_rate(source) is not None:
         return None
     name = names[0] if names else next(iter(series), "")
@@ -209,14 +209,19 @@ def _time(source: Source, series: Arrays) -> str | None:
         return None
     if not np.isfinite(numbers).any():  # dates
         return f"t={name}"
-    match = _TIME.fullmatch(name)
-    suffix = (
-        {"sec": "s", "seconds": "s"}.get(match[1].lower(), match[1].lower())
-        if match and match[1]
-        else None
-    )
-    unit = suffix or (source.units.get(name) if source.units.get(name) in PER_SECOND else None)
-    return f"t={name}:{unit or _unit(numbers)}"
+    return f"t={name}:{_unit_of_time(source, name, numbers)}"
+
+
+def _unit_of_time(source: Source, name: str, numbers: np.ndarray) -> str:
+    """The unit behind the name of the times, that which the file states, or the likely one."""
+    match = TIME.fullmatch(name)
+    if match is not None and match[1]:
+        written = match[1].lower()
+        return "s" if written.startswith("sec") else written
+    stated = source.units.get(name)
+    if stated in PER_SECOND:
+        return stated
+    return _unit(numbers)
 
 
 def _unit(numbers: np.ndarray) -> str:

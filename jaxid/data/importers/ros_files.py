@@ -18,7 +18,7 @@ from jaxid.errors import DatasetError, UsageError
 from jaxid.extras import needed
 
 
-STATES = ("JointState", "LowState", "JointTrajectoryControllerState")
+STATES = ("JointState", "LowState", "JointTrajectoryControllerState", "DynamicJointState")
 COMMANDS = (
     "JointState",
     "JointTrajectory",

@@ -65,11 +65,35 @@ def joint_values(kind: str, m: Message) -> tuple[list[str], Mapping[str, Sequenc
             "qd": values_of(field_of(point, "velocities")),
             "tau": values_of(field_of(point, "effort")),
         }
+    if kind == "DynamicJointState":
+        return _interfaces(m.get("joint_names"), m.get("interface_values"))
     return list(m.get("name")), {
         "q": values_of(m.get("position")),
         "qd": values_of(m.get("velocity")),
         "tau": values_of(m.get("effort")),
     }
+
+
+#: Interfaces of ros2_control -> quantity.
+_INTERFACES = {"position": "q", "velocity": "qd", "effort": "tau"}
+
+
+def _interfaces(
+    names: Sequence[str], values: Sequence[Any]
+) -> tuple[list[str], dict[str, list[float]]]:
+    """Joints with a position among what ros2_control reports, which holds sensors and pins too; a
+    quantity that some joint lacks is left out.
+    """
+    rows: dict[str, dict[str, float]] = {}
+    for name, value in zip(names, values, strict=True):
+        told = dict(zip(field_of(value, "interface_names"), field_of(value, "values"), strict=True))
+        if "position" in told:
+            rows[name] = {q: float(told[key]) for key, q in _INTERFACES.items() if key in told}
+    measured: dict[str, list[float]] = {}
+    for quantity in _INTERFACES.values():
+        everywhere = all(quantity in row for row in rows.values())
+        measured[quantity] = [row[quantity] for row in rows.values()] if everywhere else []
+    return list(rows), measured
 
 
 def _motor_values(

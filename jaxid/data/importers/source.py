@@ -5,7 +5,7 @@ its times.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,15 @@ from jaxid.data.time_axis import contradicted, impossible, PER_SECOND, since_sta
 from jaxid.errors import DatasetError, DatasetProblem
 
 
+#: Names that a column of times has, and the unit behind them: `t`, `Time`, `__time`, `stamp_ns`,
+#: `log.t_ms`, `X_Value`.
+TIME = re.compile(
+    r"(?:.*[./])?_*(?:t|time|timestamp|time_?stamp|stamp|zeit|temps|x_value|clock)s?"
+    r"(?:_?(s|ms|us|ns|sec|seconds))?",
+    re.I,
+)
+#: Names of a list of the names of joints.
+_NAMES = re.compile(r"(?:.*[./])?(?:joint|dof|motor|actuator)s?_?names?(?:_list)?", re.I)
 _RATES = ("hz", "rate", "fs", "fps", "sample_rate", "sampling_rate", "samplerate")
 _STEPS = ("dt", "Ts", "ts", "period", "sample_time", "interval")
 
@@ -98,10 +107,13 @@ def _instead(path: Path) -> str:
 
 
 def parts_of(source: Source) -> list[Source]:
-    """A file that holds a list of recordings (`data[0].q`, `data[1].q`) as one source each."""
+    """A file that holds a list of recordings (`data[0].q`, `data[1].q`) as one source each.
+
+    A list whose elements share one clock is one recording of several joints: `motor_state[0].q`.
+    """
     split = {n: re.fullmatch(r"(.*?)\[(\d+)\]\.(.+)", n) for n in source.columns}
     numbers = sorted({int(m[2]) for m in split.values() if m})
-    if not numbers:
+    if not numbers or _one_clock(source, [n for n, m in split.items() if m]):
         return [source]
     common = {n: v for n, v in source.columns.items() if split[n] is None}
     parts = []
@@ -114,6 +126,36 @@ def parts_of(source: Source) -> list[Source]:
         )
         parts.append(replace(source, path=path, columns=common | own))
     return parts
+
+
+def _one_clock(source: Source, elements: Sequence[str]) -> bool:
+    """Whether the `elements` of a list are columns of one recording: the rows of a text, or arrays
+    as long as the times that stand beside the list.
+    """
+    if source.rows is not None:
+        return True
+    times = [name for name in source.columns if name not in elements and TIME.fullmatch(name)]
+    lengths = {len(np.atleast_1d(source.columns[name])) for name in times}
+    lengths.discard(1)
+    if not lengths:
+        return False
+    return all(len(np.atleast_1d(source.columns[name])) in lengths for name in elements)
+
+
+def joint_names_of(source: Source) -> list[str]:
+    """Names of the joints that stand beside arrays of all joints (`joint_names`, `dof_names`), in
+    the order of the arrays; empty where no one list says them.
+    """
+    lists = []
+    for name, values in source.columns.items():
+        if source.rows is not None or not _NAMES.fullmatch(name):
+            continue
+        cells = np.squeeze(np.asarray(values))
+        if cells.ndim == 1 and cells.dtype.kind in "UO" and all(isinstance(c, str) for c in cells):
+            lists.append([str(c) for c in cells])
+    if len(lists) != 1 or len(set(lists[0])) != len(lists[0]):
+        return []
+    return lists[0]
 
 
 def series_of(columns: Arrays, length: int | None) -> Arrays:

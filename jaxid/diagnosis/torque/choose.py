@@ -159,12 +159,6 @@ class Chooser:
         total, _ = self._better(small, large)
         return total > LIMITS.missed and small.cost - large.cost > max(more, 0.0)
 
-    def alike(self, a: Model, b: Model) -> bool:
-        """Whether held-out and fit runs leave open which of two sets of one size it is."""
-        return (
-            abs(self._better(a, b)[0]) < LIMITS.missed and b.cost - a.cost < self.price(b.units) + 6
-        )
-
     # ---- search
 
     def run(self) -> Model:
@@ -344,20 +338,3 @@ class Chooser:
                 if np.all(strength / size[own] >= np.concatenate([self.units[u].least for u in s])):
                     out.append((gain - self.price(s), (*others, *s)))
         return [s for _, s in sorted(out, reverse=True)[:HEARD]]
-
-    def confusable(self, chosen: Model) -> list[int]:
-        """Units that could stand in the place of one that was chosen, for all that the data say."""
-        out = []
-        for u in chosen.units:
-            others = tuple(v for v in chosen.units if v != u)
-            near, taken = set(self.units[u].joints), {self.units[v].effect for v in chosen.units}
-            best = [
-                k
-                for (e, _), (_, k) in self._best_shapes(others).items()
-                if near & set(self.units[k].joints) and e not in taken
-            ]
-            for k in best:
-                m = self.model((*others, k))
-                if m is not None and self.alike(chosen, m) and k not in out:
-                    out.append(k)
-        return out
