@@ -69,8 +69,20 @@ def write(folder: Path, root: Path) -> None:
     (folder / "results").mkdir(exist_ok=True)
     for picture in (root / "benchmarks" / "results").glob("*.png"):
         shutil.copy(picture, folder / "results")
+    (folder / "leaderboard.md").write_text(leaderboard(root / "benchmarks"), encoding="utf-8")
     present = [n for n in NOTEBOOKS if (root / "notebooks" / f"{n}.py").is_file()]
     (folder / "notebooks.md").write_text(notebooks(present), encoding="utf-8")
+
+
+def leaderboard(benchmarks: Path) -> str:
+    """The page of the public benchmark's entries."""
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location("public", benchmarks / "public.py")
+    assert spec is not None and spec.loader is not None
+    public = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(public)
+    return public.page(benchmarks / "leaderboard")
 
 
 def _key(root: Path) -> str:

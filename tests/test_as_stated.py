@@ -12,13 +12,14 @@ import pytest
 import jaxid
 from jaxid.benchmark.goal_arms import dataset, GoalArm, goals, RATE, recorded
 from jaxid.diagnosis.goals.as_stated import by_its_steps, Difference, difference
-from jaxid.diagnosis.goals.floor import between_simulators
+from jaxid.diagnosis.goals.floor import between_simulators, made_by_steps
 from jaxid.diagnosis.goals.run import loop_step
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import OutputError
+from jaxid.robots.yardstick import as_it_stands
 
 
 ARM = GoalArm(
@@ -177,3 +178,83 @@ def test_a_load_on_the_axis_of_a_joint_is_as_well_one_of_the_link_before_it(tmp_
     assert found.verdict == "named"
     told = [(e.effect, e.location) for e in (*found.effects, *found.confusable_with)]
     assert sorted(told) == [("payload", "j1"), ("payload", "j2")]
+
+
+SOFT = """<mujoco><option timestep="{step}"/><worldbody>
+<body name="upper" pos="0 0 .4"><joint name="shoulder" axis="0 1 0" armature="0.1" damping="1"
+frictionloss="{friction}"/><inertial pos="0 0 .15" mass="2" diaginertia=".02 .02 .004"/>
+<body name="fore" pos="0 0 .3"><joint name="elbow" axis="0 1 0" armature="0.05" damping="0.4"
+frictionloss="0.2"/><inertial pos="0 0 .12" mass="1" diaginertia=".008 .008 .002"/></body></body>
+</worldbody><actuator><position joint="shoulder" kp="120" kv="8"/>
+<position joint="elbow" kp="60" kv="3"/></actuator></mujoco>"""
+
+
+def made_by_mujoco(text: str, seconds: float, runs: int, rate: float = 100.0) -> jaxid.Dataset:
+    """Free runs of a file under goals, made by MuJoCo itself, noise of 0.3 mrad."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(text)
+    rng, t = np.random.default_rng(3), np.arange(0, seconds, 1 / rate)
+    times, goal_of, read = [], [], []
+    for _ in range(runs):
+        wave = [
+            sum(np.sin(2 * np.pi * f * t + p) for f, p in rng.uniform(0.15, 1.2, (4, 2)))
+            for _ in range(2)
+        ]
+        goal = 0.24 * np.stack(wave, 1) * np.minimum(1.0, t)[:, None]
+        state, q = mujoco.MjData(model), []
+        for u in goal:
+            q.append(state.qpos.copy())
+            state.ctrl[:] = u
+            for _ in range(round(1 / rate / model.opt.timestep)):
+                mujoco.mj_step(model, state)
+        times.append(t)
+        goal_of.append(goal)
+        read.append(np.array(q) + 3e-4 * rng.standard_normal(goal.shape))
+    names = ("shoulder", "elbow")
+    inputs = {f"{name}_cmd": [u[:, j] for u in goal_of] for j, name in enumerate(names)}
+    outputs = {name: [q[:, j] for q in read] for j, name in enumerate(names)}
+    return jaxid.Dataset.from_arrays(
+        times,
+        inputs,
+        outputs,
+        units=dict.fromkeys([*inputs, *outputs], "rad"),
+        split=["fit", "validation", "report"][:runs],
+        at_rest=True,
+        check_model=False,
+    )
+
+
+def test_mujoco_runs_with_the_numbers_and_the_steps_that_are_asked(tmp_path):
+    """A changed friction is that of a changed file, and what steps make is of first order."""
+    apart = {}
+    for name, friction, step in (("file", 0.3, 2e-3), ("other", 2.0, 2e-3), ("fine", 0.3, 5e-5)):
+        path = tmp_path / f"{name}.xml"
+        path.write_text(SOFT.format(friction=friction, step=step))
+        data = made_by_mujoco(SOFT.format(friction=2.0, step=2e-3), 3.0, 1)
+        bench = ProblemBuilder(bind(str(path), data, splits=False), differences=1, together=True)
+        apart[name] = bench
+    theirs = {name: between_simulators(bench) for name, bench in apart.items()}
+    numbers = {"shoulder": {"frictionloss": 2.0}}
+    theta, _ = as_it_stands(apart["other"].binding)
+    asked = between_simulators(apart["file"], theta=theta, numbers=numbers)
+    assert asked is not None and all(between is not None for between in theirs.values())
+    changed, stated, fine = (theirs[name].theirs[0] for name in ("other", "file", "fine"))  # type: ignore[union-attr]
+    np.testing.assert_allclose(asked.theirs[0], changed, atol=1e-12)
+    assert np.abs(asked.theirs[0] - stated).max() > 0.01
+    steps = made_by_steps(apart["file"])
+    assert steps is not None
+    left = np.sqrt(np.mean((steps[0] - (stated - fine)) ** 2))
+    assert left < 0.2 * np.sqrt(np.mean((stated - fine) ** 2))
+
+
+@pytest.mark.slow
+def test_soft_friction_that_is_not_the_files_is_another_number_and_no_effect(tmp_path):
+    """What MuJoCo's friction creeps by is that of the friction that is there, not of the file's."""
+    path = tmp_path / "arm.xml"
+    path.write_text(SOFT.format(friction=0.3, step=2e-3))
+    data = made_by_mujoco(SOFT.format(friction=2.0, step=2e-3), 12.0, 3)
+    found = jaxid.diagnose(str(path), data)
+    assert found.which.verdict == "none" and not found.which.effects
+    (wrong,) = [row for row in found.final.stated if row.refuted]
+    assert (wrong.parameter, wrong.joint) == ("frictionloss", "shoulder")
+    assert abs(wrong.fitted - 2.0) < 3 * (wrong.std or 0.0) < 0.03

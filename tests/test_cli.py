@@ -44,9 +44,8 @@ def calls(monkeypatch):
 
         monkeypatch.setattr(jaxid, name, function, raising=False)
 
-    monkeypatch.setattr(
-        "jaxid.problem.binding.foreseen", lambda *_: SimpleNamespace(large=False)
-    )  # the dataset is none
+    for where in ("jaxid.problem.binding", "jaxid.diagnosis.foreseen"):  # the dataset is none
+        monkeypatch.setattr(f"{where}.foreseen", lambda *_: SimpleNamespace(large=False))
     answer("load_dataset", "the dataset")
     answer("fit", sample_fit(samples=200))
     answer("diagnose", sample_diagnosis(200))
@@ -465,3 +464,18 @@ def test_a_pipe_gets_a_line_every_half_minute(capsys, monkeypatch):
         "jaxid: effects 3 of 9, best dead_zone?[2J (62 s)",
     ]
     assert terminal.Progress(quiet=True).callback is None
+
+
+@pytest.mark.parametrize("large", [True, False])
+def test_long_work_is_foretold_before_it_begins(large, calls, monkeypatch, tmp_path, capsys):
+    class Wanted(SimpleNamespace):
+        def __str__(self):
+            return "diagnose of 9 rows in 1 run: about 0.7 GB and 20 minutes"
+
+    def foreseen(*asked):
+        assert "diagnose" not in calls and asked[1] == "the dataset"
+        return Wanted(large=large)
+
+    monkeypatch.setattr("jaxid.diagnosis.foreseen.foreseen", foreseen)
+    assert run("diagnose", "data", "--out", tmp_path) == 0
+    assert ("about 0.7 GB and 20 minutes" in capsys.readouterr().err) is large

@@ -154,6 +154,7 @@ def test_links_lead_somewhere():
                     "models",
                     "fitters",
                     "benchmarks",
+                    "leaderboard",
                     "notebooks",
                 ), target
             elif target.startswith("notebooks/") and page.parent == ROOT / "docs":
@@ -221,7 +222,9 @@ def test_the_site_builds_without_warnings(tmp_path):
     shutil.copytree(
         ROOT / "benchmarks" / "results", source / "benchmarks" / "results", ignore=pictures
     )
-    shutil.copy(ROOT / "benchmarks" / "RESULTS.md", source / "benchmarks")
+    shutil.copytree(ROOT / "benchmarks" / "leaderboard", source / "benchmarks" / "leaderboard")
+    for file in ("RESULTS.md", "public.py"):
+        shutil.copy(ROOT / "benchmarks" / file, source / "benchmarks")
     for folder in ("jaxid", "models"):
         (source / folder).symlink_to(ROOT / folder)
     done = subprocess.run(
@@ -247,6 +250,7 @@ def test_the_site_builds_without_warnings(tmp_path):
         "getting_started",
         "generated/effects",
         "generated/benchmarks",
+        "generated/leaderboard",
         "notebooks/00_tour",
         "contract",
         "faq",

@@ -189,15 +189,30 @@ def test_a_diagnosis_of_too_much_looks_at_the_first_part_and_says_so(monkeypatch
 def test_the_estimate_grows_with_what_there_is():
     small, large = recording(1600), recording(16_000)
     assert capacity.need("fit", small, 1).bytes < capacity.need("fit", large, 1).bytes
-    assert capacity.need("fit", large, 1).seconds < capacity.need("diagnose", large, 1, 10).seconds
-    many = dataclasses.replace(capacity.need("diagnose", large, 1, 10), bytes=3.2e9, seconds=1200.0)
+    few, many = (capacity.need("diagnose", large, 1, n).seconds for n in (2, 10))
+    assert capacity.START_S < few < many
+    told = dataclasses.replace(capacity.need("diagnose", large, 1, 10), bytes=3.2e9, seconds=1200.0)
     assert (
-        many.large and str(many) == "diagnose of 16,000 rows in 1 run: about 3.2 GB and 20 minutes"
+        told.large and str(told) == "diagnose of 16,000 rows in 1 run: about 3.2 GB and 20 minutes"
     )
-    fit = dataclasses.replace(capacity.need("fit", large, 1), bytes=1e9, seconds=1e5)
+    fit = dataclasses.replace(capacity.need("fit", large, 1), bytes=1e9)
     assert not fit.large and str(fit) == "fit of 16,000 rows in 1 run: about 1.0 GB", (
         "how far a fit has to go is not known"
     )
+
+
+def test_an_estimate_is_of_the_way_that_is_gone():
+    """Along the measured motion nothing is simulated, and a short recording takes what starts."""
+    rows = {1600: recording(1600), 16_000: recording(16_000)}
+    ways = {
+        way: [capacity.need("diagnose", data, 1, 30, way).seconds for data in rows.values()]
+        for way in ("motion", "goals", "free runs")
+    }
+    assert ways["motion"][1] < ways["goals"][1] < ways["free runs"][1]
+    for short, long in ways.values():
+        more = (long - capacity.START_S) / (short - capacity.START_S)
+        assert more == pytest.approx(10.0, rel=0.02)
+        assert short < 2 * capacity.START_S
 
 
 def test_a_limit_of_the_address_space_counts(monkeypatch):

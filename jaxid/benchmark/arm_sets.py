@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxid.benchmark import goal_arms
 from jaxid.benchmark.case import (
+    ASKED,
     asked_rows,
     BlindCase,
     depends_on,
@@ -166,7 +167,7 @@ def _by_torque(draft: Draft) -> BlindCase:
         read.append(m[0] + READING * rng.standard_normal(m[0].shape))
     names = [f"j{k + 1}" for k in range(n)]
     motors = [f"{name}_tau" for name in names]
-    rows = asked_rows(len(read[-1]), RATE)
+    rows = _moving_rows(runs[-1][1], speed)
     t = np.arange(len(read[-1])) / RATE
     noise = dict(zip(motors, white.tolist(), strict=True))
     exam = Exam(
@@ -198,6 +199,16 @@ def _by_torque(draft: Draft) -> BlindCase:
         files={"model.xml": stated.xml()},
         model_toml='robot = "model.xml"\n',
     )
+
+
+def _moving_rows(v: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Rows of the exam at which no joint turns back, for a hundredth of a second there decides the
+    sign of its dry friction; none within a second of the ends.
+    """
+    moving = np.all(np.abs(v) > 0.05 * speed, axis=1)
+    moving[:RATE], moving[-RATE:] = False, False
+    there = np.flatnonzero(moving)
+    return there[np.linspace(0, len(there) - 1, ASKED).astype(int)]
 
 
 def _columns(names: Sequence[str], table: np.ndarray) -> dict[str, np.ndarray]:

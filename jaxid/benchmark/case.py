@@ -184,8 +184,10 @@ def generator(seed: int, name: str, *more: int) -> np.random.Generator:
 
 
 def asked_rows(count: int, first: int) -> np.ndarray:
-    """Rows of the exam, spread over its time."""
-    return np.linspace(first, count - 1, ASKED).astype(int)
+    """Rows of the exam, spread over its time, but for its beginning and its end, where filters and
+    derivatives are no measure.
+    """
+    return np.linspace(first, count - 1 - first, ASKED).astype(int)
 
 
 def depends_on(missing: Sequence[WithheldEffect]) -> tuple[str, ...]:

@@ -85,14 +85,16 @@ class Made:
 def make(
     name: str, seed: int, folder: Path, cases: int | None = None, workers: int | None = None
 ) -> Made:
-    """Makes a set (or all of them), each with its own number of cases or with `cases` of them.
+    """Makes a set, several with commas or all of them, each with its own number of cases or with
+    `cases` of them.
 
     Raises `UsageError` where there is no such set or the folder holds something.
     """
-    names = tuple(SETS) if name == ALL else (name,)
-    if name != ALL and name not in SETS:
-        known = ", ".join((*SETS, ALL))
-        raise UsageError(f"no set is called {name!r}{nearest(name, SETS)}; there are: {known}")
+    names = tuple(SETS) if name == ALL else tuple(name.split(","))
+    for one in names:
+        if one not in SETS:
+            known = ", ".join((*SETS, ALL))
+            raise UsageError(f"no set is called {one!r}{nearest(one, SETS)}; there are: {known}")
     if folder.exists() and any(folder.iterdir()):
         raise UsageError(f"{folder} holds files already; choose another folder")
     drafts: list[Draft] = []

@@ -167,14 +167,17 @@ def _jointed(
         )
     rigid = armature + v("reflected")
     if not v("compliance"):
-        return f"<body {place}>{joint.format(rigid)}{link}</body>"
+        return f'<body name="link{j}" {place}>{joint.format(rigid)}{link}</body>'
     motor, play, stiffness = v("motor_share") * effective, v("play"), 1 / v("compliance")
     if play:
         second = f'<joint axis="{axis}" range="{-play / 2!r} {play / 2!r}"/>'
     else:
         zeta = 2 * v("spring_damping") * sqrt(stiffness * motor * (1 - v("motor_share")))
         second = f'<joint axis="{axis}" stiffness="{stiffness!r}" damping="{zeta!r}"/>'
-    return f"<body {place}>{joint.format(rigid + motor)}{small}<body>{second}{link}</body></body>"
+    return (
+        f'<body name="motor{j}" {place}>{joint.format(rigid + motor)}{small}'
+        f'<body name="link{j}">{second}{link}</body></body>'
+    )
 
 
 def _wheel(p: Own) -> tuple[tuple[float, float, float], str]:

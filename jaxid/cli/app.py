@@ -24,6 +24,7 @@ from jaxid.cli.options import (
     DATASET,
     effects_option,
     foretell,
+    foretell_diagnosis,
     OUT,
     output_options,
     read_parameters,
@@ -279,6 +280,7 @@ def diagnose(
 
     own = None if limits is None else Limits.read(limits)
     jaxid, data = start(dataset, out)
+    foretell_diagnosis(model, data, effects or None, without or (), residual, quiet)
     from jaxid.report.text import diagnosis_text
 
     with Output(out, as_json, quiet, seconds) as output:

@@ -19,7 +19,13 @@ def benchmark() -> None:
 
 
 @benchmark.command()
-@click.option("--set", "name", required=True, metavar="NAME", help="A set of cases, or all.")
+@click.option(
+    "--set",
+    "name",
+    required=True,
+    metavar="NAME",
+    help="A set of cases, several with commas, or all.",
+)
 @click.option(
     "--seed",
     type=click.IntRange(0, 2**63 - 1),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -138,10 +138,25 @@ def start(dataset: str, out: Path) -> tuple[Any, Any]:
 
 
 def foretell(work: str, model: str | None, data: Any, quiet: bool) -> None:
-    """Says on standard error what long work will take."""
+    """Says on standard error what a long fit or identification will take."""
     from jaxid.problem.binding import foreseen
 
     if not quiet and (wanted := foreseen(work, model, data)).large:
+        terminal.complain(wanted)
+
+
+def foretell_diagnosis(
+    model: str | None,
+    data: Any,
+    effects: Sequence[str] | None,
+    without: Sequence[str],
+    residual: str | None,
+    quiet: bool,
+) -> None:
+    """Says on standard error what a long diagnosis will take."""
+    from jaxid.diagnosis.foreseen import foreseen
+
+    if not quiet and (wanted := foreseen(model, data, effects, without, residual)).large:
         terminal.complain(wanted)
 
 

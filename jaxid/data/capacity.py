@@ -27,19 +27,27 @@ LONGEST_S = 3600.0
 BASE = 0.7e9
 #: Below these no word is said.
 SMALL_BYTES, SMALL_S = 1.5e9, 120.0
-#: Rough, to be measured by benchmarks/memory.py: numbers a row in memory for each channel, joint
-#: and parameter, and seconds for each sample and parameter of a fit, of one core.
+#: Numbers a row in memory for each channel, joint and parameter of a fit, by benchmarks/memory.py.
 FIT_CHANNEL, FIT_JOINT, FIT_NUMBER = 12, 8, 8
-SECONDS = 6e-6
-#: A diagnosis refits each candidate, from more than one start.
-PER_CANDIDATE = 1.5
+#: Seconds of any work: libraries, programs that are compiled or read, the judgement and its page.
+START_S = 12.0
+#: Along the measured motion, seconds for each row and joint (benchmarks/memory.py, identify).
+FORCE_S = 2.3e-5
+#: Of free runs, seconds for each row, joint and parameter of one refit (benchmarks/memory.py,
+#: diagnosis_speed.py). The nominal model takes FIRST_REFITS, a candidate has more than one start.
+REFIT_S, FIRST_REFITS, PER_CANDIDATE = 3e-6, 3.0, 1.5
+#: Under goals, seconds for each step, run beside it and joint (benchmarks/robot_speed.py): effects
+#: are compared along the measured motion, and few are simulated.
+GOALS_S = 1e-5
+#: Step of simulations, s.
+STEP_S = 2.5e-3
 
 
 @dataclass(frozen=True)
 class Need:
     """What some work on this many rows of this many runs needs: bytes at its peak and seconds, both
     within a factor of about two. The seconds of a fit depend on its fitter and on how far it has to
-    go: nobody is told them.
+    go: they are 0, and nobody is told them.
     """
 
     work: str
@@ -51,7 +59,7 @@ class Need:
     def __str__(self) -> str:
         runs = "1 run" if self.runs == 1 else f"{self.runs:,} runs"
         said = f"{self.work} of {self.rows:,} rows in {runs}: about {self.bytes / 1e9:.1f} GB"
-        if self.work == "fit":
+        if not self.seconds:
             return said
         minutes = f"{self.seconds / 60:.0f} minutes" if self.seconds > 90 else "a minute or two"
         return f"{said} and {minutes}"
@@ -59,31 +67,39 @@ class Need:
     @property
     def large(self) -> bool:
         """Whether it is worth a word before it begins."""
-        return self.bytes > SMALL_BYTES or (self.work != "fit" and self.seconds > SMALL_S)
+        return self.bytes > SMALL_BYTES or self.seconds > SMALL_S
 
 
-def need(work: str, dataset: Dataset, joints: int, candidates: int = 0) -> Need:
-    """Of `fit`, `diagnose` (among this many candidates) or `identify`, of a model with this many
-    joints.
+def need(
+    work: str, dataset: Dataset, joints: int, candidates: int = 0, way: str = "free runs"
+) -> Need:
+    """Of `fit`, `diagnose` (among this many candidates, by "free runs", along the measured "motion"
+    or under "goals") or `identify`, of a model with this many joints.
     """
     rows, runs = sum(len(e.whole) for e in dataset.experiments), len(dataset.experiments)
     channels, numbers = 1 + len(dataset.channels), 6 * joints
     if work == "identify":
-        return Need(
-            work, rows, runs, BASE + 8 * rows * (4 * channels + 14 * joints), rows * joints * 5e-6
-        )
+        size = BASE + 8 * rows * (4 * channels + 14 * joints)
+        return Need(work, rows, runs, size, START_S + FORCE_S * rows * joints)
     outputs = len(dataset.outputs)
     each = FIT_CHANNEL * channels + FIT_JOINT * joints + FIT_NUMBER * numbers * outputs
-    seconds = (
-        SECONDS
-        * rows
-        * joints
-        * (1 + numbers)
-        * (3 + PER_CANDIDATE * candidates if candidates else 1)
-    )
-    return Need(
-        work, rows, runs, BASE + 8 * rows * (each + 16 * outputs * (candidates > 0)), seconds
-    )
+    if work == "fit":
+        return Need(work, rows, runs, BASE + 8 * rows * each, 0.0)
+    size = BASE + 8 * rows * (each + 16 * outputs)
+    refits = FIRST_REFITS + PER_CANDIDATE * candidates
+    seconds = {
+        "motion": FORCE_S * rows * joints,
+        "goals": GOALS_S * _runs_beside(dataset, joints) * joints,
+        "free runs": REFIT_S * rows * joints * (1 + numbers) * refits,
+    }
+    return Need(work, rows, runs, size, START_S + seconds[way])
+
+
+def _runs_beside(dataset: Dataset, joints: int) -> float:
+    """Steps of the fit runs, once for each number of a robot and of where its runs begin."""
+    fit = dataset.with_splits().split("fit")
+    steps = sum(max(len(e.t), e.duration / STEP_S) for e in fit)
+    return steps * (1 + 5 * joints + 2 * joints * len(fit))
 
 
 def refuse_too_large(wanted: Need) -> None:

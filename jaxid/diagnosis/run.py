@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 
 import jax
 import numpy as np
 
 from jaxid import catalogue
 from jaxid.conventions.play import read_twice
-from jaxid.data.capacity import need, shortened
 from jaxid.data.dataset import Dataset
 from jaxid.data.time_stamps import scattered_stamps, with_scatter
 from jaxid.diagnosis import how_far as shrinking, jitter as timing
@@ -26,13 +25,13 @@ from jaxid.diagnosis.account import (
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.believable import doubts
 from jaxid.diagnosis.claim import Judge
+from jaxid.diagnosis.foreseen import looked_at
 from jaxid.diagnosis.goals.run import (
     begin_simulations,
     dear,
     diagnose_led,
     led,
     Offer,
-    REFITS,
     TOO_DEAR,
 )
 from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, SearchResult
@@ -49,7 +48,6 @@ from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import BlindSpots, BlindSpotSearch
 from jaxid.diagnosis.verdict import check_followed, Diverged, standing_still
-from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
@@ -177,22 +175,12 @@ def begin_compiling(
             first_asked() if effects is None else tuple(catalogue.enrolled(e) for e in effects)
         )
         binding = bind(
-            model, _looked_at(nominal, dataset, possible(nominal, allowed, "")), without=without
+            model, looked_at(nominal, dataset, possible(nominal, allowed, "")), without=without
         )
     except UsageError:  # is said by who needs it
         return
     if not dear(binding):
         begin_simulations(binding)
-
-
-def _looked_at(nominal: Chain, dataset: Dataset, library: Sequence[type[Effect]]) -> Dataset:
-    """As much of a dataset as there is room and time for."""
-    refits = REFITS if led(nominal) else sum(len(nominal.offers(k)) for k in library)
-    return (
-        shortened(dataset, need("diagnose", dataset, nominal.nq, refits))
-        if dataset.experiments
-        else dataset
-    )
 
 
 def _run(
@@ -214,7 +202,7 @@ def _run(
         residual, dataset = reference.taken(residual, nominal, dataset, goals=led(nominal))
     check_asked(nominal, asked or (), residual.name if residual else "")
     library = possible(nominal, allowed, residual.name if residual else "")
-    dataset = _looked_at(nominal, dataset, library)
+    dataset = looked_at(nominal, dataset, library, residual.name if residual else "")
     if residual is None and led(nominal) and dataset.experiments:
         plain = bind(model, dataset, without=without)
 

@@ -196,12 +196,12 @@ def _shares(
     if len({x.size for x in (before, after, alone, without)}) > 1:
         return None
     size = before.size
-    times = np.random.default_rng(0).multinomial(size, np.full(size, 1 / size), DRAWS)
-    gap = times @ before
-    drawn = (times @ (without - after))[gap > 0] / gap[gap > 0]
-    closes = float((before - alone).mean() / before.mean())
-    missed = float((without - after).mean() / before.mean())
-    if not np.isfinite([closes, missed, *drawn]).all():
+    drawn_anew = np.random.default_rng(0).multinomial(size, np.full(size, 1 / size), DRAWS)
+    times = np.concatenate([np.ones((1, size)), drawn_anew])  # first as it was recorded
+    gap, whole, one, less = (np.maximum(times @ x, 0.0) for x in (before, after, alone, without))
+    drawn = (less - whole)[gap > 0] / gap[gap > 0]
+    closes, missed = float((gap[0] - one[0]) / gap[0]), float(drawn[0])
+    if not np.isfinite([closes, *drawn]).all():
         return None
     low, high = np.percentile(drawn, [2.5, 97.5])
     return Worth(closes, missed, (float(low), float(high)))

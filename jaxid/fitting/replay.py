@@ -252,9 +252,12 @@ def in_mujoco(
     starts: list[np.ndarray],
     notes: list[str],
     gains: Mapping[str, tuple[float, float]] | None = None,
+    numbers: Mapping[str, Mapping[str, float]] | None = None,
+    finer: int = 1,
 ) -> list[np.ndarray]:
-    """Positions of the measured joints at the samples of every run; `gains` (kp, kd) of the law by
-    joint where they are not those that are stated.
+    """Positions of the measured joints at the samples of every run; `gains` (kp, kd) of the law and
+    `numbers` (armature, damping, frictionloss) by joint where they are not those that are stated;
+    in steps this many times `finer` than the file's.
     """
     free, held_notes = recorded(tree, data)
     notes += held_notes
@@ -273,6 +276,8 @@ def in_mujoco(
     robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)
     if law is None and gains:
         robot.drive_by(tree, gains)
+    robot.set_numbers(numbers)
+    robot.model.opt.timestep /= finer
     reference = robot
     torques = all(f"{j}_tau" in inputs for j in joints)
     if source and source.original and torques:

@@ -186,6 +186,13 @@ class MujocoRobot:
             self.model.actuator_biasprm[a, 1] = -kp / per_joint
             self.model.actuator_biasprm[a, 2] = -kd / per_joint
 
+    def set_numbers(self, numbers: Mapping[str, Mapping[str, float]] | None) -> None:
+        """Sets `armature`, `damping` and `frictionloss` of joints, by the joint's name."""
+        for joint, own in (numbers or {}).items():
+            _, dof = self.address(joint)
+            for kind, value in own.items():
+                getattr(self.model, f"dof_{kind}")[dof] = value
+
     def run(
         self,
         joints: Sequence[str],

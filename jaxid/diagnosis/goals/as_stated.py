@@ -16,13 +16,20 @@ import numpy as np
 
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.goals.changes import changes, StatedDifference
-from jaxid.diagnosis.goals.floor import Between, between_simulators, seen_early
+from jaxid.diagnosis.goals.floor import (
+    Between,
+    between_simulators,
+    joint_numbers,
+    JointNumbers,
+    made_by_steps,
+    seen_early,
+)
 from jaxid.diagnosis.goals.gains import held_gains
-from jaxid.diagnosis.goals.propose import as_vector, candidates_of
+from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
 from jaxid.diagnosis.goals.search import Decider
+from jaxid.diagnosis.goals.single_changes import belief_of
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
-from jaxid.diagnosis.probability import normalised, RULE
 from jaxid.diagnosis.selection import indistinct, joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import level
@@ -83,15 +90,18 @@ class Difference:
 
 
 def difference(
-    bench: ProblemBuilder, known: Mapping[str, Between], theta: np.ndarray | None = None
+    bench: ProblemBuilder,
+    known: Mapping[str, Between],
+    theta: np.ndarray | None = None,
+    numbers: JointNumbers | None = None,
 ) -> Difference | None:
     """None where MuJoCo has no run of some split; what is `known` already by split, and the numbers
-    of jaxid's runs.
+    of jaxid's and of MuJoCo's runs.
     """
     b, found = bench.binding, dict(known)
     for split in ("fit", "validation", "report"):
         if b.experiments(split) and split not in found:
-            between = between_simulators(bench, split, theta)
+            between = between_simulators(bench, split, theta, numbers)
             if between is None:
                 return None
             found[split] = between
@@ -109,17 +119,22 @@ def _changed(b: Binding, of_fit: Between) -> np.ndarray:
     return np.minimum(1.0, of_fit.left / np.maximum(moved, 1e-300))
 
 
-def by_its_steps(bench: ProblemBuilder, study: LedStudy, plain: Difference) -> Difference | None:
+def by_its_steps(
+    bench: ProblemBuilder,
+    study: LedStudy,
+    plain: Difference,
+    numbers: JointNumbers | None = None,
+) -> Difference | None:
     """The same with what first-order steps of h do to any motion of the model: they add h / 2 of
     the dampings to the inertias and see the motion h / 2 early. The first goes into the numbers,
     the second into the readings by their own speed; what is left of the difference hardly depends
-    on what the file lacks.
+    on what the file lacks. `numbers`: those of MuJoCo's runs.
     """
     b, theta = bench.binding, plain.theta.copy()
     for name, more in study.inertia_taken_up(plain.by_split["fit"].apart, plain.theta).items():
         i = b.layout.index(name)
         theta[i] = np.clip(theta[i] + more, b.lower[i], b.upper[i])
-    found = difference(bench, {}, theta)
+    found = difference(bench, {}, theta, numbers)
     if found is None:
         return None
     speeds = {
@@ -161,7 +176,7 @@ class Alone:
         decider.asked = self.own
         self.stands = decider.refit((), self.theta)
         self.tried: list[Hypothesis] = []
-        self.asked: list[Hypothesis] = []
+        self._asked: list[Hypothesis] = []
         self.as_likely: Hypothesis | None = (
             None  # the re-tuned model, where the data do not tell it from what was found
         )
@@ -187,8 +202,8 @@ class Alone:
         if out and not any(map(self.decider.at_noise, out)):
             nearest = min(out, key=joint_loss)
             out = [self.decider.polished(h) if h is nearest else h for h in out]
-        self.asked = out
         self.tried = [h for h in out if not self.of_numbers(h)]
+        self._asked = out
         good = [h for h in out if self.decider.at_noise(h)]
         least = min(map(joint_loss, good), default=0.0)
         near = [h for h in good if joint_loss(h) < LIMITS.alike * max(1.0, least)]
@@ -205,6 +220,11 @@ class Alone:
             )
 
         return sorted(good, key=order)
+
+    def nearest_numbers(self) -> Hypothesis | None:
+        """The change of the file's numbers that leaves least."""
+        of_file = [h for h in self._asked if self.of_numbers(h) and not self.of_law(h)]
+        return min(of_file, key=joint_loss, default=None)
 
     def of_numbers(self, h: Hypothesis) -> bool:
         return not self.own.isdisjoint(h.index)
@@ -241,33 +261,8 @@ class Alone:
             None,
             len({c.effect for c in chosen.effects}) > 1,
             stands=self.stands,
-            belief=self.belief([chosen, nominal]),
+            belief=belief_of(self, [self.stands, *self._asked], [chosen, nominal]),
         )
-
-    def belief(self, more: Sequence[Hypothesis]) -> Belief:
-        """How probable each effect is, of all single changes that were asked and of some more
-        models: by their sums of squares with what their numbers cost. A number that is off is no
-        effect, and as likely beforehand as none.
-        """
-        each: dict[frozenset[tuple[str, str]], float] = {}
-        for h in (self.stands, *self.asked, *more):
-            places = self._places(h)
-            prior = RULE.log_prior if places else 0.0
-            each[places] = max(each.get(places, -np.inf), prior - self.evidence(h) / 2)
-        weights = dict(zip(each, normalised(np.array(list(each.values()))).tolist(), strict=True))
-        known: dict[tuple[str, str], float] = {}
-        for places, weight in weights.items():
-            for place in places:
-                known[place] = known.get(place, 0.0) + weight
-        chosen = self._places(more[0])
-        none = weights.get(frozenset(), 0.0)
-        return Belief(known, weights[chosen] if chosen else None, none=none)
-
-    def _places(self, h: Hypothesis) -> frozenset[tuple[str, str]]:
-        """Effects and places; none of numbers of the model."""
-        if self.of_numbers(h):
-            return frozenset()
-        return frozenset((c.effect, c.location) for c in h.effects)
 
     def told(self, h: Hypothesis) -> list[int]:
         """Which numbers of what is changed (all of the file's where no effect is) the fit runs tell
@@ -301,6 +296,10 @@ class Alone:
         """Those that take no more numbers than `h`."""
         return [x for x in others if self.numbers(x) <= self.numbers(h)]
 
+    def _numbers_of(self, h: Hypothesis) -> list[int]:
+        """Those that a change moves: what the fit runs tell from what they were, else all."""
+        return self.told(h) or [i for c in h.effects for i in c.index]
+
     def said(self, enough: Sequence[Hypothesis]) -> str:
         """What other single changes do as much as the first: those that a verdict does not name by
         itself.
@@ -324,7 +323,7 @@ class Alone:
 
         own_numbers = [h for h in self._as_few(first, enough) if self.of_numbers(h)][:1]
         if self.of_numbers(first):
-            own = listed([value(i, first) for c in first.effects for i in c.index])
+            own = listed([value(i, first) for i in self._numbers_of(first)])
             alike = [
                 h
                 for h in self._as_few(first, enough)
@@ -359,12 +358,13 @@ class AsStated:
         between: Between,
     ):
         """`bench` of the model without candidates, `between` of its fit runs."""
-        self.plain = bench.binding
+        self.plain, self.bench, self.study = bench.binding, bench, study
         self.taken = difference(bench, {"fit": between})
         if self.taken is not None and not np.all(
             self.taken.floor <= np.maximum(between.left, self.plain.sigma)
         ):
-            self.taken = None  # the difference is known less well than what the file leaves: nothing can be told beside it
+            # The difference is known less well than what the file leaves: nothing shows beside it.
+            self.taken = None
         #: Whether it explains the recording by itself.
         self.stands = self.taken is not None and self.taken.accounts(self.plain)
         self.stepped = (
@@ -374,18 +374,65 @@ class AsStated:
         if self.stepped is not None:
             apart = self.stepped.by_split["fit"].apart
             self.changes = changes(self.plain, kinds, apart, self.stepped.theta)
+        self.made_by_steps = None if self.stepped is None else made_by_steps(bench)
         self.alone: Alone | None = None
         self.enough: list[Hypothesis] = []
 
     def ask(self, made: Callable[[np.ndarray], ProblemBuilder], progress: Progress | None) -> None:
         """Simulates the changes; `made(floor)` makes a bench with their effects as candidates."""
-        if self.stepped is not None and self.changes:
-            bench = self.stepped.off(made(self.stepped.floor))
-            decider = Decider(
-                bench, self.plain.layout.names, None, progress, 0, 1 + len(self.changes)
-            )
-            self.alone = Alone(decider, self.plain, self.stepped.theta)
-            self.enough = self.alone.enough(self.changes)
+        if self.stepped is None or not self.changes:
+            return
+        self._compare(self.stepped, self.changes, made, progress)
+        nearest = self.alone.nearest_numbers() if self.alone is not None else None
+        if nearest is not None:
+            self._with_their_run(nearest, made, progress)
+
+    def _compare(
+        self,
+        taken: Difference,
+        asked: Sequence[StatedDifference],
+        made: Callable[[np.ndarray], ProblemBuilder],
+        progress: Progress | None,
+    ) -> None:
+        """Simulates changes with this difference taken off the readings."""
+        bench = taken.off(made(taken.floor))
+        decider = Decider(bench, self.plain.layout.names, None, progress, 0, 1 + len(asked))
+        self.alone = Alone(decider, self.plain, taken.theta)
+        self.enough = self.alone.enough(asked)
+
+    def _with_their_run(
+        self,
+        found: Hypothesis,
+        made: Callable[[np.ndarray], ProblemBuilder],
+        progress: Progress | None,
+    ) -> None:
+        """Changed numbers of joints once more, with MuJoCo's run of the file that has them: its dry
+        friction creeps by what the friction is, and its steps by the damping. They are the answer
+        where they come to the noise so, and nothing explains the recording surely better.
+        """
+        assert self.alone is not None and self.stepped is not None
+        wide, names = self.alone.decider.bench.binding.layout, self.plain.layout.names
+        index = [names.index(wide.names[i]) for i in found.index]
+        theta = self.plain.theta.copy()
+        theta[index] = found.theta[list(found.index)] - self.alone.theta[list(found.index)]
+        theta[index] += self.plain.theta[index]
+        numbers = joint_numbers(self.plain, theta, index)
+        if sum(map(len, numbers.values())) < len(index):
+            return
+        plain = difference(self.bench, {}, theta, numbers)
+        taken = plain and by_its_steps(self.bench, self.study, plain, numbers)
+        if taken is None:
+            return
+        begin = taken.theta.copy()
+        stands = begin.copy()
+        stands[index] += self.plain.theta[index] - theta[index]
+        before = self.stepped, self.alone, self.enough
+        told = min(map(self.alone.evidence, self.enough), default=np.inf) + LIMITS.decisive
+        self.stepped = replace(taken, theta=stands)
+        change = StatedDifference(Proposal((), (), begin), tuple(index))
+        self._compare(self.stepped, [change], made, progress)
+        if not any(self.alone.evidence(h) < told for h in self.enough):
+            self.stepped, self.alone, self.enough = before
 
     @property
     def explains(self) -> bool:
@@ -426,9 +473,18 @@ class AsStated:
 
     @property
     def doubts(self) -> dict[str, float]:
-        """What steps of the simulation make of numbers that are re-tuned."""
+        """What steps of the simulation make of numbers that are re-tuned. With which steps a
+        recording was made is not known, and a robot has none.
+        """
         pairs = zip(self.plain.layout.names, self.difference.theta, self.plain.theta, strict=True)
-        return {name: float(there - here) for name, there, here in pairs if there != here}
+        moved = {name: float(there - here) for name, there, here in pairs if there != here}
+        if self.made_by_steps is None:
+            return moved
+        by_steps = self.study.taken_up(self.made_by_steps, clocks=False)[0]
+        names = dict.fromkeys([*moved, *by_steps])
+        return {
+            name: float(np.hypot(moved.get(name, 0.0), by_steps.get(name, 0.0))) for name in names
+        }
 
     def decided(self, decider: Decider, nominal: Hypothesis) -> SearchResult:
         """From the re-tuned model: the effect that alone is lacking, or none where numbers account

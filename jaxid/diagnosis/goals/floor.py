@@ -73,35 +73,39 @@ def seen_early(apart: Sequence[np.ndarray], speeds: Sequence[np.ndarray]) -> np.
     return np.sum(v * x, 0) / np.maximum(np.sum(v * v, 0), 1e-300)
 
 
+#: Numbers of joints that a file states, by joint: those that MuJoCo is asked to run with.
+JointNumbers = Mapping[str, Mapping[str, float]]
+
+
+def joint_numbers(binding: Binding, theta: np.ndarray, index: Sequence[int]) -> JointNumbers:
+    """Those of the numbers `index` of theta that MuJoCo can be given in place of the file's."""
+    found: dict[str, dict[str, float]] = {}
+    for i in index:
+        kind, _, joint = binding.layout.names[i].partition("@")
+        if kind in ("armature", "damping", "frictionloss") and joint in (
+            binding.chain.signature.joints
+        ):
+            found.setdefault(joint, {})[kind] = float(theta[i])
+    return found
+
+
 def between_simulators(
-    bench: ProblemBuilder, split: str = "fit", theta: np.ndarray | None = None
+    bench: ProblemBuilder,
+    split: str = "fit",
+    theta: np.ndarray | None = None,
+    numbers: JointNumbers | None = None,
 ) -> Between | None:
     """None where MuJoCo has no run of the file; `theta`: numbers of jaxid's run where not those of
-    the file. Gains that are fitted are those of `theta` in both runs.
+    the file, `numbers`: those of MuJoCo's. Gains that are fitted are those of `theta` in both runs.
     """
-    b = bench.binding
-    path, runs = file_of(b), b.experiments(split)
-    if path is None or not runs:
+    b, runs = bench.binding, bench.binding.experiments(split)
+    if not runs or file_of(b) is None:
         return None
     theta = as_it_stands(b)[0] if theta is None else theta
     n = b.chain.nq
     starts = estimate_starts(bench, split, [theta])
-    tree: Tree = b.chain.mechanism.tree.tree  # type: ignore[attr-defined]
-    data = replace(b.dataset, experiments=tuple(e.whole for e in runs))
-    begun = [
-        s if e.past is None else _measured(e.whole, b) for e, s in zip(runs, starts[0], strict=True)
-    ]
-    try:
-        theirs = in_mujoco(
-            data=data,
-            path=path,
-            tree=tree,
-            source=None,
-            starts=[np.asarray(s) for s in begun],
-            notes=[],
-            gains=gains_in(b, theta),
-        )
-    except UsageError:
+    theirs = _their_runs(b, split, theta, starts[0], numbers)
+    if theirs is None:
         return None
     for k, (e, y) in enumerate(zip(runs, theirs, strict=True)):
         if (
@@ -127,6 +131,59 @@ def between_simulators(
         return None
     left = [e.y[:, b.chain.joint_outputs] - y for e, y in zip(runs, theirs, strict=True)]
     return Between(apart, _rms(left), theirs, before)
+
+
+def _their_runs(
+    b: Binding,
+    split: str,
+    theta: np.ndarray,
+    starts: np.ndarray,
+    numbers: JointNumbers | None = None,
+    finer: int = 1,
+) -> list[np.ndarray] | None:
+    """MuJoCo's free runs of the file from `starts` [runs 2 n], [samples n] of each, in steps this
+    many times finer than the file's; None where MuJoCo does not take it.
+    """
+    path, runs = file_of(b), b.experiments(split)
+    assert path is not None
+    tree: Tree = b.chain.mechanism.tree.tree  # type: ignore[attr-defined]
+    data = replace(b.dataset, experiments=tuple(e.whole for e in runs))
+    begun = [
+        s if e.past is None else _measured(e.whole, b) for e, s in zip(runs, starts, strict=True)
+    ]
+    try:
+        return in_mujoco(
+            data=data,
+            path=path,
+            tree=tree,
+            source=None,
+            starts=[np.asarray(s) for s in begun],
+            notes=[],
+            gains=gains_in(b, theta),
+            numbers=numbers,
+            finer=finer,
+        )
+    except UsageError:
+        return None
+
+
+def made_by_steps(bench: ProblemBuilder) -> list[np.ndarray] | None:
+    """What the file's steps make of MuJoCo's free runs of it in the fit runs, [samples n] of each:
+    these less runs in steps of no length, which are extrapolated from half the step (steps of first
+    order, Richardson 1911). None where MuJoCo has no run of the file.
+    """
+    b = bench.binding
+    if not b.experiments("fit") or file_of(b) is None:
+        return None
+    theta = as_it_stands(b)[0]
+    starts = estimate_starts(bench, "fit", [theta])[0]
+    whole = _their_runs(b, "fit", theta, starts)
+    halved = _their_runs(b, "fit", theta, starts, finer=2)
+    if whole is None or halved is None:
+        return None
+    runs = b.experiments("fit")
+    made = [2 * (y - z)[-len(e.t) :] for e, y, z in zip(runs, whole, halved, strict=True)]
+    return made if all(np.isfinite(x).all() for x in made) else None
 
 
 def _measured(e: Experiment, b: Binding) -> np.ndarray:

@@ -83,8 +83,6 @@ RANK = {"unknown": 0, "partly": 1, "named": 2, "none": 2}
 WORDS = {"zero": "held", "linear": "along straight lines"}
 
 
-#: This many refits, about, tell what single change of a file explains a recording.
-REFITS = 20
 #: Steps of all free runs of one linearisation beyond which simulations are not worth their time.
 DEAR = 4e6
 

@@ -1,0 +1,72 @@
+"""What a diagnosis will need, before it begins: which way it goes, over how much of the data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from jaxid import catalogue
+from jaxid.data.capacity import Need, need, shortened
+from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.goals.run import dear, led
+from jaxid.diagnosis.hypothesis import possible
+from jaxid.diagnosis.last_resort import first_asked
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Effect
+from jaxid.dynamics.joint_readings import all_read
+from jaxid.errors import UsageError
+from jaxid.fitting.lost_runs import AN_ARM
+from jaxid.problem.binding import bind, resolve_model
+
+
+def foreseen(
+    model: object,
+    dataset: Dataset,
+    effects: Iterable[str | Effect | type[Effect]] | None = None,
+    without: Iterable[str] = (),
+    residual: str | None = None,
+) -> Need:
+    """What a diagnosis of a model as it is given to a command will need."""
+    nominal = resolve_model(model, dataset, without)
+    asked = first_asked() if effects is None else tuple(catalogue.enrolled(e) for e in effects)
+    library = possible(nominal, asked, residual or "")
+    way = way_of(nominal, residual or "")
+    if way == "goals" and dataset.experiments and _is_dear(model, dataset, without):
+        way = "motion"
+    return _needed(nominal, dataset, library, way)
+
+
+def looked_at(
+    nominal: Chain, dataset: Dataset, library: Sequence[type[Effect]], residual: str = ""
+) -> Dataset:
+    """As much of a dataset as there is room and time for. Runs under goals that take too long to
+    simulate are compared along the measured motion, and need not be cut.
+    """
+    if not dataset.experiments:
+        return dataset
+    way = way_of(nominal, residual)
+    way = "motion" if way == "goals" else way
+    return shortened(dataset, _needed(nominal, dataset, library, way))
+
+
+def way_of(nominal: Chain, residual: str) -> str:
+    """ "goals" under a drive law; the measured "motion" where torques are compared, as they are of
+    an arm whose free run does not follow its recording; else "free runs".
+    """
+    if led(nominal) and not residual:
+        return "goals"
+    measured = nominal.direct and all_read(nominal) and not nominal.mechanism.hidden_states
+    an_arm = measured and nominal.nq >= AN_ARM and not residual
+    return "motion" if residual == "inverse_dynamics" or an_arm else "free runs"
+
+
+def _needed(nominal: Chain, dataset: Dataset, library: Sequence[type[Effect]], way: str) -> Need:
+    candidates = sum(len(nominal.offers(kind)) for kind in library)
+    return need("diagnose", dataset, nominal.nq, candidates, way)
+
+
+def _is_dear(model: object, dataset: Dataset, without: Iterable[str]) -> bool:
+    """Whether simulations under the law would take too long."""
+    try:
+        return dear(bind(model, dataset, without=without))
+    except UsageError:  # is said by who needs it
+        return False
