@@ -480,7 +480,7 @@ class AsStated:
         moved = {name: float(there - here) for name, there, here in pairs if there != here}
         if self.made_by_steps is None:
             return moved
-        by_steps = self.study.taken_up(self.made_by_steps, clocks=False)[0]
+        by_steps = self.study.taken_up(self.made_by_steps, self.plain.free, clocks=False)[0]
         names = dict.fromkeys([*moved, *by_steps])
         return {
             name: float(np.hypot(moved.get(name, 0.0), by_steps.get(name, 0.0))) for name in names

@@ -12,7 +12,7 @@ from jaxid.diagnosis.hypothesis import Hypothesis
 from jaxid.diagnosis.probability import normalised, RULE
 
 
-class Judged(Protocol):
+class SingleChanges(Protocol):
     """What tells numbers of the model from effects, and what a change is worth."""
 
     def of_numbers(self, h: Hypothesis) -> bool: ...
@@ -20,7 +20,9 @@ class Judged(Protocol):
     def evidence(self, h: Hypothesis) -> float: ...
 
 
-def belief_of(alone: Judged, asked: Sequence[Hypothesis], more: Sequence[Hypothesis]) -> Belief:
+def belief_of(
+    alone: SingleChanges, asked: Sequence[Hypothesis], more: Sequence[Hypothesis]
+) -> Belief:
     """How probable each effect is, of all single changes that were asked and of some more models,
     the chosen one first: by their sums of squares with what their numbers cost. A number that is
     off is no effect, and as likely beforehand as none.
@@ -40,7 +42,7 @@ def belief_of(alone: Judged, asked: Sequence[Hypothesis], more: Sequence[Hypothe
     return Belief(known, weights[chosen] if chosen else None, none=none)
 
 
-def _places(alone: Judged, h: Hypothesis) -> frozenset[tuple[str, str]]:
+def _places(alone: SingleChanges, h: Hypothesis) -> frozenset[tuple[str, str]]:
     """Effects and places; none of numbers of the model."""
     if alone.of_numbers(h):
         return frozenset()
