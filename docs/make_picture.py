@@ -19,7 +19,7 @@ import numpy as np  # noqa: E402
 import jaxid  # noqa: E402
 from jaxid import wording  # noqa: E402
 from jaxid.report import plot  # noqa: E402
-from jaxid.report.answer import draw_gap  # noqa: E402
+from jaxid.report.budget_picture import draw_gap  # noqa: E402
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -55,7 +55,7 @@ def picture(diagnosis: jaxid.Diagnosis) -> str:
         left.legend(
             loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.5, borderaxespad=0.2
         )
-        draw_gap(right, diagnosis.how_far, diagnosis.which.verdict)
+        draw_gap(right, diagnosis)
         closed = wording.percent(diagnosis.how_far.shrinkage)
         right.set_title(f"{closed} of the gap closed", fontsize=9, loc="left")
         right.set_xlabel("gap, multiples of the noise (logarithmic)")

@@ -58,7 +58,8 @@ def test_a_linear_problem_has_the_posterior_of_the_textbook():
 
 @pytest.mark.parametrize("bounds", [(0.0, 50.0), (0.0, np.inf)])
 def test_a_number_at_its_bound_has_half_a_normal_distribution(bounds):
-    z = drawn(np.eye(1), np.zeros(1), *bounds, np.zeros(1))
+    lower, upper = bounds
+    z = drawn(np.eye(1), np.zeros(1), lower, upper, np.zeros(1))
     assert z.min() >= 0
     assert z.mean() == pytest.approx(np.sqrt(2 / np.pi), abs=0.06)
     assert np.quantile(z, 0.95) == pytest.approx(1.96, abs=0.15)
@@ -150,6 +151,7 @@ def test_the_truth_lies_inside_as_often_as_it_is_said(clean):
     inside = []
     for seed in range(1, 13):
         posterior = fitted(clean, seed, SHORT).posterior
+        assert posterior is not None
         for name, truth in TRUTH.items():
             low, high = posterior.parameters[name].interval_95
             inside.append(low <= truth <= high)
@@ -162,7 +164,7 @@ def test_a_model_that_misses_the_data_is_not_believed_for_its_number_of_samples(
     t = np.arange(400) * 0.01
     q = clean + 0.03 * np.sin(2 * t) + NOISE * np.random.default_rng(5).normal(size=clean.size)
     fit = jaxid.fit("pendulum", as_recorded(q), without=["coulomb_friction"], posterior=SHORT)
-    assert fit.posterior.noise_factor > 3
+    assert fit.posterior is not None and fit.posterior.noise_factor > 3
     for name, marginal in fit.posterior.parameters.items():
         std = fit.parameters[name].std
         assert std is None or marginal.std > 0.6 * std

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxid
-from benchmarks import twins
+from jaxid.benchmark import numpy_twin, plants
 from jaxid.diagnosis.rest_before import keeps_at_rest, with_rest_before
 from jaxid.problem.binding import bind
 
@@ -33,10 +33,10 @@ def recorded_late(first: float = 1.0) -> jaxid.Dataset:
             u[at : at + step] = rng.uniform(-0.5, 0.5)
             at += step
         inputs.append(u)
-    plant = dataclasses.replace(twins.PLANTS["pendulum"], rate=200, noise=NOISE, resolution=0.0)
+    plant = dataclasses.replace(plants.PLANTS["pendulum"], rate=200, noise=NOISE, resolution=0.0)
     numbers = plant.nominal | {"delay": np.array([DELAY])}
     lanes = {name: np.tile(value, (4, 1)) for name, value in numbers.items()}
-    y = twins.recorded(plant, np.array(inputs), lanes, np.random.default_rng(1))
+    y = numpy_twin.recorded(plant, np.array(inputs), lanes, np.random.default_rng(1))
     return jaxid.Dataset.from_arrays(
         [np.arange(samples) / 200] * 4,
         {"tau": [u[before:, 0] if first is None else u[before:, 0] * first for u in inputs]},
