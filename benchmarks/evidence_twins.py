@@ -35,6 +35,10 @@ KNOWN = ("position_damping", "bump", "noise_in_colour", "drift", "end_stop", "st
 FRESH = (*KNOWN, "square_friction", "reversal", "ripple_by_speed", "random_law", "pushes")
 #: Outsiders that say an effect of the library in other words: their claims count neither way.
 SAME = {"square_friction": ("position_dependent_friction", "coulomb_friction")}
+#: Gravity, and the length of a link of a chain.
+GRAVITY, LINK = 9.81, 0.4
+#: Share of the joints of a chain that have a force from outside the library.
+STRANGE = 0.5
 EDGES = (0.0, 0.3, 0.5, 0.7, 0.95, 1.0)
 
 
@@ -52,10 +56,19 @@ class Motion:
         """Through the low-pass, at the rows."""
         return smooth(x, CUTOFF)[KEPT]
 
+    def at_joint(self, x: np.ndarray, joint: int) -> np.ndarray:
+        """A force [time k] of one joint as rows of all [rows n k]."""
+        own = self.rows(x)
+        out = np.zeros((len(own), self.q.shape[1], own.shape[1]))
+        out[:, joint] = own
+        return out
+
 
 @dataclass(frozen=True)
 class Law:
-    """An effect at a joint with one shape: its columns of each run [samples n k]."""
+    """An effect at a joint (-1: at all of them) with one shape: its columns of each run [samples n
+    k].
+    """
 
     effect: str
     joint: int
@@ -107,6 +120,8 @@ def model_columns(kind: str, m: Motion, turn: np.ndarray) -> tuple[np.ndarray, i
     n = m.q.shape[1]
     if kind == "arm":
         body = arm_columns(m)
+    elif kind == "chain":
+        body = chain_columns(m)
     elif kind == "pendulum":
         body = np.stack([m.qdd, np.sin(m.q)], -1)
     else:
@@ -125,6 +140,39 @@ def arm_columns(m: Motion) -> np.ndarray:
     out[:, 0] = np.stack([a1, a1 + a2, coupling, np.sin(m.q[:, 0]), np.sin(both)], -1)
     out[:, 1] = np.stack([0 * a1, a1 + a2, a1 * cos + v1**2 * sin, 0 * a1, np.sin(both)], -1)
     return out
+
+
+def chain_columns(m: Motion) -> np.ndarray:
+    """Inertia and first moment of each link of a chain in a plane [samples n 2n]."""
+    n = m.q.shape[1]
+    q, qd, qdd = (np.cumsum(x, axis=1) for x in (m.q, m.qd, m.qdd))
+    out = np.zeros((len(q), n, 2 * n))
+    for k in range(n):
+        out[:, k, k] = qdd[:, k]
+        out[:, k, n + k] = GRAVITY * np.sin(q[:, k])
+        for i in range(k):
+            apart = q[:, i] - q[:, k]
+            cos, sin = LINK * np.cos(apart), LINK * np.sin(apart)
+            out[:, i, n + k] += cos * qdd[:, k] + sin * qd[:, k] ** 2
+            out[:, k, n + k] += cos * qdd[:, i] - sin * qd[:, i] ** 2
+    return joint_torques(out)
+
+
+def joint_torques(x: np.ndarray) -> np.ndarray:
+    """Torques about joints of those that turn links against the ground, [samples n ...]."""
+    return np.cumsum(x[:, ::-1], axis=1)[:, ::-1]
+
+
+def askew(m: Motion, moments: np.ndarray) -> np.ndarray:
+    """What a base that stands askew changes, to first order [samples n], at these first moments."""
+    return joint_torques(GRAVITY * moments * np.cos(np.cumsum(m.q, axis=1)))
+
+
+def numbers_of_chain(n: int, rng: np.random.Generator) -> np.ndarray:
+    outer = 0.6 ** np.arange(n)
+    body = np.concatenate([0.5 * outer, 1.2 * outer]) * rng.uniform(0.7, 1.3, 2 * n)
+    friction = np.concatenate([size * 3.0 * outer for size in (0.15, 0.3, 0.03)])
+    return np.concatenate([body, friction * rng.uniform(0.6, 1.4, 3 * n)])
 
 
 def numbers(kind: str, rng: np.random.Generator) -> np.ndarray:
@@ -234,14 +282,18 @@ def outsider(
     return out
 
 
-def twin(seed: int) -> Twin:
-    rng = np.random.default_rng(seed)
+def twin(seed: int, joints: int | None = None) -> Twin:
+    """`joints`: of a chain of three or more; None draws what has one or two."""
+    rng = np.random.default_rng(seed if joints is None else [seed, joints])
     kind = str(rng.choice(["joint", "pendulum", "arm"], p=[0.3, 0.4, 0.3]))
     n = 2 if kind == "arm" else 1
+    if joints is not None:
+        kind, n = "chain", joints
     styles = rng.permutation(["sines", "steps", "chirp"])
     true = [motion(smooth(moved(rng, n, s), 4)) for s in (*styles[:2], rng.choice(styles))]
     top = np.percentile(np.abs(np.concatenate([m.qd for m in true])), 99, axis=0)
-    turn, theta = 0.005 * top, numbers(kind, rng)
+    turn = 0.005 * top
+    theta = numbers(kind, rng) if joints is None else numbers_of_chain(n, rng)
     off, reading = rng.uniform(-1, 1), 10 ** rng.uniform(-4.3, -3)
     seen = [motion(smooth(m.q + reading * rng.normal(size=m.q.shape), 2 * CUTOFF)) for m in true]
 
@@ -252,6 +304,10 @@ def twin(seed: int) -> Twin:
     (model, rigid), (measured, seen_rigid) = columns(true), columns(seen)
     there = laws(true, rigid, turn, top, off)
     asked = laws(seen, seen_rigid, turn, top, 0.0)
+    if kind == "chain":
+        moments = theta[n : 2 * n]
+        there += [Law("tilt", -1, "", False, [askew(m, moments)[:, :, None] for m in true])]
+        asked += [Law("tilt", -1, "", False, [askew(m, moments)[:, :, None] for m in seen])]
     tau = [x @ theta for x in model]
     white = rng.uniform(0.005, 0.05) * np.std(np.concatenate(tau), axis=0)
     errors = [
@@ -278,13 +334,20 @@ def twin(seed: int) -> Twin:
         weight = rng.normal(size=law.columns[0].shape[2])
         force = [x @ (np.abs(weight) if law.signed else weight) for x in law.columns]
         alone = np.sqrt(np.mean(np.concatenate(force) ** 2)) / np.mean(noise)
-        if (place := (effect, f"q{joint + 1}")) in truth or shows(force) < 0.03 * alone:
+        if (place := (effect, place_of(joint))) in truth or shows(force) < 0.03 * alone:
             continue
         share = size * np.exp(rng.uniform(-0.9, 0.9)) / shows(force)
         tau = [a + share * b for a, b in zip(tau, force, strict=True)]
         truth.add(place)
     beyond = "none"
-    if rng.random() < 0.7:
+    strange = [j for j in range(n) if kind == "chain" and rng.random() < STRANGE]
+    for j in strange:
+        beyond = str(rng.choice(KNOWN if seed < 10_000 else FRESH))
+        own = outsider(beyond, rng, true, j, float(turn[j]), float(top[j]))
+        force = [x[:, None] * np.eye(n)[j] for x in own]
+        strength = np.exp(rng.uniform(np.log(0.03), np.log(2.0)))
+        tau = [a + strength * size / shows(force) * b for a, b in zip(tau, force, strict=True)]
+    if kind != "chain" and rng.random() < 0.7:
         beyond = str(rng.choice(KNOWN if seed < 10_000 else FRESH))
         j = int(rng.integers(n))
         own = outsider(beyond, rng, true, j, float(turn[j]), float(top[j]))
@@ -292,7 +355,12 @@ def twin(seed: int) -> Twin:
         strength = np.exp(rng.uniform(np.log(0.03), np.log(2.0))) if truth else 1.0
         tau = [a + strength * size / shows(force) * b for a, b in zip(tau, force, strict=True)]
     tau = [x + white * rng.normal(size=x.shape) for x in tau]
-    return Twin(prepared(seen, measured, asked, tau, noise, turn), truth, beyond)
+    scales = prepared(seen, measured, asked, tau, noise, turn)
+    return Twin(scales, truth, "none" if len(strange) > 1 else beyond)
+
+
+def place_of(joint: int) -> str:
+    return "base" if joint < 0 else f"q{joint + 1}"
 
 
 def prepared(
@@ -333,13 +401,13 @@ def unit_of(law: Law) -> Unit:
     open_ = np.full(count, np.inf)
     return Unit(
         effect=law.effect,
-        location=f"q{law.joint + 1}",
+        location=place_of(law.joint),
         fields=tuple(f"number_{k}" for k in range(count)),
         least=np.zeros(count) if law.signed else -open_,
         most=open_,
         spread=open_,
         shape={"shape": 0.0} if law.shape else {},
-        joints=(law.joint,),
+        joints=(law.joint,) if law.joint >= 0 else tuple(range(law.columns[0].shape[1])),
         columns=[],
     )
 

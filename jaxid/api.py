@@ -23,6 +23,7 @@ from jaxid.fitting.fitter import AbstractFitter, Progress
 from jaxid.fitting.limbs import each
 from jaxid.fitting.result import Fit
 from jaxid.fitting.simulation import Simulation
+from jaxid.problem.accuracy import with_accuracy
 from jaxid.problem.added_effects import parse_effect
 from jaxid.problem.binding import bind, Binding, foreseen, resolve_model
 from jaxid.problem.problem import LOSSES
@@ -237,6 +238,7 @@ def diagnose(
     reference: Any = None,
     cutoff_hz: float | None = None,
     seconds: float | None = None,
+    accuracy: str | None = None,
 ) -> Diagnosis:
     """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it
     is added.
@@ -248,10 +250,13 @@ def diagnose(
     `as_recorded`. `reference`, a fit, an identification or a diagnosis of another recording (or its
     JSON file), is what is known beforehand: what is asked is what is different here. `cutoff_hz` is
     the low-pass of `inverse_dynamics`. After `seconds` the answer is what is known by then, with
-    `complete` false; a program that is being compiled is waited for. Raises `UsageError` for
+    `complete` false; a program that is being compiled is waited for. `accuracy`, `"1 mrad"` or
+    `"q = 1 mrad, position = 0.1 mm"`, is how near a model has to come: what is left within it is
+    not missing. Raises `UsageError` for
     arguments that do not fit, and where nothing is known after `seconds`.
     """
     refuse_free("diagnose", dataset)
+    dataset = with_accuracy(dataset, accuracy)
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
     asked = None if effects is None else tuple(effects)

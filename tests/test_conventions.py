@@ -401,27 +401,6 @@ def test_effects_that_cannot_be_believed_are_said_so():
     )
 
 
-def test_an_effect_beside_a_number_at_its_bound_may_stand_in_for_it():
-    from jaxid.diagnosis.believable import beside_bounds
-    from jaxid.fitting.result import EffectEstimate, Estimate
-
-    effect = EffectEstimate(
-        "constant_torque", "q", {"torque": Estimate(0.1, 0.001, "N m", -1.0, 1.0)}
-    )
-
-    def at(value, lower, upper, at_bound=True):
-        return Estimate(value, 0.01, "m", lower, upper, at_bound)
-
-    pushed = {"com_x@l1": at(0.28, -0.1, 0.28)}
-    (why,) = beside_bounds([effect], pushed, ()).values()
-    assert why.startswith("com_x@l1 was pushed to its bound (0.280 m)")
-    assert not beside_bounds([effect], pushed, {"com_x@l1"})  # the user's own bound
-    assert not beside_bounds(
-        [effect], {"viscous": at(0.0, 0.0, 3.0), "inertia": at(0.3, 0.1, 3.0, False)}, ()
-    )
-    assert beside_bounds([effect], {"com_x@l1": at(-0.1, -0.1, 0.28)}, ())
-
-
 @pytest.fixture(scope="module")
 def recorded_arm() -> jaxid.Dataset:
     folder = CASES.parent / "data" / "ur10e"

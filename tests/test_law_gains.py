@@ -13,12 +13,10 @@ from jaxid.data.dataset import Controller
 from jaxid.diagnosis.goals.floor import between_simulators
 from jaxid.diagnosis.goals.gains import (
     asked_for,
-    doubted_gains,
     freed,
     gains_in,
     held_gains,
     ROOM,
-    sets_of_gains,
     with_room,
 )
 from jaxid.fitting.problem_builder import ProblemBuilder
@@ -70,7 +68,6 @@ def test_gains_that_nobody_asked_for_are_held_and_have_room():
     wide = freed(b, ["kd@steer"])
     assert [wide.layout.names[i] for i in held_gains(wide)] == ["kp@steer"]
     assert gains_in(b, b.theta) == {} and gains_in(wide, b.theta) == {"steer": (8.0, 0.3)}
-    assert [[c.effect for c in own] for own in sets_of_gains(b)] == [["kp"], ["kd"], ["kp", "kd"]]
     assert 'fit = ["kd"]' in asked_for(wide, ["kd@steer"])
 
 
@@ -177,15 +174,3 @@ def test_a_gain_that_is_a_little_off_is_no_effect(stated, parameter, value, tmp_
     assert first.parameter == parameter
     told = first.fitted if first.beside is None else first.beside
     assert told == pytest.approx(value, rel=0.03)
-
-
-def test_a_kp_is_doubted_where_several_numbers_of_its_joint_are_refuted():
-    def row(parameter: str, deviation: float | None, joint: str = "steer") -> StatedNumber:
-        return StatedNumber(joint, "", parameter, 1.0, 2.0, 0.1, deviation, "")
-
-    b = bound()
-    assert doubted_gains(b, [row("armature", 9.0), row("frictionloss", -5.0)]) == ["kp@steer"]
-    assert doubted_gains(b, [row("armature", 9.0), row("frictionloss", None)]) == []
-    assert doubted_gains(b, [row("armature", 9.0), row("frictionloss", 5.0, "other")]) == []
-    asked = bound(kp=8.0, kd=0.3, sample_time=0.0, velocity="measured", fit=["kp"])
-    assert doubted_gains(asked, [row("armature", 9.0), row("frictionloss", 5.0)]) == []

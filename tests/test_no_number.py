@@ -12,7 +12,6 @@ import pytest
 from jaxid.conventions import decide
 from jaxid.diagnosis import selection, where
 from jaxid.diagnosis.budget import budget, closed
-from jaxid.diagnosis.goals import gains
 from jaxid.diagnosis.goals.as_stated import Alone, Difference
 from jaxid.diagnosis.goals.floor import Between, not_this_file
 from jaxid.diagnosis.goals.search import Decider
@@ -376,21 +375,6 @@ def test_under_goals_nothing_is_decided_by_what_is_no_number(bad):
     assert not taken.accounts(one)
     assert not_this_file(one, between, np.array([1.0])) == ""
     assert not_this_file(one, Between([], np.array([1.0])), np.array([np.nan])) == ""
-
-
-@pytest.mark.parametrize("bad", NONE)
-def test_gains_that_leave_no_number_are_not_better(bad):
-    plain = hypothesis(50.0, 50.0)
-    for losses in ((bad, 1.0), (1.0, bad)):
-        other = hypothesis(*losses, "kd at q")
-        other.fit_inflation = 1.0
-        decider: Any = SimpleNamespace(
-            bench=SimpleNamespace(binding=SimpleNamespace(theta=np.zeros(1))),
-            refit=lambda effects, *a, o=other: o if effects else plain,
-        )
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(gains, "sets_of_gains", lambda binding: [["kd at q"]])
-            assert gains.better_gains(decider, np.zeros(1)) is None
 
 
 def alone(own: set[int]) -> Alone:

@@ -134,7 +134,7 @@ def test_a_limit_of_the_drive_is_found_where_the_drive_meets_it():
         swinging(),
         effects=[{"effect": "saturation", "location": "lift_tau", "parameters": {"limit": limit}}],
     )
-    _, sets = proposals(LedStudy(bind(model, data), [Saturation, StribeckFriction]), 3)
+    sets = proposals(LedStudy(bind(model, data), [Saturation, StribeckFriction]), 3).sets
     assert [(u.effect, u.location) for u in sets[0].units] == [("saturation", "lift_tau")]
     assert abs(sets[0].units[0].shape["limit"] - limit) < 0.1 * limit
 

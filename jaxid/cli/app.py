@@ -243,6 +243,11 @@ def fit(
     metavar="FILE",
     help="TOML: of that run; default: what was recorded.",
 )
+@click.option(
+    "--accuracy",
+    metavar="SIZE",
+    help='What is left within it is not missing: "1 mrad", or "q = 1 mrad, position = 0.1 mm".',
+)
 @SECONDS
 @AS_RECORDED
 @output_options
@@ -259,6 +264,7 @@ def diagnose(
     seed,
     next_,
     limits,
+    accuracy,
     seconds,
     as_recorded,
     as_json,
@@ -291,6 +297,7 @@ def diagnose(
             progress=output.progress,
             as_recorded=as_recorded,
             seconds=seconds,
+            accuracy=accuracy,
         )
         code = output.deliver(result, diagnosis_text)
     if next_ is not None:

@@ -58,7 +58,8 @@ class ModelSpec:
     """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a
     `serial_arm` or a robot, whose `base` is fixed or prescribed; `joints`: channel of a position ->
     the name of its joint. `file` is the path of a model of the user's own, with its class where it
-    was named (`/data/osc/duffing.py:Duffing`).
+    was named (`/data/osc/duffing.py:Duffing`). `trust` says how far stated numbers may be off: see
+    `jaxid.problem.trust`.
     """
 
     name: str | None = None
@@ -70,6 +71,7 @@ class ModelSpec:
     joints: dict[str, str] = field(default_factory=dict)
     base: dict[str, Any] = field(default_factory=dict)
     file: str | None = field(default=None, compare=False)  # where it lies makes no other model
+    trust: str | None = None
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,8 @@ class Dataset:
     source: dict[str, Any] | str | None = None
     notes: tuple[str, ...] = field(default=(), compare=False)
     sha256: str = field(default="", compare=False)
+    #: Channel -> how near a model has to come, SI: see `jaxid.problem.accuracy`.
+    accuracy: dict[str, float] = field(default_factory=dict, compare=False)
 
     __hash__ = None  # type: ignore[assignment]
 

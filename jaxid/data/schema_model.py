@@ -87,7 +87,8 @@ class ModelEntry(Strict):
     `urdf` (a file of the folder, with the `root` and the `tip` of the chain where it has several)
     or `dh` are the links of a `serial_arm`; `robot` is the file of any robot, MJCF or URDF, with
     its `base`. `file` holds a model of the user's own, `name` its class where there are several.
-    `joints` says which joint a channel is of (`q1` and its `tau1`, `q1_cmd` … alike).
+    `joints` says which joint a channel is of (`q1` and its `tau1`, `q1_cmd` … alike). `trust` says
+    how far stated numbers may be off.
     """
 
     name: str | None = None
@@ -103,6 +104,7 @@ class ModelEntry(Strict):
     robot: str | None = None
     base: BaseEntry | None = None
     joints: dict[str, str] = {}
+    trust: Literal["exact", "measured", "loose"] | None = None
 
     @field_validator("joints")
     @classmethod

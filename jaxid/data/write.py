@@ -139,6 +139,7 @@ def _model(model: ModelSpec) -> dict[str, Any]:
     if links is not None:
         entry |= _links(links, model.base)
     entry["joints"] = dict(model.joints) or None
+    entry["trust"] = model.trust
     return _stated(entry)
 
 

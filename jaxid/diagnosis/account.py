@@ -22,6 +22,7 @@ from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.fitting.scores import free_runs, make_traces
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError, Residual
+from jaxid.problem.trust import sentence
 from jaxid.wording import number, percent
 
 
@@ -184,4 +185,5 @@ def notes_of(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
     own = [n for n in fit.notes if n not in binding.dataset.notes]
     friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
     law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
-    return [*own, f"Coulomb friction: {law}", f"compilation took {number(compile_time)} s"]
+    said = [f"Coulomb friction: {law}", f"compilation took {number(compile_time)} s"]
+    return [*own, *said, *filter(None, [sentence(binding)])]

@@ -5,7 +5,7 @@ or that nothing is; and what each named effect is worth.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from typing import Any
 
@@ -84,6 +84,11 @@ class Belief:
             "missed_without": None if worth is None else worth.missed_without,
             "missed_interval_95": None if worth is None else worth.missed_interval_95,
         }
+
+    def beside(self, more: dict[tuple[str, str], float]) -> Belief:
+        """With further effects at places, of which each is there with such a probability."""
+        sure = product([p for p in (self.probability, *more.values()) if p is not None])
+        return replace(self, places=self.places | more, probability=sure, none=0.0)
 
     def possible(self, least: float) -> list[tuple[str, str, float]]:
         """Effects and places of at least this probability, most probable first."""

@@ -4,7 +4,7 @@ no drive is switched off.
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.effect import InputEffect, neutral
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.fitting.result import Covariance, EffectEstimate, Estimate
-from jaxid.wording import listed, number
 
 
 def doubts(
@@ -24,24 +23,6 @@ def doubts(
     all fitted numbers.
     """
     return {str(e): why for e in effects if (why := _doubt(e, covariance))}
-
-
-def beside_bounds(
-    effects: Sequence[EffectEstimate], own: Mapping[str, Estimate], stated: Container[str]
-) -> dict[str, str]:
-    """The same for all effects, where numbers of the model's `own` were pushed to bounds that
-    nobody `stated`: an effect may stand in for what such a number was not let be. Where a number
-    cannot be negative, 0 is no bound but nothing.
-    """
-    pushed = [
-        f"{name} was pushed to its bound ({number(e.value)}{'' if e.unit == '1' else f' {e.unit}'})"
-        for name, e in own.items()
-        if e.at_bound and name not in stated and (e.lower < 0 or 2 * e.value > e.lower + e.upper)
-    ]
-    why = (
-        f"{listed(pushed)}, and an effect may stand in for what it was not let be" if pushed else ""
-    )
-    return {str(e): why for e in effects if why}
 
 
 def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:

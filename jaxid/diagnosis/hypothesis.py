@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 
@@ -105,6 +105,12 @@ class SearchResult:
     cut_short: bool = False
     belief: Belief | None = None
     possible: tuple[Candidate, ...] = ()
+
+    def believed(self, claimed: bool) -> Belief | None:
+        """The probabilities, where what was chosen is claimed or is not."""
+        if self.belief is None or claimed:
+            return self.belief
+        return replace(self.belief, probability=None, families=(), worth={})
 
 
 def without_each(

@@ -281,6 +281,8 @@ class Diagnosis(Displayed, Exportable):
     rivals: Rivals | None = field(default=None, repr=False, compare=False)
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
     complete: bool = True  # whether the search came to its end
+    trust: dict[str, Any] = field(default_factory=dict)  # see `jaxid.problem.trust`
+    accuracy: dict[str, float] = field(default_factory=dict)  # channel -> what was asked for, SI
 
     @property
     def budget(self) -> tuple[Step, ...]:
@@ -332,6 +334,8 @@ class Diagnosis(Displayed, Exportable):
             "parameters": {k: v.to_dict() for k, v in self.final.parameters.items()},
             "stated": [s.to_dict() for s in self.final.stated],
             **with_origin(self.final),
+            "trust": self.trust,
+            "accuracy": self.accuracy,
             "complete": self.complete,
             "wall_time_s": self.wall_time_s,
             "notes": list(self.notes),

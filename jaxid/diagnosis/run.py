@@ -23,7 +23,7 @@ from jaxid.diagnosis.account import (
     where_it_lies,
 )
 from jaxid.diagnosis.belief import Belief
-from jaxid.diagnosis.believable import beside_bounds, doubts
+from jaxid.diagnosis.believable import doubts
 from jaxid.diagnosis.claim import Judge
 from jaxid.diagnosis.foreseen import looked_at
 from jaxid.diagnosis.goals.run import (
@@ -68,6 +68,7 @@ from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, star
 from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
+from jaxid.problem.trust import told
 from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import STEP
 from jaxid.storage.interim import Interim
@@ -376,15 +377,8 @@ def _diagnosed(
         return fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
 
     final_fit = assembled() if named or question.search is None else nominal_fit
-    against = doubts(estimates, final_fit.covariance) if verdict.name in ("named", "partly") else {}
-    if verdict.name in ("named", "partly") and question.search is not None:
-        spec = binding.dataset.model
-        bounded = (
-            {n for n, p in spec.parameters.items() if p.lower is not None or p.upper is not None}
-            if spec
-            else ()
-        )
-        against = beside_bounds(estimates, final_fit.parameters, bounded) | against
+    doubtful = verdict.claims and question.search is None
+    against = doubts(estimates, final_fit.covariance) if doubtful else {}
     if against:
         verdict = verdict if len(against) < len(estimates) else verdict.unclaimed()
         verdict = verdict.but("partly", NotBelievable(tuple(dict.fromkeys(against.values()))))
@@ -394,7 +388,6 @@ def _diagnosed(
     how_far = dataclasses.replace(
         how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint)
     )
-    mates = search.confusable if named else []
     findings, pictures, rows = where_it_lies(
         bench,
         search.stands if named and search.stands else nominal,
@@ -421,16 +414,11 @@ def _diagnosed(
     if verdict.name == "none":
         pair = (search.nominal, looked.rival) if looked.rival else None
     rivals = None if pair is None else rivals_of(bench, pair)
+    mates = search.confusable if named else []
     confusable = tuple(EffectEstimate(c.effect, c.location) for c in mates)
-    which = Which(
-        verdict.name,
-        estimates if named else (),
-        confusable,
-        ranking,
-        verdict.text,
-        against,
-        search.belief or Belief({}, worth=worth([search.nominal, *search.tried], search.chosen)),
-    )
+    claimed, belief = estimates if named else (), search.believed(bool(named))
+    belief = belief or Belief({}, worth=worth([search.nominal, *search.tried], search.chosen))
+    which = Which(verdict.name, claimed, confusable, ranking, verdict.text, against, belief)
     advised = advice(
         verdict=verdict.name,
         named=[c.effect for c in named],
@@ -460,6 +448,8 @@ def _diagnosed(
         notes=(*binding.dataset.notes, *notes_of(binding, final_fit, compile_time)),
         unseen=looked.unseen,
         rivals=rivals,
+        trust=told(binding),
+        accuracy=binding.dataset.accuracy,
     )
     if stopped:
         raise Interrupted(found) from stopped

@@ -142,6 +142,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
     )
     if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
         return Verdict("named", (Lacks(names, left), *each))
+    # What is claimed with a probability need not account for most of a gap.
     if closed >= LIMITS.partly or (search.belief is not None and closed > 0):
         return Verdict("partly", (LacksInPart(names, closed, left), *each))
     if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:

@@ -73,7 +73,7 @@ def stated_numbers(
     spec, out = binding.dataset.model, {}
     for name, prior in spec.parameters.items() if spec is not None else ():
         i = binding.layout.index(name)
-        if prior.value is None or i not in found or i in binding.priors:
+        if prior.value is None or i not in found or prior.prior is not None:
             continue
         entry, estimate = binding.layout.entries[i], found[i]
         joint = entry.location or (

@@ -27,6 +27,7 @@ from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.errors import nearest, UsageError
 from jaxid.models.effects import TimestampJitter
 from jaxid.problem import measured_motion
+from jaxid.problem.accuracy import beside_accuracy
 from jaxid.problem.added_effects import parse_effect
 from jaxid.problem.measured_motion import Motion
 from jaxid.problem.named_model import named_model
@@ -87,6 +88,9 @@ class Binding:
         default_factory=dict
     )  # what another simulator of the same file makes of numbers
     said: tuple[str, ...] = ()  # what the dataset asks for that changes a result
+    #: Kind of stated number -> the spread of its priors: see `jaxid.problem.trust`.
+    spreads: dict[str, float] = field(default_factory=dict)
+    inflation: float = 1.0  # by so much variances of priors were made smaller
 
     def experiments(self, split: str) -> tuple[Experiment, ...]:
         return self.dataset.split(split)
@@ -130,6 +134,7 @@ class Binding:
         if window is None or all(n.source != "repeatability" for n in self.noise.values()):
             return self
         noise = noise_floor(self.dataset, window=window)
+        noise = beside_accuracy(noise, self.dataset.accuracy)
         return replace(
             self,
             noise=noise,
@@ -313,6 +318,7 @@ def bind(
     if any(n.source == "repeatability" for n in noise.values()):
         alone = noise_floor(dataset, readings=True)
     readings = np.array([alone[n].std for n in names])
+    noise = beside_accuracy(noise, dataset.accuracy)
 
     values = stated_values(ParameterVector(chain), dataset.model)
     chain = ParameterVector(chain).model(values.theta)  # with what the dataset states

@@ -26,11 +26,9 @@ def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
     tree: Tree | None = None if held is None else held.tree
     rows: dict[int, dict[str, Any]] = {}
     for i in found:
-        kind = binding.layout.entries[i].name.partition("@")[0]
         if i not in binding.nominal:  # an effect's: no file has it
             continue
-        of_file = tree is not None and _states(tree, kind, float(binding.theta[i]))
-        if of_file or i in binding.stated:
+        if states(binding, i):
             rows[i] = _row(binding, found, i, tree)
     return rows
 
@@ -89,6 +87,14 @@ def _added_by_steps(binding: Any, found: Mapping[int, Any], tree: Tree, joint: s
     return tree.steps.inertia(
         value(f"damping@{joint}"), value(f"kd@{joint}") * (value(f"gain@{joint}") or 1.0)
     )
+
+
+def states(binding: Any, i: int) -> bool:
+    """Whether a robot's file or the dataset states the number at this position of the layout."""
+    held = getattr(binding.chain.mechanism, "tree", None)
+    kind = binding.layout.entries[i].name.partition("@")[0]
+    of_file = held is not None and _states(held.tree, kind, float(binding.theta[i]))
+    return of_file or i in binding.stated
 
 
 def _states(tree: Tree, kind: str, value: float) -> bool:

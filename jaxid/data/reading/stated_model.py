@@ -21,6 +21,7 @@ def model_spec(entry: ModelEntry) -> ModelSpec:
         parameters={k: prior_of(p) for k, p in entry.parameters.items()},
         joints=dict(entry.joints),
         base={} if entry.base is None else entry.base.model_dump(exclude_unset=True),
+        trust=entry.trust,
     )
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.goals.changes import changes, StatedDifference
 from jaxid.diagnosis.goals.floor import (
     Between,
@@ -26,6 +27,7 @@ from jaxid.diagnosis.goals.floor import (
 from jaxid.diagnosis.goals.gains import held_gains
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
 from jaxid.diagnosis.goals.search import Decider
+from jaxid.diagnosis.goals.single_changes import belief_of
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.selection import indistinct, joint_loss
@@ -259,6 +261,7 @@ class Alone:
             None,
             len({c.effect for c in chosen.effects}) > 1,
             stands=self.stands,
+            belief=belief_of(self, [self.stands, *self._asked], [chosen, nominal]),
         )
 
     def told(self, h: Hypothesis) -> list[int]:
@@ -477,7 +480,7 @@ class AsStated:
         moved = {name: float(there - here) for name, there, here in pairs if there != here}
         if self.made_by_steps is None:
             return moved
-        by_steps = self.study.taken_up(self.made_by_steps, clocks=False)[0]
+        by_steps = self.study.taken_up(self.made_by_steps, self.plain.free, clocks=False)[0]
         names = dict.fromkeys([*moved, *by_steps])
         return {
             name: float(np.hypot(moved.get(name, 0.0), by_steps.get(name, 0.0))) for name in names
@@ -489,7 +492,8 @@ class AsStated:
         """
         if self.alone is not None and self.lacks:
             return self.alone.searched(nominal, self.enough)
-        found = decider.with_what_the_file_lacks(decider.decided(nominal, [], np.inf))
+        plain = SearchResult(nominal, nominal, belief=Belief({}, none=1.0))
+        found = decider.with_what_the_file_lacks(plain)
         return found if self.alone is None else replace(found, stands=self.alone.stands)
 
     def said(self) -> str:

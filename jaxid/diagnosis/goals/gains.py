@@ -1,27 +1,21 @@
 """Gains of the law under which a robot runs: stated numbers like any other, which may be wrong.
 
-A fit holds them as they are stated. A diagnosis asks them where they alone would explain a
-recording, and once more where no effect has explained it.
+A fit holds them as they are stated. A diagnosis has them as near to that as numbers of a file are
+trusted, and asks them where they alone would explain a recording.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain, product
+from itertools import product
 
 import numpy as np
 
-from jaxid.diagnosis.goals.search import Decider
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis
-from jaxid.diagnosis.result import Diagnosis
-from jaxid.diagnosis.selection import joint_loss
-from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.ending import LAW_KD
-from jaxid.fitting.stated import StatedNumber
 from jaxid.problem.binding import Binding
-from jaxid.wording import listed, times
+from jaxid.problem.trust import trusting
+from jaxid.wording import listed
 
 
 #: Numbers of a law that are asked. Of a cascade `kd` is what [controller] calls `kv`.
@@ -30,8 +24,6 @@ GAINS = ("kp", "kd")
 ROOM = 10.0
 #: Seconds in which damping stops a joint against kp at the most: room of a kd stated as nothing.
 SLOW = 1.0
-#: Standard deviation of a wide prior about a gain, as a share of it.
-WIDE = 1.0
 #: Steps of a search, as a share of a gain.
 STEP = 0.1
 
@@ -59,19 +51,22 @@ def with_room(binding: Binding) -> Binding:
     return replace(binding, lower=lower, upper=upper, scale=scale)
 
 
+def known_loosely(binding: Binding, inflation: float = 1.0) -> Binding:
+    """The binding with its gains and masses fitted too, and every number that is stated as near to
+    that as trust has it. Residuals that count `inflation` times too often are met by priors that
+    count as often.
+    """
+    held = [binding.layout.names[i] for i in held_gains(binding)]
+    masses = [name for name in binding.layout.names if name.startswith("mass@")]
+    wide = trusting(freed(binding, [*held, *masses]), inflation)
+    nothing = {*map(wide.layout.index, [*held, *masses])} - wide.priors.keys()
+    return replace(wide, free=[i for i in wide.free if i not in nothing])
+
+
 def freed(binding: Binding, names: Sequence[str]) -> Binding:
     """The binding with gains of these names fitted."""
     index = {binding.layout.index(name) for name in names}
     return replace(binding, free=sorted({*binding.free, *index}))
-
-
-def about_stated(binding: Binding, names: Sequence[str]) -> Binding:
-    """The binding with wide priors about these gains as stated: a fit does not wander off where the
-    data tell only what other numbers are to a gain.
-    """
-    index = [binding.layout.index(name) for name in names]
-    priors = {i: (float(binding.theta[i]), WIDE * float(binding.theta[i])) for i in index}
-    return replace(binding, priors={**binding.priors, **priors})
 
 
 def gains_in(binding: Binding, theta: np.ndarray) -> dict[str, tuple[float, float]]:
@@ -87,62 +82,12 @@ def gains_in(binding: Binding, theta: np.ndarray) -> dict[str, tuple[float, floa
     return out
 
 
-def sets_of_gains(binding: Binding) -> list[list[Candidate]]:
-    """What may be wrong, the fewest numbers first: each gain at all joints, and both."""
-    by_name: dict[str, list[Candidate]] = {gain: [] for gain in GAINS}
-    for i in held_gains(binding):
-        name, _, joint = binding.layout.names[i].partition("@")
-        by_name[name].append(Candidate(name, joint, (i,)))
-    single = [own for own in by_name.values() if own]
-    return [*single, list(chain.from_iterable(single))] if len(single) > 1 else single
-
-
-def better_gains(decider: Decider, theta: np.ndarray) -> Hypothesis | None:
-    """The model with other gains that alone close at least what is said `partly` of the gap, the
-    one with the best evidence; None where none do. `theta`: numbers of the re-tuned model.
-    """
-    binding = decider.bench.binding
-    nominal = decider.refit((), theta)
-    tried = [decider.refit(own, binding.theta, nominal.path) for own in sets_of_gains(binding)]
-    good = [h for h in tried if np.isfinite(joint_loss(h)) and _closed(nominal, h) >= LIMITS.partly]
-    return min(good, key=_evidence, default=None)
-
-
-def _closed(nominal: Hypothesis, h: Hypothesis) -> float:
-    """Share of the gap on held-out data."""
-    left = nominal.validation.loss - 1.0
-    closed = nominal.validation.loss - h.validation.loss
-    return closed / left if left > 0 else 0.0
-
-
-def _evidence(h: Hypothesis) -> float:
-    count = h.path.count + h.validation.count
-    return float(joint_loss(h) * count / h.fit_inflation + h.size * np.log(count))
-
-
-def doubted_gains(binding: Binding, stated: Sequence[StatedNumber]) -> list[str]:
-    """Names of the kp that a fit holds at joints of which it refutes several numbers."""
-    names = {binding.layout.names[i] for i in held_gains(binding)}
-    refuted = Counter(row.joint for row in stated if row.refuted)
-    own = [f"kp@{joint}" for joint, count in refuted.items() if count > 1]
-    return [name for name in own if name in names]
-
-
 def asked_for(binding: Binding, names: Sequence[str]) -> str:
     """That gains were fitted which nobody asked for, and how to ask a fit for them."""
     return (
         f"{listed(names)} of the law {'was' if len(names) == 1 else 'were'} fitted too, for as "
         f"stated {'it does' if len(names) == 1 else 'they do'} not fit the recording;"
         f" {_asks(binding, names)}"
-    )
-
-
-def would_close(binding: Binding, names: Sequence[str], found: Diagnosis, again: Diagnosis) -> str:
-    """What is known of gains that close most of a gap and do not explain it."""
-    before, after = (times(d.how_far.gap_after) for d in (found, again))
-    return (
-        f"with {listed(names)} of the law fitted too, {after} times the noise would be left, not "
-        f"{before}: {_asks(binding, names)}"
     )
 
 

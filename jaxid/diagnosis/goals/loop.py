@@ -104,6 +104,12 @@ class LoopRun(TorqueRun):
         """Forces [time n k] (or [time n]) as positions of the free run, low-passed, at the rows."""
         return self.sampled(self.free_run(x))
 
+    def at_joint(self, x: np.ndarray, joint: int) -> np.ndarray:
+        """Forces [time k] of one joint as rows of all [rows n k]: it moves its neighbours, too."""
+        force = np.zeros((len(x), self.q.shape[1], x.shape[1]))
+        force[:, joint] = x
+        return self.rows(force)
+
     def free_run(self, x: np.ndarray) -> np.ndarray:
         """Forces [time n k] (or [time n]) as positions of the free run."""
         assert self.loop is not None

@@ -4,31 +4,30 @@ of effects with theirs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.belief import Belief, product, Worth
 from jaxid.diagnosis.goals.bodies import shifts_body
 from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.hypothesis import Candidate, candidates
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram, Weights
+from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram
 from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
+from jaxid.diagnosis.torque.claims import believed, claims, instead, TorqueClaim
+from jaxid.diagnosis.torque.held_out import SHARED
+from jaxid.diagnosis.torque.judged import scales
 from jaxid.diagnosis.torque.library import MOMENT, Unit
+from jaxid.diagnosis.torque.weigh import weigh, Weighed
+from jaxid.diagnosis.torque.worth import worth
 from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect, OutputEffect
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
-
-
-#: This many sets are simulated: where dry friction turns about at other instants, first order ranks
-#: and does not decide.
-FIRST = 3
-#: So often a search that finds nothing is begun anew, by the noise that its best set leaves.
-ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,46 +54,89 @@ def shown(kind: type[Effect]) -> bool:
     return issubclass(kind, JointEffect)
 
 
-def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
-    """The nominal model, and sets of effects, the chosen one first; none where nothing predicts the
-    held-out runs better.
+@dataclass(frozen=True, eq=False)
+class ProposedSets:
+    """What columns propose: the re-tuned model, sets of effects to simulate, and the probabilities
+    behind them; nothing where the re-tuned model is at the noise. `inflation`: see
+    `LinearisedSearch.inflation`.
+    """
+
+    bare: Proposal
+    sets: tuple[Proposal, ...] = ()
+    weighed: Weighed | None = None
+    claims: tuple[TorqueClaim, ...] = ()
+    worth: dict[tuple[str, str], Worth] = field(default_factory=dict)
+    inflation: float = 1.0
+
+    def belief(self, named: Mapping[tuple[str, str], float]) -> Belief:
+        """The probabilities of all that was asked, where simulations give what is `named` (effect,
+        place) so much and no more.
+        """
+        kept = self._kept(named)
+        if self.weighed is None:
+            found = Belief({}, none=0.0 if named else 1.0)
+        else:
+            found = believed(self.weighed, kept, self.worth)
+        own = {
+            self._place(claim): min(named[self._place(claim)], claim.together)
+            if claim.instead
+            else min(named[self._place(claim)], claim.probability)
+            for claim in kept
+        }
+        places = {
+            place: min(found.places.get(place, p) if place in own else p, p)
+            for place, p in named.items()
+        }
+        sure = product([own.get(place, p) for place, p in named.items()])
+        return replace(found, places=found.places | places, probability=sure if named else None)
+
+    def instead(self, named: Container[tuple[str, str]]) -> list[Candidate]:
+        """What could be there in the place of what is named, by name and place."""
+        if self.weighed is None:
+            return []
+        return [
+            Candidate(u.effect, u.location, ()) for u in instead(self.weighed, self._kept(named))
+        ]
+
+    def _kept(self, named: Container[tuple[str, str]]) -> list[TorqueClaim]:
+        return [claim for claim in self.claims if self._place(claim) in named]
+
+    def _place(self, claim: TorqueClaim) -> tuple[str, str]:
+        assert self.weighed is not None
+        return self.weighed.scales.units[claim.unit].place
+
+
+def proposals(study: LedStudy, most: int) -> ProposedSets:
+    """The nominal model, and what is claimed beside it along its free run. Re-tuning for an effect
+    that is missing can lead the numbers far away: where nothing is claimed, along the free run of
+    what is stated.
     """
     asked = LinearisedSearch(study, study.theta, most)
     bare = _proposal(study, asked.chooser, asked.chooser.nominal)
-    if asked.at_noise(asked.chooser.nominal):
-        return bare, []
-    chooser, chosen = asked.searched()
-    if not chosen.units:
-        # Re-tuning for an effect that is missing can lead the numbers far away: now along the free
-        # run of what was stated.
-        chooser, chosen = LinearisedSearch(study, study.binding.theta, most).searched()
-    first = [chosen] if chosen.units else []
+    if asked.at_noise():
+        return ProposedSets(bare)
+    found = asked.searched(bare)
+    if not found.claims:
+        again = LinearisedSearch(study, study.binding.theta, most).searched(bare)
+        found = again if again.claims else found
     limits = [
         Proposal((u,), (np.ones(1),), study.binding.theta.copy()) for u in limits_shown(study)[:1]
     ]
-    return (
-        bare,
-        [
-            *limits,
-            *(_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)]),
-        ][:FIRST],
-    )
+    return replace(found, sets=(*limits, *found.sets))
 
 
 class LinearisedSearch:
-    """Every effect as columns along the free run of numbers theta, and the search among them."""
+    """Every effect as columns along the free run of numbers theta, and what is claimed of them."""
 
     def __init__(self, study: LedStudy, theta: np.ndarray, most: int):
         self.study, self.most = study, most
         self.fit, self.held = study.of("fit"), study.of("validation") or study.of("fit")
-        self.rows, white = study.rows_with_effects(theta)
-        self.chooser = self._by(white)
+        self.rows, self.white = study.rows_with_effects(theta)
+        self.chooser = study.chooser(self.rows, self.white, self.fit, self.held, most)
 
-    def _by(self, white: Weights) -> Chooser:
-        return self.study.chooser(self.rows, white, self.fit, self.held, self.most, self.at_noise)
-
-    def at_noise(self, m: Model) -> bool:
-        answer = of_model(self.study, self.rows, m)
+    def at_noise(self) -> bool:
+        """Whether the re-tuned model is, at every joint."""
+        answer = of_model(self.study, self.rows, self.chooser.nominal)
         joints = range(len(self.study.noise))
         return all(
             not answer.gap(which, j) > LIMITS.seen
@@ -102,35 +144,28 @@ class LinearisedSearch:
             for j in joints
         )
 
-    def searched(self) -> tuple[Chooser, Model]:
-        """What is chosen, by the noise that the best set leaves where nothing is by that of the
-        re-tuned model: a large effect that is missing makes the noise by which it is judged.
+    def inflation(self, model: Model) -> float:
+        """How many times too often the squares of a run's samples count that a model leaves: they
+        lie above the noise, and are alike.
         """
-        chooser = self.chooser
-        chosen = chooser.run()
-        for _ in range(ROUNDS):
-            best = min(chooser.tried, key=lambda m: m.loss)
-            if chosen.units or not best.units:
-                break
-            chooser = self._by(self.study.weights_of(self.rows, best.solution))
-            chosen = chooser.run()
-        return chooser, chosen
+        white = self.study.weights_of(self.rows, model.solution)
+        each = (white.size / self.study.noise) ** 2 * white.memory / SHARED
+        return float(np.clip(np.mean(each), 1.0, None))
 
-
-def _next(chooser: Chooser, chosen: Model) -> list[Model]:
-    """Of each effect alone the set that is worth most on the fit runs and no worse on the held-out
-    ones, best first.
-    """
-
-    def worth(m):
-        return chooser.nominal.cost - m.cost - chooser.price(m.units)
-
-    found: dict[str, Model] = {}
-    for m in sorted(chooser.tried, key=worth, reverse=True):
-        kinds = {chooser.units[u].effect for u in m.units}
-        if len(kinds) == 1 and m is not chosen and worth(m) > 0 and m.loss <= chooser.nominal.loss:
-            found.setdefault(kinds.pop(), m)
-    return list(found.values())
+    def searched(self, bare: Proposal) -> ProposedSets:
+        which = list(dict.fromkeys([*self.fit, *self.held]))
+        weighed = weigh(scales(self.study, self.rows, self.white, self.chooser, which))
+        claimed = claims(weighed, self.most)
+        chosen = self.chooser.lively([claim.unit for claim in claimed])
+        if chosen is None:
+            plain = self.inflation(self.chooser.nominal)
+            return ProposedSets(bare, (), weighed, inflation=plain)
+        kept = tuple(claim for claim in claimed if claim.unit in chosen.units)
+        judged = self.study.of("report") or self.held
+        each = worth(self.study, self.rows, self.chooser, chosen, judged)
+        own = _proposal(self.study, self.chooser, chosen)
+        left = self.inflation(chosen)
+        return ProposedSets(bare, (own,), weighed, kept, each, left)
 
 
 def _proposal(study: LedStudy, chooser: Chooser, m: Model) -> Proposal:

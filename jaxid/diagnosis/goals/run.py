@@ -14,13 +14,10 @@ from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
 from jaxid.diagnosis.goals.floor import Between, between_simulators, not_this_file, with_floor
 from jaxid.diagnosis.goals.gains import (
-    about_stated,
     asked_for,
-    better_gains,
-    doubted_gains,
     freed,
+    known_loosely,
     with_room,
-    would_close,
 )
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.propose import (
@@ -29,6 +26,7 @@ from jaxid.diagnosis.goals.propose import (
     kinds_of,
     Proposal,
     proposals,
+    ProposedSets,
     shown,
     with_other_hold,
 )
@@ -47,7 +45,6 @@ from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Fit
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
-from jaxid.robots.yardstick import as_it_stands
 from jaxid.simulation.sample_buffers import STEP, step_count
 from jaxid.wording import listed, names_of
 
@@ -145,16 +142,16 @@ def diagnose_led(
     say("along the motion", 0, 3, "rows")
     step = begin_simulations(binding)  # while the rows are made
     kinds = [k for k in library if shown(k)]
-    study, notes = LedStudy(binding, kinds), []
+    study, notes = LedStudy(known_loosely(binding), kinds), []
     swapped = with_other_hold(dataset)
     swapped_binding = with_room(bind(model, swapped, without=without))
-    other = LedStudy(swapped_binding, kinds, begin=study.theta)
+    other = LedStudy(known_loosely(swapped_binding), kinds, begin=study.theta)
     if goes_the_other_way(study, other):
         hold = dataset.inputs[0].hold
         notes.append(
             OTHER_WAY.format(WORDS[other.binding.dataset.inputs[0].hold], WORDS.get(hold, hold))
         )
-        dataset, study = swapped, other
+        dataset, study, binding = swapped, other, swapped_binding
         study.tuned(study.theta)
     say("along the motion", 1, 3, "noise")
     ask = _Ask(
@@ -167,10 +164,10 @@ def diagnose_led(
         answer=answer,
         progress=progress,
     )
-    plain = study.binding
+    plain, wide = binding, study.binding
     between = between_simulators(bench := ask.made(plain))  # the program that is there
-    apart = _apart(study, between)
-    study = study.with_binding(with_floor(plain, apart.size))
+    apart = _apart(study, between, plain.free)
+    study = study.with_binding(with_floor(wide, apart.size))
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
     asked = f"asked along the measured motion: {listed(sorted(names_of(kinds)))}"
     left = sorted(k.name for k in library if not shown(k))
@@ -201,13 +198,7 @@ def diagnose_led(
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
     else:
         doubts = apart.doubts
-        found = _searched(ask, road, study, plain, apart)
-        if found.which.verdict in ("unknown", "partly"):
-            found, more = _with_other_gains(ask, road, plain, found)
-            notes += more
-    if found.which.verdict == "none" and not strange:
-        found, more = _with_fewer_changes(ask, road, plain, apart, found)
-        notes += more
+        found = _searched(ask, road, study, apart)
     if doubts:
         notes.append(MEANING)
     if study.of("validation"):
@@ -239,6 +230,12 @@ class _Ask:
         wide = bind(self.model, self.dataset, without=self.without, candidates=asked)
         return freed(with_room(wide), gains)
 
+    def known(self, names: Sequence[str] = (), inflation: float = 1.0) -> Binding:
+        """The model with effects of these names as candidates, its numbers known as they are
+        trusted.
+        """
+        return known_loosely(self.bound(names), inflation)
+
     def made(self, binding: Binding) -> ProblemBuilder:
         return ProblemBuilder(binding, self.step, differences=1, together=True)
 
@@ -255,15 +252,16 @@ class _Simulators:
     at_once: np.ndarray | None
 
 
-def _apart(study: LedStudy, between: Between | None) -> _Simulators:
+def _apart(study: LedStudy, between: Between | None, own: Sequence[int]) -> _Simulators:
+    """`own`: the numbers of a fit, by position in the layout."""
     if between is None:
         return _Simulators(None, {}, None, None)
     runs = study.binding.experiments("fit")
     return _Simulators(
         between=between,
-        doubts=study.taken_up(between.apart, clocks=False)[0],
-        size=study.taken_up(between.apart)[1],
-        at_once=study.taken_up(between.at_once(runs), clocks=False)[1],
+        doubts=study.taken_up(between.apart, own, clocks=False)[0],
+        size=study.taken_up(between.apart, own)[1],
+        at_once=study.taken_up(between.at_once(runs), own, clocks=False)[1],
     )
 
 
@@ -294,26 +292,25 @@ def _searched(
     ask: _Ask,
     road: _Road,
     study: LedStudy,
-    plain: Binding,
     apart: _Simulators,
-    gains: Sequence[str] = (),
 ) -> Diagnosis:
-    """The diagnosis by effects beside numbers that are re-tuned; `plain` without candidates."""
-    road.bare, sets = proposals(study, ask.max_effects)
-    names, limit = kinds_of(sets), Limit()
-    wide = with_floor(ask.bound(names, gains), apart.size, apart.doubts)
+    """The diagnosis by effects beside numbers that are re-tuned."""
+    proposed = proposals(study, ask.max_effects)
+    road.bare = proposed.bare
+    names, limit = kinds_of(proposed.sets), Limit()
+    wide = with_floor(ask.known(names, proposed.inflation), apart.size, apart.doubts)
     series = None if apart.between is None else apart.between.apart
     found = ask.answer(
         wide,
         names,
-        lambda bench, offer: road(bench, offer, with_sets(sets, limit), series),
+        lambda bench, offer: road(bench, offer, with_sets(proposed, limit), series),
         ask.step,
     )
     if found.which.verdict != "unknown" or not limit.reached or apart.between is None:
         return found
     # No effect is borne out, and what two simulators of the file as it stands differ by accounts
     # for what is left.
-    again = with_floor(plain, apart.between.size, apart.doubts)
+    again = with_floor(ask.known(), apart.between.size, apart.doubts)
     nothing = _without_effects(ask, road, again)
     if nothing.which.verdict != "none":
         return found
@@ -321,57 +318,12 @@ def _searched(
     return replace(nothing, which=replace(nothing.which, text=text, ranking=found.which.ranking))
 
 
-def _count_refuted(found: Diagnosis) -> int:
-    return sum(row.refuted for row in found.final.stated)
-
-
 def _without_effects(ask: _Ask, road: _Road, binding: Binding) -> Diagnosis:
     """The diagnosis by re-tuned numbers alone."""
-    return ask.answer(binding, (), lambda bench, offer: road(bench, offer, with_sets([])), ask.step)
-
-
-def _with_other_gains(
-    ask: _Ask, road: _Road, plain: Binding, found: Diagnosis
-) -> tuple[Diagnosis, list[str]]:
-    """What effects do not explain, with gains of the law fitted where these alone close most of it;
-    as it was found where that says no more.
-    """
-    decider = Decider(ask.made(plain), plain.layout.names, None, ask.progress)
-    other = better_gains(decider, as_vector(plain, plain.layout.names, road.bare))
-    if other is None:
-        return found, []
-    changed = list(other.index)
-    gains = [plain.layout.names[i] for i in changed]
-    own = ask.bound((), gains)
-    study = LedStudy(own, ask.kinds, begin=other.theta)
-    same_file, _ = as_it_stands(own)
-    same_file[changed] = other.theta[changed]
-    apart = _apart(study, between_simulators(ask.made(own), theta=same_file))
-    study = study.with_binding(with_floor(own, apart.size))
-    again = _searched(ask, road, study, own, apart, gains)
-    if RANK[again.which.verdict] > RANK[found.which.verdict]:
-        return again, [asked_for(own, gains)]
-    return found, [would_close(own, gains, found, again)]
-
-
-def _with_fewer_changes(
-    ask: _Ask, road: _Road, plain: Binding, apart: _Simulators, found: Diagnosis
-) -> tuple[Diagnosis, list[str]]:
-    """What re-tuned numbers explain, with the kp of joints fitted several of whose numbers the data
-    refute: where the drive alone pushes a joint, one wrong kp makes inertia and friction wrong
-    alike. As it was found where fewer numbers are not refuted so.
-    """
-    gains = doubted_gains(plain, found.final.stated)
-    if not gains:
-        return found, []
-    own = about_stated(ask.bound((), gains), gains)
-    again = _without_effects(ask, road, with_floor(own, apart.size, apart.doubts))
-    if again.which.verdict != "none" and apart.between is not None:
-        theirs = with_floor(own, apart.between.size, apart.doubts)
-        again = _without_effects(ask, road, theirs)
-    if again.which.verdict != "none" or _count_refuted(again) >= _count_refuted(found):
-        return found, []
-    return again, [asked_for(own, gains)]
+    nothing = ProposedSets(road.bare)
+    return ask.answer(
+        binding, (), lambda bench, offer: road(bench, offer, with_sets(nothing)), ask.step
+    )
 
 
 @dataclass
@@ -385,14 +337,14 @@ class Limit:
 Decide = Callable[[Decider, Hypothesis], SearchResult]
 
 
-def with_sets(sets: Sequence[Proposal], limit: Limit | None = None) -> Decide:
+def with_sets(proposed: ProposedSets, limit: Limit | None = None) -> Decide:
     """What simulations bear out of some sets of effects, beside numbers that are re-tuned."""
 
     def decide(decider: Decider, nominal: Hypothesis) -> SearchResult:
         most = decider.with_their_difference(nominal)
         if limit is not None:
             limit.reached = most <= level(nominal.path.count)
-        return decider.with_what_the_file_lacks(decider.decided(nominal, sets, most))
+        return decider.with_what_the_file_lacks(decider.decided(nominal, proposed, most))
 
     return decide
 

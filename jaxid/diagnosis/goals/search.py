@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, knowledge
-from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
+from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
-from jaxid.diagnosis.selection import in_lead, indistinct, joint_loss, significant
-from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.probability import log_evidence, RULE
+from jaxid.diagnosis.selection import in_lead, joint_loss
+from jaxid.diagnosis.torque.weigh import LARGEST, TOGETHER
 from jaxid.diagnosis.verdict import judge, level
-from jaxid.dynamics.effect import JointEffect
+from jaxid.dynamics.effect import BodyEffect, JointEffect
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
@@ -48,6 +49,7 @@ class Decider:
     lead: list[Hypothesis] = field(
         default_factory=list
     )  # what explained most so far, for the line of progress
+    sure: dict[str, float] = field(default_factory=dict)  # of effects that simulations asked
     asked: frozenset[int] = frozenset()  # numbers of the model that are asked for as effects
 
     def refit(
@@ -106,16 +108,16 @@ class Decider:
         self.evaluations += spent
         return Hypothesis(h.effects, p.theta(path.z), path, h.validation)
 
-    def decided(self, nominal: Hypothesis, sets: Sequence[Proposal], limit: float) -> SearchResult:
+    def decided(self, nominal: Hypothesis, proposed: ProposedSets, limit: float) -> SearchResult:
         """Of the sets that were proposed the one that simulations bear out; its effects taken back
         where they are not missed. `limit`: what each has to stay below on the fit runs
         (`with_their_difference`). None is asked where the re-tuned model reaches the noise: what
         two simulators differ by is coloured, and is no effect.
         """
+        sets, tried = proposed.sets, []
         if not sets or judge(SearchResult(nominal, nominal)).name == "none":
-            return SearchResult(nominal, nominal)
+            return SearchResult(nominal, nominal, belief=proposed.belief({}))
         self.total = self.done + len(sets)
-        tried: list[Hypothesis] = []
         for s in sets:
             theta = as_vector(self.bench.binding, self.names, s)
             if own := candidates_of(self.bench, s):
@@ -123,27 +125,46 @@ class Decider:
         good = [
             h
             for h in tried
-            if np.isfinite(joint_loss(h)) and significant(nominal, h) and h.fit_loss < limit
+            if np.isfinite(joint_loss(h)) and h.fit_loss < limit and self.gained(nominal, h) > 0
         ]
-        if not good:
-            return SearchResult(nominal, nominal, tried)
-        enough = [h for h in good if self.at_noise(h)]
-        chosen = (
-            min(enough, key=lambda h: h.size)
-            if enough
-            else min(good, key=lambda h: h.validation.loss)
-        )
+        chosen = max(good, key=lambda h: self.gained(nominal, h), default=nominal)
         chosen = self.thinned(nominal, chosen, tried)
-        mates = [
-            c
-            for h in tried
-            if h is not chosen and len(h.effects) <= len(chosen.effects) and indistinct(chosen, h)
-            for c in h.effects
-            if c not in chosen.effects
-        ]
+        named = {(c.effect, c.location): self.sure.get(str(c), 1.0) for c in chosen.effects}
         return SearchResult(
-            nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1
+            nominal=nominal,
+            chosen=chosen,
+            tried=tried,
+            confusable=proposed.instead(named),
+            several=len({c.effect for c in chosen.effects}) > 1,
+            belief=proposed.belief(named),
         )
+
+    def gained(
+        self, before: Hypothesis, after: Hypothesis, joints: Sequence[int] | None = None
+    ) -> float:
+        """By how much the log evidence of fit and validation runs rises from one model to another
+        at some joints (default: all), priors and the price of effects counted.
+        """
+        joints = range(self.bench.binding.chain.nq) if joints is None else joints
+        directions = RULE.directions
+        if len(joints) > TOGETHER:
+            directions /= len(joints)
+        found = []
+        for h in (before, after):
+            left, count = _left(h)
+            own = log_evidence(left[list(joints)], count[list(joints)], directions)
+            found.append(float(own.sum()) - self._price(h))
+        return float(found[1] - found[0])
+
+    def _price(self, h: Hypothesis) -> float:
+        """What the effects of a model and the numbers of its file cost."""
+        b = self.bench.binding
+        price = float(RULE.per_number * h.size - RULE.log_prior * len(h.effects))
+        for i in h.path.problem.free:
+            if int(i) in b.priors:
+                mean, std = b.priors[int(i)]
+                price += float((h.theta[i] - mean) / std) ** 2 / 2 / b.inflation
+        return price
 
     def with_what_the_file_lacks(self, search: SearchResult) -> SearchResult:
         """A brake that the file leaves at nothing (`damping`, `frictionloss` of a joint) and that
@@ -168,13 +189,19 @@ class Decider:
         self.total += 1
         nominal = self.refit((), theta)
         whole = Hypothesis((*lacked, *chosen.effects), chosen.theta, chosen.path, chosen.validation)
-        if not np.isfinite(nominal.fit_loss) or not significant(nominal, whole):
+        if not np.isfinite(nominal.fit_loss) or not self.gained(nominal, whole) > 0:
             self.asked = frozenset()
             return search
         whole = self.thinned(nominal, whole, tried)
-        several = len({c.effect for c in whole.effects}) > 1
-        found = SearchResult(
-            nominal, whole, [*tried, whole], search.confusable, search.rivals, several
+        lacking = {(c.effect, c.location): self.sure.get(str(c), 1.0) for c in lacked}
+        belief = search.belief and search.belief.beside(lacking)
+        found = replace(
+            search,
+            belief=belief,
+            nominal=nominal,
+            chosen=whole,
+            tried=[*tried, whole],
+            several=len({c.effect for c in whole.effects}) > 1,
         )
         if judge(found).name == "named":
             return found
@@ -226,30 +253,43 @@ class Decider:
     def thinned(
         self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]
     ) -> Hypothesis:
-        """Without what is not missed, place by place."""
-        for c in chosen.effects:
+        """Without what is not missed, place by place: what the evidence without it does not refute
+        with the probability of a claim.
+        """
+        least = float(np.log(RULE.sure / (1 - RULE.sure)))
+        for c in sorted(chosen.effects, key=lambda c: self._foreseen(chosen, c)):
             left = [e for e in chosen.effects if e is not c]
-            if not left:
-                break
-            if self._surely(chosen, c):
-                continue
-            theta = chosen.theta.copy()
-            theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
-            self.total += 1
-            less = self.refit(left, theta, chosen.path)
-            tried.append(less)
-            if self.at_noise(less) or not significant(less, chosen):
+            gained = self._foreseen(chosen, c)
+            less = nominal
+            if left and gained < SURELY * least:
+                theta = chosen.theta.copy()
+                theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
+                self.total += 1
+                less = self.refit(left, theta, chosen.path)
+                tried.append(less)
+            if not left or less is not nominal:
+                gained = self.gained(less, chosen, self._joints(c))
+            self.sure[str(c)] = float(1 / (1 + np.exp(-np.clip(gained, -LARGEST, LARGEST))))
+            if gained < least:
                 chosen = less
         return chosen
 
-    def _surely(self, h: Hypothesis, c: Candidate) -> bool:
-        """Whether the fit runs alone would miss an effect by far more than it takes to be there, to
-        second order about where the fit stands: no simulation without it is needed to say so.
+    def _joints(self, c: Candidate) -> Sequence[int]:
+        """The joints at which an effect is judged: its own, or all of them."""
+        chain = self.bench.binding.chain
+        kind = next(e for e in chain.effects if e.name == c.effect)
+        if isinstance(kind, BodyEffect) or " and " in c.location:
+            return range(chain.nq)
+        return [chain.places(kind).index(c.location) % chain.nq]
+
+    def _foreseen(self, h: Hypothesis, c: Candidate) -> float:
+        """By how much the fit runs alone would miss an effect, log evidence, to second order about
+        where the fit stands; nothing where that is not known.
         """
         p, H, b = h.path.problem, h.path.hessian, self.bench.binding
         at = [k for k, i in enumerate(p.free) if i in c.index and not b.layout.log[i]]
         if H is None or not at or not np.isfinite(H).all():
-            return False
+            return 0.0
         others = [k for k in range(len(H)) if k not in at]
         S = (
             H[np.ix_(at, at)]
@@ -258,12 +298,18 @@ class Decider:
             @ H[np.ix_(others, at)]
         )
         d = h.path.z[at] - b.theta[p.free[at]]
-        missed = float(d @ S @ d)
-        share = missed / h.path.count / max(h.fit_loss - 1.0, 1e-12)
-        return (
-            missed / h.fit_inflation > SURELY * (3 * LIMITS.decisive + 2 * len(c.index))
-            and share > SURELY * LIMITS.gain
-        )
+        missed, (left, count) = float(d @ S @ d), _left(h)
+        beyond = max(float(left.sum() - count.sum()), 0.0)
+        directions = RULE.directions
+        gained = directions / 2 * np.log1p(missed / (beyond + directions))
+        return float(gained + RULE.log_prior - RULE.per_number * len(c.index))
+
+
+def _left(h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of squares over the noise of fit and validation runs, and their samples, [outputs]."""
+    every = [*h.path.problem.residuals(h.path.z), *h.validation.settled]
+    left = np.sum([np.sum(r**2, axis=0) for r in every], axis=0)
+    return left, np.full(len(left), float(sum(map(len, every))))
 
 
 def _absent(b: Binding) -> list[Candidate]:

@@ -68,21 +68,21 @@ class LedStudy(TorqueStudy):
         return out
 
     def taken_up(
-        self, series: Sequence[np.ndarray], clocks: bool = True
+        self, series: Sequence[np.ndarray], own: Sequence[int], clocks: bool = True
     ) -> tuple[dict[str, float], np.ndarray]:
-        """What positions [samples n] in each of the fit runs change in the numbers that are fitted
-        to them, by name, and the root mean square [n] of what these leave of them; with `clocks`
-        beside what rows know no better (delays within a sample, the width of a reversal), which no
-        simulation has.
+        """What positions [samples n] in each of the fit runs change in the numbers `own` (positions
+        in the layout) that are fitted to them, by name, and the root mean square [n] of what these
+        leave; with `clocks` beside what rows know no better, which no simulation has (delays within
+        a sample, the width of a reversal).
         """
         rows = self.made(self.theta, [])
-        numbers, left = self._fitted_to(
-            series, rows, np.arange(rows.size if clocks else self.plant.size)
-        )
-        names = [self.binding.layout.names[i] for i in self.plant.free]
-        return dict(zip(names, map(float, numbers[: len(names)]), strict=True)), np.sqrt(
-            np.mean(left**2, 0)
-        )
+        at = [k for k, i in enumerate(self.plant.free) if i in own]
+        names = [self.binding.layout.names[self.plant.free[k]] for k in at]
+        if clocks:
+            at += range(self.plant.size, rows.size)
+        numbers, left = self._fitted_to(series, rows, np.array(at, int))
+        told = dict(zip(names, numbers[: len(names)].tolist(), strict=True))
+        return told, np.sqrt(np.mean(left**2, 0))
 
     def inertia_taken_up(self, series: Sequence[np.ndarray], theta: np.ndarray) -> dict[str, float]:
         """What positions [samples n] in each of the fit runs change in the armatures that are

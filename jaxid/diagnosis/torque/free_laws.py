@@ -42,8 +42,8 @@ def free_units(runs: Sequence[TorqueRun], joints: Sequence[str], turn: np.ndarra
             continue
         series = _series(runs, j, float(turn[j]))
         for name, made in series.items():
-            rows = [run.rows(x) for run, x in zip(runs, made, strict=True)]
-            out.append(_unit(name, joint, j, len(joints), rows))
+            columns = [run.at_joint(x, j) for run, x in zip(runs, made, strict=True)]
+            out.append(_unit(name, joint, j, columns))
     return out
 
 
@@ -81,13 +81,8 @@ def _slow(lengths: Sequence[int]) -> list[np.ndarray]:
     return out
 
 
-def _unit(name: str, place: str, joint: int, joints: int, rows: Sequence[np.ndarray]) -> Unit:
-    count = rows[0].shape[1]
-    columns = []
-    for x in rows:
-        own = np.zeros((len(x), joints, count))
-        own[:, joint] = x
-        columns.append(own)
+def _unit(name: str, place: str, joint: int, columns: list[np.ndarray]) -> Unit:
+    count = columns[0].shape[2]
     open_ = np.full(count, np.inf)
     return Unit(
         effect=name,

@@ -79,6 +79,13 @@ class TorqueRun:
             -1, *x.shape[1:]
         )
 
+    def at_joint(self, x: np.ndarray, joint: int) -> np.ndarray:
+        """Forces [time k] of one joint as rows of all [rows n k]."""
+        own = self.rows(x)
+        out = np.zeros((len(own), self.q.shape[1], own.shape[1]))
+        out[:, joint] = own
+        return out
+
 
 def read_runs(binding: Binding, cutoff_hz: float | None) -> list[TorqueRun]:
     """Every recording of a binding, fit runs first. Raises `UsageError` for a cutoff that a run's

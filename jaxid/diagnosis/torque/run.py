@@ -35,6 +35,7 @@ from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Fit
 from jaxid.fitting.stated import stated_numbers
 from jaxid.identification.payload import usual_gain_std
 from jaxid.problem.binding import Binding
+from jaxid.problem.trust import sentence, told, trusting
 from jaxid.wording import listed
 
 
@@ -52,6 +53,8 @@ def diagnose_by_torque(
     given = None if reference is None else reference.known(binding)
     say = progress or (lambda *_: None)
     say("torque", 0, 4, "rows")
+    if given is None:
+        binding = trusting(binding)
     study = TorqueStudy(binding, kinds, cutoff_hz, given, given is not None)
     say("torque", 1, 4, f"{sum(r.rows(r.q[:, :1]).shape[0] for r in study.runs)} rows, effects")
     found = searched(study, max_effects)
@@ -151,6 +154,8 @@ def _answered(study: TorqueStudy, found: Found, most: int, seed: int, began: flo
         missing_force=pictures,
         regimes=regimes,
         notes=(*b.dataset.notes, *_notes(study, found), *_of_the_gains(study, named)),
+        trust=told(b),
+        accuracy=b.dataset.accuracy,
     )
 
 
@@ -244,6 +249,7 @@ def _notes(study: TorqueStudy, found: Found) -> list[str]:
         f" {MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; each joint weighted by"
         " what is left of it; sets of effects compared on runs that were not fitted"
     ]
+    notes += filter(None, [sentence(study.binding)])
     joints = study.binding.chain.signature.joints
     for j, joint in enumerate(joints):
         still = [r.experiment.name for r in study.runs if not r.moves[j]]

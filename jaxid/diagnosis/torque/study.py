@@ -92,7 +92,7 @@ class TorqueStudy:
         ] = []  # what repeats differ by at the rows of each run, where effects are asked for
         self.beside = [Beside(0 * r.q, np.zeros(binding.chain.nq)) for r in self.runs]
         self.theta = self._nominal()
-        self.measured = self._noise()
+        self.measured = np.hypot(self._noise(), self._asked_for())
         self.settle(self.theta)
 
     def _read(self, cutoff_hz: float | None) -> list[TorqueRun]:
@@ -448,6 +448,11 @@ class TorqueStudy:
         return max(
             (self.runs[k] for k in self.of("fit") or range(len(self.runs))), key=lambda r: len(r.q)
         )
+
+    def _asked_for(self) -> np.ndarray:
+        """How near the torque of each joint has to be followed [n], N m: to nothing by default."""
+        asked = self.binding.dataset.accuracy
+        return np.array([asked.get(name, 0.0) for name, _ in self.binding.chain.torque_channels])
 
     def _noise(self) -> np.ndarray:
         """Standard deviation of the rows of each joint [n] that the noise of readings and torques
