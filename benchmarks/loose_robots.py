@@ -34,7 +34,13 @@ prepare()
 
 import jaxid  # noqa: E402
 from benchmarks.evidence_twins import share  # noqa: E402
-from benchmarks.robot_arms import Arm, dataset, goals, recorded, withheld  # noqa: E402
+from jaxid.benchmark.goal_arms import (  # noqa: E402
+    dataset,
+    GoalArm,
+    goals,
+    recorded,
+    withheld,
+)
 
 
 RESULTS = Path(__file__).with_name("results") / "loose_robots.jsonl"
@@ -59,10 +65,10 @@ EDGES = (0.0, 0.3, 0.5, 0.7, 0.95, 1.0)
 Place = tuple[str, str]
 
 
-def drawn(rng: np.random.Generator) -> tuple[Arm, Arm]:
+def drawn(rng: np.random.Generator) -> tuple[GoalArm, GoalArm]:
     """An arm as its file has it, and as it is."""
     n = int(rng.choice([3, 4, 6], p=[0.6, 0.3, 0.1]))
-    stated = Arm.drawn(rng, n)
+    stated = GoalArm.drawn(rng, n)
     stated.frictionloss[:] = 0.0
     real = deepcopy(stated)
     real.frictionloss = rng.uniform(0.03, 0.1, n) * (np.arange(n)[::-1] + 1.0)

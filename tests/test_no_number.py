@@ -348,7 +348,7 @@ def test_no_reading_is_claimed_by_what_is_no_number(bad):
         return SimpleNamespace(worst=worst, left=worst)
 
     for worst, noise in ((bad, 0.01), (0.5, bad)):
-        fit: Any = SimpleNamespace(noise=lambda *a, n=noise: n, driven=True)
+        fit: Any = SimpleNamespace(least_noise=lambda *a, n=noise: n, driven=True)
         told = decide._claimed(
             binding=cast(Any, None),
             fit=fit,

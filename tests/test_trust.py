@@ -36,7 +36,7 @@ def test_what_is_stated_is_known_by_its_kind():
         "viscous": ParameterPrior(0.2),
         "coulomb": ParameterPrior(None, prior={"mean": 0.3, "std": 0.01}),
     }
-    bound = trusting(bind(None, pendulum(**stated)))
+    bound = trusting(bind(None, pendulum(None, **stated)))
     known = {bound.layout.names[i]: prior for i, prior in bound.priors.items()}
     assert known["inertia"] == (0.06, pytest.approx(0.006))
     assert known["viscous"] == (0.2, pytest.approx(0.1))
