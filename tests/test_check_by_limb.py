@@ -66,3 +66,14 @@ def test_a_sign_within_a_limb_and_joints_of_two_limbs_exchanged_are_found(record
     (found,) = run_check(model, other).findings
     assert found.kind == "swapped_channels"
     assert not [f for f in run_check(model, data).findings]
+
+
+def test_a_sign_that_stated_numbers_do_not_tell_is_asked_with_its_equal(recorded):
+    """The weight may have either sign where the file is as far off with both."""
+    _, data = recorded
+    unweighted = robot(*(text.replace('pos="0.1 0.02', 'pos="0 0.02') for text in TWO))
+    (run,) = data.experiments
+    turned = replace(data, experiments=(replace(run, y=run.y * [1.0, -1.0]),))
+    (found,) = [f for f in run_check(unweighted, turned).findings if f.kind == "sign"]
+    assert not found.decisive and not found.applied
+    assert {found.channel, *(channel for _, channel in found.same_as)} == {"right", "right_cmd"}

@@ -197,7 +197,7 @@ def _by_torque(draft: Draft) -> BlindCase:
         over=depends_on(missing),
         exam=exam,
         files={"model.xml": stated.xml()},
-        model_toml='robot = "model.xml"\n',
+        model_toml=_model_toml("measured"),
     )
 
 
@@ -358,12 +358,8 @@ def _goal(draft: Draft) -> BlindCase:
         noise=dict.fromkeys(names, goal_arms.NOISE),
     )
     missing = () if kind == "none" else (_of_goal(kind, names, j, stated, beside),)
-    question = {
-        "robot": "model.xml",
-        "without": [],
-        "joints": names,
-        "trust": "loose" if draft.set == "loose" else "exact",
-    }
+    trust = "loose" if draft.set == "loose" else "exact"
+    question = {"robot": "model.xml", "without": [], "joints": names, "trust": trust}
     return BlindCase(
         question=question,
         dataset=goal_arms.dataset({"arm": stated, "u": u, "q": q}),
@@ -373,8 +369,13 @@ def _goal(draft: Draft) -> BlindCase:
         over=("position",) if unseen else depends_on(missing),
         exam=exam,
         files={"model.xml": stated.xml()},
-        model_toml='robot = "model.xml"\n',
+        model_toml=_model_toml(trust),
     )
+
+
+def _model_toml(trust: str) -> str:
+    """Lines of [model]: the robot's file, and how far its numbers may be off."""
+    return f'robot = "model.xml"\ntrust = "{trust}"\n'
 
 
 def _of_goal(

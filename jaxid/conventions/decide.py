@@ -34,6 +34,7 @@ from jaxid.conventions.unsigned import unsigned
 from jaxid.force.columns import FEW
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.numerics.pool import Pool
+from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed, number
 
@@ -145,12 +146,14 @@ def _claimed(
     near = [t for t in tried[1:] if t.left <= ALIKE * best.left]
     same = [t for t in near if t.reading.kind == best.reading.kind]
     if best.reading.kind in ("sign", "swapped_channels"):
-        best, *same = _by_least_change(fit, names, [best, *same])
+        best, *same = _nearest_stated(fit, names, [best, *same])
     if best.reading.kind == "scale":  # of equals one that has a name
         best, *same = sorted([best, *same], key=lambda t: (not _named(t.reading, names), t.left))
-        near = [t for t in tried if t is not best and t.left <= ALIKE * tried[0].left]
+    near = [t for t in tried if t is not best and t.left <= ALIKE * tried[0].left]
     value, interval, what, stated_off = best.reading.value, None, best.reading.what, False
     others = {t.reading.kind for t in near} - {best.reading.kind}
+    if best.reading.kind == "sign" and _rivals(fit, best, same):
+        others |= {"another channel"}
     change = best.reading.change
     if (refined := _refined(fit, m, best, names, near, before, laws)) is not None:
         value, interval, what, change, conventional = refined
@@ -231,20 +234,32 @@ def _claimed(
     )
 
 
-def _by_least_change(fit: ForceFit, names: Names, equals: list[Judged]) -> list[Judged]:
-    """Of equals first those that leave the model's numbers nearest to where they were: an angle and
-    its goal that both count the other way differ by the sign of the weight alone. Of these the one
-    of least channels, inputs before outputs (the order in which readings are made).
+def _nearest_stated(fit: ForceFit, names: Names, equals: list[Judged]) -> list[Judged]:
+    """Of equals first those that leave the model's numbers as they are stated: an angle and its
+    goal that both count the other way differ by the sign of the weight alone. Of these the one of
+    least channels, inputs before outputs (the order in which readings are made).
     """
     order = [r.channels for r in (*signs(names), *exchanges(names))]
-    moved = [fit.moved(t.fitted) for t in equals]
-    near = ALIKE * min(moved) + FLOOR
 
-    def rank(place: int) -> tuple[bool, int, int]:
-        channels = equals[place].reading.channels
-        return moved[place] > near, len(channels), order.index(channels)
+    def rank(judged: Judged) -> tuple[bool, int, int]:
+        channels = judged.reading.channels
+        return fit.off_stated(judged.fitted) > REFUTED, len(channels), order.index(channels)
 
-    return [equals[place] for place in sorted(range(len(equals)), key=rank)]
+    return sorted(equals, key=rank)
+
+
+def _rivals(fit: ForceFit, best: Judged, same: list[Judged]) -> list[Judged]:
+    """Equals of a reading by which the model has other numbers, and which what is stated does not
+    refute.
+    """
+    found = []
+    stated = fit.off_stated(best.fitted) <= REFUTED
+    for other in same:
+        mirrored = fit.apart(best.fitted, other.fitted) <= REFUTED
+        refuted = stated and fit.off_stated(other.fitted) > REFUTED
+        if not mirrored and not refuted:
+            found.append(other)
+    return found
 
 
 def _named(reading: Reading, names: Names) -> bool:

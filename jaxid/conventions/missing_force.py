@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from jaxid.models.effects import (
 )
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
+from jaxid.problem.trust import trusting
 from jaxid.simulation.sample_buffers import columns
 
 
@@ -328,14 +330,27 @@ class ForceFit:
             reach=np.inf if self.forces.linear else REACH,
         )
 
-    def moved(self, fitted: ReadingFit) -> float:
-        """How far the model's numbers are from where they started, rms in their usual sizes."""
-        if not self.free:
-            return 0.0
-        start = self.binding.theta[self.free]
-        usual = np.maximum(np.abs(start), self.binding.scale[self.free])
-        change = (fitted.x[: len(self.free)] - start) / usual
-        return float(np.sqrt(np.mean(change**2)))
+    @cached_property
+    def _stated(self) -> tuple[list[int], np.ndarray, np.ndarray]:
+        """Places among the free numbers of those that a file or the dataset states, what it states,
+        and the standard deviation of that by `[model] trust`.
+        """
+        known = trusting(self.binding).priors
+        places = [k for k, i in enumerate(self.free) if i in known]
+        told = np.array([known[self.free[k]] for k in places]).reshape(-1, 2)
+        return places, told[:, 0], told[:, 1]
+
+    def off_stated(self, fitted: ReadingFit) -> float:
+        """How far a fit takes a number from what is stated of it, at most, in standard deviations
+        of that.
+        """
+        places, mean, std = self._stated
+        return float(np.max(np.abs(fitted.x[places] - mean) / std, initial=0.0))
+
+    def apart(self, one: ReadingFit, other: ReadingFit) -> float:
+        """The same between two fits."""
+        places, _, std = self._stated
+        return float(np.max(np.abs(one.x[places] - other.x[places]) / std, initial=0.0))
 
     def noise(self, fitted: ReadingFit, binding: Binding, m: SampledMotion) -> float:
         """What the sensors' noise alone leaves of a fit, as a share of the drive, at the samples of
