@@ -175,6 +175,7 @@ def test_diagnose(calls, tmp_path, capsys):
         "seed": 0,
         "as_recorded": False,
         "seconds": None,
+        "accuracy": None,
     }
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     assert content["kind"] == "diagnosis" and content["schema"] == 1

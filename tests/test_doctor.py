@@ -7,7 +7,7 @@ import json
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from jaxid import doctor
+from jaxid import doctor, extras
 from jaxid.cli.app import main
 from jaxid.cli.doctor import text
 
@@ -33,7 +33,7 @@ def test_all_is_well_here(capsys):
     assert main(["doctor", "--json", "--quiet"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["well"] and len(found["tests"]) == len(doctor.SELF_TESTS)
-    assert set(found["extras"]) == {"batch", "hardware", "mat", "ros", "tdms"}
+    assert set(found["extras"]) == {extra for extra, _ in extras.EXTRAS.values()}
 
 
 def test_what_goes_wrong_is_said(monkeypatch, capsys):

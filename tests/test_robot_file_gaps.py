@@ -169,7 +169,8 @@ def test_brakes_that_a_file_states_are_no_effects(tmp_path):
 def test_no_file_is_judged_by_a_run_that_is_not_its_own(apart, left, strange):
     """Further from MuJoCo's run than that is from the recording, which is further than noise."""
     outputs = [("lift", "rad"), ("bend", "rad")]
-    chain = SimpleNamespace(signature=SimpleNamespace(outputs=outputs), mechanism=None)
+    signature = SimpleNamespace(outputs=outputs, output_names=("lift", "bend"))
+    chain = SimpleNamespace(signature=signature, mechanism=None)
     binding = SimpleNamespace(
         sigma=np.full(2, 2e-4),
         noise={n: SimpleNamespace(unit=u) for n, u in outputs},

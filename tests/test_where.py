@@ -40,7 +40,10 @@ def missing(force: np.ndarray, rng: np.random.Generator) -> Missing:
 
 def bench() -> Any:
     signature = SimpleNamespace(
-        joints=JOINTS, outputs=(("a", "rad"), ("b", "rad")), unit=lambda _: "N m"
+        joints=JOINTS,
+        outputs=(("a", "rad"), ("b", "rad")),
+        output_names=("a", "b"),
+        unit=lambda _: "N m",
     )
     return SimpleNamespace(binding=SimpleNamespace(chain=SimpleNamespace(signature=signature)))
 
