@@ -30,7 +30,6 @@ from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.hypothesis import candidates
 from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.torque import plant as torque_plant
-from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.dynamics.parameter_vector import ChainForm
 from jaxid.fitting import secant
@@ -398,35 +397,6 @@ def test_what_a_quadrupeds_calf_lacks_is_named_or_partly():
     calf = rows["RL_calf_joint"]
     assert calf["with_effects"] < 0.5 * calf["retuned"] < 0.3 * calf["as_it_stands"]
     assert all(r["with_effects"] < 5e-3 for j, r in rows.items() if j != "RL_calf_joint")
-
-
-def test_a_search_that_takes_back_what_it_adds_ends():
-    """What is added and what is taken back would follow each other for ever."""
-    none, one = cast(Any, [SimpleNamespace(units=u, loss=1.0, cost=1.0) for u in ((), (0,))])
-
-    class Turning(Chooser):
-        def __init__(self):
-            self.most, self.enough, self.by_joint, self.__dict__["nominal"] = (
-                3,
-                lambda model: False,
-                None,
-                none,
-            )
-            self.units: Any = [SimpleNamespace(effect="one", joints=(0,))]
-
-        def _wider(self, chosen):
-            return [one]
-
-        def accepted(self, small, large):
-            return True
-
-        def _thinned(self, chosen):
-            return none
-
-        def _exchanged(self, chosen):
-            return chosen
-
-    assert Turning().run() is none
 
 
 def test_what_two_simulators_differ_by_is_taken_off_what_is_left():

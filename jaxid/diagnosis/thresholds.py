@@ -345,19 +345,6 @@ class Thresholds:
         "By this many do more effects have to predict better.",
         "convention: three standard errors",
     )
-    missed: float = _of(
-        2.0,
-        "standard errors",
-        "By this many may fewer effects predict worse.",
-        "convention: two standard errors",
-    )
-    shows_itself: float = _of(
-        1e-6,
-        "share of a column",
-        "A column of which less than this share lies outside of what is there already shows nothing"
-        " of its own.",
-        "not recorded",
-    )
     # torque, run
     different: float = _of(
         2.0,

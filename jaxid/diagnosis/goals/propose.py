@@ -132,7 +132,7 @@ class LinearisedSearch:
         self.study, self.most = study, most
         self.fit, self.held = study.of("fit"), study.of("validation") or study.of("fit")
         self.rows, self.white = study.rows_with_effects(theta)
-        self.chooser = study.chooser(self.rows, self.white, self.fit, self.held, most)
+        self.chooser = study.chooser(self.rows, self.white, self.fit, self.held)
 
     def at_noise(self) -> bool:
         """Whether the re-tuned model is, at every joint."""

@@ -59,7 +59,7 @@ def searched(study: TorqueStudy, most: int) -> Found:
     theta, found = study.theta, None
     for again in range(PASSES):
         rows, weights = study.rows_with_effects(theta, again > 0)
-        chooser = study.chooser(rows, weights, fit, choose, most)
+        chooser = study.chooser(rows, weights, fit, choose)
         nominal = of_model(study, rows, chooser.nominal)
         before = as_before(chooser, nominal, [choose, judge], fit)
         weighed = weigh(scales(study, rows, weights, chooser, [*fit, *choose]))
@@ -146,7 +146,7 @@ def difference(study: TorqueStudy, found: Found, most: int) -> Found | None:
         for k, x in enumerate(found.rows.rows)
     ]
     own = TorqueRows(found.rows.theta, acting, rows)
-    chooser = _second(study, own, found, most)
+    chooser = _second(study, own, found)
     both = [*found.fit, *found.choose]
     weighed = weigh(scales(study, own, found.weights, chooser, both, mask))
     claimed = claims(weighed, most)
@@ -178,7 +178,7 @@ def difference(study: TorqueStudy, found: Found, most: int) -> Found | None:
     return second
 
 
-def _second(study: TorqueStudy, rows: TorqueRows, found: Found, most: int) -> Chooser:
+def _second(study: TorqueStudy, rows: TorqueRows, found: Found) -> Chooser:
     """The search for what acts in the runs that were not fitted."""
     base, p = found.final, study.plant.size
     both = [*base.units, *rows.units]
@@ -197,7 +197,6 @@ def _second(study: TorqueStudy, rows: TorqueRows, found: Found, most: int) -> Ch
     def g(which):
         return gram(*study.some(rows, which), found.weights, BLOCKS)
 
-    left = study.by_joint(rows, found.weights, found.judge)
     both = [*found.fit, *found.choose]
     return Chooser(
         units=rows.units,
@@ -208,6 +207,4 @@ def _second(study: TorqueStudy, rows: TorqueRows, found: Found, most: int) -> Ch
         start=start,
         lower=low,
         upper=high,
-        most=most,
-        by_joint=left,
     )

@@ -68,14 +68,6 @@ def shrunk(products: np.ndarray, spread: np.ndarray) -> np.ndarray:
     )
 
 
-def without(left: np.ndarray, columns: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """A residual [rows] without what its run's own numbers are likely to be off, columns [rows
-    k].
-    """
-    O = columns[:, : len(spread)] @ spread
-    return left - O @ np.linalg.solve(np.eye(O.shape[1]) + O.T @ O, O.T @ left)
-
-
 def _groups(study: TorqueStudy) -> list[list[int]]:
     place = {r.experiment.name: k for k, r in enumerate(study.runs)}
     kept = [e for e in study.binding.dataset.experiments if e.split != "report" and e.name in place]

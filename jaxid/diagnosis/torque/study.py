@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,10 +20,10 @@ from jaxid.diagnosis.torque.algebra import (
     weighted,
     Weights,
 )
-from jaxid.diagnosis.torque.choose import Chooser, Enough
+from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.plant import Beside, Plant, plant_of
-from jaxid.diagnosis.torque.repeats import spread_between, without
+from jaxid.diagnosis.torque.repeats import spread_between
 from jaxid.diagnosis.torque.rows import read_runs, TorqueRun, turning_speeds
 from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
@@ -320,10 +320,8 @@ class TorqueStudy:
         weights: Weights,
         fit: Sequence[int],
         held: Sequence[int],
-        most: int,
-        enough: Enough = lambda m: False,
     ) -> Chooser:
-        """The search on some runs, judged on others."""
+        """Sets of effects by some runs, judged on others."""
         start, low, high = self.bounds(rows)
         told = self.known(rows.rows[0].shape[2] - 1, rows.theta, rows.units)
         if self.given is not None:
@@ -336,7 +334,6 @@ class TorqueStudy:
         def g(which):
             return gram(*self.some(rows, which), weights, BLOCKS)
 
-        left = self.by_joint(rows, weights, held)
         return Chooser(
             units=rows.units,
             size=rows.size,
@@ -346,39 +343,8 @@ class TorqueStudy:
             start=start,
             lower=low,
             upper=high,
-            most=most,
-            by_joint=left,
-            enough=enough,
             departs=self.departs,
         )
-
-    def by_joint(
-        self, rows: TorqueRows, weights: Weights, which: Sequence[int]
-    ) -> Callable[[Solution], np.ndarray]:
-        """What a solution leaves of each block and joint of some runs, [blocks n]."""
-        share = {
-            k: weights(np.ones((*self.unsure[k].shape, 1)), self.runs[k].moves, self.unsure[k])[
-                :, :, 0
-            ]
-            for k in which
-        }
-        length, p = max(1, sum(len(x) for x in share.values()) // BLOCKS), self.plant.size
-
-        def left(s: Solution) -> np.ndarray:
-            out = []
-            for k, x in share.items():
-                columns, r = (
-                    rows.rows[k][:, :, :p] * x[:, :, None],
-                    rows.residual(k, s.at, s.theta) * x,
-                )
-                for part in np.array_split(np.arange(len(r)), max(1, round(len(r) / length))):
-                    rest = without(
-                        r[part].ravel(), columns[part].reshape(r[part].size, p), weights.spread
-                    )
-                    out.append((rest.reshape(len(part), -1) ** 2).sum(0))
-            return np.array(out)
-
-        return left
 
     # ---- noise
 
