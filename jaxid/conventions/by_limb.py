@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from jaxid.conventions.missing_force import ForceFit, LAWS, ReadingFit, rms_left
+from jaxid.conventions.missing_force import ForceFit, LAWS, reading_fit, ReadingFit
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.joint_readings import read_by
 from jaxid.errors import UsageError
@@ -110,10 +110,7 @@ class FitByLimb(ForceFit):
         theta = self.binding.theta.copy()
         theta[self.free] = x[:free]
         share = residual * (self.norm(m) / self.norm(m, theta))
-        left = held = rms_left(share, m.weight, ~m.held)
-        if m.held.any():
-            held = rms_left(share, m.weight, m.held)
-        return ReadingFit(x, left, held, residual, slopes)
+        return reading_fit(m, x, residual, slopes, share)
 
 
 def force_fit(

@@ -300,9 +300,7 @@ class ForceFit:
         x, left, J = descend(residual, slopes, start, room, train, limit)
         own, moved = at(x)
         share = left * (norm / self.norm(moved, own))
-        fitted = rms_left(share, m.weight, train)
-        held = rms_left(share, m.weight, m.held) if m.held.any() else fitted
-        return ReadingFit(x, fitted, held, left, J)
+        return reading_fit(m, x, left, J, share)
 
     def _law_columns(self, m: SampledMotion, weight: np.ndarray, norm: np.ndarray) -> np.ndarray:
         """Columns of `LAWS` at each joint, [rows nq nq laws]: a number of a law acts on its own
@@ -410,7 +408,17 @@ class ForceFit:
         )
 
 
-def rms_left(left: np.ndarray, weight: np.ndarray, rows: np.ndarray) -> float:
+def reading_fit(
+    m: SampledMotion, x: np.ndarray, residual: np.ndarray, slopes: np.ndarray, share: np.ndarray
+) -> ReadingFit:
+    """A fit of numbers x with what is left as a share of the drive, `share` [rows nq]."""
+    left = held = _rms(share, m.weight, ~m.held)
+    if m.held.any():
+        held = _rms(share, m.weight, m.held)
+    return ReadingFit(x, left, held, residual, slopes)
+
+
+def _rms(left: np.ndarray, weight: np.ndarray, rows: np.ndarray) -> float:
     """Root mean square of what is left [rows nq] of some rows, of those joints that count there."""
     return float(np.sqrt(np.sum(left[rows] ** 2) / max(1, np.count_nonzero(weight[rows]))))
 
