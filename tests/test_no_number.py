@@ -172,7 +172,7 @@ def test_no_effect_is_significant_by_what_is_no_number(losses):
 
 
 def chooser(held: np.ndarray) -> Chooser:
-    """A search over two units beside one number; `held` [blocks 4 4] products of held-out runs."""
+    """Sets of two units beside one number; `held` [blocks 4 4] products of held-out runs."""
     *columns, noise = np.random.default_rng(0).standard_normal((4, 400))
     rows = np.column_stack([*columns, columns[0] + 2 * columns[1] + 0.1 * noise])
     fit = np.stack([part.T @ part for part in np.split(rows, 8)])
@@ -196,19 +196,20 @@ def chooser(held: np.ndarray) -> Chooser:
         start=np.zeros(3),
         lower=-wide,
         upper=wide,
-        most=2,
     )
 
 
 @pytest.mark.parametrize("bad", NONE)
 def test_a_set_that_leaves_no_number_of_the_held_out_runs_is_no_model(bad):
     good = chooser(cast(Any, None))
-    assert good.run().units == (0,)
+    found = good.model((0,))
+    assert found is not None and found.units == (0,)
     blocks = good.fit.blocks.copy()
     blocks[3, 1, :] = blocks[3, :, 1] = bad
-    assert chooser(blocks).run().units == ()
+    assert chooser(blocks).model((0,)) is None
     everywhere = np.full_like(blocks, bad)
-    assert chooser(everywhere).run().units == ()
+    assert chooser(everywhere).model((0,)) is None
+    assert chooser(everywhere).lively((0, 1)) is None
 
 
 @pytest.mark.parametrize("bad", NONE)
