@@ -17,6 +17,7 @@ from jaxid.conventions.checking import run_check
 from jaxid.conventions.finding import Checked
 from jaxid.data.dataset import Dataset
 from jaxid.fitters.short_fit import left_by_short_fit
+from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.problem.binding import resolve_model
 from jaxid.robots.match import notes_of, prepared, robot_from
 
@@ -200,6 +201,9 @@ def test_a_number_at_its_bound_leaves_a_covariance(tmp_path):
 def test_only_the_friction_that_is_wrong_is_written(tmp_path):
     folder = with_runs("new3_export_hardens_friction", tmp_path)
     robot, result = folder / "robot.xml", diagnosed(folder, tmp_path)
+    told = json.loads(result.read_text())
+    refuted = [r["parameter"] for r in told["stated"] if abs(r["deviation"] or 0.0) > REFUTED]
+    assert (told["which"]["verdict"], refuted) == ("none", ["frictionloss"])
     patched = exported(result, robot, tmp_path / "patched", "--data", str(folder))
     text = (patched / "robot.xml").read_text()
     assert text.count("solreffriction") == robot.read_text().count("solreffriction")

@@ -13,6 +13,7 @@ from jaxid.conventions.limits import ALIKE, APART, ASKED, FLOOR, GONE, MISFIT, T
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import ForceFit, ReadingFit
 from jaxid.conventions.readings import (
+    EFFECT_RANGE,
     exchanges,
     FREE,
     GEAR,
@@ -44,6 +45,8 @@ MOST = 4  # findings, one after another
 SOUGHT = 3
 #: A fitted factor may be a known one within this share of it.
 NAMED = 0.03
+#: Logarithm of a factor, to each side, to which those that fit alike are gone through.
+FARTHEST = 3.0
 _POOL = Pool("readings")
 
 
@@ -137,7 +140,7 @@ def _claimed(
             own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, hopeless)]
             own = _tried(fit, m, [t.reading for t in own], hopeless, laws)
         tried = sorted([*tried, *own], key=lambda t: t.left)
-        if tried and tried[0].left <= WHOLE * before:
+        if tried and tried[0].left <= WHOLE * min(before, 1.0):  # most of a drive is no remainder
             break
     tried = [t for t in tried if np.isfinite(t.left)]
     if not tried or not tried[0].left <= GONE * before:
@@ -147,9 +150,10 @@ def _claimed(
     same = [t for t in near if t.reading.kind == best.reading.kind]
     if best.reading.kind in ("sign", "swapped_channels"):
         best, *same = _nearest_stated(fit, names, [best, *same])
-    if best.reading.kind == "scale":  # of equals one that has a name
-        best, *same = sorted([best, *same], key=lambda t: (not _named(t.reading, names), t.left))
+    if best.reading.kind == "scale":
+        best, *same = _likeliest_scales(fit, names, [best, *same])
     near = [t for t in tried if t is not best and t.left <= ALIKE * tried[0].left]
+    near = [t for t in near if not _refuted_beside(fit, best, t)]
     value, interval, what, stated_off = best.reading.value, None, best.reading.what, False
     others = {t.reading.kind for t in near} - {best.reading.kind}
     if best.reading.kind == "sign" and _rivals(fit, best, same):
@@ -246,6 +250,26 @@ def _nearest_stated(fit: ForceFit, names: Names, equals: list[Judged]) -> list[J
         return fit.off_stated(judged.fitted) > REFUTED, len(channels), order.index(channels)
 
     return sorted(equals, key=rank)
+
+
+def _likeliest_scales(fit: ForceFit, names: Names, equals: list[Judged]) -> list[Judged]:
+    """Of equals first those that leave the model's numbers as they are stated, and of these one
+    that has a name; without those that what is stated refutes where it does not refute all.
+    """
+
+    def rank(judged: Judged) -> tuple[bool, bool, float]:
+        off = fit.off_stated(judged.fitted) > REFUTED
+        return off, not _named(judged.reading, names), judged.left
+
+    best, *same = sorted(equals, key=rank)
+    return [best, *(t for t in same if not _refuted_beside(fit, best, t))]
+
+
+def _refuted_beside(fit: ForceFit, best: Judged, other: Judged) -> bool:
+    """Whether what is stated refutes another scale and not this one."""
+    if best.reading.kind != "scale" or other.reading.kind != "scale":
+        return False
+    return fit.off_stated(best.fitted) <= REFUTED < fit.off_stated(other.fitted)
 
 
 def _rivals(fit: ForceFit, best: Judged, same: list[Judged]) -> list[Judged]:
@@ -390,9 +414,9 @@ def _refined(
     own = nearest_convention(
         best.reading.kind, names.unit(best.reading.channels[0]), value, std, travel
     )
-    if own is None or (
-        own[1] in (FREE, GEAR) and _far(best, near, value)
-    ):  # what many factors fit is none of them
+    if best.reading.kind == "scale" and _far(best, near, value if own is None else own[0]):
+        own = _of_many(fit, m, best, names, own, laws)
+    if own is None:
         return value, ends, "", best.reading.change, False
     value, what = own
     if best.reading.kind == "zero":
@@ -401,9 +425,37 @@ def _refined(
     return value, ends, what, _scaled(replace(best.reading, value=value), names), True
 
 
+def _of_many(
+    fit: ForceFit,
+    m: SampledMotion,
+    best: Judged,
+    names: Names,
+    own: tuple[float, str] | None,
+    laws: bool,
+) -> tuple[float, str] | None:
+    """Of many factors that fit alike the one by which the model's numbers are nearest to what is
+    stated of them. Where that tells nothing a known factor stands, and what has no name is none.
+    """
+
+    def off(x: float) -> float:
+        reading = scale_of(names, best.reading.channels, best.reading.value * float(np.exp(x)))
+        fitted = fit.fit(reading.change(m), laws, begin=best.fitted.x)
+        return fit.off_stated(fitted) if fitted.worst <= ALIKE * best.left else np.nan
+
+    steps = np.linspace(-FARTHEST, FARTHEST, 4 * int(FARTHEST) + 1)
+    tried = np.array([off(float(x)) for x in steps])
+    least = np.nanmin(tried, initial=np.inf)
+    if not (least <= REFUTED < np.nanmax(tried, initial=0.0)):
+        return own if own is not None and own[1] not in (FREE, GEAR) else None
+    value = best.reading.value * float(np.exp(steps[int(np.nanargmin(tried))]))
+    low, high = EFFECT_RANGE
+    return None if low < value < high else (value, FREE)
+
+
 def _far(best: Judged, near: list[Judged], factor: float) -> bool:
     """Whether a factor of the same channel that leaves as little lies far from this one."""
-    own = [t.reading.value for t in near if t.reading.channels == best.reading.channels]
+    what = best.reading.kind, best.reading.channels
+    own = [t.reading.value for t in near if (t.reading.kind, t.reading.channels) == what]
     return any(abs(np.log(value / factor)) > APART for value in own)
 
 

@@ -281,15 +281,20 @@ class ForceFit:
             theta[self.free] = x[:free]
             return theta, m if more is None else more(x[free : free + size])
 
+        def by_drive(moved: SampledMotion) -> np.ndarray:
+            """Weights over the drive of the motion as it would be: a smaller one leaves less."""
+            return weight if more is None else moved.weight / self.norm(moved)
+
         def residual(x: np.ndarray) -> np.ndarray:
-            return self.missing(*at(x)) * weight + columns @ x[free + size :]
+            own, moved = at(x)
+            return self.missing(own, moved) * by_drive(moved) + columns @ x[free + size :]
 
         def slopes(x: np.ndarray, left: np.ndarray) -> np.ndarray:
             h = 1e-6 * room.scale * np.where(x + 1e-6 * room.scale <= room.upper, 1, -1)
             J = np.concatenate([np.zeros((*weight.shape, free + size)), columns], axis=-1)
             if free:
                 own, moved = at(x)
-                J[..., :free] = self.slopes(own, h[:free], moved) * weight[..., None]
+                J[..., :free] = self.slopes(own, h[:free], moved) * by_drive(moved)[..., None]
             for i in range(free, free + size):
                 J[..., i] = (residual(x + h[i] * (np.arange(x.size) == i)) - left) / h[i]
             return J
@@ -299,7 +304,8 @@ class ForceFit:
             limit = hopeless**2 * max(1, np.count_nonzero(m.weight[train]))
         x, left, J = descend(residual, slopes, start, room, train, limit)
         own, moved = at(x)
-        share = left * (norm / self.norm(moved, own))
+        measured = norm if more is None else self.norm(moved)
+        share = left * (measured / self.norm(moved, own))
         return reading_fit(m, x, left, J, share)
 
     def _law_columns(self, m: SampledMotion, weight: np.ndarray, norm: np.ndarray) -> np.ndarray:

@@ -339,6 +339,9 @@ def bind(
     said = (*said, *held_friction(chain, layout, free, fixed - values.stated, theta))
     if robots.is_robot(model):
         said = (*robots.notes_of(model, dataset), *said)
+        # Bounds go by what was recorded, in units that may be wrong: what a file states stays.
+        lower[free] = np.minimum(lower[free], theta[free])
+        upper[free] = np.maximum(upper[free], theta[free])
     theta[free] = np.clip(theta[free], lower[free], upper[free])
     return Binding(
         dataset=dataset,

@@ -456,13 +456,14 @@ class AsStated:
         return [layout.names[i] for i in self.enough[0].index if i in self.alone.gains]
 
     @property
-    def begin(self) -> np.ndarray:
-        """Numbers of the model as they stand, but for gains that explain the recording."""
-        theta = self.plain.theta.copy()
-        for name in self.gains:
-            wide = self.alone.decider.bench.binding.layout.index(name)  # type: ignore[union-attr]
-            theta[self.plain.layout.index(name)] = self.enough[0].theta[wide]
-        return theta
+    def begin(self) -> np.ndarray | None:
+        """Numbers of the model with those changed that explain the recording; None where none do.
+        The re-tuned model holds this one, and a descent from afar may not find it.
+        """
+        if self.alone is None or not self.enough or self.lacks:
+            return None
+        wide = self.alone.decider.bench.binding.layout
+        return np.array([self.enough[0].theta[wide.index(n)] for n in self.plain.layout.names])
 
     @property
     def difference(self) -> Difference:
