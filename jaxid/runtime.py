@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from jaxid.base.progress import Bar, Callback
 from jaxid.numerics.program_cache import own_folder, want
 from jaxid.numerics.versions import check_jax
-from jaxid.progress import Bar, Callback
 
 
 # XLA on the CPU runs small while loops op by op on one thread; with this limit the loop over

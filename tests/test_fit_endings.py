@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base import interim
 from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
 from jaxid.fitting import run as fits
@@ -21,7 +22,6 @@ from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, star
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import FunctionProblem, Linear
 from jaxid.runtime import Interrupted
-from jaxid.storage import interim
 
 
 @pytest.fixture(scope="module")

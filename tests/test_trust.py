@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.data.noise import Noise
-from jaxid.errors import UsageError
 from jaxid.models import Robot
 from jaxid.problem.accuracy import accuracy_of, beside_accuracy
 from jaxid.problem.binding import bind

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from jaxid import errors
+from jaxid.base import errors
+from jaxid.base.errors import UsageError
 from jaxid.cli import app as cli
-from jaxid.errors import UsageError
 from jaxid.numerics import versions
 
 

@@ -27,11 +27,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.serialise import SCHEMA
 from jaxid.benchmark import arm_sets, bench_sets, rig_sets
 from jaxid.benchmark.case import BlindCase, CONVENTIONS, DEPENDS_ON, Draft, SIZES, VARIABLES
 from jaxid.data.write import write_files
-from jaxid.errors import nearest, UsageError
-from jaxid.serialise import SCHEMA
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any, cast, TYPE_CHECKING
 import jax
 import numpy as np
 
+from jaxid.base.interim import Interim
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.change import fit_change, noticed
 from jaxid.fitting.effect_starts import probe_starts
@@ -27,7 +28,6 @@ from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
 from jaxid.runtime import Interrupted
 from jaxid.simulation import sample_buffers as samples
-from jaxid.storage.interim import Interim
 
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import listed
 from jaxid.data.dataset import Dataset
 from jaxid.data.noise import Noise
 from jaxid.data.units import conversion, si_unit, UnitError
-from jaxid.errors import UsageError
-from jaxid.wording import listed
 
 
 HOW = 'write "1 mrad", or "q = 1 mrad, position = 0.1 mm" by channel'

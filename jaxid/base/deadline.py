@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.runtime import Interrupted
 
 
