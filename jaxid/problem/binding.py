@@ -135,7 +135,7 @@ class Binding:
         if window is None or all(n.source != "repeatability" for n in self.noise.values()):
             return self
         noise = noise_floor(self.dataset, window=window)
-        noise = beside_accuracy(noise, self.dataset.accuracy)
+        noise = beside_accuracy(noise, self.dataset)
         return replace(
             self,
             noise=noise,
@@ -319,7 +319,7 @@ def bind(
     if any(n.source == "repeatability" for n in noise.values()):
         alone = noise_floor(dataset, readings=True)
     readings = np.array([alone[n].std for n in names])
-    noise = beside_accuracy(noise, dataset.accuracy)
+    noise = beside_accuracy(noise, dataset)
 
     values = stated_values(ParameterVector(chain), dataset.model)
     chain = ParameterVector(chain).model(values.theta)  # with what the dataset states
