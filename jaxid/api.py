@@ -13,6 +13,7 @@ from jaxid.base.deadline import answered_in_time, share_of_time
 from jaxid.base.errors import nearest, UsageError
 from jaxid.base.extras import required
 from jaxid.base.serialise import with_effects
+from jaxid.base.stopping import Interrupted
 from jaxid.conventions.finding import Checked
 from jaxid.data.capacity import refuse_too_large
 from jaxid.data.dataset import Dataset
@@ -32,7 +33,6 @@ from jaxid.problem.residual import Residual, resolve_residual
 from jaxid.problem.solver import with_solver
 from jaxid.robots.floating import refuse_free
 from jaxid.robots.limbs import effects_at, limbs_of
-from jaxid.runtime import Interrupted
 
 
 if TYPE_CHECKING:

@@ -22,10 +22,10 @@ import jaxid.api  # it takes its names before some of them are replaced here
 from jaxid.base import wording
 from jaxid.base.errors import DatasetWarning
 from jaxid.base.serialise import finite, json_bytes
+from jaxid.base.stopping import Interrupted
 from jaxid.cli import app as cli, terminal
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics import catalogue
-from jaxid.runtime import Interrupted
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
 

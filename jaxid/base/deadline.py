@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from jaxid.base.errors import UsageError
-from jaxid.runtime import Interrupted
+from jaxid.base.stopping import Interrupted
 
 
 T = TypeVar("T", bound=Any)

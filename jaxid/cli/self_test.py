@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from jaxid.base.extras import EXTRAS
 from jaxid.base.serialise import SCHEMA
-from jaxid.numerics.versions import versions
+from jaxid.base.versions import versions
 from jaxid.robots.mjcf_spec import library
 
 

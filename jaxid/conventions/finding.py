@@ -97,7 +97,7 @@ class Checked(Displayed):
 
     def to_dict(self) -> dict[str, Any]:
         from jaxid.base.serialise import model_digest, SCHEMA
-        from jaxid.numerics.versions import versions
+        from jaxid.base.versions import versions
 
         return plain(
             {

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxid.base.stopping import Interrupted
 from jaxid.base.wording import times
 from jaxid.data.dataset import Dataset
 from jaxid.data.experiment import Experiment
@@ -22,7 +23,6 @@ from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, LONGEST_DELAY_S
 from jaxid.numerics.precision import float64
-from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import columns, STEP
 
 

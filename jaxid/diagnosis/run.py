@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxid.base.errors import UsageError
 from jaxid.base.interim import Interim
+from jaxid.base.stopping import Interrupted
 from jaxid.base.wording import times
 from jaxid.conventions.play import read_twice
 from jaxid.data.dataset import Dataset
@@ -71,7 +72,6 @@ from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.problem.trust import told
-from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import STEP
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxid.base.display import Displayed, displays
 from jaxid.base.serialise import model_digest, plain, SCHEMA
+from jaxid.base.versions import versions
 from jaxid.conventions.finding import as_data, DataFinding
-from jaxid.numerics.versions import versions
 
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxid.base.errors import nearest, UsageError
 from jaxid.base.interim import Interim
+from jaxid.base.stopping import Interrupted
 from jaxid.conventions.finding import DataFinding
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics import catalogue
@@ -26,7 +27,6 @@ from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, star
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import FitProblem, LOSSES
 from jaxid.problem.residual import Residual
-from jaxid.runtime import Interrupted
 
 
 #: Evaluations of each run where neither these nor seconds are given.

@@ -23,6 +23,7 @@ import numpy as np
 from jaxid.base.errors import UsageError
 from jaxid.base.extras import needed
 from jaxid.base.serialise import plain
+from jaxid.base.versions import versions
 from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import levenberg_marquardt
@@ -31,7 +32,6 @@ from jaxid.fitting.problem_builder import default_residual, ProblemBuilder
 from jaxid.fitting.profiles import profile_likelihood
 from jaxid.fitting.result import Fit
 from jaxid.numerics.precision import float64
-from jaxid.numerics.versions import versions
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.pure_problem import pure, with_noise

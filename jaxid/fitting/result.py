@@ -12,9 +12,9 @@ import numpy as np
 from jaxid.base.display import Displayed, displays
 from jaxid.base.frames import frame
 from jaxid.base.serialise import model_digest, plain, SCHEMA
+from jaxid.base.versions import versions
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.fitting.exportable import Exportable
-from jaxid.numerics.versions import versions
 
 
 if TYPE_CHECKING:

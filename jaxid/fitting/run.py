@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxid.base.interim import Interim
+from jaxid.base.stopping import Interrupted
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.change import fit_change, noticed
 from jaxid.fitting.effect_starts import probe_starts
@@ -26,7 +27,6 @@ from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
-from jaxid.runtime import Interrupted
 from jaxid.simulation import sample_buffers as samples
 
 

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 from jaxid.base.errors import nearest, UsageError
 from jaxid.base.interim import Interim
+from jaxid.base.stopping import Interrupted
 from jaxid.fitting.fitter import Progress
-from jaxid.runtime import Interrupted
 from jaxid.study.papers.result import Reproduction
 
 

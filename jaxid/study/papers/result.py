@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from jaxid.base.serialise import plain, SCHEMA
-from jaxid.numerics.versions import versions
+from jaxid.base.versions import versions
 from jaxid.report.display import page
 from jaxid.study.papers.page import reproduction_page
 
