@@ -4,6 +4,7 @@ the words of the page of rules (docs/benchmark.md).
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
 from collections.abc import Iterator
@@ -205,19 +206,24 @@ def _where_of(law: Answer) -> dict[str, float]:
 def _exam(folder: Path, asked: Answer, data: Any, found: Any) -> Answer:
     """Free runs of the amended model; none by torque, whose answer is no free run."""
     import jaxid
+    from jaxid.data.experiment import Experiment
 
     if any(name.endswith("_tau") for name in asked["exam"]["outputs"]):
         return {}
     path = folder / "exam.csv"
     names = path.read_text().split("\n", 1)[0].split(",")
     columns = dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
-    t = columns.pop("t")
-    units = {c.name: c.unit for c in (*data.inputs, *data.outputs)}
-    still = {c.name: 1e-9 * np.arange(len(t)) for c in data.outputs}
-    run = jaxid.Dataset.from_arrays(
-        t, columns, still, units=units, at_rest=True, split="report", model=data.model
+    rest = np.zeros((len(columns["t"]), len(data.outputs)))
+    run = Experiment(
+        name="exam",
+        split="fit",
+        t=columns["t"],
+        u=np.column_stack([columns[c.name] for c in data.inputs]),
+        y=rest,
+        at_rest=True,
     )
     model = str(folder / asked["robot"]) if "robot" in asked else None
-    first: Any = jaxid.simulate(model, run, found).runs[0]
+    alone = dataclasses.replace(data, experiments=(run,))
+    first: Any = jaxid.simulate(model, alone, found).runs[0]
     rows = asked["exam"]["rows"]
     return {"exam": {n: np.asarray(first[n])[rows].tolist() for n in asked["exam"]["outputs"]}}

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid import catalogue
+from jaxid.base.errors import UsageError
 from jaxid.benchmark import case, make as making, rig_sets, score as scoring, withheld
 from jaxid.benchmark.answers import CaseAnswer, read_entry
 from jaxid.benchmark.intervals import mean_interval
 from jaxid.cli.app import main
-from jaxid.errors import UsageError
+from jaxid.dynamics import catalogue
 
 
 ROOT = Path(__file__).parents[1]

@@ -27,6 +27,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.serialise import SCHEMA
 from jaxid.benchmark import arm_sets, bench_sets, rig_sets
 from jaxid.benchmark.case import (
     BlindCase,
@@ -38,8 +40,6 @@ from jaxid.benchmark.case import (
     VARIABLES,
 )
 from jaxid.data.write import write_files
-from jaxid.errors import nearest, UsageError
-from jaxid.serialise import SCHEMA
 
 
 @dataclass(frozen=True)

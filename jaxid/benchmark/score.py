@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import SCHEMA
 from jaxid.benchmark.answers import AnswerForm, BenchmarkEntry, CaseAnswer, read_entry
 from jaxid.benchmark.intervals import cell, mean_interval, wilson
-from jaxid.errors import UsageError
-from jaxid.serialise import SCHEMA
 
 
 NOTHING, OTHER = "nothing", "other"
@@ -258,7 +258,7 @@ def calibration_error(said: Sequence[tuple[float, bool]]) -> float | None:
 
 def card_text(found: ScoreCard) -> str:
     """The score as a table, one row a measure."""
-    from jaxid.wording import table
+    from jaxid.base.wording import table
 
     rows = []
     for name, value in found.overall.items():
