@@ -491,7 +491,7 @@ def test_an_effect_with_several_places_asks_for_one():
 
 
 def test_tables_without_pandas_say_what_to_install(monkeypatch):
-    from jaxid.storage.frames import frame
+    from jaxid.base.frames import frame
 
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
     with pytest.raises(jaxid.UsageError, match="pip install pandas"):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxid
-import jaxid.catalogue
+import jaxid.dynamics.catalogue
 from jaxid.cli.app import main
 from jaxid.robots.bodies import fault
 from jaxid.robots.export.identified import nearest_bodies
@@ -441,7 +441,7 @@ def test_code_does_what_the_effects_do(arm):
     """Each law beside the effect itself, along one motion; and before the steps of MuJoCo."""
     import jax.numpy as jnp
 
-    from jaxid.catalogue import effect_class
+    from jaxid.dynamics.catalogue import effect_class
     from jaxid.dynamics.effect import Signals
     from jaxid.dynamics.parameter import with_fields
 
@@ -553,7 +553,7 @@ def test_nothing_is_passed_over(arm, to, tmp_path):
 
 
 def test_targets_are_those_that_the_command_lists():
-    assert tuple(TARGETS) == jaxid.catalogue.TARGETS
+    assert tuple(TARGETS) == jaxid.dynamics.catalogue.TARGETS
 
 
 def test_correlations_stand_beside_the_ranges(arm):

@@ -20,9 +20,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from emulators import hand_over
+from jaxid.base.errors import UsageError
 from jaxid.cli.app import main
 from jaxid.data.io import load_dataset
-from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, recover, SensorSpec, Trajectory
 from jaxid.hardware.channels import channel_map
 from jaxid.hardware.clock import from_arrivals, from_signals, within_tick

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from jaxid.base.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.data.dataset import Controller, Dataset, ModelSpec
 from jaxid.data.importers.robot import import_lerobot, import_mcap, import_rosbag
 from jaxid.data.importers.ros import _arm_first, _sliding
@@ -22,7 +23,6 @@ from jaxid.data.importers.ros_messages import JointRows
 from jaxid.data.importers.runs import ImportedRun
 from jaxid.data.io import load_dataset, save_dataset
 from jaxid.data.joint_names import in_chain_order
-from jaxid.errors import DatasetError, DatasetWarning, UsageError
 
 
 N = 120

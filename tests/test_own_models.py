@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base.errors import DatasetError, UsageError
 from jaxid.cli.app import main
 from jaxid.dynamics.model_file import own_model, sha256_of
-from jaxid.errors import DatasetError, UsageError
 from jaxid.study.check import check_study
 from jaxid.study.plan import fingerprint, read_study
 from jaxid.study.work import Workshop

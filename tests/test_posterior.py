@@ -14,7 +14,7 @@ import jaxid
 from jaxid.fitting.nuts import Box, sample, Sampling
 from jaxid.fitting.posterior import unsettled
 from jaxid.numerics.precision import float64
-from jaxid.storage.result_files import save
+from jaxid.report.result_files import save
 
 
 pytest.importorskip("blackjax")

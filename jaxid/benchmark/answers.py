@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxid.errors import nearest, UsageError
+from jaxid.base.errors import nearest, UsageError
 
 
 #: Keys of one answer.

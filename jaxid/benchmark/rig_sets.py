@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxid import catalogue
 from jaxid.benchmark import mujoco_twin, numpy_twin
 from jaxid.benchmark.case import (
     asked_rows,
@@ -26,6 +25,7 @@ from jaxid.benchmark.plants import Lanes, PLANTS, TwinPlant
 from jaxid.benchmark.rigs import chain_of, dataset, lanes, names_of, twin
 from jaxid.benchmark.withheld import BUILTIN, commands, outsiders, SECONDS, steps
 from jaxid.data.dataset import Dataset, ModelSpec
+from jaxid.dynamics import catalogue
 
 
 MODELS = ("joint", "pendulum", "servo", "tracker", "planar_arm", "flexible_link")

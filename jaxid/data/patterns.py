@@ -8,11 +8,11 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from jaxid.base.errors import DatasetProblem
 from jaxid.data.places import Places
 from jaxid.data.schema import ChannelEntry, Document, ExperimentEntry
 from jaxid.data.schema_model import ModelEntry
 from jaxid.data.table import Table
-from jaxid.errors import DatasetProblem
 
 
 def expanded_files(

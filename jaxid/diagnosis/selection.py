@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.wording import listed, times
 from jaxid.diagnosis.evidence import inflation, memory, worth
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of
 from jaxid.diagnosis.shortlist import is_timing
 from jaxid.diagnosis.simulated import log_weight, told_apart
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import ProblemBuilder
-from jaxid.wording import listed, times
 
 
 def joint_loss(h: Hypothesis) -> float:

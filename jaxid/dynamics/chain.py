@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxid.base.wording import names_of
 from jaxid.dynamics import mujoco_step
 from jaxid.dynamics.carry import Carry, first_command, first_state
 from jaxid.dynamics.drive_torque import is_direct, records_torque
@@ -38,7 +39,6 @@ from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.dynamics.present import at_time, numbers_of
 from jaxid.numerics.fast_math import dot, fence
-from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.model_names import parts_of
-from jaxid.errors import nearest, UsageError
-from jaxid.wording import names_of
 
 
 #: Class attributes that every model has.

@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.errors import UsageError
-from jaxid.extras import needed
+from jaxid.base.errors import UsageError
+from jaxid.base.extras import needed
 from jaxid.fitting.fitter import Progress
 from jaxid.numerics.pool import Pool
 from jaxid.numerics.precision import float64

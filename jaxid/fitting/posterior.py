@@ -20,8 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
-from jaxid.extras import needed
+from jaxid.base.errors import UsageError
+from jaxid.base.extras import needed
+from jaxid.base.serialise import plain
+from jaxid.base.versions import versions
 from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import levenberg_marquardt
@@ -30,13 +32,11 @@ from jaxid.fitting.problem_builder import default_residual, ProblemBuilder
 from jaxid.fitting.profiles import profile_likelihood
 from jaxid.fitting.result import Fit
 from jaxid.numerics.precision import float64
-from jaxid.numerics.versions import versions
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.pure_problem import pure, with_noise
 from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
-from jaxid.serialise import plain
 from jaxid.simulation import sample_buffers as samples
 
 

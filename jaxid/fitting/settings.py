@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from jaxid.errors import nearest, UsageError
+from jaxid.base.errors import nearest, UsageError
 
 
 class Setting(NamedTuple):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.hardware.clock import ClockMap, from_arrivals, from_signals
 from jaxid.hardware.recorder import (
     Column,

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, UsageError
 from jaxid.data.limits import Limits
-from jaxid.errors import DatasetError, UsageError
 
 
 #: Kind of command -> (channel stem in files, unit).

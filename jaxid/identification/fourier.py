@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 
 
 #: A series that leaves this many times what the readings scatter by themselves is not of whole

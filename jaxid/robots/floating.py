@@ -21,8 +21,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset
-from jaxid.errors import UsageError
 from jaxid.robots.tree import FLOATS, Tree, turned
 
 

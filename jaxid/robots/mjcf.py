@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.rigid_body import about_origin
-from jaxid.errors import UsageError
 from jaxid.robots.curves import Curve, Polynomial
 from jaxid.robots.file_step import file_step
 from jaxid.robots.mjcf_spec import compilable, compiled, first_of, library

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import listed
 from jaxid.dynamics.rigid_body import about_origin
-from jaxid.errors import UsageError
 from jaxid.robots.bodies import fault
 from jaxid.robots.mjcf_ties import acting_tendons, Tendon, without_tendons
-from jaxid.wording import listed
 
 
 #: What is drawn, touched or sensed, and moves nothing.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset
-from jaxid.errors import nearest, UsageError
 from jaxid.robots.floating import ANGLES
 from jaxid.robots.tree import Tree
-from jaxid.wording import names_of
 
 
 #: Constant under which a dataset states where a joint that it does not record was held.

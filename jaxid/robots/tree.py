@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.dynamics.rigid_body import moved, Placements
-from jaxid.errors import nearest, UsageError
 from jaxid.robots.curves import Curve, Polynomial
 from jaxid.robots.file_step import FileStep
 from jaxid.robots.steps import Steps

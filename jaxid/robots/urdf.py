@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.xml_tree import Declares, xml_root
 from jaxid.dynamics.rigid_body import about_origin
-from jaxid.errors import nearest, UsageError
 from jaxid.robots.tree import rotation
-from jaxid.storage.xml_tree import Declares, xml_root
 
 
 MOVING = ("revolute", "continuous", "prismatic")

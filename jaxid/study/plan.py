@@ -23,12 +23,12 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from jaxid.catalogue import LOSSES, RESIDUALS
+from jaxid.base.errors import DatasetError, DatasetProblem, nearest, UsageError
+from jaxid.base.wording import one_line
 from jaxid.data.model_names import called, parts_of
 from jaxid.data.schema import Document, entry_of, Places
 from jaxid.data.schema_fields import plain_text
-from jaxid.errors import DatasetError, DatasetProblem, nearest, UsageError
-from jaxid.wording import one_line
+from jaxid.dynamics.catalogue import LOSSES, RESIDUALS
 
 
 #: Most tasks of a study.

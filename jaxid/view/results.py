@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 import jaxid
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import with_effects
+from jaxid.base.wording import one_line
 from jaxid.data.dataset import Dataset
-from jaxid.errors import UsageError
-from jaxid.serialise import with_effects
-from jaxid.wording import one_line
 
 
 #: Files that tell the numbers of a model.

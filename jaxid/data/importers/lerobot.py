@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.data.importers.runs import (
     first_line,
     ImportedRun,
@@ -24,7 +25,6 @@ from jaxid.data.importers.runs import (
     save_runs,
 )
 from jaxid.data.units import conversion, UnitError
-from jaxid.errors import nearest, UsageError
 
 
 _TURN = 4096  # counts of the servos whose calibration LeRobot writes

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.base.errors import nearest
 from jaxid.data.importers.ros_commands import commands_of, with_commands
 from jaxid.data.importers.ros_files import (
     open_bag,
@@ -28,7 +29,6 @@ from jaxid.data.importers.runs import (
     runs_of,
     save_runs,
 )
-from jaxid.errors import nearest
 
 
 _ROLES = {

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.importers.ros_files import COMMANDS, Message, RosRecording
 from jaxid.data.importers.ros_messages import (
     field_of,
@@ -16,7 +17,6 @@ from jaxid.data.importers.ros_messages import (
     values_of,
 )
 from jaxid.data.importers.runs import held, refused
-from jaxid.errors import UsageError
 
 
 _QUANTITIES = {"position": "q", "velocity": "qd", "effort": "tau"}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.models.effects import ConstantTorque, PowerLawFriction, StribeckFriction
 from jaxid.robots.arms import table_of
 from jaxid.robots.chain_table import z_to

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 
 
 KINDS = ("fit", "diagnosis", "identification")

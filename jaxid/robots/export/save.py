@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from jaxid.errors import UsageError
+from jaxid.base.atomic_files import replace_files
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import finite, SCHEMA
+from jaxid.base.small_files import read_small, TooLarge
 from jaxid.robots.export.run import Exported
-from jaxid.serialise import finite, SCHEMA
-from jaxid.storage.atomic_files import replace_files
-from jaxid.storage.small_files import read_small, TooLarge
 
 
 #: The rows, the ranges, and what the files were made from (with their SHA-256, for `jaxid replay`
