@@ -734,7 +734,7 @@ def test_nothing_of_the_user_is_overwritten(arm, tmp_path):
     assert arm.read_text() == ARM and (out / "apply.py").read_text() == "mine"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "export.json").symlink_to(arm)
-    with pytest.raises(jaxid.UsageError, match="no plain file"):
+    with pytest.raises(jaxid.UsageError, match="not a plain file"):
         save(found, tmp_path / "other")
     from dataclasses import replace
 
