@@ -18,7 +18,11 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 LEADERBOARD = HERE / "leaderboard"
-sys.path.insert(0, str(HERE))
+sys.path[:0] = [str(HERE.parent), str(HERE)]
+
+from jaxid.benchmark.intervals import cell  # noqa: E402
+
+
 #: Measure -> heading of its column.
 COLUMNS = {
     "class": "class",
@@ -68,21 +72,11 @@ def rows(folder: Path = LEADERBOARD) -> list[dict[str, Any]]:
         for measure, heading in COLUMNS.items():
             row[heading] = cell(one["overall"][measure])
         seconds = one["overall"]["seconds_median"]
-        row["seconds, median"] = "" if seconds is None else f"{seconds:.3g}"
+        row["seconds, median"] = cell(seconds)
         row["version"], row["date"] = one["version"], one["date"]
         row["key"], row["what it is"] = one["key_sha256"][:8], one["about"]
         out.append(row)
     return out
-
-
-def cell(value: Any) -> str:
-    """A measure with its 95 % interval."""
-    if value is None:
-        return ""
-    if not isinstance(value, dict):
-        return f"{value:.2f}"
-    low, high = value["interval_95"]
-    return f"{value['value']:.2f} ({low:.2f} to {high:.2f})"
 
 
 def page(folder: Path = LEADERBOARD) -> str:

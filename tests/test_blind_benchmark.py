@@ -16,6 +16,7 @@ import jaxid
 from jaxid.base.errors import UsageError
 from jaxid.benchmark import case, make as making, rig_sets, score as scoring, withheld
 from jaxid.benchmark.answers import CaseAnswer, read_entry
+from jaxid.benchmark.intervals import mean_interval
 from jaxid.cli.app import main
 from jaxid.dynamics import catalogue
 
@@ -224,3 +225,27 @@ def test_every_effect_that_may_be_withheld_has_its_words():
     assert set(rig_sets.NUMBERS) <= set(case.SIZES) <= words
     assert sum(one.cases for one in making.SETS.values()) == 1200
     assert making.SETS["outsiders"].cases == 300
+
+
+def test_one_case_is_no_certainty():
+    """Nor are several that are alike; intervals close as cases come and stay within bounds."""
+    widths = []
+    for count in (1, 4, 24, 400):
+        found = mean_interval([0.0] * count, least=-1.0, most=1.0)
+        assert found is not None and found["count"] == count
+        low, high = found["interval_95"]
+        assert -1.0 <= low < 0.0 < high <= 1.0
+        widths.append(high - low)
+    assert widths[0] == 2.0 and widths == sorted(widths, reverse=True) and widths[-1] < 0.01
+    assert mean_interval([]) is None
+
+
+def test_intervals_of_means_hold_the_mean():
+    """Of 2,000 samples of five values that are spread evenly over 0 to 2."""
+    rng = np.random.default_rng(0)
+    held = 0
+    for _ in range(2000):
+        found = mean_interval(rng.uniform(0.0, 2.0, 5).tolist(), least=0.0)
+        assert found is not None
+        held += found["interval_95"][0] <= 1.0 <= found["interval_95"][1]
+    assert 0.93 <= held / 2000 <= 0.99

@@ -30,7 +30,15 @@ import numpy as np
 from jaxid.base.errors import nearest, UsageError
 from jaxid.base.serialise import SCHEMA
 from jaxid.benchmark import arm_sets, bench_sets, rig_sets
-from jaxid.benchmark.case import BlindCase, CONVENTIONS, DEPENDS_ON, Draft, SIZES, VARIABLES
+from jaxid.benchmark.case import (
+    BlindCase,
+    CONVENTIONS,
+    DEPENDS_ON,
+    Draft,
+    generator,
+    SIZES,
+    VARIABLES,
+)
 from jaxid.data.write import write_files
 
 
@@ -86,7 +94,7 @@ def make(
     name: str, seed: int, folder: Path, cases: int | None = None, workers: int | None = None
 ) -> Made:
     """Makes a set, several with commas or all of them, each with its own number of cases or with
-    `cases` of them.
+    `cases` of them, drawn by the seed.
 
     Raises `UsageError` where there is no such set or the folder holds something.
     """
@@ -99,7 +107,7 @@ def make(
         raise UsageError(f"{folder} holds files already; choose another folder")
     drafts: list[Draft] = []
     for one in names:
-        drafts += SETS[one].drafts(one, seed, range(cases or SETS[one].cases))
+        drafts += SETS[one].drafts(one, seed, numbers_of(one, seed, cases))
     order = np.random.default_rng([seed, len(drafts)]).permutation(len(drafts))
     places = {(drafts[k].set, drafts[k].number): f"{n + 1:04d}" for n, k in enumerate(order)}
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -118,6 +126,17 @@ def make(
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return Made(folder, names, len(drafts), digest)
+
+
+def numbers_of(name: str, seed: int, cases: int | None) -> list[int]:
+    """The cases of a set that are made: all of it, or so many of it, drawn by the seed. A part is
+    thus a sample of the set: of its machines and simulators, too.
+    """
+    whole = SETS[name].cases
+    if cases is None or cases >= whole:
+        return list(range(cases or whole))
+    drawn = generator(seed, f"part of {name}").choice(whole, cases, replace=False)
+    return sorted(int(number) for number in drawn)
 
 
 def _written(
