@@ -170,10 +170,10 @@ def test_calibration_error_is_that_of_the_bins():
 @pytest.mark.parametrize(
     "answer, words",
     [
-        ({"missing": {"coulomb_friction@j1": 1.5}}, ["'missing'", "1.5 is no probability"]),
+        ({"missing": {"coulomb_friction@j1": 1.5}}, ["'missing'", "1.5 is not a probability"]),
         ({"missing": {"coulom_friction@j1": 0.5}}, ["'missing'", "coulomb_friction"]),
         ({"missing": {"coulomb_friction@j99": 0.5}}, ["'missing'", "joint after @"]),
-        ({"nothing": "no"}, ["'nothing'", "'no' is no probability"]),
+        ({"nothing": "no"}, ["'nothing'", "'no' is not a probability"]),
         ({"where": {"weather": 0.5}}, ["'where'", "position, speed"]),
         ({"exam": {"j1_tau": [0.0]}}, ["'exam'", "list of 40 numbers"]),
         ({"how_far": [1.0, 0.0]}, ["'how_far'", "[low, high]"]),
