@@ -734,7 +734,7 @@ def test_nothing_of_the_user_is_overwritten(arm, tmp_path):
     assert arm.read_text() == ARM and (out / "apply.py").read_text() == "mine"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "export.json").symlink_to(arm)
-    with pytest.raises(jaxid.UsageError, match="no plain file"):
+    with pytest.raises(jaxid.UsageError, match="not a plain file"):
         save(found, tmp_path / "other")
     from dataclasses import replace
 
@@ -744,10 +744,10 @@ def test_nothing_of_the_user_is_overwritten(arm, tmp_path):
 
 
 HOSTILE = [
-    ([1, 2], "no result"),
+    ([1, 2], "not a result"),
     ({"kind": "fit", "model": "robot", "parameters": {}}, "failed"),
     ({"kind": "fit", "model": "robot", "parameters": {"damping@lift": {"value": 1e999}}}, "finite"),
-    ({"kind": "fit", "model": "robot", "parameters": {"a" * 300: {"value": 1}}}, "no name"),
+    ({"kind": "fit", "model": "robot", "parameters": {"a" * 300: {"value": 1}}}, "not a name"),
     ({"kind": "fit", "model": "m", "effects": [{"effect": "lugre_friction", "location": "q", "parameters": {"x);(": 1}}],
       "parameters": {}}, "names"),
     ({"kind": "fit", "model": "robot", "parameters": {"a": {"value": 1}}, "robot": {"file": "/no/such.xml"}}, "--robot FILE"),

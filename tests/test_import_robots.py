@@ -445,7 +445,7 @@ def test_normalised_values_need_what_they_stand_for(tmp_path):
         DatasetError, match="lift .within -100..100, beside one that touches its end"
     ):
         quiet(import_lerobot, small, tmp_path / "out", unit="deg", ranges=["pan=-110:110"])
-    with pytest.raises(UsageError, match="is no unit of a joint"):
+    with pytest.raises(UsageError, match="is not a unit of a joint"):
         quiet(import_lerobot, folder, tmp_path / "out", unit="%")
     with pytest.raises(UsageError, match="joints: pan, lift, gripper"):
         quiet(import_lerobot, folder, tmp_path / "out")

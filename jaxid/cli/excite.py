@@ -122,7 +122,7 @@ def _numbers(_ctx, param, value: str | None) -> list[float] | None:
     "--amplitude",
     callback=_numbers,
     metavar="X,…",
-    help="Largest input, in its unit, for models that are no arms.",
+    help="Largest input, in its unit, for models that are not arms.",
 )
 @click.option(
     "--gain", callback=_numbers, metavar="K,…", help="N m/A: adds the currents to command."

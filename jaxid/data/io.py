@@ -76,7 +76,7 @@ def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
             raise _refuse(
                 file,
                 f"there is no dataset.toml in {folder}",
-                "Write one; see the README for its few keys",
+                "Let `jaxid new DIR FILE…` write it; docs/getting_started.md describes it",
             )
         content = read_small(folder / file)
     except (OSError, ValueError) as error:

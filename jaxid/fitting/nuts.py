@@ -204,7 +204,7 @@ def _first(value: Any, box: Box, data: Any, key: Array, size: int) -> Array:
         point = away * 0.7**k
         if np.isfinite(value(point, box, data)):
             return point
-    raise UsageError("the density is no number about the fit: there is nothing to sample from")
+    raise UsageError("the density is not a number about the fit: there is nothing to sample from")
 
 
 def _side_by_side(

@@ -188,7 +188,7 @@ def refuse(fit: Fit) -> None:
     if fit.failed:
         raise UsageError(f"a fit that failed has no posterior: {fit.stopped_because}")
     if fit.loss_name != "sum_of_squares":
-        raise UsageError(f"the loss {fit.loss_name} is no likelihood; leave --loss out")
+        raise UsageError(f"the loss {fit.loss_name} is not a likelihood; leave --loss out")
     if fit.recursion:
         raise UsageError("a fit along its blocks has no single posterior; leave --window out")
 

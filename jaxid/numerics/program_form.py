@@ -76,7 +76,7 @@ def _program(eqn: JaxprEqn, key: str, arguments: int, results: int) -> ClosedJax
         results,
     ):
         raise UnknownForm(
-            f"`{key}` of {eqn.primitive.name} is no program of {arguments} arguments and {results}"
+            f"`{key}` of {eqn.primitive.name} is not a program of {arguments} arguments and {results}"
             " results"
         )
     return program

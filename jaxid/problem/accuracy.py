@@ -57,7 +57,7 @@ def _quantity(text: str) -> tuple[float, str]:
             raise ValueError
         value = float(number) * conversion(unit.strip()).factor
     except (ValueError, UnitError) as error:
-        raise UsageError(f"accuracy: {text.strip()!r} is no size with a unit; {HOW}") from error
+        raise UsageError(f"accuracy: {text.strip()!r} is not a size with a unit; {HOW}") from error
     if not (np.isfinite(value) and value > 0):
         raise UsageError(f"accuracy: {text.strip()!r} is not above 0; {HOW}")
     return value, unit.strip()

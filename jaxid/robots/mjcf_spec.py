@@ -52,7 +52,7 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
     mujoco = library()
     spec = parsed(path, text)
     if len(spec.bodies) < 2:  # the world counts
-        raise UsageError(f"{path}: it holds no <body>, so it is no robot{as_a_part(path)}")
+        raise UsageError(f"{path}: it holds no <body>, so it is not a robot{as_a_part(path)}")
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         raise UsageError(
             f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is'

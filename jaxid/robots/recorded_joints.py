@@ -27,7 +27,7 @@ def refuse_unknown(tree: Tree, outputs: set[str]) -> None:
             ' of a base that is moved (kind = "prescribed") give it role = "auxiliary"'
         )
     raise UsageError(
-        f"output {first!r} is no joint of"
+        f"output {first!r} is not a joint of"
         f" {tree.file or 'the robot'}{nearest(first, tree.leading)}; map it under"
         ' [model.joints], or give it role = "auxiliary"'
     )

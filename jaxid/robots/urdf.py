@@ -114,7 +114,7 @@ def read_robot(path: Path, text: str | None = None) -> UrdfRobot:
                 )
         if any(joint.child == other.child for other in robot.joints.values()):
             raise UsageError(
-                f"{path}: link {joint.child!r} has two parents; closed loops are no serial chain"
+                f"{path}: link {joint.child!r} has two parents; a closed loop is not a serial chain"
             )
         robot.joints[joint.name] = joint
     return robot

@@ -64,7 +64,7 @@ def _with_roles(channels: Sequence[Proposed], roles: Mapping[str, str]) -> list[
     for channel in channels:
         role = roles.get(channel.name, roles.get(channel.column, channel.role))
         if role not in ROLES:
-            raise UsageError(f"{role!r} is no role of {channel.name}{nearest(role, ROLES)}")
+            raise UsageError(f"{role!r} is not a role of {channel.name}{nearest(role, ROLES)}")
         found.append(replace(channel, role=role))
     return found
 

@@ -187,7 +187,7 @@ def _asked_topic(recording: RosRecording, asked: str) -> str:
     if kind not in STATES:
         raise refused(
             recording.path,
-            f"topic {asked!r} holds {kind}, which is no state of joints",
+            f"topic {asked!r} holds {kind}, which is not a state of joints",
             f"Name one of {', '.join(STATES)}; topics: {topics_listed(recording)}",
         )
     return asked

@@ -68,7 +68,7 @@ def _kind_of_commands(recording: RosRecording, topic: str) -> str:
     if topic not in recording.topics:
         what = "is not there"
     elif recording.topics[topic][0] not in COMMANDS:
-        what = f"holds {recording.topics[topic][0]}, which is no command"
+        what = f"holds {recording.topics[topic][0]}, which is not a command"
     else:
         return recording.topics[topic][0]
     found = [n for n, (kind, _) in recording.topics.items() if kind in COMMANDS]

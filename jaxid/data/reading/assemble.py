@@ -240,7 +240,7 @@ def _references(document: Document, places: Places) -> list[DatasetProblem]:
             channel = getattr(entry, role)
             known = [k for k, c in document.channels.items() if c.role == role]
             if channel not in known:
-                message = f"{channel!r} is no {role} channel{nearest(channel, known)}"
+                message = f"{channel!r} is not an {role} channel{nearest(channel, known)}"
                 problems.append(
                     places.problem(
                         ("experiments", index, role),

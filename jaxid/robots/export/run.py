@@ -82,7 +82,7 @@ def export(
     patches = path is not None and path.suffix.lower() in target.FILES
     if target.FILES and path is not None and not patches and to in ("mjcf", "urdf"):
         sheet.notes.append(
-            f"{path.name} is no {to.upper()}, so nothing was patched: give one with --robot FILE"
+            f"{path.name} is not {to.upper()}, so nothing was patched: give one with --robot FILE"
         )
     if to == "mjcf" and patches and path is not None:
         written = mjcf.write(sheet, told, path, trial)

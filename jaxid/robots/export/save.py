@@ -70,7 +70,7 @@ def _refuse_overwriting(folder: Path, name: str, before: Mapping[str, Any]) -> N
         raise UsageError(f"{name!r} would lie outside --out {folder}")
     path = folder / name
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise UsageError(f"{path} is no plain file: name another folder with --out")
+        raise UsageError(f"{path} is not a plain file: name another folder with --out")
     if not path.exists() or (name == SOURCE and before):
         return
     if hashlib.sha256(read_small(path)).hexdigest() != before.get("files", {}).get(name):
