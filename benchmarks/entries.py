@@ -283,6 +283,8 @@ def mujoco_sysid(folder: Path) -> Answer:
 
     mujoco: Any = mj
     sysid: Any = peer
+    if not hasattr(peer, "ParameterDict"):  # it hides what it could not import
+        raise ModuleNotFoundError("mujoco.sysid lacks a package: pip install 'mujoco[sysid]'")
     asked, run = question(folder), table(folder / "run_1.csv")
     path = folder / "model.xml"
     if not path.is_file() or not all(f"{j}_cmd" in run for j in asked["joints"]):
@@ -374,6 +376,8 @@ def run(cases: Path, name: str, out: Path, only: tuple[str, ...] = ()) -> Path:
         began = time.process_time()
         try:
             answer = ENTRIES[name](cases / case)
+        except ModuleNotFoundError:  # of this machine, not of the case
+            raise
         except FileNotFoundError as reason:
             answer = dict(BEFOREHAND)
             print(f"{name} {case}: {reason}", flush=True)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +16,7 @@ import numpy as np
 import pytest
 
 import jaxid
+from benchmarks import public
 from jaxid.base.errors import UsageError
 from jaxid.benchmark import case, make as making, rig_sets, score as scoring, withheld
 from jaxid.benchmark.answers import CaseAnswer, read_entry
@@ -201,17 +205,78 @@ def test_an_unknown_case_and_another_key_are_refused(made, tmp_path):
         scoring.score(other, entered(tmp_path / "a.json", {}))
 
 
-def test_a_stranger_enters_by_the_rules_alone(made, tmp_path):
-    """NumPy alone: nothing of jaxid is imported, and the key is not there."""
+def imported(script: str) -> set[str]:
+    """The packages that a script imports anywhere."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(script)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names.add((node.module or "").partition(".")[0])
+    return names
+
+
+def test_a_stranger_needs_numpy_alone_and_the_page():
+    """Every key that it reads or writes stands on the page of rules."""
     script = (ROOT / "tests" / "stranger.py").read_text()
-    assert "import jaxid" not in script and "from jaxid" not in script
+    page = (ROOT / "docs" / "benchmark.md").read_text()
+    assert imported(script) - set(sys.stdlib_module_names) == {"numpy"}
+    strings = [n.value for n in ast.walk(ast.parse(script)) if isinstance(n, ast.Constant)]
+    keys = {s for s in strings if isinstance(s, str) and s.isidentifier()}
+    assert {"joints", "exam", "rows", "outputs", "missing", "nothing", "other", "where"} <= keys
+    unknown = {key for key in keys if key not in page and key != "__main__"}
+    assert not unknown
+
+
+def test_a_stranger_enters_by_the_rules_alone(made, tmp_path):
+    """From a folder that holds what is published alone, where jaxid cannot be imported."""
     path = tmp_path / "answers.json"
+    (tmp_path / "blocked" / "jaxid").mkdir(parents=True)
+    (tmp_path / "blocked" / "jaxid" / "__init__.py").write_text("raise ImportError('not here')")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "blocked")}
     for name, folder in made.items():
-        command = [sys.executable, "tests/stranger.py", str(folder / "cases"), str(path)]
-        subprocess.run(command, cwd=ROOT, check=True, timeout=300)
+        published = tmp_path / name
+        shutil.copytree(folder / "cases", published)
+        command = [sys.executable, str(ROOT / "tests" / "stranger.py"), str(published), str(path)]
+        subprocess.run(command, cwd=tmp_path, check=True, timeout=300, env=environment)
         assert main(["benchmark", "score", str(folder), str(path), "--json"]) == 0
         found = json.loads((tmp_path / "score.json").read_text())
         assert found["entry"] == "a stranger" and found["answered"] == QUICK[name]
+
+
+def test_the_page_tells_every_set_and_how_many_cases():
+    page = (ROOT / "docs" / "benchmark.md").read_text()
+    told: dict[str, int] = {}
+    for line in page.splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        if line.startswith("| `"):
+            names = cells[1].replace("`", "").split(", ")
+            told |= dict(zip(names, map(int, cells[2].split(", ")), strict=True))
+    assert told == {name: own.cases for name, own in making.SETS.items()}
+
+
+def test_sealed_sets_are_entered_together(tmp_path):
+    """Three seeds that nobody chose; the hashes are published, the seeds are not."""
+    kept = tmp_path / "sealed.json"
+    hashes = public.seal(tmp_path / "sets", "arms", 1, kept)
+    assert len(set(hashes)) == 3
+    text = kept.read_text()
+    folders = [tmp_path / "sets" / str(k) for k in (1, 2, 3)]
+    for folder, digest in zip(folders, hashes, strict=True):
+        key = json.loads((folder / "key.json").read_text())
+        assert digest in text and str(key["seed"]) not in text
+        answers = {name: perfect(truth) for name, truth in key["cases"].items()}
+        (folder / "answers").mkdir()
+        entered(folder / "answers" / "test.json", answers)
+    board = tmp_path / "board"
+    public.enter(folders, "test", "reads the key", "1", board)
+    (row,) = public.rows(board)
+    assert row["cases"] == "3 of 3" and row["class"].startswith("1.00 (")
+    assert all(digest[:8] in row["key"] for digest in hashes)
+    assert "| arms | 1.00 of 3 |" in public.page(board)
+    with pytest.raises(UsageError, match="hash"):
+        (folders[0] / "key.json").write_text((folders[1] / "key.json").read_text())
+        public.enter(folders, "test", "", "1", board)
 
 
 def test_every_effect_that_may_be_withheld_has_its_words():

@@ -85,11 +85,16 @@ def score(folder: Path, answers: Path) -> ScoreCard:
 
 def card(entry: BenchmarkEntry, marks: Mapping[str, Marks]) -> ScoreCard:
     """The measures of all cases, and of each set."""
+    overall, sets = of_all(marks)
+    return ScoreCard(entry.name, len(entry.answers), overall, sets, dict(marks))
+
+
+def of_all(marks: Mapping[str, Marks]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """The measures of all cases together, and of each set."""
     sets: dict[str, dict[str, Any]] = {}
     for name in sorted({one.set for one in marks.values()}):
         sets[name] = measures([one for one in marks.values() if one.set == name])
-    overall = measures(list(marks.values()))
-    return ScoreCard(entry.name, len(entry.answers), overall, sets, dict(marks))
+    return measures(list(marks.values())), sets
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
