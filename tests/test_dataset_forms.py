@@ -214,7 +214,7 @@ def test_a_wrapped_length_needs_its_range(tmp_path):
             {"tau": "", "q": 'unit = "m"\nunwrap = true'},
         )
     )
-    assert "no angle" in message and "unwrap = 4096" in message
+    assert "not an angle" in message and "unwrap = 4096" in message
 
 
 def test_glitches_are_left_out_of_the_loss_and_stay_in_the_data(tmp_path):
