@@ -95,8 +95,8 @@ OUTSIDE = {
 
 
 def drafts(name: str, seed: int, numbers: Sequence[int]) -> list[Draft]:
-    """Cases of a set of rigs, one rig after another: of five rounds through the rigs two are by MuJoCo, where it has the
-    rig and the forces; the others are by NumPy.
+    """Cases of a set of rigs, one rig after another: of five rounds through them two are by MuJoCo,
+    where it has the rig and the forces; the others are by NumPy.
     """
     return [draft_of(MODELS[number % len(MODELS)], name, seed, number) for number in numbers]
 
