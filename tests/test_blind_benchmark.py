@@ -12,17 +12,26 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 import jaxid
 from benchmarks import public
 from jaxid.base.errors import UsageError
-from jaxid.benchmark import case, make as making, rig_sets, score as scoring, withheld
+from jaxid.benchmark import (
+    case,
+    make as making,
+    paper_sets,
+    rig_sets,
+    score as scoring,
+    withheld,
+)
 from jaxid.benchmark.answers import CaseAnswer, read_entry
 from jaxid.benchmark.intervals import mean_interval
 from jaxid.cli.app import main
 from jaxid.dynamics import catalogue
+from jaxid.study.papers.twins import space_arm
 
 
 ROOT = Path(__file__).parents[1]
@@ -253,6 +262,46 @@ def test_the_page_tells_every_set_and_how_many_cases():
             names = cells[1].replace("`", "").split(", ")
             told |= dict(zip(names, map(int, cells[2].split(", ")), strict=True))
     assert told == {name: own.cases for name, own in making.SETS.items()}
+
+
+@pytest.mark.parametrize("rig", paper_sets.ARMS)
+def test_arms_of_the_papers_are_what_their_file_says(rig):
+    """Against MuJoCo's inverse dynamics of the published file, which knows damping but no sign of
+    the speed.
+    """
+    arm, rng = paper_sets.ARMS[rig](), np.random.default_rng(0)
+    mj: Any = mujoco
+    model = mj.MjModel.from_xml_string(arm.xml())
+    data = mj.MjData(model)
+    for _ in range(20):
+        state = rng.normal(size=(3, len(arm.bodies)))
+        data.qpos[:], data.qvel[:], data.qacc[:] = state
+        mj.mj_inverse(model, data)
+        q, qd, qdd = state[:, None]
+        own = arm.torque((q, qd, qdd))[0]
+        friction = arm.viscous * qd[0] + arm.dry * np.sign(qd[0])
+        known = data.qfrc_inverse + data.qfrc_passive + data.qfrc_constraint
+        assert np.allclose(own - friction, known, atol=1e-6 * np.abs(own).max())
+        assert np.allclose(model.dof_frictionloss, arm.dry)
+        assert np.allclose(model.dof_damping, arm.viscous)
+
+
+def test_the_space_manipulator_is_that_of_its_paper():
+    t, q, qd, qdd = space_arm.path(1)
+    arm = paper_sets.space_manipulator()
+    own = arm.torque((q, qd, qdd)) - arm.drives * qdd - arm.viscous * qd - arm.dry * np.sign(qd)
+    theirs = space_arm.torque((t, q, qd, qdd), friction=None)
+    assert np.allclose(own, theirs, atol=1e-9 * np.abs(theirs).max())
+
+
+def test_sets_of_the_papers_hold_each_rig_and_stand_beside_all(tmp_path):
+    drafts = paper_sets.drafts("papers", 3, range(8))
+    groups = [draft.group for draft in drafts]
+    for rig in paper_sets.RIGS:
+        assert sum(group.endswith(rig) for group in groups) == 2
+    assert "papers" not in making.SETS and "papers" in making.KNOWN
+    (case_,) = drafts[2].simulate(drafts[2:3])
+    assert case_.question["robot"] == "model.xml" and len(case_.question["joints"]) == 6
 
 
 def test_sealed_sets_are_entered_together(tmp_path):

@@ -44,7 +44,8 @@ def benchmark() -> None:
 def make(name, seed, out, cases, workers, as_json, quiet) -> int:
     """Write blind cases into DIR/cases, to be published, and their key into DIR/key.json.
 
-    Sets: rigs, poor, pairs, outsiders, arms, robots, loose, contact, carts, conventions; all.
+    Sets: rigs, poor, pairs, outsiders, arms, robots, loose, contact, carts, conventions; all
+    of these; papers.
     """
     from jaxid.benchmark.make import make as made
 
