@@ -351,7 +351,7 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
 
 
 def simulator_of(robot: Any, spec: ModelSpec | None) -> str:
-    """Whose steps a simulation of a robot takes: those that the dataset states, else the robot's."""
+    """Whose steps simulate a robot: those that the dataset states, else its own setting."""
     if spec is not None and spec.simulator is not None:
         return spec.simulator
     return "mujoco" if robot.integrator else "own"
