@@ -29,7 +29,7 @@ class ProposedModel:
 
 
 def proposed_models(dataset: Dataset) -> tuple[ProposedModel, ...]:
-    """The built-in models that take the dataset's inputs and give its outputs, where speeds may stand
+    """The built-in models that take the dataset's inputs and give its outputs. Speeds may stand
     beside positions or in their place. Those whose channels have the same names come alone; else
     those whose channels have the same units in the same order.
     """
