@@ -121,7 +121,8 @@ class PositionLaw(InputEffect):
     def _sampled(self, u, s, z):
         elapsed, ticks, (held, last, before, goal, integral) = z
         n = u.shape[0]
-        T, q, qd = self.period, (s.q - s.h / 2 * s.qd0)[:n], s.qd0[:n]  # at the step's beginning
+        began = s.q - s.h / 2 * s.qd0 if s.q0 is None else s.q0
+        T, q, qd = self.period, began[:n], s.qd0[:n]  # at the step's beginning
         first = ticks < 0
         last, before = jnp.where(first, q - T * qd, last), jnp.where(first, q - 2 * T * qd, before)
         goal = jnp.where(first, u, goal)

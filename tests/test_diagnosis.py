@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid import catalogue
 from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.diagnosis import search, shortlist
 from jaxid.diagnosis.budget import shrink
@@ -30,6 +29,7 @@ from jaxid.diagnosis.search import Searcher, THOROUGH
 from jaxid.diagnosis.selection import mirrored
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import Gaps, judge, upheld, Verdict
+from jaxid.dynamics import catalogue
 from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.lost_runs import growth
 from jaxid.fitting.problem_builder import ProblemBuilder, start_values

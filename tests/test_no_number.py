@@ -298,7 +298,7 @@ def test_a_loss_that_is_no_number_is_no_end(bad):
     found: Any = SimpleNamespace(loss=bad, stopped_because="tolerance", converged=True)
     cov: Any = SimpleNamespace(at_bound=np.zeros(1, bool), identifiable=np.ones(1, bool))
     end = ending.ending(problem, found, cov)
-    assert end.state == "failed" and "no number" in end.because
+    assert end.state == "failed" and "not a number" in end.because
     assert not ending.gain(problem, 5.0, bad) > ending.MATERIAL
 
 

@@ -100,6 +100,12 @@ def test_a_torque_that_is_reported_late_is_taken_earlier():
     assert "no machine does that" in late.text
 
 
+@pytest.mark.slow
+def test_nothing_is_missing_once_a_late_torque_is_taken_earlier():
+    found = jaxid.diagnose(None, jaxid.load_dataset(case("rig3_02_torque_reported_22_ms_late")))
+    assert (found.which.verdict, found.which.effects) == ("none", ())
+
+
 def test_the_sign_of_a_register_is_no_sign_of_a_channel():
     found = checked("rig3_03_sign_bit_registers").findings
     told = {f.channel: f.line for f in found}

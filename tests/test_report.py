@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.diagnosis.result import HowFar
 from jaxid.fitting.result import Estimate
 from jaxid.report import diagnosis_fragment, plot, text

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from jaxid import wording
+from jaxid.base import wording
+from jaxid.base.serialise import finite
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import SearchResult
 from jaxid.diagnosis.next_experiment import advice
@@ -25,7 +26,6 @@ from jaxid.fitting.result import EffectEstimate, Estimate
 from jaxid.fitting.stated import sentence_of, StatedNumber
 from jaxid.report import answer, effect_text, identified, text
 from jaxid.report.display import write
-from jaxid.serialise import finite
 from report_sample import sample_diagnosis, sample_fit
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.data.dataset import ModelSpec, ParameterPrior
+from jaxid.base.errors import UsageError
+from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.data.noise import Noise
-from jaxid.errors import UsageError
 from jaxid.models import Robot
 from jaxid.problem.accuracy import accuracy_of, beside_accuracy
 from jaxid.problem.binding import bind
@@ -106,7 +106,8 @@ def test_what_is_no_accuracy_is_refused(text, words):
 
 def test_an_accuracy_counts_beside_the_noise():
     noise = {"q": Noise(3e-4, "sensor", "rad", "q 0.3 mrad")}
-    asked = beside_accuracy(noise, {"q": 4e-4})
+    dataset = Dataset("", (), accuracy={"q": 4e-4})
+    asked = beside_accuracy(noise, dataset)
     assert asked["q"].std == pytest.approx(5e-4) and "not asked for" in asked["q"].text
     assert noise["q"].std == 3e-4
 

@@ -148,7 +148,12 @@ def _moved(rng: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
 def _by_torque(draft: Draft) -> BlindCase:
     rng = draft.rng()
     n = int(rng.integers(3, 7))
-    stated = TorqueArm.drawn(rng, n)
+    return by_torque(TorqueArm.drawn(rng, n), rng)
+
+
+def by_torque(stated: TorqueArm, rng: np.random.Generator) -> BlindCase:
+    """An arm that differs from what is stated by up to 5 % and lacks an effect, or none."""
+    n = len(stated.bodies)
     real = deepcopy(stated)
     for numbers in (real.bodies, real.drives, real.viscous, real.dry):
         numbers *= rng.uniform(0.95, 1.05, (n, 1)[: numbers.ndim])

@@ -9,9 +9,9 @@ from typing import Any
 
 import click
 
+from jaxid.base.extras import required
 from jaxid.cli import terminal
 from jaxid.cli.app import MODEL, SUCCESS
-from jaxid.extras import required
 
 
 PORT = click.option(

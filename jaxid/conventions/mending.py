@@ -13,6 +13,7 @@ import numpy as np
 from jaxid.data.dataset import Channel, Dataset, Experiment, StatedChannel
 from jaxid.data.forms import signal
 from jaxid.data.records import MINIMUM_SAMPLES
+from jaxid.data.retimed import retimed
 from jaxid.data.schema import ChannelEntry
 from jaxid.data.units import Conversion, conversion, UnitError
 
@@ -63,9 +64,14 @@ def mended(dataset: Dataset, mending: Mending) -> Dataset:
     if not mending:
         return dataset
     kept = [_without(e, mending.left_out) for e in dataset.experiments]
-    return replace(
-        dataset, experiments=tuple(_run(dataset, e, mending) for e in kept if e is not None)
-    )
+    runs = tuple(_run(dataset, e, mending) for e in kept if e is not None)
+    channels = tuple(_retimed(c, mending) for c in dataset.channels)
+    return replace(dataset, channels=channels, experiments=runs)
+
+
+def _retimed(channel: Channel, mending: Mending) -> Channel:
+    forms = mending.forms.get(channel.name, {})
+    return retimed(channel, forms.get("delay_s", 0.0), forms.get("clock_ppm", 0.0))
 
 
 def _without(e: Experiment, left_out: tuple[tuple[str, int, int], ...]) -> Experiment | None:

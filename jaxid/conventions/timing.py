@@ -9,16 +9,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jaxid.base.wording import listed
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, ASKED, FLOOR, GONE
 from jaxid.conventions.mending import lines, Mending
 from jaxid.conventions.missing_force import ForceFit, ReadingFit
 from jaxid.conventions.readings import Names
 from jaxid.conventions.samples import Shown
+from jaxid.data.retimed import FINEST
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.models.effects import InputDelay, SensorDelay
 from jaxid.problem.binding import Binding
-from jaxid.wording import listed
 
 
 #: A delay is one of whole rows if it is known so well (rows) and lies so close to them.
@@ -32,9 +33,6 @@ MOST_ROWS, MOST_DRIFT = 6.0, 0.02
 #: A motion comes before its cause from this many rows on: an input that is held or runs on from
 #: sample to sample is half a row.
 EARLY = 0.75
-#: The time of a reading within its row is known no better, whatever scatters (rows, one standard
-#: deviation).
-FINEST = 0.05
 #: How well a lateness of many rows is known, as a share of it; steps to each side in which one is
 #: looked for.
 SHARE, WIDEST = 0.1, 12

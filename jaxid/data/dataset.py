@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TYPE_CHECKING
 
+from jaxid.base.display import displays
+from jaxid.base.wording import names_of
 from jaxid.data.experiment import (
     Channel as Channel,
     Experiment as Experiment,
     FrequencyResponse as FrequencyResponse,
     StatedChannel as StatedChannel,
 )
-from jaxid.display import displays
-from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:
@@ -206,7 +206,7 @@ class Dataset:
         return displays().picture(self, channel, ax)
 
     def __repr__(self) -> str:
-        from jaxid.wording import one_line
+        from jaxid.base.wording import one_line
 
         runs = [f"{e.name} ({e.split}, {len(e.t)} samples)" for e in self.experiments]
         runs += [f"{r.name} ({r.split}, {len(r.omega)} lines)" for r in self.responses]

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxid.base.wording import number, percent
 from jaxid.diagnosis import where as location
 from jaxid.diagnosis.budget import closed
 from jaxid.diagnosis.evidence import inflation, worth
@@ -23,7 +24,6 @@ from jaxid.fitting.scores import free_runs, make_traces
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError, Residual
 from jaxid.problem.trust import sentence
-from jaxid.wording import number, percent
 
 
 def effect_estimates(

@@ -9,20 +9,20 @@ from itertools import chain
 
 import numpy as np
 
-from jaxid import catalogue
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import names_of
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.evidence import HeldOut, memory
 from jaxid.diagnosis.torque.library import shows
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
-from jaxid.errors import UsageError
 from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.fitting.effect_starts import probes, read_off
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics
-from jaxid.wording import names_of
 
 
 @dataclass(frozen=True)

@@ -9,17 +9,17 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.base.display import Displayed, displays
+from jaxid.base.frames import frame
+from jaxid.base.serialise import model_digest, SCHEMA
+from jaxid.base.versions import versions
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.diagnosis.alike import alike
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.budget import budget, Step
 from jaxid.diagnosis.cause import words
-from jaxid.display import Displayed, displays
 from jaxid.fitting.exportable import Exportable
 from jaxid.fitting.result import EffectEstimate, Fit, Trace, with_origin
-from jaxid.numerics.versions import versions
-from jaxid.serialise import model_digest, SCHEMA
-from jaxid.storage.frames import frame
 
 
 if TYPE_CHECKING:

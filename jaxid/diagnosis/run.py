@@ -9,7 +9,10 @@ from collections.abc import Callable, Iterable
 import jax
 import numpy as np
 
-from jaxid import catalogue
+from jaxid.base.errors import UsageError
+from jaxid.base.interim import Interim
+from jaxid.base.stopping import Interrupted
+from jaxid.base.wording import times
 from jaxid.conventions.play import read_twice
 from jaxid.data.dataset import Dataset
 from jaxid.data.time_stamps import scattered_stamps, with_scatter
@@ -48,8 +51,8 @@ from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import BlindSpots, BlindSpotSearch
 from jaxid.diagnosis.verdict import check_followed, Diverged, standing_still
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.effect import Effect
-from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
@@ -69,10 +72,7 @@ from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.problem.trust import told, trusting
-from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import STEP
-from jaxid.storage.interim import Interim
-from jaxid.wording import times
 
 
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.

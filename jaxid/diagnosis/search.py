@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from jaxid.deadline import search_is_over
+from jaxid.base.deadline import search_is_over
 from jaxid.diagnosis.evidence import held_out, knowledge, together
 from jaxid.diagnosis.hypothesis import (
     Candidate,

@@ -9,12 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.wording import listed, times
 from jaxid.diagnosis.evidence import memory
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, key_of
 from jaxid.diagnosis.simulated import log_weight, SIMULATED, told_apart
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import ProblemBuilder
-from jaxid.wording import listed, times
 
 
 #: The evidence of the data and the price of numbers alone.

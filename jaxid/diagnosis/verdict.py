@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import listed, percent, placed
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.budget import closed as share_closed
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
@@ -35,13 +37,11 @@ from jaxid.diagnosis.reasons import (
     WithinAStep,
 )
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.errors import UsageError
 from jaxid.fitting.lost_runs import FOLLOWS, LOST
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import free_runs, scored, scores
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
-from jaxid.wording import listed, percent, placed
 
 
 class Diverged(UsageError):

@@ -147,6 +147,8 @@ class Mechanism(eqx.Module):
     #: Whether the state holds more than joint positions and velocities: such a motion cannot be
     #: inverted without a simulation.
     hidden_states: ClassVar[bool] = False
+    #: How it is stepped: an integrator of `jaxid.dynamics.mujoco_step`, "" by its own best step.
+    integrator: ClassVar[str] = ""
     #: Effects that have more numbers on this mechanism: id of the effect -> a class of the same
     #: name.
     variants: ClassVar[dict[str, type]] = {}

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding

@@ -3,6 +3,7 @@
 `"1 mrad"` is of every output of that dimension, `"q = 1 mrad, tau = 0.1 N m"` of these channels
 alone; torques are those that a diagnosis by torque compares.
 An accuracy counts like noise: a gap is a multiple of both together, and what lies within is none.
+So does what a channel that was moved in time is not known by (`jaxid.data.retimed`).
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import listed
 from jaxid.data.dataset import Dataset
 from jaxid.data.noise import Noise
+from jaxid.data.retimed import known_within
 from jaxid.data.units import conversion, si_unit, UnitError
-from jaxid.errors import UsageError
-from jaxid.wording import listed
 
 
 HOW = 'write "1 mrad", or "q = 1 mrad, position = 0.1 mm" by channel'
@@ -55,7 +57,7 @@ def _quantity(text: str) -> tuple[float, str]:
             raise ValueError
         value = float(number) * conversion(unit.strip()).factor
     except (ValueError, UnitError) as error:
-        raise UsageError(f"accuracy: {text.strip()!r} is no size with a unit; {HOW}") from error
+        raise UsageError(f"accuracy: {text.strip()!r} is not a size with a unit; {HOW}") from error
     if not (np.isfinite(value) and value > 0):
         raise UsageError(f"accuracy: {text.strip()!r} is not above 0; {HOW}")
     return value, unit.strip()
@@ -78,12 +80,19 @@ def with_accuracy(dataset: Dataset, text: str | None) -> Dataset:
     return replace(dataset, accuracy=accuracy_of(text, units, outputs))
 
 
-def beside_accuracy(noise: Mapping[str, Noise], accuracy: Mapping[str, float]) -> dict[str, Noise]:
-    """The noise of each output beside which it has to be followed no nearer than asked."""
+def beside_accuracy(noise: Mapping[str, Noise], dataset: Dataset) -> dict[str, Noise]:
+    """The noise of each output beside which it has to be followed no nearer than asked, nor nearer
+    than its times are known.
+    """
+    asked = _beside(noise, dataset.accuracy, "was not asked for")
+    return _beside(asked, known_within(dataset), "its times, moved within a row, are not known")
+
+
+def _beside(noise: Mapping[str, Noise], sizes: Mapping[str, float], why: str) -> dict[str, Noise]:
     out = dict(noise)
-    for name, size in accuracy.items():
+    for name, size in sizes.items():
         if name in noise:
             own = noise[name]
-            text = f"{own.text}; nearer than {size:.2g} {own.unit} was not asked for"
+            text = f"{own.text}; nearer than {size:.2g} {own.unit} {why}"
             out[name] = replace(own, std=float(np.hypot(own.std, size)), text=text)
     return out

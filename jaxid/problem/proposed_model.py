@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from jaxid import catalogue
+from jaxid.base.wording import first_sentence
 from jaxid.data.dataset import Dataset
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.mechanism import Signature
-from jaxid.wording import first_sentence
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.report.page import Section
 
 
@@ -37,7 +37,7 @@ def changes(result: Any, to: str) -> list[tuple[str, str, str, str]]:
     """What the patched file says otherwise: number, field, value, and what is to be said; none
     where the file is not at hand.
     """
-    from jaxid.errors import UsageError
+    from jaxid.base.errors import UsageError
 
     try:
         rows = result.export(to).rows

@@ -13,12 +13,13 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
 from jaxid.data.joint_names import plain_name
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
-from jaxid.errors import nearest, UsageError
 from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
@@ -27,7 +28,6 @@ from jaxid.robots.followers import drives_led, led, outputs_led
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.recorded_joints import held_at, POSE as POSE, refuse_unknown
 from jaxid.robots.tree import Coupling, Tree
-from jaxid.wording import names_of
 
 
 #: What is recorded of a joint beside its position, by the ending of the channel's name; a numbered

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.small_files import read_small, TooLarge
 from jaxid.data.dataset import Dataset, Geometry
 from jaxid.robots.match import is_robot, matched, prepared
 from jaxid.robots.tree import Tree
-from jaxid.storage.small_files import read_small, TooLarge
 
 
 #: Numbers of a drive law that a result states for each joint.

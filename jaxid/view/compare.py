@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.view.plots import channels_over_time, color
 from jaxid.view.results import Viewer
 from jaxid.view.server import bokeh_files, FILES, page, Site

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.extras import needed
+from jaxid.base.extras import needed
 from jaxid.report.plot import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, with_unit
 
 

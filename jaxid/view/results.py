@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 import jaxid
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import with_effects
+from jaxid.base.wording import one_line
 from jaxid.data.dataset import Dataset
-from jaxid.errors import UsageError
-from jaxid.serialise import with_effects
-from jaxid.wording import one_line
 
 
 #: Files that tell the numbers of a model.
@@ -52,7 +52,7 @@ def read_results(folders: Sequence[Path]) -> list[SavedResult]:
             content = {**content, "model": content["model"], "parameters": content["parameters"]}
             effects = {f"{e['effect']} at {e['location']}": e for e in content["effects"]}
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UsageError(f"{files[0]} is no result of jaxid ({error})") from error
+            raise UsageError(f"{files[0]} is not a result of jaxid ({error})") from error
         found.append(SavedResult(one_line(folder.name or folder), content, effects))
     return found
 

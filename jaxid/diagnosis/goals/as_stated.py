@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jaxid.base.wording import listed
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.goals.changes import changes, StatedDifference
 from jaxid.diagnosis.goals.floor import (
@@ -38,7 +39,6 @@ from jaxid.fitting.fitter import Progress
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
-from jaxid.wording import listed
 
 
 TAKEN_OFF = (

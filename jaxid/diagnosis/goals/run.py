@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jaxid.base.wording import listed, names_of
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
 from jaxid.diagnosis.goals.floor import Between, between_simulators, not_this_file, with_floor
@@ -46,7 +47,6 @@ from jaxid.fitting.result import Fit
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
 from jaxid.simulation.sample_buffers import STEP, step_count
-from jaxid.wording import listed, names_of
 
 
 #: Is told of the nominal fit and of what is known so far: what a run that is stopped keeps.

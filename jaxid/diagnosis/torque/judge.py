@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.wording import listed
 from jaxid.diagnosis.budget import closed
 from jaxid.diagnosis.reasons import (
     NothingSure,
@@ -25,7 +26,6 @@ from jaxid.diagnosis.torque.library import Unit
 from jaxid.diagnosis.torque.study import TorqueStudy
 from jaxid.diagnosis.verdict import MENTIONED, Verdict
 from jaxid.fitting.scores import lost
-from jaxid.wording import listed
 
 
 def judged_by_torque(study: TorqueStudy, found: Found) -> Verdict:
