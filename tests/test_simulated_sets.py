@@ -8,6 +8,7 @@ import pytest
 
 from jaxid.diagnosis.belief import Belief, FreeLaw, joined_beliefs
 from jaxid.diagnosis.hypothesis import Candidate
+from jaxid.diagnosis.result import Which
 from jaxid.diagnosis.selection import most_probable, step_from
 from jaxid.diagnosis.simulated import (
     believed,
@@ -136,3 +137,12 @@ def test_what_each_effect_is_worth():
     drag = found["quadratic_drag", "q"]
     assert drag.alone == pytest.approx(0.4) and drag.missed_without == pytest.approx(0.4)
     assert worth([nominal], nominal) == {}
+
+
+def test_where_something_is_missing_that_nothing_is_has_no_probability():
+    """The sets that were compared may hold nothing that explains a gap."""
+    belief = Belief({}, none=0.94)
+    for verdict, expected in (("none", 0.94), ("unknown", 0.0), ("partly", 0.0)):
+        which = Which(verdict, (), (), (), belief=belief)
+        assert which.to_dict()["none"] == expected
+    assert Which("unknown", (), (), ()).to_dict()["none"] is None

@@ -190,8 +190,29 @@ def test_a_folder_without_a_result_is_refused(tmp_path):
     with pytest.raises(jaxid.UsageError, match="neither diagnosis.json nor fit.json"):
         read_results([tmp_path])
     (tmp_path / "fit.json").write_text("{}")
-    with pytest.raises(jaxid.UsageError, match="no result of jaxid"):
+    with pytest.raises(jaxid.UsageError, match="not a result of jaxid"):
         read_results([tmp_path])
+
+
+def test_the_recording_of_a_result_is_found_by_its_samples(recorded, tmp_path, monkeypatch):
+    """Beside the result or below the folder one stands in; another of the same name is not it."""
+    from jaxid.view.results import read_results, recording_of
+
+    data = jaxid.load_dataset(recorded / "data")
+    told = {**content(None), "dataset": data.name, "dataset_sha256": data.sha256}
+    result = tmp_path / "results" / "own"
+    result.mkdir(parents=True)
+    (result / "fit.json").write_text(json.dumps(told))
+    monkeypatch.chdir(tmp_path)
+    saved = read_results([result])
+    with pytest.raises(jaxid.UsageError, match="--dataset FOLDER"):
+        recording_of([result], saved)
+    t, tau = motion()
+    jaxid.save_dataset(dataset(0.1 * t, t, tau), tmp_path / "data")
+    with pytest.raises(jaxid.UsageError, match="neither here nor beside it"):
+        recording_of([result], saved)
+    shutil.copytree(recorded / "data", tmp_path / "kept" / "elsewhere")
+    assert recording_of([result], saved).sha256 == data.sha256
 
 
 # ---- a recording while it is made

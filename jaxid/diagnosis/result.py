@@ -162,6 +162,8 @@ class Which:
 
     def to_dict(self) -> dict[str, Any]:
         belief = self.belief or Belief({})
+        if self.verdict != "none":
+            belief = belief.of_a_gap()
         places: dict[tuple[str, str], Sequence[str]] = {}
         for group in alike(self.effects):
             at = group.locations
