@@ -61,6 +61,14 @@ class Hypothesis:
         """Number of effect parameters."""
         return len(self.index)
 
+    @property
+    def departed(self) -> float:
+        """By how much its numbers depart from what is stated of them, chi-square units. The loss of
+        the fit runs has it too.
+        """
+        known, _ = self.path.problem.known_before(self.path.z)
+        return float(known @ known)
+
     @cached_property
     def fit_inflation(self) -> float:
         """What `evidence.inflation` is for held-out runs, for the residual of the fit runs."""

@@ -71,7 +71,7 @@ from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, star
 from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
-from jaxid.problem.trust import told
+from jaxid.problem.trust import told, trusting
 from jaxid.simulation.sample_buffers import STEP
 
 
@@ -254,6 +254,7 @@ def _run(
         return diagnose_by_torque(
             binding, library, max_effects, residual.cutoff_hz, seed, reference, progress
         )
+    binding = trusting(binding)
     own = residual or default_residual(binding)
     still = standing_still(binding)
     stamps, others = {}, tuple(n for n in allowed if n != JITTER)
@@ -267,7 +268,8 @@ def _run(
         readings = with_scatter(dataset, stamps, binding.noise)
         stamped = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
         found, _ = _diagnosed(
-            DiagnosisRequest(stamped, own, others, max_effects, seed, progress, known), scatter
+            DiagnosisRequest(trusting(stamped), own, others, max_effects, seed, progress, known),
+            scatter,
         )
         if found.which.verdict == "named":
             return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
@@ -312,7 +314,7 @@ def _run(
             found = dataclasses.replace(again, notes=(*again.notes, note))
 
     def ask(names: tuple[str, ...], data: Dataset = dataset) -> Diagnosis:
-        wider = bind(model, data, without=without, candidates=possible(nominal, names))
+        wider = trusting(bind(model, data, without=without, candidates=possible(nominal, names)))
         return _diagnosed(
             dataclasses.replace(question, binding=wider, allowed=names, known=Interim(silent=True))
         )[0]
