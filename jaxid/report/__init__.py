@@ -47,7 +47,9 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
     sections = [
         checked.before(diagnosis.data),
         answer.section(diagnosis),
-        carry.section(diagnosis.final, "diagnosis.json"),
+        carry.section(
+            diagnosis.final, "diagnosis.json", believed=diagnosis.which.verdict != "unknown"
+        ),
         checked.asked(diagnosis.data),
         yardstick.section(diagnosis.how_far.per_joint, diagnosis.final.stated),
         unseen.section(diagnosis.unseen),
