@@ -179,7 +179,6 @@ class Robot(Yielding):
     floats: bool = eqx.field(
         static=True, default=False
     )  # on a free base: see `jaxid.robots.floating`
-    tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `StaticTree`
     drive_law: Any = eqx.field(static=True, default=None)
     rides: bool = eqx.field(
         static=True, default=False
