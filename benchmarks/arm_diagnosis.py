@@ -67,7 +67,7 @@ def relative_errors(
 def diagnosed(name: str) -> list[dict[str, Any]]:
     """The rows of one recording."""
     import jaxid
-    from jaxid import catalogue
+    from jaxid.dynamics import catalogue
 
     if not (DATA / name).is_dir():
         raise FileNotFoundError(f"{name} is not in {DATA.name}; set JAXID_DATA")

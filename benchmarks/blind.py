@@ -32,8 +32,8 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 from benchmarks.blind_cases import CONTROLS, KINDS, STRENGTH, write_set  # noqa: E402
-from jaxid import catalogue  # noqa: E402
 from jaxid.api import diagnose, fit  # noqa: E402
+from jaxid.base.serialise import save_json  # noqa: E402
 from jaxid.benchmark.plants import PLANTS  # noqa: E402
 from jaxid.benchmark.rigs import dataset  # noqa: E402
 from jaxid.data.dataset import Dataset  # noqa: E402
@@ -42,9 +42,9 @@ from jaxid.diagnosis.budget import shrink  # noqa: E402
 from jaxid.diagnosis.equivalence import equivalences  # noqa: E402
 from jaxid.diagnosis.evidence import held_out  # noqa: E402
 from jaxid.diagnosis.result import Diagnosis  # noqa: E402
+from jaxid.dynamics import catalogue  # noqa: E402
 from jaxid.fitting.problem_builder import ProblemBuilder  # noqa: E402
 from jaxid.problem.binding import bind, resolve_model  # noqa: E402
-from jaxid.serialise import save_json  # noqa: E402
 
 
 RESULTS = Path(__file__).with_name("results") / "blind.jsonl"

@@ -24,9 +24,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from jaxid.base.errors import DatasetError  # noqa: E402
 from jaxid.benchmark.broken import broken, KINDS, MODELS, recording, SoundRecording  # noqa: E402
 from jaxid.benchmark.plants import PLANTS, TwinPlant  # noqa: E402
-from jaxid.errors import DatasetError  # noqa: E402
 
 
 def found(r: SoundRecording, simulate: bool = False) -> list[Any]:

@@ -10,6 +10,7 @@ leaves to what it holds likely beforehand.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import sys
 import time
@@ -20,16 +21,15 @@ from typing import Any
 import numpy as np
 
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent), str(HERE)]
 
-from jaxid.benchmark.case import CONVENTIONS, DEPENDS_ON, SIZES  # noqa: E402
+import entry_jaxid  # noqa: E402
+from entry_jaxid import Answer, BEFOREHAND, depends_on  # noqa: E402
 
 
-Answer = dict[str, Any]
 #: Directions of less than this share of the largest are left open in least squares.
 RCOND = 1e-5
-#: What is said where an entry knows nothing: in about one case of seven nothing is missing.
-BEFOREHAND: Answer = {"nothing": 0.15, "other": 0.25}
 
 
 def question(folder: Path) -> dict[str, Any]:
@@ -43,15 +43,6 @@ def table(path: Path) -> dict[str, np.ndarray]:
     return dict(zip(names, rows.T, strict=True))
 
 
-def depends_on(missing: dict[str, float]) -> dict[str, float]:
-    """Words for what the gap depends on, by the effects that are held likely."""
-    words: dict[str, float] = {}
-    for name, p in missing.items():
-        for word in DEPENDS_ON.get(name.partition("@")[0], ())[:1]:
-            words[word] = min(1.0, words.get(word, 0.0) + p)
-    return words
-
-
 # ---- always friction
 
 
@@ -60,98 +51,6 @@ def always_friction(folder: Path) -> Answer:
     joint = question(folder)["joints"][0]
     missing = {f"coulomb_friction@{joint}": 0.6}
     return {**BEFOREHAND, "missing": missing, "where": {"speed": 0.6}}
-
-
-# ---- jaxid
-
-
-def jaxid_itself(folder: Path) -> Answer:
-    """`jaxid diagnose` with its defaults; probabilities as it prints them, or by its verdict."""
-    import jaxid
-
-    asked = question(folder)
-    model = str(folder / asked["robot"]) if "robot" in asked else None
-    data = jaxid.load_dataset(folder)
-    found = jaxid.diagnose(model, data)
-    said = found.to_dict()
-    which, joints = said["which"], asked["joints"]
-    missing, sizes = {}, {}
-    by_verdict = {"named": 0.95, "partly": 0.75}.get(which["verdict"], 0.0)
-    mates = [f"{e['effect']}@{_joint(e['location'], asked)}" for e in which["confusable_with"]]
-    for effect in which["effects"]:
-        sure = effect.get("probability") or by_verdict
-        share = 0.7 if mates else 1.0
-        for place in effect["locations"]:
-            name = f"{effect['effect']}@{_joint(place, asked)}"
-            missing[name] = share * sure
-            number = SIZES.get(effect["effect"], ("",))[0]
-            if number in effect["parameters"]:
-                sizes[name] = effect["parameters"][number]["value"]
-    for name in mates:
-        missing[name] = 0.3 * by_verdict / len(mates)
-    for finding in said["data"]["findings"]:
-        if finding["kind"] in CONVENTIONS and finding["decisive"]:
-            missing[f"{finding['kind']}@{_joint(finding['channel'], asked)}"] = 0.95
-    missing |= _told_by_numbers(found, joints, which["verdict"])
-    known = {n: p for n, p in missing.items() if n.partition("@")[2] in joints}
-    nothing = {"none": 0.95, "unknown": 0.05, "partly": 0.02, "named": 0.02}[which["verdict"]]
-    other = {"none": 0.02, "unknown": 0.7, "partly": 0.3, "named": 0.03}[which["verdict"]]
-    if which["verdict"] == "none" and known:
-        nothing = 0.1
-    out: Answer = {"missing": known, "nothing": nothing, "other": other, "size": sizes}
-    out["where"] = depends_on(known)
-    law = which.get("free_law")
-    if which["verdict"] == "unknown" and law:
-        out["where"] = {law["over"]: 0.7} if law["over"] in ("position", "speed", "time") else {}
-    out |= _exam(folder, asked, model, found)
-    interval = said["how_far"]["shrinkage_interval_95"]
-    if interval is not None and "exam" in out:
-        out["how_far"] = [min(interval), max(interval)]
-    return out
-
-
-def _joint(place: str, asked: dict[str, Any]) -> str:
-    """The joint of a channel: its own name, what stands before _cmd or _tau, else by its place."""
-    joints = asked["joints"]
-    for end in ("", "_cmd", "_tau"):
-        if place.endswith(end) and place.removesuffix(end) in joints:
-            return place.removesuffix(end)
-    for joint in joints:
-        if place.endswith(joint[-5:]) or joint[-1] == place[-1]:
-            return joint
-    return joints[0]
-
-
-def _told_by_numbers(found: Any, joints: list[str], verdict: str) -> dict[str, float]:
-    """Where re-tuned numbers of a robot's file account for the gap: those that stand apart."""
-    if verdict != "none":
-        return {}
-    words = {"frictionloss": "coulomb_friction", "armature": "reflected_inertia"}
-    out = {}
-    for row in getattr(found.nominal, "stated", ()):
-        if row.parameter in words and row.joint in joints and abs(row.deviation or 0.0) > 3:
-            out[f"{words[row.parameter]}@{row.joint}"] = 0.8
-    return out
-
-
-def _exam(folder: Path, asked: dict[str, Any], model: str | None, found: Any) -> Answer:
-    """Free runs of the amended model; none by torque, whose answer is no free run."""
-    import jaxid
-
-    if "exam" not in asked or any(n.endswith("_tau") for n in asked["exam"]["outputs"]):
-        return {}
-    given = table(folder / "exam.csv")
-    t = given.pop("t")
-    own = jaxid.load_dataset(folder)
-    units = {c.name: c.unit for c in (*own.inputs, *own.outputs)}
-    still = {c.name: np.zeros(len(t)) + 1e-9 * np.arange(len(t)) for c in own.outputs}
-    data = jaxid.Dataset.from_arrays(
-        t, given, still, units=units, at_rest=True, split="report", model=own.model
-    )
-    run = jaxid.simulate(model, data, found).runs
-    first: Any = run[0]
-    rows = asked["exam"]["rows"]
-    return {"exam": {n: np.asarray(first[n])[rows].tolist() for n in asked["exam"]["outputs"]}}
 
 
 # ---- by inverse dynamics: stepwise, and a neural residual
@@ -384,6 +283,8 @@ def mujoco_sysid(folder: Path) -> Answer:
 
     mujoco: Any = mj
     sysid: Any = peer
+    if not hasattr(peer, "ParameterDict"):  # it hides what it could not import
+        raise ModuleNotFoundError("mujoco.sysid lacks a package: pip install 'mujoco[sysid]'")
     asked, run = question(folder), table(folder / "run_1.csv")
     path = folder / "model.xml"
     if not path.is_file() or not all(f"{j}_cmd" in run for j in asked["joints"]):
@@ -456,7 +357,7 @@ def _set_armature(spec: Any, joint: str, value: float) -> None:
 # ---- running them
 
 ENTRIES: dict[str, Callable[[Path], Answer]] = {
-    "jaxid": jaxid_itself,
+    "jaxid": entry_jaxid.answer,
     "stepwise": stepwise,
     "mujoco_sysid": mujoco_sysid,
     "neural": neural,
@@ -475,6 +376,8 @@ def run(cases: Path, name: str, out: Path, only: tuple[str, ...] = ()) -> Path:
         began = time.process_time()
         try:
             answer = ENTRIES[name](cases / case)
+        except ModuleNotFoundError:  # of this machine, not of the case
+            raise
         except FileNotFoundError as reason:
             answer = dict(BEFOREHAND)
             print(f"{name} {case}: {reason}", flush=True)
@@ -493,10 +396,14 @@ if __name__ == "__main__":
     parser.add_argument("--entry", choices=ENTRIES, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--only", default="", help="cases, with commas")
+    parser.add_argument(
+        "--seconds", type=float, default=entry_jaxid.BUDGET_S, help="budget of jaxid for a case"
+    )
     chosen = parser.parse_args()
     if chosen.entry == "jaxid":
         from jaxid.runtime import prepare
 
         prepare()
+        ENTRIES["jaxid"] = functools.partial(entry_jaxid.answer, budget_s=chosen.seconds)
     wanted = tuple(name for name in chosen.only.split(",") if name)
     print(run(chosen.cases, chosen.entry, chosen.out, wanted))

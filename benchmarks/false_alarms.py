@@ -388,8 +388,8 @@ def alarms(
     """Findings that are applied, findings that are asked with a gap, and why the recording was
     refused, or "".
     """
+    from jaxid.base.errors import DatasetError
     from jaxid.conventions import checking
-    from jaxid.errors import DatasetError
     from jaxid.fitters.short_fit import left_by_short_fit
 
     try:

@@ -30,9 +30,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxid import runtime
+from jaxid.base.atomic_files import settle, STAGE
 from jaxid.diagnosis.result import Diagnosis
-from jaxid.storage.atomic_files import settle, STAGE
-from jaxid.storage.result_files import result_of
+from jaxid.report.result_files import result_of
 from tests.test_batch import write_dataset
 
 

@@ -122,7 +122,7 @@ RESULT: dict = {}
 
 def nothing(session: str, command: tuple[str, ...], batch: str) -> str:
     """Stands in for `supervisor.run_batch`: answers of the size of a fit, without a process."""
-    from jaxid.serialise import finite
+    from jaxid.base.serialise import finite
     from tests.report_sample import sample_fit
     from tests.study_fleet import answer
 

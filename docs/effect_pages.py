@@ -29,7 +29,7 @@ TARGETS = ("mjcf", "urdf", "isaaclab", "mjlab", "sdf", "drake", "ros2_control", 
 
 def write(folder: Path, pictures: Path, mates: Callable[[str], str]) -> None:
     """Writes NAME.md for each effect; `mates` says what it cannot be told from."""
-    from jaxid import catalogue
+    from jaxid.dynamics import catalogue
 
     folder.mkdir(parents=True, exist_ok=True)
     for name in catalogue.effect_names():
@@ -41,7 +41,7 @@ def page(name: str, drawn: bool, mates: str) -> str:
     """The page of an effect; `drawn`: whether there is a picture of its signature."""
     from generate import plain  # pyright: ignore[reportMissingImports]
 
-    from jaxid import catalogue
+    from jaxid.dynamics import catalogue
 
     info, kind = catalogue.describe_effect(name), catalogue.effect_class(name)
     out = [f"# {name}", "", plain(info.text), ""]

@@ -94,8 +94,8 @@ def _key(root: Path) -> str:
 def _compute(kept: Path) -> None:
     import signatures
 
-    from jaxid import catalogue
     from jaxid.diagnosis.equivalence import equivalences
+    from jaxid.dynamics import catalogue
 
     if not (kept / "signatures").is_dir():
         signatures.draw(kept / "partial", list(catalogue.effect_names()))
@@ -117,7 +117,7 @@ def table(header: list[str], rows: list[list[str]]) -> str:
 
 def effects(pictures: Path, alike: dict) -> str:
     """The atlas."""
-    from jaxid import catalogue
+    from jaxid.dynamics import catalogue
 
     infos = [catalogue.describe_effect(n) for n in catalogue.effect_names()]
     out = [
@@ -201,8 +201,8 @@ def _mates(effect: str, alike: dict) -> str:
 
 
 def models() -> str:
-    from jaxid import catalogue
     from jaxid.cli import listing
+    from jaxid.dynamics import catalogue
 
     out = [
         "# Models",

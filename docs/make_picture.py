@@ -17,7 +17,7 @@ prepare()
 import numpy as np  # noqa: E402
 
 import jaxid  # noqa: E402
-from jaxid import wording  # noqa: E402
+from jaxid.base import wording  # noqa: E402
 from jaxid.report import plot  # noqa: E402
 from jaxid.report.budget_picture import draw_gap  # noqa: E402
 

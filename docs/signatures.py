@@ -45,9 +45,9 @@ def draw(folder: Path, names: list[str]) -> None:
 
 
 def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
-    from jaxid import catalogue
     from jaxid.diagnosis.equivalence import _rich_motion, _with_friction
     from jaxid.diagnosis.hypothesis import candidates
+    from jaxid.dynamics import catalogue
     from jaxid.dynamics.chain import Chain
     from jaxid.fitting.effect_starts import probes
     from jaxid.fitting.problem_builder import ProblemBuilder

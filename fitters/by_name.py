@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from jaxid.catalogue import pick, text_of
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
+from jaxid.dynamics.catalogue import pick, text_of
 from jaxid.fitters import FITTERS
 from jaxid.fitting.fitter import AbstractFitter
 from jaxid.fitting.population import AbstractPopulation

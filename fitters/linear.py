@@ -18,9 +18,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.noise import noise_floor
 from jaxid.dynamics.controller import law_of
-from jaxid.errors import UsageError
 from jaxid.fitting.covariance import CovarianceEstimate, one_sided
 from jaxid.fitting.fitter import AbstractFitter, Minimum
 from jaxid.fitting.recursive_least_squares import replay

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.fitting.ending import gain, MATERIAL
 from jaxid.fitting.fitter import AbstractFitter, Log, sampling_box
 from jaxid.fitting.least_squares import guesses, seed_of

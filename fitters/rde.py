@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.fitters.de import binomial, dithered, donors, extent
 from jaxid.fitting.fitter import Log
 from jaxid.fitting.population import AbstractPopulation

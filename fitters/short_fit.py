@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset
-from jaxid.errors import UsageError
 from jaxid.fitting.problem_builder import default_residual, estimate_starts, ProblemBuilder
 from jaxid.fitting.run import fit_binding
 from jaxid.fitting.scores import free_runs

@@ -23,11 +23,11 @@ if _TYPE_CHECKING:
         replay as replay,
         simulate as simulate,
     )
+    from jaxid.base.errors import DatasetError as DatasetError, UsageError as UsageError
     from jaxid.data.dataset import Channel as Channel, Dataset as Dataset, Experiment as Experiment
     from jaxid.data.io import load_dataset as load_dataset, save_dataset as save_dataset
     from jaxid.diagnosis.result import Diagnosis as Diagnosis
     from jaxid.dynamics.chain import Chain as Chain
-    from jaxid.errors import DatasetError as DatasetError, UsageError as UsageError
     from jaxid.excitation.design import excite as excite
     from jaxid.fitting.comparison import Comparison as Comparison
     from jaxid.fitting.pure import make_problem as make_problem
@@ -41,11 +41,11 @@ _HOME = {
     "Channel": "jaxid.data.dataset",
     "Comparison": "jaxid.fitting.comparison",
     "Dataset": "jaxid.data.dataset",
-    "DatasetError": "jaxid.errors",
+    "DatasetError": "jaxid.base.errors",
     "Diagnosis": "jaxid.diagnosis.result",
     "Experiment": "jaxid.data.dataset",
     "Fit": "jaxid.fitting.result",
-    "UsageError": "jaxid.errors",
+    "UsageError": "jaxid.base.errors",
     "check": "jaxid.api",
     "compare": "jaxid.api",
     "diagnose": "jaxid.api",

@@ -9,15 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from jaxid import catalogue
+from jaxid.base.deadline import answered_in_time, share_of_time
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.extras import required
+from jaxid.base.serialise import with_effects
+from jaxid.base.stopping import Interrupted
 from jaxid.conventions.finding import Checked
 from jaxid.data.capacity import refuse_too_large
 from jaxid.data.dataset import Dataset
-from jaxid.deadline import answered_in_time, share_of_time
 from jaxid.diagnosis.result import Diagnosis
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.effect import Effect
-from jaxid.errors import nearest, UsageError
-from jaxid.extras import required
 from jaxid.fitting.comparison import Comparison
 from jaxid.fitting.fitter import AbstractFitter, Progress
 from jaxid.fitting.limbs import each
@@ -31,8 +33,6 @@ from jaxid.problem.residual import Residual, resolve_residual
 from jaxid.problem.solver import with_solver
 from jaxid.robots.floating import refuse_free
 from jaxid.robots.limbs import effects_at, limbs_of
-from jaxid.runtime import Interrupted
-from jaxid.serialise import with_effects
 
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
+from jaxid.base.progress import Bar, Callback
+from jaxid.base.stopping import Interrupted as Interrupted
+from jaxid.base.versions import check_jax
 from jaxid.numerics.program_cache import own_folder, want
-from jaxid.numerics.versions import check_jax
-from jaxid.progress import Bar, Callback
 
 
 # XLA on the CPU runs small while loops op by op on one thread; with this limit the loop over
@@ -21,16 +21,6 @@ LOOP_FLAG = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold
 # Programs here are one long loop body: more than LLVM's first level compiles for 1.6 times as long
 # and runs no faster (measured).
 LEVEL_FLAG = "--xla_backend_optimization_level=1"
-
-
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C during a fit or a diagnosis; `partial` is the result finished so far, which a command
-    saves.
-    """
-
-    def __init__(self, partial: Any = None):
-        super().__init__("interrupted")
-        self.partial = partial
 
 
 def prepare(streaming: bool = False) -> None:

@@ -18,25 +18,27 @@ from jaxtyping import Array, Float
 
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.mechanism import Signature, Staged
+from jaxid.dynamics.mechanism import Signature
 from jaxid.dynamics.parameter import constant, param, ParameterSpec
 from jaxid.dynamics.rigid_body import Base, still
 from jaxid.robots import dynamics, free_numbers
-from jaxid.robots.bodies import BODY, body_of, point_mass, ten_numbers
+from jaxid.robots.bodies import beyond_ends, BODY, body_of, ten_numbers
 from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.coupled import carried, Coupled, coupled, gathered
+from jaxid.robots.file_step import FIELDS as SOFT
 from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, StaticTree, Tree, up_to
+from jaxid.robots.yielding import Yielding
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
 from .effects.body import PlacedPayload
-from .robot_drive import PositionLaw
+from .robot_drive import PositionLaw, SampledLag
 
 
 plan_of = lru_cache(dynamics.plan)
 
 
-class Robot(Staged):
+class Robot(Yielding):
     """A robot from its file: `Robot.from_mjcf("robot.xml")`, `Robot.from_urdf("robot.urdf")`.
 
     Numbers go by the names of joints and links: armature@JOINT, damping@JOINT, frictionloss@JOINT,
@@ -177,7 +179,6 @@ class Robot(Staged):
     floats: bool = eqx.field(
         static=True, default=False
     )  # on a free base: see `jaxid.robots.floating`
-    tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `StaticTree`
     drive_law: Any = eqx.field(static=True, default=None)
     rides: bool = eqx.field(
         static=True, default=False
@@ -189,7 +190,11 @@ class Robot(Staged):
         driven: bool | None = None,
         law: Any = None,
         rides: bool = False,
+        simulator: str = "own",
     ):
+        """`simulator` "mujoco": steps are those that the tree's file asks MuJoCo for, where they
+        are known and the base does not float.
+        """
         tree = chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # slender links in a plane
         leading = tree.leading
         S, _ = tree.follow()
@@ -223,9 +228,12 @@ class Robot(Staged):
             "gravity": np.array(tree.gravity, np.float64),
             **{f"base_{k}": np.float64(0.0) for k in PLACE[3:]},
         }
-        for name, value in numbers.items():
+        step = tree.simulator if simulator == "mujoco" and not tree.floats else None
+        self.integrator = "" if step is None else step.integrator
+        soft = dict.fromkeys(SOFT, np.float64(0.0)) if step is None else step.of(leading)
+        for name, value in (numbers | soft).items():
             setattr(self, name, value)
-        self.prepared = self.added = self.tilt = self.drive_law = None
+        self.prepared = self.yielding = self.added = self.tilt = self.drive_law = None
         self.fitted = ()
         if driven is None:
             driven = law is not None or all(
@@ -260,12 +268,19 @@ class Robot(Staged):
         if law.delayed:
             own.append((InputDelay, {"delay": "delay@{joint}"}))
         if any(law.lag):
-            own.append((ActuatorLag, {"time": "timeconst@{joint}"}))
+            lag = SampledLag if self.integrator else ActuatorLag
+            own.append((lag, {"lag": "timeconst@{joint}"}))
         self.fitted = law.fitted(self.tree.tree.driven)
 
     def driven_by(self, law: Any) -> Robot:
         """The same driven by goals through a law (a `jaxid.robots.drives.DriveLaw`)."""
-        return type(self)(self.tree.tree, law=law, rides=self.rides)
+        simulator = "mujoco" if self.integrator else "own"
+        return type(self)(self.tree.tree, law=law, rides=self.rides, simulator=simulator)
+
+    def stepped(self, simulator: str) -> Robot:
+        """The same by jaxid's own steps ("own"), or by those of its file ("mujoco")."""
+        driven = self.drive_law is not None
+        return type(self)(self.tree.tree, driven, self.drive_law, self.rides, simulator)
 
     @classmethod
     def from_mjcf(
@@ -350,7 +365,7 @@ class Robot(Staged):
             numbers |= {
                 PositionLaw: {**law.numbers, **law.words},
                 InputDelay: {"delay": np.array(law.delay)},
-                ActuatorLag: {"time": np.array(law.lag)},
+                **dict.fromkeys((ActuatorLag, SampledLag), {"lag": np.array(law.lag)}),
             }
         return [kind(**numbers[kind]) for kind, _ in self.builtin]
 
@@ -368,9 +383,8 @@ class Robot(Staged):
             return GRAVITY[place]
         if field in BODY:
             return f"{field}@{self.links[place]}"
-        names = (
-            self.signatures[0].joints if field in ("encoder_bias", "cubic_damping") else self.joints
-        )
+        of_leading = field in ("encoder_bias", "cubic_damping", *SOFT)
+        names = self.signatures[0].joints if of_leading else self.joints
         return f"{field}@{names[place]}"
 
     def held(self) -> frozenset[str]:
@@ -425,9 +439,12 @@ class Robot(Staged):
         return dynamics.falling(angles, jnp.asarray(self.gravity), self.tilt)
 
     def prepare(self, h):
-        return eqx.tree_at(
-            lambda m: m.prepared, self, (self.body(), self.standing()), is_leaf=lambda x: x is None
-        )
+        ready = self._with("prepared", (self.body(), self.standing()))
+        if not self.integrator:
+            return ready
+        places = np.array([self.joints.index(joint) for joint in self.signatures[0].joints])
+        resting = np.array(self.reference)[places] + self.encoder_bias
+        return ready._with("yielding", ready.soft_joints(resting))
 
     def _worked_out(self) -> tuple[dynamics.Body, Base]:
         return (self.body(), self.standing()) if self.prepared is None else self.prepared
@@ -548,24 +565,7 @@ class Robot(Staged):
         """The same with a point mass `beyond` the end of each joint's link: the next joint, else
         the link's centre of mass.
         """
-        added = jnp.zeros((len(self.joints), 10))
-        for k, joint in enumerate(self.signatures[0].joints):
-            node = self.joints.index(joint)
-            while node not in self.carriers:
-                node = self.parent.index(node)
-            place, ends = (
-                self.carriers.index(node),
-                [i for i, up in enumerate(self.parent) if up == node],
-            )
-            com = [
-                getattr(self, name)[place] - a
-                for name, a in zip(BODY[1:4], self.anchors[place], strict=True)
-            ]
-            x, y, z = ([getattr(self, name)[ends[0]] for name in PLACE[:3]]) if ends else com
-            if beyond is not None:
-                x, y, z = x + beyond[k, 0], y + beyond[k, 1], z + beyond[k, 2]
-            added = added.at[node].add(mass[k] * point_mass(x, y, z))
-        return self._with("added", added)
+        return self._with("added", beyond_ends(self, mass, beyond))
 
     def tilted(self, angle: Float[Array, " nq"]) -> Robot:
         """The same on a base turned by angle[0] about the first joint's axis."""

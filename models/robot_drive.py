@@ -14,6 +14,8 @@ from jaxtyping import Array
 from jaxid.dynamics.effect import InputEffect
 from jaxid.dynamics.parameter import constant, param, Quantity
 
+from .effects.actuator import ActuatorLag
+
 
 KINDS = ("pd", "pid", "cascade")
 VELOCITIES = ("measured", "difference", "averaged_difference")
@@ -121,7 +123,8 @@ class PositionLaw(InputEffect):
     def _sampled(self, u, s, z):
         elapsed, ticks, (held, last, before, goal, integral) = z
         n = u.shape[0]
-        T, q, qd = self.period, (s.q - s.h / 2 * s.qd0)[:n], s.qd0[:n]  # at the step's beginning
+        began = s.q - s.h / 2 * s.qd0 if s.q0 is None else s.q0
+        T, q, qd = self.period, began[:n], s.qd0[:n]  # at the step's beginning
         first = ticks < 0
         last, before = jnp.where(first, q - T * qd, last), jnp.where(first, q - 2 * T * qd, before)
         goal = jnp.where(first, u, goal)
@@ -139,3 +142,14 @@ class PositionLaw(InputEffect):
         )
         kept = jnp.where(now, new, jnp.stack([held, last, before, goal, integral]))
         return kept[0], (elapsed + s.h, jnp.maximum(count, ticks), kept)
+
+
+class SampledLag(ActuatorLag):
+    """The same where MuJoCo steps: what the drive has come to by a step's beginning acts in it."""
+
+    source: ClassVar[str] = "MuJoCo's actuator of dyntype filterexact"
+
+    def __call__(self, u, s, z):
+        present = self.lag > 0
+        left = jnp.exp(-s.h / jnp.where(present, self.lag, 1.0))
+        return jnp.where(present, z, u), jnp.where(present, u + (z - u) * left, u)

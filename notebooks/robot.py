@@ -134,7 +134,7 @@ dataset
 # ## What is missing
 #
 # The first lines compare the file with the data: which of its numbers the recording contradicts. Then where, which, how far. Errors
-# count in multiples of the noise: 1 is as good as a model can be.
+# count in multiples of the noise. 1 is the noise as it was stated; less means that it is smaller than stated.
 
 # %%
 diagnosis = jaxid.diagnose(None, dataset, effects=ROBOT_CANDIDATES)

@@ -83,7 +83,7 @@ def run(arguments: list[str]) -> int:
     parser.add_argument("--workers", type=int, default=2)
     o = parser.parse_args(arguments[:split])
     command = (str(Path(__file__).resolve()), "solve", *arguments[split + 1 :])
-    from jaxid.errors import UsageError
+    from jaxid.base.errors import UsageError
 
     began = time.process_time()
     try:

@@ -174,7 +174,7 @@ def test_every_mistake_at_once_with_the_nearest_name(home):
         "'jont' (did you mean 'joint'?)",
         "'ded_zone' (did you mean 'dead_zone'?)",
         "'lmm' (did you mean 'lm'?)",
-        "'smal' is no folder",
+        "'smal' is not a folder",
         "'diagnos' (did you mean 'diagnose'?)",
         "datasets' is an empty list",
         "iv solves inverse_dynamics",

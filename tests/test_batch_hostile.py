@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import jaxid
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.cli import app as cli, terminal
 from jaxid.study import check_study, run_study, study_status
 from jaxid.study.outcome import Outcome

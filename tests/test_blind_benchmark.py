@@ -2,22 +2,38 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 import jaxid
-from jaxid import catalogue
-from jaxid.benchmark import case, make as making, rig_sets, score as scoring, withheld
+from benchmarks import public
+from jaxid.base.errors import UsageError
+from jaxid.benchmark import (
+    arm_sets,
+    case,
+    goal_arms,
+    make as making,
+    paper_sets,
+    rig_sets,
+    score as scoring,
+    withheld,
+)
 from jaxid.benchmark.answers import CaseAnswer, read_entry
+from jaxid.benchmark.intervals import mean_interval
 from jaxid.cli.app import main
-from jaxid.errors import UsageError
+from jaxid.dynamics import catalogue
+from jaxid.study.papers.twins import space_arm
 
 
 ROOT = Path(__file__).parents[1]
@@ -165,10 +181,10 @@ def test_calibration_error_is_that_of_the_bins():
 @pytest.mark.parametrize(
     "answer, words",
     [
-        ({"missing": {"coulomb_friction@j1": 1.5}}, ["'missing'", "1.5 is no probability"]),
+        ({"missing": {"coulomb_friction@j1": 1.5}}, ["'missing'", "1.5 is not a probability"]),
         ({"missing": {"coulom_friction@j1": 0.5}}, ["'missing'", "coulomb_friction"]),
         ({"missing": {"coulomb_friction@j99": 0.5}}, ["'missing'", "joint after @"]),
-        ({"nothing": "no"}, ["'nothing'", "'no' is no probability"]),
+        ({"nothing": "no"}, ["'nothing'", "'no' is not a probability"]),
         ({"where": {"weather": 0.5}}, ["'where'", "position, speed"]),
         ({"exam": {"j1_tau": [0.0]}}, ["'exam'", "list of 40 numbers"]),
         ({"how_far": [1.0, 0.0]}, ["'how_far'", "[low, high]"]),
@@ -200,17 +216,137 @@ def test_an_unknown_case_and_another_key_are_refused(made, tmp_path):
         scoring.score(other, entered(tmp_path / "a.json", {}))
 
 
-def test_a_stranger_enters_by_the_rules_alone(made, tmp_path):
-    """NumPy alone: nothing of jaxid is imported, and the key is not there."""
+def imported(script: str) -> set[str]:
+    """The packages that a script imports anywhere."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(script)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names.add((node.module or "").partition(".")[0])
+    return names
+
+
+def test_a_stranger_needs_numpy_alone_and_the_page():
+    """Every key that it reads or writes stands on the page of rules."""
     script = (ROOT / "tests" / "stranger.py").read_text()
-    assert "import jaxid" not in script and "from jaxid" not in script
+    page = (ROOT / "docs" / "benchmark.md").read_text()
+    assert imported(script) - set(sys.stdlib_module_names) == {"numpy"}
+    strings = [n.value for n in ast.walk(ast.parse(script)) if isinstance(n, ast.Constant)]
+    keys = {s for s in strings if isinstance(s, str) and s.isidentifier()}
+    assert {"joints", "exam", "rows", "outputs", "missing", "nothing", "other", "where"} <= keys
+    unknown = {key for key in keys if key not in page and key != "__main__"}
+    assert not unknown
+
+
+def test_a_stranger_enters_by_the_rules_alone(made, tmp_path):
+    """From a folder that holds what is published alone, where jaxid cannot be imported."""
     path = tmp_path / "answers.json"
+    (tmp_path / "blocked" / "jaxid").mkdir(parents=True)
+    (tmp_path / "blocked" / "jaxid" / "__init__.py").write_text("raise ImportError('not here')")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "blocked")}
     for name, folder in made.items():
-        command = [sys.executable, "tests/stranger.py", str(folder / "cases"), str(path)]
-        subprocess.run(command, cwd=ROOT, check=True, timeout=300)
+        published = tmp_path / name
+        shutil.copytree(folder / "cases", published)
+        command = [sys.executable, str(ROOT / "tests" / "stranger.py"), str(published), str(path)]
+        subprocess.run(command, cwd=tmp_path, check=True, timeout=300, env=environment)
         assert main(["benchmark", "score", str(folder), str(path), "--json"]) == 0
         found = json.loads((tmp_path / "score.json").read_text())
         assert found["entry"] == "a stranger" and found["answered"] == QUICK[name]
+
+
+def test_the_page_tells_every_set_and_how_many_cases():
+    page = (ROOT / "docs" / "benchmark.md").read_text()
+    told: dict[str, int] = {}
+    for line in page.splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        if line.startswith("| `"):
+            names = cells[1].replace("`", "").split(", ")
+            told |= dict(zip(names, map(int, cells[2].split(", ")), strict=True))
+    assert told == {name: own.cases for name, own in making.SETS.items()}
+
+
+@pytest.mark.parametrize("rig", paper_sets.ARMS)
+def test_arms_of_the_papers_are_what_their_file_says(rig):
+    """Against MuJoCo's inverse dynamics of the published file, which knows damping but no sign of
+    the speed.
+    """
+    arm, rng = paper_sets.ARMS[rig](), np.random.default_rng(0)
+    mj: Any = mujoco
+    model = mj.MjModel.from_xml_string(arm.xml())
+    data = mj.MjData(model)
+    for _ in range(20):
+        state = rng.normal(size=(3, len(arm.bodies)))
+        data.qpos[:], data.qvel[:], data.qacc[:] = state
+        mj.mj_inverse(model, data)
+        q, qd, qdd = state[:, None]
+        own = arm.torque((q, qd, qdd))[0]
+        friction = arm.viscous * qd[0] + arm.dry * np.sign(qd[0])
+        known = data.qfrc_inverse + data.qfrc_passive + data.qfrc_constraint
+        assert np.allclose(own - friction, known, atol=1e-6 * np.abs(own).max())
+        assert np.allclose(model.dof_frictionloss, arm.dry)
+        assert np.allclose(model.dof_damping, arm.viscous)
+
+
+def test_the_space_manipulator_is_that_of_its_paper():
+    t, q, qd, qdd = space_arm.path(1)
+    arm = paper_sets.space_manipulator()
+    own = arm.torque((q, qd, qdd)) - arm.drives * qdd - arm.viscous * qd - arm.dry * np.sign(qd)
+    theirs = space_arm.torque((t, q, qd, qdd), friction=None)
+    assert np.allclose(own, theirs, atol=1e-9 * np.abs(theirs).max())
+
+
+def test_sets_of_the_papers_hold_each_rig_and_stand_beside_all(tmp_path):
+    drafts = paper_sets.drafts("papers", 3, range(8))
+    groups = [draft.group for draft in drafts]
+    for rig in paper_sets.RIGS:
+        assert sum(group.endswith(rig) for group in groups) == 2
+    assert "papers" not in making.SETS and "papers" in making.KNOWN
+    (case_,) = drafts[2].simulate(drafts[2:3])
+    assert case_.question["robot"] == "model.xml" and len(case_.question["joints"]) == 6
+
+
+@pytest.mark.parametrize("number", [0, 3])
+def test_a_floor_that_is_withheld_shows_in_the_recording(number):
+    """Of the first of these cases the floor that was drawn is never touched."""
+    draft = arm_sets.goal_drafts("contact", 1, [number])[0]
+    (case_,) = draft.simulate([draft])
+    assert case_.outside == "a floor that the file has not"
+    mj: Any = mujoco
+    model = mj.MjModel.from_xml_string(case_.files["model.xml"])
+    data, run = mj.MjData(model), case_.dataset.experiments[0]
+    per = round((run.t[1] - run.t[0]) / model.opt.timestep)
+    most = 0.0
+    for u, y in zip(run.u, run.y, strict=True):
+        most = max(most, float(np.abs(y - data.qpos).max()))
+        data.ctrl[:] = u
+        for _ in range(per):
+            mj.mj_step(model, data)
+    assert most > 0.8 * arm_sets.SEEN * goal_arms.NOISE
+
+
+def test_sealed_sets_are_entered_together(tmp_path):
+    """Three seeds that nobody chose; the hashes are published, the seeds are not."""
+    kept = tmp_path / "sealed.json"
+    hashes = public.seal(tmp_path / "sets", "arms", 1, kept)
+    assert len(set(hashes)) == 3
+    text = kept.read_text()
+    folders = [tmp_path / "sets" / str(k) for k in (1, 2, 3)]
+    for folder, digest in zip(folders, hashes, strict=True):
+        key = json.loads((folder / "key.json").read_text())
+        assert digest in text and str(key["seed"]) not in text
+        answers = {name: perfect(truth) for name, truth in key["cases"].items()}
+        (folder / "answers").mkdir()
+        entered(folder / "answers" / "test.json", answers)
+    board = tmp_path / "board"
+    public.enter(folders, "test", "reads the key", "1", board)
+    (row,) = public.rows(board)
+    assert row["cases"] == "3 of 3" and row["class"].startswith("1.00 (")
+    assert all(digest[:8] in row["key"] for digest in hashes)
+    assert "| arms | 1.00 of 3 |" in public.page(board)
+    with pytest.raises(UsageError, match="hash"):
+        (folders[0] / "key.json").write_text((folders[1] / "key.json").read_text())
+        public.enter(folders, "test", "", "1", board)
 
 
 def test_every_effect_that_may_be_withheld_has_its_words():
@@ -224,3 +360,27 @@ def test_every_effect_that_may_be_withheld_has_its_words():
     assert set(rig_sets.NUMBERS) <= set(case.SIZES) <= words
     assert sum(one.cases for one in making.SETS.values()) == 1200
     assert making.SETS["outsiders"].cases == 300
+
+
+def test_one_case_is_no_certainty():
+    """Nor are several that are alike; intervals close as cases come and stay within bounds."""
+    widths = []
+    for count in (1, 4, 24, 400):
+        found = mean_interval([0.0] * count, least=-1.0, most=1.0)
+        assert found is not None and found["count"] == count
+        low, high = found["interval_95"]
+        assert -1.0 <= low < 0.0 < high <= 1.0
+        widths.append(high - low)
+    assert widths[0] == 2.0 and widths == sorted(widths, reverse=True) and widths[-1] < 0.01
+    assert mean_interval([]) is None
+
+
+def test_intervals_of_means_hold_the_mean():
+    """Of 2,000 samples of five values that are spread evenly over 0 to 2."""
+    rng = np.random.default_rng(0)
+    held = 0
+    for _ in range(2000):
+        found = mean_interval(rng.uniform(0.0, 2.0, 5).tolist(), least=0.0)
+        assert found is not None
+        held += found["interval_95"][0] <= 1.0 <= found["interval_95"][1]
+    assert 0.93 <= held / 2000 <= 0.99

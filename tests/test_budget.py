@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
+from jaxid.base.serialise import finite
 from jaxid.diagnosis.budget import budget
 from jaxid.fitting.stated import StatedNumber
 from jaxid.report.answer import headline
 from jaxid.report.text import diagnosis_text
-from jaxid.serialise import finite
 from report_sample import sample_diagnosis
 
 

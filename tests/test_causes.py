@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxid import catalogue
 from jaxid.diagnosis.cause import span, variable, words
 from jaxid.diagnosis.result import MissingForce
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.parameter import specs
 from jaxid.fitting.result import EffectEstimate, Estimate
 from jaxid.report import binned

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base.errors import DatasetWarning, UsageError
 from jaxid.cli.terminal import warnings_said_once
 from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.data.dataset import ModelSpec
@@ -24,7 +25,6 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.kinematics import modified_dh
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import DatasetWarning, UsageError
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.force.drive import drive_torque
 from jaxid.identification.payload import PayloadEstimate, USUAL_GAIN_STD, usual_gain_std

@@ -19,12 +19,13 @@ import pytest
 
 import jaxid
 import jaxid.api  # it takes its names before some of them are replaced here
-from jaxid import catalogue, wording
+from jaxid.base import wording
+from jaxid.base.errors import DatasetWarning
+from jaxid.base.serialise import finite, json_bytes
+from jaxid.base.stopping import Interrupted
 from jaxid.cli import app as cli, terminal
 from jaxid.data.dataset import Dataset
-from jaxid.errors import DatasetWarning
-from jaxid.runtime import Interrupted
-from jaxid.serialise import finite, json_bytes
+from jaxid.dynamics import catalogue
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
 
@@ -63,7 +64,10 @@ def python(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_every_residual_is_known_by_its_name():
     """In a process that has imported nothing but the verbs."""
-    code = "import jaxid.api as a; from jaxid.catalogue import RESIDUALS; print([a.resolve_residual(n).name for n in RESIDUALS])"
+    code = (
+        "import jaxid.api as a; from jaxid.dynamics.catalogue import RESIDUALS;"
+        " print([a.resolve_residual(n).name for n in RESIDUALS])"
+    )
     assert python("-c", code).stdout.strip() == str(list(catalogue.RESIDUALS))
 
 

@@ -10,9 +10,9 @@ import pytest
 
 import jaxid
 from benchmarks import closed_loop as twin, emps_inverse as emps
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Controller, Dataset, ParameterPrior
 from jaxid.dynamics.controller import law_of
-from jaxid.errors import UsageError
 from jaxid.fitting.controlled_motion import simulate_closed_loop
 from jaxid.problem.binding import bind
 

@@ -16,10 +16,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import jaxid
+from jaxid.base.stopping import Interrupted
 from jaxid.cli import app as cli
 from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
 from jaxid.fitting.comparison import BestKnown, Comparison, FitterRun, typical, wilson
-from jaxid.runtime import Interrupted
 from test_fitters import data_of
 from test_report import assert_harmless
 

@@ -18,6 +18,7 @@ from scipy.signal import butter, lfilter, sosfilt
 
 import jaxid
 from benchmarks.conventions import found
+from jaxid.base.errors import UsageError
 from jaxid.benchmark.broken import broken, KINDS, recording
 from jaxid.cli.app import main
 from jaxid.conventions import checking, finding, law
@@ -28,7 +29,6 @@ from jaxid.conventions.words import finding_text
 from jaxid.data.dataset import Controller
 from jaxid.dynamics.mechanism import Rigid, Signature
 from jaxid.dynamics.parameter import constant, param
-from jaxid.errors import UsageError
 from jaxid.fitters.short_fit import left_by_short_fit
 from jaxid.force.columns import Forces
 from jaxid.models.effects import ConstantTorque, CoulombFriction, ViscousFriction
@@ -302,7 +302,7 @@ def test_shared_cases(name, kind, channel, line):
     )
 
 
-@pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
+@pytest.mark.filterwarnings("ignore::jaxid.base.errors.DatasetWarning")
 def test_a_run_that_comes_to_rest_says_which_part_moves():
     findings = checked(jaxid.load_dataset(case("rec_03_report_stands_still"))).findings
     (still,) = [f for f in findings if f.channel == "run_1"]
@@ -426,7 +426,7 @@ def recorded_arm() -> jaxid.Dataset:
         ),
     ],
 )
-@pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
+@pytest.mark.filterwarnings("ignore::jaxid.base.errors.DatasetWarning")
 def test_faults_of_an_arm_with_many_numbers(recorded_arm, fault, kind, line):
     """Six joints, 58 numbers, in a few seconds each."""
     findings = [

@@ -368,7 +368,7 @@ def test_settings_of_a_fitter_are_written_as_a_text():
         ("de(popsize=2.5)", "a whole number"),
         ("de(popsize=3)", "at least 4"),
         ("de(CR=1e999)", "at most 1"),
-        ("de(popsize=__import__('os').getpid())", "no number"),
+        ("de(popsize=__import__('os').getpid())", "not a number"),
         ("de(20)", "looks like de"),
         ("de(popsize=20", "looks like de"),
         ("de(strategy='none')", "rand/1"),
@@ -491,7 +491,7 @@ def test_an_effect_with_several_places_asks_for_one():
 
 
 def test_tables_without_pandas_say_what_to_install(monkeypatch):
-    from jaxid.storage.frames import frame
+    from jaxid.base.frames import frame
 
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
     with pytest.raises(jaxid.UsageError, match="pip install pandas"):

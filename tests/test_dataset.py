@@ -19,10 +19,10 @@ import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
 import jaxid
+from jaxid.base.errors import DatasetError, DatasetProblem, DatasetWarning
 from jaxid.data.dataset import Channel, Controller, ModelSpec, ParameterPrior
 from jaxid.data.io import load_dataset
 from jaxid.dynamics.mechanism import Signature
-from jaxid.errors import DatasetError, DatasetProblem, DatasetWarning
 
 
 TOML = """\
@@ -65,13 +65,13 @@ def pendulum(monkeypatch):
         builtin_effects=("viscous_friction", "coulomb_friction"),
         states=("q", "qd"),
     )
-    fake = types.ModuleType("jaxid.catalogue")
+    fake = types.ModuleType("jaxid.dynamics.catalogue")
     fake.__dict__.update(
         model_names=lambda: ("joint", "pendulum"),
         effect_names=lambda: ("payload", "coulomb_friction", "viscous_friction"),
         describe=lambda name, model=None: info,
     )
-    monkeypatch.setitem(sys.modules, "jaxid.catalogue", fake)
+    monkeypatch.setitem(sys.modules, "jaxid.dynamics.catalogue", fake)
     monkeypatch.setattr(jaxid, "catalogue", fake, raising=False)
 
 
@@ -482,7 +482,7 @@ def test_a_joint_held_in_one_run_is_sound(folder):
 
 
 def test_g_is_decided_by_the_model(folder, pendulum):
-    sys.modules["jaxid.catalogue"].describe("pendulum").signatures = (
+    sys.modules["jaxid.dynamics.catalogue"].describe("pendulum").signatures = (
         Signature((("tau", "N m"),), (("q", "m/s^2"),), ("q",)),
     )
     folder.replace('unit = "rad"', 'unit = "g"')

@@ -15,13 +15,13 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
+from jaxid.base.errors import DatasetError
 from jaxid.data.dataset import Dataset
 from jaxid.data.forms import glitches
 from jaxid.data.io import load_dataset, save_dataset
 from jaxid.data.noise import noise_floor
 from jaxid.data.repeats import repeats
 from jaxid.data.units import conversion
-from jaxid.errors import DatasetError
 
 
 T = np.arange(400) * 0.01
@@ -214,7 +214,7 @@ def test_a_wrapped_length_needs_its_range(tmp_path):
             {"tau": "", "q": 'unit = "m"\nunwrap = true'},
         )
     )
-    assert "no angle" in message and "unwrap = 4096" in message
+    assert "not an angle" in message and "unwrap = 4096" in message
 
 
 def test_glitches_are_left_out_of_the_loss_and_stay_in_the_data(tmp_path):

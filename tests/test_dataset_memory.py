@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
+from jaxid.base.errors import DatasetError, DatasetProblem
 from jaxid.data.dataset import (
     Channel,
     Controller,
@@ -26,7 +27,6 @@ from jaxid.data.dataset import (
     ParameterPrior,
 )
 from jaxid.data.io import load_dataset, save_dataset
-from jaxid.errors import DatasetError, DatasetProblem
 
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -356,7 +356,7 @@ RECORDINGS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
+@pytest.mark.filterwarnings("ignore::jaxid.base.errors.DatasetWarning")
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_real_recordings_load(name):
     if not (DATA / name / "dataset.toml").is_file():

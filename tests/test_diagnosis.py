@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid import catalogue
 from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.diagnosis import search, shortlist
 from jaxid.diagnosis.budget import shrink
@@ -27,9 +26,10 @@ from jaxid.diagnosis.prior_pull import brought_back, put_back
 from jaxid.diagnosis.proposals import exchanged, left_out
 from jaxid.diagnosis.reasons import Lacks
 from jaxid.diagnosis.search import Searcher, THOROUGH
-from jaxid.diagnosis.selection import mirrored, next_to_form, simpler
+from jaxid.diagnosis.selection import mirrored
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import Gaps, judge, upheld, Verdict
+from jaxid.dynamics import catalogue
 from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.lost_runs import growth
 from jaxid.fitting.problem_builder import ProblemBuilder, start_values
@@ -876,27 +876,6 @@ def test_where_an_encoder_counts_from_within_a_step_is_no_gap(zeros, wave, verdi
     assert judge(SearchResult(model, model)).name == (
         "none" if loss < 1.2 else "unknown"
     )  # of a channel with noise it is one
-
-
-def test_a_small_effect_explains_more_than_the_form_of_a_large_one_is_known():
-    """A law that explains so much is not known to a thousandth."""
-    both, one = leaving(1.05, 1.05, "one", "two"), leaving(1.11, 1.11, "one")
-    assert next_to_form(leaving(9e5, 9e5), both, one)
-    assert not next_to_form(leaving(90.0, 90.0), both, one)
-    assert not next_to_form(leaving(9e5, 9e5), both, leaving(1.9, 1.9, "one"))
-
-
-@pytest.mark.parametrize("fit_loss, loss, plain", [(0.99, 0.96, True), (1.0, 1.05, False)])
-def test_a_part_of_the_effects_is_enough_where_the_rest_is_within_the_noise(fit_loss, loss, plain):
-    """Dry friction came down to the noise; with Stribeck's share of 0.2 % of it the validation runs
-    were 25 units better.
-    """
-    both, alone = leaving(0.98, 0.945, "dry", "stribeck"), leaving(fit_loss, loss, "dry")
-    assert simpler(cast(Any, None), leaving(9e4, 9e4), alone, both) == plain
-    other = leaving(
-        fit_loss, loss, "order one"
-    )  # or another law that explains all but nothing of the same
-    assert simpler(cast(Any, None), leaving(9e4, 9e4), other, both) == plain
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ import jax
 import pytest
 
 import jaxid
-from jaxid import catalogue
+from jaxid.dynamics import catalogue
 from jaxid.fitters.by_name import fitter_names
 
 

@@ -7,7 +7,8 @@ import json
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from jaxid import doctor, extras
+from jaxid.base import extras
+from jaxid.cli import self_test as doctor
 from jaxid.cli.app import main
 from jaxid.cli.doctor import text
 
@@ -41,7 +42,7 @@ def test_what_goes_wrong_is_said(monkeypatch, capsys):
         raise RuntimeError("no such device")
 
     monkeypatch.setattr(doctor, "SELF_TESTS", {"one thing": broken})
-    monkeypatch.setattr("jaxid.extras.find_spec", lambda package: None)
+    monkeypatch.setattr("jaxid.base.extras.find_spec", lambda package: None)
     monkeypatch.setattr(doctor, "find_spec", lambda package: None)
     assert main(["doctor"]) == 1
     printed = capsys.readouterr().out

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid import catalogue
 from jaxid.data.dataset import Experiment
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.parameter import ANGLE, resolve, specs, SPEED, TORQUE, TypicalMagnitudes
 from jaxid.models import Joint
 from jaxid.problem.binding import bind

@@ -19,8 +19,8 @@ from scipy.integrate import solve_ivp
 import jaxid
 import reference as ref
 import reference_states as states
-from jaxid.catalogue import effect_class
 from jaxid.data.dataset import ModelSpec
+from jaxid.dynamics.catalogue import effect_class
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import InputEffect, JointEffect, OutputEffect, Signals
 from jaxid.dynamics.export_law import ExportLaw, FUNCTIONS, in_python, SIGNALS

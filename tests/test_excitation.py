@@ -12,10 +12,10 @@ from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
 
 import jaxid
+from jaxid.base.errors import UsageError
 from jaxid.cli.app import cli
 from jaxid.data.limits import Limits
 from jaxid.dynamics.base_parameters import torque_columns
-from jaxid.errors import UsageError
 from jaxid.excitation.bounds import bounds_of, KNOWN
 from jaxid.excitation.clearance import gaps, heights, links_of, nodes
 from jaxid.excitation.design import excite

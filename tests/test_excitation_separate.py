@@ -11,9 +11,9 @@ import pytest
 
 import jaxid
 import reference as ref
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset
 from jaxid.data.limits import Limits
-from jaxid.errors import UsageError
 from jaxid.excitation.discriminate import recorded
 from jaxid.hardware.trajectory import Trajectory
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxid
-import jaxid.catalogue
+import jaxid.dynamics.catalogue
 from jaxid.cli.app import main
 from jaxid.robots.bodies import fault
 from jaxid.robots.export.identified import nearest_bodies
@@ -441,7 +441,7 @@ def test_code_does_what_the_effects_do(arm):
     """Each law beside the effect itself, along one motion; and before the steps of MuJoCo."""
     import jax.numpy as jnp
 
-    from jaxid.catalogue import effect_class
+    from jaxid.dynamics.catalogue import effect_class
     from jaxid.dynamics.effect import Signals
     from jaxid.dynamics.parameter import with_fields
 
@@ -553,7 +553,7 @@ def test_nothing_is_passed_over(arm, to, tmp_path):
 
 
 def test_targets_are_those_that_the_command_lists():
-    assert tuple(TARGETS) == jaxid.catalogue.TARGETS
+    assert tuple(TARGETS) == jaxid.dynamics.catalogue.TARGETS
 
 
 def test_correlations_stand_beside_the_ranges(arm):
@@ -734,7 +734,7 @@ def test_nothing_of_the_user_is_overwritten(arm, tmp_path):
     assert arm.read_text() == ARM and (out / "apply.py").read_text() == "mine"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "export.json").symlink_to(arm)
-    with pytest.raises(jaxid.UsageError, match="no plain file"):
+    with pytest.raises(jaxid.UsageError, match="not a plain file"):
         save(found, tmp_path / "other")
     from dataclasses import replace
 
@@ -744,10 +744,10 @@ def test_nothing_of_the_user_is_overwritten(arm, tmp_path):
 
 
 HOSTILE = [
-    ([1, 2], "no result"),
+    ([1, 2], "not a result"),
     ({"kind": "fit", "model": "robot", "parameters": {}}, "failed"),
     ({"kind": "fit", "model": "robot", "parameters": {"damping@lift": {"value": 1e999}}}, "finite"),
-    ({"kind": "fit", "model": "robot", "parameters": {"a" * 300: {"value": 1}}}, "no name"),
+    ({"kind": "fit", "model": "robot", "parameters": {"a" * 300: {"value": 1}}}, "not a name"),
     ({"kind": "fit", "model": "m", "effects": [{"effect": "lugre_friction", "location": "q", "parameters": {"x);(": 1}}],
       "parameters": {}}, "names"),
     ({"kind": "fit", "model": "robot", "parameters": {"a": {"value": 1}}, "robot": {"file": "/no/such.xml"}}, "--robot FILE"),

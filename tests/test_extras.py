@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from jaxid import extras
-from jaxid.errors import UsageError
+from jaxid.base import extras
+from jaxid.base.errors import UsageError
 
 
 ROOT = Path(__file__).parents[1]

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base import interim
+from jaxid.base.stopping import Interrupted
 from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
 from jaxid.fitting import run as fits
@@ -20,8 +22,6 @@ from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import FunctionProblem, Linear
-from jaxid.runtime import Interrupted
-from jaxid.storage import interim
 
 
 @pytest.fixture(scope="module")

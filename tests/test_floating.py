@@ -306,7 +306,7 @@ def test_what_is_not_taken_is_said(runs):
     with pytest.raises(jaxid.UsageError, match="base_yaw is missing"):
         resolve_model(None, blind)
     steep = replace(data, experiments=tuple(replace(e, y=e.y + 2.0) for e in data.experiments))
-    with pytest.raises(jaxid.UsageError, match="roll and yaw are no coordinates"):
+    with pytest.raises(jaxid.UsageError, match="roll and yaw are not coordinates"):
         resolve_model(None, steep)
     with pytest.raises(jaxid.UsageError, match="no number of one is fitted"):
         jaxid.fit(None, data, residual="momentum")

@@ -20,9 +20,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from emulators import hand_over
+from jaxid.base.errors import UsageError
 from jaxid.cli.app import main
 from jaxid.data.io import load_dataset
-from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, recover, SensorSpec, Trajectory
 from jaxid.hardware.channels import channel_map
 from jaxid.hardware.clock import from_arrivals, from_signals, within_tick
@@ -161,7 +161,7 @@ def test_a_path_is_read_from_files_and_folders(tmp_path):
     ("t", "values", "words"),
     [
         ([0, 1, 1], [0, 0, 0], "time does not rise at row 4"),
-        ([0, 1, 2], [0, np.nan, 0], "row 3 holds a value that is no number"),
+        ([0, 1, 2], [0, np.nan, 0], "row 3 holds a value that is not a number"),
         ([0], [0], "2 or more"),
     ],
 )

@@ -20,9 +20,9 @@ import pytest
 from hypothesis import example, given, HealthCheck, settings, strategies as st
 
 from emulators import Emulator, hand_over, PATIENT_S, signed, SLACK_S, writes
+from jaxid.base.errors import UsageError
 from jaxid.cli.app import main
 from jaxid.data.io import load_dataset
-from jaxid.errors import UsageError
 from jaxid.hardware import Dynamixel, HardwareError, Limits, record, recover, Trajectory
 from jaxid.hardware.dynamixel import registers as x
 from jaxid.hardware.dynamixel.bus import Bus

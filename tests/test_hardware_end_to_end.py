@@ -36,7 +36,7 @@ def check(diagnosis, effect: str, field: str, hidden: float, truth: dict[str, fl
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")  # this machine's own delays
+@pytest.mark.filterwarnings("ignore::jaxid.base.errors.DatasetWarning")  # this machine's own delays
 def test_what_the_emulators_hide_is_found(monkeypatch):
     pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python")
     monkeypatch.setenv("MPLBACKEND", "agg")

@@ -20,8 +20,8 @@ import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
 from emulators import Emulator, hand_over, PATIENT_S, servoing, SLACK_S, stops
+from jaxid.base.errors import UsageError
 from jaxid.data.io import load_dataset
-from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, record, recover, SensorSpec, Trajectory, UR
 from jaxid.hardware.link import Driver
 from jaxid.hardware.ur.rtde import RTDEReader

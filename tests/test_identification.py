@@ -125,7 +125,7 @@ def test_the_right_law_wins_on_held_out_motion(quiet):
 
 
 def test_after_its_time_an_identification_tries_no_further_law(quiet, monkeypatch):
-    monkeypatch.setattr("jaxid.deadline.SEARCH", 0.0)
+    monkeypatch.setattr("jaxid.base.deadline.SEARCH", 0.0)
     short = identify(None, quiet, seconds=3600)
     assert not short.complete and [trial.law for trial in short.laws] == ["linear"]
     assert short.to_dict()["complete"] is False and "within 3600 s" in short.notes[-1]

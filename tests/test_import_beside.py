@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base.errors import DatasetWarning
 from jaxid.data.importers.beside import MOST
 from jaxid.data.importers.map import import_table
-from jaxid.errors import DatasetWarning
 
 
 T = np.arange(100) * 0.01

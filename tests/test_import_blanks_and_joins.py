@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxid.base.errors import DatasetError, UsageError
 from jaxid.cli.app import main
 from jaxid.data.importers.lerobot import _leaves
 from jaxid.data.io import load_dataset
 from jaxid.data.table import read_table
-from jaxid.errors import DatasetError, UsageError
 from test_import_tables import PLAIN, Q, run, T, TAU
 
 

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
+from jaxid.base.errors import DatasetError, UsageError
 from jaxid.cli.app import main
 from jaxid.data.dataset import Dataset
-from jaxid.errors import DatasetError, UsageError
 from test_import_tables import PLAIN, Q, run, same, T, TAU, text
 
 

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from jaxid.base.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.data.dataset import Controller, Dataset, ModelSpec
 from jaxid.data.importers.robot import import_lerobot, import_mcap, import_rosbag
 from jaxid.data.importers.ros import _arm_first, _sliding
@@ -22,7 +23,6 @@ from jaxid.data.importers.ros_messages import JointRows
 from jaxid.data.importers.runs import ImportedRun
 from jaxid.data.io import load_dataset, save_dataset
 from jaxid.data.joint_names import in_chain_order
-from jaxid.errors import DatasetError, DatasetWarning, UsageError
 
 
 N = 120
@@ -445,7 +445,7 @@ def test_normalised_values_need_what_they_stand_for(tmp_path):
         DatasetError, match="lift .within -100..100, beside one that touches its end"
     ):
         quiet(import_lerobot, small, tmp_path / "out", unit="deg", ranges=["pan=-110:110"])
-    with pytest.raises(UsageError, match="is no unit of a joint"):
+    with pytest.raises(UsageError, match="is not a unit of a joint"):
         quiet(import_lerobot, folder, tmp_path / "out", unit="%")
     with pytest.raises(UsageError, match="joints: pan, lift, gripper"):
         quiet(import_lerobot, folder, tmp_path / "out")

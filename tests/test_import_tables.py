@@ -19,12 +19,12 @@ import pandas as pd
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
+from jaxid.base.errors import DatasetError, UsageError
 from jaxid.cli.app import main
 from jaxid.data.dataset import Dataset
 from jaxid.data.importers.map import import_table
 from jaxid.data.importers.text import recognise
 from jaxid.data.io import load_dataset
-from jaxid.errors import DatasetError, UsageError
 
 
 N = 60

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxid.base.errors import DatasetError
 from jaxid.data.importers.emps import import_emps
 from jaxid.data.io import load_dataset
-from jaxid.errors import DatasetError
 
 
 savemat = pytest.importorskip("scipy.io").savemat

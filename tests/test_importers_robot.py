@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from jaxid.base.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.cli.app import main
 from jaxid.data.importers.robot import (
     import_csv,
@@ -21,7 +22,6 @@ from jaxid.data.importers.robot import (
     import_ur_rtde_csv,
 )
 from jaxid.data.io import load_dataset
-from jaxid.errors import DatasetError, DatasetWarning, UsageError
 
 
 T = np.arange(500) * 0.002

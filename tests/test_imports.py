@@ -14,24 +14,12 @@ ROOT = Path(__file__).parents[1]
 
 #: From the ground up. What stands in one line may import each other. A part of a package that is
 #: built on more than the rest has a place of its own: a dataset is a plain value that robots are
-#: matched with, but it is read against the model it states; the files of a result hold its page.
+#: matched with, but it is read against the model it states.
 LAYERS = (
-    (
-        "deadline",
-        "display",
-        "errors",
-        "extras",
-        "lazy",
-        "numerics",
-        "progress",
-        "runtime",
-        "serialise",
-        "storage",
-        "wording",
-    ),
+    ("base", "numerics", "runtime"),
     ("data",),
     ("dynamics", "models", "robots"),
-    ("catalogue",),
+    ("dynamics.catalogue",),
     ("data.importers", "data.io", "data.reading"),
     ("simulation",),
     ("force",),
@@ -43,16 +31,15 @@ LAYERS = (
     ("excitation",),
     ("diagnosis",),
     ("report",),
-    ("storage.result_files",),
     ("api",),
-    ("benchmark", "doctor", "hardware", "study", "view"),
+    ("benchmark", "hardware", "study", "view"),
     ("cli",),
     ("__main__",),
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 #: Methods by which a result exports and saves itself, and those by which a dataset is made: a class
 #: is where a user looks for them. Only they may import upward, when they are called. What shows a
-#: value is reached by `jaxid.display` alone.
+#: value is reached by `jaxid.base.display` alone.
 AT_HAND = {
     "export",
     "save",

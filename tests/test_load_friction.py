@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxid import catalogue
+from jaxid.base.errors import UsageError
 from jaxid.cli.app import main
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter import specs
-from jaxid.errors import UsageError
 from jaxid.models import Pendulum, PlanarArm, SerialArm
 from jaxid.models.effects import LoadDependentFriction, ReflectedInertia
 from jaxid.numerics.precision import float64

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid import errors
+from jaxid.base import errors
 from jaxid.cli import app as cli
 from jaxid.data import capacity, signals
 from jaxid.fitting.noise_model import autoregressions, RecordResidual, score_covariance
@@ -248,7 +248,7 @@ def test_a_file_is_measured_before_it_is_read(tmp_path, monkeypatch, kind):
 
 
 def test_parameters_have_a_largest_size(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr("jaxid.storage.small_files.LARGEST_BYTES", 1000)
+    monkeypatch.setattr("jaxid.base.small_files.LARGEST_BYTES", 1000)
     (tmp_path / "fit.json").write_text(" " * 1001)
     words = [
         "simulate",

@@ -38,7 +38,7 @@ def test_robots_parts_and_scenes_are_counted_and_compared(tmp_path, monkeypatch)
     page = (tmp_path / "page.md").read_text()
     assert "| `arm/arm.xml` | yes, gravcomp | 4 | 1 | 1 by tendons |" in page
     assert "| `fly/fly.xml` | no: it moves freely" in page
-    assert "| `arm/keys.xml` | it holds no `<body>`, so it is no robot |" in page
+    assert "| `arm/keys.xml` | it holds no `<body>`, so it is not a robot |" in page
 
 
 def test_a_folder_that_is_none_is_said(tmp_path):

@@ -152,3 +152,25 @@ def test_channels_of_no_model_are_said():
     data = dataset(["a"], ["b", "c"], units)
     assert proposed_models(data) == ()
     assert "--model robot.xml" in without_a_model(data)
+
+
+@pytest.mark.parametrize("outputs", [("qd",), ("q", "qd")])
+def test_a_bench_that_reads_its_speed_is_a_joint(outputs):
+    units = {"tau": "N m", "q": "rad", "qd": "rad/s"}
+    own = {name: units[name] for name in ("tau", *outputs)}
+    first = proposed_models(dataset(["tau"], outputs, own))[0]
+    assert first.name == "joint" and not first.renamed
+
+
+def test_a_fan_by_its_speed_is_told_to_be_a_joint(tmp_path, capsys):
+    """Columns of a German bench: the speed in revolutions a minute."""
+    log = written(
+        tmp_path / "fan.csv",
+        "Zeit [s];Moment [Nm];Drehzahl [1/min]",
+        T,
+        np.sin(T),
+        9.5 * np.cos(T),
+        delimiter=";",
+    )
+    assert main(["new", str(tmp_path / "fan"), str(log)]) == 0
+    assert "--model joint" in capsys.readouterr().out

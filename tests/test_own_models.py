@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base.errors import DatasetError, UsageError
 from jaxid.cli.app import main
 from jaxid.dynamics.model_file import own_model, sha256_of
-from jaxid.errors import DatasetError, UsageError
 from jaxid.study.check import check_study
 from jaxid.study.plan import fingerprint, read_study
 from jaxid.study.work import Workshop
@@ -124,7 +124,7 @@ def test_a_class_is_named_behind_the_file(tmp_path):
     assert sha256_of(other()) == hashlib.sha256(file.read_bytes()).hexdigest()
     with pytest.raises(UsageError, match="no class 'OtherCar'.*did you mean 'OtherCart'"):
         own_model(f"{file}:OtherCar")
-    with pytest.raises(UsageError, match="Plain in m.py is no model"):
+    with pytest.raises(UsageError, match="Plain in m.py is not a model"):
         own_model(f"{file}:Plain")
 
 

@@ -10,10 +10,10 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
+from jaxid.base.errors import UsageError  # noqa: E402
 from jaxid.cli.app import main  # noqa: E402
 from jaxid.data.dataset import Dataset  # noqa: E402
 from jaxid.data.io import save_dataset  # noqa: E402
-from jaxid.errors import UsageError  # noqa: E402
 from jaxid.identification.regression import every_row, LAWS, read_run  # noqa: E402
 from jaxid.identification.run import identify  # noqa: E402
 from jaxid.problem.binding import bind, resolve_model  # noqa: E402

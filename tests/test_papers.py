@@ -17,14 +17,14 @@ from scipy.integrate import solve_ivp
 
 import jaxid
 from jaxid import fitters
+from jaxid.base.errors import UsageError
+from jaxid.base.stopping import Interrupted
 from jaxid.cli.app import main
-from jaxid.errors import UsageError
 from jaxid.identification.commanded import commanded
 from jaxid.models import Tracker
 from jaxid.problem.objective import FunctionProblem
 from jaxid.report import write_page
-from jaxid.runtime import Interrupted
-from jaxid.storage.result_files import save
+from jaxid.report.result_files import save
 from jaxid.study.papers import flexible_link, PAPERS, payload, reproduce, space_manipulator, tracker
 from jaxid.study.papers.page import reproduction_page
 from jaxid.study.papers.result import (

@@ -14,7 +14,7 @@ import jaxid
 from jaxid.fitting.nuts import Box, sample, Sampling
 from jaxid.fitting.posterior import unsettled
 from jaxid.numerics.precision import float64
-from jaxid.storage.result_files import save
+from jaxid.report.result_files import save
 
 
 pytest.importorskip("blackjax")
@@ -172,7 +172,7 @@ def test_a_model_that_misses_the_data_is_not_believed_for_its_number_of_samples(
 
 def test_what_has_no_posterior_is_refused(clean):
     data = as_recorded(clean + NOISE)
-    with pytest.raises(jaxid.UsageError, match="no likelihood"):
+    with pytest.raises(jaxid.UsageError, match="not a likelihood"):
         jaxid.fit("pendulum", data, loss="sum_of_abs", budget=50, posterior=True)
     with pytest.raises(jaxid.UsageError, match="one chain"):
         Sampling(chains=1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from jaxid.diagnosis.probability import (
     log_prior,
     normalised,
     Probabilities,
+    RULE,
     SetMember,
 )
 from jaxid.diagnosis.torque.algebra import ColumnPrior
@@ -219,3 +222,32 @@ def test_of_too_many_kinds_the_one_goes_that_is_missed_least():
         return {UNITS[c.unit].effect for c in claims(found, most)}
 
     assert kinds(2) == {"spring", "drag"} and kinds(1) == {"spring"}
+
+
+def alike_elsewhere(seed: int = 0) -> Scales:
+    """Three joints; of three units at the first one two are the same column, of which one counts as
+    acting there alone and one as acting at all joints.
+    """
+    rng, joints = np.random.default_rng(seed), 3
+    bias = unit("bias", 0)
+    tilt = replace(unit("tilt", 0), joints=(0, 1, 2))
+    units, runs = [bias, tilt, unit("drag", 0)], []
+    for _ in range(2):
+        x = rng.standard_normal((SAMPLES, joints, 4))
+        x[:, :, 2] = x[:, :, 1]
+        x[:, 1:, 3] = 0.0
+        target = x @ np.array([3.0, 1.5, 0.0, 0.0]) + rng.standard_normal((SAMPLES, joints))
+        ones = np.ones((SAMPLES, joints))
+        rows = np.concatenate([x, target[:, :, None]], axis=2)
+        runs.append(JudgedRun(rows, ones, ones, np.ones(joints, bool)))
+    nothing = ColumnPrior(np.zeros((4, 4)), np.zeros(4))
+    return Scales(HeldOutRows(runs, nothing, 4.0), units, 1)
+
+
+def test_what_says_the_same_at_a_place_is_one_family_whoever_was_asked_with_it():
+    found = weigh(alike_elsewhere())
+    units = found.scales.units
+    assert found.places["bias", "q1"] == pytest.approx(0.5, abs=0.1)
+    (claim,) = claims(found)
+    assert {units[u].effect for u in (claim.unit, *claim.instead)} == {"bias", "tilt"}
+    assert claim.together >= RULE.sure > claim.probability

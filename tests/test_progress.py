@@ -9,10 +9,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import jaxid
-from jaxid import progress
+from jaxid.base import progress
+from jaxid.base.progress import Bar, duration, left, RedrawnLines, ShareOfWork
 from jaxid.cli import terminal
 from jaxid.diagnosis.selection import in_lead
-from jaxid.progress import Bar, duration, left, RedrawnLines, ShareOfWork
 
 
 def refitted(fit: float, validation: float, *effects: str) -> Any:

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base.serialise import finite
 from jaxid.numerics.drawn import beside_the_others, draws
 from jaxid.robots.export.outcome import ExportOutcome, Number, outcome as read
 from jaxid.robots.export.ranges import ranges_of
-from jaxid.serialise import finite
 
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base.wording import percent
 from jaxid.cli.app import main
-from jaxid.wording import percent
 
 
 ROOT = Path(__file__).resolve().parents[1]

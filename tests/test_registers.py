@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base.errors import DatasetError, DatasetWarning
 from jaxid.conventions import checking
 from jaxid.data.importers.map import import_table
 from jaxid.data.registers import found_sign
-from jaxid.errors import DatasetError, DatasetWarning
 
 
 def without_sign(numbers: np.ndarray, key: str, bits: int) -> np.ndarray:
@@ -125,7 +125,7 @@ def test_bits_that_a_channel_cannot_have_are_refused():
         registers(sign_bit={"tau": 10}, signed_bits={"tau": 16})
 
 
-@pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
+@pytest.mark.filterwarnings("ignore::jaxid.base.errors.DatasetWarning")
 def test_import_takes_registers_with_their_sign(tmp_path):
     data = registers()
     e = data.experiments[0]

@@ -8,11 +8,13 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.diagnosis.result import HowFar
 from jaxid.fitting.result import Estimate
-from jaxid.report import diagnosis_fragment, plot, text
+from jaxid.fitting.stated import StatedNumber
+from jaxid.report import diagnosis_fragment, diagnosis_page, plot, text
 from jaxid.report.answer import short
+from jaxid.report.carry import values_to_write
 from jaxid.report.display import write
 from jaxid.report.missing_force import spectrum
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
@@ -455,3 +457,27 @@ def test_a_card_has_room_for_sixty_words():
     card = short("A fact", [sentence, sentence, sentence])
     assert card == (("A fact", [sentence, sentence]), [sentence])
     assert short("A fact", [" ".join(["long"] * 90)]).more == []
+
+
+@pytest.mark.parametrize("verdict", ["named", "partly", "none", "unknown"])
+def test_values_are_to_be_written_unless_nothing_is_known(verdict):
+    """A number that was re-tuned under a gap that nothing explains is not one to write."""
+    diagnosis = sample_diagnosis()
+    refuted = StatedNumber(
+        joint="",
+        link="",
+        parameter="inertia",
+        stated=0.058,
+        fitted=0.052,
+        std=0.001,
+        deviation=-6.0,
+        text="inertia is 0.052 kg m^2, not 0.058",
+        unit="kg m^2",
+    )
+    final = replace(diagnosis.final, stated=(refuted,))
+    shown = replace(diagnosis, final=final, which=replace(diagnosis.which, verdict=verdict))
+    page = diagnosis_page(shown)
+    assert ("Write these values" in page) == (verdict != "unknown")
+    names = [value.name for value in values_to_write(final)]
+    effects = [f"{name} of {e}" for e in final.effects for name in e.parameters]
+    assert names == ["inertia", *effects]

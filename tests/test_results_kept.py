@@ -19,12 +19,13 @@ from pathlib import Path
 import pytest
 
 import jaxid
+from jaxid.base import atomic_files, interim
+from jaxid.base.atomic_files import replace_files, settle, STAGE
+from jaxid.base.errors import NotSaved
+from jaxid.base.small_files import LARGEST_BYTES
 from jaxid.cli import app as cli
-from jaxid.errors import NotSaved
-from jaxid.storage import atomic_files, interim, result_files
-from jaxid.storage.atomic_files import replace_files, settle, STAGE
-from jaxid.storage.result_files import result_of
-from jaxid.storage.small_files import LARGEST_BYTES
+from jaxid.report import result_files
+from jaxid.report.result_files import result_of
 from report_sample import sample_diagnosis, sample_fit
 from test_batch import write_dataset
 
@@ -208,7 +209,7 @@ STOPPED = """
 import sys, time
 import jaxid
 from jaxid.cli import app as cli
-from jaxid.storage import interim
+from jaxid.base import interim
 from test_results_kept import undrawn
 
 def slow(*_, **__):
@@ -223,7 +224,7 @@ def slow(*_, **__):
 
 jaxid.diagnose = slow
 if DEAF:
-    from jaxid.storage import stopping
+    from jaxid.base import stopping
     import threading
     class Deaf(threading.Event().__class__):
         def wait(self, timeout=None):
@@ -280,7 +281,7 @@ import sys, threading
 import jax
 import jaxid
 from jaxid.cli import app as cli
-from jaxid.storage import interim
+from jaxid.base import interim
 from test_results_kept import undrawn
 
 endless = jax.jit(lambda x: jax.lax.while_loop(lambda x: x > 0, lambda x: x + 1e-9, x))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from jaxid import Dataset, UsageError
+from jaxid.base.stopping import Interrupted
 from jaxid.data.dataset import Controller, ModelSpec
 from jaxid.diagnosis.goals.loop import loop_of, mean_input
 from jaxid.diagnosis.limbs import diagnose_each, joined
@@ -30,7 +31,6 @@ from jaxid.robots.beside import left_out as without_channels, rides
 from jaxid.robots.drives import stated_law
 from jaxid.robots.match import notes_of, prepared, spec_of_file
 from jaxid.robots.yardstick import stated
-from jaxid.runtime import Interrupted
 from report_sample import sample_diagnosis
 
 

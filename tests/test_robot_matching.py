@@ -8,9 +8,9 @@ import pytest
 
 import jaxid
 from jaxid import Dataset, UsageError
+from jaxid.base.errors import DatasetError
 from jaxid.data.dataset import Controller, ModelSpec
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import DatasetError
 from jaxid.models import Robot
 from jaxid.problem.binding import resolve_model
 from jaxid.robots.limbs import limbs_of

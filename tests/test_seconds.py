@@ -12,11 +12,11 @@ from typing import Any, cast
 
 import pytest
 
+from jaxid.base.deadline import answered_in_time, deadline, search_is_over, share_of_time
+from jaxid.base.errors import UsageError
+from jaxid.base.stopping import Interrupted
 from jaxid.cli.app import main
-from jaxid.deadline import answered_in_time, deadline, search_is_over, share_of_time
 from jaxid.diagnosis.search import Searcher
-from jaxid.errors import UsageError
-from jaxid.runtime import Interrupted
 
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "servo_pendulum"

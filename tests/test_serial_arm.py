@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics import kinematics as kin, rigid_body as rb
 from jaxid.dynamics.base_parameters import (
     base_parameters,
@@ -24,7 +25,6 @@ from jaxid.dynamics.effect import Command
 from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
 from jaxid.dynamics.parameter import TypicalMagnitudes
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.models import Panda, SerialArm, UR10, UR10e
 from jaxid.numerics.precision import float64
 from jaxid.robots.urdf_tree import read_urdf

@@ -36,12 +36,12 @@ effects = [["dead_zone@nowhere"]]
 """
 FAULTS = {
     "stoer": "did you mean 'store'?",
-    "runs[1].datasets": "'nowhere' is no folder",
+    "runs[1].datasets": "'nowhere' is not a folder",
     "runs[1].models": "no model 'joit' (did you mean 'joint'?)",
     "runs[1].effects": "no effect 'dead_zon' (did you mean 'dead_zone'?)",
     "runs[1].fitters": "no fitter 'lmm' (did you mean 'lm'?)",
     "runs[1].sedes": "did you mean 'seeds'?",
-    "runs[2].datasets": "'smal' is no folder",
+    "runs[2].datasets": "'smal' is not a folder",
     "runs[2].models": "no model 'jiont' (did you mean 'joint'?)",
     "runs[2].effects": "no effect 'backlsh' (did you mean 'backlash'?)",
     "runs[2].without": "no effect 'coulom' (did you mean 'coulomb_friction'?)",

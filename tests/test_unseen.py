@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.runtime import Interrupted
+from jaxid.base.stopping import Interrupted
 from reference import multisine
 
 

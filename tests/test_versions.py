@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from jaxid import errors
+from jaxid.base import errors, versions
+from jaxid.base.errors import UsageError
 from jaxid.cli import app as cli
-from jaxid.errors import UsageError
-from jaxid.numerics import versions
 
 
 CONFIG = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())

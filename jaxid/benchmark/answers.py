@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxid.errors import nearest, UsageError
+from jaxid.base.errors import nearest, UsageError
 
 
 #: Keys of one answer.
@@ -61,7 +61,7 @@ def read_entry(path: Path, asked: Mapping[str, AnswerForm]) -> BenchmarkEntry:
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror})") from None
     except ValueError as error:
-        raise UsageError(f"{path} is no JSON: {error}") from None
+        raise UsageError(f"{path} is not JSON: {error}") from None
     wanted = '{"entry": "name", "answers": {"0001": {"missing": {...}, "nothing": 0.1}}}'
     if not isinstance(content, dict) or not isinstance(content.get("answers"), dict):
         raise UsageError(f"{path} holds no object `answers`; it should be {wanted}")
@@ -107,7 +107,7 @@ def _wrong(answer: Any, asked: AnswerForm) -> Iterator[str]:
             yield f"key {key!r}: there is no such key{nearest(str(key), KEYS)}"
     for key in ("nothing", "other"):
         if not _probability(answer.get(key, 0.0)):
-            yield f"key {key!r}: {answer[key]!r} is no probability"
+            yield f"key {key!r}: {answer[key]!r} is not a probability"
     yield from _wrong_names(answer, asked)
     yield from _wrong_exam(answer.get("exam", {}), asked)
     far = answer.get("how_far")
@@ -115,7 +115,7 @@ def _wrong(answer: Any, asked: AnswerForm) -> Iterator[str]:
         yield f"key 'how_far': {far!r} is not [low, high]"
     seconds = answer.get("seconds")
     if seconds is not None and not (_number(seconds) and seconds >= 0):
-        yield f"key 'seconds': {seconds!r} is no time"
+        yield f"key 'seconds': {seconds!r} is not a time"
 
 
 def _wrong_names(answer: Mapping[str, Any], asked: AnswerForm) -> Iterator[str]:
@@ -131,7 +131,7 @@ def _wrong_names(answer: Mapping[str, Any], asked: AnswerForm) -> Iterator[str]:
         for name, value in part.items():
             where = f"key {key!r}, {name!r}"
             if not test(value):
-                yield f"{where}: {value!r} is no {what}"
+                yield f"{where}: {value!r} is not a {what}"
             if key == "where":
                 if name not in asked.variables:
                     yield f"{where}: it is none of {', '.join(asked.variables)}"
@@ -154,7 +154,7 @@ def _wrong_exam(exam: Any, asked: AnswerForm) -> Iterator[str]:
         elif not isinstance(values, list) or len(values) != count:
             yield f"key 'exam', {name!r}: it is not a list of {count} numbers"
         elif not all(_number(x) for x in values):
-            yield f"key 'exam', {name!r}: a value is no number"
+            yield f"key 'exam', {name!r}: a value is not a number"
     if exam and set(asked.outputs) - set(exam):
         yield f"key 'exam': it lacks {', '.join(sorted(set(asked.outputs) - set(exam)))}"
 

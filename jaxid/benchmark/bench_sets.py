@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxid import catalogue
 from jaxid.benchmark import broken, cart_pole
 from jaxid.benchmark.case import (
     asked_rows,
@@ -24,6 +23,7 @@ from jaxid.benchmark.case import (
 from jaxid.benchmark.rigs import chain_of
 from jaxid.benchmark.scipy_twin import CartPoleTwin, motion
 from jaxid.data.dataset import Dataset
+from jaxid.dynamics import catalogue
 
 
 # ---- the cart

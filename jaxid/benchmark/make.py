@@ -27,11 +27,19 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.benchmark import arm_sets, bench_sets, rig_sets
-from jaxid.benchmark.case import BlindCase, CONVENTIONS, DEPENDS_ON, Draft, SIZES, VARIABLES
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.serialise import SCHEMA
+from jaxid.benchmark import arm_sets, bench_sets, paper_sets, rig_sets
+from jaxid.benchmark.case import (
+    BlindCase,
+    CONVENTIONS,
+    DEPENDS_ON,
+    Draft,
+    generator,
+    SIZES,
+    VARIABLES,
+)
 from jaxid.data.write import write_files
-from jaxid.errors import nearest, UsageError
-from jaxid.serialise import SCHEMA
 
 
 @dataclass(frozen=True)
@@ -56,8 +64,13 @@ SETS: dict[str, BlindSet] = {
     "carts": BlindSet(bench_sets.cart_drafts, 40),
     "conventions": BlindSet(bench_sets.convention_drafts, 100),
 }
-#: The name that stands for all sets.
+#: Sets beside the benchmark's own, which `all` does not hold.
+BESIDE: dict[str, BlindSet] = {"papers": BlindSet(paper_sets.drafts, 40)}
+KNOWN = SETS | BESIDE
+#: The name that stands for all sets of the benchmark.
 ALL = "all"
+#: Groups after which a process gives its memory back by ending; each may take a gigabyte.
+GROUPS_PER_PROCESS = 2
 #: Most lanes of one group: cases that are integrated side by side in one process.
 AT_ONCE = 60
 
@@ -86,20 +99,20 @@ def make(
     name: str, seed: int, folder: Path, cases: int | None = None, workers: int | None = None
 ) -> Made:
     """Makes a set, several with commas or all of them, each with its own number of cases or with
-    `cases` of them.
+    `cases` of them, drawn by the seed.
 
     Raises `UsageError` where there is no such set or the folder holds something.
     """
     names = tuple(SETS) if name == ALL else tuple(name.split(","))
     for one in names:
-        if one not in SETS:
-            known = ", ".join((*SETS, ALL))
-            raise UsageError(f"no set is called {one!r}{nearest(one, SETS)}; there are: {known}")
+        if one not in KNOWN:
+            known = ", ".join((*KNOWN, ALL))
+            raise UsageError(f"no set is called {one!r}{nearest(one, KNOWN)}; there are: {known}")
     if folder.exists() and any(folder.iterdir()):
         raise UsageError(f"{folder} holds files already; choose another folder")
     drafts: list[Draft] = []
     for one in names:
-        drafts += SETS[one].drafts(one, seed, range(cases or SETS[one].cases))
+        drafts += KNOWN[one].drafts(one, seed, numbers_of(one, seed, cases))
     order = np.random.default_rng([seed, len(drafts)]).permutation(len(drafts))
     places = {(drafts[k].set, drafts[k].number): f"{n + 1:04d}" for n, k in enumerate(order)}
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -120,6 +133,17 @@ def make(
     return Made(folder, names, len(drafts), digest)
 
 
+def numbers_of(name: str, seed: int, cases: int | None) -> list[int]:
+    """The cases of a set that are made: all of it, or so many of it, drawn by the seed. A part is
+    thus a sample of the set: of its machines and simulators, too.
+    """
+    whole = KNOWN[name].cases
+    if cases is None or cases >= whole:
+        return list(range(cases or whole))
+    drawn = generator(seed, f"part of {name}").choice(whole, cases, replace=False)
+    return sorted(int(number) for number in drawn)
+
+
 def _written(
     drafts: Sequence[Draft], places: dict[tuple[str, int], str], folder: Path, workers: int | None
 ) -> dict[str, Any]:
@@ -135,7 +159,8 @@ def _written(
             key |= _write_group(group, names, folder)
         return key
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, mp_context=context) as pool:
+    pool = ProcessPoolExecutor(count, context, max_tasks_per_child=GROUPS_PER_PROCESS)
+    with pool:
         for found in pool.map(_write_group, jobs, named, itertools.repeat(folder)):
             key |= found
     return key

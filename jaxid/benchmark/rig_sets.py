@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxid import catalogue
 from jaxid.benchmark import mujoco_twin, numpy_twin
 from jaxid.benchmark.case import (
     asked_rows,
@@ -26,11 +25,14 @@ from jaxid.benchmark.plants import Lanes, PLANTS, TwinPlant
 from jaxid.benchmark.rigs import chain_of, dataset, lanes, names_of, twin
 from jaxid.benchmark.withheld import BUILTIN, commands, outsiders, SECONDS, steps
 from jaxid.data.dataset import Dataset, ModelSpec
+from jaxid.dynamics import catalogue
 
 
 MODELS = ("joint", "pendulum", "servo", "tracker", "planar_arm", "flexible_link")
 #: Share of a set in which nothing is missing, and how much of a run the exam takes.
 NOTHING, EXAM_S = 0.15, 3.0
+#: Sets whose runs for the fit are a few steps at one joint at a time.
+STEPPED = ("poor", "papers")
 #: Seconds of a run of an arm that swings over the top, whose steps are small.
 SHORT = {"planar_arm": 4.0}
 #: Number of the twin that is the size of an effect.
@@ -93,15 +95,15 @@ OUTSIDE = {
 
 
 def drafts(name: str, seed: int, numbers: Sequence[int]) -> list[Draft]:
-    """Cases of a set of rigs: of five rounds through the rigs two are by MuJoCo, where it has the
-    rig and the forces; the others are by NumPy.
+    """Cases of a set of rigs, one rig after another: of five rounds through them two are by MuJoCo,
+    where it has the rig and the forces; the others are by NumPy.
     """
-    return [_draft(name, seed, number) for number in numbers]
+    return [draft_of(MODELS[number % len(MODELS)], name, seed, number) for number in numbers]
 
 
-def _draft(name: str, seed: int, number: int) -> Draft:
+def draft_of(model: str, name: str, seed: int, number: int) -> Draft:
+    """A case of one rig."""
     rng = generator(seed, name, number)
-    model = MODELS[number % len(MODELS)]
     plant, chain = PLANTS[model], chain_of(model)
     by = _simulator(name, model, number)
     possible = [e for e in names_of(plant, chain) if e not in ABSORBED.get(model, ())]
@@ -157,7 +159,7 @@ def _driven(draft: Draft, plant: TwinPlant, runs: int) -> np.ndarray:
     """Commands of the runs of a case [runs samples inputs]; the last one is the exam's."""
     rng = draft.rng(1)
     u = commands(plant, rng, runs)
-    if draft.set == "poor":
+    if draft.set in STEPPED:
         for run in range(2):
             u[run] = steps(plant, rng, run)
     seconds = SHORT.get(plant.model, SECONDS.get(plant.model, 8.0))

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxid import catalogue
 from jaxid.benchmark.plants import Lanes, NEUTRAL, TwinPlant
 from jaxid.benchmark.withheld import AT_INPUT, AT_OUTPUT, BUILTIN, EITHER, medium, outsiders
 from jaxid.data.dataset import Dataset
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import SCHEMA
 from jaxid.benchmark.answers import AnswerForm, BenchmarkEntry, CaseAnswer, read_entry
-from jaxid.benchmark.intervals import mean_interval, wilson
-from jaxid.errors import UsageError
-from jaxid.serialise import SCHEMA
+from jaxid.benchmark.intervals import cell, mean_interval, wilson
 
 
 NOTHING, OTHER = "nothing", "other"
@@ -85,11 +85,16 @@ def score(folder: Path, answers: Path) -> ScoreCard:
 
 def card(entry: BenchmarkEntry, marks: Mapping[str, Marks]) -> ScoreCard:
     """The measures of all cases, and of each set."""
+    overall, sets = of_all(marks)
+    return ScoreCard(entry.name, len(entry.answers), overall, sets, dict(marks))
+
+
+def of_all(marks: Mapping[str, Marks]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """The measures of all cases together, and of each set."""
     sets: dict[str, dict[str, Any]] = {}
     for name in sorted({one.set for one in marks.values()}):
         sets[name] = measures([one for one in marks.values() if one.set == name])
-    overall = measures(list(marks.values()))
-    return ScoreCard(entry.name, len(entry.answers), overall, sets, dict(marks))
+    return measures(list(marks.values())), sets
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -224,17 +229,18 @@ def measures(marks: Sequence[Marks]) -> dict[str, Any]:
     claims = list(itertools.chain(*(one.claims for one in marks)))
     sized = list(itertools.chain(*(one.sized for one in marks)))
     said = list(itertools.chain(*(one.said for one in marks)))
+    shares = [one.how_far for one in marks if one.how_far is not None]
     seconds = [one.seconds for one in marks if one.seconds is not None]
     return {
         "class": wilson([one.right for one in marks]),
         "place": wilson([one.placed for one in marks if one.placed is not None]),
         "size": wilson(sized),
         "where": wilson([one.where for one in marks if one.where is not None]),
-        "how_far": mean_interval([one.how_far for one in marks if one.how_far is not None]),
+        "how_far": mean_interval(shares, least=-1.0, most=1.0),
         "how_far_held": wilson([one.held for one in marks if one.held is not None]),
         "sure": len(claims),
         "sure_and_wrong": wilson([not x for x in claims]),
-        "brier": mean_interval([one.brier for one in marks]),
+        "brier": mean_interval([one.brier for one in marks], least=0.0),
         "calibration_error": calibration_error(said),
         "seconds_median": float(np.median(seconds)) if seconds else None,
     }
@@ -257,20 +263,16 @@ def calibration_error(said: Sequence[tuple[float, bool]]) -> float | None:
 
 def card_text(found: ScoreCard) -> str:
     """The score as a table, one row a measure."""
-    from jaxid.wording import table
+    from jaxid.base.wording import table
 
     rows = []
     for name, value in found.overall.items():
-        rows.append((name.replace("_", " "), _cell(value)))
+        count = str(value["count"]) if isinstance(value, dict) else ""
+        rows.append((name.replace("_", " "), cell(value, blank="-"), count))
     head = f"{found.entry}: {found.answered} of {len(found.cases)} cases answered"
-    sets = [(name, _cell(own["class"])) for name, own in found.sets.items()]
-    return f"{head}\n\n{table(('measure', 'all'), rows)}\n\n{table(('set', 'class'), sets)}"
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    if not isinstance(value, dict):
-        return f"{value:.3g}"
-    low, high = value["interval_95"]
-    return f"{value['value']:.3f} ({low:.3f} to {high:.3f}) of {value['count']}"
+    sets = []
+    for name, own in found.sets.items():
+        sets.append((name, cell(own["class"]), str(own["class"]["count"])))
+    measures_table = table(("measure", "all", "of"), rows)
+    sets_table = table(("set", "class", "of"), sets)
+    return f"{head}\n\n{measures_table}\n\n{sets_table}"

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import click
 
-from jaxid.catalogue import LOSSES
+from jaxid.base.errors import explain, FAILED, SUCCESS
+from jaxid.base.stopping import INTERRUPTED, stoppable
 from jaxid.cli import terminal
 from jaxid.cli.model import MODEL as MODEL
 from jaxid.cli.options import (
@@ -35,8 +36,7 @@ from jaxid.cli.options import (
     WITHOUT,
 )
 from jaxid.cli.output import Output
-from jaxid.errors import explain, FAILED, SUCCESS
-from jaxid.storage.stopping import INTERRUPTED, stoppable
+from jaxid.dynamics.catalogue import LOSSES
 
 
 #: Commands that live in modules of their own, as light to import as this one: name -> module that
@@ -65,7 +65,7 @@ class Commands(click.Group):
     """A group that answers an unknown command with the nearest one."""
 
     def resolve_command(self, ctx, args):
-        from jaxid.errors import nearest
+        from jaxid.base.errors import nearest
 
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
             ctx.fail(f"No such command {args[0]!r}{nearest(args[0], self.list_commands(ctx))}.")

@@ -8,11 +8,11 @@ import time
 
 import click
 
-from jaxid import wording
+from jaxid.base import wording
+from jaxid.base.progress import RedrawnLines
 from jaxid.cli import terminal
 from jaxid.cli.app import FAILED, INTERRUPTED, SUCCESS
 from jaxid.cli.options import output_options
-from jaxid.progress import RedrawnLines
 
 
 @click.command()

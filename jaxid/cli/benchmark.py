@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
+from jaxid.base.errors import SUCCESS
 from jaxid.cli import terminal
 from jaxid.cli.app import Commands
 from jaxid.cli.options import OUT, output_options
-from jaxid.errors import SUCCESS
 
 
 @click.group(cls=Commands)
@@ -44,7 +44,8 @@ def benchmark() -> None:
 def make(name, seed, out, cases, workers, as_json, quiet) -> int:
     """Write blind cases into DIR/cases, to be published, and their key into DIR/key.json.
 
-    Sets: rigs, poor, pairs, outsiders, arms, robots, loose, contact, carts, conventions; all.
+    Sets: rigs, poor, pairs, outsiders, arms, robots, loose, contact, carts, conventions; all
+    of these; papers.
     """
     from jaxid.benchmark.make import make as made
 
@@ -71,10 +72,10 @@ def score(folder, answers, out, as_json, quiet) -> int:
     Prints class, place, size, where, how far and calibration with their intervals. Writes
     score.json beside the answers, or into the folder of --out.
     """
+    from jaxid.base.atomic_files import replace_files
+    from jaxid.base.serialise import finite
     from jaxid.benchmark.score import card_text, score as scored
     from jaxid.cli.output import writable_folder
-    from jaxid.serialise import finite
-    from jaxid.storage.atomic_files import replace_files
 
     target = out or answers.parent
     writable_folder(target)

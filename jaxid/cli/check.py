@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
+from jaxid.base.errors import FAILED, SUCCESS
 from jaxid.cli import terminal
 from jaxid.cli.app import MODEL
 from jaxid.cli.options import AS_RECORDED, DATASET, output_options, WITHOUT
 from jaxid.cli.output import Output, writable_folder
-from jaxid.errors import FAILED, SUCCESS
 
 
 @click.command()
@@ -35,10 +35,10 @@ def check(dataset, out, model, without, as_recorded, as_json, quiet) -> int:
     from jaxid import runtime
 
     runtime.prepare()
+    from jaxid.base.serialise import finite
     from jaxid.conventions.checking import check_folder
     from jaxid.conventions.words import checked_text
     from jaxid.fitters.short_fit import free_motion, left_by_short_fit
-    from jaxid.serialise import finite
 
     def work():
         return check_folder(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import click
 
-from jaxid.catalogue import LOSSES
 from jaxid.cli import terminal
 from jaxid.cli.app import FAILED, MODEL
 from jaxid.cli.options import (
@@ -21,6 +20,7 @@ from jaxid.cli.options import (
     WITHOUT,
 )
 from jaxid.cli.output import Output
+from jaxid.dynamics.catalogue import LOSSES
 
 
 @click.command()

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
+from jaxid.base.errors import FAILED, SUCCESS
+from jaxid.base.wording import table
 from jaxid.cli import terminal
 from jaxid.cli.options import output_options
-from jaxid.errors import FAILED, SUCCESS
-from jaxid.wording import table
 
 
 if TYPE_CHECKING:
-    from jaxid.doctor import Health
+    from jaxid.cli.self_test import Health
 
 
 @click.command()
@@ -28,7 +28,7 @@ def doctor(as_json, quiet) -> int:
     from jaxid import runtime
 
     runtime.prepare()
-    from jaxid.doctor import examine
+    from jaxid.cli.self_test import examine
 
     with terminal.Progress(quiet):
         health = examine()

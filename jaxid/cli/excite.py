@@ -122,7 +122,7 @@ def _numbers(_ctx, param, value: str | None) -> list[float] | None:
     "--amplitude",
     callback=_numbers,
     metavar="X,…",
-    help="Largest input, in its unit, for models that are no arms.",
+    help="Largest input, in its unit, for models that are not arms.",
 )
 @click.option(
     "--gain", callback=_numbers, metavar="K,…", help="N m/A: adds the currents to command."
@@ -166,10 +166,10 @@ def excite(
     from jaxid.cli.options import read_parameters
 
     runtime.prepare()
+    from jaxid.base.errors import NotSaved
+    from jaxid.base.serialise import finite
     from jaxid.data.limits import Limits
-    from jaxid.errors import NotSaved
     from jaxid.excitation.design import excite
-    from jaxid.serialise import finite
 
     known = None if parameters is None else read_parameters(parameters)
     own = None if limits is None else Limits.read(limits)
@@ -209,7 +209,7 @@ def excite(
 
 def excitation_text(made: Excitation, out: Path | None) -> str:
     """The design as tables for a terminal; `out` is where it was written."""
-    from jaxid.wording import table
+    from jaxid.base.wording import table
 
     c = made.content
     head = (
@@ -259,7 +259,7 @@ def design_next(diagnosis: Diagnosis, out: Path, limits: Limits | None, silent: 
     """Writes the run that tells the two leading hypotheses apart; a diagnosis without such a run
     stands as it is.
     """
-    from jaxid.errors import UsageError
+    from jaxid.base.errors import UsageError
 
     try:
         made = diagnosis.next_run(limits=limits)

@@ -11,11 +11,11 @@ from typing import Any
 
 import click
 
-from jaxid.catalogue import TARGETS
+from jaxid.base.errors import FAILED, SUCCESS, UsageError
 from jaxid.cli import terminal
 from jaxid.cli.options import DATASET, OUT, output_options, start
 from jaxid.cli.output import Output, writable_folder
-from jaxid.errors import FAILED, SUCCESS, UsageError
+from jaxid.dynamics.catalogue import TARGETS
 
 
 @click.command()
@@ -66,7 +66,7 @@ def export(result, to, robot, ranges, data, out, as_json, quiet) -> int:
     writable_folder(out)
     save(found, out)
     if as_json:
-        from jaxid.serialise import finite
+        from jaxid.base.serialise import finite
 
         print(json.dumps(finite(found.to_list()), indent=1, allow_nan=False))
     elif not quiet:
@@ -87,7 +87,7 @@ def export(result, to, robot, ranges, data, out, as_json, quiet) -> int:
 
 def read_result(path: Path) -> Any:
     """The content of a result's JSON. Raises `UsageError`."""
-    from jaxid.storage.small_files import read_small, TooLarge
+    from jaxid.base.small_files import read_small, TooLarge
 
     try:
         if not path.is_file():

@@ -147,7 +147,7 @@ def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
     table is printed as the command that says it.
     """
     import jaxid
-    from jaxid.errors import DatasetWarning, nearest
+    from jaxid.base.errors import DatasetWarning, nearest
 
     if kind not in KINDS:
         raise jaxid.UsageError(f"unknown kind of recording {kind!r}{nearest(kind, KINDS)}")
@@ -183,7 +183,7 @@ def _convert(
     kind: str, files: Any, out: Path, overwrite: bool, options: dict[str, Any]
 ) -> tuple[Path, str]:
     """The folder, and the command that says what was recognised."""
-    from jaxid.lazy import at
+    from jaxid.base.lazy import at
 
     given = {name: value for name, value in options.items() if value not in (None, ())}
     if kind in TABLES:
@@ -195,7 +195,7 @@ def _convert(
 
 
 def _refuse_others(kind: str, given: Iterable[str], allowed: Sequence[str]) -> None:
-    from jaxid.errors import UsageError
+    from jaxid.base.errors import UsageError
 
     for name in given:
         if name not in allowed:

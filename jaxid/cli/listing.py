@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from jaxid.errors import nearest, UsageError
-from jaxid.serialise import finite, SCHEMA
-from jaxid.wording import first_sentence, one_line, table
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.serialise import finite, SCHEMA
+from jaxid.base.wording import first_sentence, one_line, table
 
 
 def find(kind: str, name: str | None) -> list[Any]:
     """The descriptions of everything of a kind (`models`, `effects`, `fitters`), or of the one
     named.
     """
-    from jaxid import catalogue
     from jaxid.data.model_names import is_model_file
+    from jaxid.dynamics import catalogue
     from jaxid.fitters import by_name
 
     list_names, describe = {

@@ -11,11 +11,11 @@ from typing import Any, TYPE_CHECKING
 
 import click
 
+from jaxid.base.errors import SUCCESS
+from jaxid.base.wording import names_of
 from jaxid.cli import terminal
 from jaxid.cli.importing import JOIN, OVERWRITE, RATE
 from jaxid.cli.options import output_options
-from jaxid.errors import SUCCESS
-from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:
@@ -67,9 +67,9 @@ def new(folder, files, model, units, roles, join, rate, overwrite, as_json, quie
     asked, or taken from options. Writes DIR/dataset.toml and the runs beside it.
     """
     import jaxid
-    from jaxid.catalogue import model_names
+    from jaxid.base.errors import DatasetWarning
     from jaxid.data.importers.new_dataset import new_dataset
-    from jaxid.errors import DatasetWarning
+    from jaxid.dynamics.catalogue import model_names
     from jaxid.problem.proposed_model import proposed_models
 
     asking = sys.stdin.isatty() and not (as_json or quiet)
@@ -106,7 +106,7 @@ def content(
     done: Imported, data: Dataset, model: str | None, proposed: Sequence[ProposedModel]
 ) -> dict[str, Any]:
     """The JSON of what was made."""
-    from jaxid.serialise import SCHEMA
+    from jaxid.base.serialise import SCHEMA
 
     return {
         "schema": SCHEMA,

@@ -9,9 +9,9 @@ from typing import Any
 
 import click
 
-from jaxid.catalogue import RESIDUALS
 from jaxid.cli import terminal
 from jaxid.cli.output import writable_folder
+from jaxid.dynamics.catalogue import RESIDUALS
 
 
 def names(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
@@ -108,8 +108,8 @@ def asked_posterior(posterior: bool, draws: int | None) -> Any:
     """What is to be drawn beside a fit, False for nothing. Raises `UsageError` where an extra is
     missing.
     """
-    from jaxid.errors import UsageError
-    from jaxid.extras import required
+    from jaxid.base.errors import UsageError
+    from jaxid.base.extras import required
 
     if not posterior:
         if draws is not None:
@@ -162,7 +162,7 @@ def foretell_diagnosis(
 
 def read_parameters(path: Path) -> dict[str, Any]:
     """The content of a FIT.json; only `parameters` is needed."""
-    from jaxid.errors import UsageError
+    from jaxid.base.errors import UsageError
 
     wanted = 'it needs {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
     content = _json_of(path, wanted)
@@ -191,9 +191,9 @@ def read_parameters(path: Path) -> dict[str, Any]:
 
 
 def _json_of(path: Path, wanted: str) -> Any:
-    from jaxid.errors import UsageError
-    from jaxid.serialise import with_effects
-    from jaxid.storage.small_files import read_small, TooLarge
+    from jaxid.base.errors import UsageError
+    from jaxid.base.serialise import with_effects
+    from jaxid.base.small_files import read_small, TooLarge
 
     try:
         return with_effects(json.loads(read_small(path).decode()))

@@ -11,11 +11,11 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
+from jaxid.base.atomic_files import settle
+from jaxid.base.errors import FAILED, NotSaved, SUCCESS, UsageError
+from jaxid.base.interim import listening
+from jaxid.base.stopping import stoppable
 from jaxid.cli import terminal
-from jaxid.errors import FAILED, NotSaved, SUCCESS, UsageError
-from jaxid.storage.atomic_files import settle
-from jaxid.storage.interim import listening
-from jaxid.storage.stopping import stoppable
 
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Output:
 
     def interim(self, result: Any) -> None:
         """Saves what is known so far; work goes on where it cannot be saved."""
-        from jaxid.storage.result_files import save_partial
+        from jaxid.report.result_files import save_partial
 
         with suppress(NotSaved):
             self.kept, self._latest = save_partial(result, self.out, page=False), result
@@ -57,7 +57,7 @@ class Output:
         """Saves the result and prints it, by its `text` or as JSON; returns the exit code. A result
         that cannot be saved is printed in any case.
         """
-        from jaxid.storage.result_files import DRAWN, kind_of, save
+        from jaxid.report.result_files import DRAWN, kind_of, save
 
         if kind_of(result) in DRAWN:  # which takes seconds
             self.interim(result)
@@ -74,7 +74,7 @@ class Output:
         return SUCCESS
 
     def show(self, result: Any, text: Callable[[Any], str], quiet: bool) -> None:
-        from jaxid.serialise import finite
+        from jaxid.base.serialise import finite
 
         if self.as_json:
             print(json.dumps(finite(result.to_dict()), indent=1, allow_nan=False))
@@ -96,7 +96,7 @@ class Output:
             self._stack.close()
 
     def _stopped(self, result: Any) -> None:
-        from jaxid.storage.result_files import save_partial
+        from jaxid.report.result_files import save_partial
 
         if result is None:
             self._told = True

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import click
 
+from jaxid.base.stopping import ending
 from jaxid.cli import terminal
 from jaxid.cli.app import Commands, FAILED, SUCCESS
 from jaxid.cli.options import OUT, output_options
-from jaxid.storage.stopping import ending
 
 
 @click.group(cls=Commands)
@@ -124,7 +124,7 @@ def ur10(host, rate, **options) -> int:
 
     Every sample is kept; the controller's time is the clock.
     """
-    from jaxid.extras import required
+    from jaxid.base.extras import required
     from jaxid.hardware import UR
 
     if options["play"] is not None and options["live"]:
@@ -165,8 +165,8 @@ def ur10(host, rate, **options) -> int:
 @_common
 def dynamixel(port, ids, baud, rate, mode, zero, form, **options) -> int:
     """Dynamixel servos of the X series."""
-    from jaxid.errors import UsageError
-    from jaxid.extras import required
+    from jaxid.base.errors import UsageError
+    from jaxid.base.extras import required
     from jaxid.hardware import Dynamixel
 
     for package in ("serial", "dynamixel_sdk"):
@@ -208,7 +208,7 @@ def _watched(out: Path, model: str | None) -> Iterator[None]:
     """While this is open, `jaxid watch` shows the recording: in a process of its own, which costs
     the recording no time.
     """
-    from jaxid.extras import required
+    from jaxid.base.extras import required
 
     required("bokeh")
     required("tornado")

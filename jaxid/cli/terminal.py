@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from jaxid.errors import DatasetWarning
-from jaxid.progress import Bar
-from jaxid.wording import clean, complain as complain, number, one_line
+from jaxid.base.errors import DatasetWarning
+from jaxid.base.progress import Bar
+from jaxid.base.wording import clean, complain as complain, number, one_line
 
 
 def say(text: object) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 
 import click
 
+from jaxid.base.extras import required
 from jaxid.cli import terminal
 from jaxid.cli.app import MODEL, SUCCESS
-from jaxid.extras import required
 
 
 PORT = click.option(
@@ -30,10 +30,9 @@ OPEN = click.option(
 @click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option(
     "--dataset",
-    required=True,
     type=click.Path(),
     metavar="DATASET",
-    help="The recording that free runs are drawn on.",
+    help="The recording that free runs are drawn on; default: that of the first result.",
 )
 @MODEL
 @PORT
@@ -52,9 +51,11 @@ def view(results, dataset, model, port, open_) -> int:
     runtime.prepare()
     import jaxid
     from jaxid.view.compare import results_site
-    from jaxid.view.results import read_results, Viewer
+    from jaxid.view.results import read_results, recording_of, Viewer
 
-    viewer = Viewer(read_results(results), jaxid.load_dataset(dataset), model)
+    saved = read_results(results)
+    data = jaxid.load_dataset(dataset) if dataset else recording_of(results, saved)
+    viewer = Viewer(saved, data, model)
     return _served(results_site(viewer), port, open_)
 
 
@@ -67,7 +68,8 @@ def view(results, dataset, model, port, open_) -> int:
     default=0.1,
     show_default=True,
     metavar="SHARE",
-    help="A number is known when its standard deviation is at most this share of it.",
+    help="A number is known when its standard deviation is at most this share of it, or of the largest"
+    " number in its unit.",
 )
 @PORT
 @OPEN

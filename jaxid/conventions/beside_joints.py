@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import APART, MISFIT
 from jaxid.conventions.mending import lines, Mending
@@ -19,7 +20,6 @@ from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
 from jaxid.data.signals import differentiate, filter_ends, zero_phase
 from jaxid.dynamics.joint_readings import cutoffs, joint_readings
-from jaxid.errors import UsageError
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 

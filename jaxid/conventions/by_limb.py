@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import listed
 from jaxid.conventions.missing_force import ForceFit, LAWS, reading_fit, ReadingFit
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.joint_readings import read_by
-from jaxid.errors import UsageError
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import bind, Binding
 from jaxid.simulation.sample_buffers import columns
-from jaxid.wording import listed
 
 
 #: Fits of a limb that are kept.

@@ -16,6 +16,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, DatasetWarning, UsageError
+from jaxid.base.wording import names_of
 from jaxid.conventions import bodies, runs, samples
 from jaxid.conventions.beside_joints import FreeRuns, signals_beside
 from jaxid.conventions.by_limb import force_fit
@@ -37,13 +39,11 @@ from jaxid.data.noise import noise_floor
 from jaxid.data.repeats import one_way_sentences
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.model_file import sha256_of
-from jaxid.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.problem.binding import bind, Binding
 from jaxid.robots.floating import wanted
 from jaxid.robots.limbs import limbs_of
 from jaxid.robots.match import prepared
 from jaxid.robots.stops import sentences_of
-from jaxid.wording import names_of
 
 
 #: What a short fit of a bound model, with more effects, leaves of a dataset, times the noise; None

@@ -8,6 +8,7 @@ from math import pi
 
 import numpy as np
 
+from jaxid.base.wording import listed, number
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, APART, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
@@ -37,7 +38,6 @@ from jaxid.force.sampled_motion import SampledMotion
 from jaxid.numerics.pool import Pool
 from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.problem.binding import Binding
-from jaxid.wording import listed, number
 
 
 MOST = 4  # findings, one after another

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from jaxid.base.display import Displayed
+from jaxid.base.serialise import plain
+from jaxid.base.wording import one_line
 from jaxid.data.dataset import Dataset
-from jaxid.display import Displayed
-from jaxid.serialise import plain
-from jaxid.wording import one_line
 
 
 KINDS = (
@@ -96,8 +96,8 @@ class Checked(Displayed):
     model_sha256: str = ""  # of the file of a model of the user's own
 
     def to_dict(self) -> dict[str, Any]:
-        from jaxid.numerics.versions import versions
-        from jaxid.serialise import model_digest, SCHEMA
+        from jaxid.base.serialise import model_digest, SCHEMA
+        from jaxid.base.versions import versions
 
         return plain(
             {

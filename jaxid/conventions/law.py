@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from jaxid.base.wording import times
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, GONE
 from jaxid.data.dataset import Dataset
 from jaxid.models.effects import InputDelay
 from jaxid.problem.binding import Binding
-from jaxid.wording import times
 
 
 #: Where the reading stands, and what it is besides the one that is taken where it is not stated.

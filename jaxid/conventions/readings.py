@@ -11,13 +11,13 @@ from math import pi
 
 import numpy as np
 
+from jaxid.base.wording import names_of
 from jaxid.conventions.limits import APART
 from jaxid.conventions.mending import Mending
 from jaxid.dynamics.joint_readings import read_by
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
-from jaxid.wording import names_of
 
 
 Change = Callable[[SampledMotion], SampledMotion]

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.mending import Mending
 from jaxid.conventions.samples import series, Shown
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.noise import Noise
-from jaxid.errors import DatasetError
 
 
 #: Sampling steps that recordings of machines do not have in seconds, but have in other units: a row

@@ -11,11 +11,11 @@ from math import pi
 
 import numpy as np
 
+from jaxid.base.wording import names_of
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.mending import lines, Mending
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.forms import glitches
-from jaxid.wording import names_of
 
 
 #: Words of goals in names of channels: q_cmd, target_position, qref, Sollposition.

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jaxid.base.wording import listed
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, ASKED, FLOOR, GONE
 from jaxid.conventions.mending import lines, Mending
@@ -19,7 +20,6 @@ from jaxid.data.retimed import FINEST
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.models.effects import InputDelay, SensorDelay
 from jaxid.problem.binding import Binding
-from jaxid.wording import listed
 
 
 #: A delay is one of whole rows if it is known so well (rows) and lies so close to them.

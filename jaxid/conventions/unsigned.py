@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.wording import listed, number
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import Mending
@@ -14,7 +15,6 @@ from jaxid.conventions.readings import Names
 from jaxid.conventions.samples import Shown
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import Binding
-from jaxid.wording import listed, number
 
 
 #: Units of what drives one way or the other: a pressure or a goal that is never negative says

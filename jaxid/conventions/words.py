@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import wording
-from jaxid.wording import one_line
+from jaxid.base import wording
+from jaxid.base.wording import one_line
 
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset, Experiment
-from jaxid.errors import UsageError
 
 
 #: Share of the free memory that work may take: the rest is for what others start meanwhile, and for

@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TYPE_CHECKING
 
+from jaxid.base.display import displays
+from jaxid.base.wording import names_of
 from jaxid.data.experiment import (
     Channel as Channel,
     Experiment as Experiment,
     FrequencyResponse as FrequencyResponse,
     StatedChannel as StatedChannel,
 )
-from jaxid.display import displays
-from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class ModelSpec:
     `serial_arm` or a robot, whose `base` is fixed or prescribed; `joints`: channel of a position ->
     the name of its joint. `file` is the path of a model of the user's own, with its class where it
     was named (`/data/osc/duffing.py:Duffing`). `trust` says how far stated numbers may be off: see
-    `jaxid.problem.trust`.
+    `jaxid.problem.trust`. `simulator` says whose steps a robot of a file takes: "own", or "mujoco".
     """
 
     name: str | None = None
@@ -72,6 +72,7 @@ class ModelSpec:
     base: dict[str, Any] = field(default_factory=dict)
     file: str | None = field(default=None, compare=False)  # where it lies makes no other model
     trust: str | None = None
+    simulator: str | None = None
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ class Dataset:
         return displays().picture(self, channel, ax)
 
     def __repr__(self) -> str:
-        from jaxid.wording import one_line
+        from jaxid.base.wording import one_line
 
         runs = [f"{e.name} ({e.split}, {len(e.t)} samples)" for e in self.experiments]
         runs += [f"{r.name} ({r.split}, {len(r.omega)} lines)" for r in self.responses]

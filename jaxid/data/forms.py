@@ -101,7 +101,7 @@ def _period(entry: Any, conversion: Conversion) -> float:
         return abs(entry.unwrap * entry.scale)
     if conversion.si != "rad":
         raise FormError(
-            f"unwrap = true means one turn, and the unit {entry.unit!r} is no angle",
+            f"unwrap = true means one turn, and the unit {entry.unit!r} is not an angle",
             "Write the range after which the recorded value starts again: unwrap = 4096",
         )
     return 2 * np.pi / conversion.factor

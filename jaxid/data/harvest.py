@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from jaxid.base.errors import DatasetProblem, nearest
 from jaxid.data.experiment import Experiment, FrequencyResponse
 from jaxid.data.schema import ExperimentEntry
 from jaxid.data.table import ragged_rows, Table
-from jaxid.errors import DatasetProblem, nearest
 
 
 @dataclass

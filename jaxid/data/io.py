@@ -12,6 +12,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from jaxid.base.errors import DatasetError, DatasetProblem
+from jaxid.base.small_files import read_small
+from jaxid.base.wording import names_of
 from jaxid.data.capacity import too_large_to_read
 from jaxid.data.dataset import Dataset
 from jaxid.data.patterns import by_number, expanded_files
@@ -19,9 +22,6 @@ from jaxid.data.places import Places
 from jaxid.data.reading.assemble import assemble
 from jaxid.data.schema import ExperimentEntry, read_document
 from jaxid.data.table import read_table, Table
-from jaxid.errors import DatasetError, DatasetProblem
-from jaxid.storage.small_files import read_small
-from jaxid.wording import names_of
 
 
 SUFFIXES = (".csv", ".parquet", ".pq")
@@ -76,7 +76,7 @@ def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
             raise _refuse(
                 file,
                 f"there is no dataset.toml in {folder}",
-                "Write one; see the README for its few keys",
+                "Let `jaxid new DIR FILE…` write it; docs/getting_started.md describes it",
             )
         content = read_small(folder / file)
     except (OSError, ValueError) as error:

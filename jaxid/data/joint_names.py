@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Channel, Dataset, Experiment
-from jaxid.errors import UsageError
 
 
 _NUMBERED = re.compile(r"([A-Za-z_]+?)(\d+)((?:_[A-Za-z]+)?)")

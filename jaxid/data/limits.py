@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
-from jaxid.errors import nearest, UsageError
-from jaxid.storage.small_files import read_small
-from jaxid.wording import names_of
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.small_files import read_small
+from jaxid.base.wording import names_of
 
 
 @dataclass(frozen=True)

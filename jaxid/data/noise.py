@@ -14,10 +14,10 @@ from math import comb, sqrt
 
 import numpy as np
 
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.repeats import one_way, repeats, together
 from jaxid.data.units import si_unit
-from jaxid.wording import names_of
 
 
 BLOCK = 50  # samples; the median over blocks keeps impacts and reversals out of the estimate

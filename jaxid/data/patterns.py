@@ -8,11 +8,11 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from jaxid.base.errors import DatasetProblem
 from jaxid.data.places import Places
 from jaxid.data.schema import ChannelEntry, Document, ExperimentEntry
 from jaxid.data.schema_model import ModelEntry
 from jaxid.data.table import Table
-from jaxid.errors import DatasetProblem
 
 
 def expanded_files(
@@ -56,7 +56,7 @@ def _matching(folder: Path, pattern: str, suffixes: tuple[str, ...]) -> list[str
     try:
         matching = list(folder.glob("/".join(parts)))
     except (ValueError, OSError) as error:
-        return f"is no pattern ({error})"
+        return f"is not a pattern ({error})"
     found = [p.relative_to(folder).as_posix() for p in matching if p.suffix.lower() in suffixes]
     if found:
         return sorted(found, key=_as_counted)

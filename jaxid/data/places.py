@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-from jaxid.errors import DatasetProblem
+from jaxid.base.errors import DatasetProblem
 
 
 class Places:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.base.errors import DatasetProblem
 from jaxid.data.experiment import Channel, Experiment, StatedChannel
 from jaxid.data.forms import FormError, Signal, signal
 from jaxid.data.harvest import Harvest, readable, selected, span_text
@@ -15,7 +16,6 @@ from jaxid.data.schema import ChannelEntry, ExperimentEntry
 from jaxid.data.table import Table
 from jaxid.data.time_axis import contradicted, impossible, seconds
 from jaxid.data.units import Conversion
-from jaxid.errors import DatasetProblem
 
 
 MINIMUM_SAMPLES = 20

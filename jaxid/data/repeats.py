@@ -10,8 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from jaxid.base.wording import listed, names_of
 from jaxid.data.dataset import Dataset, Experiment
-from jaxid.wording import listed, names_of
 
 
 #: Of this many runs in any order, one in sixty changes one way by chance; of four, one in twelve,

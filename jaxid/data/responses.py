@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxid.base.errors import DatasetProblem
 from jaxid.data.experiment import FrequencyResponse
 from jaxid.data.harvest import Harvest, readable, selected, span_text
 from jaxid.data.sample_faults import sample_faults
 from jaxid.data.schema import ExperimentEntry
 from jaxid.data.table import Table
 from jaxid.data.units import Conversion
-from jaxid.errors import DatasetProblem
 
 
 def read_response(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxid.base.errors import DatasetProblem
 from jaxid.data.table import Table
-from jaxid.errors import DatasetProblem
 
 
 def without_time(

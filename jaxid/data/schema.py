@@ -20,10 +20,10 @@ from pydantic import (
     ValidationError,
 )
 
+from jaxid.base.errors import DatasetProblem, nearest
 from jaxid.data.places import dotted, Places, real_path
 from jaxid.data.schema_fields import Number, plain_text, Positive, Strict
 from jaxid.data.schema_model import ControllerEntry, ModelEntry, PriorEntry
-from jaxid.errors import DatasetProblem, nearest
 
 
 Split = Literal["fit", "validation", "report"]

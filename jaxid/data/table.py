@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import DatasetProblem, nearest
 from jaxid.data.list_cells import with_list_elements
-from jaxid.errors import DatasetProblem, nearest
 
 
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "?"}

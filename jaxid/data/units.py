@@ -14,7 +14,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from jaxid.errors import nearest
+from jaxid.base.errors import nearest
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxid.base.wording import number, percent
 from jaxid.diagnosis import where as location
 from jaxid.diagnosis.budget import closed
 from jaxid.diagnosis.evidence import inflation, worth
@@ -23,7 +24,6 @@ from jaxid.fitting.scores import free_runs, make_traces
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError, Residual
 from jaxid.problem.trust import sentence
-from jaxid.wording import number, percent
 
 
 def effect_estimates(
@@ -185,5 +185,7 @@ def notes_of(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
     own = [n for n in fit.notes if n not in binding.dataset.notes]
     friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
     law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
+    if binding.chain.mechanism.integrator:
+        law = "soft, as the robot's file has it in MuJoCo"
     said = [f"Coulomb friction: {law}", f"compilation took {number(compile_time)} s"]
     return [*own, *said, *filter(None, [sentence(binding)])]

@@ -90,6 +90,12 @@ class Belief:
         sure = product([p for p in (self.probability, *more.values()) if p is not None])
         return replace(self, places=self.places | more, probability=sure, none=0.0)
 
+    def of_a_gap(self) -> Belief:
+        """Where the verdict is that something is missing. The sets that were compared may hold
+        nothing that explains it, and then the empty one is the most probable of them.
+        """
+        return replace(self, none=None if self.none is None else 0.0)
+
     def possible(self, least: float) -> list[tuple[str, str, float]]:
         """Effects and places of at least this probability, most probable first."""
         found = [(*place, p) for place, p in self.places.items() if p >= least]

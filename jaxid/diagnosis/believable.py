@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxid import catalogue
 from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.effect import InputEffect, neutral
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.fitting.result import Covariance, EffectEstimate, Estimate

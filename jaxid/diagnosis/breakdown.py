@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.base.wording import names_of
 from jaxid.diagnosis.evidence import HeldOut
 from jaxid.diagnosis.missing import joint_load, Missing
 from jaxid.diagnosis.regimes import regimes
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import scored
-from jaxid.wording import names_of
 
 
 #: A regime with fewer samples is left out.

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import catalogue
-from jaxid.wording import number, percent
+from jaxid.base.wording import number, percent
+from jaxid.dynamics import catalogue
 
 
 if TYPE_CHECKING:

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.equivalence import alike_under_goals
 from jaxid.diagnosis.goals.run import led
@@ -25,7 +27,6 @@ from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
-from jaxid.errors import UsageError
 from jaxid.fitting.effect_starts import probes
 from jaxid.fitting.many_starts import search
 from jaxid.fitting.problem_builder import ProblemBuilder
@@ -33,7 +34,6 @@ from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import FitProblem, rows
 from jaxid.problem.residual import OutputError
 from jaxid.robots.match import is_file, robot_from
-from jaxid.wording import names_of
 
 
 #: A weak effect is this share of a probe: what a first-order re-tuning leaves of one that is
@@ -111,7 +111,7 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     Raises `UsageError` for an unknown model and for one that has no moderate motion at its
     defaults.
     """
-    from jaxid import catalogue
+    from jaxid.dynamics import catalogue
 
     owner = (
         robot_from(model, getattr(model, "tip", None))

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from jaxid import catalogue
+from jaxid.base.errors import UsageError
 from jaxid.data.capacity import Need, need, shortened
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.run import dear, led
 from jaxid.diagnosis.hypothesis import possible
 from jaxid.diagnosis.last_resort import first_asked
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.joint_readings import all_read
-from jaxid.errors import UsageError
 from jaxid.fitting.lost_runs import AN_ARM
 from jaxid.problem.binding import bind, resolve_model
 

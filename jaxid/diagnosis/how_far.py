@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import stdtrit
 
+from jaxid.base.wording import times
 from jaxid.diagnosis.breakdown import by_regime, by_run, Share
 from jaxid.diagnosis.budget import shrink
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
@@ -20,7 +21,6 @@ from jaxid.problem.residual import Residual
 from jaxid.robots.match import is_robot
 from jaxid.robots.yardstick import as_it_stands
 from jaxid.simulation.sample_buffers import columns
-from jaxid.wording import times
 
 
 #: An interval needs at least this many runs, or independent blocks of fewer runs.

@@ -9,20 +9,20 @@ from itertools import chain
 
 import numpy as np
 
-from jaxid import catalogue
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import names_of
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.evidence import HeldOut, memory
 from jaxid.diagnosis.torque.library import shows
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
-from jaxid.errors import UsageError
 from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.fitting.effect_starts import probes, read_off
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics
-from jaxid.wording import names_of
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,14 @@ class Hypothesis:
         """Number of effect parameters."""
         return len(self.index)
 
+    @property
+    def departed(self) -> float:
+        """By how much its numbers depart from what is stated of them, chi-square units. The loss of
+        the fit runs has it too.
+        """
+        known, _ = self.path.problem.known_before(self.path.z)
+        return float(known @ known)
+
     @cached_property
     def fit_inflation(self) -> float:
         """What `evidence.inflation` is for held-out runs, for the residual of the fit runs."""
@@ -90,7 +98,7 @@ class SearchResult:
     most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to those
     that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked
     beside that. `cut_short`: not all was asked, as the search had simulated as much as it may.
-    `belief`: probabilities of what was fitted; `possible`: what is not sure enough to be claimed.
+    `belief`: probabilities of what was fitted.
     """
 
     nominal: Hypothesis
@@ -104,7 +112,6 @@ class SearchResult:
     stands: Hypothesis | None = None
     cut_short: bool = False
     belief: Belief | None = None
-    possible: tuple[Candidate, ...] = ()
 
     def believed(self, claimed: bool) -> Belief | None:
         """The probabilities, where what was chosen is claimed or is not."""

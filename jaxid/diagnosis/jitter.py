@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.base.wording import times
 from jaxid.data.time_stamps import Stamps
 from jaxid.diagnosis.evidence import held_out
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis
@@ -18,7 +19,6 @@ from jaxid.diagnosis.verdict import Verdict
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding, JITTER
 from jaxid.problem.residual import Residual
-from jaxid.wording import times
 
 
 @dataclass(frozen=True)

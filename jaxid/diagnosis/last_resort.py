@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-from jaxid import catalogue
+from jaxid.base.stopping import Interrupted
+from jaxid.base.wording import names_of, times
 from jaxid.diagnosis.hypothesis import possible
 from jaxid.diagnosis.result import Diagnosis
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
-from jaxid.runtime import Interrupted
-from jaxid.wording import names_of, times
 
 
 #: Verdict without such laws -> verdicts with them that take its place.

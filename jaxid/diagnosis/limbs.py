@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.stopping import Interrupted
+from jaxid.base.wording import listed, times
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.belief import joined_beliefs
 from jaxid.diagnosis.breakdown import Share
@@ -21,8 +23,6 @@ from jaxid.diagnosis.result import Diagnosis, HowFar, Which
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.limbs import together
 from jaxid.numerics.side_by_side import side_by_side
-from jaxid.runtime import Interrupted
-from jaxid.wording import listed, times
 
 
 Limb = tuple[Any, Dataset]

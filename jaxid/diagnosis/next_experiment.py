@@ -7,15 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxid import catalogue
+from jaxid.base.wording import listed
 from jaxid.diagnosis.evidence import knowledge
 from jaxid.diagnosis.hypothesis import Hypothesis
 from jaxid.diagnosis.unseen import Unseen
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.excitation.discriminate import recorded, Rivals
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.simulation.sample_buffers import columns
-from jaxid.wording import listed
 
 
 #: What the effects of a transmission ask for beside a motion.

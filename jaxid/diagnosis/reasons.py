@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from jaxid.wording import listed, percent, times
+from jaxid.base.wording import listed, percent, times
 
 
 class _Words(Formatter):

@@ -13,17 +13,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid import catalogue
+from jaxid.base.stopping import Interrupted
+from jaxid.base.wording import times
 from jaxid.data.dataset import Dataset
 from jaxid.data.experiment import Experiment
 from jaxid.diagnosis.last_resort import SAYS_MORE
 from jaxid.diagnosis.result import Diagnosis
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, LONGEST_DELAY_S
 from jaxid.numerics.precision import float64
-from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import columns, STEP
-from jaxid.wording import times
 
 
 #: Share of the largest command that one before a run differs by, to be another one.

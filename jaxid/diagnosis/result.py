@@ -9,17 +9,17 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.base.display import Displayed, displays
+from jaxid.base.frames import frame
+from jaxid.base.serialise import model_digest, SCHEMA
+from jaxid.base.versions import versions
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.diagnosis.alike import alike
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.budget import budget, Step
 from jaxid.diagnosis.cause import words
-from jaxid.display import Displayed, displays
 from jaxid.fitting.exportable import Exportable
 from jaxid.fitting.result import EffectEstimate, Fit, Trace, with_origin
-from jaxid.numerics.versions import versions
-from jaxid.serialise import model_digest, SCHEMA
-from jaxid.storage.frames import frame
 
 
 if TYPE_CHECKING:
@@ -162,6 +162,8 @@ class Which:
 
     def to_dict(self) -> dict[str, Any]:
         belief = self.belief or Belief({})
+        if self.verdict != "none":
+            belief = belief.of_a_gap()
         places: dict[tuple[str, str], Sequence[str]] = {}
         for group in alike(self.effects):
             at = group.locations

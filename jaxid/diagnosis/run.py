@@ -9,7 +9,10 @@ from collections.abc import Callable, Iterable
 import jax
 import numpy as np
 
-from jaxid import catalogue
+from jaxid.base.errors import UsageError
+from jaxid.base.interim import Interim
+from jaxid.base.stopping import Interrupted
+from jaxid.base.wording import times
 from jaxid.conventions.play import read_twice
 from jaxid.data.dataset import Dataset
 from jaxid.data.time_stamps import scattered_stamps, with_scatter
@@ -48,8 +51,8 @@ from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import BlindSpots, BlindSpotSearch
 from jaxid.diagnosis.verdict import check_followed, Diverged, standing_still
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.effect import Effect
-from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
@@ -68,11 +71,8 @@ from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, star
 from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
-from jaxid.problem.trust import told
-from jaxid.runtime import Interrupted
+from jaxid.problem.trust import told, trusting
 from jaxid.simulation.sample_buffers import STEP
-from jaxid.storage.interim import Interim
-from jaxid.wording import times
 
 
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
@@ -254,6 +254,7 @@ def _run(
         return diagnose_by_torque(
             binding, library, max_effects, residual.cutoff_hz, seed, reference, progress
         )
+    binding = trusting(binding)
     own = residual or default_residual(binding)
     still = standing_still(binding)
     stamps, others = {}, tuple(n for n in allowed if n != JITTER)
@@ -267,7 +268,8 @@ def _run(
         readings = with_scatter(dataset, stamps, binding.noise)
         stamped = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
         found, _ = _diagnosed(
-            DiagnosisRequest(stamped, own, others, max_effects, seed, progress, known), scatter
+            DiagnosisRequest(trusting(stamped), own, others, max_effects, seed, progress, known),
+            scatter,
         )
         if found.which.verdict == "named":
             return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
@@ -312,7 +314,7 @@ def _run(
             found = dataclasses.replace(again, notes=(*again.notes, note))
 
     def ask(names: tuple[str, ...], data: Dataset = dataset) -> Diagnosis:
-        wider = bind(model, data, without=without, candidates=possible(nominal, names))
+        wider = trusting(bind(model, data, without=without, candidates=possible(nominal, names)))
         return _diagnosed(
             dataclasses.replace(question, binding=wider, allowed=names, known=Interim(silent=True))
         )[0]

@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from jaxid.deadline import search_is_over
+from jaxid.base.deadline import search_is_over
 from jaxid.diagnosis.evidence import held_out, knowledge, together
 from jaxid.diagnosis.hypothesis import (
     Candidate,
@@ -40,21 +40,26 @@ from jaxid.diagnosis.proposals import (
 from jaxid.diagnosis.screen import Screened, screened, torque_screened, torque_tells
 from jaxid.diagnosis.selection import (
     at_floor,
-    best,
     close_to_noise,
-    equals,
     finished,
     in_lead,
     indistinct,
     joint_loss,
+    leads_on,
     mirror_images,
     mirrored,
-    needed,
+    most_probable,
     rivals_among,
-    significant,
+    step_from,
 )
 from jaxid.diagnosis.shortlist import shortlist
-from jaxid.diagnosis.simulated import believed, claimed, simulated_sets, SimulatedSets
+from jaxid.diagnosis.simulated import (
+    believed,
+    claimed,
+    log_weight,
+    simulated_sets,
+    SimulatedSets,
+)
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
@@ -225,39 +230,30 @@ class Searcher:
             and self._goes_on()
         ):
             found = self._beside(chosen, pool, room)
-            step = best(self.bench, chosen, found)
+            step = step_from(chosen, found)
             if step is None and len(chosen.effects) + 2 <= max_effects and self._goes_on():
-                step = best(self.bench, chosen, self._as_pairs(chosen, found, pool, room))
+                step = step_from(chosen, self._as_pairs(chosen, found, pool, room))
                 self.tried += [step] if step else []
             if step is None:
                 break
             if (freed := self._freed(chosen, step)) is not chosen:
                 self.nominal = self.nominal if chosen.effects else freed
                 chosen = freed
-                if not significant(chosen, step):
+                if not leads_on(chosen, step):
                     continue  # look again from there
             if not chosen.effects and max_effects > 1:
-                step = self._plainer(chosen, step, pool)
-            step = self._exchanged(chosen, step, found)
+                step = self._plainer(step, pool)
+            step = self._exchanged(step, found)
             chosen = self._refined(step)
             known(SearchResult(self.nominal, chosen, list(self.tried)))
-        added = len(chosen.effects) > 1
         chosen = self._questioned(chosen)
-        if chosen.effects and not significant(self.nominal, chosen):  # a pair that came down to one
-            chosen = self.nominal
         mates = self._alternatives(chosen, pool)
-        plainest = min(mates.values(), key=lambda h: (h.size, joint_loss(h)), default=chosen)
-        if plainest.size < chosen.size and added:
-            chosen = self._questioned(
-                plainest
-            )  # a rich law was chosen before the others were there
+        if (top := most_probable([chosen, *mates.values()])) not in (None, chosen):
+            chosen = self._questioned(top)
             mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._put_back(self._settled(chosen)))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
-        needless = not significant(self.nominal, chosen)
-        if chosen.effects and (
-            needless or at_floor(self.nominal)
-        ):  # freed of a local minimum on the way
+        if at_floor(self.nominal):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
         alike = list(dict.fromkeys((*mates, *mirrored(self.bench, chosen, pool))))
         chosen, claims, sets = claimed(chosen, self.nominal, alike, self._fitted, self._smaller)
@@ -276,7 +272,6 @@ class Searcher:
             without_each(chosen, self._stale | self.known),
             cut_short=self._cut_short,
             belief=believed(sets, claims, chosen),
-            possible=tuple(c for c in sets.possible() if c not in chosen.effects),
         )
 
     def _fitted(self, chosen: Hypothesis, alike: Sequence[Candidate]) -> SimulatedSets:
@@ -313,33 +308,23 @@ class Searcher:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
         return out
 
-    def _plainer(
-        self, chosen: Hypothesis, step: Hypothesis, pool: Sequence[Candidate]
-    ) -> Hypothesis:
-        """The first effect, or two plain laws in its place that explain more."""
+    def _plainer(self, step: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
+        """The first effect, or two plain laws in its place that are more probable."""
         two = self.refit(plain_pairs(self.bench, step.effects[0], pool, self.nominal.theta))
         self.tried += two
-        better = [
-            h for h in two if significant(chosen, h) and h.validation.loss < step.validation.loss
-        ]
-        return min([step, *better], key=lambda h: h.validation.loss)
+        return most_probable([step, *two]) or step
 
-    def _exchanged(
-        self, chosen: Hypothesis, step: Hypothesis, found: Sequence[Hypothesis]
-    ) -> Hypothesis:
-        """The step from the chosen hypothesis, or one with other effects in the place of those
-        accepted before, if better.
+    def _exchanged(self, step: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis:
+        """The step, or one with other effects in the place of those accepted before, if more
+        probable.
         """
-        alike = [
-            h
-            for h in equals(self.bench, chosen, found)
-            if h is not step and h.effects[:-1] == step.effects[:-1]
-        ]
+        others = [h for h in found if h is not step and h.effects[:-1] == step.effects[:-1]]
+        alike = [h for h in others if indistinct(step, h)]
         alike = sorted(alike, key=joint_loss)[:RIVALS]
         other = self.refit(exchanged(self.bench, [step, *alike], self._passed_over))
         self.tried += other
         self._passed_over[step.effects[-1]] = alike
-        return best(self.bench, chosen, [step, *other]) or step
+        return most_probable([step, *other]) or step
 
     @property
     def _quick(self) -> ProblemBuilder:
@@ -442,7 +427,7 @@ class Searcher:
         )[0]
         share = joint_loss(freed) / joint_loss(h)
         if share > LIMITS.local_minimum and not (
-            quiet and share * LIMITS.alike < 1 and not significant(freed, richer)
+            quiet and share * LIMITS.alike < 1 and not leads_on(freed, richer)
         ):
             return h
         self.known[key_of(h.effects)] = freed
@@ -526,10 +511,10 @@ class Searcher:
         """
         while len(h.effects) > 1:
             smaller = self.refit([left_out(self.bench, h, c) for c in h.effects], h)
-            needless = [s for s in smaller if not needed(self.nominal, h, s)]
+            needless = [s for s in smaller if log_weight(s) >= log_weight(h)]
             if not needless:
                 return h
-            h = min(needless, key=lambda s: s.validation.loss)
+            h = max(needless, key=log_weight)
         return h
 
     def _alternatives(

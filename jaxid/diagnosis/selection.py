@@ -1,5 +1,5 @@
-"""Which of several refitted hypotheses to believe: evidence of fit and validation runs, and the
-choice among those alike.
+"""Where a search goes on from, which hypotheses the data do not tell apart, and when nothing is
+left to explain.
 """
 
 from __future__ import annotations
@@ -9,13 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.diagnosis.evidence import inflation, memory, worth
-from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of
-from jaxid.diagnosis.shortlist import is_timing
-from jaxid.diagnosis.simulated import log_weight, told_apart
+from jaxid.base.wording import listed, times
+from jaxid.diagnosis.evidence import memory
+from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, key_of
+from jaxid.diagnosis.simulated import log_weight, SIMULATED, told_apart
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import ProblemBuilder
-from jaxid.wording import listed, times
+
+
+#: The evidence of the data and the price of numbers alone.
+FLAT = replace(SIMULATED, log_prior=0.0)
 
 
 def joint_loss(h: Hypothesis) -> float:
@@ -37,110 +40,23 @@ def in_lead(known: Iterable[Hypothesis]) -> str:
     )
 
 
-def significant(before: Hypothesis, after: Hypothesis) -> bool:
-    """Whether the effects that `after` has beyond `before` are there: fit and validation runs
-    together decide, by more where more is added (dozens of candidates are tried), and each of the
-    two must agree.
+def leads_on(before: Hypothesis, after: Hypothesis) -> bool:
+    """Whether the data speak for what `after` has beyond `before`. What an effect has beforehand
+    counts for what is claimed in the end, not for where the search goes on from.
     """
-    held = worth(after.validation, before.validation, inflation(after.validation))
-    if held <= 0:
-        return False
-    fitted = (before.fit_loss - after.fit_loss) * after.path.count / after.fit_inflation
-    left = max(before.validation.loss - 1.0, 1e-12)
-    share = (before.validation.loss - after.validation.loss) / left
-    size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
-    silent = (
-        before.fit_inflation < LIMITS.white
-        and after.validation.loss < LIMITS.explained
-        and fitted > -LIMITS.decisive
-    )
-    if silent and held > LIMITS.overwhelming * more:
-        return True
-    # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates
-    # reaches some by chance.
-    chance = LIMITS.decisive if after.fit_inflation < LIMITS.white else 0.0
-    enough = fitted > chance + 2 * size and fitted + held > 3 * more * LIMITS.decisive + 2 * size
-    return share > LIMITS.gain and enough
+    return log_weight(after, FLAT) > log_weight(before, FLAT)
 
 
-def best(
-    bench: ProblemBuilder, before: Hypothesis, found: Sequence[Hypothesis]
-) -> Hypothesis | None:
-    """The choice among refits: best on validation data; of those that it does not beat decisively,
-    the one with the fewest parameters, timing before physics, then the best evidence on fit and
-    validation data together.
-    """
-    near = equals(bench, before, found)
-    fewest = min((h.size for h in near), default=0)
-
-    def physics(h):
-        return not is_timing(bench, h.effects[-1])
-
-    return min(
-        (h for h in near if h.size == fewest),
-        key=lambda h: (physics(h), joint_loss(h)),
-        default=None,
-    )
+def most_probable(found: Iterable[Hypothesis]) -> Hypothesis | None:
+    """None of none. A run that diverges says nothing, and has no place in an order."""
+    measured = [h for h in found if np.isfinite(joint_loss(h))]
+    return max(measured, key=log_weight, default=None)
 
 
-def equals(
-    bench: ProblemBuilder, before: Hypothesis, found: Sequence[Hypothesis]
-) -> list[Hypothesis]:
-    """Those of the refits that say more than `before` and that the best of them does not beat
-    decisively.
-    """
-    # A run that diverges says nothing, and has no place in an order.
-    found = [h for h in found if np.isfinite(joint_loss(h))]
-
-    # dear, so that it is asked last
-    def good(h):
-        return significant(before, h)
-
-    def both(h):
-        return h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
-
-    top = next(filter(good, sorted(found, key=lambda h: h.validation.loss)), None)
-    if top is None:
-        return []
-    rival = next(filter(good, sorted(found, key=both)))
-    if rival.fit_loss < LIMITS.conflict * top.fit_loss:
-        top = rival
-        found = [h for h in found if LIMITS.conflict * h.fit_loss < top.fit_loss]
-    factor = inflation(top.validation)
-    near = [
-        h
-        for h in found
-        if worth(top.validation, h.validation, factor) < LIMITS.decisive
-        or simpler(bench, before, h, top)
-    ]
-    return [h for h in near if good(h)]
-
-
-def simpler(bench: ProblemBuilder, before: Hypothesis, h: Hypothesis, top: Hypothesis) -> bool:
-    """Whether `h` has fewer numbers and leaves next to nothing more than `top`: a part of its
-    effects, or others that explain all but a hundredth of what it does; or a law in the same place,
-    of the same kind or where the larger law ended at a bound (as another one's limit).
-    """
-    if h.size >= top.size or h.validation.loss >= LIMITS.alike * max(1.0, top.validation.loss):
-        return False
-    if joint_loss(h) < LIMITS.alike * max(1.0, joint_loss(top)):
-
-        def explained(x):
-            return joint_loss(before) - joint_loss(x)
-
-        if set(h.effects) < set(top.effects) or explained(h) > LIMITS.as_good * explained(top):
-            return True
-
-    def place(h):
-        return (h.effects[-1].location, h.effects[:-1])
-
-    def kind(h):
-        return family_of(bench, h.effects[-1])
-
-    p = top.path.problem
-    own = np.flatnonzero(np.isin(p.free, top.effects[-1].index))
-    at_bound = np.any((top.path.z[own] <= p.lower[own]) | (top.path.z[own] >= p.upper[own]))
-    return bool(place(h) == place(top) and (kind(h) == kind(top) or at_bound))
+def step_from(before: Hypothesis, found: Iterable[Hypothesis]) -> Hypothesis | None:
+    """The most probable of the refits, where the data speak for it."""
+    step = most_probable(found)
+    return step if step is not None and leads_on(before, step) else None
 
 
 def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
@@ -188,22 +104,6 @@ def mirror_images(
                 effects = tuple(e if own is c else own for own in chosen.effects)
                 out.append(replace(chosen, effects=effects))
     return out
-
-
-def next_to_form(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
-    """Whether an effect beside others, next to the noise, explains so little that the exact form of
-    the others' laws is not known as well.
-    """
-    gained = joint_loss(without) - joint_loss(h)
-    explained = joint_loss(nominal) - joint_loss(h)
-    return joint_loss(without) < LIMITS.close_above and gained < LIMITS.form * explained
-
-
-def needed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
-    """Whether what `h` has beyond a smaller set is there, and worth its price."""
-    if not significant(without, h) or next_to_form(nominal, h, without):
-        return False
-    return log_weight(h) > log_weight(without)
 
 
 def at_floor(h: Hypothesis) -> bool:

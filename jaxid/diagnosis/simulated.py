@@ -77,11 +77,6 @@ class SimulatedSets:
                 return SimulatedClaim(candidate, tuple(family[1:]), together)
         return None
 
-    def possible(self) -> list[Candidate]:
-        """What is not sure enough to be claimed, most probable first."""
-        likely = [c for c in self.candidates if self.of(c) >= self.rule.possible]
-        return sorted(likely, key=self.of, reverse=True)
-
 
 def simulated_sets(fitted: Iterable[Hypothesis], rule: EvidenceRule = SIMULATED) -> SimulatedSets:
     """Each set once, as it was fitted last; what diverged has no evidence."""
@@ -96,11 +91,14 @@ def simulated_sets(fitted: Iterable[Hypothesis], rule: EvidenceRule = SIMULATED)
 
 
 def log_weight(h: Hypothesis, rule: EvidenceRule = SIMULATED) -> float:
-    """Log evidence of a set with its prior and price, up to a constant of the data."""
+    """Log evidence of a set with its prior and price, up to a constant of the data. What is stated
+    of numbers costs half of chi-square.
+    """
     beyond = np.array([_left(h) - h.path.count - h.validation.count])
     units = [SetMember(c.effect, c.location, len(c.index)) for c in h.effects]
     prior = log_prior([range(len(units))], units, rule)
-    return float(log_evidence(beyond, np.zeros(1), rule.directions)[0] + prior[0])
+    found = log_evidence(beyond, np.zeros(1), rule.directions)[0] + prior[0]
+    return float(found - h.departed / 2)
 
 
 def told_apart(better: Hypothesis, other: Hypothesis) -> bool:
@@ -113,7 +111,7 @@ def _left(h: Hypothesis) -> float:
     """Sum of squares over fit and validation runs in units of the noise. Numbers of effects take up
     one each of the fit runs by chance.
     """
-    fitted = h.fit_loss * h.path.count + h.size
+    fitted = h.fit_loss * h.path.count - h.departed + h.size
     return fitted + h.validation.loss * h.validation.count
 
 

@@ -29,22 +29,14 @@ class Thresholds:
     conflict: float = _of(
         0.5,
         "share of what is left",
-        "A hypothesis that leaves less than this share of what the best one on validation data"
-        " leaves of the fit runs, and less over both (mean logarithm), is preferred to it:"
-        " validation runs may go where the fit runs tell little of any hypothesis.",
+        "An effect that leaves less than this share of the fit runs is asked with anything beside"
+        " it, whatever it makes of validation runs without what else is missing.",
         "blind cases whose validation runs went where fit runs did not",
     )
     alike: float = _of(
         1.02,
         "ratio of mean squares",
-        "A law of fewer numbers is as good if it leaves less than so much more: the noise itself is"
-        " not known better.",
-        "not recorded",
-    )
-    gain: float = _of(
-        0.02,
-        "share of the gap",
-        "An effect must remove at least this share of what is left of the gap on validation data.",
+        "What leaves less than so much more leaves as much: the noise itself is not known better.",
         "not recorded",
     )
     white: float = _of(
@@ -52,21 +44,6 @@ class Thresholds:
         "mean square, noise 1",
         "Residuals of fit runs at the noise, and white: their sums of squares count as they are.",
         "blind cases of four models whose fit runs were at the noise",
-    )
-    explained: float = _of(
-        1.1,
-        "mean square, noise 1",
-        "Validation runs, refitted together with fit runs that show no gap, are explained where an"
-        " effect leaves less; so is a gap above `far` where a candidate in front leaves less of fit"
-        " and validation runs.",
-        "a blind effect that only validation runs showed, seed not kept",
-    )
-    overwhelming: float = _of(
-        200.0,
-        "chi-square units",
-        "So much higher do `explained` validation runs have to stand without the effect, where fit"
-        " runs show no gap at all.",
-        "the same case as `explained`",
     )
     at_floor: float = _of(
         1.02,
@@ -79,20 +56,6 @@ class Thresholds:
         "mean square, noise 1",
         "Above `at_floor` and below this, only something small may be left.",
         "blind pairs with a small second effect: tracker seed 28, flexible link seed 25",
-    )
-    form: float = _of(
-        1e-5,
-        "share of a mean square",
-        "Two simulations of one law differ by so much of what it does (0.3 % of its size, in mean"
-        " square).",
-        "controls by MuJoCo, seed 40: two simulators of one law",
-    )
-    as_good: float = _of(
-        0.99,
-        "share of what is explained",
-        "A hypothesis that explains so much of what another one explains is as good, where both are"
-        " at the noise.",
-        "not recorded",
     )
     # evidence
     plausible_start: float = _of(

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from jaxid.base.wording import number, percent
 from jaxid.data.dataset import Experiment
 from jaxid.data.splits import LATE
 from jaxid.diagnosis.cause import span, variable, words
@@ -23,7 +24,6 @@ from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import EffectEstimate
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.residual import OutputError
-from jaxid.wording import number, percent
 
 
 WINDOW_S = 0.5

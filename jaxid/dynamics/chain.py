@@ -18,6 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxid.base.wording import names_of
+from jaxid.dynamics import mujoco_step
 from jaxid.dynamics.carry import Carry, first_command, first_state
 from jaxid.dynamics.drive_torque import is_direct, records_torque
 from jaxid.dynamics.dry_friction import solve_dry
@@ -37,7 +39,6 @@ from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.dynamics.present import at_time, numbers_of
 from jaxid.numerics.fast_math import dot, fence
-from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:
@@ -123,9 +124,7 @@ class Chain(eqx.Module):
         is measured.
         """
         names, joints = self.signature.output_names, self.signature.joints
-        if not set(joints) <= set(names):
-            return []
-        return [names.index(j) for j in joints]
+        return [names.index(j) for j in joints] if set(joints) <= set(names) else []
 
     def places(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
         """Names of the locations that an effect's parameters are counted by in this model."""
@@ -395,11 +394,13 @@ class Chain(eqx.Module):
     ) -> tuple[Carry, Float[Array, " nq"]]:
         """One step of length command.h, and the net joint torque in it: friction law at the
         predicted middle, smooth friction linearly implicit, dry friction solved exactly
-        (`jaxid.dynamics.dry_friction`).
+        (`jaxid.dynamics.dry_friction`). A mechanism with an `integrator` steps as MuJoCo does.
         """
         if self.timed:
             now = self.present(command.t, command.h)
             return now.advance(now.body().prepare(None), carry, command)
+        if body.integrator:
+            return mujoco_step.advance(self, body, carry, command)
         x, z, lam, acc, net = carry
         h, eps = command.h, self.smoothing_velocity
         q, v = body.port(x)
@@ -408,9 +409,7 @@ class Chain(eqx.Module):
         )
         u, after = self.commanded(s, z)
         s = s._replace(load=body.drive(self.signature, u, s.q, s.qd))
-        if (
-            self.transmits
-        ):  # that of the last step: what is transmitted depends on the friction that it makes
+        if self.transmits:  # that of the last step: it depends on the friction that it makes
             s = s._replace(transmitted=net - body.rotors() * acc)
 
         def law(qd):

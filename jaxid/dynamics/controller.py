@@ -20,9 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.data.dataset import Controller, Dataset
 from jaxid.dynamics.mechanism import Signature
-from jaxid.errors import nearest, UsageError
 
 
 #: Gains that each kind needs and may have.

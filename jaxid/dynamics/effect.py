@@ -44,6 +44,8 @@ class Signals(NamedTuple):
     qd0: Float[Array, " nq"]  # joint speed at the step's beginning
     beside: Any = ()  # inputs that are no commands of joints, [k]
     transmitted: Any = 0.0  # torque that what hangs on the joint takes, friction and rotors excluded, [nq], where an effect asks
+    #: Joint position at the step's beginning [nq]; None: half a step before `q`.
+    q0: Any = None
 
 
 class Effect(eqx.Module):

@@ -79,7 +79,7 @@ class _Printed(ast.NodeTransformer):
             return node
         if node.id in FUNCTIONS:
             return ast.Attribute(ast.Name(self.library), node.id)
-        raise ValueError(f"{node.id!r} is no number of the effect, no signal and no function")
+        raise ValueError(f"{node.id!r} is not a number of the effect, no signal and no function")
 
 
 def _literal(value: float) -> ast.expr:

@@ -21,8 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.rigid_body import about_origin, Placements, poses
-from jaxid.errors import UsageError
 from jaxid.numerics.fast_math import sincos
 
 

@@ -147,6 +147,8 @@ class Mechanism(eqx.Module):
     #: Whether the state holds more than joint positions and velocities: such a motion cannot be
     #: inverted without a simulation.
     hidden_states: ClassVar[bool] = False
+    #: How it is stepped: an integrator of `jaxid.dynamics.mujoco_step`, "" by its own best step.
+    integrator: ClassVar[str] = ""
     #: Effects that have more numbers on this mechanism: id of the effect -> a class of the same
     #: name.
     variants: ClassVar[dict[str, type]] = {}
@@ -177,6 +179,11 @@ class Mechanism(eqx.Module):
         own law.
         """
         return u if signature.inputs else jnp.zeros_like(q)
+
+    @property
+    def own_step(self) -> float | None:
+        """The length of step (s) that its simulator is told to take; None: any that is short."""
+        return None
 
     @property
     def of_one_joint(self) -> frozenset[str]:

@@ -15,9 +15,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.model_names import parts_of
-from jaxid.errors import nearest, UsageError
-from jaxid.wording import names_of
 
 
 #: Class attributes that every model has.
@@ -43,7 +43,7 @@ def own_model(text: str) -> type:
     parts = parts_of(text)
     if parts is None:
         raise UsageError(
-            f"{text!r} is no file of a model: name it as in duffing.py or duffing.py:Duffing"
+            f"{text!r} is not a file of a model: name it as in duffing.py or duffing.py:Duffing"
         )
     path, wanted = Path(parts[0]), parts[1]
     module = _module(path)
@@ -102,7 +102,7 @@ def _fault(name: str, file: str, error: BaseException) -> str:
         line = f", line {error.lineno}" if error.filename == file and error.lineno else ""
         return f"{name}{line}: {error.msg}. Correct the file"
     if isinstance(error, ValueError) and "null bytes" in str(error):
-        return f"{name} is no Python text: {error}"
+        return f"{name} is not a Python text: {error}"
     rows = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     line = f", line {rows[-1]}" if rows else ""
     if isinstance(error, ModuleNotFoundError):
@@ -167,7 +167,7 @@ def _named(module: ModuleType, file: str, wanted: str) -> type:
     if found is None:
         raise UsageError(f"{file} has no class {wanted!r}{nearest(wanted, models)}")
     if not inspect.isclass(found) or not issubclass(found, Mechanism):
-        raise UsageError(f"{wanted} in {file} is no model: {DERIVE}")
+        raise UsageError(f"{wanted} in {file} is not a model: {DERIVE}")
     return found
 
 

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, JointEffect, OutputEffect, RecordEffect, Signals
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 
 
 class Numbers(NamedTuple):

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 import equinox as eqx
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 
 
 M = TypeVar("M")

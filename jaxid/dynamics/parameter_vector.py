@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter import ParameterSpec, resolve, specs, TypicalMagnitudes
-from jaxid.errors import nearest, UsageError
-from jaxid.wording import names_of
 
 
 class Entry(NamedTuple):

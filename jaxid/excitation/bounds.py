@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.limits import Limits
 from jaxid.dynamics.mechanism import Signature
-from jaxid.errors import UsageError
 
 
 class Bounds(NamedTuple):

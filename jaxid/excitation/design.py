@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxid import catalogue
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import ModelSpec
 from jaxid.data.limits import Limits
 from jaxid.data.model_names import is_model_file
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import nearest, UsageError
 from jaxid.excitation.bounds import bounds_of
 from jaxid.excitation.input_design import design_input
 from jaxid.excitation.motion_design import design_motion
@@ -28,7 +29,6 @@ from jaxid.excitation.trajectories import (
 )
 from jaxid.identification.regression import LAWS
 from jaxid.robots.match import is_file, robot_from, spec_of_file
-from jaxid.wording import names_of
 
 
 FRICTIONS = ("model", *LAWS)

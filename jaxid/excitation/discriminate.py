@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Experiment
 from jaxid.data.limits import Limits
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.input_design import described, widened
 from jaxid.excitation.inputs import choose, Family, InputDesign, settled

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.data.limits import Limits
 from jaxid.dynamics.chain import Chain
-from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.inputs import choose, determined, Family, InputDesign, largest_inputs, settled
 from jaxid.excitation.result import content, coverage, Excitation, reached, stds

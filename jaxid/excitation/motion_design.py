@@ -7,11 +7,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import drive_gains
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.clearance import gaps, heights, nodes
 from jaxid.excitation.paper001 import column_groups, objective_18

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.serialise import SCHEMA
+from jaxid.base.versions import versions
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.trajectories import Fourier
-from jaxid.numerics.versions import versions
-from jaxid.serialise import SCHEMA
 
 
 #: Speeds (share of the limit) whose coverage is reported.

@@ -26,11 +26,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.dynamics.rigid_body import chain_of, regressor, still
-from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.clearance import gaps, heights, Links, links_of, nodes
 from jaxid.excitation.paper001 import sums_18, terms_18, WEIGHTS_18

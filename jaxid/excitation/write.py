@@ -14,10 +14,10 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.base.atomic_files import replace_files, settle
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import finite
 from jaxid.data.write import write_files
-from jaxid.errors import UsageError
-from jaxid.serialise import finite
-from jaxid.storage.atomic_files import replace_files, settle
 
 
 if TYPE_CHECKING:

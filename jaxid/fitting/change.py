@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.effect import NumberEffect
-from jaxid.errors import UsageError
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import AbstractFitter, Progress
 from jaxid.fitting.lost_runs import AT_NOISE

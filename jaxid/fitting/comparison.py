@@ -9,10 +9,10 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.base.display import Displayed, displays
+from jaxid.base.serialise import model_digest, plain, SCHEMA
+from jaxid.base.versions import versions
 from jaxid.conventions.finding import as_data, DataFinding
-from jaxid.display import Displayed, displays
-from jaxid.numerics.versions import versions
-from jaxid.serialise import model_digest, plain, SCHEMA
 
 
 if TYPE_CHECKING:
@@ -182,7 +182,7 @@ class Comparison(Displayed):
 
     def to_frame(self) -> pandas.DataFrame:
         """A row for each run, its parameters as columns. Raises `UsageError` without pandas."""
-        from jaxid.storage.frames import frame
+        from jaxid.base.frames import frame
 
         columns = (
             "fitter",
@@ -254,7 +254,7 @@ class Comparison(Displayed):
         """Writes comparison.json, runs.parquet and report.html, all or none; returns the folder.
         Raises `NotSaved`.
         """
-        from jaxid.storage.result_files import save
+        from jaxid.report.result_files import save
 
         return save(self, Path(folder)).parent
 

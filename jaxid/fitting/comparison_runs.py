@@ -11,12 +11,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxid import catalogue
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.interim import Interim
+from jaxid.base.stopping import Interrupted
 from jaxid.conventions.finding import DataFinding
 from jaxid.data.dataset import Dataset
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.model_file import sha256_of
-from jaxid.errors import nearest, UsageError
 from jaxid.fitting.comparison import BestKnown, Comparison, FitterRun
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress, sampling_box
@@ -25,8 +27,6 @@ from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, star
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import FitProblem, LOSSES
 from jaxid.problem.residual import Residual
-from jaxid.runtime import Interrupted
-from jaxid.storage.interim import Interim
 
 
 #: Evaluations of each run where neither these nor seconds are given.

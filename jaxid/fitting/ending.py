@@ -257,7 +257,7 @@ def ending(
     left = _newton_gain(g, H, ~out) / size
     if not np.isfinite(left):
         return Ending(
-            "stalled", f"the derivatives at the end are no numbers ({found.stopped_because})"
+            "stalled", f"the derivatives at the end are not numbers ({found.stopped_because})"
         )
     if left > MATERIAL and found.converged:
         slopes = np.where(out, 0.0, np.abs(g) / np.sqrt(np.maximum(np.diag(H), 1e-300)))
@@ -289,7 +289,7 @@ def _failure(
     if problem.free.size > 1 and cov.at_bound[own].all():
         return f"all numbers ended at their bounds ({found.stopped_because}): {_wider(problem)}"
     if not np.isfinite(found.loss):
-        return f"the loss is no number ({found.stopped_because})"
+        return f"the loss is not a number ({found.stopped_because})"
     if not found.loss <= LOST and not cov.identifiable[own].any():
         return f"the loss is {found.loss:.3g} and no number is determined ({found.stopped_because})"
     return None

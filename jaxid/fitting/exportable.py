@@ -33,10 +33,10 @@ class Exportable:
         `robot` is the file to patch (default: the result's own), `ranges` adds those for domain
         randomisation. Raises `UsageError` as `jaxid export` does.
         """
+        from jaxid.base.serialise import finite
         from jaxid.fitting.tried import recording_of
         from jaxid.robots.export.run import export
         from jaxid.robots.export.save import save
-        from jaxid.serialise import finite
 
         content = json.loads(json.dumps(finite(self.to_dict())))
         trial = recording_of(content, None) if to == "mjcf" else None

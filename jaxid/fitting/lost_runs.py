@@ -13,13 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.wording import percent
 from jaxid.fitting.fitter import AbstractFitter
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import Fit
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, Residual
-from jaxid.wording import percent
 
 
 #: Free runs in which a difference at the start (rad, m) grows by more than this forget how they

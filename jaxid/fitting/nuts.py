@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.errors import UsageError
-from jaxid.extras import needed
+from jaxid.base.errors import UsageError
+from jaxid.base.extras import needed
 from jaxid.fitting.fitter import Progress
 from jaxid.numerics.pool import Pool
 from jaxid.numerics.precision import float64
@@ -204,7 +204,7 @@ def _first(value: Any, box: Box, data: Any, key: Array, size: int) -> Array:
         point = away * 0.7**k
         if np.isfinite(value(point, box, data)):
             return point
-    raise UsageError("the density is no number about the fit: there is nothing to sample from")
+    raise UsageError("the density is not a number about the fit: there is nothing to sample from")
 
 
 def _side_by_side(

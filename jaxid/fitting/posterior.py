@@ -20,8 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
-from jaxid.extras import needed
+from jaxid.base.errors import UsageError
+from jaxid.base.extras import needed
+from jaxid.base.serialise import plain
+from jaxid.base.versions import versions
 from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import levenberg_marquardt
@@ -30,13 +32,11 @@ from jaxid.fitting.problem_builder import default_residual, ProblemBuilder
 from jaxid.fitting.profiles import profile_likelihood
 from jaxid.fitting.result import Fit
 from jaxid.numerics.precision import float64
-from jaxid.numerics.versions import versions
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.pure_problem import pure, with_noise
 from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
-from jaxid.serialise import plain
 from jaxid.simulation import sample_buffers as samples
 
 
@@ -188,7 +188,7 @@ def refuse(fit: Fit) -> None:
     if fit.failed:
         raise UsageError(f"a fit that failed has no posterior: {fit.stopped_because}")
     if fit.loss_name != "sum_of_squares":
-        raise UsageError(f"the loss {fit.loss_name} is no likelihood; leave --loss out")
+        raise UsageError(f"the loss {fit.loss_name} is not a likelihood; leave --loss out")
     if fit.recursion:
         raise UsageError("a fit along its blocks has no single posterior; leave --window out")
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.display import displays
+from jaxid.base.display import displays
 from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.noise_model import Autoregression

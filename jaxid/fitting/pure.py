@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.effect import Effect
-from jaxid.errors import nearest, UsageError
 from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import LOSSES

@@ -19,8 +19,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset
-from jaxid.errors import UsageError
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
@@ -35,7 +36,6 @@ from jaxid.problem.objective import rows
 from jaxid.problem.problem import FitProblem, NumberPrior
 from jaxid.problem.residual import Residual
 from jaxid.simulation import sample_buffers as samples
-from jaxid.wording import names_of
 
 
 #: A dataset of fewer fit runs is cut in time into about this many blocks.

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.numerics.precision import float64
 
 

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.display import Printed
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import plain, SCHEMA
 from jaxid.data.dataset import Dataset, Experiment
-from jaxid.display import Printed
-from jaxid.errors import UsageError
 from jaxid.fitting.simulate import simulate_dataset
 from jaxid.models import Robot
 from jaxid.robots.drives import DriveLaw, stated_law
@@ -25,7 +26,6 @@ from jaxid.robots.export.save import ROWS, source_of
 from jaxid.robots.match import driving, named, recorded
 from jaxid.robots.origin import digest
 from jaxid.robots.tree import rotation, Tree
-from jaxid.serialise import plain, SCHEMA
 from jaxid.simulation.mujoco_run import Driven, MujocoRobot
 
 
@@ -134,7 +134,7 @@ def _source(robot: Path) -> _Source | None:
     """What `jaxid export` wrote beside a file of its own that was not edited since."""
     import json
 
-    from jaxid.storage.small_files import read_small
+    from jaxid.base.small_files import read_small
 
     content = source_of(robot.parent)
     if content.get("files", {}).get(robot.name) != digest(str(robot)):

@@ -9,12 +9,12 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.base.display import Displayed, displays
+from jaxid.base.frames import frame
+from jaxid.base.serialise import model_digest, plain, SCHEMA
+from jaxid.base.versions import versions
 from jaxid.conventions.finding import as_data, DataFinding
-from jaxid.display import Displayed, displays
 from jaxid.fitting.exportable import Exportable
-from jaxid.numerics.versions import versions
-from jaxid.serialise import model_digest, plain, SCHEMA
-from jaxid.storage.frames import frame
 
 
 if TYPE_CHECKING:

@@ -10,6 +10,8 @@ from typing import Any, cast, TYPE_CHECKING
 import jax
 import numpy as np
 
+from jaxid.base.interim import Interim
+from jaxid.base.stopping import Interrupted
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.change import fit_change, noticed
 from jaxid.fitting.effect_starts import probe_starts
@@ -25,9 +27,7 @@ from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
-from jaxid.runtime import Interrupted
 from jaxid.simulation import sample_buffers as samples
-from jaxid.storage.interim import Interim
 
 
 if TYPE_CHECKING:
@@ -294,6 +294,8 @@ class ProblemBuilders:
 
     def of(self, step: float) -> ProblemBuilder:
         """The bench of a step; one for all steps that make no difference."""
+        own = self.binding.chain.mechanism.own_step
+        step = step if own is None else own
         if step not in self._benches:
             every = [e.whole for e in self.binding.dataset.experiments]
             same = (

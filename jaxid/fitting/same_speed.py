@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.wording import number, value_with_std
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.scores import free_runs
 from jaxid.fitting.stated import StatedNumber
 from jaxid.numerics.stated_numbers import REFUTED
-from jaxid.wording import number, value_with_std
 
 
 def said_as_one(

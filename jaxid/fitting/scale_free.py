@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.problem.problem import FitProblem, rows
 
 

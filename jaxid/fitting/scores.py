@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from jaxid.base.wording import listed, times
 from jaxid.data.dataset import Experiment
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Score, Trace
@@ -15,7 +16,6 @@ from jaxid.problem.momentum import of_the_joints
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import OutputError, Residual
 from jaxid.simulation import sample_buffers as samples
-from jaxid.wording import listed, times
 
 
 def free_runs(

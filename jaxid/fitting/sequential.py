@@ -18,7 +18,7 @@ import jax
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.fitting.ask_tell import answered
 from jaxid.fitting.fitter import Log, Minimum
 from jaxid.fitting.population import AbstractPopulation, SearchState

@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from jaxid.errors import nearest, UsageError
+from jaxid.base.errors import nearest, UsageError
 
 
 class Setting(NamedTuple):
@@ -91,7 +91,7 @@ def parsed(text: str) -> tuple[str, dict[str, Any]]:
             values[keyword.arg] = ast.literal_eval(keyword.value)
         except (ValueError, TypeError, RecursionError, MemoryError) as error:
             raise UsageError(
-                f"{text!r}: {keyword.arg} = {ast.unparse(keyword.value)} is no number, text (in"
+                f"{text!r}: {keyword.arg} = {ast.unparse(keyword.value)} is not a number, text (in"
                 " quotes), true or false"
             ) from error
     return call.func.id, values

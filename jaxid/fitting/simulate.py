@@ -8,11 +8,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.model_file import sha256_of
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.fitting.assemble import solver_name, solver_notes
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.scores import free_runs, scored
@@ -22,7 +23,6 @@ from jaxid.problem.binding import bind, Binding, resolve_model
 from jaxid.problem.solver import with_solver
 from jaxid.simulation import sample_buffers as samples
 from jaxid.simulation.animation import motion, OutlineMotion
-from jaxid.wording import names_of
 
 
 def simulate_dataset(

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.display import Printed
-from jaxid.serialise import model_digest, plain, SCHEMA
+from jaxid.base.display import Printed
+from jaxid.base.serialise import model_digest, plain, SCHEMA
 
 
 @dataclass(frozen=True, repr=False)

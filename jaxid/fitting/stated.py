@@ -8,6 +8,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.base.wording import listed, number, percent, value_with_std
 from jaxid.numerics.stated_numbers import (
     apart,
     BoundedEstimates,
@@ -15,7 +16,6 @@ from jaxid.numerics.stated_numbers import (
     smallest_change,
     SmallestChange,
 )
-from jaxid.wording import listed, number, percent, value_with_std
 
 
 if TYPE_CHECKING:

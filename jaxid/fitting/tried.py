@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, UsageError
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.io import load_dataset
-from jaxid.errors import DatasetError, UsageError
 from jaxid.fitting.replay import in_mujoco, joints_of, measured_start
 from jaxid.robots.export.run import read_tree
 from jaxid.robots.match import driving, named

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Experiment
-from jaxid.errors import UsageError
 
 
 #: Rows come at this many times the cutoff: between them there is nothing new.

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.force.drive import drive_torque
 from jaxid.simulation.rollout import inverse_dynamics_rollout, Lane
 from jaxid.simulation.sample_buffers import columns

@@ -1,12 +1,12 @@
 """Recording from robots and servos, and moving them: `record(UR(host), "folder", seconds=10)`.
 
-Not a safety function: limits protect against mistakes in a trajectory. Keep the emergency stop in
-reach.
+The limits protect against mistakes in a trajectory; they do not protect people. Keep the emergency
+stop in reach.
 """
 
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from jaxid.lazy import attach as _attach
+from jaxid.base.lazy import attach as _attach
 
 
 if _TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.hardware.recorder import Column
 
 
@@ -22,7 +22,7 @@ def channel_map(
     have = {c.name: c for c in columns}
     if model is None:
         return {c.name: _channel(c) for c in columns}
-    from jaxid.catalogue import describe
+    from jaxid.dynamics.catalogue import describe
 
     first, used = "", set()
     for signature in describe(model).signatures:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.hardware.clock import ClockMap, from_arrivals, from_signals
 from jaxid.hardware.recorder import (
     Column,
@@ -84,7 +84,7 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
     try:
         about = read_about(folder)
     except (OSError, ValueError) as error:
-        raise UsageError(f"{folder} is no recording that could be finished ({error})") from error
+        raise UsageError(f"{folder} is not a recording that could be finished ({error})") from error
     events = read_events(folder)
     unknown = {"text": "the recording process ended without closing the recording"}
     closed = next((e for e in reversed(events) if e["kind"] == "end"), unknown)
@@ -301,7 +301,7 @@ def _matched(
     names = list(spec.channels)
     channel = next((n for n, c in spec.channels.items() if c.column == spec.match.column), None)
     if channel is None:
-        raise ValueError(f"`match` names the column {spec.match.column!r}, which is no channel")
+        raise ValueError(f"`match` names the column {spec.match.column!r}, which is not a channel")
     if spec.match.to not in table:
         raise ValueError(f"`match` names the channel {spec.match.to!r}, which was not recorded")
     clock = from_signals(

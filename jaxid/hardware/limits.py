@@ -35,7 +35,7 @@ class Clamp:
             a <= b and s > 0 and math.isfinite(x)
             for a, b, s, x in zip(lower, upper, step, start, strict=True)
         ):
-            raise Refused("bounds are empty, a step is not above 0, or the start is no number")
+            raise Refused("bounds are empty, a step is not above 0, or the start is not a number")
         self.lower, self.upper, self.step = tuple(lower), tuple(upper), tuple(step)
         self.last = tuple(start)
         self.count = 0

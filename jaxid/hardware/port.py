@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from jaxid.errors import UsageError
-from jaxid.extras import needed
+from jaxid.base.errors import UsageError
+from jaxid.base.extras import needed
 
 
 def opened(port: str, baud: int) -> Any:

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxid.base.errors import UsageError
 from jaxid.data.limits import Limits
-from jaxid.errors import UsageError
 from jaxid.hardware.device import Device, PathPlan, Sample
 from jaxid.hardware.recorder import Stream, SUFFIX
 from jaxid.hardware.trajectory import Trajectory

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.base.wording import names_of
 from jaxid.hardware.clock import ClockMap, from_arrivals, within_tick
 from jaxid.hardware.recorder import Stream, StreamRows
-from jaxid.wording import names_of
 
 
 @dataclass(frozen=True)

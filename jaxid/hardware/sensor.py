@@ -15,13 +15,13 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator, ValidationError
 
+from jaxid.base.errors import UsageError
+from jaxid.base.small_files import read_small
 from jaxid.data.units import Conversion, conversion, UnitError
-from jaxid.errors import UsageError
 from jaxid.hardware.device import Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.port import opened
 from jaxid.hardware.recorder import Column, Stream
-from jaxid.storage.small_files import read_small
 
 
 class _Strict(BaseModel):

@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.limits import Limits
-from jaxid.errors import UsageError
 from jaxid.hardware import preflight
 from jaxid.hardware.channels import channel_map
 from jaxid.hardware.device import Device, PathPlan, Sample
@@ -33,7 +34,6 @@ from jaxid.hardware.preflight import (
 from jaxid.hardware.recorder import Column, COMMANDS, Recorder, Stream, SUFFIX
 from jaxid.hardware.sensor import SensorSpec, SerialSensor
 from jaxid.hardware.trajectory import Trajectory
-from jaxid.wording import names_of
 
 
 SILENCE_S = 0.5  # a device that sends nothing for so long is lost

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, UsageError
 from jaxid.data.limits import Limits
-from jaxid.errors import DatasetError, UsageError
 
 
 #: Kind of command -> (channel stem in files, unit).
@@ -53,7 +53,7 @@ class Trajectory:
         if not np.isfinite(t).all() or not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values).all(axis=1) | ~np.isfinite(t))[0])
             raise UsageError(
-                f"{where}: row {row + 2} holds a value that is no number; correct the file"
+                f"{where}: row {row + 2} holds a value that is not a number; correct the file"
             )
         if np.diff(t).min() <= 0:
             row = int(np.argmin(np.diff(t)))

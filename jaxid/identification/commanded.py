@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset
-from jaxid.errors import UsageError
 
 
 def commanded(dataset: Dataset) -> Dataset:

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.small_files import read_small
 from jaxid.dynamics.base_parameters import standard_torque
-from jaxid.errors import UsageError
 from jaxid.identification.regression import friction_columns, LAWS
-from jaxid.storage.small_files import read_small
 
 
 GEOMETRY = ("a", "alpha", "d", "theta", "b", "gamma")
@@ -60,7 +60,7 @@ class FeedForward:
         one of the library by that name (a `serial_arm`). Raises `UsageError` for anything else, and
         for an arm of another size.
         """
-        from jaxid import catalogue
+        from jaxid.dynamics import catalogue
         from jaxid.identification.payload import read_reference
 
         content = read_reference(identification)

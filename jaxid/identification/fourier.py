@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 
 
 #: A series that leaves this many times what the readings scatter by themselves is not of whole
@@ -43,7 +43,7 @@ def harmonic_motion(
     worst = int(np.argmax(left / np.maximum(scatter, 1e-9)))
     if left[worst] > LEFT * max(float(scatter[worst]), 1e-9) + 1e-6 * float(np.ptp(q[:, worst])):
         raise UsageError(
-            f"the motion is no Fourier series of {span:.5g} s up to {highest_hz:.3g} Hz: that"
+            f"the motion is not a Fourier series of {span:.5g} s up to {highest_hz:.3g} Hz: that"
             f" leaves {left[worst]:.2g} of joint {worst + 1}, whose readings scatter by"
             f" {scatter[worst]:.2g}. Cut the run to whole periods (window_s), or raise the motion's"
             " cutoff, or leave --motion at measured"

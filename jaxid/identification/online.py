@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.rigid_body import chain_of, regressor, still
-from jaxid.errors import UsageError
 from jaxid.fitting.recursive_least_squares import RecursiveState, refuse_forgetting, ridge_rls, Rule
 from jaxid.identification.payload import payload_of, PayloadEstimate, published_rows
 from jaxid.identification.regression import REST

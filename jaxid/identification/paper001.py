@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
-from jaxid.errors import UsageError
 from jaxid.fitting.recursive_least_squares import replay_stretches, Rule
 from jaxid.force.covariance import covariance_of_rows, of_joints
 from jaxid.force.least_squares import Rows, solve

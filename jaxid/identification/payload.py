@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.small_files import read_small
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import records_torque
 from jaxid.dynamics.rigid_body import INERTIA, pseudo_inertia
-from jaxid.errors import UsageError
 from jaxid.identification.bodies import consistent_bodies
-from jaxid.storage.small_files import read_small
 
 
 Z95 = 1.959963984540054

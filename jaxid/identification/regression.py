@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.noise import noise_floor
 from jaxid.data.signals import differentiate, filter_ends, STRETCH, zero_phase, zero_phase_stretches
 from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.force.drive import drive_torque
 from jaxid.force.motion import moving, refuse_cutoff, rows_every
 from jaxid.identification.fourier import harmonic_motion

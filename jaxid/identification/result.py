@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.display import Displayed
+from jaxid.base.serialise import plain, SCHEMA
+from jaxid.base.versions import versions
 from jaxid.conventions.finding import as_data, DataFinding
-from jaxid.display import Displayed
 from jaxid.fitting.exportable import Exportable
 from jaxid.identification.payload import PayloadEstimate
-from jaxid.numerics.versions import versions
-from jaxid.serialise import plain, SCHEMA
 
 
 @dataclass(frozen=True)

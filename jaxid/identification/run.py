@@ -12,15 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.deadline import answered_in_time, search_is_over
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.progress import Callback, tell, telling
 from jaxid.conventions.checking import run_check
 from jaxid.data.capacity import need, refuse_too_large
 from jaxid.data.dataset import Dataset
 from jaxid.data.joint_names import in_chain_order, joint_names, names_of_joints
-from jaxid.deadline import answered_in_time, search_is_over
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import nearest, UsageError
 from jaxid.fitters.short_fit import free_motion, left_by_short_fit
 from jaxid.force.covariance import RowCovariance
 from jaxid.identification import regression
@@ -47,7 +48,6 @@ from jaxid.identification.solving import fit_law, law_problem, LawFit
 from jaxid.identification.stated import answered, values_of
 from jaxid.identification.trust import NEAR_THE_FILE, nearer_the_file
 from jaxid.problem.binding import resolve_model
-from jaxid.progress import Callback, tell, telling
 from jaxid.robots.arms import as_arm
 from jaxid.robots.floating import refuse_free
 from jaxid.robots.origin import origin_on

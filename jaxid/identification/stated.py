@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.wording import listed, number, percent
 from jaxid.data.dataset import ModelSpec
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.fitting.result import Covariance, Estimate
 from jaxid.fitting.stated import judged, StatedNumber
 from jaxid.identification.regression import FrictionLaw, RegressionRun, torques
 from jaxid.numerics.stated_numbers import apart
-from jaxid.wording import listed, number, percent
 
 
 #: Standard deviations from which a difference is worth a sentence.

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import sys
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 
 
 _computed = False  # in this process or one that it was forked from

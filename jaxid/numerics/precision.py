@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 
+from jaxid.base.versions import check_jax
 from jaxid.numerics import forked
 from jaxid.numerics.program_cache import keep_compiled
-from jaxid.numerics.versions import check_jax
 
 
 def float64() -> AbstractContextManager:

@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from jaxid.wording import complain
+from jaxid.base.wording import complain
 
 
 #: When a program is written, those are removed that nobody read for so long (s), and what a killed

@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import listed
 from jaxid.data.dataset import Dataset
 from jaxid.data.noise import Noise
 from jaxid.data.retimed import known_within
 from jaxid.data.units import conversion, si_unit, UnitError
-from jaxid.errors import UsageError
-from jaxid.wording import listed
 
 
 HOW = 'write "1 mrad", or "q = 1 mrad, position = 0.1 mm" by channel'
@@ -57,7 +57,7 @@ def _quantity(text: str) -> tuple[float, str]:
             raise ValueError
         value = float(number) * conversion(unit.strip()).factor
     except (ValueError, UnitError) as error:
-        raise UsageError(f"accuracy: {text.strip()!r} is no size with a unit; {HOW}") from error
+        raise UsageError(f"accuracy: {text.strip()!r} is not a size with a unit; {HOW}") from error
     if not (np.isfinite(value) and value > 0):
         raise UsageError(f"accuracy: {text.strip()!r} is not above 0; {HOW}")
     return value, unit.strip()

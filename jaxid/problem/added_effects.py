@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from jaxid import catalogue
+from jaxid.base.errors import nearest, UsageError
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import nearest, UsageError
 
 
 def parse_effect(

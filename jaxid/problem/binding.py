@@ -10,13 +10,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from jaxid import catalogue, wording
+from jaxid.base import wording
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.capacity import Need, need
 from jaxid.data.dataset import Dataset, Experiment, ModelSpec
 from jaxid.data.joint_names import in_chain_order, joint_names
 from jaxid.data.noise import Noise, noise_floor, Window
 from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
 from jaxid.data.units import si_unit
+from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import FORCES
 from jaxid.dynamics.effect import Effect, neutral
@@ -24,7 +27,6 @@ from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import settings, TypicalMagnitudes, with_settings
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import nearest, UsageError
 from jaxid.models.effects import TimestampJitter
 from jaxid.problem import measured_motion
 from jaxid.problem.accuracy import beside_accuracy
@@ -42,7 +44,6 @@ from jaxid.problem.starting_values import (
 )
 from jaxid.problem.typical import typical_magnitudes
 from jaxid.robots import match as robots
-from jaxid.wording import names_of
 
 
 #: The effect whose strength is read off the recording: it is noise, which no residual shows the

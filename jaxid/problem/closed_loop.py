@@ -17,13 +17,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Experiment
 from jaxid.dynamics import controller as feedback
 from jaxid.dynamics.carry import Carry
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.controller import ControllerInput, Law, law_of, Memory
 from jaxid.dynamics.effect import Command, InputEffect
-from jaxid.errors import UsageError
 from jaxid.problem.residual import (
     OutputError,
     overrides,

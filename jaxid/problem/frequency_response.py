@@ -19,11 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.data.dataset import Dataset, Experiment, FrequencyResponse as Measured
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import nearest, UsageError
 from jaxid.problem.residual import overrides, record_of, Residual, Runs, Simulation
 from jaxid.problem.response_lines import estimate, merged, parts_of
 from jaxid.simulation import sample_buffers as recorded

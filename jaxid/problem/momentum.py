@@ -23,13 +23,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.signals import filter_ends
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import NumberEffect
 from jaxid.dynamics.joint_readings import cutoffs, joint_motion
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.force.torque_filter import evenly
 from jaxid.numerics.fast_math import sincos
 from jaxid.numerics.precision import float64

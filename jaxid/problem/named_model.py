@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from jaxid import catalogue
 from jaxid.data.dataset import ModelSpec
+from jaxid.dynamics import catalogue
 from jaxid.robots.arm_table import arm_table
 
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.numerics.pool import default_platform, Pool
 from jaxid.numerics.precision import float64
 

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.joint_readings import joint_readings, sizes
-from jaxid.errors import UsageError
 from jaxid.numerics.batch_loop import batched_vmap
 from jaxid.problem.gauss_newton import gauss_newton_model
 from jaxid.problem.objective import (

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from jaxid import catalogue
+from jaxid.base.wording import first_sentence
 from jaxid.data.dataset import Dataset
+from jaxid.dynamics import catalogue
+from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.mechanism import Signature
-from jaxid.wording import first_sentence
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,9 @@ class ProposedModel:
 
 
 def proposed_models(dataset: Dataset) -> tuple[ProposedModel, ...]:
-    """The built-in models that take the dataset's inputs and give its outputs. Those whose channels
-    have the same names come alone; else those whose channels have the same units in the same order.
+    """The built-in models that take the dataset's inputs and give its outputs. Speeds may stand
+    beside positions or in their place. Those whose channels have the same names come alone; else
+    those whose channels have the same units in the same order.
     """
     inputs = _channels(dataset, "input")
     outputs = _channels(dataset, "output")
@@ -38,7 +40,7 @@ def proposed_models(dataset: Dataset) -> tuple[ProposedModel, ...]:
     for name in catalogue.model_names():
         info = catalogue.describe(name)
         for signature in info.signatures:
-            renamed = _renamed(inputs, outputs, signature)
+            renamed = _renamed(inputs, outputs, with_speeds(signature, dict(outputs)))
             if renamed is None:
                 continue
             found = ProposedModel(name, first_sentence(info.text), renamed)

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import nearest, UsageError
 from jaxid.numerics.reverse import in_reverse
 from jaxid.problem.objective import LOSSES, penalised
 from jaxid.problem.problem import Data, FitProblem as Runnable

@@ -17,15 +17,15 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from jaxid.catalogue import RESIDUALS
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.lazy import at
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.noise import edges, Window
+from jaxid.dynamics.catalogue import RESIDUALS
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import joint_readings, position_matters, start_of, stated_start
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import nearest, UsageError
 from jaxid.force.torque_filter import decimated_torque_lane, evenly, torque_setting, TorqueSetting
-from jaxid.lazy import at
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
 from jaxid.simulation import sample_buffers as recorded

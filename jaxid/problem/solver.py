@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.ode import check_smooth
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import Residual
 

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxid import wording
+from jaxid.base import wording
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect, JointEffect
 from jaxid.dynamics.parameter import settings
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.robots import match as robots
 from jaxid.robots.floating import ANGLES
 

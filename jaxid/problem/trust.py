@@ -13,9 +13,9 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.base.wording import listed
 from jaxid.dynamics.parameter_vector import Entry, ParameterVector
 from jaxid.robots.yardstick import states
-from jaxid.wording import listed
 
 
 if TYPE_CHECKING:

@@ -7,6 +7,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxid.base.atomic_files import replace_files
+from jaxid.base.serialise import json_bytes
+from jaxid.base.wording import one_line
 from jaxid.report import (
     answer,
     background,
@@ -26,9 +29,6 @@ from jaxid.report import (
     yardstick,
 )
 from jaxid.report.page import render, render_fragment, Section
-from jaxid.serialise import json_bytes
-from jaxid.storage.atomic_files import replace_files
-from jaxid.wording import one_line
 
 
 if TYPE_CHECKING:
@@ -47,7 +47,9 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
     sections = [
         checked.before(diagnosis.data),
         answer.section(diagnosis),
-        carry.section(diagnosis.final, "diagnosis.json"),
+        carry.section(
+            diagnosis.final, "diagnosis.json", believed=diagnosis.which.verdict != "unknown"
+        ),
         checked.asked(diagnosis.data),
         yardstick.section(diagnosis.how_far.per_joint, diagnosis.final.stated),
         unseen.section(diagnosis.unseen),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, TYPE_CHECKING
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.diagnosis.alike import alike
 from jaxid.report import effect_text, text
 from jaxid.report.budget_picture import gap_picture

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import wording
-from jaxid.numerics.versions import versions
+from jaxid.base import wording
+from jaxid.base.versions import versions
 from jaxid.report.effect_text import effect_name
 from jaxid.report.page import Section
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.report.page import Section
 
 

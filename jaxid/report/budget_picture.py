@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.report import plot
 
 
@@ -42,8 +42,9 @@ def _drawn(diagnosis: Diagnosis) -> list[Step]:
 
 def draw_gap(axes: Axes, diagnosis: Diagnosis) -> Axes:
     """The same on Axes. Each bar is what a step leaves; pale beyond it is what it closes."""
-    steps, how_far = _drawn(diagnosis), diagnosis.how_far
-    floor = how_far.noise_floor if 0 < how_far.noise_floor < plot.LARGEST else 1.0
+    steps = _drawn(diagnosis)
+    noise = diagnosis.how_far.noise_floor
+    floor = noise if 0 < noise < plot.LARGEST else 1.0
     gaps = [plot.drawable(step.gap) for step in steps]
     longest = max([floor, *gaps])
     logarithmic = longest > 15 * floor
@@ -80,8 +81,7 @@ def draw_gap(axes: Axes, diagnosis: Diagnosis) -> Axes:
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     scale = " (logarithmic)" if logarithmic else ""
-    unit = f"gap on {how_far.split} data, in multiples of the noise{scale}"
-    axes.set_xlabel(unit + _left(diagnosis))
+    axes.set_xlabel(f"times the noise{scale}")
     if logarithmic:
         plot.plain_log(axes.xaxis)
     return axes
@@ -100,13 +100,3 @@ def _told(step: Step) -> str:
     if step.closes < 0:
         return f"{gap}, further off"
     return f"{gap}, closes {wording.percent(step.closes)}"
-
-
-def _left(diagnosis: Diagnosis) -> str:
-    """What is left of the first output in its unit."""
-    rms = next(step.rms for step in diagnosis.budget if step.step == "left")
-    if not rms:
-        return ""
-    name, (value, unit) = next(iter(rms.items()))
-    error = f"{wording.number(value)} {plot.label(unit, 20)}"
-    return f"\nleft: {plot.label(name, 20)} {error} rms"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from jaxid.base.wording import percent
 from jaxid.diagnosis.budget import closed_by_numbers, MOST
 from jaxid.report.other_numbers import moved_numbers
-from jaxid.wording import percent
 
 
 if TYPE_CHECKING:

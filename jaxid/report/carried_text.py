@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from jaxid.wording import (
+from jaxid.base.wording import (
     by_effect,
     listed,
     number,

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.conventions import words
 from jaxid.conventions.finding import data_lines
 from jaxid.report.page import Section

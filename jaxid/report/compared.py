@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import wording
-from jaxid.errors import UsageError
+from jaxid.base import wording
+from jaxid.base.errors import UsageError
 from jaxid.fitting.comparison import along
 from jaxid.report import comparison_text, plot
 from jaxid.report.figures import legend, new_axes

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from jaxid.conventions.finding import data_lines
-from jaxid.wording import (
+from jaxid.base.wording import (
     listed,
     number,
     one_line,
@@ -15,6 +14,7 @@ from jaxid.wording import (
     table,
     wrapped,
 )
+from jaxid.conventions.finding import data_lines
 
 
 if TYPE_CHECKING:

@@ -1,5 +1,5 @@
 """How each kind of value shows itself: `text` for the terminal, `fragment` for a notebook, `page`
-as a file, `picture` on axes. Values come here by `jaxid.display`.
+as a file, `picture` on axes. Values come here by `jaxid.base.display`.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+from jaxid.base.wording import by_effect, listed, one_line, value_with_std
 from jaxid.diagnosis.alike import alike
 from jaxid.diagnosis.cause import words
-from jaxid.wording import by_effect, listed, one_line, value_with_std
 
 
 if TYPE_CHECKING:

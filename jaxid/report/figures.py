@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.errors import nearest, UsageError
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.report import plot
 from jaxid.report.budget_picture import draw_gap
 from jaxid.report.traces import colors
-from jaxid.wording import names_of
 
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.report import plot, text
 from jaxid.report.effect_text import effect_name
 from jaxid.report.page import Section

@@ -8,7 +8,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.report import plot
 from jaxid.report.page import Section
 

@@ -10,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.report import binned, plot
 from jaxid.report.page import Section
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid.wording import listed, number, one_line
+from jaxid.base.wording import listed, number, one_line
 
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from jaxid import wording
+from jaxid.base import wording
+from jaxid.base.wording import one_line
 from jaxid.report import text
 from jaxid.report.accessible import accessible, with_contents
-from jaxid.wording import one_line
 
 
 class Section(NamedTuple):

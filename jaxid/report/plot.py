@@ -19,7 +19,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from jaxid.wording import one_line
+from jaxid.base.wording import one_line
 
 
 # Okabe and Ito, told apart by colour-blind readers and in grey; orange and sky are darker, so that

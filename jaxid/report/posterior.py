@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from jaxid.base.wording import one_line
 from jaxid.report import plot
 from jaxid.report.page import Section
-from jaxid.wording import one_line
 
 
 if TYPE_CHECKING:

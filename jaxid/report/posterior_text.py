@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid.wording import number, paragraph, table
+from jaxid.base.wording import number, paragraph, table
 
 
 if TYPE_CHECKING:

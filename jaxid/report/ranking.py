@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.report import plot
 from jaxid.report.page import Section
 

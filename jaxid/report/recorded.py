@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.report.page import Section
 
 

@@ -6,14 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TYPE_CHECKING
 
-from jaxid.conventions.finding import data_lines
-from jaxid.diagnosis.alike import alike
-from jaxid.diagnosis.reasons import WithinAStep
-from jaxid.report.budget_text import budget_sentence
-from jaxid.report.effect_text import alike_words, effect_name, lacks, meaning
-from jaxid.report.other_numbers import first_of_all
-from jaxid.report.posterior_text import posterior_lines
-from jaxid.wording import (
+from jaxid.base.wording import (
     CLOSE,
     listed,
     number,
@@ -27,6 +20,13 @@ from jaxid.wording import (
     value_with_std,
     wrapped,
 )
+from jaxid.conventions.finding import data_lines
+from jaxid.diagnosis.alike import alike
+from jaxid.diagnosis.reasons import WithinAStep
+from jaxid.report.budget_text import budget_sentence
+from jaxid.report.effect_text import alike_words, effect_name, lacks, meaning
+from jaxid.report.other_numbers import first_of_all
+from jaxid.report.posterior_text import posterior_lines
 
 
 if TYPE_CHECKING:
@@ -418,6 +418,7 @@ def simulation_text(simulation: Simulation) -> str:
 
 def identification_text(result: Identification) -> str:
     """The result as tables for a terminal."""
+    from jaxid.base.wording import table
     from jaxid.conventions.finding import data_lines
     from jaxid.report.identified import (
         base_rows,
@@ -427,7 +428,6 @@ def identification_text(result: Identification) -> str:
         headline,
         payload_rows,
     )
-    from jaxid.wording import table
 
     def recording_row(e: Any) -> tuple[str, ...]:
         each = [error(r, 1) for r in e.relative_error_per_joint]

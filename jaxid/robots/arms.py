@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
-from jaxid.errors import UsageError
 from jaxid.robots.chain_table import table_of
 from jaxid.robots.channels import goal, torque
 from jaxid.robots.match import matched, notes_of, prepared

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.signals import content_cutoff, differentiate
-from jaxid.errors import nearest, UsageError
 from jaxid.robots.tree import Tree
 
 

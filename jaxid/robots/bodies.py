@@ -106,3 +106,27 @@ def fault(link: str, inertia: np.ndarray) -> str | None:
             " exceeds the sum of the others"
         )
     return None
+
+
+def beyond_ends(
+    robot: Any, mass: Float[Array, " nq"], beyond: Float[Array, "nq 3"] | None
+) -> Float[Array, "n 10"]:
+    """Ten numbers at each node of a robot that point masses add, each `beyond` the end of its
+    joint's link: the next joint, else the link's centre of mass.
+    """
+    added = jnp.zeros((len(robot.joints), 10))
+    for k, joint in enumerate(robot.signatures[0].joints):
+        node = robot.joints.index(joint)
+        while node not in robot.carriers:
+            node = robot.parent.index(node)
+        place = robot.carriers.index(node)
+        ends = [i for i, up in enumerate(robot.parent) if up == node]
+        if ends:
+            at = [getattr(robot, name)[ends[0]] for name in ("x", "y", "z")]
+        else:
+            com = zip(BODY[1:4], robot.anchors[place], strict=True)
+            at = [getattr(robot, name)[place] - a for name, a in com]
+        if beyond is not None:
+            at = [value + beyond[k, i] for i, value in enumerate(at)]
+        added = added.at[node].add(mass[k] * point_mass(*at))
+    return added

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.kinematics import ArmTable, geometry_of
-from jaxid.errors import UsageError
 from jaxid.robots.tree import Tree, turned
 
 

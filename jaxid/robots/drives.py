@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.data.dataset import Controller, ParameterPrior
 from jaxid.dynamics.effect import LONGEST_DELAY_S
-from jaxid.errors import nearest, UsageError
 from jaxid.robots.beside import rates_of
 from jaxid.robots.tree import Tree
 

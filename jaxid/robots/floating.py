@@ -21,8 +21,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset
-from jaxid.errors import UsageError
 from jaxid.robots.tree import FLOATS, Tree, turned
 
 
@@ -142,7 +142,7 @@ def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
         if steepest > STEEPEST:
             raise UsageError(
                 f"experiment {e.name!r}: the base pitches to {steepest:.3g} rad, and at 1.57 roll"
-                " and yaw are no coordinates any more: turn the frame of the base in the file so"
+                " and yaw are not coordinates any more: turn the frame of the base in the file so"
                 " that it pitches less, or cut the run there (window_s)"
             )
 

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.robots.tree import Actuator, Coupling, Tree
-from jaxid.wording import names_of
 
 
 #: Endings of the channels that drive a joint.

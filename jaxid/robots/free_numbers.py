@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.wording import names_of
 from jaxid.dynamics.parameter import ParameterSpec
 from jaxid.robots.bodies import BODY
 from jaxid.robots.floating import ANGLES
 from jaxid.robots.tree import Tree
-from jaxid.wording import names_of
 
 
 def held(robot: Any) -> frozenset[str]:

@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Controller, Dataset, Experiment
 from jaxid.robots.beside import rates_of
 from jaxid.robots.drives import NUMBERS
 from jaxid.robots.match import is_robot, prepared, recorded
 from jaxid.robots.tree import Tree
-from jaxid.wording import names_of
 
 
 def limbs_of(model: object, dataset: Dataset) -> list[tuple[Any, Dataset]]:

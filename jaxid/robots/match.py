@@ -13,12 +13,13 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
 from jaxid.data.joint_names import plain_name
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
-from jaxid.errors import nearest, UsageError
 from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
@@ -27,7 +28,6 @@ from jaxid.robots.followers import drives_led, led, outputs_led
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.recorded_joints import held_at, POSE as POSE, refuse_unknown
 from jaxid.robots.tree import Coupling, Tree
-from jaxid.wording import names_of
 
 
 #: What is recorded of a joint beside its position, by the ending of the channel's name; a numbered
@@ -327,7 +327,8 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
             f"nothing drives the robot: add goals ({joint}_cmd) or torques ({joint}_tau) as"
             " inputs, or say free = true"
         )
-    out = type(robot)(tree, driven=False, rides=rides(dataset) and bool(what))
+    riding = rides(dataset) and bool(what)
+    out = type(robot)(tree, driven=False, rides=riding, simulator=simulator_of(robot, spec))
     if what == "goal":
         first = (dataset.split("fit") or dataset.experiments)[0]
         period = float(np.median(np.diff(first.t)))
@@ -347,6 +348,13 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
                 " correct its unit"
             )
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
+
+
+def simulator_of(robot: Any, spec: ModelSpec | None) -> str:
+    """Whose steps simulate a robot: those that the dataset states, else its own setting."""
+    if spec is not None and spec.simulator is not None:
+        return spec.simulator
+    return "mujoco" if robot.integrator else "own"
 
 
 def _driven_by(joints: Sequence[str], dataset: Dataset) -> str:
@@ -462,8 +470,11 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     """What a result says of how a robot and a recording were brought together."""
     tree: Tree = model.tree.tree
     _, notes = recorded(tree, dataset)
-    law = matched(model, dataset).mechanism.drive_law  # type: ignore[attr-defined]
+    chain = matched(model, dataset)
+    law = chain.mechanism.drive_law  # type: ignore[attr-defined]
     notes = notes if law is None else (*notes, law.text)
+    if chain.mechanism.integrator and tree.simulator is not None:
+        notes = (*notes, f"simulated as its file asks MuJoCo for: {tree.simulator.said}")
     impossible = [
         f"{text}: no body has it, the nearest one is simulated" for _, text in tree.impossible
     ]

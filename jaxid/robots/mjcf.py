@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.dynamics.rigid_body import about_origin
-from jaxid.errors import UsageError
 from jaxid.robots.curves import Curve, Polynomial
+from jaxid.robots.file_step import file_step
 from jaxid.robots.mjcf_spec import compilable, compiled, first_of, library
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.mjcf_ties import resolved, Tendon, Ties
@@ -170,6 +171,7 @@ class _Reader:
             root=tuple(root.ravel().tolist()),
             carrier=base,
             steps=steps_of(self.mj, m),
+            simulator=file_step(self.mj, m, dict(zip(joints, number, strict=True))),
             ties=tuple(t for t in self.ties.found if t.joints),
             lifted=np.array(lifted) if m.body_gravcomp.any() else None,
         )

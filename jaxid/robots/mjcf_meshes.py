@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.robots.mjcf_spec import (
     compiled,
     DROPPED,

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import listed
 from jaxid.dynamics.rigid_body import about_origin
-from jaxid.errors import UsageError
 from jaxid.robots.bodies import fault
 from jaxid.robots.mjcf_ties import acting_tendons, Tendon, without_tendons
-from jaxid.wording import listed
 
 
 #: What is drawn, touched or sensed, and moves nothing.
@@ -52,7 +52,7 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
     mujoco = library()
     spec = parsed(path, text)
     if len(spec.bodies) < 2:  # the world counts
-        raise UsageError(f"{path}: it holds no <body>, so it is no robot{as_a_part(path)}")
+        raise UsageError(f"{path}: it holds no <body>, so it is not a robot{as_a_part(path)}")
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         raise UsageError(
             f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is'

@@ -7,9 +7,9 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
+from jaxid.base.xml_tree import Declares, xml_root
 from jaxid.robots.mjcf_meshes import with_inertias
-from jaxid.storage.xml_tree import Declares, xml_root
 
 
 #: Bytes of a file, of all that it includes, and how deep includes may nest.

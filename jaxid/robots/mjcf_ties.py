@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.wording import names_of
 from jaxid.robots.tree import Coupling, Tie
-from jaxid.wording import names_of
 
 
 #: Fields of a tendon that let it push or brake.

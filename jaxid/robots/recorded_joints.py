@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset
-from jaxid.errors import nearest, UsageError
 from jaxid.robots.floating import ANGLES
 from jaxid.robots.tree import Tree
-from jaxid.wording import names_of
 
 
 #: Constant under which a dataset states where a joint that it does not record was held.
@@ -27,7 +27,7 @@ def refuse_unknown(tree: Tree, outputs: set[str]) -> None:
             ' of a base that is moved (kind = "prescribed") give it role = "auxiliary"'
         )
     raise UsageError(
-        f"output {first!r} is no joint of"
+        f"output {first!r} is not a joint of"
         f" {tree.file or 'the robot'}{nearest(first, tree.leading)}; map it under"
         ' [model.joints], or give it role = "auxiliary"'
     )

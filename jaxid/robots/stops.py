@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.wording import number, percent
 from jaxid.data.dataset import Dataset
 from jaxid.robots.tree import Tree
-from jaxid.wording import number, percent
 
 
 def at_stops(tree: Tree, dataset: Dataset) -> list[tuple[str, float]]:

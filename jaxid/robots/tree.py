@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.dynamics.rigid_body import moved, Placements
-from jaxid.errors import nearest, UsageError
 from jaxid.robots.curves import Curve, Polynomial
+from jaxid.robots.file_step import FileStep
 from jaxid.robots.steps import Steps
 
 
@@ -113,7 +114,8 @@ class Tree:
     wrong with it. `trunk`: ten numbers of the base itself about the base's frame, `carrier` that
     link's name, and `root` [16], row by row, its pose in it where it is free to move in the file.
     `floats`: the first six nodes are the base's own freedom (see `robots.floating`). `steps`: those
-    of the simulator that the file is of, where they add to its numbers. `ties` must have all of
+    of the simulator that the file is of, where they add to its numbers; `simulator` how that one
+    takes them, None where that is not known. `ties` must have all of
     their joints held before anything is simulated (see `robots.match`). `lifted` [n 10]: bodies
     whose weight the file cancels (`gravcomp`), as `inertia`; None where it cancels none.
     """
@@ -150,6 +152,7 @@ class Tree:
     carrier: str = "base"
     floats: bool = False
     steps: Steps | None = None
+    simulator: FileStep | None = None
     ties: tuple[Tie, ...] = ()
     lifted: np.ndarray | None = None
 

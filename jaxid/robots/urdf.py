@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.xml_tree import Declares, xml_root
 from jaxid.dynamics.rigid_body import about_origin
-from jaxid.errors import nearest, UsageError
 from jaxid.robots.tree import rotation
-from jaxid.storage.xml_tree import Declares, xml_root
 
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -114,7 +114,7 @@ def read_robot(path: Path, text: str | None = None) -> UrdfRobot:
                 )
         if any(joint.child == other.child for other in robot.joints.values()):
             raise UsageError(
-                f"{path}: link {joint.child!r} has two parents; closed loops are no serial chain"
+                f"{path}: link {joint.child!r} has two parents; a closed loop is not a serial chain"
             )
         robot.joints[joint.name] = joint
     return robot

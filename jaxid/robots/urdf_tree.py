@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxid.base.errors import DatasetWarning, UsageError
+from jaxid.base.wording import names_of
 from jaxid.dynamics.kinematics import ArmTable
-from jaxid.errors import DatasetWarning, UsageError
 from jaxid.robots.bodies import fault, negative
 from jaxid.robots.chain_table import table_of
 from jaxid.robots.tree import Coupling, Tree, turned
 from jaxid.robots.urdf import MOVING, read_links, read_robot, root_of, tip_of, UrdfJoint, UrdfRobot
-from jaxid.wording import names_of
 
 
 class _Walk(NamedTuple):

@@ -11,12 +11,12 @@ from typing import Any
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.dynamics.carry import Carry
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import chosen, Command, OutputEffect
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.ode import rates
-from jaxid.errors import nearest, UsageError
 from jaxid.numerics.reverse import reversible
 from jaxid.simulation.rollout import Lane, simulate_rollout
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.robots.drives import DriveLaw
 from jaxid.robots.mjcf_spec import compilable, library
 from jaxid.robots.mjcf_text import expanded

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
-from jaxid.errors import UsageError
 
 
 #: Longest step of the fixed-step scan, s. Step halving checks the final answer of every fit.

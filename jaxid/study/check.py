@@ -9,13 +9,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxid import catalogue
+from jaxid.base.errors import DatasetError, DatasetProblem, UsageError
 from jaxid.data.dataset import Dataset
 from jaxid.data.io import load_dataset
 from jaxid.data.model_names import is_model_file
 from jaxid.data.schema import Places
 from jaxid.diagnosis.hypothesis import check_asked
-from jaxid.errors import DatasetError, DatasetProblem, UsageError
+from jaxid.dynamics import catalogue
 from jaxid.fitters.by_name import fitter_of
 from jaxid.problem.added_effects import parse_effect
 from jaxid.problem.binding import resolve_model

@@ -12,8 +12,8 @@ import uuid
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from jaxid.errors import UsageError
-from jaxid.extras import needed
+from jaxid.base.errors import UsageError
+from jaxid.base.extras import needed
 from jaxid.study import supervisor
 
 

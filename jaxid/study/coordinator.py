@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from jaxid.storage.stopping import ending
+from jaxid.base.stopping import ending
 from jaxid.study import supervisor
 from jaxid.study.cluster import Cluster
 from jaxid.study.outcome import of_message, Outcome

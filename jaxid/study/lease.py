@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxid.extras import needed
+from jaxid.base.extras import needed
 
 
 #: A process on another machine that has not renewed its lease for so long is taken for dead.

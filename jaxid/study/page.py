@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import wording
+from jaxid.base import wording
+from jaxid.base.wording import one_line
 from jaxid.report import comparison_text, plot, write_page
 from jaxid.report.compared import COLORS, LOWEST, MARKERS
 from jaxid.report.page import render, Section
-from jaxid.wording import one_line
 
 
 if TYPE_CHECKING:

@@ -23,12 +23,12 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from jaxid.catalogue import LOSSES, RESIDUALS
+from jaxid.base.errors import DatasetError, DatasetProblem, nearest, UsageError
+from jaxid.base.wording import one_line
 from jaxid.data.model_names import called, parts_of
 from jaxid.data.schema import Document, entry_of, Places
 from jaxid.data.schema_fields import plain_text
-from jaxid.errors import DatasetError, DatasetProblem, nearest, UsageError
-from jaxid.wording import one_line
+from jaxid.dynamics.catalogue import LOSSES, RESIDUALS
 
 
 #: Most tasks of a study.
@@ -398,7 +398,7 @@ class _Folders:
                     folder = folder.parent
                 if not (folder / "dataset.toml").is_file():
                     here = "" if folder.is_dir() else f"; paths count from {self.folder.resolve()}"
-                    what = "holds no dataset.toml" if folder.is_dir() else "is no folder"
+                    what = "holds no dataset.toml" if folder.is_dir() else "is not a folder"
                     self.problem(
                         key, f"dataset {name!r} {what}{here}", "Name a folder with a dataset.toml"
                     )
@@ -425,7 +425,7 @@ class _Folders:
             if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
                 self.problem(
                     key,
-                    f"model {name!r} is no file of {what} here",
+                    f"model {name!r} is not a file of {what} here",
                     f"Paths count from {self.folder.resolve()}",
                 )
                 return None

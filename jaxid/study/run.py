@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jaxid.errors import NotSaved, UsageError
-from jaxid.extras import required
+from jaxid.base.errors import NotSaved, UsageError
+from jaxid.base.extras import required
 from jaxid.study.cluster import Cluster, cores, local_cluster, running_cluster
 from jaxid.study.coordinator import Coordinator, StopSignal
 from jaxid.study.outcome import FAILURES, of_row, Outcome
@@ -232,7 +232,7 @@ def _check_places(scheduler: str | None, cluster: str | None, interface: str | N
 
 def summary(result: StudyResult) -> dict[str, Any]:
     """The result as `--json` prints it."""
-    from jaxid.serialise import SCHEMA
+    from jaxid.base.serialise import SCHEMA
     from jaxid.study.tables import rankings
 
     return {

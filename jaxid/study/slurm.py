@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from jaxid.errors import nearest, UsageError
-from jaxid.extras import needed
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.extras import needed
 from jaxid.study.cluster import close_client, CLOSE_S, Cluster, dask_cluster, distributed_
 
 

@@ -60,7 +60,7 @@ def answered(work: Work, tasks: list[dict[str, Any]]) -> Iterator[dict[str, Any]
 
 
 def explained(error: Exception) -> str:
-    from jaxid.errors import explain
+    from jaxid.base.errors import explain
 
     return explain(error)[1]
 

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.study.lease import alive, machine, process_start
 from jaxid.study.rows import COLUMNS, read_damaged, sound, StudyRow
 

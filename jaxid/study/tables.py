@@ -13,10 +13,10 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.storage.atomic_files import replace_files
+from jaxid.base.atomic_files import replace_files
+from jaxid.base.wording import one_line
 from jaxid.study.plan import Task
 from jaxid.study.store import Store
-from jaxid.wording import one_line
 
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class Ranking:
     seconds: float
 
     def to_dict(self) -> dict[str, Any]:
-        from jaxid.serialise import finite
+        from jaxid.base.serialise import finite
 
         own = vars(self) | {"reached_interval_95": list(self.reached_interval_95)}
         return finite(own)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
-from jaxid import wording
+from jaxid.base import wording
 from jaxid.report import text
 
 

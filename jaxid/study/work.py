@@ -13,16 +13,16 @@ from typing import Any
 
 import jaxid
 from jaxid.api import resolve_fitter, resolve_residual
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import finite
 from jaxid.data.dataset import Dataset
 from jaxid.data.model_names import is_model_file
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.model_file import own_model, sha256_of
-from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.result import Fit
 from jaxid.fitting.run import fit_seeds, ProblemBuilders
 from jaxid.problem.binding import bind
-from jaxid.serialise import finite
 
 
 #: Datasets and bound models that are kept.

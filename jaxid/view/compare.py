@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.view.plots import channels_over_time, color
 from jaxid.view.results import Viewer
 from jaxid.view.server import bokeh_files, FILES, page, Site
@@ -21,7 +21,7 @@ def results_site(viewer: Viewer) -> Site:
             {"name": r.name, "effects": list(r.effects), "color": color(k)}
             for k, r in enumerate(viewer.results)
         ]
-        notes = [f"{name} was made of another recording." for name in viewer.other_data()]
+        notes = [f"{name} is of another recording." for name in viewer.other_data()]
         return {
             "runs": viewer.runs,
             "results": results,

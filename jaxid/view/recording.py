@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 
 import jaxid
+from jaxid.base.errors import DatasetError, UsageError
+from jaxid.base.wording import one_line, value_with_std
 from jaxid.data.dataset import Dataset
-from jaxid.errors import DatasetError, UsageError
 from jaxid.hardware.finishing import finish
 from jaxid.hardware.recorder import COMMANDS, read_about, read_rows, Stream, SUFFIX
 from jaxid.view.plots import lines_over_time
 from jaxid.view.server import bokeh_files, FILES, page, Site
-from jaxid.wording import one_line, value_with_std
 
 
 #: A number is known when its standard deviation is at most this share of it, or of the largest
@@ -107,7 +107,7 @@ class Watcher:
             return answer | {"waiting": f"no fit yet: {fit.stopped_because}"}
         rows = numbers(fit, self.known)
         enough = all(row["known"] for row in rows) and bool(rows)
-        return answer | {"numbers": rows, "enough": enough}
+        return answer | {"numbers": rows, "share": self.known, "enough": enough}
 
     def _written(self) -> Path | None:
         """The newest folder of a recording that goes on."""

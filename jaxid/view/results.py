@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 import jaxid
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import with_effects
+from jaxid.base.wording import one_line
 from jaxid.data.dataset import Dataset
-from jaxid.errors import UsageError
-from jaxid.serialise import with_effects
-from jaxid.wording import one_line
 
 
 #: Files that tell the numbers of a model.
@@ -52,9 +52,42 @@ def read_results(folders: Sequence[Path]) -> list[SavedResult]:
             content = {**content, "model": content["model"], "parameters": content["parameters"]}
             effects = {f"{e['effect']} at {e['location']}": e for e in content["effects"]}
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UsageError(f"{files[0]} is no result of jaxid ({error})") from error
+            raise UsageError(f"{files[0]} is not a result of jaxid ({error})") from error
         found.append(SavedResult(one_line(folder.name or folder), content, effects))
     return found
+
+
+def recording_of(results: Sequence[Path], saved: Sequence[SavedResult]) -> Dataset:
+    """The recording that results were made of: a folder of the name that they tell, beside them,
+    here, or up to two folders further down, whose samples are those that they tell.
+
+    Raises `UsageError` where there is none.
+    """
+    name = str(saved[0].content.get("dataset", ""))
+    digest = saved[0].content.get("dataset_sha256")
+    for place in _places(name, results[0]):
+        try:
+            found = jaxid.load_dataset(place)
+        except (jaxid.DatasetError, UsageError):
+            continue
+        if found.sha256 == digest:
+            return found
+    told = f"{name!r}, which is neither here nor beside it" if name else "a recording that it lacks"
+    raise UsageError(
+        f"{results[0]} was made of {told}; say where the recording is: --dataset FOLDER"
+    )
+
+
+def _places(name: str, result: Path) -> Iterator[Path]:
+    """Folders of recordings of this name, nearest first."""
+    bases = dict.fromkeys((Path.cwd(), result.resolve().parent))
+    for depth in ("", "*/", "*/*/"):
+        for base in bases:
+            for header in sorted(base.glob(f"{depth}dataset.toml")):
+                if header.parent.name == name or f'"{name}"' in header.read_text(
+                    "utf-8", "replace"
+                ):
+                    yield header.parent
 
 
 class Viewer:

@@ -16,9 +16,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from jaxid.errors import UsageError
-from jaxid.extras import needed
-from jaxid.serialise import finite
+from jaxid.base.errors import UsageError
+from jaxid.base.extras import needed
+from jaxid.base.serialise import finite
 
 
 LOOPBACK, COOKIE = "127.0.0.1", "jaxid"

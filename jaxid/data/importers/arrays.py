@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.extras import needed
 from jaxid.data.importers.runs import first_line, refused
 from jaxid.data.records import MINIMUM_SAMPLES
-from jaxid.extras import needed
 
 
 Arrays = dict[str, Any]
@@ -75,7 +75,7 @@ def read_arrays(kind: str, path: Path) -> Arrays:
     try:
         return READERS[kind](path)
     except (OSError, ValueError, KeyError, TypeError, NotImplementedError, EOFError) as error:
-        from jaxid.errors import DatasetError, UsageError
+        from jaxid.base.errors import DatasetError, UsageError
 
         if isinstance(error, DatasetError | UsageError):
             raise

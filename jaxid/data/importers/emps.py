@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, DatasetProblem, nearest
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.data.importers.runs import first_line, paths_of
 from jaxid.data.io import save_dataset
-from jaxid.errors import DatasetError, DatasetProblem, nearest
-from jaxid.wording import names_of
 
 
 _RESOLUTION = 5.0e-8  # m, the position encoder of the benchmark

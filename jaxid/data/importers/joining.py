@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.data.importers.arrays import Arrays
 from jaxid.data.importers.runs import held, refused
 from jaxid.data.importers.source import find_column, numbers_of, series_of, Source, times_of
-from jaxid.errors import nearest, UsageError
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import nearest, UsageError
 from jaxid.data.importers.runs import (
     first_line,
     ImportedRun,
@@ -24,7 +25,6 @@ from jaxid.data.importers.runs import (
     save_runs,
 )
 from jaxid.data.units import conversion, UnitError
-from jaxid.errors import nearest, UsageError
 
 
 _TURN = 4096  # counts of the servos whose calibration LeRobot writes
@@ -128,7 +128,7 @@ def _kept_joints(
     notes: list[str] = []
     if stated.everywhere == "deg" and possible and not stated.scales:
         notes.append(
-            "every joint stays within -100..100: normalised by the recorder they are no degrees"
+            "every joint stays within -100..100: normalised by the recorder they are not degrees"
             " (--calibration FILE)"
         )
     kept: list[tuple[str, Scale]] = []
@@ -184,7 +184,7 @@ def _normalised_refusal(path: Path, wanted: str, refusals: Sequence[str]) -> Exc
     first = refusals[0].partition(" ")[0]
     return refused(
         path,
-        f"values that are no {wanted} but were normalised by the recorder: {', '.join(refusals)}",
+        f"values that are not {wanted} but were normalised by the recorder: {', '.join(refusals)}",
         "Give the recorder's calibration (--calibration FILE), each joint's ends (--unit deg"
         f" --range {first}=-110:110), or insist with --unit {first}=UNIT",
     )
@@ -373,7 +373,7 @@ def _units(
             raise UsageError(f"--unit {text}: {error}") from None
         if not sign and si not in ("rad", "m"):
             raise UsageError(
-                f"--unit {one} is no unit of a joint: rad, deg, m; normalised values need"
+                f"--unit {one} is not a unit of a joint: rad, deg, m; normalised values need"
                 " --calibration or --range"
             )
         if not sign:

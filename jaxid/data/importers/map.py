@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, DatasetProblem, nearest, UsageError
 from jaxid.data.importers.arrays import Arrays
 from jaxid.data.importers.beside import Beside, kept_beside, numbers_beside
 from jaxid.data.importers.command import full_command, ImportRequest
@@ -43,7 +44,6 @@ from jaxid.data.importers.text import StatedFormat
 from jaxid.data.patterns import captures_of, joint_numbers
 from jaxid.data.time_axis import PER_SECOND
 from jaxid.data.units import conversion, UnitError
-from jaxid.errors import DatasetError, DatasetProblem, nearest, UsageError
 
 
 ROLES = ("input", "output", "auxiliary")

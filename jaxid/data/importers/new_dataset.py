@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 from jaxid.data.importers.channels import Proposed
 from jaxid.data.importers.command import ImportRequest
 from jaxid.data.importers.joining import joined_files
@@ -14,8 +16,6 @@ from jaxid.data.importers.map import import_table, Imported
 from jaxid.data.importers.propose import recognised
 from jaxid.data.importers.source import read_source
 from jaxid.data.importers.text import StatedFormat
-from jaxid.errors import nearest, UsageError
-from jaxid.wording import names_of
 
 
 ROLES = ("input", "output", "auxiliary")
@@ -64,7 +64,7 @@ def _with_roles(channels: Sequence[Proposed], roles: Mapping[str, str]) -> list[
     for channel in channels:
         role = roles.get(channel.name, roles.get(channel.column, channel.role))
         if role not in ROLES:
-            raise UsageError(f"{role!r} is no role of {channel.name}{nearest(role, ROLES)}")
+            raise UsageError(f"{role!r} is not a role of {channel.name}{nearest(role, ROLES)}")
         found.append(replace(channel, role=role))
     return found
 

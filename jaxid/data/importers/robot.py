@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, DatasetProblem
 from jaxid.data.importers.lerobot import import_lerobot as import_lerobot
 from jaxid.data.importers.map import import_table
 from jaxid.data.importers.ros import import_ros
 from jaxid.data.importers.runs import ImportedRun, Paths, paths_of, refused, runs_of, save_runs
 from jaxid.data.table import ragged_rows, read_table, Table
-from jaxid.errors import DatasetError, DatasetProblem
 
 
 def import_ur_rtde_csv(

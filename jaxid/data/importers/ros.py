@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.base.errors import nearest
 from jaxid.data.importers.ros_commands import commands_of, with_commands
 from jaxid.data.importers.ros_files import (
     open_bag,
@@ -28,7 +29,6 @@ from jaxid.data.importers.runs import (
     runs_of,
     save_runs,
 )
-from jaxid.errors import nearest
 
 
 _ROLES = {
@@ -187,7 +187,7 @@ def _asked_topic(recording: RosRecording, asked: str) -> str:
     if kind not in STATES:
         raise refused(
             recording.path,
-            f"topic {asked!r} holds {kind}, which is no state of joints",
+            f"topic {asked!r} holds {kind}, which is not a state of joints",
             f"Name one of {', '.join(STATES)}; topics: {topics_listed(recording)}",
         )
     return asked

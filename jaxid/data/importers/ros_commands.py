@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.importers.ros_files import COMMANDS, Message, RosRecording
 from jaxid.data.importers.ros_messages import (
     field_of,
@@ -16,7 +17,6 @@ from jaxid.data.importers.ros_messages import (
     values_of,
 )
 from jaxid.data.importers.runs import held, refused
-from jaxid.errors import UsageError
 
 
 _QUANTITIES = {"position": "q", "velocity": "qd", "effort": "tau"}
@@ -68,7 +68,7 @@ def _kind_of_commands(recording: RosRecording, topic: str) -> str:
     if topic not in recording.topics:
         what = "is not there"
     elif recording.topics[topic][0] not in COMMANDS:
-        what = f"holds {recording.topics[topic][0]}, which is no command"
+        what = f"holds {recording.topics[topic][0]}, which is not a command"
     else:
         return recording.topics[topic][0]
     found = [n for n, (kind, _) in recording.topics.items() if kind in COMMANDS]

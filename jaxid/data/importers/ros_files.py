@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from jaxid.base.errors import DatasetError, UsageError
+from jaxid.base.extras import needed
 from jaxid.data.importers.runs import first_line, refused
-from jaxid.errors import DatasetError, UsageError
-from jaxid.extras import needed
 
 
 STATES = ("JointState", "LowState", "JointTrajectoryControllerState", "DynamicJointState")

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, DatasetProblem, DatasetWarning
+from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset, ModelSpec
 from jaxid.data.io import save_dataset
 from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.registers import found_sign, register_words
-from jaxid.errors import DatasetError, DatasetProblem, DatasetWarning
-from jaxid.wording import names_of
 
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]

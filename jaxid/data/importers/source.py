@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, DatasetProblem
 from jaxid.data.importers.arrays import Arrays, kind_of, read_arrays
 from jaxid.data.importers.runs import refused
 from jaxid.data.importers.text import decoded, read_text, StatedFormat
@@ -19,7 +20,6 @@ from jaxid.data.importers.traces import CLOCK, read_trace, words_of as trace_wor
 from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.table import read_table, Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND, since_start
-from jaxid.errors import DatasetError, DatasetProblem
 
 
 #: Names that a column of times has, and the unit behind them: `t`, `Time`, `__time`, `stamp_ns`,

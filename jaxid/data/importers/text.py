@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from jaxid.base.errors import DatasetError, UsageError
 from jaxid.data.importers.runs import refused
 from jaxid.data.table import csv_columns, Table
 from jaxid.data.time_axis import CLOCK
 from jaxid.data.units import conversion, UnitError
-from jaxid.errors import DatasetError, UsageError
 
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import DatasetError, DatasetProblem, nearest
 from jaxid.data.dataset import Controller, Dataset, ModelSpec
 from jaxid.data.reading.assemble import assemble
 from jaxid.data.schema import ExperimentEntry, Places, read_document
 from jaxid.data.table import Table, table_of_arrays
-from jaxid.errors import DatasetError, DatasetProblem, nearest
 
 
 RUN_SETTINGS = (

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from jaxid.base.errors import DatasetError, DatasetProblem, DatasetWarning, nearest, UsageError
 from jaxid.data.dataset import Controller, Dataset, Geometry
 from jaxid.data.experiment import Experiment, FrequencyResponse
 from jaxid.data.harvest import Harvest
@@ -21,7 +22,6 @@ from jaxid.data.responses import read_response
 from jaxid.data.schema import Document, ExperimentEntry, Header, Places
 from jaxid.data.table import Table
 from jaxid.data.units import Conversion, conversion, si_unit, UnitError
-from jaxid.errors import DatasetError, DatasetProblem, DatasetWarning, nearest, UsageError
 
 
 OpenTable = Callable[[int, ExperimentEntry], Table | DatasetProblem]
@@ -240,7 +240,7 @@ def _references(document: Document, places: Places) -> list[DatasetProblem]:
             channel = getattr(entry, role)
             known = [k for k, c in document.channels.items() if c.role == role]
             if channel not in known:
-                message = f"{channel!r} is no {role} channel{nearest(channel, known)}"
+                message = f"{channel!r} is not an {role} channel{nearest(channel, known)}"
                 problems.append(
                     places.problem(
                         ("experiments", index, role),
@@ -267,7 +267,7 @@ def _model_info(
         return None if info is None else _known_names(document, places, problems, info)
     if entry.name is None:
         return None
-    from jaxid import catalogue
+    from jaxid.dynamics import catalogue
     from jaxid.robots.arm_table import arm_table
 
     names = catalogue.model_names()
@@ -292,7 +292,7 @@ def _known_names(
     document: Document, places: Places, problems: list[DatasetProblem], info: Any
 ) -> Any:
     """The description of the model, after the names that the file states were looked for in it."""
-    from jaxid import catalogue
+    from jaxid.dynamics import catalogue
 
     entry = document.model
     assert entry is not None

@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from jaxid.base.errors import DatasetProblem, UsageError
 from jaxid.data.dataset import Geometry, ModelSpec
 from jaxid.data.model_names import parts_of
 from jaxid.data.reading.stated_model import model_spec
 from jaxid.data.schema import Document, Places
 from jaxid.data.schema_model import ModelEntry
-from jaxid.errors import DatasetProblem, UsageError
 
 
 KEY = ("model", "file")
@@ -45,7 +45,7 @@ def info_of_file(file: str | None, places: Places, problems: list[DatasetProblem
     """What is known of the model, for which its file is run; None where that failed, with the
     reason among the problems.
     """
-    from jaxid import catalogue
+    from jaxid.dynamics import catalogue
 
     if file is None:
         return None

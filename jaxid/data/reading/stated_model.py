@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from jaxid.base.errors import DatasetError, DatasetProblem, UsageError
 from jaxid.data.dataset import Dataset, Geometry, ModelSpec, ParameterPrior
 from jaxid.data.schema import Document, Places
 from jaxid.data.schema_model import ModelEntry, PriorEntry
-from jaxid.errors import DatasetError, DatasetProblem, UsageError
 from jaxid.robots.arm_table import arm_table
 
 
@@ -22,6 +22,7 @@ def model_spec(entry: ModelEntry) -> ModelSpec:
         joints=dict(entry.joints),
         base={} if entry.base is None else entry.base.model_dump(exclude_unset=True),
         trust=entry.trust,
+        simulator=entry.simulator,
     )
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.gains import gains_in
 from jaxid.diagnosis.verdict import level
-from jaxid.errors import UsageError
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.replay import in_mujoco
 from jaxid.problem.binding import Binding

@@ -12,10 +12,10 @@ from itertools import product
 
 import numpy as np
 
+from jaxid.base.wording import listed
 from jaxid.fitting.ending import LAW_KD
 from jaxid.problem.binding import Binding
 from jaxid.problem.trust import trusting
-from jaxid.wording import listed
 
 
 #: Numbers of a law that are asked. Of a cascade `kd` is what [controller] calls `kv`.

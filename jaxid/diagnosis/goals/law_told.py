@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxid.base.wording import listed
 from jaxid.fitting.result import Fit
-from jaxid.wording import listed
 
 
 NUMBERS = ("kp", "kd", "delay")

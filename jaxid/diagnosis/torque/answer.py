@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.wording import listed, percent, times
 from jaxid.diagnosis import where as location
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.budget import closed, shrink
@@ -25,7 +26,6 @@ from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Score, Trace
 from jaxid.fitting.scores import score
 from jaxid.identification.payload import NO_MASS, usual_gain_std
-from jaxid.wording import listed, percent, times
 
 
 #: Simulated repetitions of the noise in every regime.

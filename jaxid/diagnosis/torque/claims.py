@@ -86,14 +86,28 @@ def _claim(
         return None
     family, together = _family(scales, asked, standing, unit)
     together *= elsewhere
+    for other in _swapped(weighed, unit)[: FAMILY - len(family)]:
+        if together >= rule.sure:
+            break
+        family = (*family, other)
+        together += weighed.swaps[unit][other]
     return TorqueClaim(unit, p, family, together) if together >= rule.sure else None
+
+
+def _swapped(weighed: Weighed, unit: int) -> list[int]:
+    """Units at the same place that were asked with others and may act instead, likeliest first."""
+    units, odds = weighed.scales.units, weighed.swaps.get(unit, {})
+    near = [v for v in odds if units[v].location == units[unit].location]
+    named = [v for v in near if not is_free(units[v])]
+    return sorted(named, key=lambda v: odds[v], reverse=True)
 
 
 def _family(
     scales: Scales, asked: Asked, standing: Sequence[int], unit: int
 ) -> tuple[tuple[int, ...], float]:
-    """The units that stand for the one at its place, one of each effect, until one of all is there
-    with what a claim needs, and that probability. Others that stand beside it are none of them.
+    """The units that stand for the one at its place, of those that it was asked with and one of
+    each effect, until one of all is there with what a claim needs, and that probability. Others
+    that stand beside it are none of them.
     """
     place = scales.units[unit].location
     beside = {scales.units[u].effect for u in standing}

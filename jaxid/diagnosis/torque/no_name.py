@@ -7,13 +7,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from jaxid.base.errors import UsageError
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.diagnosis.torque.claims import believed
 from jaxid.diagnosis.torque.found import searched
 from jaxid.diagnosis.torque.study import TorqueStudy
 from jaxid.dynamics.effect import Effect
-from jaxid.errors import UsageError
 from jaxid.fitting.lost_runs import by_torque
 from jaxid.problem.binding import Binding
 

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
+from jaxid.base.small_files import read_small
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.diagnosis.torque.algebra import ColumnPrior
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.errors import UsageError
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import InverseDynamics, Residual
-from jaxid.storage.small_files import read_small
 
 
 WANTED = (

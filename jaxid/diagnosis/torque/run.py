@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.wording import listed
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.torque.answer import (
@@ -36,7 +37,6 @@ from jaxid.fitting.stated import stated_numbers
 from jaxid.identification.payload import usual_gain_std
 from jaxid.problem.binding import Binding
 from jaxid.problem.trust import sentence, told, trusting
-from jaxid.wording import listed
 
 
 def diagnose_by_torque(

@@ -8,7 +8,7 @@ place, since numbers of the model couple the joints.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -275,6 +275,8 @@ class Weighed:
     best: tuple[int, ...]
     #: (effect, place) -> probability.
     places: dict[tuple[str, str], float]
+    #: Unit that stands -> what was asked elsewhere, with the probability that it acts instead.
+    swaps: dict[int, dict[int, float]] = field(default_factory=dict)
 
 
 def weigh(scales: Scales, most: int = MOST) -> Weighed:
@@ -287,7 +289,7 @@ def weigh(scales: Scales, most: int = MOST) -> Weighed:
     found = [_summed(scales, _swept(scales, order, most)) for order in orders]
     worth = [_worth(weighed) for weighed in found]
     weighed = found[int(np.argmax(worth))]
-    return replace(weighed, places=_coupled(weighed))
+    return _coupled(weighed)
 
 
 def _swept(scales: Scales, groups: Sequence[tuple[list[int], list[int]]], most: int) -> list[Asked]:
@@ -328,11 +330,12 @@ def _worth(weighed: Weighed) -> float:
     return float(found[0])
 
 
-def _coupled(weighed: Weighed) -> dict[tuple[str, str], float]:
-    """Probabilities once each unit that stands has been asked against anything elsewhere in its
+def _coupled(weighed: Weighed) -> Weighed:
+    """The same once each unit that stands has been asked against anything elsewhere in its
     place.
     """
     scales, places = weighed.scales, dict(weighed.places)
+    swaps: dict[int, dict[int, float]] = {}
     rivals = _best_shapes(weighed)
     exchange = _Exchange(scales, weighed.best, rivals)
     for u in weighed.best:
@@ -341,10 +344,11 @@ def _coupled(weighed: Weighed) -> dict[tuple[str, str], float]:
         place = scales.units[u].place
         shared = places[place] / (1.0 + places[place] * sum(odds.values()))
         places[place] = shared
-        for v, against in odds.items():
+        swaps[u] = {v: shared * against for v, against in odds.items()}
+        for v, p in swaps[u].items():
             other = scales.units[v].place
-            places[other] = max(places.get(other, 0.0), shared * against)
-    return places
+            places[other] = max(places.get(other, 0.0), p)
+    return replace(weighed, places=places, swaps=swaps)
 
 
 class _Exchange:

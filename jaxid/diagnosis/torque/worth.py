@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxid.base.wording import percent
 from jaxid.diagnosis.belief import Worth
 from jaxid.diagnosis.torque.algebra import BLOCKS
 from jaxid.diagnosis.torque.answer import Answer, of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.held_out import cut
 from jaxid.diagnosis.torque.study import TorqueRows, TorqueStudy
-from jaxid.wording import percent
 
 
 #: Times that blocks are drawn anew for an interval.

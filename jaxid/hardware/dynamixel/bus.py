@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
-from jaxid.extras import needed
+from jaxid.base.extras import needed
 from jaxid.hardware.dynamixel import registers as x
 from jaxid.hardware.link import first_line
 from jaxid.hardware.port import opened

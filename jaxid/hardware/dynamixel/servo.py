@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.limits import Limits
-from jaxid.errors import UsageError
 from jaxid.hardware.device import approach, DeviceReading, News, PathPlan, Sample
 from jaxid.hardware.dynamixel import registers as x
 from jaxid.hardware.errors import HardwareError

@@ -16,7 +16,7 @@ import time
 import tty
 from collections.abc import Callable
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.hardware.dynamixel import registers as x
 from jaxid.hardware.emulators.dynamixel_servo import PLANT, ServoBus
 from jaxid.hardware.emulators.orders import EventLog, Orders

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from typing import Any, TextIO
 
-from jaxid.errors import nearest
+from jaxid.base.errors import nearest
 
 
 class EventLog:

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from jaxid.errors import nearest, UsageError
-from jaxid.wording import names_of
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.wording import names_of
 
 
 #: Longest step of a simulation (s).
@@ -130,7 +130,7 @@ class Modelled:
 
 def _chain(model: str, effects: Sequence[Mapping[str, Any]], count: int) -> Any:
     """A model with the effects that it does not have already, of one joint or of all `count`."""
-    from jaxid import catalogue
+    from jaxid.dynamics import catalogue
     from jaxid.dynamics.chain import Chain
     from jaxid.dynamics.effect import RecordEffect
 

@@ -16,7 +16,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.hardware.emulators.orders import EventLog, Orders
 from jaxid.hardware.emulators.plant import read_plant
 from jaxid.hardware.emulators.ur_arm import Arm, JOINTS, PLANT, SIZES, STEP, VARIABLES

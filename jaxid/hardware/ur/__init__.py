@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from jaxid.lazy import attach as _attach
+from jaxid.base.lazy import attach as _attach
 
 
 if _TYPE_CHECKING:

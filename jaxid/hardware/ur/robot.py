@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.limits import Limits
-from jaxid.errors import UsageError
 from jaxid.hardware.device import approach, DeviceReading, News, PathPlan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.link import Driver, ENDS

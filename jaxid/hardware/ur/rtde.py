@@ -12,7 +12,7 @@ import struct
 import time
 from collections.abc import Sequence
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.hardware.errors import HardwareError
 
 

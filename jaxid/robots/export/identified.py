@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.models.effects import ConstantTorque, PowerLawFriction, StribeckFriction
 from jaxid.robots.arms import table_of
 from jaxid.robots.chain_table import z_to
@@ -47,7 +47,7 @@ def identified(found: ExportOutcome, tree: Tree, path: Path | None) -> Sheet:
         )
     friction = found.content.get("friction") or []
     if not isinstance(friction, list):
-        raise UsageError("friction of the result is no list")
+        raise UsageError("friction of the result is not a list")
     tree = _chain(tree, [str(r.get("joint")) for r in friction if isinstance(r, Mapping)], path)
     sheet = of_tree(tree, tree.joints, found.robot)
     _bodies(sheet, found, tree)

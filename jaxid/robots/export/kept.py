@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.base.wording import value_with_std
 from jaxid.numerics.stated_numbers import BoundedEstimates, smallest_change
 from jaxid.robots.export.outcome import AS_STATED, ExportOutcome, Named, Number, number
-from jaxid.wording import value_with_std
 
 
 def kept(found: ExportOutcome) -> ExportOutcome:

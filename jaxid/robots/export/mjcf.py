@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import listed
 from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.mjcf_code import callback, snippet, spec_code
 from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY, OF_LAW
@@ -36,7 +37,6 @@ from jaxid.robots.export.target import (
     Written,
 )
 from jaxid.robots.export.xml_text import number as digits, numbers
-from jaxid.wording import listed
 
 
 NAME, VERSION, FILES = "mjcf", "MuJoCo 4.0", (".xml", ".mjcf")

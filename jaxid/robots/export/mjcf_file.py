@@ -7,7 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 from jaxid.robots import mjcf_spec
 from jaxid.robots.export.xml_text import Element, XmlText
 from jaxid.robots.mjcf_spec import compilable, library

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 
 
 KINDS = ("fit", "diagnosis", "identification")
@@ -111,7 +111,7 @@ def outcome(content: Any) -> ExportOutcome:
     kind = content.get("kind") if isinstance(content, Mapping) else None
     if kind not in KINDS:
         raise UsageError(
-            f"this is no result of {', '.join(KINDS)}: give the JSON that jaxid fit, diagnose or"
+            f"this is not a result of {', '.join(KINDS)}: give the JSON that jaxid fit, diagnose or"
             " identify wrote"
         )
     which = content.get("which") if kind == "diagnosis" else content
@@ -145,7 +145,7 @@ def _name(value: Any, where: str) -> str:
         or len(value) > LONGEST
         or any(ord(c) < 32 for c in value)
     ):
-        raise UsageError(f"{where} of the result: {str(value)[:60]!r} is no name")
+        raise UsageError(f"{where} of the result: {str(value)[:60]!r} is not a name")
     return value
 
 
@@ -214,7 +214,7 @@ def _covariance(entry: Any, names: Any) -> tuple[tuple[str, ...], np.ndarray]:
     try:
         matrix = np.array(rows, float).reshape(len(rows), -1)  # nan for None
     except (TypeError, ValueError):
-        raise UsageError("the covariance of the result is no matrix") from None
+        raise UsageError("the covariance of the result is not a matrix") from None
     n = min(len(names), len(matrix), matrix.shape[1] if matrix.size else 0)
     return tuple(_name(k, "covariance") for k in names[:n]), matrix[:n, :n]
 
@@ -252,7 +252,7 @@ def _drive(drive: Any) -> dict[str, Any] | None:
         return None
     joints = drive.get("joints")
     if not isinstance(joints, Mapping) or not all(isinstance(n, Mapping) for n in joints.values()):
-        raise UsageError("robot.drive.joints of the result is no table by joint")
+        raise UsageError("robot.drive.joints of the result is not a table by joint")
     return {**drive, "joints": {_name(j, "drive"): _law(n) for j, n in joints.items()}}
 
 

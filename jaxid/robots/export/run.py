@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jaxid.display import Printed
-from jaxid.errors import nearest, UsageError
+from jaxid.base.display import Printed
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.small_files import read_small, TooLarge
+from jaxid.base.wording import listed, number
 from jaxid.robots.export import mjcf
 from jaxid.robots.export.apply import carried
 from jaxid.robots.export.kept import kept
@@ -24,8 +26,6 @@ from jaxid.robots.mjcf import read_mjcf
 from jaxid.robots.origin import digest
 from jaxid.robots.tree import Tree
 from jaxid.robots.urdf_tree import read_urdf_tree
-from jaxid.storage.small_files import read_small, TooLarge
-from jaxid.wording import listed, number
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,7 +82,7 @@ def export(
     patches = path is not None and path.suffix.lower() in target.FILES
     if target.FILES and path is not None and not patches and to in ("mjcf", "urdf"):
         sheet.notes.append(
-            f"{path.name} is no {to.upper()}, so nothing was patched: give one with --robot FILE"
+            f"{path.name} is not {to.upper()}, so nothing was patched: give one with --robot FILE"
         )
     if to == "mjcf" and patches and path is not None:
         written = mjcf.write(sheet, told, path, trial)

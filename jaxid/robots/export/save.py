@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from jaxid.errors import UsageError
+from jaxid.base.atomic_files import replace_files
+from jaxid.base.errors import UsageError
+from jaxid.base.serialise import finite, SCHEMA
+from jaxid.base.small_files import read_small, TooLarge
 from jaxid.robots.export.run import Exported
-from jaxid.serialise import finite, SCHEMA
-from jaxid.storage.atomic_files import replace_files
-from jaxid.storage.small_files import read_small, TooLarge
 
 
 #: The rows, the ranges, and what the files were made from (with their SHA-256, for `jaxid replay`
@@ -70,7 +70,7 @@ def _refuse_overwriting(folder: Path, name: str, before: Mapping[str, Any]) -> N
         raise UsageError(f"{name!r} would lie outside --out {folder}")
     path = folder / name
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise UsageError(f"{path} is no plain file: name another folder with --out")
+        raise UsageError(f"{path} is not a plain file: name another folder with --out")
     if not path.exists() or (name == SOURCE and before):
         return
     if hashlib.sha256(read_small(path)).hexdigest() != before.get("files", {}).get(name):

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
+from jaxid.base.small_files import read_small
 from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.outcome import ExportOutcome
 from jaxid.robots.export.sheet import from_ten, JointNumbers, LinkInertia, Sheet
@@ -23,7 +24,6 @@ from jaxid.robots.export.target import (
 from jaxid.robots.export.xml_text import Element, number as digits, numbers, XmlText
 from jaxid.robots.tree import motion, roll_pitch_yaw
 from jaxid.robots.urdf import read_links
-from jaxid.storage.small_files import read_small
 
 
 NAME, VERSION, FILES = "urdf", "URDF of ROS 2", (".urdf",)

@@ -12,10 +12,10 @@ import importlib
 import time
 from typing import Any, NamedTuple
 
-from jaxid.errors import nearest, UsageError
+from jaxid.base.errors import nearest, UsageError
+from jaxid.base.interim import Interim
+from jaxid.base.stopping import Interrupted
 from jaxid.fitting.fitter import Progress
-from jaxid.runtime import Interrupted
-from jaxid.storage.interim import Interim
 from jaxid.study.papers.result import Reproduction
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from jaxid import fitters
 from jaxid.api import fit, simulate
+from jaxid.base.wording import listed, number
 from jaxid.data.dataset import (
     Channel,
     Dataset,
@@ -29,7 +30,6 @@ from jaxid.problem.response_lines import estimate
 from jaxid.study.papers.result import judged, PaperClaim, PaperPart, PaperTable, PARTLY, UNKNOWN
 from jaxid.study.papers.searches import course, dispersion, in_order, lines, mean_sd, race, Searched
 from jaxid.study.papers.twins import flexible_link as twin
-from jaxid.wording import listed, number
 
 
 #: Design space (Table 1).

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
+from jaxid.base.serialise import json_bytes
+from jaxid.base.wording import number, one_line, wrapped
 from jaxid.report import plot
 from jaxid.report.page import render, Section
-from jaxid.serialise import json_bytes
-from jaxid.wording import number, one_line, wrapped
 
 
 if TYPE_CHECKING:

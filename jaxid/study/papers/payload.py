@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxid.base.wording import listed, number
 from jaxid.dynamics.base_parameters import torque_columns
 from jaxid.dynamics.rigid_body import about_origin
 from jaxid.fitting.recursive_least_squares import replay, Rule
@@ -28,7 +29,6 @@ from jaxid.study.papers.result import (
 )
 from jaxid.study.papers.searches import lines, mean_sd
 from jaxid.study.papers.twins.serial_arm import torques
-from jaxid.wording import listed, number
 
 
 #: Friction (Table VI; the negative F_c of joint 2 brakes backwards and is left out) and noise

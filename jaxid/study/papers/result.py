@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from jaxid.numerics.versions import versions
+from jaxid.base.serialise import plain, SCHEMA
+from jaxid.base.versions import versions
 from jaxid.report.display import page
-from jaxid.serialise import plain, SCHEMA
 from jaxid.study.papers.page import reproduction_page
 
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from jaxid import fitters
 from jaxid.api import fit
+from jaxid.base.wording import listed, number
 from jaxid.fitting.fitter import AbstractFitter
 from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.population import AbstractPopulation
@@ -52,7 +53,6 @@ from jaxid.study.papers.space_recursion import (
     UNITS,
 )
 from jaxid.study.papers.twins import space_arm as twin
-from jaxid.wording import listed, number
 
 
 class SpaceManipulatorSize(NamedTuple):

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from jaxid import fitters
 from jaxid.api import diagnose, fit, simulate
+from jaxid.base.wording import listed, number
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec, ParameterPrior
 from jaxid.fitting.fitter import AbstractFitter
 from jaxid.fitting.problem_builder import ProblemBuilder, start_values
@@ -35,7 +36,6 @@ from jaxid.study.papers.result import (
 )
 from jaxid.study.papers.searches import course, dispersion, in_order, lines, race, Searched
 from jaxid.study.papers.twins import tracker as twin
-from jaxid.wording import listed, number
 
 
 #: The paper states no bounds.

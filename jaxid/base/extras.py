@@ -6,7 +6,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 
 
 #: Package on disk -> (the extra that brings it, what needs it).

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, TYPE_CHECKING
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 
 
 if TYPE_CHECKING:

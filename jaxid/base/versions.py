@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 
-from jaxid.errors import UsageError
+from jaxid.base.errors import UsageError
 
 
 #: What computes a result.

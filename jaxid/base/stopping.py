@@ -18,6 +18,16 @@ INTERRUPTED = 130
 PATIENCE_S = 1.0
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a fit or a diagnosis; `partial` is the result finished so far, which a command
+    saves.
+    """
+
+    def __init__(self, partial: Any = None):
+        super().__init__("interrupted")
+        self.partial = partial
+
+
 def ending() -> list[int]:
     """The signals that end work. One that is ignored is none of them: `nohup` means SIGHUP so."""
     known = [getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP")]

@@ -90,7 +90,7 @@ BAD_INPUT = 2
 
 def explain(error: Exception) -> tuple[int, str]:
     """Exit code and message of an error that reached the top."""
-    from jaxid.errors import DatasetError, NotSaved, UsageError
+    from jaxid.base.errors import DatasetError, NotSaved, UsageError
 
     if isinstance(error, UsageError | DatasetError):
         return BAD_INPUT, str(error)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, TYPE_CHECKING
 
-from jaxid.errors import nearest, UsageError
+from jaxid.base.errors import nearest, UsageError
 
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from jaxid.errors import NotSaved
+from jaxid.base.errors import NotSaved
 
 
 #: Hidden folder that holds old and new files while they are exchanged, and what in it is read.

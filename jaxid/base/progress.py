@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import TextIO
 
-from jaxid.wording import one_line
+from jaxid.base.wording import one_line
 
 
 Callback = Callable[[str, int, int, str], None]

@@ -12,9 +12,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from jaxid.display import displays
-from jaxid.serialise import json_bytes
-from jaxid.storage.atomic_files import replace_files, settle
+from jaxid.base.atomic_files import replace_files, settle
+from jaxid.base.display import displays
+from jaxid.base.serialise import json_bytes
 
 
 #: Folder inside that of a result for what was known when a run was stopped, and the page's name.

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxid.extras import EXTRAS
-from jaxid.numerics.versions import versions
+from jaxid.base.extras import EXTRAS
+from jaxid.base.serialise import SCHEMA
+from jaxid.base.versions import versions
 from jaxid.robots.mjcf_spec import library
-from jaxid.serialise import SCHEMA
 
 
 #: What a computation rests on, as it is called where it is installed from.
@@ -211,7 +211,7 @@ def numbers_come_back() -> Test:
 def the_delay_is_named() -> Test:
     """A diagnosis of the joint whose torque acts late, among all effects of timing."""
     import jaxid
-    from jaxid.catalogue import effect_class, effect_names
+    from jaxid.dynamics.catalogue import effect_class, effect_names
 
     asked = [name for name in effect_names() if effect_class(name).acts_on == "timing"]
     found = jaxid.diagnose("joint", twin(delay=DELAY), effects=asked, max_effects=1)

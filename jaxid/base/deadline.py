@@ -12,8 +12,8 @@ from contextvars import ContextVar
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from jaxid.errors import UsageError
-from jaxid.runtime import Interrupted
+from jaxid.base.errors import UsageError
+from jaxid.base.stopping import Interrupted
 
 
 T = TypeVar("T", bound=Any)

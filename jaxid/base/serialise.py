@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.storage.atomic_files import replace_files
+from jaxid.base.atomic_files import replace_files
 
 
 SCHEMA = 1

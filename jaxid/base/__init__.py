@@ -1,0 +1,1 @@
+"""What knows no robot: errors, words, progress and deadlines, files that are whole or not there."""

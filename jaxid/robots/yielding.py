@@ -1,0 +1,58 @@
+"""A robot whose joints give way as its file says where MuJoCo steps it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxid.dynamics.mechanism import Staged
+from jaxid.dynamics.mujoco_step import SoftJoints
+from jaxid.dynamics.parameter import constant
+from jaxid.dynamics.soft_constraints import Slip, Stops
+from jaxid.numerics.fast_math import inverse
+
+
+class Yielding(Staged):
+    """Abstract: a tree of joints with the numbers of soft friction and soft stops, those of
+    `jaxid.robots.file_step`, for each joint that leads.
+    """
+
+    slip_rate: Array = constant(0.0, unit="1/s", meaning="how quickly dry friction stops a joint")
+    slip_share: Array = constant(0.0, unit="1", meaning="its compliance by the inverse inertia")
+    stop_lower: Array = constant(0.0, unit="{X}", meaning="lower end of the joint")
+    stop_upper: Array = constant(0.0, unit="{X}", meaning="upper end of the joint")
+    stop_margin: Array = constant(0.0, unit="{X}", meaning="how far before its end a stop acts")
+    stop_stiffness: Array = constant(0.0, unit="1/s^2", meaning="how hard it pushes back")
+    stop_rate: Array = constant(0.0, unit="1/s", meaning="how quickly it stops a joint")
+    stop_softest: Array = constant(0.0, unit="1", meaning="its impedance where it begins")
+    stop_hardest: Array = constant(0.0, unit="1", meaning="its impedance further on")
+    stop_width: Array = constant(0.0, unit="{X}", meaning="over which its impedance rises")
+    stop_midpoint: Array = constant(0.0, unit="1", meaning="where that rise turns")
+    stop_power: Array = constant(0.0, unit="1", meaning="how steep it is there")
+
+    #: How a simulation steps: an integrator of `jaxid.dynamics.mujoco_step`, "" for jaxid's own.
+    integrator: str = eqx.field(static=True, default="")
+    tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `StaticTree`
+    yielding: Any = None  # `SoftJoints`, where they are ready
+
+    @property
+    def own_step(self):
+        return self.tree.tree.simulator.timestep if self.integrator else None
+
+    def soft_joints(self, at: Any = None) -> SoftJoints:
+        """How joints give way where MuJoCo steps; `at` the positions [nq] of the file's reference
+        pose, where they are not ready.
+        """
+        if self.yielding is not None:
+            return self.yielding
+        stops = []
+        for name in Stops._fields:
+            stops.append(getattr(self, f"stop_{name}"))
+        M, _ = self.matrices(at, jnp.zeros_like(at))
+        weight = jnp.sum(inverse(M) * np.eye(len(at)), -1)
+        slip = Slip(rate=self.slip_rate, share=self.slip_share)
+        return SoftJoints(slip=slip, stops=Stops(*stops), weight=weight)
