@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import pi
 
 import numpy as np
 
 from jaxid.base.wording import listed, number
+from jaxid.conventions.equal_scales import (
+    far,
+    Judged,
+    likeliest_scales,
+    of_many,
+    refuted_beside,
+)
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, APART, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import ForceFit, ReadingFit
 from jaxid.conventions.readings import (
-    EFFECT_RANGE,
     exchanges,
     FREE,
     GEAR,
@@ -43,23 +49,7 @@ from jaxid.problem.binding import Binding
 MOST = 4  # findings, one after another
 #: Channels, or sets of them, whose factor is sought beyond the values that it is looked for at.
 SOUGHT = 3
-#: A fitted factor may be a known one within this share of it.
-NAMED = 0.03
-#: Logarithm of a factor, to each side, to which those that fit alike are gone through.
-FARTHEST = 3.0
 _POOL = Pool("readings")
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A reading with what it leaves of the drive."""
-
-    reading: Reading
-    fitted: ReadingFit
-
-    @property
-    def left(self) -> float:
-        return self.fitted.worst + FLOOR
 
 
 def judged(
@@ -151,9 +141,9 @@ def _claimed(
     if best.reading.kind in ("sign", "swapped_channels"):
         best, *same = _nearest_stated(fit, names, [best, *same])
     if best.reading.kind == "scale":
-        best, *same = _likeliest_scales(fit, names, [best, *same])
+        best, *same = likeliest_scales(fit, names, [best, *same])
     near = [t for t in tried if t is not best and t.left <= ALIKE * tried[0].left]
-    near = [t for t in near if not _refuted_beside(fit, best, t)]
+    near = [t for t in near if not refuted_beside(fit, best, t)]
     value, interval, what, stated_off = best.reading.value, None, best.reading.what, False
     others = {t.reading.kind for t in near} - {best.reading.kind}
     if best.reading.kind == "sign" and _rivals(fit, best, same):
@@ -252,26 +242,6 @@ def _nearest_stated(fit: ForceFit, names: Names, equals: list[Judged]) -> list[J
     return sorted(equals, key=rank)
 
 
-def _likeliest_scales(fit: ForceFit, names: Names, equals: list[Judged]) -> list[Judged]:
-    """Of equals first those that leave the model's numbers as they are stated, and of these one
-    that has a name; without those that what is stated refutes where it does not refute all.
-    """
-
-    def rank(judged: Judged) -> tuple[bool, bool, float]:
-        off = fit.off_stated(judged.fitted) > REFUTED
-        return off, not _named(judged.reading, names), judged.left
-
-    best, *same = sorted(equals, key=rank)
-    return [best, *(t for t in same if not _refuted_beside(fit, best, t))]
-
-
-def _refuted_beside(fit: ForceFit, best: Judged, other: Judged) -> bool:
-    """Whether what is stated refutes another scale and not this one."""
-    if best.reading.kind != "scale" or other.reading.kind != "scale":
-        return False
-    return fit.off_stated(best.fitted) <= REFUTED < fit.off_stated(other.fitted)
-
-
 def _rivals(fit: ForceFit, best: Judged, same: list[Judged]) -> list[Judged]:
     """Equals of a reading by which the model has other numbers, and which what is stated does not
     refute.
@@ -284,12 +254,6 @@ def _rivals(fit: ForceFit, best: Judged, same: list[Judged]) -> list[Judged]:
         if not mirrored and not refuted:
             found.append(other)
     return found
-
-
-def _named(reading: Reading, names: Names) -> bool:
-    """Whether a scale is that of a known slip, as far as a fit tells."""
-    factor, _ = nearest_factor(reading.value, names.unit(reading.channels[0]))
-    return abs(np.log(reading.value / factor)) < NAMED
 
 
 def _bounded(binding: Binding) -> bool:
@@ -409,13 +373,13 @@ def _refined(
         change = _scaled(replace(best.reading, value=factor), names)
         alike = abs(np.log(value / factor)) <= APART
         alike = alike and fit.fit(change(m), laws).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR)
-        if alike and not _far(best, near, factor):
+        if alike and not far(best, near, factor):
             return factor, ends, what, change, True
     own = nearest_convention(
         best.reading.kind, names.unit(best.reading.channels[0]), value, std, travel
     )
-    if best.reading.kind == "scale" and _far(best, near, value if own is None else own[0]):
-        own = _of_many(fit, m, best, names, own, laws)
+    if best.reading.kind == "scale":
+        own = of_many(fit, m, best=best, near=near, names=names, value=value, own=own, laws=laws)
     if own is None:
         return value, ends, "", best.reading.change, False
     value, what = own
@@ -423,40 +387,6 @@ def _refined(
         j = names.joints.index(best.reading.channels[0])
         return value, ends, what, (lambda m: offset_joint(m, j, -value)), True
     return value, ends, what, _scaled(replace(best.reading, value=value), names), True
-
-
-def _of_many(
-    fit: ForceFit,
-    m: SampledMotion,
-    best: Judged,
-    names: Names,
-    own: tuple[float, str] | None,
-    laws: bool,
-) -> tuple[float, str] | None:
-    """Of many factors that fit alike the one by which the model's numbers are nearest to what is
-    stated of them. Where that tells nothing a known factor stands, and what has no name is none.
-    """
-
-    def off(x: float) -> float:
-        reading = scale_of(names, best.reading.channels, best.reading.value * float(np.exp(x)))
-        fitted = fit.fit(reading.change(m), laws, begin=best.fitted.x)
-        return fit.off_stated(fitted) if fitted.worst <= ALIKE * best.left else np.nan
-
-    steps = np.linspace(-FARTHEST, FARTHEST, 4 * int(FARTHEST) + 1)
-    tried = np.array([off(float(x)) for x in steps])
-    least = np.nanmin(tried, initial=np.inf)
-    if not (least <= REFUTED < np.nanmax(tried, initial=0.0)):
-        return own if own is not None and own[1] not in (FREE, GEAR) else None
-    value = best.reading.value * float(np.exp(steps[int(np.nanargmin(tried))]))
-    low, high = EFFECT_RANGE
-    return None if low < value < high else (value, FREE)
-
-
-def _far(best: Judged, near: list[Judged], factor: float) -> bool:
-    """Whether a factor of the same channel that leaves as little lies far from this one."""
-    what = best.reading.kind, best.reading.channels
-    own = [t.reading.value for t in near if (t.reading.kind, t.reading.channels) == what]
-    return any(abs(np.log(value / factor)) > APART for value in own)
 
 
 def _scaled(reading: Reading, names: Names) -> Callable[[SampledMotion], SampledMotion]:
