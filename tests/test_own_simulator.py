@@ -83,6 +83,15 @@ def test_a_recording_of_mujocos_is_its_files_run(robot):
     assert np.abs(simulation.runs[0]["lift"] - q).max() < 1e-9
 
 
+@pytest.mark.parametrize(("simulator", "near"), [("mujoco", 1e-9), ("own", 2e-2)])
+def test_a_drive_with_a_time_constant_follows_as_in_mujoco(simulator, near):
+    text = FILE.replace('delay="0.012" nsample="7"', 'timeconst="0.03"').replace("0.35", "2")
+    u = goals(1.0)
+    q = recorded(text, u)
+    made = simulate_dataset(None, dataset(u, q, simulator), Robot.from_mjcf("lift.xml", text=text))
+    assert np.abs(made.runs[0]["lift"] - q).max() < near * np.ptp(q)
+
+
 def test_its_steps_are_not_divided_further(robot):
     u = goals(1.0)
     data = dataset(u, recorded(FILE, u))
