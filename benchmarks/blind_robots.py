@@ -38,7 +38,7 @@ import jaxid  # noqa: E402
 from benchmarks.blind_summary import held, share  # noqa: E402
 from jaxid.benchmark.goal_arms import case, dataset, GoalArm, KINDS, RATE, recorded, STEP  # noqa: E402
 from jaxid.diagnosis.budget import shrink  # noqa: E402
-from jaxid.diagnosis.goals.as_stated import TAKEN_OFF  # noqa: E402
+from jaxid.diagnosis.goals.difference import TAKEN_OFF  # noqa: E402
 from jaxid.diagnosis.verdict import level  # noqa: E402
 
 

@@ -32,7 +32,7 @@ from jaxid.robots.yielding import Yielding
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
 from .effects.body import PlacedPayload
-from .robot_drive import PositionLaw
+from .robot_drive import PositionLaw, SampledLag
 
 
 plan_of = lru_cache(dynamics.plan)
@@ -179,7 +179,6 @@ class Robot(Yielding):
     floats: bool = eqx.field(
         static=True, default=False
     )  # on a free base: see `jaxid.robots.floating`
-    tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `StaticTree`
     drive_law: Any = eqx.field(static=True, default=None)
     rides: bool = eqx.field(
         static=True, default=False
@@ -269,7 +268,8 @@ class Robot(Yielding):
         if law.delayed:
             own.append((InputDelay, {"delay": "delay@{joint}"}))
         if any(law.lag):
-            own.append((ActuatorLag, {"time": "timeconst@{joint}"}))
+            lag = SampledLag if self.integrator else ActuatorLag
+            own.append((lag, {"lag": "timeconst@{joint}"}))
         self.fitted = law.fitted(self.tree.tree.driven)
 
     def driven_by(self, law: Any) -> Robot:
@@ -365,7 +365,7 @@ class Robot(Yielding):
             numbers |= {
                 PositionLaw: {**law.numbers, **law.words},
                 InputDelay: {"delay": np.array(law.delay)},
-                ActuatorLag: {"time": np.array(law.lag)},
+                **dict.fromkeys((ActuatorLag, SampledLag), {"lag": np.array(law.lag)}),
             }
         return [kind(**numbers[kind]) for kind, _ in self.builtin]
 

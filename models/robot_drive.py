@@ -14,6 +14,8 @@ from jaxtyping import Array
 from jaxid.dynamics.effect import InputEffect
 from jaxid.dynamics.parameter import constant, param, Quantity
 
+from .effects.actuator import ActuatorLag
+
 
 KINDS = ("pd", "pid", "cascade")
 VELOCITIES = ("measured", "difference", "averaged_difference")
@@ -140,3 +142,14 @@ class PositionLaw(InputEffect):
         )
         kept = jnp.where(now, new, jnp.stack([held, last, before, goal, integral]))
         return kept[0], (elapsed + s.h, jnp.maximum(count, ticks), kept)
+
+
+class SampledLag(ActuatorLag):
+    """The same where MuJoCo steps: what the drive has come to by a step's beginning acts in it."""
+
+    source: ClassVar[str] = "MuJoCo's actuator of dyntype filterexact"
+
+    def __call__(self, u, s, z):
+        present = self.lag > 0
+        left = jnp.exp(-s.h / jnp.where(present, self.lag, 1.0))
+        return jnp.where(present, z, u), jnp.where(present, u + (z - u) * left, u)

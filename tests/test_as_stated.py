@@ -11,7 +11,7 @@ import pytest
 
 import jaxid
 from jaxid.benchmark.goal_arms import dataset, GoalArm, goals, RATE, recorded
-from jaxid.diagnosis.goals.as_stated import by_its_steps, Difference, difference
+from jaxid.diagnosis.goals.difference import by_its_steps, Difference, difference
 from jaxid.diagnosis.goals.floor import between_simulators, made_by_steps
 from jaxid.diagnosis.goals.run import loop_step
 from jaxid.diagnosis.goals.study import LedStudy

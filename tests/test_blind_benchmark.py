@@ -20,7 +20,9 @@ import jaxid
 from benchmarks import public
 from jaxid.base.errors import UsageError
 from jaxid.benchmark import (
+    arm_sets,
     case,
+    goal_arms,
     make as making,
     paper_sets,
     rig_sets,
@@ -302,6 +304,25 @@ def test_sets_of_the_papers_hold_each_rig_and_stand_beside_all(tmp_path):
     assert "papers" not in making.SETS and "papers" in making.KNOWN
     (case_,) = drafts[2].simulate(drafts[2:3])
     assert case_.question["robot"] == "model.xml" and len(case_.question["joints"]) == 6
+
+
+@pytest.mark.parametrize("number", [0, 3])
+def test_a_floor_that_is_withheld_shows_in_the_recording(number):
+    """Of the first of these cases the floor that was drawn is never touched."""
+    draft = arm_sets.goal_drafts("contact", 1, [number])[0]
+    (case_,) = draft.simulate([draft])
+    assert case_.outside == "a floor that the file has not"
+    mj: Any = mujoco
+    model = mj.MjModel.from_xml_string(case_.files["model.xml"])
+    data, run = mj.MjData(model), case_.dataset.experiments[0]
+    per = round((run.t[1] - run.t[0]) / model.opt.timestep)
+    most = 0.0
+    for u, y in zip(run.u, run.y, strict=True):
+        most = max(most, float(np.abs(y - data.qpos).max()))
+        data.ctrl[:] = u
+        for _ in range(per):
+            mj.mj_step(model, data)
+    assert most > 0.8 * arm_sets.SEEN * goal_arms.NOISE
 
 
 def test_sealed_sets_are_entered_together(tmp_path):

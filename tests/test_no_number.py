@@ -12,7 +12,8 @@ import pytest
 from jaxid.conventions import decide
 from jaxid.diagnosis import where
 from jaxid.diagnosis.budget import budget, closed
-from jaxid.diagnosis.goals.as_stated import Alone, Difference
+from jaxid.diagnosis.goals.as_stated import Alone
+from jaxid.diagnosis.goals.difference import Difference
 from jaxid.diagnosis.goals.floor import Between, not_this_file
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.how_far import not_measured

@@ -92,7 +92,7 @@ def test_an_accuracy_is_of_a_channel_or_a_dimension():
 @pytest.mark.parametrize(
     "text, words",
     [
-        ("1", "no size"),
+        ("1", "not a size"),
         ("-1 mrad", "not above 0"),
         ("1 N", "no output is in N"),
         ("x = 1 mrad", "no channel 'x'"),

@@ -5,9 +5,12 @@ from __future__ import annotations
 import asyncio
 import html
 import json
+import os
 import re
 import shutil
+import signal
 import subprocess
+import sys
 import threading
 import time
 import urllib.error
@@ -21,8 +24,10 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from pyarrow import parquet
 
 import jaxid
+from chromium import BROWSER, Chromium
 from emulators import Emulator
 from jaxid.hardware import Dynamixel, record
 from jaxid.view.recording import excitation, turns, watch_site, Watcher
@@ -31,10 +36,6 @@ from jaxid.view.server import Site
 
 pytest.importorskip("bokeh")
 
-BROWSER = next(
-    (b for b in ("chromium", "chromium-browser", "google-chrome", "chrome") if shutil.which(b)),
-    None,
-)
 BROWSED = pytest.mark.skipif(BROWSER is None, reason="no Chromium here: no page was looked at")
 NUMBERS = {"inertia": 0.05, "gravity_torque": 1.0, "viscous": 0.05, "coulomb": 0.05, "offset": 0.01}
 
@@ -169,6 +170,47 @@ def test_a_switched_off_effect_changes_its_own_free_run_alone(site):
     assert "no such run" in refused["error"]
 
 
+#: Start and end of the time axis of every picture, and where the first one's frame lies.
+RANGES = """
+Bokeh.documents.flatMap(d => [...d._all_models.values()])
+  .filter(m => m.type === "Figure").map(f => [f.x_range.start, f.x_range.end])
+"""
+FRAME = """
+(() => {
+  const view = Bokeh.index.get_by_id ? [...Bokeh.index][0] : Object.values(Bokeh.index)[0];
+  const plot = view.child_views.find(v => v.frame || (v.child_views || []).length);
+  const own = plot.frame ? plot : plot.child_views[0];
+  const at = own.el.getBoundingClientRect(), box = own.frame.bbox;
+  return [at.x + box.left, at.y + box.top, box.width, box.height];
+})()
+"""
+
+
+@BROWSED
+@pytest.mark.timeout(600)
+def test_zoom_goes_together_and_a_switch_draws_anew(site, tmp_path):
+    """By the mouse: a box drawn in the first picture, an effect switched off."""
+    with served(site) as address, Chromium(tmp_path) as browser:
+        browser.open(address)
+        browser.wait("document.getElementById('said').textContent.startsWith('rms error')")
+        before = browser.evaluate(RANGES)
+        assert len(before) == 2 and before[0] == before[1]
+        left, top, width, height = browser.evaluate(FRAME)
+        start = (left + 0.3 * width, top + 0.2 * height)
+        end = (left + 0.6 * width, top + 0.8 * height)
+        browser.drag(start, end)
+        first, second = browser.wait(f"(r => r[0][0] > {before[0][0]} ? r : null)({RANGES})")
+        assert first == second
+        whole = before[0][1] - before[0][0]
+        assert first[0] == pytest.approx(before[0][0] + 0.3 * whole, abs=0.05 * whole)
+        assert first[1] == pytest.approx(before[0][0] + 0.6 * whole, abs=0.05 * whole)
+        told = browser.evaluate("document.getElementById('said').textContent")
+        browser.click("input[type=checkbox]")
+        script = "document.getElementById('said').textContent"
+        browser.wait(f"(t => t.startsWith('rms') && t !== {json.dumps(told)})({script})")
+        assert browser.evaluate(RANGES)[0] == first, "a switch keeps the zoom"
+
+
 @BROWSED
 @pytest.mark.timeout(600)
 def test_results_lie_over_each_other_in_a_browser(site, tmp_path):
@@ -271,3 +313,39 @@ def test_a_servo_is_watched_while_it_is_recorded(tmp_path):
     assert "bk-GridPlot" in shown
     assert (out / "dataset.toml").is_file(), "looking on does nothing to the recording"
     assert not list(out.glob("*.recording"))
+
+
+@pytest.mark.realtime
+@BROWSED
+@pytest.mark.timeout(600)
+def test_record_watch_opens_the_page_of_its_own_recording(tmp_path):
+    """The command itself, end to end: the address that the browser would be sent to is opened, and
+    Ctrl-C leaves a whole recording and no process that serves.
+    """
+    emulator, out = Emulator.servo(tmp_path), tmp_path / "out"
+    opener, told = tmp_path / "opener", tmp_path / "address"
+    opener.write_text(f'#!/bin/sh\nprintf %s "$1" > {told}\n')
+    opener.chmod(0o755)
+    words = [sys.executable, "-m", "jaxid", "record", "dynamixel", "--port", emulator.address]
+    words += ["--id", "1", "--rate", "100", "--seconds", "300", "--out", str(out), "--watch"]
+    environment = {**os.environ, "BROWSER": f"{opener} %s"}
+    recording = subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True)
+    try:
+        until = time.monotonic() + 240
+        while not told.is_file() or not told.read_text():
+            assert recording.poll() is None and time.monotonic() < until
+            time.sleep(0.2)
+        address = told.read_text()
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=\S+", address)
+        with Chromium(tmp_path) as browser:
+            browser.open(address)
+            browser.wait("document.body.textContent.includes('recording')")
+            browser.wait("document.querySelector('.bk-GridPlot, [class*=GridPlot]') !== null")
+    finally:
+        recording.send_signal(signal.SIGINT)
+        recording.wait(60)
+        emulator.close()
+    assert (out / "dataset.toml").is_file()
+    assert parquet.read_metadata(out / "run_1.parquet").num_rows > 100
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(address)

@@ -319,6 +319,9 @@ ALIKE = {
     "sensor_bias": ("constant_torque", "gravity_offset"),
     "gravity_offset": ("constant_torque", "sensor_bias"),
 }
+#: A floor shows where it moves a joint by so many times the noise; steps in which it is raised, and
+#: where it ends, m: the arm begins at 0.2 m with a ball of 0.02 m at its end.
+SEEN, FLOOR_STEP, HIGHEST_FLOOR = 50.0, 0.02, 0.175
 #: Share by which a loose file's numbers are off at most.
 LOOSE = 0.4
 
@@ -347,6 +350,9 @@ def _goal(draft: Draft) -> BlindCase:
         for numbers in (real.armature, real.damping, real.frictionloss):
             numbers *= 1 + LOOSE * rng.uniform(-1, 1, stated.n)
     u = goal_arms.goals(stated.n, GOAL_SECONDS, rng)
+    if unseen and not _touches(real, stated, u):
+        unseen = False
+        del real.more["floor"]
     again = goal_arms.goals(stated.n, GOAL_EXAM, rng)
     beside = goal_arms.limited(real, j, beside, u, rng)
     q = goal_arms.recorded(real, kind, j, beside, u, rng)
@@ -376,6 +382,21 @@ def _goal(draft: Draft) -> BlindCase:
         files={"model.xml": stated.xml()},
         model_toml=_model_toml(trust),
     )
+
+
+def _touches(real: GoalArm, stated: GoalArm, u: np.ndarray) -> bool:
+    """Raises the floor until the recording shows it, to just below the arm as it begins; whether
+    the recording then does.
+    """
+    still = np.random.default_rng(0)
+    free = goal_arms.recorded(stated, "none", 0, {}, u, still, noise=0.0)
+    while True:
+        q = goal_arms.recorded(real, "none", 0, {}, u, still, noise=0.0)
+        if np.abs(q - free).max() > SEEN * goal_arms.NOISE:
+            return True
+        if real.more["floor"] + FLOOR_STEP > HIGHEST_FLOOR:
+            return False
+        real.more["floor"] += FLOOR_STEP
 
 
 def _model_toml(trust: str) -> str:

@@ -68,7 +68,8 @@ def view(results, dataset, model, port, open_) -> int:
     default=0.1,
     show_default=True,
     metavar="SHARE",
-    help="A number is known when its standard deviation is at most this share of it.",
+    help="A number is known when its standard deviation is at most this share of it, or of the largest"
+    " number in its unit.",
 )
 @PORT
 @OPEN

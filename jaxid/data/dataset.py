@@ -59,7 +59,7 @@ class ModelSpec:
     `serial_arm` or a robot, whose `base` is fixed or prescribed; `joints`: channel of a position ->
     the name of its joint. `file` is the path of a model of the user's own, with its class where it
     was named (`/data/osc/duffing.py:Duffing`). `trust` says how far stated numbers may be off: see
-    `jaxid.problem.trust`.
+    `jaxid.problem.trust`. `simulator` says whose steps a robot of a file takes: "own", or "mujoco".
     """
 
     name: str | None = None
@@ -72,6 +72,7 @@ class ModelSpec:
     base: dict[str, Any] = field(default_factory=dict)
     file: str | None = field(default=None, compare=False)  # where it lies makes no other model
     trust: str | None = None
+    simulator: str | None = None
 
 
 @dataclass(frozen=True)

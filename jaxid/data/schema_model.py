@@ -105,6 +105,7 @@ class ModelEntry(Strict):
     base: BaseEntry | None = None
     joints: dict[str, str] = {}
     trust: Literal["exact", "measured", "loose"] | None = None
+    simulator: Literal["own", "mujoco"] | None = None
 
     @field_validator("joints")
     @classmethod

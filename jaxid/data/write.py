@@ -140,6 +140,7 @@ def _model(model: ModelSpec) -> dict[str, Any]:
         entry |= _links(links, model.base)
     entry["joints"] = dict(model.joints) or None
     entry["trust"] = model.trust
+    entry["simulator"] = model.simulator
     return _stated(entry)
 
 

@@ -185,5 +185,7 @@ def notes_of(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
     own = [n for n in fit.notes if n not in binding.dataset.notes]
     friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
     law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
+    if binding.chain.mechanism.integrator:
+        law = "soft, as the robot's file has it in MuJoCo"
     said = [f"Coulomb friction: {law}", f"compilation took {number(compile_time)} s"]
     return [*own, *said, *filter(None, [sentence(binding)])]

@@ -98,7 +98,7 @@ class SearchResult:
     most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to those
     that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked
     beside that. `cut_short`: not all was asked, as the search had simulated as much as it may.
-    `belief`: probabilities of what was fitted; `possible`: what is not sure enough to be claimed.
+    `belief`: probabilities of what was fitted.
     """
 
     nominal: Hypothesis
@@ -112,7 +112,6 @@ class SearchResult:
     stands: Hypothesis | None = None
     cut_short: bool = False
     belief: Belief | None = None
-    possible: tuple[Candidate, ...] = ()
 
     def believed(self, claimed: bool) -> Belief | None:
         """The probabilities, where what was chosen is claimed or is not."""

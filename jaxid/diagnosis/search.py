@@ -272,7 +272,6 @@ class Searcher:
             without_each(chosen, self._stale | self.known),
             cut_short=self._cut_short,
             belief=believed(sets, claims, chosen),
-            possible=tuple(c for c in sets.possible() if c not in chosen.effects),
         )
 
     def _fitted(self, chosen: Hypothesis, alike: Sequence[Candidate]) -> SimulatedSets:

@@ -77,11 +77,6 @@ class SimulatedSets:
                 return SimulatedClaim(candidate, tuple(family[1:]), together)
         return None
 
-    def possible(self) -> list[Candidate]:
-        """What is not sure enough to be claimed, most probable first."""
-        likely = [c for c in self.candidates if self.of(c) >= self.rule.possible]
-        return sorted(likely, key=self.of, reverse=True)
-
 
 def simulated_sets(fitted: Iterable[Hypothesis], rule: EvidenceRule = SIMULATED) -> SimulatedSets:
     """Each set once, as it was fitted last; what diverged has no evidence."""

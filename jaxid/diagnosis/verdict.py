@@ -16,9 +16,11 @@ import numpy as np
 
 from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed, percent, placed
+from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.budget import closed as share_closed
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
+from jaxid.diagnosis.probability import RULE
 from jaxid.diagnosis.reasons import (
     AtTheNoise,
     Contributions,
@@ -124,8 +126,9 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
         return Verdict("unknown", (NothingExplains(gap),))
     if not search.chosen.effects:
         if nominal.loss <= floor and search.nominal.fit_loss <= level(search.nominal.path.count):
-            return Verdict("none", (AtTheNoise(),))
-        return Verdict("unknown", (NothingExplains(gap), *_nearer(search), *_possible(search)))
+            return Verdict("none", (AtTheNoise(), *possible(search.belief)))
+        reasons = (NothingExplains(gap), *_nearer(search), *possible(search.belief))
+        return Verdict("unknown", reasons)
     closed = share_closed(nominal.loss, chosen.loss)
     names = placed(map(str, search.chosen.effects))
     left = float(np.sqrt(max(chosen.loss, 1.0)))
@@ -143,7 +146,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
     if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
         return Verdict("named", (Lacks(names, left), *each))
     # What is claimed with a probability need not account for most of a gap.
-    if closed >= LIMITS.partly or (search.belief is not None and closed > 0):
+    if closed > 0:
         return Verdict("partly", (LacksInPart(names, closed, left), *each))
     if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
         return Verdict("partly", (FollowsFitRuns(names, closed, left),))
@@ -191,11 +194,13 @@ def _nearer(search: SearchResult) -> tuple[Reason, ...]:
     return (NearerOnValidation(placed(map(str, top.effects)), share),)
 
 
-def _possible(search: SearchResult) -> tuple[Reason, ...]:
-    """What is not sure enough to be claimed."""
-    if not search.possible:
+def possible(belief: Belief | None) -> tuple[Reason, ...]:
+    """What is not sure enough to be claimed, where nothing is."""
+    likely = [] if belief is None else belief.possible(RULE.possible)
+    if not likely:
         return ()
-    return (Remark(f"Possible: {listed(map(str, search.possible[:MENTIONED]))}."),)
+    names = [f"{effect} at {place}" for effect, place, _ in likely[:MENTIONED]]
+    return (Remark(f"Possible: {listed(names)}."),)
 
 
 def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:

@@ -181,6 +181,11 @@ class Mechanism(eqx.Module):
         return u if signature.inputs else jnp.zeros_like(q)
 
     @property
+    def own_step(self) -> float | None:
+        """The length of step (s) that its simulator is told to take; None: any that is short."""
+        return None
+
+    @property
     def of_one_joint(self) -> frozenset[str]:
         """Fields whose numbers act each at its own joint alone."""
         return frozenset()

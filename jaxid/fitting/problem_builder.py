@@ -30,7 +30,8 @@ class Begun(NamedTuple):
 
 @dataclass
 class ProblemBuilder:
-    """Runs of a binding made ready, one set per split and residual, with the same step.
+    """Runs of a binding made ready, one set per split and residual, with the same step: that of
+    the model's own simulator where it has one.
     `differences`: where its problems take their Jacobians from (see `FitProblem`).
 
     `defects` (residual, split) -> what finer steps would add to the simulation, at the samples
@@ -45,6 +46,8 @@ class ProblemBuilder:
     together: bool = False
 
     def __post_init__(self):
+        own = self.binding.chain.mechanism.own_step
+        self.step = self.step if own is None else own
         self._runs: dict[tuple[str, str], Runs] = {}
         self._begun: dict[tuple[str, bytes], Begun] = {}
         self._targets: dict[
@@ -53,7 +56,7 @@ class ProblemBuilder:
         self._forgotten = 0.0  # seconds of compiling for runs that were let go
         samples.refuse_endless(self.binding.dataset.experiments, self.step)
         # One shape for all splits, and for the half step that a search may go over to: one program.
-        room = min(self.step, samples.STEP / 2)
+        room = min(self.step, samples.STEP / 2) if own is None else own
         self._shape = self._largest(
             {e.name: samples.step_count(e.whole, room) for e in self.binding.dataset.experiments}
         )

@@ -294,6 +294,8 @@ class ProblemBuilders:
 
     def of(self, step: float) -> ProblemBuilder:
         """The bench of a step; one for all steps that make no difference."""
+        own = self.binding.chain.mechanism.own_step
+        step = step if own is None else own
         if step not in self._benches:
             every = [e.whole for e in self.binding.dataset.experiments]
             same = (

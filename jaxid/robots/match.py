@@ -327,7 +327,8 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
             f"nothing drives the robot: add goals ({joint}_cmd) or torques ({joint}_tau) as"
             " inputs, or say free = true"
         )
-    out = type(robot)(tree, driven=False, rides=rides(dataset) and bool(what))
+    riding = rides(dataset) and bool(what)
+    out = type(robot)(tree, driven=False, rides=riding, simulator=simulator_of(robot, spec))
     if what == "goal":
         first = (dataset.split("fit") or dataset.experiments)[0]
         period = float(np.median(np.diff(first.t)))
@@ -347,6 +348,13 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
                 " correct its unit"
             )
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
+
+
+def simulator_of(robot: Any, spec: ModelSpec | None) -> str:
+    """Whose steps simulate a robot: those that the dataset states, else its own setting."""
+    if spec is not None and spec.simulator is not None:
+        return spec.simulator
+    return "mujoco" if robot.integrator else "own"
 
 
 def _driven_by(joints: Sequence[str], dataset: Dataset) -> str:
@@ -462,8 +470,11 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     """What a result says of how a robot and a recording were brought together."""
     tree: Tree = model.tree.tree
     _, notes = recorded(tree, dataset)
-    law = matched(model, dataset).mechanism.drive_law  # type: ignore[attr-defined]
+    chain = matched(model, dataset)
+    law = chain.mechanism.drive_law  # type: ignore[attr-defined]
     notes = notes if law is None else (*notes, law.text)
+    if chain.mechanism.integrator and tree.simulator is not None:
+        notes = (*notes, f"simulated as its file asks MuJoCo for: {tree.simulator.said}")
     impossible = [
         f"{text}: no body has it, the nearest one is simulated" for _, text in tree.impossible
     ]

@@ -25,7 +25,7 @@ def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
     """The file of a `Robot` with its SHA-256 ("" where it lies no more), its joints, those of them
     that no other one leads, where others were held, its drive: `{"file", "sha256", "joints",
     "leads", "held", "base", "drive": {"origin",
-    "kind", "period", …, "joints": {NAME: {"kp": …}}} or None}`.
+    "kind", "period", …, "joints": {NAME: {"kp": …}}} or None, "simulator": {"kind", …}}`.
     """
     tree: Tree = mechanism.tree.tree
     path = (geometry.path if geometry is not None else "") or tree.file
@@ -42,6 +42,18 @@ def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
         "held": {k: float(v) for k, v in tree.held.items()},
         "base": base,
         "drive": _drive(mechanism.drive_law, tree.driven),
+        "simulator": _simulator(mechanism, tree),
+    }
+
+
+def _simulator(mechanism: Any, tree: Tree) -> dict[str, Any]:
+    """Whose steps the result's simulations took, and which these are."""
+    if not mechanism.integrator or tree.simulator is None:
+        return {"kind": "own"}
+    return {
+        "kind": "mujoco",
+        "timestep": tree.simulator.timestep,
+        "integrator": tree.simulator.integrator,
     }
 
 

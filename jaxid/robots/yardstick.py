@@ -38,7 +38,8 @@ def _row(binding: Any, found: Mapping[int, Any], i: int, tree: Tree | None) -> d
     kind, _, place = binding.layout.entries[i].name.partition("@")
     estimate, value = found[i], float(binding.theta[i])
     added, off = 0.0, estimate.value - value
-    if tree is not None and kind == "armature":
+    exact = not binding.chain.mechanism.integrator  # else the file's own steps were simulated
+    if tree is not None and kind == "armature" and exact:
         added = _added_by_steps(binding, found, tree, place)
     if added:
         off = nearest(value, estimate.value, added) - value

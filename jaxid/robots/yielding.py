@@ -36,7 +36,12 @@ class Yielding(Staged):
 
     #: How a simulation steps: an integrator of `jaxid.dynamics.mujoco_step`, "" for jaxid's own.
     integrator: str = eqx.field(static=True, default="")
+    tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `StaticTree`
     yielding: Any = None  # `SoftJoints`, where they are ready
+
+    @property
+    def own_step(self):
+        return self.tree.tree.simulator.timestep if self.integrator else None
 
     def soft_joints(self, at: Any = None) -> SoftJoints:
         """How joints give way where MuJoCo steps; `at` the positions [nq] of the file's reference

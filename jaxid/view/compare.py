@@ -21,7 +21,7 @@ def results_site(viewer: Viewer) -> Site:
             {"name": r.name, "effects": list(r.effects), "color": color(k)}
             for k, r in enumerate(viewer.results)
         ]
-        notes = [f"{name} was made of another recording." for name in viewer.other_data()]
+        notes = [f"{name} is of another recording." for name in viewer.other_data()]
         return {
             "runs": viewer.runs,
             "results": results,

@@ -12,8 +12,8 @@ from jaxid.report.plot import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLIO
 
 
 COLORS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY)
-#: Height of a picture, pixels.
-HIGH = 230
+#: Height of a picture and of the names above it, pixels.
+HIGH, LEGEND_HIGH = 230, 45
 
 
 def color(number: int) -> str:
@@ -40,7 +40,7 @@ def channels_over_time(
             source = shared.source(f"{channel}/{number}", t=t, y=y, left=measured - y)
             above.line("t", "y", source=source, legend_label=name, **lines)
             below.line("t", "left", source=source, **lines)
-        above.legend.click_policy = "hide"
+        shared.legend_outside(above)
         pictures += [[above], [below]]
     return shared.item(pictures)
 
@@ -81,6 +81,20 @@ class Shared:
         made.add_tools(self._models.CrosshairTool(overlay=self._cursor))
         self._range = made.x_range
         return made
+
+    def legend_outside(self, picture: Any) -> None:
+        """Above the picture, so that it hides no line; a click on a name hides its line."""
+        legend = picture.legend[0]
+        legend.update(
+            click_policy="hide",
+            ncols=2,
+            padding=2,
+            spacing=0,
+            border_line_color=None,
+            label_text_font_size="12px",
+        )
+        picture.add_layout(legend, "above")
+        picture.height = self._height + LEGEND_HIGH
 
     def source(self, name: str, **columns: np.ndarray) -> Any:
         """Data that the page may exchange, by their name."""

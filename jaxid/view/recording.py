@@ -107,7 +107,7 @@ class Watcher:
             return answer | {"waiting": f"no fit yet: {fit.stopped_because}"}
         rows = numbers(fit, self.known)
         enough = all(row["known"] for row in rows) and bool(rows)
-        return answer | {"numbers": rows, "enough": enough}
+        return answer | {"numbers": rows, "share": self.known, "enough": enough}
 
     def _written(self) -> Path | None:
         """The newest folder of a recording that goes on."""

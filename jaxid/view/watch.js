@@ -51,10 +51,11 @@ async function findings() {
   const length = found.seconds === undefined ? "" : `, ${found.seconds.toFixed(1)} s`;
   said.className = found.enough ? "enough" : "";
   const verdict = found.enough ? "Enough: every number is known." : found.waiting || "";
-  said.textContent = `${found.state}${length}. ${verdict}`;
+  const state = found.state[0].toUpperCase() + found.state.slice(1);
+  said.textContent = `${state}${length}. ${verdict}`;
   told.replaceChildren();
   if (found.numbers)
-    told.append(table("Numbers by now", ["number", "value", "known"],
+    told.append(table(`Numbers by now: known to within ${100 * found.share} % of itself, or of the largest in its unit`, ["number", "value", "known"],
       found.numbers.map(n => [n.name, n.text, n.known ? "yes" : "not yet"])));
   if (found.excitation)
     told.append(table("Motion so far", ["channel", "range", "turned round"],
@@ -72,7 +73,7 @@ async function again() {
     await findings();
     await channels();
   } catch (error) {
-    said.textContent = `the page is no longer answered (${error.message})`;
+    said.textContent = `jaxid no longer answers (${error.message})`;
   }
   setTimeout(again, 1000);
 }

@@ -22,6 +22,7 @@ def model_spec(entry: ModelEntry) -> ModelSpec:
         joints=dict(entry.joints),
         base={} if entry.base is None else entry.base.model_dump(exclude_unset=True),
         trust=entry.trust,
+        simulator=entry.simulator,
     )
 
 

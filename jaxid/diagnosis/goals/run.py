@@ -13,7 +13,8 @@ import numpy as np
 from jaxid.base.wording import listed, names_of
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
-from jaxid.diagnosis.goals.floor import Between, between_simulators, not_this_file, with_floor
+from jaxid.diagnosis.goals.difference import compared
+from jaxid.diagnosis.goals.floor import Between, not_this_file, with_floor
 from jaxid.diagnosis.goals.gains import (
     asked_for,
     freed,
@@ -21,6 +22,7 @@ from jaxid.diagnosis.goals.gains import (
     with_room,
 )
 from jaxid.diagnosis.goals.law_told import law_told
+from jaxid.diagnosis.goals.own_run import steps_as_its_file
 from jaxid.diagnosis.goals.propose import (
     as_vector,
     goes_the_other_way,
@@ -89,7 +91,7 @@ DEAR = 4e6
 
 def dear(binding: Binding) -> bool:
     """Whether a fit by simulation takes too long."""
-    step, runs = max(STEP, loop_step(binding)), binding.experiments("fit")
+    step, runs = simulated_step(binding), binding.experiments("fit")
     lanes = 1 + len(binding.free) + 2 * binding.chain.nq * len(runs)
     return sum(step_count(e, step) for e in runs) * lanes > DEAR
 
@@ -113,9 +115,15 @@ def stands(chain: Chain, dataset: Dataset) -> bool:
     return not chain.mechanism.known() and all(p.prior is None for p in stated)
 
 
+def simulated_step(binding: Binding) -> float:
+    """The longest step of the simulations, s."""
+    own = binding.chain.mechanism.own_step
+    return max(STEP, loop_step(binding)) if own is None else own
+
+
 def begin_simulations(binding: Binding) -> float:
     """The step of the simulations; those of the model alone are being compiled."""
-    step = max(STEP, loop_step(binding))
+    step = simulated_step(binding)
     ProblemBuilder(binding, step, differences=1).compile_ahead(
         OutputError(), binding.theta, binding.free
     )
@@ -165,8 +173,9 @@ def diagnose_led(
         progress=progress,
     )
     plain, wide = binding, study.binding
-    between = between_simulators(bench := ask.made(plain))  # the program that is there
-    apart = _apart(study, between, plain.free)
+    between = compared(bench := ask.made(plain))  # the program that is there
+    exact = steps_as_its_file(plain)
+    apart = _apart(study, None if exact else between, plain.free)
     study = study.with_binding(with_floor(wide, apart.size))
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
     asked = f"asked along the measured motion: {listed(sorted(names_of(kinds)))}"
@@ -191,7 +200,7 @@ def diagnose_led(
     if stated is not None and stated.explains:
         found, more = _as_stated(ask, road, stated, alone)
         doubts = stated.doubts
-        notes += [*more, stated.difference.said(plain)]
+        notes += more if exact else [*more, stated.difference.said(plain)]
     elif strange:  # what is left is judged by the readings' own noise, and nothing is asked
         doubts = apart.doubts
         found = _without_effects(ask, road, plain)

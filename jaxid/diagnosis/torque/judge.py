@@ -12,6 +12,7 @@ from jaxid.diagnosis.budget import closed
 from jaxid.diagnosis.reasons import (
     NothingSure,
     NotMostHeldOut,
+    Reason,
     Remark,
     TorqueAtTheNoise,
     TorqueHeldOut,
@@ -24,7 +25,7 @@ from jaxid.diagnosis.torque.claims import believed
 from jaxid.diagnosis.torque.found import Found
 from jaxid.diagnosis.torque.library import Unit
 from jaxid.diagnosis.torque.study import TorqueStudy
-from jaxid.diagnosis.verdict import MENTIONED, Verdict
+from jaxid.diagnosis.verdict import possible, Verdict
 from jaxid.fitting.scores import lost
 
 
@@ -85,13 +86,9 @@ def _families(found: Found) -> list[Remark]:
     return out
 
 
-def _possible(found: Found) -> list[Remark]:
+def _possible(found: Found) -> list[Reason]:
     """What is not sure enough to be claimed."""
-    rule = found.weighed.scales.rule
-    belief = believed(found.weighed, ())
-    names = [f"{effect} at {place}" for effect, place, _ in belief.possible(rule.possible)]
-    said = [Remark(f"Possible: {listed(names[:MENTIONED])}.")] if names else []
-    return [*said, *_over(found)]
+    return [*possible(believed(found.weighed, ())), *_over(found)]
 
 
 def _over(found: Found) -> list[Remark]:

@@ -25,7 +25,7 @@ def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[st
     simulator make of them; and what is to be said of that. `sheet`: the robot before.
     """
     steps = sheet.tree.steps if sheet.tree is not None else None
-    if steps is None:
+    if steps is None or found.robot.get("simulator", {}).get("kind") == "mujoco":
         return found, ()
     stated = _stated(found)
     numbers = dict(found.parameters)

@@ -1,0 +1,133 @@
+"""A recording compared with the simulator of its robot's file, at that one's own steps."""
+
+import importlib
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid.data.dataset import ModelSpec
+from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.run import ProblemBuilders
+from jaxid.fitting.simulate import simulate_dataset
+from jaxid.models import Robot
+from jaxid.problem.binding import bind, resolve_model
+from jaxid.robots.export.outcome import ExportOutcome, Number
+from jaxid.robots.export.stepped import stepped
+from jaxid.robots.origin import origin
+
+
+mujoco: Any = importlib.import_module("mujoco")  # its names are made when it loads
+
+STEP, EVERY = 0.002, 5
+#: A pendulum with soft friction, a drive whose goal comes late, and a stop that it meets.
+FILE = f"""<mujoco><compiler angle="radian"/>
+  <option timestep="{STEP}" integrator="implicitfast" tolerance="1e-14" iterations="200"/>
+  <worldbody><body>
+    <joint name="lift" axis="0 1 0" damping="0.4" armature="0.05" frictionloss="0.5"
+     range="-0.5 0.35"/>
+    <inertial pos="0 0 -.15" mass="1.2" diaginertia=".02 .02 .004"/>
+  </body></worldbody>
+  <actuator><position joint="lift" kp="60" kv="2" delay="0.012" nsample="7"/></actuator>
+</mujoco>"""
+
+
+def goals(seconds: float) -> np.ndarray:
+    t = np.arange(0, seconds, STEP * EVERY)
+    return 0.5 * np.sin(2 * np.pi * 1.1 * t) * np.minimum(1.0, 4 * t)
+
+
+def recorded(text: str, u: np.ndarray) -> np.ndarray:
+    """Positions in MuJoCo at the goals' samples, from rest."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, out = mujoco.MjData(model), []
+    n = int(model.actuator_history[0, 0])
+    if n:
+        before = np.arange(-n, 0) * STEP
+        mujoco.mj_initCtrlHistory(model, data, 0, before, np.zeros((n, 1)))
+    for goal in u:
+        out.append(float(data.qpos[0]))
+        data.ctrl[:] = goal
+        mujoco.mj_step(model, data, EVERY)
+    return np.array(out)
+
+
+def dataset(u: np.ndarray, q: np.ndarray, simulator: str | None = "mujoco") -> jaxid.Dataset:
+    made = jaxid.Dataset.from_arrays(
+        np.arange(len(u)) * STEP * EVERY,
+        {"lift_cmd": u},
+        {"lift": q},
+        units={"lift": "rad", "lift_cmd": "rad"},
+        noise_std={"lift": 1e-4},
+        check_model=False,
+    )
+    first = replace(made.experiments[0], initial={"lift": float(q[0]), "lift_qd": 0.0})
+    spec = ModelSpec(simulator=simulator)
+    return replace(made, experiments=(first,), model=spec)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return Robot.from_mjcf("lift.xml", text=FILE)
+
+
+def test_a_recording_of_mujocos_is_its_files_run(robot):
+    u = goals(1.5)
+    q = recorded(FILE, u)
+    assert q.max() > 0.35  # the stop has been met
+    simulation = simulate_dataset(None, dataset(u, q), robot)
+    assert np.abs(simulation.runs[0]["lift"] - q).max() < 1e-9
+
+
+@pytest.mark.parametrize(("simulator", "near"), [("mujoco", 1e-9), ("own", 2e-2)])
+def test_a_drive_with_a_time_constant_follows_as_in_mujoco(simulator, near):
+    text = FILE.replace('delay="0.012" nsample="7"', 'timeconst="0.03"').replace("0.35", "2")
+    u = goals(1.0)
+    q = recorded(text, u)
+    made = simulate_dataset(None, dataset(u, q, simulator), Robot.from_mjcf("lift.xml", text=text))
+    assert np.abs(made.runs[0]["lift"] - q).max() < near * np.ptp(q)
+
+
+def test_its_steps_are_not_divided_further(robot):
+    u = goals(1.0)
+    data = dataset(u, recorded(FILE, u))
+    binding = bind(robot, data)
+    assert ProblemBuilder(binding).step == STEP
+    benches = ProblemBuilders(binding)
+    assert benches.of(1e-3) is benches.of(5e-4)
+    own = bind(robot, dataset(u, u, "own"))
+    assert ProblemBuilder(own).step != STEP
+
+
+def test_a_result_says_whose_steps_were_taken(robot, tmp_path: Path):
+    u = goals(0.5)
+    for simulator, said in (("own", {"kind": "own"}), ("mujoco", {"kind": "mujoco"})):
+        data = dataset(u, u, simulator)
+        found = origin(resolve_model(robot, data).mechanism, None)["simulator"]
+        assert said.items() <= found.items()
+        folder = tmp_path / simulator
+        jaxid.save_dataset(data, folder)
+        again = jaxid.load_dataset(folder).model
+        assert again is not None and again.simulator == simulator
+    assert (found["timestep"], found["integrator"]) == (STEP, "IMPLICITFAST")
+
+
+def test_a_number_of_the_files_own_simulator_is_written_as_it_is(robot):
+    def exported(simulator: str) -> float:
+        found = ExportOutcome(
+            kind="fit",
+            model="robot",
+            parameters={"armature@lift": Number(0.08, 0.001)},
+            effects=(),
+            robot={"simulator": {"kind": simulator}},
+        )
+        numbers: Any = SimpleNamespace(damping=0.4, kd=2.0, armature=0.05)
+        sheet: Any = SimpleNamespace(tree=robot.tree.tree, before={"lift": numbers})
+        return stepped(found, sheet)[0].parameters["armature@lift"].value
+
+    assert exported("mujoco") == 0.08
+    assert exported("own") < 0.08
