@@ -28,6 +28,7 @@ LONGEST, LONGER_ONES = 30, 15
 def prose(page: Path) -> str:
     """A page without its code, its names in code, its formulas and the targets of its links."""
     text = re.sub(r"```.*?```", "", page.read_text(), flags=re.S)
+    text = re.sub(r"\$\$.*?\$\$", "X", text, flags=re.S)
     text = re.sub(r"\]\([^)]*\)", "]", text)
     return re.sub(r"`[^`]*`|\$[^$]*\$", "X", text)
 

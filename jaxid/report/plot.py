@@ -17,7 +17,7 @@ from markupsafe import escape, Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from jaxid.base.wording import one_line
 
@@ -260,9 +260,12 @@ def limits(*series: np.ndarray, quantile: float = 0.002) -> tuple[float, float] 
 
 def plain_log(axis) -> None:
     """Numbers on a logarithmic axis written out (the usual powers of ten would need math text)."""
-    axis.set_major_locator(
-        LogLocator(10.0, subs=(1.0, 2.0, 5.0) if _decades(axis) < 2.5 else (1.0,), numticks=12)
-    )
+    decades = _decades(axis)
+    if decades < 0.5:
+        axis.set_major_locator(MaxNLocator(4))
+    else:
+        parts = (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
+        axis.set_major_locator(LogLocator(10.0, subs=parts, numticks=12))
     axis.set_major_formatter(
         FuncFormatter(lambda v, _: f"{v:g}" if 1e-3 <= v < 1e5 else f"{v:.0e}")
     )

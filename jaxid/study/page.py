@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxid.base import wording
-from jaxid.base.wording import one_line
+from jaxid.base.wording import listed, one_line
 from jaxid.report import comparison_text, plot, write_page
 from jaxid.report.compared import COLORS, LOWEST, MARKERS
 from jaxid.report.page import render, Section
+from jaxid.study.machines import CommonNumber, Kind, kinds
 
 
 if TYPE_CHECKING:
@@ -59,11 +60,36 @@ def section(result: StudyResult) -> Section:
                 (str(p), _counted(v), _counted(n))
                 for p, v, n in tables.verdicts(result)[: 10 * MOST]
             ],
+            "kinds": [(title_of(k), list(map(machine_row, k.numbers))) for k in kinds(result)],
             "failures": tables.failures(result)[:MOST],
             "notes": result.notes,
             "store": str(result.study.store),
         },
     )
+
+
+def title_of(kind: Kind) -> str:
+    """`5 machines of arm, with dead_zone@tau`."""
+    beside = f", with {listed(kind.effects)}" if kind.effects else ""
+    return f"{len(kind.machines)} machines of {one_line(kind.model)}{beside}"
+
+
+def machine_row(number: CommonNumber) -> list[str]:
+    """A number of a kind of machines: name, mean, spread, range of a further one, which differ."""
+    low, high = number.interval_95
+    told = "machines are equal, as far as the data tell"
+    if number.differs:
+        machine = number.furthest
+        told = f"machines differ; furthest: {one_line(machine)}"
+        told += f", {wording.number(number.each[machine][0], 4)}"
+    return [
+        one_line(number.name),
+        wording.value_with_std(number, unit=False),
+        wording.number(number.spread, 2),
+        f"{wording.number(low, 3)} to {wording.number(high, 3)}",
+        one_line(number.unit),
+        told,
+    ]
 
 
 def headline(result: StudyResult) -> str:

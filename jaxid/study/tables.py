@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +15,9 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 
 from jaxid.base.atomic_files import replace_files
+from jaxid.base.serialise import SCHEMA
 from jaxid.base.wording import one_line
+from jaxid.study.machines import kinds
 from jaxid.study.plan import Task
 from jaxid.study.store import Store
 
@@ -243,7 +246,8 @@ def table_rows(result: StudyResult) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def write_tables(result: StudyResult, store: Store) -> None:
-    """Writes runs.parquet, runs.csv and report.html into the store's folder, all or none.
+    """Writes runs.parquet, runs.csv, report.html and, of several machines of a kind, machines.json
+    into the store's folder, all or none.
 
     Raises `NotSaved` where they cannot be written; the results themselves are in the store.
     """
@@ -252,9 +256,12 @@ def write_tables(result: StudyResult, store: Store) -> None:
     rows, names = table_rows(result)
     text = csv_text(rows, names).encode()
     page = study_page(result, text).encode()
-    replace_files(
-        store.folder, {"runs.parquet": _parquet(rows, names), "runs.csv": text, "report.html": page}
-    )
+    files = {"runs.parquet": _parquet(rows, names), "runs.csv": text, "report.html": page}
+    found = kinds(result)
+    if found:
+        content = {"schema": SCHEMA, "kind": "machines", "kinds": [k.to_dict() for k in found]}
+        files["machines.json"] = json.dumps(content, indent=1, allow_nan=False).encode()
+    replace_files(store.folder, files)
 
 
 def _parquet(rows: list[dict[str, Any]], names: Sequence[str]) -> bytes:
