@@ -32,7 +32,7 @@ from jaxid.models import FlexibleLink, Joint  # noqa: E402
 
 
 #: Free runs of all fit runs that each fit may take.
-BUDGETS = (300, 3000)
+BUDGETS = (200, 2000, 20000)
 FITTERS = {"gradients": "lm", "SHADE": "shade", "differential evolution": "de"}
 #: Rig -> model, what makes its recording, what the model goes without, candidates.
 RIGS: dict[str, tuple[Any, Any, tuple[str, ...], tuple[str, ...]]] = {

@@ -174,7 +174,7 @@ def main() -> dict[str, Any]:
     text = (
         "Blind cases of `jaxid benchmark make`, answered by jaxid and by simple programs "
         "(benchmarks/entries.py), scored by the rules of docs/benchmark.md; 95 % intervals. Entries with "
-        "the same key answered the same cases: the first 15 by name of 30, three of each of the ten sets, "
+        "the same key answered the same cases: the first 16 by name of 30, three of each of the ten sets, "
         "drawn by a seed that was drawn for them (`--cases 3`, then `public.py enter --first N`). The "
         "sample is small: the intervals are wide, and entries whose intervals overlap are not told "
         "apart. jaxid had up to 600 s on the clock for a case (300 s for five of them), on two "
