@@ -11,11 +11,14 @@ import pytest
 
 import jaxid
 from jaxid.data.dataset import ModelSpec
+from jaxid.diagnosis.goals.own_run import run_of_file, stepped_changes
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.run import ProblemBuilders
 from jaxid.fitting.simulate import simulate_dataset
 from jaxid.models import Robot
 from jaxid.problem.binding import bind, resolve_model
+from jaxid.problem.residual import OutputError
 from jaxid.robots.export.outcome import ExportOutcome, Number
 from jaxid.robots.export.stepped import stepped
 from jaxid.robots.origin import origin
@@ -131,3 +134,27 @@ def test_a_number_of_the_files_own_simulator_is_written_as_it_is(robot):
 
     assert exported("mujoco") == 0.08
     assert exported("own") < 0.08
+
+
+#: The same with more friction.
+DRY = FILE.replace('frictionloss="0.5"', 'frictionloss="1.8"')
+
+
+def test_a_single_number_is_found_by_the_files_own_steps(robot):
+    """Columns that know no steps propose it, and the run of the file at its own steps settles it."""
+    u = goals(1.5)
+    noise = 1e-4 * np.random.default_rng(5).standard_normal(len(u))
+    data = dataset(u, recorded(DRY, u) + noise)
+    binding = bind(robot, data)
+    likeliest = stepped_changes(binding, [])
+    own = [c for c in likeliest if c.index == (binding.layout.index("frictionloss@lift"),)]
+    (change,) = own
+    assert change.proposal.theta[change.index[0]] == pytest.approx(1.8, rel=0.5)  # to first order
+    bench = ProblemBuilder(binding)
+    between = run_of_file(bench)
+    assert between is not None and between.left[0] > 3e-4
+    assert not np.any(np.concatenate(between.apart))
+    problem = bench.problem(OutputError(), "fit", list(change.index), change.proposal.theta)
+    (path,) = levenberg_marquardt([(problem, problem.z(change.proposal.theta))], 20, 1e-8)
+    assert problem.theta(path.z)[change.index[0]] == pytest.approx(1.8, rel=0.01)
+    assert 2 * path.cost / path.count < 1.3

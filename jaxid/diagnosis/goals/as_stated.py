@@ -350,8 +350,14 @@ class AsStated:
 
     @property
     def begin(self) -> np.ndarray:
-        """Numbers of the model as they stand, but for gains that explain the recording."""
+        """Numbers of the model as they stand, but for those that explain the recording: gains, and
+        where simulations take the file's own steps any.
+        """
         theta = self.plain.theta.copy()
+        if self.exact and self.alone is not None and self.enough and not self.lacks:
+            names, found = self.alone.decider.bench.binding.layout.names, self.enough[0]
+            for i in found.index:
+                theta[self.plain.layout.index(names[i])] = found.theta[i]
         for name in self.gains:
             wide = self.alone.decider.bench.binding.layout.index(name)  # type: ignore[union-attr]
             theta[self.plain.layout.index(name)] = self.enough[0].theta[wide]

@@ -280,8 +280,9 @@ def _as_stated(
     """The diagnosis of a recording that the file explains but for one change, and its notes."""
     taken, notes = stated.difference, []
     own = with_floor(ask.bound(names, stated.gains), taken.floor, stated.doubts)
-    if stated.gains:
+    if stated.gains or (stated.exact and not stated.lacks):
         road.bare = Proposal((), (), stated.begin)
+    if stated.gains:
         notes.append(asked_for(own, stated.gains))
     found = ask.answer(
         own,
