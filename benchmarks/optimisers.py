@@ -6,6 +6,7 @@ nominal one and that with one effect, is fitted to the fit runs by Levenberg-Mar
 differential evolution, from the same start and within the same bounds. The diagnosis by an
 optimiser is the candidate whose fit comes nearest on the validation run, of a loss in units of the
 noise (1 is the noise). `margin` is the runner-up's loss over it.
+The start is a member of each population: a loss that does not change with the budget is the start's.
 """
 
 from __future__ import annotations
@@ -106,6 +107,11 @@ def main(rigs: Sequence[str] = tuple(RIGS)) -> dict[str, Any]:
             for fitter in FITTERS:
                 rows.append(row(rig, model, data, without, candidates, fitter, budget))
                 print(rows[-1], flush=True)
+    return told(rows)
+
+
+def told(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """What the rows say of the question."""
     about = (__doc__ or "").strip().replace("\n\n", "\n")
     named: dict[tuple[str, int], set[str]] = {}
     for one in rows:
