@@ -134,7 +134,7 @@ class Judge:
         validation data leave them.
         """
         told = [knowledge(h.path) for h in (self.nominal, final)]
-        follow = [None, final.path if final.fit_loss <= LIMITS.white else None]
+        follow = [None, final.path if final.fit_loss <= LIMITS.near_noise else None]
         seen = held_out(
             self.bench, "report", [self.nominal.theta, final.theta], self.residual, told, follow
         )

@@ -185,7 +185,7 @@ def _under_goals(
     left, alike, apart = alike_under_goals(binding, library)
     places = {key: Place(*key, share) for key, share in left.items()}
     pairs = {frozenset(places[key] for key in pair) for pair in alike}
-    absorbed = tuple(p for p in places.values() if p.left <= LIMITS.equivalent_goals)
+    absorbed = tuple(p for p in places.values() if p.left <= LIMITS.equivalent)
     text += (
         "; to first order; not compared, for they have a motion of their own:"
         f" {', '.join(apart) or 'none'}"
@@ -195,7 +195,7 @@ def _under_goals(
         text,
         absorbed,
         (),
-        _classes([p for p in places.values() if p.left > LIMITS.equivalent_goals], pairs),
+        _classes([p for p in places.values() if p.left > LIMITS.equivalent], pairs),
     )
 
 

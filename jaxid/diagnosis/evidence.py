@@ -207,7 +207,7 @@ def shifted(
     shift = -np.linalg.lstsq((G + prior) / size / size[:, None], g / size, rcond=1e-12)[0] / size
     price = float(shift @ prior @ shift)
     share = min(
-        1.0, LIMITS.plausible_start * np.sqrt(g.size / max(price, 1e-300))
+        1.0, LIMITS.three_sigma * np.sqrt(g.size / max(price, 1e-300))
     )  # nothing beyond what was measured
     moved = [
         r + (S @ (share * shift[at])).reshape(r.shape)

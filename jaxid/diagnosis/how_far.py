@@ -92,7 +92,7 @@ def measure(
     beyond = max(
         1.0, float(np.sqrt(runs[2].loss))
     )  # what is left where the starts of the runs are moved within what is known
-    if gaps[2] > LIMITS.unseen_gap and beyond < gaps[2] / 2:
+    if gaps[2] > LIMITS.left and beyond < gaps[2] / 2:
         note += (
             f" Of the {gaps[2]:.3g} that are left all but {beyond:.3g} is what the starts of the"
             f" {split} runs leave open: they begin in motion, and their first samples tell only so"
@@ -101,7 +101,7 @@ def measure(
         )
     if verdict == "none":
         reason = "the verdict is none: there is no gap to shrink"
-        if beyond > LIMITS.unseen_gap:
+        if beyond > LIMITS.left:
             note += (
                 f" The {split} runs are {times(gaps[2])} times the noise away all the same: they go"
                 " where fit and validation runs do not, with numbers that those do not determine."

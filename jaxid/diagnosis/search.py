@@ -178,8 +178,7 @@ class Searcher:
             richer = [
                 g
                 for g in found
-                if key_of(h.effects) < key_of(g.effects)
-                and g.fit_loss < LIMITS.local_minimum * h.fit_loss
+                if key_of(h.effects) < key_of(g.effects) and g.fit_loss < LIMITS.halved * h.fit_loss
             ]
             if lead := min(richer, key=lambda g: g.fit_loss, default=None):
                 theta, more = (
@@ -192,7 +191,7 @@ class Searcher:
         ends = zip(
             jobs, levenberg_marquardt(list(jobs.values()), *THOROUGH) if jobs else [], strict=True
         )
-        better = {k: end for k, end in ends if end.loss < LIMITS.local_minimum * found[k].fit_loss}
+        better = {k: end for k, end in ends if end.loss < LIMITS.halved * found[k].fit_loss}
         new = (
             self._hypotheses([(found[k].effects, end) for k, end in better.items()])
             if better
@@ -304,7 +303,7 @@ class Searcher:
         sets = pairs(self.bench, found)
         out = self.refit([(effects, starts) for effects, starts in sets if len(effects) <= most])
         lead = min(found, key=lambda f: f.fit_loss, default=h)
-        if lead.fit_loss < LIMITS.conflict * h.fit_loss and len(lead.effects) < most:
+        if lead.fit_loss < LIMITS.halved * h.fit_loss and len(lead.effects) < most:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
         return out
 
@@ -413,7 +412,7 @@ class Searcher:
         nothing for the richer one to add: an effect may have led out of a local minimum, or along
         what the fit runs leave open, and be of no other use.
         """
-        quiet = h.fit_inflation < LIMITS.white
+        quiet = h.fit_inflation < LIMITS.near_noise
         if joint_loss(h) < LIMITS.far and not quiet:
             return h
         theta = richer.theta.copy()
@@ -426,7 +425,7 @@ class Searcher:
             [(h.effects, levenberg_marquardt([(p, p.z(theta, starts))], *THOROUGH)[0])]
         )[0]
         share = joint_loss(freed) / joint_loss(h)
-        if share > LIMITS.local_minimum and not (
+        if share > LIMITS.halved and not (
             quiet and share * LIMITS.alike < 1 and not leads_on(freed, richer)
         ):
             return h

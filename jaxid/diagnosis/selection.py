@@ -120,7 +120,7 @@ def at_floor(h: Hypothesis) -> bool:
 
 def finished(h: Hypothesis) -> bool:
     """Nothing more is to be found. Something small is looked for beside other effects only."""
-    return max(h.validation.loss, h.fit_loss) < LIMITS.at_floor if h.effects else at_floor(h)
+    return max(h.validation.loss, h.fit_loss) < LIMITS.alike if h.effects else at_floor(h)
 
 
 def close_to_noise(h: Hypothesis) -> bool:
@@ -128,7 +128,7 @@ def close_to_noise(h: Hypothesis) -> bool:
     left.
     """
     white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
-    return max(h.validation.loss, h.fit_loss) < LIMITS.close_above and white
+    return max(h.validation.loss, h.fit_loss) < LIMITS.near_noise and white
 
 
 def rivals_among(

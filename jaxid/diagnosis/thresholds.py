@@ -26,45 +26,35 @@ class Thresholds:
         " nothing.",
         "convention: three standard deviations",
     )
-    conflict: float = _of(
+    halved: float = _of(
         0.5,
         "share of what is left",
-        "An effect that leaves less than this share of the fit runs is asked with anything beside"
-        " it, whatever it makes of validation runs without what else is missing.",
-        "blind cases whose validation runs went where fit runs did not",
+        "What leaves less than this share of what another model leaves changed something at large:"
+        " that other model was in a local minimum, or is asked with anything beside it.",
+        "two controls of the servo, seeds 28 and 29, that were named out of a local minimum",
     )
     alike: float = _of(
         1.02,
         "ratio of mean squares",
-        "What leaves less than so much more leaves as much: the noise itself is not known better.",
+        "What leaves less than so much more leaves as much, and what leaves less than so much more"
+        " than the noise is at the noise: it is not known better.",
         "not recorded",
     )
-    white: float = _of(
+    near_noise: float = _of(
         1.5,
         "mean square, noise 1",
-        "Residuals of fit runs at the noise, and white: their sums of squares count as they are.",
-        "blind cases of four models whose fit runs were at the noise",
+        "What is left near the noise: sums of squares count as they are, and what may still be"
+        " found is small.",
+        "blind cases of four models at the noise; pairs with a small second effect",
     )
-    at_floor: float = _of(
-        1.02,
-        "mean square, noise 1",
-        "Nothing worth another effect is left below this.",
-        "not recorded",
-    )
-    close_above: float = _of(
-        1.5,
-        "mean square, noise 1",
-        "Above `at_floor` and below this, only something small may be left.",
-        "blind pairs with a small second effect: tracker seed 28, flexible link seed 25",
-    )
-    # evidence
-    plausible_start: float = _of(
+    three_sigma: float = _of(
         3.0,
         "standard deviations",
-        "A start may be moved by this many of its own standard deviations to take its uncertainty"
-        " out of a comparison.",
+        "What differs by less is not told apart: two simulations, two predictions, a start and one"
+        " that was moved.",
         "convention: three standard deviations",
     )
+    # evidence
     refit_together: float = _of(
         1.1,
         "mean square, noise 1",
@@ -99,7 +89,8 @@ class Thresholds:
         "times the noise",
         "Near the noise: what is `named` closes that share of the gap on fit and report data too,"
         " or leaves no more than this many times the noise there; with `none` no run and no"
-        " direction of motion of the report data leaves more.",
+        " direction of motion of the report data leaves more. A model without a gap on the other"
+        " data is told of a larger one on report data.",
         "flexible link with an effect of no library that got a name; a tracker of paper_gaps.py",
     )
     still: float = _of(
@@ -116,14 +107,6 @@ class Thresholds:
         " but switched off.",
         "a pendulum whose zero was horizontal: a drive reduced by 89.5 % took that in",
     )
-    # how far
-    unseen_gap: float = _of(
-        1.5,
-        "times the noise",
-        "A model without a gap on fit and validation data is told of one this large (in multiples"
-        " of the noise) on report data.",
-        "report runs of models with inner states that went elsewhere",
-    )
     # run
     remainder: float = _of(
         10.0,
@@ -138,7 +121,7 @@ class Thresholds:
         "chi-square units",
         "What is refitted where a model is close above the noise already: candidates that explain"
         " so much of the sum of squares.",
-        "blind pairs with a small second effect, as `close_above`",
+        "blind pairs with a small second effect, as `near_noise`",
     )
     far: float = _of(
         10.0,
@@ -146,13 +129,6 @@ class Thresholds:
         "A model that leaves more is not worth descending to the end yet, and may be in a local"
         " minimum; of candidates beside it those in front are asked first.",
         "not recorded",
-    )
-    local_minimum: float = _of(
-        0.5,
-        "share of what is left",
-        "A model was in a local minimum if less than this share is left from where a richer one"
-        " ended.",
-        "two controls of the servo, seeds 28 and 29, that were named out of a local minimum",
     )
     followed: float = _of(
         1.5,
@@ -204,13 +180,6 @@ class Thresholds:
         "not recorded",
     )
     # unseen
-    told: float = _of(
-        3.0,
-        "standard deviations",
-        "Closer simulations than this (standard deviations of the noise, all samples together) are"
-        " not told apart.",
-        "convention: three standard deviations",
-    )
     sign: float = _of(
         8.0,
         "standard deviations",
@@ -280,14 +249,6 @@ class Thresholds:
     equivalent: float = _of(
         0.02,
         "share of what re-tuning leaves",
-        "Of two `parallel` effects both fits have to leave less than this of what re-tuning alone"
-        " leaves, for them to be alike.",
-        "not recorded",
-    )
-    # goals, equivalence
-    equivalent_goals: float = _of(
-        0.02,
-        "share of what re-tuning leaves",
         "An effect of which re-tuning leaves less than this share is taken up; two are alike where"
         " each leaves less of the other.",
         "not recorded",
@@ -300,13 +261,6 @@ class Thresholds:
         " is simulated, which decides: a filter of the motion smears where a drive meets its"
         " limit.",
         "two saturated joints of blind_robots.py; tuned on one of them",
-    )
-    # torque, choose
-    sure: float = _of(
-        3.0,
-        "standard errors",
-        "By this many do more effects have to predict better.",
-        "convention: three standard errors",
     )
     # torque, run
     different: float = _of(

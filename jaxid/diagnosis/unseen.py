@@ -122,7 +122,7 @@ class Probe:
     @property
     def size(self) -> float:
         """As many times as large it is not seen, to first order."""
-        return min(self.largest, 0.8 * LIMITS.told / max(self.left, 1e-300))
+        return min(self.largest, 0.8 * LIMITS.three_sigma / max(self.left, 1e-300))
 
 
 @dataclass(eq=False)
@@ -158,7 +158,10 @@ class Match:
         it.
         """
         limit = next((share for count, share in HOPELESS if self.trials >= count), np.inf)
-        return self.failed < FAILED and LIMITS.told / 10 < self.distance < limit * LIMITS.told
+        return (
+            self.failed < FAILED
+            and LIMITS.three_sigma / 10 < self.distance < limit * LIMITS.three_sigma
+        )
 
     def next(self, retuning: Retuning) -> np.ndarray:
         """What is left is made small along the secants first, and then along the slopes without the
@@ -228,7 +231,7 @@ class BlindSpotSearch:
         )
         found = self._matched(hiding[:MOST])
         found.sort(key=lambda f: f[0].absorbed)
-        still = [q for q in probes if q.stirred < LIMITS.told and q not in hiding]
+        still = [q for q in probes if q.stirred < LIMITS.three_sigma and q not in hiding]
         unstirred = [
             Unseen(
                 c.effect, c.location, self._numbers(c, q.full), q.left, q.stirred, q.absorbed, ()
@@ -375,13 +378,14 @@ class BlindSpotSearch:
             self._retune(tried)
             for k, end in zip(again, tried, strict=True):
                 before = sizes[k]
-                if end.distance < LIMITS.told:
+                if end.distance < LIMITS.three_sigma:
                     kept[k], steps[k] = end, (end.z - self.z) / sizes[k]
                 if np.isfinite(
                     end.distance
                 ):  # more or less is left of it than the first order said
                     sizes[k] = min(
-                        sizes[k] * 0.8 * LIMITS.told / max(end.distance, 1e-9), hiding[k].largest
+                        sizes[k] * 0.8 * LIMITS.three_sigma / max(end.distance, 1e-9),
+                        hiding[k].largest,
                     )
                 if kept[k] is end and sizes[k] < 1.05 * before:
                     sizes[k] = np.nan  # as large as it goes

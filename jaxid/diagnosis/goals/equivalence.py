@@ -40,7 +40,7 @@ def alike_under_goals(
         share = float(np.linalg.norm(beside) / max(float(np.linalg.norm(column)), 1e-300))
         left[place] = max(left.get(place, 0.0), share)
         rest.setdefault(place, []).append(beside)
-    seen = [p for p in left if left[p] > LIMITS.equivalent_goals]
+    seen = [p for p in left if left[p] > LIMITS.equivalent]
     pairs = [
         frozenset(pair)
         for pair in itertools.combinations(seen, 2)
@@ -60,9 +60,9 @@ def _alike(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> bool:
     """Whether each shape of one is what some shape of the other can do, and the other way round."""
 
     def inside(x, y):
-        return np.linalg.norm(
-            x - (q := _span(y)) @ (q.T @ x)
-        ) < LIMITS.equivalent_goals * np.linalg.norm(x)
+        return np.linalg.norm(x - (q := _span(y)) @ (q.T @ x)) < LIMITS.equivalent * np.linalg.norm(
+            x
+        )
 
     return all(any(inside(x, y) for y in b) for x in a) and all(
         any(inside(y, x) for x in a) for y in b

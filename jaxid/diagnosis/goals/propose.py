@@ -214,7 +214,7 @@ def goes_the_other_way(stated: LedStudy, other: LedStudy) -> bool:
     fitted, kept = (held[0], held[2]), (held[1], held[3])
     assert g is not None
     total, worst = better(*kept, g)
-    return bool(total > LIMITS.sure and worst > 0 and fitted[1].sum() < fitted[0].sum())
+    return bool(total > LIMITS.three_sigma and worst > 0 and fitted[1].sum() < fitted[0].sum())
 
 
 def candidates_of(bench: ProblemBuilder, s: Proposal) -> list[Candidate]:
