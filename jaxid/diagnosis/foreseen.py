@@ -18,6 +18,10 @@ from jaxid.fitting.lost_runs import AN_ARM
 from jaxid.problem.binding import bind, resolve_model
 
 
+#: Seconds of free runs beyond which an arm is compared along its measured motion, which takes few.
+FREE_RUNS_S = 300.0
+
+
 def foreseen(
     model: object,
     dataset: Dataset,
@@ -54,9 +58,32 @@ def way_of(nominal: Chain, residual: str) -> str:
     """
     if led(nominal) and not residual:
         return "goals"
+    by_motion = residual == "inverse_dynamics" or (_is_arm(nominal) and not residual)
+    return "motion" if by_motion else "free runs"
+
+
+def long_free_runs(
+    nominal: Chain, dataset: Dataset, library: Sequence[type[Effect]], residual: str = ""
+) -> str:
+    """Why an arm is compared along its measured motion though its free runs could be simulated:
+    they would take too long. Empty where they would not, and where a residual is asked for.
+    """
+    if residual or not dataset.experiments or led(nominal) or not _is_arm(nominal):
+        return ""
+    seconds = _needed(nominal, dataset, library, "free runs").seconds
+    if seconds <= FREE_RUNS_S:
+        return ""
+    return (
+        f"free runs of this arm would take about {seconds / 60:.0f} minutes: the torque that the"
+        " measured motion needs is compared instead (inverse_dynamics); --residual output_error"
+        " asks for free runs"
+    )
+
+
+def _is_arm(nominal: Chain) -> bool:
+    """Whether torques of several joints and their positions are recorded."""
     measured = nominal.direct and all_read(nominal) and not nominal.mechanism.hidden_states
-    an_arm = measured and nominal.nq >= AN_ARM and not residual
-    return "motion" if residual == "inverse_dynamics" or an_arm else "free runs"
+    return measured and nominal.nq >= AN_ARM
 
 
 def _needed(nominal: Chain, dataset: Dataset, library: Sequence[type[Effect]], way: str) -> Need:

@@ -28,7 +28,7 @@ from jaxid.diagnosis.account import (
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.believable import doubts
 from jaxid.diagnosis.claim import Judge
-from jaxid.diagnosis.foreseen import looked_at
+from jaxid.diagnosis.foreseen import long_free_runs, looked_at
 from jaxid.diagnosis.goals.run import (
     begin_simulations,
     dear,
@@ -202,7 +202,14 @@ def _run(
         residual, dataset = reference.taken(residual, nominal, dataset, goals=led(nominal))
     check_asked(nominal, asked or (), residual.name if residual else "")
     library = possible(nominal, allowed, residual.name if residual else "")
-    dataset = looked_at(nominal, dataset, library, residual.name if residual else "")
+    asked_for = residual.name if residual else ""
+    too_long = long_free_runs(nominal, dataset, library, asked_for)
+    dataset = looked_at(nominal, dataset, library, asked_for)
+    if too_long:
+        plain = bind(model, dataset, without=without)
+        by_motion = possible(nominal, allowed, InverseDynamics.name)
+        found = diagnose_by_torque(plain, by_motion, max_effects, None, seed, reference, progress)
+        return dataclasses.replace(found, notes=(*found.notes, too_long))
     if residual is None and led(nominal) and dataset.experiments:
         plain = bind(model, dataset, without=without)
 

@@ -33,10 +33,13 @@ from jaxid.dynamics.model_file import sha256_of
 from jaxid.fitting.assemble import fitted_chain
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Fit
-from jaxid.fitting.stated import stated_numbers
+from jaxid.fitting.stated import judged, stated_numbers, StatedNumber
 from jaxid.identification.payload import usual_gain_std
 from jaxid.problem.binding import Binding
 from jaxid.problem.trust import sentence, told, trusting
+from jaxid.robots import yardstick
+from jaxid.robots.match import is_robot
+from jaxid.robots.yardstick import states
 
 
 def diagnose_by_torque(
@@ -160,16 +163,15 @@ def _answered(study: TorqueStudy, found: Found, most: int, seed: int, began: flo
 
 
 def _before(study: TorqueStudy, nominal: Answer) -> tuple[Answer, str]:
-    """The model with the values that the dataset states; what it does not state is re-tuned."""
+    """The model with the values that the dataset or a robot's file states; what neither states is
+    re-tuned.
+    """
     b, numbers = study.binding, nominal.numbers.copy()
-    stated = [k for k, i in enumerate(study.plant.free) if i in b.stated]
+    stated = [k for k, i in enumerate(study.plant.free) if states(b, i)]
     if not stated:
         return (
             nominal,
-            (
-                "The dataset states no parameter values, so the gap before is that of the re-tuned"
-                " model."
-            ),
+            ("Nothing states parameter values, so the gap before is that of the re-tuned model."),
         )
     numbers[stated] = b.theta[[study.plant.free[k] for k in stated]]
     return replace(nominal, numbers=numbers), ""
@@ -220,11 +222,21 @@ def _fit(
         notes=tuple(notes),
         theta=theta,
         simulation="inverse_dynamics",
-        stated=stated_numbers(b, at, spread),
+        stated=_stated(b, at, spread),
         covariance=spread,
         chain=fitted_chain(b, theta, ()),
         model_sha256=sha256_of(b.chain.mechanism),
     )
+
+
+def _stated(
+    binding: Binding, found: dict[int, Estimate], spread: Covariance
+) -> tuple[StatedNumber, ...]:
+    """Numbers that a robot's file or the dataset states, judged by what was found."""
+    if not is_robot(binding.chain.mechanism):
+        return stated_numbers(binding, found, spread)
+    rows = {i: StatedNumber(**row) for i, row in yardstick.stated(binding, found).items()}
+    return judged(rows, binding.layout.names, found, spread)
 
 
 def _of_the_gains(study: TorqueStudy, named: Sequence[EffectEstimate]) -> list[str]:
