@@ -206,7 +206,6 @@ LONG = {
     "jaxid/diagnosis/goals/study.py": 505,
     "jaxid/diagnosis/run.py": 616,
     "jaxid/diagnosis/search.py": 577,
-    "jaxid/diagnosis/unseen.py": 502,
     "jaxid/dynamics/chain.py": 530,
     "jaxid/robots/export/mjcf.py": 564,
     "jaxid/study/papers/flexible_link.py": 553,

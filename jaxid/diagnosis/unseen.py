@@ -158,10 +158,8 @@ class Match:
         it.
         """
         limit = next((share for count, share in HOPELESS if self.trials >= count), np.inf)
-        return (
-            self.failed < FAILED
-            and LIMITS.three_sigma / 10 < self.distance < limit * LIMITS.three_sigma
-        )
+        sigmas = self.distance / LIMITS.three_sigma
+        return self.failed < FAILED and 0.1 < sigmas < limit
 
     def next(self, retuning: Retuning) -> np.ndarray:
         """What is left is made small along the secants first, and then along the slopes without the
@@ -380,13 +378,9 @@ class BlindSpotSearch:
                 before = sizes[k]
                 if end.distance < LIMITS.three_sigma:
                     kept[k], steps[k] = end, (end.z - self.z) / sizes[k]
-                if np.isfinite(
-                    end.distance
-                ):  # more or less is left of it than the first order said
-                    sizes[k] = min(
-                        sizes[k] * 0.8 * LIMITS.three_sigma / max(end.distance, 1e-9),
-                        hiding[k].largest,
-                    )
+                if np.isfinite(end.distance):  # more or less than the first order said
+                    factor = 0.8 * LIMITS.three_sigma / max(end.distance, 1e-9)
+                    sizes[k] = min(sizes[k] * factor, hiding[k].largest)
                 if kept[k] is end and sizes[k] < 1.05 * before:
                     sizes[k] = np.nan  # as large as it goes
             again = [k for k in again if np.isfinite(sizes[k])]
