@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
 import jaxid
+import jaxid.dynamics
 from jaxid.base.errors import DatasetError, DatasetProblem, DatasetWarning
 from jaxid.data.dataset import Channel, Controller, ModelSpec, ParameterPrior
 from jaxid.data.io import load_dataset
@@ -72,7 +73,7 @@ def pendulum(monkeypatch):
         describe=lambda name, model=None: info,
     )
     monkeypatch.setitem(sys.modules, "jaxid.dynamics.catalogue", fake)
-    monkeypatch.setattr(jaxid, "catalogue", fake, raising=False)
+    monkeypatch.setattr(jaxid.dynamics, "catalogue", fake, raising=False)
 
 
 def samples(count: int = 120, phase: float = 0.0) -> list[list[str]]:
