@@ -64,8 +64,11 @@ class Chromium:
     def __enter__(self) -> Chromium:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    async def _closed(self) -> None:
         self._socket.close()
+
+    def __exit__(self, *_: object) -> None:
+        self._loop.run_until_complete(self._closed())  # it asks for the loop that runs
         self._process.terminate()
         self._process.wait(30)
         self._loop.close()
@@ -105,6 +108,17 @@ class Chromium:
             assert time.monotonic() < until, f"never true: {script}"
             time.sleep(0.2)
         return value
+
+    def settled(self, script: str, still: int = 5) -> Any:
+        """The value of an expression once it has been the same this many times, 0.2 s apart: a page
+        that is still laid out moves under the mouse.
+        """
+        seen = [self.evaluate(script)]
+        while len(seen) < still or any(value != seen[-1] for value in seen[-still:]):
+            time.sleep(0.2)
+            seen.append(self.evaluate(script))
+            assert len(seen) < 600, f"never still: {script}"
+        return seen[-1]
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """The mouse pressed at one place of the window and let go at another."""

@@ -195,7 +195,7 @@ def test_zoom_goes_together_and_a_switch_draws_anew(site, tmp_path):
         browser.wait("document.getElementById('said').textContent.startsWith('rms error')")
         before = browser.evaluate(RANGES)
         assert len(before) == 2 and before[0] == before[1]
-        left, top, width, height = browser.evaluate(FRAME)
+        left, top, width, height = browser.settled(FRAME)
         start = (left + 0.3 * width, top + 0.2 * height)
         end = (left + 0.6 * width, top + 0.8 * height)
         browser.drag(start, end)
