@@ -339,7 +339,7 @@ def test_record_watch_opens_the_page_of_its_own_recording(tmp_path):
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=\S+", address)
         with Chromium(tmp_path) as browser:
             browser.open(address)
-            browser.wait("document.body.textContent.includes('recording')")
+            browser.wait("document.body.textContent.includes('Recording')")
             browser.wait("document.querySelector('.bk-GridPlot, [class*=GridPlot]') !== null")
     finally:
         recording.send_signal(signal.SIGINT)
