@@ -190,6 +190,9 @@ def test_a_lost_control_line_does_not_restart_the_robot(robot, tmp_path):
             limits=Limits(data_age=0.5),
             progress=progress,
         )
+    until = time.monotonic() + SLACK_S
+    while not stops(robot.log(since=ordered[0])) and time.monotonic() < until:
+        time.sleep(0.1)
     time.sleep(0.5)
     later = robot.log(since=ordered[0])
     assert stops(later) and not [e for e in later if e["what"] == "script"]
