@@ -28,7 +28,7 @@ from jaxid.fitting.scores import (
     scores,
     torque_scores,
 )
-from jaxid.fitting.stated import judged, stated_numbers, StatedNumber
+from jaxid.fitting.stated import stated_or_of_the_file, StatedNumber
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import FitProblem
@@ -213,11 +213,8 @@ def _stated(
     covariance: Covariance | None,
 ) -> tuple[StatedNumber, ...]:
     """The numbers that are stated elsewhere, judged by what was found."""
-    binding = bench.binding
-    if not is_robot(binding.chain.mechanism):
-        return stated_numbers(binding, found, covariance)
-    rows = {i: StatedNumber(**row) for i, row in yardstick.stated(binding, found).items()}
-    return said_as_one(bench, theta, judged(rows, binding.layout.names, found, covariance))
+    rows = stated_or_of_the_file(bench.binding, found, covariance)
+    return said_as_one(bench, theta, rows) if is_robot(bench.binding.chain.mechanism) else rows
 
 
 @dataclass

@@ -16,6 +16,8 @@ from jaxid.numerics.stated_numbers import (
     smallest_change,
     SmallestChange,
 )
+from jaxid.robots import yardstick
+from jaxid.robots.match import is_robot
 
 
 if TYPE_CHECKING:
@@ -95,6 +97,18 @@ def stated_numbers(
         )
     told = judged(out, binding.layout.names, found, covariance, plain=True)
     return tuple(sorted(told, key=lambda s: -abs(s.deviation or 0.0)))
+
+
+def stated_or_of_the_file(
+    binding: Binding, found: Mapping[int, Estimate], covariance: Covariance | None
+) -> tuple[StatedNumber, ...]:
+    """The numbers that a robot's file or the dataset states, judged by what was found (by position
+    in the layout).
+    """
+    if not is_robot(binding.chain.mechanism):
+        return stated_numbers(binding, found, covariance)
+    rows = {i: StatedNumber(**row) for i, row in yardstick.stated(binding, found).items()}
+    return judged(rows, binding.layout.names, found, covariance)
 
 
 def judged(

@@ -40,7 +40,7 @@ def _row(binding: Any, found: Mapping[int, Any], i: int, tree: Tree | None) -> d
     added, off = 0.0, estimate.value - value
     exact = not binding.chain.mechanism.integrator  # else the file's own steps were simulated
     if tree is not None and kind == "armature" and exact:
-        added = _added_by_steps(binding, found, tree, place)
+        added = added_by_steps(binding, found, tree, place)
     if added:
         off = nearest(value, estimate.value, added) - value
     deviation = apart(value + off, value, estimate.std)
@@ -74,7 +74,7 @@ def _row(binding: Any, found: Mapping[int, Any], i: int, tree: Tree | None) -> d
     }
 
 
-def _added_by_steps(binding: Any, found: Mapping[int, Any], tree: Tree, joint: str) -> float:
+def added_by_steps(binding: Any, found: Mapping[int, Any], tree: Tree, joint: str) -> float:
     """What the steps of the file's simulator add to a joint's armature."""
     if tree.steps is None:
         return 0.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxid.base.wording import listed
-from jaxid.diagnosis.goals.floor import Between, between_simulators, JointNumbers, seen_early
+from jaxid.diagnosis.goals.floor import Between, between_simulators, JointNumbers, rms, seen_early
 from jaxid.diagnosis.goals.own_run import run_of_file, steps_as_its_file
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.verdict import level
@@ -139,7 +139,5 @@ def by_its_steps(
             for d, now, then in zip(between.apart, own, speeds[split], strict=True)
         ]
         by_split[split] = replace(between, apart=apart)
-    left = np.sqrt(
-        np.mean(np.concatenate(found.by_split["fit"].at_once(b.experiments("fit"))) ** 2, 0)
-    )
+    left = rms(found.by_split["fit"].at_once(b.experiments("fit")))
     return Difference(by_split, theta, _changed(b, found.by_split["fit"]) * left)

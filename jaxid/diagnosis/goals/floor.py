@@ -48,7 +48,7 @@ class Between:
 
     @property
     def size(self) -> np.ndarray:
-        return _rms(self.apart)
+        return rms(self.apart)
 
     def speeds(self, runs: Sequence[Experiment]) -> list[np.ndarray]:
         """Of MuJoCo's runs, [samples n] of each of `runs`."""
@@ -61,7 +61,7 @@ class Between:
         return [x - early * v for x, v in zip(self.apart, speeds, strict=True)]
 
 
-def _rms(series: Sequence[np.ndarray]) -> np.ndarray:
+def rms(series: Sequence[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.mean(np.concatenate(series) ** 2, 0))
 
 
@@ -130,7 +130,7 @@ def between_simulators(
     ):
         return None
     left = [e.y[:, b.chain.joint_outputs] - y for e, y in zip(runs, theirs, strict=True)]
-    return Between(apart, _rms(left), theirs, before)
+    return Between(apart, rms(left), theirs, before)
 
 
 def _their_runs(

@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.diagnosis.goals.changes import changes, StatedDifference
-from jaxid.diagnosis.goals.floor import Between
+from jaxid.diagnosis.goals.floor import Between, rms
 from jaxid.dynamics.effect import Effect
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
 from jaxid.robots.tree import Tree
-from jaxid.robots.yardstick import as_it_stands
+from jaxid.robots.yardstick import added_by_steps, as_it_stands
 
 
 def steps_as_its_file(binding: Binding) -> bool:
@@ -50,8 +50,7 @@ def run_of_file(bench: ProblemBuilder, split: str = "fit") -> Between | None:
         left.append(e.y[:, :n] - y)
     if not all(np.isfinite(y).all() for y in theirs):
         return None
-    size = np.sqrt(np.mean(np.concatenate(left) ** 2, 0))
-    return Between(apart=apart, left=size, theirs=theirs, before=before)
+    return Between(apart=apart, left=rms(left), theirs=theirs, before=before)
 
 
 def stepped_changes(binding: Binding, kinds: Sequence[type[Effect]]) -> list[StatedDifference]:
@@ -59,9 +58,8 @@ def stepped_changes(binding: Binding, kinds: Sequence[type[Effect]]) -> list[Sta
     are those that appear in such steps, and readings are seen as late as they were asked for.
     """
     tree: Tree = binding.chain.mechanism.tree.tree  # type: ignore[attr-defined]
-    added, early = np.zeros_like(binding.theta), 0.0
-    if tree.steps is not None:
-        added, early = _added(binding, tree), tree.steps.delay
+    added = _added(binding, tree)
+    early = 0.0 if tree.steps is None else tree.steps.delay
     apart = []
     for e in binding.experiments("fit"):
         apart.append(early * binding.motions[e.name].qd[-len(e.t) :])
@@ -74,14 +72,8 @@ def stepped_changes(binding: Binding, kinds: Sequence[type[Effect]]) -> list[Sta
 
 def _added(binding: Binding, tree: Tree) -> np.ndarray:
     """What the file's steps make armatures appear to be more, by position in the layout."""
-    assert tree.steps is not None
-    names, added = binding.layout.names, np.zeros_like(binding.theta)
-
-    def value(name: str, otherwise: float = 0.0) -> float:
-        return float(binding.theta[names.index(name)]) if name in names else otherwise
-
+    added = np.zeros_like(binding.theta)
     for joint in binding.chain.signature.joints:
-        drive = value(f"kd@{joint}") * value(f"gain@{joint}", 1.0)
-        own = names.index(f"armature@{joint}")
-        added[own] = tree.steps.inertia(value(f"damping@{joint}"), drive)
+        own = binding.layout.index(f"armature@{joint}")
+        added[own] = added_by_steps(binding, {}, tree, joint)
     return added

@@ -33,12 +33,10 @@ from jaxid.dynamics.model_file import sha256_of
 from jaxid.fitting.assemble import fitted_chain
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Fit
-from jaxid.fitting.stated import judged, stated_numbers, StatedNumber
+from jaxid.fitting.stated import stated_or_of_the_file
 from jaxid.identification.payload import usual_gain_std
 from jaxid.problem.binding import Binding
 from jaxid.problem.trust import sentence, told, trusting
-from jaxid.robots import yardstick
-from jaxid.robots.match import is_robot
 from jaxid.robots.yardstick import states
 
 
@@ -222,21 +220,11 @@ def _fit(
         notes=tuple(notes),
         theta=theta,
         simulation="inverse_dynamics",
-        stated=_stated(b, at, spread),
+        stated=stated_or_of_the_file(b, at, spread),
         covariance=spread,
         chain=fitted_chain(b, theta, ()),
         model_sha256=sha256_of(b.chain.mechanism),
     )
-
-
-def _stated(
-    binding: Binding, found: dict[int, Estimate], spread: Covariance
-) -> tuple[StatedNumber, ...]:
-    """Numbers that a robot's file or the dataset states, judged by what was found."""
-    if not is_robot(binding.chain.mechanism):
-        return stated_numbers(binding, found, spread)
-    rows = {i: StatedNumber(**row) for i, row in yardstick.stated(binding, found).items()}
-    return judged(rows, binding.layout.names, found, spread)
 
 
 def _of_the_gains(study: TorqueStudy, named: Sequence[EffectEstimate]) -> list[str]:
