@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.wording import listed
 from jaxid.dynamics.mujoco_step import INTEGRATORS
 from jaxid.dynamics.soft_constraints import FAR
 
@@ -22,6 +23,10 @@ from jaxid.dynamics.soft_constraints import FAR
 LEAST, MOST = 1e-4, 0.9999
 #: A number less than this is none.
 NOTHING = 1e-15
+#: A delay is a multiple of steps to this share of one.
+WHOLE = 1e-6
+#: Origin of a law that the dataset states.
+STATED = "[controller]"
 #: Parts of MuJoCo's physics that its step is not taken without.
 NEEDED = ("CONSTRAINT", "FRICTIONLOSS", "LIMIT", "SPRING", "DAMPER", "ACTUATION")
 #: solref and solimp that a file gets that states none.
@@ -157,3 +162,22 @@ def _reference(
     constant = max(first, quickest)
     stiffness = 1 / max(NOTHING, (hardest * constant * second) ** 2)
     return stiffness, 2 / max(NOTHING, hardest * constant)
+
+
+def beyond_its_step(tree: Any, law: Any) -> str:
+    """What of a robot's file its step here is not MuJoCo's in, "" where it is; `tree` a
+    `jaxid.robots.tree.Tree` and `law` the `DriveLaw` that drives it.
+    """
+    step = tree.simulator
+    if tree.floats:
+        return "its base floats"
+    if step is None:
+        return "its file asks for no steps that are known here"
+    if tree.couplings:
+        followers = listed([one.follower for one in tree.couplings])
+        return f"MuJoCo couples {followers} softly"
+    for joint, delay in zip(tree.driven, law.delay, strict=True):
+        steps = delay / step.timestep
+        if law.origin != STATED and abs(steps - round(steps)) > WHOLE:
+            return f"the delay of {joint} is no multiple of the file's steps"
+    return ""

@@ -22,7 +22,8 @@ from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
 from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
-from jaxid.robots.drives import file_law, stated_law
+from jaxid.robots.drives import DriveLaw, file_law, stated_law
+from jaxid.robots.file_step import beyond_its_step
 from jaxid.robots.floating import floating, refuse_unmeasured, wanted
 from jaxid.robots.followers import drives_led, led, outputs_led
 from jaxid.robots.mjcf_text import expanded
@@ -328,14 +329,11 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
             " inputs, or say free = true"
         )
     riding = rides(dataset) and bool(what)
-    out = type(robot)(tree, driven=False, rides=riding, simulator=simulator_of(robot, spec))
-    if what == "goal":
-        first = (dataset.split("fit") or dataset.experiments)[0]
-        period = float(np.median(np.diff(first.t)))
-        if dataset.controller is not None:
-            out = out.driven_by(stated_law(dataset.controller, tree.driven, period))
-        else:
-            out = out.driven_by(file_law(tree))
+    law = _law(tree, dataset) if what == "goal" else None
+    simulator = simulator_of(robot, tree, law, spec)
+    out = type(robot)(tree, driven=False, rides=riding, simulator=simulator)
+    if law is not None:
+        out = out.driven_by(law)
     out = _placed(out, spec)
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
     signature = with_speeds(out.signatures[0], {c.name: c.unit for c in dataset.outputs})
@@ -350,11 +348,22 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
 
 
-def simulator_of(robot: Any, spec: ModelSpec | None) -> str:
-    """Whose steps simulate a robot: those that the dataset states, else its own setting."""
+def _law(tree: Tree, dataset: Dataset) -> DriveLaw:
+    """The law under which goals drive: that of the dataset, else that of the file."""
+    if dataset.controller is None:
+        return file_law(tree)
+    first = (dataset.split("fit") or dataset.experiments)[0]
+    return stated_law(dataset.controller, tree.driven, float(np.median(np.diff(first.t))))
+
+
+def simulator_of(robot: Any, tree: Tree, law: DriveLaw | None, spec: ModelSpec | None) -> str:
+    """Whose steps simulate a robot: those that the dataset states, else under goals the file's own
+    where they are known.
+    """
     if spec is not None and spec.simulator is not None:
         return spec.simulator
-    return "mujoco" if robot.integrator else "own"
+    goals_by_its_steps = law is not None and not beyond_its_step(tree, law)
+    return "mujoco" if robot.integrator or goals_by_its_steps else "own"
 
 
 def _driven_by(joints: Sequence[str], dataset: Dataset) -> str:
@@ -473,9 +482,18 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     chain = matched(model, dataset)
     law = chain.mechanism.drive_law  # type: ignore[attr-defined]
     notes = notes if law is None else (*notes, law.text)
-    if chain.mechanism.integrator and tree.simulator is not None:
-        notes = (*notes, f"simulated as its file asks MuJoCo for: {tree.simulator.said}")
+    if law is not None or chain.mechanism.integrator:
+        notes = (*notes, _steps_said(chain.mechanism))
     impossible = [
         f"{text}: no body has it, the nearest one is simulated" for _, text in tree.impossible
     ]
     return (*tree.notes, *impossible, *notes, *stops.sentences(tree, dataset))
+
+
+def _steps_said(mechanism: Any) -> str:
+    """Whose steps simulate a robot under goals, and why not the file's."""
+    tree: Tree = mechanism.tree.tree
+    if mechanism.integrator and tree.simulator is not None:
+        return f"simulated as its file asks MuJoCo for: {tree.simulator.said}"
+    beyond = beyond_its_step(tree, mechanism.drive_law)
+    return f"simulated in jaxid's own steps: {beyond or 'the dataset says so'}"
