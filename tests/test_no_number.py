@@ -13,8 +13,7 @@ from jaxid.conventions import decide
 from jaxid.diagnosis import where
 from jaxid.diagnosis.budget import budget, closed
 from jaxid.diagnosis.goals.as_stated import Alone
-from jaxid.diagnosis.goals.difference import Difference
-from jaxid.diagnosis.goals.floor import Between, not_this_file
+from jaxid.diagnosis.goals.own_run import FileRun
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.how_far import not_measured
 from jaxid.diagnosis.hypothesis import SearchResult
@@ -356,14 +355,9 @@ def test_under_goals_nothing_is_decided_by_what_is_no_number(bad):
     decider = Decider(cast(Any, None), ["a"])
     for losses in ((bad, 1.0), (1.0, bad)):
         assert not decider.at_noise(cast(Any, hypothesis(*losses)))
-    between = Between([np.full((5, 1), bad)], np.array([bad]))
-    one: Any = SimpleNamespace(
-        sigma=np.ones(1), experiments=lambda split: [SimpleNamespace(t=np.arange(5))]
-    )
-    taken = Difference({"fit": between}, np.zeros(1), np.zeros(1))
-    assert not taken.accounts(one)
-    assert not_this_file(one, between, np.array([1.0])) == ""
-    assert not_this_file(one, Between([], np.array([1.0])), np.array([np.nan])) == ""
+    one: Any = SimpleNamespace(sigma=np.ones(1))
+    run = FileRun({"fit": [np.full((5, 1), bad)]}, np.zeros((1, 2)))
+    assert not run.accounts(one)
 
 
 def alone(own: set[int]) -> Alone:

@@ -45,7 +45,7 @@ def estimates(
     theta, slope = problem.theta(z), problem.dtheta(z)
     out = {}
     for k, i in enumerate(problem.free):
-        std = np.hypot(cov.std[k] * slope[k], binding.doubts.get(binding.layout.names[i], 0.0))
+        std = cov.std[k] * slope[k]
         out[int(i)] = Estimate(
             float(theta[i]),
             float(std) if np.isfinite(std) else None,
@@ -294,10 +294,7 @@ def numbers_covariance(
     """That of the fitted numbers themselves, of which some are searched by their logarithm."""
     n, slope = len(problem.free), problem.dtheta(z)
     names = tuple(binding.layout.names[i] for i in problem.free)
-    doubts = np.array([binding.doubts.get(name, 0.0) for name in names])
-    return results.Covariance(
-        names, cov.matrix[:n, :n] * slope * slope[:, None] + np.diag(doubts**2)
-    )
+    return results.Covariance(names, cov.matrix[:n, :n] * slope * slope[:, None])
 
 
 def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEstimate]) -> Chain:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -176,12 +176,6 @@ class ProblemBuilder:
         self.defects[repr(residual), split] = defect
         self._begun.clear()
         self._targets.clear()
-
-    def doubt(self, numbers: Mapping[str, float]) -> None:
-        """Sets by how much numbers are in doubt beside the noise: what another simulator of the
-        same file makes of them.
-        """
-        self.binding = replace(self.binding, doubts={**numbers, **self.binding.doubts})
 
     def begun(self, split: str, thetas: Sequence[np.ndarray]) -> list[Begun]:
         """How the free runs of a split begin with each of several parameter vectors; what was

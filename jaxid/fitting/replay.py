@@ -251,14 +251,8 @@ def in_mujoco(
     source: _Source | None,
     starts: list[np.ndarray],
     notes: list[str],
-    gains: Mapping[str, tuple[float, float]] | None = None,
-    numbers: Mapping[str, Mapping[str, float]] | None = None,
-    finer: int = 1,
 ) -> list[np.ndarray]:
-    """Positions of the measured joints at the samples of every run; `gains` (kp, kd) of the law and
-    `numbers` (armature, damping, frictionloss) by joint where they are not those that are stated;
-    in steps this many times `finer` than the file's.
-    """
+    """Positions of the measured joints at the samples of every run."""
     free, held_notes = recorded(tree, data)
     notes += held_notes
     joints = free.leading
@@ -266,7 +260,7 @@ def in_mujoco(
     kind = _driven_by(data, joints, path)
     law = None
     if kind == "goal" and not _own_actuators(tree, joints):
-        law = _with_gains(_law(data, joints, source, path), joints, gains or {})
+        law = _law(data, joints, source, path)
         notes.append(
             f"{path.name} has no position actuators for these joints: the law of [controller]"
             " drives"
@@ -274,10 +268,6 @@ def in_mujoco(
     elif kind == "goal":
         notes.append(f"driven by the position actuators of {path.name}")
     robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)
-    if law is None and gains:
-        robot.drive_by(tree, gains)
-    robot.set_numbers(numbers)
-    robot.model.opt.timestep /= finer
     reference = robot
     torques = all(f"{j}_tau" in inputs for j in joints)
     if source and source.original and torques:
@@ -338,14 +328,6 @@ def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: P
                 values[k] = float(value)
         law = replace(law, **{name: tuple(values)})
     return law
-
-
-def _with_gains(
-    law: DriveLaw, joints: Sequence[str], gains: Mapping[str, tuple[float, float]]
-) -> DriveLaw:
-    stated = zip(joints, law.kp, law.kd, strict=True)
-    every = [gains.get(joint, (kp, kd)) for joint, kp, kd in stated]
-    return replace(law, kp=tuple(kp for kp, _ in every), kd=tuple(kd for _, kd in every))
 
 
 def _before(

@@ -14,6 +14,7 @@ from jaxid.fitting.result import Estimate
 from jaxid.fitting.scores import free_runs
 from jaxid.fitting.stated import StatedNumber
 from jaxid.numerics.stated_numbers import REFUTED
+from jaxid.problem.binding import Binding
 
 
 def said_as_one(
@@ -55,11 +56,23 @@ def _as_well(bench: ProblemBuilder, theta: np.ndarray, row: StatedNumber, kd: in
     other[damping] = row.stated
     if not other[kd] > 0:
         return False
+    armature = binding.layout.index(f"armature@{row.joint}")
+    before, after = (_by_steps(binding, x[damping], x[kd]) for x in (theta, other))
+    if armature in binding.free:
+        other[armature] += before - after
     starts = estimate_starts(bench, "fit", [theta])
     both = np.concatenate([starts, starts])
     here, there = free_runs(bench, "fit", [theta, other], both)
     apart = [(a - b) / binding.sigma for a, b in zip(here, there, strict=True)]
     return bool(sum(float(np.sum(x**2)) for x in apart) < REFUTED**2)
+
+
+def _by_steps(binding: Binding, damping: float, kd: float) -> float:
+    """What the simulated steps make an inertia appear to be more."""
+    steps = binding.chain.mechanism.tree.tree.steps  # type: ignore[attr-defined]
+    if steps is None or not binding.chain.mechanism.integrator:
+        return 0.0
+    return steps.inertia(damping, kd)
 
 
 def _open(row: StatedNumber) -> StatedNumber:

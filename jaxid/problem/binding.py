@@ -85,9 +85,6 @@ class Binding:
     priors: dict[int, tuple[float, float]] = field(
         default_factory=dict
     )  # mean and standard deviation of numbers known before
-    doubts: dict[str, float] = field(
-        default_factory=dict
-    )  # what another simulator of the same file makes of numbers
     said: tuple[str, ...] = ()  # what the dataset asks for that changes a result
     #: Kind of stated number -> the spread of its priors: see `jaxid.problem.trust`.
     spreads: dict[str, float] = field(default_factory=dict)

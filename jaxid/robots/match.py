@@ -487,7 +487,8 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     impossible = [
         f"{text}: no body has it, the nearest one is simulated" for _, text in tree.impossible
     ]
-    return (*tree.notes, *impossible, *notes, *stops.sentences(tree, dataset))
+    stopped = stops.sentences(tree, dataset, bool(chain.mechanism.integrator))
+    return (*tree.notes, *impossible, *notes, *stopped)
 
 
 def _steps_said(mechanism: Any) -> str:

@@ -1,4 +1,4 @@
-"""Joints that stand at the stops of a robot's file: its model here has none."""
+"""Joints that stand at the stops of a robot's file, which not every model of it has."""
 
 from __future__ import annotations
 
@@ -27,11 +27,13 @@ def at_stops(tree: Tree, dataset: Dataset) -> list[tuple[str, float]]:
 def sentences_of(mechanism: Any, dataset: Dataset) -> tuple[str, ...]:
     """Those of a model, where it is a robot's."""
     held = getattr(mechanism, "tree", None)
-    return () if held is None else sentences(held.tree, dataset)
+    return () if held is None else sentences(held.tree, dataset, bool(mechanism.integrator))
 
 
-def sentences(tree: Tree, dataset: Dataset) -> tuple[str, ...]:
-    """What is to be said of them; nothing where no joint comes to its stops."""
+def sentences(tree: Tree, dataset: Dataset, simulated: bool = False) -> tuple[str, ...]:
+    """What is to be said of them; nothing where no joint comes to its stops. `simulated`: whether
+    the model has stops.
+    """
     found = at_stops(tree, dataset)
     if not found:
         return ()
@@ -43,7 +45,9 @@ def sentences(tree: Tree, dataset: Dataset) -> tuple[str, ...]:
         told.append(
             f"{joint} stands at or past its range ({ends}) in {percent(share)} of the samples"
         )
-    text = f"{'; '.join(told)}: MuJoCo stops it there, jaxid's model has no stops"
+    text = f"{'; '.join(told)}: MuJoCo stops it there"
+    if not simulated:
+        text += ", jaxid's model has no stops"
     return (f"{text}{_in_degrees(tree, [j for j, _ in found])}",)
 
 

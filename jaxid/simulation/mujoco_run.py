@@ -175,24 +175,6 @@ class MujocoRobot:
         ]
         return found[0] if len(found) == 1 else -1
 
-    def drive_by(self, tree: Tree, gains: Mapping[str, tuple[float, float]]) -> None:
-        """Gives the file's own position actuators other gains: (kp, kd) at the joint by name."""
-        for joint, (kp, kd) in gains.items():
-            a, stated = self.actuator(joint), tree.actuators.get(joint)
-            if a < 0 or stated is None or not stated.kp > 0:
-                raise UsageError(f"{joint} has no position actuator of its own in {tree.file}")
-            per_joint = -stated.kp / self.model.actuator_biasprm[a, 1]  # its gear, squared
-            self.model.actuator_gainprm[a, 0] *= kp / stated.kp
-            self.model.actuator_biasprm[a, 1] = -kp / per_joint
-            self.model.actuator_biasprm[a, 2] = -kd / per_joint
-
-    def set_numbers(self, numbers: Mapping[str, Mapping[str, float]] | None) -> None:
-        """Sets `armature`, `damping` and `frictionloss` of joints, by the joint's name."""
-        for joint, own in (numbers or {}).items():
-            _, dof = self.address(joint)
-            for kind, value in own.items():
-                getattr(self.model, f"dof_{kind}")[dof] = value
-
     def run(
         self,
         joints: Sequence[str],

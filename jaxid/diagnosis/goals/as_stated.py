@@ -2,9 +2,8 @@
 nothing re-tuned.
 
 Numbers that are free to move take up what is missing: centres of mass an encoder that is off,
-dampings a late goal. Where MuJoCo's run of the file explains a recording but for one thing, that
-one is named before any number of the file is doubted. What MuJoCo makes of the file and jaxid does
-not is taken off the readings: the file is judged as its owner runs it.
+dampings a late goal. Where the file's run explains a recording but for one thing, that one is named
+before any number of the file is doubted.
 """
 
 from __future__ import annotations
@@ -16,19 +15,12 @@ import numpy as np
 
 from jaxid.base.wording import listed
 from jaxid.diagnosis.belief import Belief
-from jaxid.diagnosis.goals.changes import changes, StatedDifference
-from jaxid.diagnosis.goals.difference import by_its_steps, Difference, difference
-from jaxid.diagnosis.goals.floor import (
-    Between,
-    joint_numbers,
-    made_by_steps,
-)
+from jaxid.diagnosis.goals.changes import StatedDifference
 from jaxid.diagnosis.goals.gains import held_gains
-from jaxid.diagnosis.goals.own_run import stepped_changes, steps_as_its_file
-from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
+from jaxid.diagnosis.goals.own_run import FileRun, stepped_changes
+from jaxid.diagnosis.goals.propose import as_vector, candidates_of
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.single_changes import belief_of
-from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.selection import indistinct, joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
@@ -231,101 +223,27 @@ class Alone:
 
 
 class AsStated:
-    """What the file explains as MuJoCo runs it: by itself, or with a single change."""
+    """What the file explains as it is simulated: by itself, or with a single change."""
 
-    def __init__(
-        self,
-        bench: ProblemBuilder,
-        study: LedStudy,
-        kinds: Sequence[type[Effect]],
-        between: Between,
-    ):
-        """`bench` of the model without candidates, `between` of its fit runs."""
-        self.plain, self.bench, self.study = bench.binding, bench, study
-        self.taken = difference(bench, {"fit": between})
-        if self.taken is not None and not np.all(
-            self.taken.floor <= np.maximum(between.left, self.plain.sigma)
-        ):
-            # The difference is known less well than what the file leaves: nothing shows beside it.
-            self.taken = None
+    def __init__(self, bench: ProblemBuilder, run: FileRun, kinds: Sequence[type[Effect]]):
+        """`bench` of the model without candidates, and what the file's run in it leaves."""
+        self.plain = bench.binding
         #: Whether it explains the recording by itself.
-        self.stands = self.taken is not None and self.taken.accounts(self.plain)
-        self.exact = steps_as_its_file(self.plain)
-        self.stepped: Difference | None = None
-        self.made_by_steps: list[np.ndarray] | None = None
+        self.stands = run.accounts(self.plain)
+        #: Which single changes columns of first order hold likeliest.
         self.changes: list[StatedDifference] = []
-        if self.taken is not None and not self.stands:
-            self._ask_columns(self.taken, kinds)
+        if not self.stands:
+            self.changes = stepped_changes(self.plain, kinds)
         self.alone: Alone | None = None
         self.enough: list[Hypothesis] = []
 
-    def _ask_columns(self, taken: Difference, kinds: Sequence[type[Effect]]) -> None:
-        """Which single changes columns of first order hold likeliest."""
-        if self.exact:
-            self.stepped, self.changes = taken, stepped_changes(self.plain, kinds)
+    def ask(self, made: Callable[[], ProblemBuilder], progress: Progress | None) -> None:
+        """Simulates the changes; `made()` makes a bench with their effects as candidates."""
+        if not self.changes:
             return
-        self.stepped = by_its_steps(self.bench, self.study, taken)
-        if self.stepped is None:
-            return
-        apart = self.stepped.by_split["fit"].apart
-        self.changes = changes(self.plain, kinds, apart, self.stepped.theta)
-        self.made_by_steps = made_by_steps(self.bench)
-
-    def ask(self, made: Callable[[np.ndarray], ProblemBuilder], progress: Progress | None) -> None:
-        """Simulates the changes; `made(floor)` makes a bench with their effects as candidates."""
-        if self.stepped is None or not self.changes:
-            return
-        self._compare(self.stepped, self.changes, made, progress)
-        nearest = self.alone.nearest_numbers() if self.alone is not None else None
-        if nearest is not None and not self.exact:
-            self._with_their_run(nearest, made, progress)
-
-    def _compare(
-        self,
-        taken: Difference,
-        asked: Sequence[StatedDifference],
-        made: Callable[[np.ndarray], ProblemBuilder],
-        progress: Progress | None,
-    ) -> None:
-        """Simulates changes with this difference taken off the readings."""
-        bench = taken.off(made(taken.floor))
-        decider = Decider(bench, self.plain.layout.names, None, progress, 0, 1 + len(asked))
-        self.alone = Alone(decider, self.plain, taken.theta)
-        self.enough = self.alone.enough(asked)
-
-    def _with_their_run(
-        self,
-        found: Hypothesis,
-        made: Callable[[np.ndarray], ProblemBuilder],
-        progress: Progress | None,
-    ) -> None:
-        """Changed numbers of joints once more, with MuJoCo's run of the file that has them: its dry
-        friction creeps by what the friction is, and its steps by the damping. They are the answer
-        where they come to the noise so, and nothing explains the recording surely better.
-        """
-        assert self.alone is not None and self.stepped is not None
-        wide, names = self.alone.decider.bench.binding.layout, self.plain.layout.names
-        index = [names.index(wide.names[i]) for i in found.index]
-        theta = self.plain.theta.copy()
-        theta[index] = found.theta[list(found.index)] - self.alone.theta[list(found.index)]
-        theta[index] += self.plain.theta[index]
-        numbers = joint_numbers(self.plain, theta, index)
-        if sum(map(len, numbers.values())) < len(index):
-            return
-        plain = difference(self.bench, {}, theta, numbers)
-        taken = plain and by_its_steps(self.bench, self.study, plain, numbers)
-        if taken is None:
-            return
-        begin = taken.theta.copy()
-        stands = begin.copy()
-        stands[index] += self.plain.theta[index] - theta[index]
-        before = self.stepped, self.alone, self.enough
-        told = min(map(self.alone.evidence, self.enough), default=np.inf) + LIMITS.decisive
-        self.stepped = replace(taken, theta=stands)
-        change = StatedDifference(Proposal((), (), begin), tuple(index))
-        self._compare(self.stepped, [change], made, progress)
-        if not any(self.alone.evidence(h) < told for h in self.enough):
-            self.stepped, self.alone, self.enough = before
+        decider = Decider(made(), self.plain.layout.names, progress, 0, 1 + len(self.changes))
+        self.alone = Alone(decider, self.plain, self.plain.theta)
+        self.enough = self.alone.enough(self.changes)
 
     @property
     def explains(self) -> bool:
@@ -357,28 +275,6 @@ class AsStated:
             return None
         wide = self.alone.decider.bench.binding.layout
         return np.array([self.enough[0].theta[wide.index(n)] for n in self.plain.layout.names])
-
-    @property
-    def difference(self) -> Difference:
-        """What is taken off the readings."""
-        found = self.stepped if self.enough else self.taken
-        assert found is not None
-        return found
-
-    @property
-    def doubts(self) -> dict[str, float]:
-        """What steps of the simulation make of numbers that are re-tuned. With which steps a
-        recording was made is not known, and a robot has none.
-        """
-        pairs = zip(self.plain.layout.names, self.difference.theta, self.plain.theta, strict=True)
-        moved = {name: float(there - here) for name, there, here in pairs if there != here}
-        if self.made_by_steps is None:
-            return moved
-        by_steps = self.study.taken_up(self.made_by_steps, self.plain.free, clocks=False)[0]
-        names = dict.fromkeys([*moved, *by_steps])
-        return {
-            name: float(np.hypot(moved.get(name, 0.0), by_steps.get(name, 0.0))) for name in names
-        }
 
     def decided(self, decider: Decider, nominal: Hypothesis) -> SearchResult:
         """From the re-tuned model: the effect that alone is lacking, or none where numbers account

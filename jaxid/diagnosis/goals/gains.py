@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
-import numpy as np
-
 from jaxid.base.wording import listed
 from jaxid.fitting.ending import LAW_KD
 from jaxid.problem.binding import Binding
@@ -67,19 +65,6 @@ def freed(binding: Binding, names: Sequence[str]) -> Binding:
     """The binding with gains of these names fitted."""
     index = {binding.layout.index(name) for name in names}
     return replace(binding, free=sorted({*binding.free, *index}))
-
-
-def gains_in(binding: Binding, theta: np.ndarray) -> dict[str, tuple[float, float]]:
-    """(kp, kd) in `theta` of each joint one of whose gains is fitted though nobody asked for it."""
-    asked, out = binding.chain.mechanism.known(), {}
-    for joint in binding.chain.signature.joints:
-        names = [f"{gain}@{joint}" for gain in GAINS]
-        if not all(name in binding.layout.names for name in names):
-            continue
-        at = [binding.layout.index(name) for name in names]
-        if any(i in binding.free and binding.layout.names[i] not in asked for i in at):
-            out[joint] = (float(theta[at[0]]), float(theta[at[1]]))
-    return out
 
 
 def asked_for(binding: Binding, names: Sequence[str]) -> str:

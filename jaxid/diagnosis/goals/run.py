@@ -8,13 +8,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from jaxid.base.wording import listed, names_of
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
-from jaxid.diagnosis.goals.difference import compared
-from jaxid.diagnosis.goals.floor import Between, not_this_file, with_floor
 from jaxid.diagnosis.goals.gains import (
     asked_for,
     freed,
@@ -22,7 +18,7 @@ from jaxid.diagnosis.goals.gains import (
     with_room,
 )
 from jaxid.diagnosis.goals.law_told import law_told
-from jaxid.diagnosis.goals.own_run import steps_as_its_file
+from jaxid.diagnosis.goals.own_run import not_this_file, run_of_file
 from jaxid.diagnosis.goals.propose import (
     as_vector,
     goes_the_other_way,
@@ -37,7 +33,6 @@ from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.result import Diagnosis
-from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.joint_readings import all_read
@@ -64,17 +59,10 @@ TOO_DEAR = (
     " that the law asks for along the measured motion is compared instead, and no free run judges"
     " the answer"
 )
-MEANING = (
-    "standard deviations of the file's numbers and of the effects count what MuJoCo and jaxid make"
-    " of the same file: its first-order steps and soft friction pass for other numbers"
-)
 OTHER_WAY = (
     "the goals go {} from sample to sample here, not {} as the dataset has it: the re-tuned model"
     " follows them better so on data that were and were not fitted (state hold of the goals'"
     " channels where that is wrong)"
-)
-THEIRS = (
-    "Its noise is what MuJoCo and jaxid make of the same file; no effect explains what is nearer."
 )
 SETTLED = (
     "numbers are fitted to the fit and validation runs together, once these have chosen the"
@@ -172,11 +160,7 @@ def diagnose_led(
         answer=answer,
         progress=progress,
     )
-    plain, wide = binding, study.binding
-    between = compared(bench := ask.made(plain))  # the program that is there
-    exact = steps_as_its_file(plain)
-    apart = _apart(study, None if exact else between, plain.free)
-    study = study.with_binding(with_floor(wide, apart.size))
+    plain = binding
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
     asked = f"asked along the measured motion: {listed(sorted(names_of(kinds)))}"
     left = sorted(k.name for k in library if not shown(k))
@@ -184,32 +168,26 @@ def diagnose_led(
         f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}"
     )
 
-    stated = (
-        AsStated(bench, study, kinds, between)
-        if between is not None and stands(plain.chain, dataset)
-        else None
-    )
-    strange = not_this_file(plain, between, apart.at_once)
+    run = run_of_file(bench := ask.made(plain))
+    strange = not_this_file(plain, run)
+    stated = None
+    if run is not None and not strange and stands(plain.chain, dataset):
+        stated = AsStated(bench, run, kinds)
     by_itself = strange or (stated is not None and stated.stands)
     near = plain.theta if by_itself else study.theta
     road = _Road(plain.layout.names, Proposal((), (), near), seed, began, progress)
     alone = kinds_of([c.proposal for c in stated.changes]) if stated is not None else []
     if stated is not None:
-        stated.ask(lambda floor: ask.made(with_floor(ask.bound(alone), floor)), progress)
+        stated.ask(lambda: ask.made(ask.bound(alone)), progress)
 
     if stated is not None and stated.explains:
         found, more = _as_stated(ask, road, stated, alone)
-        doubts = stated.doubts
-        notes += more if exact else [*more, stated.difference.said(plain)]
-    elif strange:  # what is left is judged by the readings' own noise, and nothing is asked
-        doubts = apart.doubts
+        notes += more
+    elif strange:  # nothing is asked
         found = _without_effects(ask, road, plain)
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
     else:
-        doubts = apart.doubts
-        found = _searched(ask, road, study, apart)
-    if doubts:
-        notes.append(MEANING)
+        found = _searched(ask, road, study)
     if study.of("validation"):
         notes.append(SETTLED)
     notes += law_told(found.final, binding.chain.signature.joints)
@@ -249,37 +227,11 @@ class _Ask:
         return ProblemBuilder(binding, self.step, differences=1, together=True)
 
 
-@dataclass(frozen=True)
-class _Simulators:
-    """What two simulators of the file differ by: their runs, what of it re-tuned numbers take up
-    (`doubts`), and what these leave, rms [n], with their clocks apart and `at_once`.
-    """
-
-    between: Between | None
-    doubts: dict[str, float]
-    size: np.ndarray | None
-    at_once: np.ndarray | None
-
-
-def _apart(study: LedStudy, between: Between | None, own: Sequence[int]) -> _Simulators:
-    """`own`: the numbers of a fit, by position in the layout."""
-    if between is None:
-        return _Simulators(None, {}, None, None)
-    runs = study.binding.experiments("fit")
-    return _Simulators(
-        between=between,
-        doubts=study.taken_up(between.apart, own, clocks=False)[0],
-        size=study.taken_up(between.apart, own)[1],
-        at_once=study.taken_up(between.at_once(runs), own, clocks=False)[1],
-    )
-
-
 def _as_stated(
     ask: _Ask, road: _Road, stated: AsStated, names: Sequence[str]
 ) -> tuple[Diagnosis, list[str]]:
     """The diagnosis of a recording that the file explains but for one change, and its notes."""
-    taken, notes = stated.difference, []
-    own = with_floor(ask.bound(names, stated.gains), taken.floor, stated.doubts)
+    notes, own = [], ask.bound(names, stated.gains)
     if stated.begin is not None:
         road.bare = Proposal((), (), stated.begin)
     if stated.gains:
@@ -287,76 +239,41 @@ def _as_stated(
     found = ask.answer(
         own,
         names if stated.lacks else (),
-        lambda b, offer: road(taken.off(b), offer, stated.decided),
+        lambda bench, offer: road(bench, offer, stated.decided),
         ask.step,
     )
-    found = replace(
-        found, which=replace(found.which, text=f"{found.which.text} {stated.said()}".strip())
-    )
-    # The readings have gone through the steps of the file's simulator already: delays are its own.
-    robot = {**found.final.robot, "taken_off": True}
-    return replace(found, final=replace(found.final, robot=robot)), notes
+    text = f"{found.which.text} {stated.said()}".strip()
+    return replace(found, which=replace(found.which, text=text)), notes
 
 
-def _searched(
-    ask: _Ask,
-    road: _Road,
-    study: LedStudy,
-    apart: _Simulators,
-) -> Diagnosis:
+def _searched(ask: _Ask, road: _Road, study: LedStudy) -> Diagnosis:
     """The diagnosis by effects beside numbers that are re-tuned."""
     proposed = proposals(study, ask.max_effects)
     road.bare = proposed.bare
-    names, limit = kinds_of(proposed.sets), Limit()
-    wide = with_floor(ask.known(names, proposed.inflation), apart.size, apart.doubts)
-    series = None if apart.between is None else apart.between.apart
-    found = ask.answer(
-        wide,
+    names = kinds_of(proposed.sets)
+
+    def decide(decider: Decider, nominal: Hypothesis) -> SearchResult:
+        return decider.with_what_the_file_lacks(decider.decided(nominal, proposed))
+
+    return ask.answer(
+        ask.known(names, proposed.inflation),
         names,
-        lambda bench, offer: road(bench, offer, with_sets(proposed, limit), series),
+        lambda bench, offer: road(bench, offer, decide),
         ask.step,
     )
-    if found.which.verdict != "unknown" or not limit.reached or apart.between is None:
-        return found
-    # No effect is borne out, and what two simulators of the file as it stands differ by accounts
-    # for what is left.
-    again = with_floor(ask.known(), apart.between.size, apart.doubts)
-    nothing = _without_effects(ask, road, again)
-    if nothing.which.verdict != "none":
-        return found
-    text = f"{nothing.which.text} {THEIRS}"
-    return replace(nothing, which=replace(nothing.which, text=text, ranking=found.which.ranking))
 
 
 def _without_effects(ask: _Ask, road: _Road, binding: Binding) -> Diagnosis:
-    """The diagnosis by re-tuned numbers alone."""
-    nothing = ProposedSets(road.bare)
-    return ask.answer(
-        binding, (), lambda bench, offer: road(bench, offer, with_sets(nothing)), ask.step
-    )
+    """The diagnosis by numbers alone."""
 
+    def decide(decider: Decider, nominal: Hypothesis) -> SearchResult:
+        return decider.decided(nominal, ProposedSets(road.bare))
 
-@dataclass
-class Limit:
-    """Whether what two simulators differ by accounts for what the nominal model leaves."""
-
-    reached: bool = False
+    return ask.answer(binding, (), lambda bench, offer: road(bench, offer, decide), ask.step)
 
 
 #: From the nominal model what is chosen.
 Decide = Callable[[Decider, Hypothesis], SearchResult]
-
-
-def with_sets(proposed: ProposedSets, limit: Limit | None = None) -> Decide:
-    """What simulations bear out of some sets of effects, beside numbers that are re-tuned."""
-
-    def decide(decider: Decider, nominal: Hypothesis) -> SearchResult:
-        most = decider.with_their_difference(nominal)
-        if limit is not None:
-            limit.reached = most <= level(nominal.path.count)
-        return decider.with_what_the_file_lacks(decider.decided(nominal, proposed, most))
-
-    return decide
 
 
 @dataclass
@@ -374,9 +291,8 @@ class _Road:
         bench: ProblemBuilder,
         offer: Offer,
         decide: Decide,
-        between: Sequence[np.ndarray] | None = None,
     ) -> tuple[Fit, SearchResult]:
-        decider = Decider(bench, self.names, between, self.progress)
+        decider = Decider(bench, self.names, self.progress)
         theta = as_vector(bench.binding, self.names, self.bare)
         nominal = decider.refit((), theta)
 
@@ -399,6 +315,5 @@ class _Road:
         offer(fitted, SearchResult(nominal, nominal))
         search = decide(decider, nominal)
         plain = decider.settled(search.nominal)
-        bench.doubt(decider.passes_for(search.chosen))
         search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
         return fitted(plain.path), search

@@ -19,10 +19,7 @@ from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.secant import descend_on_secants, Slopes
-from jaxid.force.least_squares import Rows, solve
-from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.problem.binding import Binding
-from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import OutputError
 
 
@@ -38,9 +35,6 @@ class Decider:
 
     bench: ProblemBuilder
     names: Sequence[str]  # of the nominal model's numbers
-    between: Sequence[np.ndarray] | None = (
-        None  # what two simulators of the file differ by in the fit runs, [samples ny] each
-    )
     progress: Progress | None = None
     done: int = 0
     total: int = 1
@@ -108,11 +102,9 @@ class Decider:
         self.evaluations += spent
         return Hypothesis(h.effects, p.theta(path.z), path, h.validation)
 
-    def decided(self, nominal: Hypothesis, proposed: ProposedSets, limit: float) -> SearchResult:
+    def decided(self, nominal: Hypothesis, proposed: ProposedSets) -> SearchResult:
         """Of the sets that were proposed the one that simulations bear out; its effects taken back
-        where they are not missed. `limit`: what each has to stay below on the fit runs
-        (`with_their_difference`). None is asked where the re-tuned model reaches the noise: what
-        two simulators differ by is coloured, and is no effect.
+        where they are not missed. None is asked where the re-tuned model reaches the noise.
         """
         sets, tried = proposed.sets, []
         if not sets or judge(SearchResult(nominal, nominal)).name == "none":
@@ -122,11 +114,7 @@ class Decider:
             theta = as_vector(self.bench.binding, self.names, s)
             if own := candidates_of(self.bench, s):
                 tried.append(self.refit(own, theta, nominal.path))
-        good = [
-            h
-            for h in tried
-            if np.isfinite(joint_loss(h)) and h.fit_loss < limit and self.gained(nominal, h) > 0
-        ]
+        good = [h for h in tried if np.isfinite(joint_loss(h)) and self.gained(nominal, h) > 0]
         chosen = max(good, key=lambda h: self.gained(nominal, h), default=nominal)
         chosen = self.thinned(nominal, chosen, tried)
         named = {(c.effect, c.location): self.sure.get(str(c), 1.0) for c in chosen.effects}
@@ -173,14 +161,7 @@ class Decider:
         it may stand for what is not known, and stays a number.
         """
         b, chosen = self.bench.binding, search.chosen
-        lacked = [
-            c
-            for c in _absent(b)
-            if all(
-                abs(chosen.theta[i]) > REFUTED * abs(b.doubts.get(b.layout.names[i], 0.0))
-                for i in c.index
-            )
-        ]
+        lacked = [c for c in _absent(b) if all(chosen.theta[i] != 0.0 for i in c.index)]
         if not lacked:
             return search
         self.asked, tried = frozenset(i for c in lacked for i in c.index), list(search.tried)
@@ -207,45 +188,6 @@ class Decider:
             return found
         self.asked = frozenset()
         return search
-
-    def with_their_difference(self, nominal: Hypothesis) -> float:
-        """What the re-tuned model would leave of the fit runs if it were simulated as the other
-        simulator does, in part or in full, to first order: an effect that leaves more stands for
-        what a simulation makes of the file.
-        """
-        at, p = self.slopes, nominal.path.problem
-        if at is None or self.between is None or at.names != p.names:
-            return np.inf
-        apart = self._weighed(p)
-        if not all(np.isfinite(x).all() for x in (at.J, at.r, apart)):
-            return np.inf
-        A = np.column_stack([at.J, apart])
-        free = np.full(at.J.shape[1], np.inf)
-        lower, upper = np.append(-free, 0.0), np.append(free, 1.0)
-        by, _ = solve(Rows(A, -at.r), np.zeros(A.shape[1]), lower, upper)
-        left = at.r + A @ by
-        return float(left @ left) / nominal.path.count
-
-    def passes_for(self, h: Hypothesis) -> dict[str, float]:
-        """What the effects' numbers would be apart from what they are, to first order, if the model
-        were simulated as the other simulator does, by name.
-        """
-        p = h.path.problem
-        if self.between is None or not h.effects:
-            return {}
-        J = Slopes.taken(p, h.path.z).J
-        if not np.isfinite(J).all():  # a run beside it diverges: nothing is known to first order
-            return {}
-        more, _ = solve(Rows(J, self._weighed(p)), np.zeros(J.shape[1]))
-        there, names = p.theta(h.path.z + more), self.bench.binding.layout.names
-        return {names[i]: float(abs(there[i] - h.theta[i])) for c in h.effects for i in c.index}
-
-    def _weighed(self, p: FitProblem) -> np.ndarray:
-        """What two simulators differ by, over the noise, in the order of a problem's residuals."""
-        where = [p.runs.record(record).samples for record in p.records]
-        return np.concatenate(
-            [(p.weights[k] * x).ravel() for k, x in zip(where, self.between or (), strict=True)]
-        )
 
     def at_noise(self, h: Hypothesis) -> bool:
         return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)

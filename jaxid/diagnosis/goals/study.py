@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from copy import copy
 from dataclasses import fields, replace
 from typing import Any
 
@@ -21,7 +20,6 @@ from jaxid.diagnosis.torque.study import SHARPER, STEPS, TorqueRows, TorqueStudy
 from jaxid.dynamics.effect import Effect, InputEffect, OutputEffect
 from jaxid.dynamics.joint_readings import joint_readings
 from jaxid.dynamics.parameter import specs
-from jaxid.force import least_squares
 from jaxid.numerics.pool import Pool
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
@@ -58,60 +56,6 @@ class LedStudy(TorqueStudy):
         self._taken: dict[str, tuple[bytes, TorqueRun, np.ndarray, TorqueRun]] = {}
         self._made: dict[str, tuple[bytes, np.ndarray, np.ndarray]] = {}
         super().__init__(binding, kinds, cutoff_hz, None, False)
-
-    def with_binding(self, binding: Binding) -> LedStudy:
-        """The same with another noise."""
-        out = copy(self)
-        out.binding = out.plant.binding = binding
-        out.measured = out._noise()
-        out.settle(out.theta)
-        return out
-
-    def taken_up(
-        self, series: Sequence[np.ndarray], own: Sequence[int], clocks: bool = True
-    ) -> tuple[dict[str, float], np.ndarray]:
-        """What positions [samples n] in each of the fit runs change in the numbers `own` (positions
-        in the layout) that are fitted to them, by name, and the root mean square [n] of what these
-        leave; with `clocks` beside what rows know no better, which no simulation has (delays within
-        a sample, the width of a reversal).
-        """
-        rows = self.made(self.theta, [])
-        at = [k for k, i in enumerate(self.plant.free) if i in own]
-        names = [self.binding.layout.names[self.plant.free[k]] for k in at]
-        if clocks:
-            at += range(self.plant.size, rows.size)
-        numbers, left = self._fitted_to(series, rows, np.array(at, int))
-        told = dict(zip(names, numbers[: len(names)].tolist(), strict=True))
-        return told, np.sqrt(np.mean(left**2, 0))
-
-    def inertia_taken_up(self, series: Sequence[np.ndarray], theta: np.ndarray) -> dict[str, float]:
-        """What positions [samples n] in each of the fit runs change in the armatures that are
-        fitted to them, beside clocks, of the model with numbers theta.
-        """
-        rows, n = self.made(theta, []), self.binding.chain.nq
-        names = [self.binding.layout.names[i] for i in self.plant.free]
-        own = [k for k, name in enumerate(names) if name.startswith("armature@")]
-        numbers, _ = self._fitted_to(
-            series, rows, np.array([*own, *range(rows.size - n, rows.size)], int)
-        )
-        return {names[k]: float(x) for k, x in zip(own, numbers, strict=False)}
-
-    def _fitted_to(
-        self, series: Sequence[np.ndarray], rows: TorqueRows, at: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """How much more of the columns' numbers makes these positions of the fit runs, and what
-        that leaves [rows n]: columns are those of what readings are off by.
-        """
-        own, target = [], []
-        for k, x in zip(self.of("fit"), series, strict=True):
-            run = self.runs[k]
-            e = next(e for e in self.binding.dataset.experiments if e.name == run.experiment.name)
-            fine = np.stack([np.interp(run.experiment.t, e.t, c) for c in x.T], 1)
-            own.append(rows.rows[k][:, :, at].reshape(-1, len(at)))
-            target.append(run.sampled(fine).reshape(-1))  # type: ignore[attr-defined]
-        A, b = np.concatenate(own), np.concatenate(target)
-        numbers, _ = least_squares.solve(least_squares.Rows(A, b), np.zeros(len(at)))
-        return -numbers, (b - A @ numbers).reshape(-1, self.binding.chain.nq)
 
     def weights(self, rows: TorqueRows) -> Weights:
         """Weights by what the re-tuned model leaves."""

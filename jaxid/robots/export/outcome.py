@@ -242,7 +242,6 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
         "without": _names(robot, "without"),
         "drive": _drive(robot.get("drive")),
         "simulator": {"kind": "mujoco" if by_its_file else "own"},
-        "taken_off": robot.get("taken_off") is True,
     }
 
 

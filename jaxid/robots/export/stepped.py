@@ -35,13 +35,9 @@ def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[st
             added = _added(steps, found, place, sheet.before[place])
             held = stated.get(name, sheet.before[place].armature)
             numbers[name] = replace(n, value=_in_file(held, n, added))
-        elif kind == DELAY and not found.robot.get("taken_off"):
+        elif kind == DELAY:
             numbers[name] = _later(steps, n, stated.get(name))
-    effects = (
-        tuple(_late(steps, e) for e in found.effects)
-        if not found.robot.get("taken_off")
-        else found.effects
-    )
+    effects = tuple(_late(steps, e) for e in found.effects)
     changed = effects != found.effects or numbers != found.parameters
     note = (
         f"armatures and delays are those of {steps.said}, which add h / 2 of all damping to an"
