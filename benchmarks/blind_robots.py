@@ -20,7 +20,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +35,8 @@ prepare()
 
 import jaxid  # noqa: E402
 from benchmarks.blind_summary import held, share  # noqa: E402
-from jaxid.benchmark.goal_arms import case, dataset, GoalArm, KINDS, RATE, recorded, STEP  # noqa: E402
+from jaxid.benchmark.goal_arms import case, dataset, GoalArm, KINDS, RATE  # noqa: E402
 from jaxid.diagnosis.budget import shrink  # noqa: E402
-from jaxid.diagnosis.goals.difference import TAKEN_OFF  # noqa: E402
 from jaxid.diagnosis.verdict import level  # noqa: E402
 
 
@@ -117,68 +115,18 @@ def score(c: dict[str, Any], found: Any) -> dict[str, Any]:
     }
 
 
-def as_named(arm: GoalArm, found: Any) -> tuple[GoalArm, str, int, dict[str, Any]] | None:
-    """The arm with the one effect that a diagnosis names written into it, as `withheld` gives it;
-    None where it names none or several, or what the simulation of this benchmark has not.
-    """
-    if found.which.verdict != "named" or len(found.which.effects) != 1:
-        return None
-    e, real = found.which.effects[0], deepcopy(arm)
-    p = {name: x.value for name, x in e.parameters.items()}
-    j = 0 if e.effect == "gravity_offset" else int(e.location.split("_")[0][1:]) - 1
-    beside: dict[str, Any] = {}
-    if e.effect == "torque_scale":
-        for numbers in (real.kp, real.kv, real.limit):
-            numbers[j] *= 1 + p["gain"]
-    elif e.effect == "payload":
-        end = arm.length[j] * (
-            0.5 if j == arm.n - 1 else 1.0
-        )  # from the next joint, else from the link's centre of mass
-        real.more["payload"] = {
-            j: (p["mass"], np.array([end + p.get("dx", 0.0), p.get("dy", 0.0), p.get("dz", 0.0)]))
-        }
-    elif e.effect == "gravity_offset":
-        real.more["tilt"] = (0.0, p["tilt"])
-    elif e.effect in (
-        "input_delay",
-        "sensor_bias",
-        "constant_torque",
-        "stribeck_friction",
-        "saturation",
-    ):
-        beside = {"top" if name == "limit" else name: value for name, value in p.items()}
-        if "torque" in p:
-            beside["torque"] = -p["torque"]  # as friction, against the motion
-        if "delay" in p:  # goals wait for a step to begin
-            beside["delay"] = round(p["delay"] / STEP) * STEP
-    else:
-        return None
-    return real, e.effect, j, beside
-
-
-def further(long: dict[str, Any], found: Any, seconds: float) -> list[float] | None:
+def further(long: dict[str, Any], found: Any, seconds: float) -> list[float]:
     """Share of the file's gap that is closed in those of further runs in which there is one, which
-    go on behind `seconds` of `long`; what is closed twice counts once, as in a diagnosis. Where the
-    file's numbers stand MuJoCo runs it, and with what was named written into it (None where MuJoCo
-    here does not have that), else jaxid runs it and the re-tuned model.
+    go on behind `seconds` of `long`, by the file as it is and by the model that was found; what is
+    closed twice counts once, as in a diagnosis.
     """
     arm = long["arm"]
-
-    def in_mujoco(arm: GoalArm, kind: str, j: int, beside: dict[str, Any]) -> np.ndarray:
-        return recorded(arm, kind, j, beside, long["u"], np.random.default_rng(0), noise=0.0)
-
-    if any(TAKEN_OFF in note for note in found.notes):
-        written = as_named(arm, found)
-        if written is None:
-            return None
-        runs = in_mujoco(arm, "none", 0, {}), in_mujoco(*written)
-    else:
-        with tempfile.TemporaryDirectory() as folder:
-            made = [
-                jaxid.simulate(str(as_file(arm, folder)), dataset(long), model).runs[0]
-                for model in (None, found)
-            ]
-        runs = [np.column_stack([run[f"j{k + 1}"] for k in range(arm.n)]) for run in made]
+    with tempfile.TemporaryDirectory() as folder:
+        made = [
+            jaxid.simulate(str(as_file(arm, folder)), dataset(long), model).runs[0]
+            for model in (None, found)
+        ]
+    runs = [np.column_stack([run[f"j{k + 1}"] for k in range(arm.n)]) for run in made]
     noise = np.array([found.how_far.per_channel[f"j{k + 1}"].noise for k in range(arm.n)])
     apart = [
         np.array_split(((long["q"] - y)[round(seconds * RATE) :] / noise) ** 2, FURTHER)
@@ -279,8 +227,8 @@ def how_far(rows: Sequence[dict[str, Any]]) -> str:
         if len(again) < 2
         else (
             f" How far: {sum(r['interval'] is not None for r in named)} of {len(named)} named cases have an interval. In {FURTHER} "
-            "further runs of each MuJoCo runs the file with what was named written into it (where numbers of the file were re-tuned "
-            f"jaxid the model), counted where the file leaves more than the noise; inside the interval: {held(again)}."
+            "further runs of each the file and the model that was found are simulated, counted where the file leaves more than the "
+            f"noise; inside the interval: {held(again)}."
         )
     )
 

@@ -149,7 +149,7 @@ def by_mujoco(
 
     if not hasattr(sysid, "optimize"):
         return None
-    from jaxid.diagnosis.goals.floor import file_of
+    from jaxid.diagnosis.goals.own_run import file_of
     from jaxid.fitting.replay import _gravity, _law, _own_actuators
     from jaxid.problem.binding import bind
     from jaxid.robots.match import recorded

@@ -102,13 +102,18 @@ def rms(series: Sequence[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.mean(np.concatenate(series) ** 2, 0))
 
 
-def _in_mujoco(b: Binding, starts: np.ndarray) -> list[np.ndarray] | None:
-    """MuJoCo's free runs of the file in the fit runs."""
-    tree: Tree = b.chain.mechanism.tree.tree  # type: ignore[attr-defined]
-    spec = b.dataset.model
+def file_of(binding: Binding) -> Path | None:
+    """The robot's file where it lies; None where it lies no more."""
+    tree: Tree = binding.chain.mechanism.tree.tree  # type: ignore[attr-defined]
+    spec = binding.dataset.model
     stated = spec.geometry.path if spec is not None and spec.geometry is not None else ""
-    path = next((Path(p) for p in (stated, tree.file) if p and Path(p).is_file()), None)
-    runs = b.experiments("fit")
+    return next((Path(p) for p in (stated, tree.file) if p and Path(p).is_file()), None)
+
+
+def _in_mujoco(b: Binding, starts: np.ndarray) -> list[np.ndarray] | None:
+    """MuJoCo's free runs of the file in the fit runs; None where it has none."""
+    tree: Tree = b.chain.mechanism.tree.tree  # type: ignore[attr-defined]
+    path, runs = file_of(b), b.experiments("fit")
     if path is None or any(e.past is not None for e in runs):
         return None
     data = replace(b.dataset, experiments=runs)
