@@ -120,6 +120,15 @@ def trusting(binding: Binding, inflation: float = 1.0) -> Binding:
     return replace(binding, priors=known, spreads=spreads, inflation=inflation)
 
 
+def counted_as_often(binding: Binding, inflation: float) -> Binding:
+    """The binding with priors that meet residuals whose squares count `inflation` times too
+    often.
+    """
+    scale = (binding.inflation / inflation) ** 0.5
+    priors = {i: (mean, scale * std) for i, (mean, std) in binding.priors.items()}
+    return replace(binding, priors=priors, inflation=inflation)
+
+
 def trust_of(binding: Binding) -> str:
     """What the dataset says of how far its numbers are to be trusted."""
     spec = binding.dataset.model
