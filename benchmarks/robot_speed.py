@@ -149,7 +149,6 @@ def by_mujoco(
 
     if not hasattr(sysid, "optimize"):
         return None
-    from jaxid.diagnosis.goals.own_run import file_of
     from jaxid.fitting.replay import _gravity, _law, _own_actuators
     from jaxid.problem.binding import bind
     from jaxid.robots.match import recorded
@@ -159,8 +158,9 @@ def by_mujoco(
     b = bind(str(file) if file else None, data)
     mechanism: Any = b.chain.mechanism
     tree, data = mechanism.tree.tree, b.dataset
-    path, free, inputs = file_of(b), recorded(tree, data)[0], [c.name for c in b.dataset.inputs]
-    assert path is not None
+    geometry = None if data.model is None else data.model.geometry
+    path = Path((geometry.path if geometry is not None else "") or tree.file)
+    free, inputs = recorded(tree, data)[0], [c.name for c in b.dataset.inputs]
     joints = free.leading
     law = None if _own_actuators(tree, joints) else _law(data, joints, None, path)
     robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)

@@ -9,6 +9,9 @@ import pytest
 
 import jaxid
 from jaxid.benchmark.goal_arms import dataset, GoalArm, goals, recorded
+from jaxid.diagnosis.goals.own_run import run_of_file
+from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.problem.binding import bind
 
 
 ARM = GoalArm(
@@ -42,6 +45,15 @@ def written(folder: Path) -> str:
 def ends(values: np.ndarray, factor: float) -> np.ndarray:
     """With the last one changed."""
     return values * np.array([1.0, factor])
+
+
+def test_a_recording_of_mujocos_is_the_run_of_its_file(tmp_path):
+    b = bind(written(tmp_path), dataset(case(4.0)))
+    run = run_of_file(ProblemBuilder(b, differences=1, together=True))
+    assert run is not None and run.accounts(b)
+    off = bind(written(tmp_path), dataset(case(4.0, armature=ends(ARM.armature, 1.5))))
+    run = run_of_file(ProblemBuilder(off, differences=1, together=True))
+    assert run is not None and not run.accounts(off)
 
 
 CHANGES = {

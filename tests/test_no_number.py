@@ -356,7 +356,7 @@ def test_under_goals_nothing_is_decided_by_what_is_no_number(bad):
     for losses in ((bad, 1.0), (1.0, bad)):
         assert not decider.at_noise(cast(Any, hypothesis(*losses)))
     one: Any = SimpleNamespace(sigma=np.ones(1))
-    run = FileRun({"fit": [np.full((5, 1), bad)]}, np.zeros((1, 2)))
+    run = FileRun({"fit": [np.full((5, 1), bad)]})
     assert not run.accounts(one)
 
 

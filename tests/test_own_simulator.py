@@ -11,7 +11,7 @@ import pytest
 
 import jaxid
 from jaxid.data.dataset import ModelSpec
-from jaxid.diagnosis.goals.own_run import not_this_file, run_of_file, stepped_changes
+from jaxid.diagnosis.goals.own_run import run_of_file, stepped_changes
 from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.run import ProblemBuilders
@@ -153,7 +153,6 @@ def test_a_single_number_is_found_by_the_files_own_steps(robot):
     bench = ProblemBuilder(binding)
     run = run_of_file(bench)
     assert run is not None and np.std(run.left["fit"][0]) > 3e-4 and not run.accounts(binding)
-    assert not not_this_file(binding, run)
     problem = bench.problem(OutputError(), "fit", list(change.index), change.proposal.theta)
     (path,) = levenberg_marquardt([(problem, problem.z(change.proposal.theta))], 20, 1e-8)
     assert problem.theta(path.z)[change.index[0]] == pytest.approx(1.8, rel=0.01)

@@ -18,14 +18,13 @@ from jaxid.diagnosis.goals.gains import (
     with_room,
 )
 from jaxid.diagnosis.goals.law_told import law_told
-from jaxid.diagnosis.goals.own_run import not_this_file, run_of_file
+from jaxid.diagnosis.goals.own_run import run_of_file
 from jaxid.diagnosis.goals.propose import (
     as_vector,
     goes_the_other_way,
     kinds_of,
     Proposal,
     proposals,
-    ProposedSets,
     shown,
     with_other_hold,
 )
@@ -169,11 +168,10 @@ def diagnose_led(
     )
 
     run = run_of_file(bench := ask.made(plain))
-    strange = not_this_file(plain, run)
     stated = None
-    if run is not None and not strange and stands(plain.chain, dataset):
+    if run is not None and stands(plain.chain, dataset):
         stated = AsStated(bench, run, kinds)
-    by_itself = strange or (stated is not None and stated.stands)
+    by_itself = stated is not None and stated.stands
     near = plain.theta if by_itself else study.theta
     road = _Road(plain.layout.names, Proposal((), (), near), seed, began, progress)
     alone = kinds_of([c.proposal for c in stated.changes]) if stated is not None else []
@@ -183,9 +181,6 @@ def diagnose_led(
     if stated is not None and stated.explains:
         found, more = _as_stated(ask, road, stated, alone)
         notes += more
-    elif strange:  # nothing is asked
-        found = _without_effects(ask, road, plain)
-        found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
     else:
         found = _searched(ask, road, study)
     if study.of("validation"):
@@ -261,15 +256,6 @@ def _searched(ask: _Ask, road: _Road, study: LedStudy) -> Diagnosis:
         lambda bench, offer: road(bench, offer, decide),
         ask.step,
     )
-
-
-def _without_effects(ask: _Ask, road: _Road, binding: Binding) -> Diagnosis:
-    """The diagnosis by numbers alone."""
-
-    def decide(decider: Decider, nominal: Hypothesis) -> SearchResult:
-        return decider.decided(nominal, ProposedSets(road.bare))
-
-    return ask.answer(binding, (), lambda bench, offer: road(bench, offer, decide), ask.step)
 
 
 #: From the nominal model what is chosen.
