@@ -19,8 +19,9 @@ from jaxid.fitting.simulate import simulate_dataset
 from jaxid.models import Robot
 from jaxid.problem.binding import bind, resolve_model
 from jaxid.problem.residual import OutputError
-from jaxid.robots.export.outcome import ExportOutcome, Number
+from jaxid.robots.export.outcome import ExportOutcome, Number, robot_entry
 from jaxid.robots.export.stepped import stepped
+from jaxid.robots.match import notes_of
 from jaxid.robots.origin import origin
 
 
@@ -134,6 +135,26 @@ def test_a_number_of_the_files_own_simulator_is_written_as_it_is(robot):
 
     assert exported("mujoco") == 0.08
     assert exported("own") < 0.08
+
+
+def test_a_result_that_is_read_again_says_whose_steps_were_taken():
+    for kind in ("own", "mujoco"):
+        assert robot_entry({"simulator": {"kind": kind}})["simulator"] == {"kind": kind}
+    assert robot_entry({"file": "arm.xml"})["simulator"] == {"kind": "own"}
+
+
+def test_the_files_own_steps_are_taken_under_goals_where_they_are_known(robot):
+    u = goals(0.5)
+
+    def taken(text: str = FILE, **stated) -> str:
+        data = replace(dataset(u, u), model=ModelSpec(**stated))
+        chain = resolve_model(Robot.from_mjcf("lift.xml", text=text), data)
+        said = " ".join(notes_of(Robot.from_mjcf("lift.xml", text=text), data))
+        assert ("in jaxid's own steps" in said) == (chain.mechanism.integrator == "")
+        return chain.mechanism.integrator
+
+    assert taken() == "IMPLICITFAST" and taken(simulator="own") == ""
+    assert taken(FILE.replace('delay="0.012"', 'delay="0.0113"')) == ""
 
 
 #: The same with more friction.

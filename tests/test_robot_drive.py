@@ -128,7 +128,8 @@ def test_what_the_files_steps_add_refutes_no_number_of_it():
     text = ARM.replace(
         "<worldbody>", '<option timestep="0.01" integrator="implicitfast"/><worldbody>', 1
     )
-    b = bind(Robot.from_mjcf("arm.xml", text=text), recording())
+    own = recording(model=ModelSpec(simulator="own"))
+    b = bind(Robot.from_mjcf("arm.xml", text=text), own)
     assert isinstance(b.chain.mechanism, Robot)
     steps = b.chain.mechanism.tree.tree.steps
     i = b.layout.index("armature@lift")
@@ -556,7 +557,8 @@ def test_a_step_under_goals_is_one_evaluation_of_second_order():
     """A law's torque is that of the middle of a step: four evaluations of the rest made it no
     better.
     """
-    b = bind(*prepared(Robot.from_mjcf("robot.xml", text=ARM), recording(pd())))
+    own = recording(pd(), model=ModelSpec(simulator="own"))
+    b = bind(*prepared(Robot.from_mjcf("robot.xml", text=ARM), own))
 
     def simulated(step):
         p = ProblemBuilder(b, step).problem(OutputError(), "fit", [], b.theta)

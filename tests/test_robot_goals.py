@@ -17,7 +17,7 @@ import pytest
 
 import jaxid
 from jaxid.conventions.missing_force import ForceFit, measured
-from jaxid.data.dataset import Controller
+from jaxid.data.dataset import Controller, ModelSpec
 from jaxid.diagnosis.goals import plant as goals_plant
 from jaxid.diagnosis.goals.as_stated import Alone
 from jaxid.diagnosis.goals.law_told import law_told
@@ -75,6 +75,7 @@ def recording(model: Robot, goal: np.ndarray, q: np.ndarray, dt: float) -> jaxid
         controller=Controller(
             "pd", {"kp": 20.0, "kd": 0.5, "sample_time": 0, "velocity": "measured"}
         ),
+        model=ModelSpec(simulator="own"),  # friction that sticks
     )
 
 
