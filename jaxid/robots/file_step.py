@@ -179,5 +179,5 @@ def beyond_its_step(tree: Any, law: Any) -> str:
     for joint, delay in zip(tree.driven, law.delay, strict=True):
         steps = delay / step.timestep
         if law.origin != STATED and abs(steps - round(steps)) > WHOLE:
-            return f"the delay of {joint} is no multiple of the file's steps"
+            return f"the delay of {joint} is not a multiple of the file's steps"
     return ""

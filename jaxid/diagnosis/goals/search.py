@@ -26,8 +26,6 @@ from jaxid.problem.trust import counted_as_often
 
 #: Iterations and tolerance of a refit from the numbers that were read along the measured motion.
 NEAR = (12, 1e-3)
-#: Times that priors are weighed anew: what is left falls with each, and with it the next weight.
-REWEIGHED = 2
 #: An effect that is missed this many times as much as it has to be needs no simulation without it.
 SURELY = 4.0
 
@@ -87,16 +85,23 @@ class Decider:
     def reweighed(self, h: Hypothesis) -> Hypothesis:
         """The same with priors that count as often as what the model itself leaves: columns, which
         are of first order and know no steps, leave more, and hold the numbers of the file too near
-        to what is stated.
+        to what is stated. First once each, as for a model that is right; where more than the noise
+        is left, as often as that.
         """
-        for _ in range(REWEIGHED):
-            if not h.fit_inflation < self.bench.binding.inflation:
-                break
-            self.bench.binding = counted_as_often(self.bench.binding, h.fit_inflation)
-            own = h.path.problem
-            p = self.bench.problem(OutputError(), "fit", own.free, h.theta)
-            h = self.polished(replace(h, path=replace(h.path, problem=p)))
+        before = self.bench.binding.inflation
+        once = self._counted(h, 1.0)
+        if self.at_noise(once):
+            return once
+        if once.fit_inflation < before:
+            return self._counted(once, once.fit_inflation)
+        self.bench.binding = counted_as_often(self.bench.binding, before)
         return h
+
+    def _counted(self, h: Hypothesis, inflation: float) -> Hypothesis:
+        """The same refitted with priors that count so often, which hold from now on."""
+        self.bench.binding = counted_as_often(self.bench.binding, inflation)
+        p = self.bench.problem(OutputError(), "fit", h.path.problem.free, h.theta)
+        return self.polished(replace(h, path=replace(h.path, problem=p)))
 
     def _judged(self, effects: Sequence[Candidate], path: Path) -> Hypothesis:
         theta = path.problem.theta(path.z)
