@@ -229,7 +229,6 @@ class Answer:
         (None, "named", 80.0, 9.0, "", "named"),
     ],
 )
-@pytest.mark.slow
 def test_windows_are_asked_where_chaotic_free_runs_find_nothing(
     monkeypatch, given, first, left, grown, second, expected
 ):
@@ -243,10 +242,11 @@ def test_windows_are_asked_where_chaotic_free_runs_find_nothing(
         )
         return SimpleNamespace(diagnosis=found, request=request, growth=lambda: grown)
 
+    def unasked(request, found, others):  # tests/test_late_effects.py, test_rest_before.py
+        return found
+
     monkeypatch.setattr("jaxid.diagnosis.free_runs.answered", answer)
-    monkeypatch.setattr(
-        "jaxid.diagnosis.free_runs.asked_last", lambda found, *_: found
-    )  # tests/test_late_effects.py
+    monkeypatch.setattr("jaxid.diagnosis.free_runs._asked_further", unasked)
     d = jaxid.diagnose("pendulum", recording("pendulum", 2), residual=given)
     assert (
         d.which.verdict == expected
