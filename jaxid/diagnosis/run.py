@@ -155,13 +155,13 @@ def _by_torque(
 ) -> Diagnosis:
     """By the torque that the measured motion of a binding without candidates needs."""
     return diagnose_by_torque(
-        plain,
-        question.library(InverseDynamics.name),
-        question.max_effects,
-        cutoff_hz,
-        question.seed,
-        question.reference,
-        question.progress,
+        binding=plain,
+        kinds=question.library(InverseDynamics.name),
+        max_effects=question.max_effects,
+        cutoff_hz=cutoff_hz,
+        seed=question.seed,
+        reference=question.reference,
+        progress=question.progress,
     )
 
 

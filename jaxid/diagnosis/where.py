@@ -209,7 +209,16 @@ def findings(
                 standing_out = [(0.0, share, "everywhere")]
         cause = (causes or {}).get(joint)
         for _, share, regime in standing_out[: 1 if cause else most]:
-            place = _Place(found, j, force, regime, masks[regime], cause, unit, position_unit)
+            place = _Place(
+                found=found,
+                joint=j,
+                force=force,
+                regime=regime,
+                inside=masks[regime],
+                cause=cause,
+                unit=unit,
+                position_unit=position_unit,
+            )
             # Of what is measured no more than noise is no place.
             if place.times_noise >= 1 or joint in given:
                 channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
