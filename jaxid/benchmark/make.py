@@ -19,6 +19,7 @@ import multiprocessing
 import os
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
@@ -27,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.base.errors import nearest, UsageError
+from jaxid.base.errors import DatasetWarning, nearest, UsageError
 from jaxid.base.serialise import SCHEMA
 from jaxid.benchmark import arm_sets, bench_sets, paper_sets, rig_sets
 from jaxid.benchmark.case import (
@@ -179,9 +180,14 @@ def _groups(drafts: Sequence[Draft]) -> Iterator[list[Draft]]:
 
 
 def _write_group(group: list[Draft], names: list[str], folder: Path) -> dict[str, Any]:
-    """Writes the cases of a group under their names; returns their truths."""
+    """Writes the cases of a group under their names; returns their truths. What is odd about the
+    data, such as an input that stands still, is meant.
+    """
     key = {}
-    for draft, name, case in zip(group, names, group[0].simulate(group), strict=True):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DatasetWarning)
+        cases = group[0].simulate(group)
+    for draft, name, case in zip(group, names, cases, strict=True):
         _write_case(case, draft, name, folder / name)
         key[name] = _truth(case, draft)
     return key
