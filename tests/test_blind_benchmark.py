@@ -89,6 +89,15 @@ def test_cases_are_remade_to_the_byte(made, tmp_path, name):
     assert digests(tmp_path / "other") != digests(made[name])
 
 
+def test_many_more_groups_than_processes_come_to_an_end(monkeypatch, tmp_path):
+    """Processes end after some groups, and others take their place."""
+    monkeypatch.setattr(making, "GROUPS_PER_PROCESS", 1)
+    alone = making.make("conventions", 5, tmp_path / "alone", 8, workers=1)
+    made = making.make("conventions", 5, tmp_path / "made", 8, workers=2)
+    groups = {d.group for d in making.KNOWN["conventions"].drafts("conventions", 5, range(100))}
+    assert len(groups) == 4 and made.key_sha256 == alone.key_sha256
+
+
 @pytest.mark.parametrize("simulator, number", [("mujoco", 1), ("numpy", 7)])
 def test_rigs_are_remade_to_the_byte(monkeypatch, tmp_path, simulator, number):
     monkeypatch.setitem(withheld.SECONDS, "pendulum", 0.4)

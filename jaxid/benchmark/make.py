@@ -15,13 +15,14 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import multiprocessing
 import os
 import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -159,10 +160,29 @@ def _written(
         for group, names in zip(jobs, named, strict=True):
             key |= _write_group(group, names, folder)
         return key
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, context, max_tasks_per_child=GROUPS_PER_PROCESS)
-    with pool:
-        for found in pool.map(_write_group, jobs, named, itertools.repeat(folder)):
+    chunks = math.ceil(len(jobs) / GROUPS_PER_PROCESS)
+    threads = ThreadPoolExecutor(count)
+    try:
+        each = [
+            threads.submit(_in_a_process, jobs[k::chunks], named[k::chunks], folder)
+            for k in range(chunks)
+        ]
+        for one in each:
+            key |= one.result()
+    finally:
+        threads.shutdown(cancel_futures=True)
+    return key
+
+
+def _in_a_process(
+    groups: Sequence[list[Draft]], named: Sequence[list[str]], folder: Path
+) -> dict[str, Any]:
+    """Writes some groups in a process that then ends; a pool whose processes end by themselves may
+    wait for ever for new ones (Python 3.11).
+    """
+    key: dict[str, Any] = {}
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        for found in pool.map(_write_group, groups, named, itertools.repeat(folder)):
             key |= found
     return key
 

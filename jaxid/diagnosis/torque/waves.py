@@ -1,13 +1,13 @@
 """The wave numbers of laws that repeat with position, as the re-tuned model's rest shows them.
 
 Two waves over a long travel are alike only where they come out of step by less than a radian from
-end to end. A grid that misses none has a hundred points at each joint; the one that explains most is
-looked for, and pays for all that were tried.
+end to end. A grid that misses none has a hundred points at each joint; the one that explains most
+is looked for, and pays for all that were tried.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,7 +101,7 @@ def _of_kind(
     fine = np.clip(near, coarse.min(0), coarse.max(0))
     gains = _gains(plant, kind, name, fine, fitted, rests)
     best = fine[np.argmax(gains, axis=0), np.arange(len(steps))]
-    grids = [[{name: float(wave)}] for wave in best]
+    grids = [_shapes_of(name, [wave]) for wave in best]
     load = [unloaded(run) for run in runs]
     places = plant.binding.chain.offers(kind)
     return laws(plant, kind, places, runs, load, grids, tried=len(coarse))
@@ -116,13 +116,18 @@ def _grid(
     b = plant.binding
     n = b.chain.nq
     linear = strengths(kind, n, runs[0].room)
-    probes = [[shape[name] for shape in shapes(kind, b.references[j], linear)] for j in range(n)]
-    low = np.array([min(own) for own in probes])
-    high = np.array([max(own) for own in probes])
+    low, high = np.zeros(n), np.zeros(n)
+    for j in range(n):
+        probes = [shape[name] for shape in shapes(kind, b.references[j], linear)]
+        low[j], high[j] = min(probes), max(probes)
     every = np.concatenate([run.q for run in runs])
     turns = (high - low) * np.ptp(every, axis=0)
     count = 1 + int(np.ceil(turns.max()))
     return np.linspace(low, high, count), (high - low) / (count - 1)
+
+
+def _shapes_of(name: str, waves: Iterable[float]) -> list[dict[str, float]]:
+    return [{name: float(wave)} for wave in waves]
 
 
 def _gains(
@@ -134,7 +139,7 @@ def _gains(
     rests: Sequence[Rest],
 ) -> np.ndarray:
     """What the law takes from the rest of each joint at its own wave numbers [points n]."""
-    grids = [[{name: float(wave)} for wave in own] for own in waves.T]
+    grids = [_shapes_of(name, own) for own in waves.T]
     load = [unloaded(run) for run in runs]
     out = np.zeros(waves.shape)
     for point, made in enumerate(at_every_joint(kind, grids, runs, load, plant.turn)):
