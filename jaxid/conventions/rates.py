@@ -4,6 +4,7 @@ No physics is needed to see it; which of the two is wrong a model tells, or the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 
@@ -13,7 +14,16 @@ from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import ForceFit
-from jaxid.conventions.readings import ANGLES, Change, EFFECT_RANGE, exchanged, FREE, scaled_joint
+from jaxid.conventions.readings import (
+    Change,
+    EFFECT_RANGE,
+    exchanged,
+    FREE,
+    known_factors,
+    nearest_factor,
+    scaled_joint,
+    stated_factor,
+)
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
 from jaxid.data.signals import content_cutoff, differentiate, filter_ends, zero_phase
@@ -38,6 +48,7 @@ def contradictions(
     positions).
     """
     outputs = binding.chain.signature.outputs
+    known = {c.name: known_factors(c.unit, stated_factor(c)) for c in dataset.channels}
     both = {
         j: (r.q, r.qd)
         for j, r in enumerate(joint_readings(binding.chain))
@@ -67,7 +78,7 @@ def contradictions(
                 )
             )
             m = turned if told else m
-        if (factor := _factor(abs(ratio))) is not None:
+        if (factor := _factor(abs(ratio), known[position], known[speed])) is not None:
             by_position, size, what = factor
             channel, mate = (position, speed) if by_position else (speed, position)
             shown = _shown(
@@ -151,20 +162,19 @@ def _ratio(binding: Binding, q: int, qd: int) -> float | None:
     return product / float(v @ v) if power > 0 and product**2 > SAME * power else None
 
 
-def _factor(ratio: float) -> tuple[bool, float, str] | None:
-    """Whether the position is off, by which factor, and what that is called; None where the two
-    agree, or differ by no more than a sensor's scale may. A unit that was forgotten makes a number
-    larger where it is finer: that of the position a ratio above 1, that of the speed one below.
+def _factor(
+    ratio: float, of_position: Mapping[str, float], of_speed: Mapping[str, float]
+) -> tuple[bool, float, str] | None:
+    """Whether the position is off, by which factor, and what that is called, by the known factors
+    of the two channels; None where they agree, or differ by no more than a sensor's scale may.
     """
     if abs(np.log(ratio)) <= NEAR:
         return None
-    off = ratio if ratio > 1 else 1 / ratio
-    named = [(name, size) for name, size in ANGLES.items() if abs(np.log(off / size)) <= NEAR]
-    if not named:
-        return None if EFFECT_RANGE[0] < ratio < EFFECT_RANGE[1] else (False, 1 / ratio, FREE)
-    # rpm are a unit of speeds alone; a position in counts or degrees is the commoner slip.
-    name, size = named[0]
-    return ratio > 1 and "rpm" not in name, size, name
+    for by_position, off, known in ((True, ratio, of_position), (False, 1 / ratio, of_speed)):
+        size, name = nearest_factor(off, known)
+        if abs(np.log(off / size)) <= NEAR:
+            return by_position, size, name
+    return None if EFFECT_RANGE[0] < ratio < EFFECT_RANGE[1] else (False, 1 / ratio, FREE)
 
 
 def _told(
