@@ -133,10 +133,11 @@ def listed(names: Iterable[str]) -> str:
 
 def as_unit(have: str, wanted: str) -> str:
     """What to write for a channel in one unit (SI) where another one is needed."""
+    line = f'unit = "{wanted}"'
     if have == wanted:
-        return f'unit = "{wanted}"'
-    of_current = ": torque constant times gear ratio" if have == "A" else ""
-    return f'unit = "{wanted}" and scale = … (in {wanted}, of each 1 recorded{of_current})'
+        return line
+    of_current = "of a current torque constant times gear ratio"
+    return f"{line} and scale = … (in {wanted}, of each 1 recorded: {of_current})"
 
 
 def by_effect(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:

@@ -76,7 +76,7 @@ def of_many(
 ) -> tuple[float, str] | None:
     """The convention that a fitted factor stands for, `own` by itself: of many factors that fit
     alike the one by which the model's numbers are nearest to what is stated of them. Where that
-    tells nothing a known factor stands; without one it is that of the known ones, to be asked about.
+    tells nothing a known factor stands; else one of the known ones is asked about.
     """
     if own is not None and not far(best, near, own[0]):
         return own
@@ -84,9 +84,9 @@ def of_many(
     sizes = best.reading.value * np.exp(steps)
     off = _off_stated(fit, m, best, names, sizes, laws)
     told = np.nanmin(off, initial=np.inf) <= REFUTED < np.nanmax(off, initial=0.0)
-    if not told and own is not None and own[1] not in (FREE, GEAR):
-        return own
     if not told:
+        if own is not None and own[1] not in (FREE, GEAR):
+            return own
         sizes = np.array([*names.factors(best.reading.channels[0]).values()])
         off = _off_stated(fit, m, best, names, sizes, laws)
     if np.isnan(off).all():

@@ -4,7 +4,6 @@ No physics is needed to see it; which of the two is wrong a model tells, or the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 
@@ -18,11 +17,10 @@ from jaxid.conventions.readings import (
     Change,
     EFFECT_RANGE,
     exchanged,
+    factors_of,
     FREE,
-    known_factors,
     nearest_factor,
     scaled_joint,
-    stated_factor,
 )
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
@@ -48,7 +46,6 @@ def contradictions(
     positions).
     """
     outputs = binding.chain.signature.outputs
-    known = {c.name: known_factors(c.unit, stated_factor(c)) for c in dataset.channels}
     both = {
         j: (r.q, r.qd)
         for j, r in enumerate(joint_readings(binding.chain))
@@ -78,7 +75,7 @@ def contradictions(
                 )
             )
             m = turned if told else m
-        if (factor := _factor(abs(ratio), known[position], known[speed])) is not None:
+        if (factor := _factor(dataset, abs(ratio), position, speed)) is not None:
             by_position, size, what = factor
             channel, mate = (position, speed) if by_position else (speed, position)
             shown = _shown(
@@ -163,17 +160,17 @@ def _ratio(binding: Binding, q: int, qd: int) -> float | None:
 
 
 def _factor(
-    ratio: float, of_position: Mapping[str, float], of_speed: Mapping[str, float]
+    dataset: Dataset, ratio: float, position: str, speed: str
 ) -> tuple[bool, float, str] | None:
-    """Whether the position is off, by which factor, and what that is called, by the known factors
-    of the two channels; None where they agree, or differ by no more than a sensor's scale may.
+    """Whether the position is off, by which factor, and what that is called; None where the two
+    agree, or differ by no more than a sensor's scale may.
     """
     if abs(np.log(ratio)) <= NEAR:
         return None
-    for by_position, off, known in ((True, ratio, of_position), (False, 1 / ratio, of_speed)):
-        size, name = nearest_factor(off, known)
+    for channel, off in ((position, ratio), (speed, 1 / ratio)):
+        size, name = nearest_factor(off, factors_of(dataset, channel))
         if abs(np.log(off / size)) <= NEAR:
-            return by_position, size, name
+            return channel == position, size, name
     return None if EFFECT_RANGE[0] < ratio < EFFECT_RANGE[1] else (False, 1 / ratio, FREE)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxid.base.wording import names_of
 from jaxid.conventions.limits import APART, MISFIT, TOLD
 from jaxid.conventions.mending import Mending
-from jaxid.data.experiment import Channel
+from jaxid.data.dataset import Dataset, StatedChannel
 from jaxid.data.units import read_as
 from jaxid.dynamics.joint_readings import read_by
 from jaxid.force.sampled_motion import SampledMotion
@@ -109,7 +109,7 @@ class Names:
         inputs = [binding.dataset.inputs[i] for i in iu[: len(binding.chain.signature.commands)]]
         self.inputs = names_of(inputs)
         self.input_units = [c.unit for c in inputs]
-        self._stated = {c.name: stated_factor(c) for c in binding.dataset.channels}
+        self._dataset = binding.dataset
         outputs = [binding.chain.signature.outputs[k] for k in read_by(binding.chain)]
         self.joints, self.joint_units = [name for name, _ in outputs], [unit for _, unit in outputs]
 
@@ -121,12 +121,14 @@ class Names:
 
     def factors(self, channel: str) -> dict[str, float]:
         """The known factors by which a channel may be too large."""
-        return known_factors(self.unit(channel), self._stated.get(channel, 1.0))
+        return factors_of(self._dataset, channel)
 
 
-def stated_factor(channel: Channel) -> float:
-    """The unit that a channel is stated in, in SI."""
-    return 1.0 if channel.stated is None else channel.stated.factor
+def factors_of(dataset: Dataset, channel: str) -> dict[str, float]:
+    """The known factors by which a channel of a recording may be too large."""
+    (found,) = (c for c in dataset.channels if c.name == channel)
+    stated = found.stated or StatedChannel(found.unit)
+    return known_factors(found.unit, stated.factor)
 
 
 def known_factors(unit: str, stated: float = 1.0) -> dict[str, float]:
@@ -268,11 +270,10 @@ def unmistakable(value: float, std: float, known: Mapping[str, float]) -> bool:
     factor: the only one in reach, or of those the only one that it meets. Nothing is known of a
     size whose `std` is beyond `TOLD`.
     """
-    off = np.array([abs(np.log(value / factor)) for factor in known.values()])
-    met = 3 * std if std < TOLD else 0.0
-    reach = min(APART, max(NAMED, met))
-    in_reach = np.count_nonzero(off <= reach)
-    return in_reach == 1 or (in_reach > 1 and np.count_nonzero(off <= met) == 1)
+    off = np.abs(np.log(value / np.array([*known.values()])))
+    reach = NAMED if std >= TOLD else min(APART, max(NAMED, 3 * std))
+    near, met = off <= reach, off <= 3 * std
+    return 1 in (np.count_nonzero(near), np.count_nonzero(near & met))
 
 
 def nearest_convention(

@@ -198,17 +198,19 @@ def si_unit(unit: str) -> str:
 
 def named_unit(si: str, factor: float) -> str:
     """The first unit of a quantity that is `factor` of its SI unit; empty where none is."""
-    of = (name for name, unit in _UNITS.items() if unit.si == si and not unit.shift)
-    return next((name for name in of if abs(_UNITS[name].factor / factor - 1) < 1e-6), "")
+    for name, own in _TABLE.get(si, {}).items():
+        if abs(own / factor - 1) < 1e-6:
+            return name
+    return ""
 
 
 def read_as(si: str, stated: float = 1.0) -> dict[str, float]:
     """By how much a channel of a quantity is too large where it was recorded in another unit than
     the stated one, `stated` of the SI unit: "deg read as rad" -> 57.3. Empty for an unknown one.
     """
-    same = [unit.factor for unit in _UNITS.values() if unit.si == si and not unit.shift]
-    own = named_unit(si, stated) or si
-    others = dict.fromkeys(factor for factor in same if factor != stated)
+    others = dict.fromkeys(_TABLE.get(si, {}).values())
+    others.pop(stated, None)
+    own = named_unit(si, stated)
     return {f"{named_unit(si, factor)} read as {own}": stated / factor for factor in others}
 
 

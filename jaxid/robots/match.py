@@ -348,17 +348,17 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
 
 def _without_drive(joint: str, dataset: Dataset) -> str:
     """What is said where no input drives a robot: the names that inputs have to have, and what to
-    write for those that are there.
+    write for one that is there.
     """
     said = f"nothing drives the robot: add goals ({joint}_cmd) or torques ({joint}_tau) as inputs"
-    inputs = dataset.inputs
-    if not inputs:
+    if not dataset.inputs:
         return f"{said}, or say free = true"
-    own = next((c for c in inputs if joint in c.name), inputs[0])
-    end, unit = ("_cmd", own.unit) if own.unit in ("rad", "m") else ("_tau", "N m")
-    form = f'role = "input", column = "{own.name}", {as_unit(own.unit, unit)}'
-    line = f"[channels.{joint}{end}] with {form}"
-    return f"{said}. Of the inputs here ({listed(dataset.input_names)}), if this is one: {line}"
+    first = dataset.inputs[0]
+    goal = first.unit in ("rad", "m")
+    name, unit = (f"{joint}_cmd", first.unit) if goal else (f"{joint}_tau", "N m")
+    form = f'role = "input", column = "{first.name}", {as_unit(first.unit, unit)}'
+    here = listed(dataset.input_names)
+    return f"{said}. Of the inputs here ({here}), if this is one: [channels.{name}] with {form}"
 
 
 def simulator_of(robot: Any, spec: ModelSpec | None) -> str:

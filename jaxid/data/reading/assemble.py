@@ -385,9 +385,8 @@ def _channel_fault(
         others = [r for r in spare if r.entry.role == role]
         if others:
             message += f" ({role} channel here: {', '.join(r.name for r in others)})"
-            have, wanted = others[0].conversion.si, si_unit(unit)
-            form = f", {as_unit(have, wanted)}" if have != wanted else ""
-            remedy += f" and the `column` to read{form}"
+            form = as_unit(others[0].conversion.si, si_unit(unit))
+            remedy += f" and the `column` to read, {form}"
         return places.problem(("channels", name), message, remedy)
     if reading.entry.role != role:
         message = f"model {model!r} needs {name!r} as {role}, but it is {reading.entry.role}"
