@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.benchmark.case import CONVENTIONS, DEPENDS_ON, SIZES
+from jaxid.benchmark.case import CONVENTIONS, DEPENDS_ON, SIZES, VARIABLES
 
 
 Answer = dict[str, Any]
@@ -30,6 +30,8 @@ MOST = 0.98
 DECISIVE, ASKED = 0.95, 0.6
 #: Of two effects that the recording does not tell apart, the share of the one that is named.
 OF_TWO = 0.6
+#: Probability from which an effect is mentioned that is not claimed.
+LEAST = 0.02
 #: Numbers of a robot's file that are effects of the list, and by how much of itself each may be off
 #: without a gap, as the page of rules says of the sets.
 NUMBERS = {
@@ -99,8 +101,13 @@ def _of_diagnosis(found: Any, asked: Answer, data: Any, folder: Path) -> Answer:
     which = said["which"]
     verdict = which["verdict"]
     missing, sizes = _named(which, asked)
+    if verdict == "unknown":
+        missing = _possible(found, asked)
     out: Answer = {"missing": missing, "size": sizes}
     out["nothing"], out["other"] = NOTHING[verdict], OTHER[verdict]
+    if verdict == "unknown":
+        open_ = 1 - max(missing.values(), default=0.0)
+        out["nothing"], out["other"] = out["nothing"] * open_, out["other"] * open_
     by_numbers = _told_by_numbers(found, asked)
     if verdict == "none" and by_numbers:
         out["missing"] = {name: NUMBER for name in by_numbers}
@@ -110,6 +117,8 @@ def _of_diagnosis(found: Any, asked: Answer, data: Any, folder: Path) -> Answer:
     law = which["free_law"]
     if verdict == "unknown" and law is not None:
         out["where"] = _where_of(law)
+    elif verdict == "unknown":
+        out["where"] |= _where_it_lies(found)
     if "exam" in asked:
         out |= _exam(folder, asked, data, found)
     interval = said["how_far"]["shrinkage_interval_95"]
@@ -145,6 +154,28 @@ def _named(which: Answer, asked: Answer) -> tuple[dict[str, float], dict[str, fl
     return missing, sizes
 
 
+def _possible(found: Any, asked: Answer) -> dict[str, float]:
+    """Probabilities of what is not sure enough to be claimed."""
+    if found.which.belief is None:
+        return {}
+    missing: dict[str, float] = {}
+    for (effect, place), p in found.which.belief.places.items():
+        name = f"{effect}@{_joint(place, asked)}"
+        if effect in DEPENDS_ON and p >= LEAST:
+            missing[name] = max(missing.get(name, 0.0), min(p, MOST))
+    return missing
+
+
+def _where_it_lies(found: Any) -> dict[str, float]:
+    """What the missing force is a law of, where no effect says it."""
+    words: dict[str, float] = {}
+    for finding in found.where:
+        if finding.variable in VARIABLES:
+            share = float(np.clip(finding.share_of_gap, 0.0, 1.0))
+            words[finding.variable] = max(words.get(finding.variable, 0.0), share)
+    return words
+
+
 def _family(which: Answer, effect: Answer) -> tuple[list[tuple[str, str]], float]:
     """The other effects, with their place, that may be there instead of a named one, and the
     probability that it or one of them is.
@@ -169,24 +200,39 @@ def _joint(place: str, asked: Answer) -> str:
 
 
 def _told_by_numbers(found: Any, asked: Answer) -> dict[str, float]:
-    """Numbers of a robot's file that are off by more than the rules say of the set, as effects with
+    """Numbers that are stated and are off by more than the rules say of the set, as effects with
     their size: the furthest, by its share.
     """
     allowed = TOLERANCE.get(asked["set"], EXACT)
     off: dict[str, float] = {}
     sizes: dict[str, float] = {}
     for row in found.nominal.stated:
-        if row.parameter not in NUMBERS or row.joint not in asked["joints"] or not row.stated:
+        name = _effect_of(row, found.nominal.chain, asked)
+        if not name or not row.stated:
             continue
         share = row.fitted / row.stated - 1
         spread = 2 * (row.std or np.inf) / abs(row.stated)
         if share - spread > allowed:
-            name = f"{NUMBERS[row.parameter]}@{row.joint}"
             off[name], sizes[name] = share, row.fitted - row.stated
     if not off:
         return {}
     furthest = max(off, key=lambda name: off[name])
     return {furthest: sizes[furthest]}
+
+
+def _effect_of(row: Any, chain: Any, asked: Answer) -> str:
+    """The effect at a joint that a stated number is, of a robot's file or of a model in Python; ""
+    of others.
+    """
+    if row.parameter in NUMBERS and row.joint in asked["joints"]:
+        return f"{NUMBERS[row.parameter]}@{row.joint}"
+    builtin = () if chain is None else chain.mechanism.builtin
+    for joint in asked["joints"]:
+        for effect, names in builtin:
+            own = [name.format(joint=joint) for name in names.values()]
+            if row.parameter in own and effect.name in DEPENDS_ON:
+                return f"{effect.name}@{joint}"
+    return ""
 
 
 def depends_on(missing: dict[str, float]) -> dict[str, float]:

@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import pytest
 
 import jaxid
 from benchmarks import public
-from jaxid.base.errors import UsageError
+from jaxid.base.errors import DatasetWarning, UsageError
 from jaxid.benchmark import (
     arm_sets,
     case,
@@ -88,6 +89,15 @@ def test_cases_are_remade_to_the_byte(made, tmp_path, name):
     assert digests(tmp_path / "other") != digests(made[name])
 
 
+def test_many_more_groups_than_processes_come_to_an_end(monkeypatch, tmp_path):
+    """Processes end after some groups, and others take their place."""
+    monkeypatch.setattr(making, "GROUPS_PER_PROCESS", 1)
+    alone = making.make("conventions", 5, tmp_path / "alone", 8, workers=1)
+    made = making.make("conventions", 5, tmp_path / "made", 8, workers=2)
+    groups = {d.group for d in making.KNOWN["conventions"].drafts("conventions", 5, range(100))}
+    assert len(groups) == 4 and made.key_sha256 == alone.key_sha256
+
+
 @pytest.mark.parametrize("simulator, number", [("mujoco", 1), ("numpy", 7)])
 def test_rigs_are_remade_to_the_byte(monkeypatch, tmp_path, simulator, number):
     monkeypatch.setitem(withheld.SECONDS, "pendulum", 0.4)
@@ -101,6 +111,19 @@ def test_rigs_are_remade_to_the_byte(monkeypatch, tmp_path, simulator, number):
     data = jaxid.load_dataset(tmp_path / "a" / "0001")
     assert data.model is not None and data.model.name == "pendulum"
     assert (tmp_path / "a" / "0001" / "model.xml").is_file()
+
+
+def test_inputs_that_stand_still_are_meant(monkeypatch, tmp_path):
+    """Steps at one joint at a time warn of nothing on the terminal of who makes the cases."""
+    monkeypatch.setitem(rig_sets.SHORT, "planar_arm", 0.2)
+    monkeypatch.setattr(rig_sets, "EXAM_S", 0.1)
+    drafts = rig_sets.drafts("poor", 11, [4])
+    with pytest.warns(DatasetWarning, match="excites nothing"):
+        drafts[0].simulate(drafts)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        making._write_group(drafts, ["0001"], tmp_path)
+    assert (tmp_path / "0001" / "run_1.csv").is_file()
 
 
 def test_the_published_folder_does_not_tell_the_key(made):

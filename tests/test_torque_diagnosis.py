@@ -21,6 +21,7 @@ from jaxid.diagnosis.torque.claims import claims
 from jaxid.diagnosis.torque.judged import scales
 from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.study import TorqueStudy
+from jaxid.diagnosis.torque.waves import Rest
 from jaxid.diagnosis.torque.weigh import weigh
 from jaxid.dynamics.kinematics import modified_dh
 from jaxid.force.torque_filter import evenly
@@ -135,6 +136,7 @@ LAWS = {
         at(1, lambda q, v, r: 0.15 * np.abs(r) * np.tanh(v / 0.003)),
         {("load_dependent_friction", "q2")},
     ),
+    "wave": ("three", at(2, lambda q, v, r: np.sin(27.0 * q + 0.4)), {("torque_ripple", "q3")}),
     "wrist": ("ur10e", wrist, {("coupled_friction", "q5 and q6")}),
 }
 
@@ -162,7 +164,26 @@ def test_what_is_withheld_is_named(law, tmp_path):
             reading == (law == "load of the drive")
             and abs(effect.parameters["mu"].value - 0.15) < 0.03
         )
+    if law == "wave":
+        (effect,) = d.which.effects
+        assert abs(effect.parameters["order"].value - 27.0) < 0.2
     assert "<html" in d.report(tmp_path / "report.html").read_text().lower()
+
+
+def test_further_columns_explain_what_least_squares_says_of_them():
+    rng = np.random.default_rng(0)
+    rows, more, weight = rng.normal(size=(60, 4)), rng.normal(size=(60, 2)), rng.uniform(1, 2, 60)
+    rows[:, 2] = rows[:, 0] + 1e-12 * rows[:, 2]  # two columns say the same
+
+    def left(columns: np.ndarray) -> float:
+        own = weight[:, None] * columns
+        target = weight * rows[:, -1]
+        numbers = np.linalg.lstsq(own, target, rcond=1e-8)[0]
+        return float(np.sum((target - own @ numbers) ** 2))
+
+    both = np.column_stack([rows[:, :-1], more])
+    found = Rest.of(rows, weight).explained(more)
+    assert found == pytest.approx(left(rows[:, :-1]) - left(both), rel=1e-9)
 
 
 EITHER = ["ur10e", pytest.param("three", marks=pytest.mark.slow)]

@@ -30,6 +30,8 @@ from jaxid.dynamics import catalogue
 
 RATE, SECONDS, EXAM_S = 50, 6.0, 3.0
 NOISE = {"x": 5e-5, "theta": 5e-4}
+#: Numbers of it that are stated.
+STATED = {"cart": 0.82, "J": 0.0335, "viscous_x": 3.0, "coulomb_x": 0.6, "viscous_theta": 0.0024}
 #: Effects of the cart and their medium strength, in the unit of their number.
 OF_CART = {
     "dead_zone": 0.4,
@@ -130,7 +132,7 @@ def _cart(draft: Draft) -> BlindCase:
         "model": "cart_pole.py",
         "equations": cart_pole.CartPole.equations,
         "without": [],
-        "stated": {"cart": 0.82, "J": 0.0335, "viscous_x": 3.0, "coulomb_x": 0.6},
+        "stated": STATED,
         "joints": ["x", "theta"],
     }
     return BlindCase(
@@ -141,8 +143,15 @@ def _cart(draft: Draft) -> BlindCase:
         over=depends_on(missing),
         exam=exam,
         files={"cart_pole.py": getsource(cart_pole)},
-        model_toml='file = "cart_pole.py"\n',
+        model_toml=_model_toml(),
     )
+
+
+def _model_toml() -> str:
+    """Lines of [model]: its file, and the numbers that are stated."""
+    lines = ['file = "cart_pole.py"']
+    lines += [f"[model.parameters.{name}]\nvalue = {value}" for name, value in STATED.items()]
+    return "\n".join(lines) + "\n"
 
 
 # ---- conventions

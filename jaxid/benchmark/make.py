@@ -15,19 +15,21 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import multiprocessing
 import os
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxid.base.errors import nearest, UsageError
+from jaxid.base.errors import DatasetWarning, nearest, UsageError
 from jaxid.base.serialise import SCHEMA
 from jaxid.benchmark import arm_sets, bench_sets, paper_sets, rig_sets
 from jaxid.benchmark.case import (
@@ -158,10 +160,29 @@ def _written(
         for group, names in zip(jobs, named, strict=True):
             key |= _write_group(group, names, folder)
         return key
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, context, max_tasks_per_child=GROUPS_PER_PROCESS)
-    with pool:
-        for found in pool.map(_write_group, jobs, named, itertools.repeat(folder)):
+    chunks = math.ceil(len(jobs) / GROUPS_PER_PROCESS)
+    threads = ThreadPoolExecutor(count)
+    try:
+        each = [
+            threads.submit(_in_a_process, jobs[k::chunks], named[k::chunks], folder)
+            for k in range(chunks)
+        ]
+        for one in each:
+            key |= one.result()
+    finally:
+        threads.shutdown(cancel_futures=True)
+    return key
+
+
+def _in_a_process(
+    groups: Sequence[list[Draft]], named: Sequence[list[str]], folder: Path
+) -> dict[str, Any]:
+    """Writes some groups in a process that then ends; a pool whose processes end by themselves may
+    wait for ever for new ones (Python 3.11).
+    """
+    key: dict[str, Any] = {}
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        for found in pool.map(_write_group, groups, named, itertools.repeat(folder)):
             key |= found
     return key
 
@@ -179,9 +200,14 @@ def _groups(drafts: Sequence[Draft]) -> Iterator[list[Draft]]:
 
 
 def _write_group(group: list[Draft], names: list[str], folder: Path) -> dict[str, Any]:
-    """Writes the cases of a group under their names; returns their truths."""
+    """Writes the cases of a group under their names; returns their truths. What is odd about the
+    data, such as an input that stands still, is meant.
+    """
     key = {}
-    for draft, name, case in zip(group, names, group[0].simulate(group), strict=True):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DatasetWarning)
+        cases = group[0].simulate(group)
+    for draft, name, case in zip(group, names, cases, strict=True):
         _write_case(case, draft, name, folder / name)
         key[name] = _truth(case, draft)
     return key

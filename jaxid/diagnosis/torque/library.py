@@ -59,6 +59,8 @@ class Unit:
     joints: tuple[int, ...]
     columns: list[np.ndarray]
     hidden: tuple[str, ...] = ()
+    #: Of how many shapes it is the one that explains most.
+    tried: int = 1
 
     @property
     def place(self) -> tuple[str, str]:
@@ -97,7 +99,7 @@ def units(
             out += (
                 _shared(plant, kind, places, runs, load)
                 if kind.couples
-                else _laws(plant, kind, places, runs, load)
+                else laws(plant, kind, places, runs, load)
             )
         elif issubclass(kind, BodyEffect):
             out += _bodies(plant, kind, places, runs, theta, payloads)
@@ -139,15 +141,24 @@ def _placed(x: np.ndarray, joint: int, n: int) -> np.ndarray:
     return out
 
 
-def _laws(
-    plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[TorqueRun], load: Sequence[Load]
+def laws(
+    plant: Plant,
+    kind: Any,
+    places: Sequence[str],
+    runs: Sequence[TorqueRun],
+    load: Sequence[Load],
+    grids: Sequence[Sequence[dict[str, float]]] | None = None,
+    tried: int = 1,
 ) -> list[Unit]:
-    """A law of each joint's own motion, at every point of its grid."""
+    """A law of each joint's own motion, at every point of its grid, or of each joint's in `grids`,
+    each of which is the best of so many that were `tried`.
+    """
     b, n = plant.binding, plant.binding.chain.nq
     joints = [b.chain.signature.joints.index(p) for p in places]
     if not (linear := strengths(kind, n, runs[0].room)):
         return []
-    grids = [shapes(kind, b.references[j], linear) for j in range(n)]
+    if grids is None:
+        grids = [shapes(kind, b.references[j], linear) for j in range(n)]
     out = []
     for k, made in enumerate(at_every_joint(kind, grids, runs, load, plant.turn)):
         room = _rotor(kind, grids, k, runs, load, plant.turn) if kind.transmits else {}
@@ -158,9 +169,8 @@ def _laws(
                 own = [_placed(x[:, j], j, n) for x in rows]
                 unit = _unit(kind, place, list(made), grids[j][k], [j], own, b)
                 free = np.array([f in room for f in made])
-                out.append(
-                    replace(unit, least=np.where(free, -np.inf, unit.least), hidden=tuple(room))
-                )
+                least = np.where(free, -np.inf, unit.least)
+                out.append(replace(unit, least=least, hidden=tuple(room), tried=tried))
     return out
 
 

@@ -25,6 +25,7 @@ from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.plant import Beside, Plant, plant_of
 from jaxid.diagnosis.torque.repeats import spread_between
 from jaxid.diagnosis.torque.rows import read_runs, TorqueRun, turning_speeds
+from jaxid.diagnosis.torque.waves import rests_of, wave_number, wave_units
 from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.dynamics.parameter import specs
@@ -42,8 +43,8 @@ SHARPER = 4.0
 #: By so much of a step a torque that is held from one sample to the next comes later than one that
 #: is not.
 HELD = 0.5
-#: Samples of which the noise of the rows is made.
-SAMPLES = 4000
+#: Samples of which the noise of the rows is made, and most in which waves are looked for.
+SAMPLES, WAVE_SAMPLES = 4000, 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,14 @@ class TorqueRows:
     @property
     def size(self) -> int:
         return self.rows[0].shape[2] - 1 - sum(len(u.fields) for u in self.units)
+
+    def beside(self, more: Sequence[Unit]) -> TorqueRows:
+        """With the columns of further units."""
+        every = []
+        for k, x in enumerate(self.rows):
+            columns = [u.columns[k] for u in more]
+            every.append(np.concatenate([x[:, :, :-1], *columns, x[:, :, -1:]], axis=2))
+        return TorqueRows(self.theta, [*self.units, *more], every)
 
     def residual(self, run: int, at: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         """What the columns `at` with these numbers leave of a run, [samples n]."""
@@ -276,13 +285,24 @@ class TorqueStudy:
         ]
         if loaded := [k for k in self.kinds if k.by_torque]:
             at = theta if chosen else self._moved(theta, s.at, s.theta)
-            more = self.asked(loaded, at)
-            every = [
-                np.concatenate([x[:, :, :-1], *(u.columns[k] for u in more), x[:, :, -1:]], 2)
-                for k, x in enumerate(rows.rows)
-            ]
-            rows = TorqueRows(theta, [*rows.units, *more], every)
+            rows = replace(rows.beside(self.asked(loaded, at)), theta=theta)
         return rows, weights
+
+    def _waves(self, rows: TorqueRows, weights: Weights) -> list[Unit]:
+        """Laws that repeat with position, at the wave numbers that the fit runs show."""
+        which = self._first(self.of("fit"))
+        if not any(wave_number(kind) for kind in self.kinds) or not which:
+            return []
+        runs, own, unsure = self.some(rows, which)
+        rests = rests_of(own, weights, [run.moves for run in runs], unsure, rows.size)
+        return wave_units(self.plant, self.kinds, self.runs, which, rests)
+
+    def _first(self, which: Sequence[int]) -> list[int]:
+        """The first of some runs, whose samples are enough to look for a wave."""
+        ends = np.cumsum([len(self.runs[k].q) for k in which])
+        return [k for k, end in zip(which, ends, strict=True) if end <= WAVE_SAMPLES] or [
+            *which[:1]
+        ]
 
     def _without_torque(self, theta: np.ndarray) -> tuple[TorqueRows, Weights, Solution]:
         """Rows with the units that depend on the motion alone, weights, and the richest model."""
@@ -294,7 +314,9 @@ class TorqueStudy:
             s = self._solution(rows, weights, rich, self.of("fit"))
             weights = self._weights(rows, s.at, s.theta)
         s = self._solution(rows, weights, rich, self.of("fit"))
-        return rows, replace(weights, spread=spread_between(self, rows, weights, s)), s
+        spread = spread_between(self, rows, weights, s)
+        more = self._waves(rows, weights)
+        return rows.beside(more), replace(weights, spread=spread), s
 
     def _rich(self, rows: TorqueRows) -> np.ndarray:
         """Columns of the nominal model and of every law at every joint at one of its shapes."""

@@ -223,7 +223,7 @@ class Scales:
         counts: dict[tuple[str, str], int] = {}
         for u in asked:
             place = self.units[u].place
-            counts[place] = counts.get(place, 0) + 1
+            counts[place] = counts.get(place, 0) + self.units[u].tried
         out = []
         for u in asked:
             unit = self.units[u]
