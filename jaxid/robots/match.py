@@ -14,7 +14,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from jaxid.base.errors import nearest, UsageError
-from jaxid.base.wording import names_of
+from jaxid.base.wording import as_unit, listed, names_of
 from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
 from jaxid.data.joint_names import plain_name
 from jaxid.dynamics.chain import Chain
@@ -323,11 +323,7 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     free = spec is not None and spec.free
     what = _driven_by(tree.driven, dataset)
     if not (what or free):
-        joint = tree.driven[0]
-        raise UsageError(
-            f"nothing drives the robot: add goals ({joint}_cmd) or torques ({joint}_tau) as"
-            " inputs, or say free = true"
-        )
+        raise UsageError(_without_drive(tree.driven[0], dataset))
     riding = rides(dataset) and bool(what)
     law = _law(tree, dataset) if what == "goal" else None
     simulator = simulator_of(robot, tree, law, spec)
@@ -343,7 +339,7 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
         if (have := units.get(name, unit)) != unit:
             raise UsageError(
                 f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}:"
-                " correct its unit"
+                f" correct its unit, or convert it: {as_unit(have, unit)}"
             )
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
 
@@ -364,6 +360,21 @@ def simulator_of(robot: Any, tree: Tree, law: DriveLaw | None, spec: ModelSpec |
         return spec.simulator
     goals_by_its_steps = law is not None and not beyond_its_step(tree, law)
     return "mujoco" if robot.integrator or goals_by_its_steps else "own"
+
+
+def _without_drive(joint: str, dataset: Dataset) -> str:
+    """What is said where no input drives a robot: the names that inputs have to have, and what to
+    write for one that is there.
+    """
+    said = f"nothing drives the robot: add goals ({joint}_cmd) or torques ({joint}_tau) as inputs"
+    if not dataset.inputs:
+        return f"{said}, or say free = true"
+    first = dataset.inputs[0]
+    goal = first.unit in ("rad", "m")
+    name, unit = (f"{joint}_cmd", first.unit) if goal else (f"{joint}_tau", "N m")
+    form = f'role = "input", column = "{first.name}", {as_unit(first.unit, unit)}'
+    here = listed(dataset.input_names)
+    return f"{said}. Of the inputs here ({here}), if this is one: [channels.{name}] with {form}"
 
 
 def _driven_by(joints: Sequence[str], dataset: Dataset) -> str:
