@@ -34,6 +34,8 @@ from jaxid.benchmark.make import ALL, make  # noqa: E402
 
 #: Sealed sets of a release, and the digits of a seed.
 SEEDS, DIGITS = 3, 15
+#: Characters of a key that are shown.
+SHOWN = 8
 #: Measure -> heading of its column.
 COLUMNS = {
     "class": "class",
@@ -77,8 +79,8 @@ def enter(
     first: int | None = None,
 ) -> Path:
     """Scores the answers that lie in each folder's `answers/ENTRY.json`, all cases together, and
-    keeps the score under the name of the entry. `first`: of so many cases of each folder, by their
-    names, whose order is drawn by the seed.
+    keeps the score under the name of the entry and the first key. `first`: of so many cases of each
+    folder, by their names, whose order is drawn by the seed.
     """
     from run_all import machine
 
@@ -109,7 +111,7 @@ def enter(
         "class_by_set": {name: own["class"] for name, own in by_set.items()},
     }
     kept.mkdir(exist_ok=True)
-    path = kept / f"{entry.replace(' ', '_')}.json"
+    path = kept / f"{entry.replace(' ', '_')}_{keys[0][:SHOWN]}.json"
     path.write_text(json.dumps(content, indent=1) + "\n")
     return path
 
@@ -125,23 +127,23 @@ def rows(folder: Path = LEADERBOARD) -> list[dict[str, Any]]:
             row[heading] = cell(one["overall"][measure])
         row["seconds, median"] = cell(one["overall"]["seconds_median"])
         row["version"], row["date"] = one["version"], one["date"]
-        row["key"] = " ".join(key[:8] for key in one["key_sha256"])
+        row["key"] = " ".join(key[:SHOWN] for key in one["key_sha256"])
         row["what it is"] = one["about"]
         out.append(row)
     return out
 
 
 def by_set(folder: Path = LEADERBOARD) -> list[dict[str, Any]]:
-    """A row a set: how many cases, and the class of each entry."""
+    """A row a set of the same cases (`key`): how many, and the class of each entry."""
     kept = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
-    out = []
-    for name in sorted({name for one in kept for name in one["class_by_set"]}):
-        row: dict[str, Any] = {"set": name}
-        for one in kept:
-            own = one["class_by_set"].get(name)
-            row[one["entry"]] = "" if own is None else f"{own['value']:.2f} of {own['count']}"
-        out.append(row)
-    return out
+    entries = sorted({one["entry"] for one in kept})
+    found: dict[tuple[str, str], dict[str, str]] = {}
+    for one in kept:
+        key = one["key_sha256"][0][:SHOWN]
+        for name, own in one["class_by_set"].items():
+            row = found.setdefault((key, name), dict.fromkeys(entries, ""))
+            row[one["entry"]] = f"{own['value']:.2f} of {own['count']}"
+    return [{"key": key, "set": name, **row} for (key, name), row in sorted(found.items())]
 
 
 def table(found: Sequence[dict[str, Any]]) -> list[str]:
