@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxid.diagnosis.cause import span, variable, words
+from jaxid.diagnosis.cause import on_slide, span, variable, words
 from jaxid.diagnosis.result import MissingForce
 from jaxid.dynamics import catalogue
 from jaxid.dynamics.parameter import specs
@@ -116,3 +116,17 @@ def test_means_count_visits_not_samples():
     )  # a mean that was seen once has no interval
     none = binned.means([(x, slow, np.zeros(6000, bool))], edges)
     assert len(none.x) == len(none.mean) == len(none.half) == 0
+
+
+@pytest.mark.parametrize(("force", "wave", "turns"), [("N m", "1", True), ("N", "rad/m", False)])
+@pytest.mark.parametrize("name", ["position_dependent_friction", "torque_ripple"])
+def test_a_slide_has_no_turns(name, force, wave, turns):
+    numbers = {
+        "sine": Estimate(1.0, 0.1, force, -9.0, 9.0),
+        "cosine": Estimate(0.0, 0.1, force, -9.0, 9.0),
+        "order": Estimate(12.0, 0.1, wave, 0.0, 99.0),
+    }
+    effect = EffectEstimate(name, "x", numbers)
+    said = f"{words(effect, 'plain')} {words(effect, 'check')}".lower()
+    assert on_slide(effect) == (not turns)
+    assert any(word in said for word in ("turn", "revolution", "eccentric")) == turns

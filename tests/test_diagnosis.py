@@ -25,7 +25,8 @@ from jaxid.diagnosis.hypothesis import candidates, Hypothesis, SearchResult
 from jaxid.diagnosis.prior_pull import brought_back, put_back
 from jaxid.diagnosis.proposals import exchanged, left_out
 from jaxid.diagnosis.reasons import Lacks
-from jaxid.diagnosis.search import Searcher, THOROUGH
+from jaxid.diagnosis.refits import Refits, THOROUGH
+from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.selection import mirrored
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import Gaps, judge, upheld, Verdict
@@ -228,23 +229,24 @@ class Answer:
         (None, "named", 80.0, 9.0, "", "named"),
     ],
 )
-@pytest.mark.slow
 def test_windows_are_asked_where_chaotic_free_runs_find_nothing(
     monkeypatch, given, first, left, grown, second, expected
 ):
     asked = []
 
-    def answer(question, *_):
-        asked.append(question.residual.name)
-        return Answer(
+    def answer(request, *_):
+        asked.append(request.residual.name)
+        found = Answer(
             SimpleNamespace(verdict=second if len(asked) > 1 else first),
             SimpleNamespace(gap_after=left),
-        ), grown
+        )
+        return SimpleNamespace(diagnosis=found, request=request, growth=lambda: grown)
 
-    monkeypatch.setattr("jaxid.diagnosis.run._diagnosed", answer)
-    monkeypatch.setattr(
-        "jaxid.diagnosis.run.asked_last", lambda found, *_: found
-    )  # tests/test_late_effects.py
+    def unasked(request, found, others):  # tests/test_late_effects.py, test_rest_before.py
+        return found
+
+    monkeypatch.setattr("jaxid.diagnosis.free_runs.answered", answer)
+    monkeypatch.setattr("jaxid.diagnosis.free_runs._asked_further", unasked)
     d = jaxid.diagnose("pendulum", recording("pendulum", 2), residual=given)
     assert (
         d.which.verdict == expected
@@ -672,19 +674,18 @@ def test_what_contains_a_hypothesis_leads_it_out_of_a_local_minimum():
     binding = bind("pendulum", data, without=names[:1], candidates=library)
     bench = ProblemBuilder(binding)
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
-    searcher = Searcher(
-        bench, OutputError(), levenberg_marquardt([(p, p.z(binding.theta))], 10, 1e-6)[0]
-    )
+    (nominal,) = levenberg_marquardt([(p, p.z(binding.theta))], 10, 1e-6)
+    fits = Refits(bench, OutputError(), nominal)
     dry, bend = candidates(bench, names)
-    theta = searcher.nominal.theta.copy()
+    theta = fits.nominal.theta.copy()
     theta[list(dry.index)] = 0.03
-    poor, rich = searcher.problem((dry,), theta), searcher.problem((dry, bend), theta)
+    poor, rich = fits.problem((dry,), theta), fits.problem((dry, bend), theta)
     paths = [
         levenberg_marquardt([(poor, poor.z(theta))], 0, 1e-8)[0],
         levenberg_marquardt([(rich, rich.z(theta))], 20, 1e-8)[0],
     ]
-    found = searcher._hypotheses([((dry,), paths[0]), ((dry, bend), paths[1])])
-    led = searcher._led(list(found))
+    found = fits.hypotheses([((dry,), paths[0]), ((dry, bend), paths[1])])
+    led = fits.led(list(found))
     assert (
         found[0].fit_loss > 10
         and led[0].fit_loss < 1.1
@@ -1194,31 +1195,30 @@ def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
     p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
     start = p.z(start_values(bench, binding.free, 0)[0])
     stuck = levenberg_marquardt([(p, start + 0.1 * (p.upper - p.lower))], 0, 1e-8)[0]
-    searcher = Searcher(bench, OutputError(), stuck)
+    fits = Refits(bench, OutputError(), stuck)
     (drag,) = candidates(bench, ["quadratic_drag"])
-    q = searcher.problem((drag,), p.theta(start))
-    richer = searcher._hypotheses(
-        [((drag,), levenberg_marquardt([(q, q.z(p.theta(start)))], 20, 1e-8)[0])]
-    )[0]
-    freed = searcher._freed(searcher.nominal, richer)
-    assert searcher.nominal.fit_loss > 100 and not freed.effects and freed.fit_loss < 1.2
-    assert searcher._freed(freed, richer) is freed
+    q = fits.problem((drag,), p.theta(start))
+    (end,) = levenberg_marquardt([(q, q.z(p.theta(start)))], 20, 1e-8)
+    (richer,) = fits.hypotheses([((drag,), end)])
+    freed = fits.freed(fits.nominal, richer)
+    assert fits.nominal.fit_loss > 100 and not freed.effects and freed.fit_loss < 1.2
+    assert fits.freed(freed, richer) is freed
     # The same where it follows the fit runs, and others along what these leave open only.
     for loss in (1e3, 4.0):
         astray = dataclasses.replace(
             freed, validation=dataclasses.replace(freed.validation, loss=loss)
         )
-        assert searcher._freed(astray, richer).validation.loss < 1.2
+        assert fits.freed(astray, richer).validation.loss < 1.2
 
 
-class Held(Searcher):
+class Held(Refits):
     """Its nominal model stands in a minimum of its own until the search is over."""
 
-    def _descended(self, h, descent=THOROUGH):
-        return super()._descended(h, descent) if h.effects else h
+    def descended(self, h, descent=THOROUGH):
+        return super().descended(h, descent) if h.effects else h
 
-    def _settled(self, chosen):
-        self.nominal = super()._descended(self.nominal)
+    def settled(self, chosen):
+        self.nominal = super().descended(self.nominal)
         return chosen
 
 
@@ -1237,8 +1237,9 @@ def test_an_effect_that_only_led_out_of_a_local_minimum_is_not_named(monkeypatch
     off = levenberg_marquardt([(p, p.z(theta, p.starts(right.z)))], 0, 1e-8)[0]
     assert off.loss > 100
     monkeypatch.setattr(
-        "jaxid.diagnosis.search.LIMITS", dataclasses.replace(LIMITS, far=np.inf)
+        "jaxid.diagnosis.refits.LIMITS", dataclasses.replace(LIMITS, far=np.inf)
     )  # as if it were too close to be freed
-    found = Held(bench, OutputError(), off, None).run(candidates(bench, ["quadratic_drag"]), 3)
+    pool = candidates(bench, ["quadratic_drag"])
+    found = Searcher(Held(bench, OutputError(), off)).run(pool, 3)
     assert any(h.effects and h.fit_loss < 1.1 for h in found.tried)
     assert not found.chosen.effects and not found.confusable and found.nominal.fit_loss < 1.1

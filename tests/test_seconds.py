@@ -81,13 +81,11 @@ def test_a_search_has_its_share_of_the_time():
 
 def test_a_search_asks_nothing_more_then():
     problem = SimpleNamespace(work=1)
-    searcher = SimpleNamespace(
-        benches=(),
-        bench=SimpleNamespace(simulated=lambda: 0),
+    fits = SimpleNamespace(
+        benches=[SimpleNamespace(simulated=lambda: 0)],
         nominal=SimpleNamespace(path=SimpleNamespace(problem=problem)),
-        tried={},
-        _cut_short=False,
     )
+    searcher = SimpleNamespace(fits=fits, tried={}, _cut_short=False)
     goes_on = cast(Any, Searcher._goes_on)
     with deadline(1.0) as ends:
         assert ends is not None and goes_on(searcher)

@@ -145,7 +145,7 @@ def test_what_is_known_survives_an_interruption(monkeypatch):
     def stopped(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("jaxid.diagnosis.run.BlindSpotSearch.look", stopped)
+    monkeypatch.setattr("jaxid.diagnosis.answer.BlindSpotSearch.look", stopped)
     with pytest.raises(Interrupted) as caught:
         diagnosed(recording(SMALL), "quadratic_drag")
     partial = caught.value.partial

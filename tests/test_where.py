@@ -13,6 +13,7 @@ import pytest
 
 import jaxid
 from jaxid.diagnosis.missing import Missing, missing_forces
+from jaxid.diagnosis.travel import part_of_travel
 from jaxid.diagnosis.where import findings, floor_at, supplied, table
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.binding import bind
@@ -226,3 +227,56 @@ def test_a_right_model_shows_what_noise_shows():
     (m,) = missing_forces(bench, theta, estimate_starts(bench, "fit", [theta])[0], 0)
     ratio = np.sqrt(np.mean(m.force**2, 0) / np.mean(m.null**2, (0, 1)))
     assert ratio == pytest.approx(1.0, abs=0.15)
+
+
+# ---- a part of the travel
+
+WAY = np.stack([np.sin(0.8 * T), np.sin(0.5 * T + 1)], 1)  # m
+
+
+def along(force: np.ndarray, rng: np.random.Generator) -> Missing:
+    """A run that passes each place several times, with that force [time joint]."""
+    whole = missing(force + rng.standard_normal((N, 2)), rng)
+    return dataclasses.replace(whole, q=WAY, qd=np.gradient(WAY, T, axis=0))
+
+
+def bump(at: float, width: float) -> np.ndarray:
+    return np.exp(-(((WAY - at) / width) ** 2))
+
+
+@pytest.mark.parametrize(("against", "sign"), [(True, 1.0), (False, 1.0), (False, -1.0)])
+def test_a_tight_spot_is_told_by_where_it_lies_and_how_much_it_is(against, sign):
+    rng = np.random.default_rng(4)
+    runs = []
+    for _ in range(3):
+        law = 6.0 * sign * bump(0.35, 0.1)
+        if against:
+            law = law * np.sign(np.gradient(WAY, T, axis=0))
+        law[:, 1] = 0.0
+        runs.append(along(law, rng))
+    part = part_of_travel(runs, 0, [m.force[:, 0] for m in runs])
+    assert part is not None and part.against == against
+    # Half of the peak lies 0.083 to either side; the travel is looked at in fortieths.
+    assert part.low == pytest.approx(0.35 - 0.083, abs=0.05)
+    assert part.high == pytest.approx(0.35 + 0.083, abs=0.05)
+    assert part.more == pytest.approx(6.0 * sign * 0.8, rel=0.15)
+    rows = table(runs, JOINTS, {})
+    first = findings(bench(), runs, rows, {}, (), {})[0]
+    assert (first.location, first.regime, first.variable) == ("a", "part_of_travel", "position")
+    assert first.range == pytest.approx((part.low, part.high), abs=0.02)
+    assert first.value == pytest.approx(abs(part.more)) and "than elsewhere" in first.text
+    assert ("less" in first.text) == (sign < 0)
+    assert ("against the motion" in first.text) == against
+
+
+def test_noise_has_no_place_on_the_way():
+    rng = np.random.default_rng(5)
+    runs = [along(np.zeros((N, 2)), rng) for _ in range(3)]
+    rows = [r for r in table(runs, JOINTS, {}) if r.regime == "part_of_travel"]
+    assert not any(r.stands_out for r in rows)
+
+
+def test_a_joint_that_stands_has_no_part_of_travel():
+    still = along(np.zeros((N, 2)), np.random.default_rng(6))
+    still = dataclasses.replace(still, q=np.zeros((N, 2)), qd=np.zeros((N, 2)))
+    assert part_of_travel([still], 0, [still.force[:, 0]]) is None

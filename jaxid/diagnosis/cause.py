@@ -42,14 +42,23 @@ class Amount:
 
 
 def words(effect: EffectEstimate, field: str) -> str:
-    """A sentence of the effect's class (`seen`, `plain` or `check`) with the fitted numbers in it;
-    "" where it has none.
+    """A sentence of the effect's class (`seen`, `plain` or `check`) with the fitted numbers in it,
+    as it reads at its kind of joint; "" where it has none.
     """
     try:
-        template = getattr(catalogue.effect_class(effect.effect), field, "")
+        kind = catalogue.effect_class(effect.effect)
+        template = getattr(kind, field, "")
+        if on_slide(effect):
+            template = kind.on_slide.get(field, template)
         return template.format_map({name: Amount(p) for name, p in effect.parameters.items()})
     except (ValueError, KeyError):  # an effect of the user's own, or without its numbers
         return ""
+
+
+def on_slide(effect: EffectEstimate) -> bool:
+    """Whether an effect acts at a slide: by a force in N and not by a torque in N m."""
+    units = [estimate.unit for estimate in effect.parameters.values()]
+    return any("N" in unit.split("/")[0].split() and "N m" not in unit for unit in units)
 
 
 def variable(effect: EffectEstimate) -> str:

@@ -142,7 +142,7 @@ def _free(
     far = {
         k: path
         for k, path in enumerate(follow)
-        if path is not None and out[k].loss > LIMITS.refit_together
+        if path is not None and out[k].loss > LIMITS.at_noise
     }
     for (k, path), end in zip(
         far.items(), together(bench, split, list(far.values()), starts[list(far)]), strict=True

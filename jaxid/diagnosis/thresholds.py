@@ -55,11 +55,11 @@ class Thresholds:
         "convention: three standard deviations",
     )
     # evidence
-    refit_together: float = _of(
+    at_noise: float = _of(
         1.1,
         "mean square, noise 1",
-        "A model that leaves more than this many times the noise (mean square) is refitted to the"
-        " fit runs and those of a split at once, in this many iterations.",
+        "What leaves no more is at the noise, however many samples there are. A model that leaves"
+        " more is refitted to the fit runs and those of a split at once.",
         "not recorded",
     )
     # verdict

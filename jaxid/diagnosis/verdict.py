@@ -111,60 +111,66 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
     """By fit and validation data. `counted [ny]` says which outputs are read in steps and have no
     noise beside them.
     """
-    nominal, chosen = search.nominal.validation, search.chosen.validation
-    floor = level(nominal.count)
-    gap = float(np.sqrt(max(nominal.loss, search.nominal.fit_loss)))
-    if (
-        counted is not None
-        and counted.any()
-        and floor < gap**2 <= MOST_OF_ZEROS
-        and _within_a_step(search.nominal, counted)
-    ):
+    nominal, chosen = search.nominal, search.chosen
+    gap = float(np.sqrt(max(nominal.validation.loss, nominal.fit_loss)))
+    if counted is not None and counted.any() and _within_a_step(nominal, gap, counted):
         return Verdict("none", (WithinAStep(gap),))
-    compared = [chosen.loss, search.chosen.fit_loss]
-    if search.chosen.effects and not np.isfinite(compared).all():
+    if not chosen.effects:
+        return _nothing_chosen(search, gap)
+    if not np.isfinite([chosen.validation.loss, chosen.fit_loss]).all():
         return Verdict("unknown", (NothingExplains(gap),))
-    if not search.chosen.effects:
-        if nominal.loss <= floor and search.nominal.fit_loss <= level(search.nominal.path.count):
-            return Verdict("none", (AtTheNoise(), *possible(search.belief)))
-        reasons = (NothingExplains(gap), *_nearer(search), *possible(search.belief))
-        return Verdict("unknown", reasons)
-    closed = share_closed(nominal.loss, chosen.loss)
-    names = placed(map(str, search.chosen.effects))
-    left = float(np.sqrt(max(chosen.loss, 1.0)))
-    each = (
-        (Contributions(tuple((str(c), gap) for c, gap in search.without)),)
-        if search.without
-        else ()
-    )
+    return _chosen(search)
+
+
+def _nothing_chosen(search: SearchResult, gap: float) -> Verdict:
+    nominal, hints = search.nominal, possible(search.belief)
+    chose_at_noise = nominal.validation.loss <= level(nominal.validation.count)
+    if chose_at_noise and nominal.fit_loss <= level(nominal.path.count):
+        return Verdict("none", (AtTheNoise(), *hints))
+    return Verdict("unknown", (NothingExplains(gap), *_nearer(search), *hints))
+
+
+def _chosen(search: SearchResult) -> Verdict:
+    """Of effects that were chosen: `named` where they reach the noise or close most of the gap."""
+    nominal, chosen = search.nominal, search.chosen
+    names, each = placed(map(str, chosen.effects)), _contributions(search)
+    left = float(np.sqrt(max(chosen.validation.loss, 1.0)))
+    closed = share_closed(nominal.validation.loss, chosen.validation.loss)
+    followed = share_closed(nominal.fit_loss, chosen.fit_loss)
+    floor = level(nominal.validation.count)
+    at_the_noise = chosen.validation.loss <= max(floor, LIMITS.at_noise)
+    fits = followed >= LIMITS.named or chosen.fit_loss <= LIMITS.left**2
     # Several that leave more than the noise may together only come close to something else.
-    close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LIMITS.left
-    followed = share_closed(search.nominal.fit_loss, search.chosen.fit_loss)
-    closed_on_both = closed >= LIMITS.named and (
-        followed >= LIMITS.named or search.chosen.fit_loss <= LIMITS.left**2
-    )
-    if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
+    several_leave_much = search.several and max(left, np.sqrt(chosen.fit_loss)) > LIMITS.left
+    if at_the_noise or (closed >= LIMITS.named and fits and not several_leave_much):
         return Verdict("named", (Lacks(names, left), *each))
     # What is claimed with a probability need not account for most of a gap.
     if closed > 0:
         return Verdict("partly", (LacksInPart(names, closed, left), *each))
-    if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
+    if chosen.fit_loss <= LIMITS.at_noise < nominal.fit_loss:
         return Verdict("partly", (FollowsFitRuns(names, closed, left),))
     return Verdict("unknown", (NotMost(names, closed, left), *_nearer(search)))
 
 
-def _within_a_step(model: Hypothesis, counted: np.ndarray) -> bool:
-    """Whether a model is at the noise on fit and validation runs, where each counted output [ny] of
-    a run has a zero of its own within half a step.
+def _contributions(search: SearchResult) -> tuple[Reason, ...]:
+    if not search.without:
+        return ()
+    return (Contributions(tuple((str(c), gap) for c, gap in search.without)),)
+
+
+def _within_a_step(model: Hypothesis, gap: float, counted: np.ndarray) -> bool:
+    """Whether a model that leaves a `gap` is at the noise on fit and validation runs, where each
+    counted output [ny] of a run has a zero of its own within half a step.
     """
+    if not level(model.validation.count) < gap**2 <= MOST_OF_ZEROS:
+        return False
     for residual in (model.path.problem.residuals(model.path.z), model.validation.settled):
-        zeros = [
-            np.where(counted, np.clip(r.mean(0), -HALF_A_STEP, HALF_A_STEP), 0.0) for r in residual
-        ]
-        left = np.concatenate(
-            [((r - zero) ** 2).ravel() for r, zero in zip(residual, zeros, strict=True)]
-        )
-        if left.mean() > level(left.size):
+        left = []
+        for r in residual:
+            zero = np.clip(r.mean(0), -HALF_A_STEP, HALF_A_STEP)
+            left.append(((r - np.where(counted, zero, 0.0)) ** 2).ravel())
+        squares = np.concatenate(left)
+        if squares.mean() > level(squares.size):
             return False
     return True
 
@@ -180,17 +186,15 @@ def _nearer(search: SearchResult) -> tuple[Reason, ...]:
     """What comes nearest to the validation data where it is not what was chosen, as the ranking
     shows it.
     """
-    tried = [
-        h
-        for h in search.tried
-        if h.effects and np.isfinite(h.validation.loss) and np.isfinite(h.fit_loss)
-    ]
+    tried = []
+    for h in search.tried:
+        if h.effects and np.isfinite([h.validation.loss, h.fit_loss]).all():
+            tried.append(h)
     top: Hypothesis | None = min(tried, key=lambda h: h.validation.loss, default=None)
-    if top is None or top.validation.loss >= min(
-        search.chosen.validation.loss, search.nominal.validation.loss
-    ):
+    before = search.nominal.validation.loss
+    if top is None or top.validation.loss >= min(search.chosen.validation.loss, before):
         return ()
-    share = share_closed(search.nominal.validation.loss, top.validation.loss)
+    share = share_closed(before, top.validation.loss)
     return (NearerOnValidation(placed(map(str, top.effects)), share),)
 
 
@@ -206,23 +210,24 @@ def possible(belief: Belief | None) -> tuple[Reason, ...]:
 def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
     """A verdict that names effects (`several` of them) once the report data have been seen."""
     before, retuned, after = gaps
+    farther = verdict.but("unknown", FartherOnReport(after, retuned, before))
     if not after < np.inf or np.isnan(retuned):  # a gap that is no number bears nothing out
-        return verdict.but("unknown", FartherOnReport(after, retuned, before))
-    room = retuned**2 > LIMITS.alike  # beyond what is known of the noise
+        return farther
     closed = share_closed(retuned**2, after**2)
-    if retuned <= LIMITS.seen and (
-        after < retuned or not (room or after**2 > LIMITS.alike * retuned**2)
-    ):
+    room = retuned**2 > LIMITS.alike  # beyond what is known of the noise
+    nearer = after < retuned
+    as_near = not room and after**2 <= LIMITS.alike * retuned**2
+    if retuned <= LIMITS.seen and (nearer or as_near):
         if verdict.name == "named" and room and closed < LIMITS.partly:
             return verdict.unclaimed().but("unknown", LittleOnReport(after, retuned))
         return verdict
     if not after < np.minimum(retuned, before):
-        return verdict.but("unknown", FartherOnReport(after, retuned, before))
-    if verdict.name == "named" and several and after > LIMITS.left:
+        return farther
+    if verdict.name != "named":
+        return verdict
+    if several and after > LIMITS.left:
         return verdict.but("partly", LeftOnReport(after))
-    if verdict.name == "named" and (
-        closed < LIMITS.partly or (closed < LIMITS.named and after > LIMITS.left)
-    ):
+    if closed < LIMITS.partly or (closed < LIMITS.named and after > LIMITS.left):
         return verdict.but("partly", PartOnReport(closed))
     return verdict
 
@@ -234,26 +239,21 @@ def astray(
     direction of a joint, times the noise); `whole` is what all of them leave.
     """
     found = [(s.part, s.retuned) for s in runs]
-    found += [
-        (f"{s.joint} moving {s.part}s", s.retuned)
-        for s in regimes
-        if s.part in ("forward", "backward")
-    ]
-    found = found or [("all report runs", whole)]
-    return sorted(
-        (place for place in found if not place[1] <= LIMITS.left),
-        key=lambda place: -np.nan_to_num(place[1], nan=np.inf),
-    )
+    for s in regimes:
+        if s.part in ("forward", "backward"):
+            found.append((f"{s.joint} moving {s.part}s", s.retuned))
+    if not found:
+        found = [("all report runs", whole)]
+    far = [(place, gap) for place, gap in found if not gap <= LIMITS.left]
+    return sorted(far, key=lambda place: -np.nan_to_num(place[1], nan=np.inf))
 
 
 def check_followed(bench: ProblemBuilder, theta: np.ndarray, starts: np.ndarray) -> None:
     """Raises `Diverged` where a descent that did not end left free runs that do not follow the
     recording: no effect can be seen beside that.
     """
-    off = max(
-        s.nrmse
-        for s in scores(bench, "fit", free_runs(bench, "fit", [theta], starts[None])[0]).values()
-    )
+    runs = free_runs(bench, "fit", [theta], starts[None])[0]
+    off = max(score.nrmse for score in scores(bench, "fit", runs).values())
     if not off <= FOLLOWS:
         note = LOST.format(percent(off))
         raise Diverged(f"{note}; give other start values or bounds", True, note)
@@ -263,16 +263,16 @@ def standing_still(binding: Binding) -> tuple[str, ...]:
     """Of "validation" and "report" those splits in which no run moves and no input changes: every
     model predicts them.
     """
-    iu, iy = columns(binding.dataset, binding.chain)
+    inputs, outputs = columns(binding.dataset, binding.chain)
     out = []
     for split in ("validation", "report"):
         runs = binding.experiments(split)
         moves = False
         for e in runs:
             keep = scored(e, split)
-            moves |= bool(
-                np.any(np.std(e.y[keep][:, iy], axis=0) > LIMITS.still * binding.sigma)
-            ) or _changes(e.u[keep][:, iu])
+            scatter = np.std(e.y[keep][:, outputs], axis=0)
+            moves |= bool(np.any(scatter > LIMITS.still * binding.sigma))
+            moves |= _changes(e.u[keep][:, inputs])
         if runs and not moves:
             out.append(split)
     return tuple(out)
@@ -282,10 +282,7 @@ def _changes(u: np.ndarray) -> bool:
     """Whether any input [time inputs] does more than scatter from sample to sample."""
     if len(u) < 2:
         return False
-    return bool(
-        np.any(
-            np.std(u, axis=0)
-            > LIMITS.still * np.std(np.diff(u, axis=0), axis=0) / np.sqrt(2)
-            + 1e-12 * np.abs(u).max(0)
-        )
-    )
+    from_sample_to_sample = np.std(np.diff(u, axis=0), axis=0) / np.sqrt(2)
+    rounding = 1e-12 * np.abs(u).max(0)
+    changes = np.std(u, axis=0) > LIMITS.still * from_sample_to_sample + rounding
+    return bool(np.any(changes))

@@ -9,6 +9,7 @@ looked at in its place: it has no noise.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,9 +18,10 @@ from jaxid.data.dataset import Experiment
 from jaxid.data.splits import LATE
 from jaxid.diagnosis.cause import span, variable, words
 from jaxid.diagnosis.missing import Missing
-from jaxid.diagnosis.regimes import regimes
+from jaxid.diagnosis.regimes import PART, situations
 from jaxid.diagnosis.result import Finding, MissingForce, Regime
 from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.travel import LEAST, part_of_travel, TravelPart
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import EffectEstimate
 from jaxid.fitting.scores import free_runs
@@ -43,6 +45,7 @@ _WORDS = {
     "high_acceleration": ("lies under high acceleration", "acceleration"),
     "upper_travel": ("lies at the upper end of travel", "position"),
     "lower_travel": ("lies at the lower end of travel", "position"),
+    PART: ("lies", "position"),
     "early": ("lies in the first third of the run", "time"),
     "late": ("lies in the last third of the run", "time"),
     "high_load": ("lies under high load", "load"),
@@ -81,24 +84,42 @@ def table(
     """
     out = []
     for j, joint in enumerate(joints):
-        masks = [regimes(m, j) for m in found]
-        for name in dict.fromkeys(n for mask in masks for n in mask):
-            mask = [
-                k.get(name, np.zeros(len(m.force), bool)) for k, m in zip(masks, found, strict=True)
-            ]
-            count = int(sum(k.sum() for k in mask))
-            if count < 20:
+        own = given.get(joint)
+        measured = [m.force[:, j] for m in found]
+        for name, inside in situations(found, j, measured if own is None else own).items():
+            count = int(sum(mask.sum() for mask in inside))
+            if count < LEAST:
                 continue
-            ratio = _ratio([m.force[:, j] for m in found], mask)
-            null = [
-                _ratio([m.null[d][:, j] for m in found], mask) for d in range(len(found[0].null))
-            ]
-            low, high = (
-                (float(x) for x in np.percentile(null, [2.5, 97.5])) if null else (np.nan, np.nan)
+            low, high = _by_chance(found, j, name, inside)
+            row = Regime(
+                joint=joint,
+                regime=name,
+                ratio=_ratio(measured, inside),
+                null=(low, high),
+                samples=count,
+                supplied=None if own is None else _ratio(own, inside),
             )
-            own = _ratio(given[joint], mask) if joint in given else None
-            out.append(Regime(joint, name, ratio, (low, high), count, own))
+            out.append(row)
     return out
+
+
+def _by_chance(
+    found: Sequence[Missing], joint: int, name: str, inside: Sequence[np.ndarray]
+) -> tuple[float, float]:
+    """The ratio in a regime for a perfect model, 2.5 % and 97.5 %. A regime that is looked for in
+    the force is looked for in each draw.
+    """
+    ratios = []
+    for draw in range(len(found[0].null)):
+        drawn = [m.null[draw][:, joint] for m in found]
+        masks = inside
+        if name == PART:
+            masks = situations(found, joint, drawn).get(PART, inside)
+        ratios.append(_ratio(drawn, masks))
+    if not ratios:
+        return np.nan, np.nan
+    low, high = np.percentile(ratios, [2.5, 97.5])
+    return float(low), float(high)
 
 
 def _ratio(series: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> float:
@@ -149,7 +170,7 @@ def findings(
     """
     b = bench.binding
     joints, outputs = b.chain.signature.joints, b.chain.signature.output_names
-    unit = b.chain.signature.unit("{F}")
+    unit, position_unit = b.chain.signature.unit("{F}"), b.chain.signature.unit("{X}")
 
     def energy_of(j, masks):
         return _excess(found, j, masks, given.get(joints[j]))
@@ -162,62 +183,121 @@ def findings(
     for j in looked:
         joint = joints[j]
         force = given.get(joint, [m.force[:, j] for m in found])
-        scored_rows = []
+        masks = situations(found, j, force)
+        least = 0.05 * total
+        if joint in given:
+            least = LIMITS.own_regime * energy_of(j, None)
+        standing_out = []
         for row in rows:
-            if row.joint != joint or row.null[1] <= 0:
+            if row.joint != joint or row.null[1] <= 0 or row.regime not in masks:
                 continue
-            inside = [regimes(m, j).get(row.regime, np.zeros(len(m.force), bool)) for m in found]
-            energy = energy_of(j, inside)
-            lift = row.ratio / max(row.null[1], 1e-9) if row.supplied is None else row.supplied
-            if row.stands_out and energy > (
-                LIMITS.own_regime * energy_of(j, None) if joint in given else 0.05 * total
-            ):
-                # Elsewhere there may be less than noise, which is no reason to see more than all of
-                # it here.
-                share = min(1.0, energy / total)
-                scored_rows.append((lift * np.sqrt(share), share, row.regime, inside))
-        scored_rows.sort(key=lambda r: -r[0])
-        if not scored_rows:
-            every = [np.ones(len(m.force), bool) for m in found]
+            energy = energy_of(j, masks[row.regime])
+            if not row.stands_out or not energy > least:
+                continue
+            lift = row.supplied
+            if lift is None:
+                lift = row.ratio / max(row.null[1], 1e-9)
+            # Elsewhere there may be less than noise, which is no reason to see more than all of it
+            # here.
+            share = min(1.0, energy / total)
+            standing_out.append((lift * np.sqrt(share), share, row.regime))
+        standing_out.sort(key=lambda place: -place[0])
+        if not standing_out:
+            masks["everywhere"] = [np.ones(len(m.force), bool) for m in found]
             share = energy_of(j, None) / total
             if share > 0.2:
-                scored_rows = [(0.0, share, "everywhere", every)]
+                standing_out = [(0.0, share, "everywhere")]
         cause = (causes or {}).get(joint)
-        for _, share, regime, inside in scored_rows[: 1 if cause else most]:
-            values = np.concatenate([f[k] for f, k in zip(force, inside, strict=True)])
-            strength = float(np.sqrt(np.mean(values**2)))
-            floor = floor_of(found, j, inside)
-            above = strength / max(floor, 1e-300)
-            if not above >= 1 and joint not in given:
-                continue  # no more than noise
-            window, experiment = _window(found, force, inside)
-            spread, told_by = _WORDS[regime]
-            size = f"{number(strength)} {unit} rms; noise of a sample {number(floor)}"
-            seen = f"{joint}: {percent(share)} of the missing force {spread}"
-            if cause and words(cause, "seen"):
-                seen, told_by = f"{joint}: {words(cause, 'seen')}", variable(cause)
-                regime = regime if told_by == _WORDS[regime][1] else "everywhere"
-            text = f"{seen} ({size}); strongest {when(window, found, experiment)}"
-            channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
-            limits = (span(cause) if cause else None) or _range(found, j, told_by, inside)
-            place = locations.get(joint, joint)
-            out.append(
-                Finding(
-                    channel=channel,
-                    location=place,
-                    regime=regime,
-                    window_s=window,
-                    share_of_gap=float(share),
-                    times_noise_floor=above,
-                    text=text,
-                    variable=told_by,
-                    range=limits,
-                    direction=_direction(found, j, force, inside),
-                    value=strength,
-                    unit=unit,
-                )
+        for _, share, regime in standing_out[: 1 if cause else most]:
+            place = _Place(
+                found=found,
+                joint=j,
+                force=force,
+                regime=regime,
+                inside=masks[regime],
+                cause=cause,
+                unit=unit,
+                position_unit=position_unit,
             )
+            # Of what is measured no more than noise is no place.
+            if place.times_noise >= 1 or joint in given:
+                channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
+                told = locations.get(joint, joint)
+                out.append(place.finding(joint, channel, told, float(share)))
     return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A regime of a joint in which a force lies, and the effect that is named there."""
+
+    found: Sequence[Missing]
+    joint: int
+    force: Sequence[np.ndarray]
+    regime: str
+    inside: Sequence[np.ndarray]
+    cause: EffectEstimate | None
+    unit: str
+    position_unit: str
+
+    @property
+    def strength(self) -> float:
+        """Root mean square."""
+        each = zip(self.force, self.inside, strict=True)
+        values = np.concatenate([force[mask] for force, mask in each])
+        return float(np.sqrt(np.mean(values**2)))
+
+    @property
+    def floor(self) -> float:
+        return floor_of(self.found, self.joint, self.inside)
+
+    @property
+    def times_noise(self) -> float:
+        return self.strength / max(self.floor, 1e-300)
+
+    def finding(self, joint: str, channel: str, location: str, share: float) -> Finding:
+        cause, regime = self.cause, self.regime
+        window, experiment = _window(self.found, self.force, self.inside)
+        spread, told_by = _WORDS[regime]
+        value = self.strength
+        size = f"{number(value)} {self.unit} rms; noise of a sample {number(self.floor)}"
+        part = None
+        if regime == PART:
+            part = part_of_travel(self.found, self.joint, self.force)
+        if part is not None:
+            value = abs(part.more)
+            spread = f"{spread} {self._said(part)}"
+        seen = f"{joint}: {percent(share)} of the missing force {spread}"
+        if cause and words(cause, "seen"):
+            seen, told_by = f"{joint}: {words(cause, 'seen')}", variable(cause)
+            if part is not None and told_by == _WORDS[PART][1]:
+                seen += f"; {self._said(part)}"
+            regime = regime if told_by == _WORDS[regime][1] else "everywhere"
+        limits = span(cause) if cause else None
+        if limits is None:
+            limits = _range(self.found, self.joint, told_by, self.inside)
+        return Finding(
+            channel=channel,
+            location=location,
+            regime=regime,
+            window_s=window,
+            share_of_gap=share,
+            times_noise_floor=self.times_noise,
+            text=f"{seen} ({size}); strongest {when(window, self.found, experiment)}",
+            variable=told_by,
+            range=limits,
+            direction=_direction(self.found, self.joint, self.force, self.inside),
+            value=value,
+            unit=self.unit,
+        )
+
+    def _said(self, part: TravelPart) -> str:
+        """Between where and where, and how much more it is there."""
+        low, high = number(part.low), number(part.high)
+        more = "more" if part.more > 0 else "less"
+        way = "against the motion, both ways" if part.against else "with the same sign both ways"
+        size = f"{number(abs(part.more))} {self.unit} {more}"
+        return f"between {low} and {high} {self.position_unit}, {size} than elsewhere, {way}"
 
 
 def _direction(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -99,6 +100,8 @@ class Effect(eqx.Module):
     seen: ClassVar[str] = ""
     plain: ClassVar[str] = ""
     check: ClassVar[str] = ""
+    #: Those of these sentences that read otherwise on a slide, which has no turns.
+    on_slide: ClassVar[Mapping[str, str]] = MappingProxyType({})
     #: The range of that variable in which it acts, from its numbers (None: an open end); None: the
     #: whole of it.
     span: ClassVar[Callable[[dict[str, float]], tuple[float | None, float | None]] | None] = None

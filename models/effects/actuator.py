@@ -369,6 +369,10 @@ class TorqueRipple(JointEffect):
     check: ClassVar[str] = (
         "Turn slowly over a whole revolution and compare the period with poles and teeth."
     )
+    on_slide: ClassVar = {
+        "plain": "The force repeats with position: cogging of the motor, a belt's teeth or a screw.",
+        "check": "Move slowly and compare the period with pole pitch, belt teeth and screw lead.",
+    }
     export_law: ClassVar = ExportLaw("force", "sine * sin(order * q) + cosine * cos(order * q)")
     sine: Array = param(
         0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine"

@@ -343,6 +343,10 @@ class PositionDependentFriction(JointEffect):
         "Friction repeats with position: a gear or bearing that runs out of true."
     )
     check: ClassVar[str] = "Turn slowly through the whole travel and mark where it runs heavily."
+    on_slide: ClassVar = {
+        "plain": "Friction repeats with position: a rail, belt or screw that is not even.",
+        "check": "Move slowly along the whole travel and mark where it runs heavily.",
+    }
     export_law: ClassVar = ExportLaw("dry", "sine * sin(order * q) + cosine * cos(order * q)")
     sine: Array = param(
         0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine"

@@ -65,7 +65,7 @@ class SensorScale(OutputEffect):
     excitation: ClassVar[str] = "two rests a known distance apart"
     axis: ClassVar[str] = "reading"
     seen: ClassVar[str] = "in proportion to the reading"
-    plain: ClassVar[str] = "The sensor reads {gain:%} too much of every angle."
+    plain: ClassVar[str] = "The sensor reads {gain:%} too much of every position."
     check: ClassVar[str] = "Check counts per turn and the gear ratio between sensor and joint."
     export_law: ClassVar = ExportLaw("reading", "(1 + gain) * y")
     gain: Array = param(

@@ -36,6 +36,7 @@ from jaxid.diagnosis.goals.propose import (
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
+from jaxid.diagnosis.question import Offer, Search
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.chain import Chain
@@ -51,13 +52,7 @@ from jaxid.problem.residual import OutputError
 from jaxid.simulation.sample_buffers import STEP, step_count
 
 
-#: Is told of the nominal fit and of what is known so far: what a run that is stopped keeps.
-Offer = Callable[[Callable[[], Fit], SearchResult], None]
-
-Answer = Callable[
-    [Binding, Sequence[str], Callable[[ProblemBuilder, Offer], tuple[Fit, SearchResult]], float],
-    Diagnosis,
-]
+Answer = Callable[[Binding, Sequence[str], Search, float], Diagnosis]
 
 TOO_DEAR = (
     "simulating recordings of this length with this many numbers would take too long: the torque"
