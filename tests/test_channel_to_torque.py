@@ -276,3 +276,27 @@ def test_a_joint_under_another_role_is_named() -> None:
         UsageError, match=r'q2: recorded as auxiliary; state role = "output" under \[channels.q2\]'
     ):
         bind(arm, replace(data, channels=beside, experiments=(moved,)))
+
+
+@pytest.mark.parametrize(
+    ("channel", "unit", "said"),
+    [
+        ("yaw_current", "A", r'column = "yaw_current", unit = "N m" and scale = .*gear ratio'),
+        ("tau_yaw", "N m", r'column = "tau_yaw", unit = "N m"'),
+        ("yaw_tau", "A", r"yaw_tau.*is in A.*scale = .*gear ratio"),
+        ("yaw_tau", "%", r"yaw_tau.*convert it: unit = \"N m\" and scale"),
+    ],
+)
+def test_a_robot_says_what_to_write_for_a_channel_of_another_name_or_unit(channel, unit, said):
+    text = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <joint name="yaw"/></body></worldbody></mujoco>"""
+    t, q, tau = motion(1)
+    data = jaxid.Dataset.from_arrays(
+        t,
+        {channel: tau[:, 0]},
+        {"yaw": q[:, 0]},
+        units={channel: unit, "yaw": "rad"},
+        check_model=False,
+    )
+    with pytest.raises(UsageError, match=said):
+        bind(jaxid.models.Robot.from_mjcf("yaw.xml", text=text), data)

@@ -82,6 +82,22 @@ def thousandths(u, q):
     u *= 1000
 
 
+def pounds(u, q):
+    u /= 4.4482216152605
+
+
+def kilograms_at_a_centimetre(u, q):
+    u /= 0.0980665
+
+
+def inches(u, q):
+    q /= 0.0254
+
+
+def quarters(u, q):
+    u /= 4
+
+
 def elbow_in_degrees(u, q):
     q[:, 2] = np.degrees(q[:, 2])
 
@@ -105,6 +121,7 @@ def found(rig: tuple, slip: Slip, folder: Path) -> DataFinding:
     ("rig", "slip", "channel", "value"),
     [
         (GANTRY_RIG, thousandths, "x_tau", 1000.0),
+        (GANTRY_RIG, pounds, "x_tau", 0.224809),
         (ARM_RIG, elbow_in_degrees, "elbow", 180 / np.pi),
     ],
 )
@@ -112,7 +129,27 @@ def test_what_a_file_states_tells_units(rig, slip, channel, value, tmp_path):
     finding = found(rig, slip, tmp_path)
     assert (finding.channel, finding.applied) == (channel, True)
     assert finding.value == pytest.approx(value, rel=2e-3)
-    assert finding.line.count("# of") == (3 if slip is thousandths else 0)
+    together = len(rig[1].split()) if channel.endswith("_tau") else 0
+    assert finding.line.count("# of") == together
+
+
+def test_kilograms_at_a_centimetre_are_no_kilograms(tmp_path):
+    """What the model lacks moves the fitted factor by 3 %; between two units that is asked about."""
+    finding = found(ARM_RIG, kilograms_at_a_centimetre, tmp_path)
+    assert finding.value == pytest.approx(10.19716) and finding.line.startswith('unit = "kgf cm"')
+
+
+def test_a_size_that_only_stated_numbers_tell_is_asked_about(tmp_path):
+    """Slow slides follow their friction: positions in inches fit as well as in millimetres."""
+    finding = found(GANTRY_RIG, inches, tmp_path)
+    assert (finding.channel, finding.applied) == ("x", False)
+    assert finding.line.splitlines()[0] == 'unit = "in"  # of x'
+
+
+def test_a_factor_that_is_near_to_a_unit_is_none(tmp_path):
+    """A quarter of the force is 11 % from pounds; masses that are off may be its cause."""
+    path = tmp_path / "robot.xml"
+    assert not run_check(str(path), recorded(GANTRY_RIG, quarters, path)).findings
 
 
 @pytest.mark.parametrize(

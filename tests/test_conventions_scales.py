@@ -18,7 +18,12 @@ from jaxid.benchmark.numpy_twin import recorded
 from jaxid.benchmark.plants import LINK, PLANTS
 from jaxid.conventions import checking
 from jaxid.conventions.beside_joints import followed, Run
-from jaxid.conventions.readings import nearest_factor, whole_ratio
+from jaxid.conventions.readings import (
+    known_factors,
+    nearest_factor,
+    unmistakable,
+    whole_ratio,
+)
 from jaxid.data.dataset import ModelSpec
 from jaxid.dynamics.mechanism import Rigid, Signature
 from jaxid.dynamics.parameter import constant, param
@@ -132,11 +137,22 @@ def test_numbers_that_are_off_are_no_unit(seed, off):
 
 
 def test_factors_are_those_of_the_unit():
-    assert nearest_factor(9.0, "N")[1] == "newtons read as kilogram-force"
-    assert "kilogram" not in nearest_factor(9.0, "m")[1]
-    assert nearest_factor(0.1, "m/s^2")[1] == "g read as m/s^2"
+    assert nearest_factor(0.1, known_factors("N"))[1] == "kgf read as N"
+    assert nearest_factor(9.0, known_factors("N", 9.80665))[1] == "N read as kgf"
+    assert "kgf" not in nearest_factor(9.0, known_factors("m"))[1]
+    assert nearest_factor(0.1, known_factors("m/s^2"))[1] == "g_n read as m/s^2"
+    assert nearest_factor(pi / 180, known_factors("rad", pi / 180))[1] == "rad read as deg"
+    assert set(known_factors("N s/m").values()) == {1000.0, 1e-3}
     assert whole_ratio(30.02, 1e-4) == 30 and whole_ratio(1 / 30.02, 1e-4) == 1 / 30
     assert whole_ratio(30.3, 1e-4) is None and whole_ratio(30.0, 0.05) is None
+
+
+def test_a_size_between_two_units_stands_for_none():
+    torques = known_factors("N m")
+    assert "lbf ft read as N m" not in torques  # 0.74, as a mass may be off
+    assert unmistakable(10.2, 1e-3, torques) and not unmistakable(9.5, 1e-3, torques)
+    assert unmistakable(100.02, 1e-3, torques) and not unmistakable(101.0, 1e-3, torques)
+    assert not unmistakable(101.0, 0.1, torques) and not unmistakable(0.25, np.inf, torques)
 
 
 def link(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

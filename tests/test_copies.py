@@ -56,16 +56,21 @@ def of_four_digits(q: np.ndarray) -> np.ndarray:
     return np.array([float(f"{x:.4g}") for x in q])
 
 
+def one_cell_changed(q: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(len(q)) == 200, q + 0.3, q)
+
+
 @pytest.mark.parametrize(
     "copy",
     [
         lambda q: q,
+        one_cell_changed,
         lambda q: q[:300],
         rounded_in_degrees,
         lambda q: np.float32(q).astype(float),
         of_four_digits,
     ],
-    ids=["whole", "cut", "rounded", "float32", "digits"],
+    ids=["whole", "changed", "cut", "rounded", "float32", "digits"],
 )
 @pytest.mark.parametrize(
     "sensor", [lambda q: q, lambda q: np.round(q / STEP) * STEP], ids=["white", "counts"]
@@ -77,6 +82,12 @@ def test_a_copy_counts_neither_as_validation_nor_as_repeat(sensor, copy):
     assert checked.mended is not None
     assert [e.name for e in checked.mended.experiments] == ["a"]
     assert noise_floor(checked.mended)["q"].source != "repeatability"
+
+
+def test_a_copy_without_its_first_row_is_one():
+    q, command = motion(), np.round(np.cos(3 * T), 3)
+    (found,), _ = found_copies(recorded(q, q[1:], tau=[command, command[1:]]))
+    assert found.applied and found.value == len(q) - 1
 
 
 def test_a_stretch_of_another_run_is_left_out_and_the_rest_is_kept():

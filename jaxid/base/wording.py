@@ -131,6 +131,15 @@ def listed(names: Iterable[str]) -> str:
     )
 
 
+def as_unit(have: str, wanted: str) -> str:
+    """What to write for a channel in one unit (SI) where another one is needed."""
+    line = f'unit = "{wanted}"'
+    if have == wanted:
+        return line
+    of_current = "of a current torque constant times gear ratio"
+    return f"{line} and scale = … (in {wanted}, of each 1 recorded: {of_current})"
+
+
 def by_effect(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     """Places of each effect, of (effect, place), in their order."""
     places: dict[str, list[str]] = {}

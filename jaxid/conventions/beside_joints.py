@@ -15,7 +15,7 @@ from jaxid.base.errors import UsageError
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import APART, MISFIT
 from jaxid.conventions.mending import lines, Mending
-from jaxid.conventions.readings import EFFECT_RANGE, nearest_factor
+from jaxid.conventions.readings import EFFECT_RANGE, factors_of, nearest_factor
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
 from jaxid.data.signals import differentiate, filter_ends, zero_phase
@@ -252,9 +252,8 @@ def _sign(dataset: Dataset, channel: str, rivals: tuple[str, ...], why: str) -> 
 
 def _unit(dataset: Dataset, channel: str, followed: Followed) -> Shown | None:
     """A channel that is a known factor, and no sensor's scale, away from what the motion says."""
-    unit = next(c.unit for c in dataset.channels if c.name == channel)
     size = abs(followed.ratio)
-    factor, what = nearest_factor(size, unit)
+    factor, what = nearest_factor(size, factors_of(dataset, channel))
     low, high = EFFECT_RANGE
     off = abs(np.log(size / factor))
     if off > MISFIT or low * np.exp(APART) < size < high:

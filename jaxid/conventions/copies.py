@@ -28,6 +28,9 @@ FEWEST, EVERYWHERE = 30, 20
 #: Two readings are one where they differ by no more than that share of the step that either is
 #: rounded to.
 OF_STEP = 0.505
+#: A reading that was changed is another one by this many times as much: two recordings differ by
+#: neighbouring codes, too.
+CHANGED = 4.0
 #: White noise is as large in differences of these orders, to that share; motion is not.
 ORDERS, ALIKE = (3, 5, 7), 0.25
 #: Its fifth differences change sign between 81 % of neighbours; those of a motion do so seldom, on
@@ -57,11 +60,14 @@ class RunSamples:
 
 @dataclass(frozen=True)
 class Same:
-    """Rows `first` to `stop` of a copy are those of another run from row `at` on."""
+    """Rows `first` to `stop` of a copy are those of another run from row `at` on, but for some that
+    were changed.
+    """
 
     first: int
     stop: int
     at: int
+    changed: int
 
 
 def copies(dataset: Dataset) -> Iterator[Shown]:
@@ -172,15 +178,19 @@ def _offsets(other: np.ndarray, copy: np.ndarray, loose: np.ndarray) -> set[int]
 
 def _along(other: RunSamples, copy: RunSamples, offset: int, loose: np.ndarray) -> Same | None:
     """The rows of a copy that lie within the other run, which stands `offset` rows later; None
-    where any of them differs.
+    where more than a few of them differ.
     """
     first = max(0, -offset)
     stop = min(len(copy.samples), len(other.samples) - offset)
     if stop - first < FEWEST:
         return None
     apart = np.abs(copy.samples[first:stop] - other.samples[first + offset : stop + offset])
+    if np.any((apart > loose) & (apart <= CHANGED * loose)):
+        return None
+    changed = int(np.count_nonzero(np.any(apart > loose, axis=1)))
     moves = np.any(np.ptp(copy.samples[first:stop, : copy.experiment.y.shape[1]], axis=0) > 0)
-    return Same(first, stop, first + offset) if moves and np.all(apart <= loose) else None
+    few = IN_A_ROW * changed <= stop - first
+    return Same(first, stop, first + offset, changed) if moves and few else None
 
 
 def _whole(copy: RunSamples, same: Same) -> bool:
@@ -206,6 +216,8 @@ def _shown(other: RunSamples, copy: RunSamples, same: Same) -> Shown:
             f"{name} holds {count} samples of {of} from {t[same.first]:.4g} s to"
             f" {t[same.stop - 1]:.4g} s, sample for sample"
         )
+    if same.changed:
+        holds += f" but for {same.changed}"
     noise = ", noise and all" if sure else ""
     doubt = (
         ""

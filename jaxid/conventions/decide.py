@@ -17,7 +17,7 @@ from jaxid.conventions.equal_scales import (
     refuted_beside,
 )
 from jaxid.conventions.finding import DataFinding
-from jaxid.conventions.limits import ALIKE, APART, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
+from jaxid.conventions.limits import ALIKE, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import ForceFit, ReadingFit
 from jaxid.conventions.readings import (
@@ -34,6 +34,7 @@ from jaxid.conventions.readings import (
     scale_of,
     scales,
     signs,
+    unmistakable,
     zeros,
 )
 from jaxid.conventions.samples import Shown
@@ -326,7 +327,7 @@ def _known_beside(
     """A known factor next to a fitted one, of which stated numbers that are off take the rest; None
     where there is none that takes most of the gap by itself.
     """
-    factor, what = nearest_factor(value, names.unit(best.reading.channels[0]))
+    factor, what = nearest_factor(value, names.factors(best.reading.channels[0]))
     if abs(np.log(value / factor)) > MISFIT:
         return None
     change = _scaled(replace(best.reading, value=factor), names)
@@ -361,9 +362,9 @@ def _refined(
     if best.reading.kind == "zero":
         travel = float(np.ptp(m.q[:, names.joints.index(best.reading.channels[0])]))
     if best.reading.kind == "scale":
-        unit = names.unit(best.reading.channels[0])
-        factor, what = nearest_factor(value, unit)
-        own, name = nearest_factor(best.reading.value, unit)
+        known = names.factors(best.reading.channels[0])
+        factor, what = nearest_factor(value, known)
+        own, name = nearest_factor(best.reading.value, known)
         # Which is all of the answer, and no other size leaves less.
         if abs(np.log(best.reading.value / own)) < 1e-3 and best.left <= min(
             WHOLE * before, fitted.worst + FLOOR
@@ -371,15 +372,14 @@ def _refined(
             factor, what, value = own, name, own
             ends = ends if ends is not None and ends[0] <= own <= ends[1] else None
         change = _scaled(replace(best.reading, value=factor), names)
-        alike = abs(np.log(value / factor)) <= APART
+        alike = unmistakable(value, std, known)
         alike = alike and fit.fit(change(m), laws).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR)
         if alike and not far(best, near, factor):
             return factor, ends, what, change, True
-    own = nearest_convention(
-        best.reading.kind, names.unit(best.reading.channels[0]), value, std, travel
-    )
+    known = names.factors(best.reading.channels[0])
+    own = nearest_convention(best.reading.kind, known, value, std, travel)
     if best.reading.kind == "scale":
-        own = of_many(fit, m, best=best, near=near, names=names, value=value, own=own, laws=laws)
+        own = of_many(fit, m, best=best, near=near, names=names, own=own, laws=laws)
     if own is None:
         return value, ends, "", best.reading.change, False
     value, what = own

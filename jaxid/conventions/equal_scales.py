@@ -13,6 +13,7 @@ from jaxid.conventions.readings import (
     EFFECT_RANGE,
     FREE,
     GEAR,
+    NAMED,
     Names,
     nearest_factor,
     Reading,
@@ -22,8 +23,6 @@ from jaxid.force.sampled_motion import SampledMotion
 from jaxid.numerics.stated_numbers import REFUTED
 
 
-#: A fitted factor may be a known one within this share of it.
-NAMED = 0.03
 #: Logarithm of a factor, to each side, to which those that fit alike are gone through.
 FARTHEST = 3.0
 
@@ -62,7 +61,7 @@ def refuted_beside(fit: ForceFit, best: Judged, other: Judged) -> bool:
 
 def _named(reading: Reading, names: Names) -> bool:
     """Whether a scale is that of a known slip, as far as a fit tells."""
-    factor, _ = nearest_factor(reading.value, names.unit(reading.channels[0]))
+    factor, _ = nearest_factor(reading.value, names.factors(reading.channels[0]))
     return abs(np.log(reading.value / factor)) < NAMED
 
 
@@ -72,30 +71,44 @@ def of_many(
     best: Judged,
     near: Sequence[Judged],
     names: Names,
-    value: float,
     own: tuple[float, str] | None,
     laws: bool,
 ) -> tuple[float, str] | None:
-    """The convention that a fitted factor `value` stands for, `own` by itself: of many factors that
-    fit alike the one by which the model's numbers are nearest to what is stated of
-    them. Where that tells nothing a known factor stands, and what has no name is none.
+    """The convention that a fitted factor stands for, `own` by itself: of many factors that fit
+    alike the one by which the model's numbers are nearest to what is stated of them. Where that
+    tells nothing a known factor stands; else one of the known ones is asked about.
     """
-    if not far(best, near, value if own is None else own[0]):
+    if own is not None and not far(best, near, own[0]):
         return own
-
-    def off(x: float) -> float:
-        reading = scale_of(names, best.reading.channels, best.reading.value * float(np.exp(x)))
-        fitted = fit.fit(reading.change(m), laws, begin=best.fitted.x)
-        return fit.off_stated(fitted) if fitted.worst <= ALIKE * best.left else np.nan
-
     steps = np.linspace(-FARTHEST, FARTHEST, 4 * int(FARTHEST) + 1)
-    tried = np.array([off(float(x)) for x in steps])
-    least = np.nanmin(tried, initial=np.inf)
-    if not (least <= REFUTED < np.nanmax(tried, initial=0.0)):
-        return own if own is not None and own[1] not in (FREE, GEAR) else None
-    value = best.reading.value * float(np.exp(steps[int(np.nanargmin(tried))]))
+    sizes = best.reading.value * np.exp(steps)
+    off = _off_stated(fit, m, best, names, sizes, laws)
+    told = np.nanmin(off, initial=np.inf) <= REFUTED < np.nanmax(off, initial=0.0)
+    if not told:
+        if own is not None and own[1] not in (FREE, GEAR):
+            return own
+        sizes = np.array([*names.factors(best.reading.channels[0]).values()])
+        off = _off_stated(fit, m, best, names, sizes, laws)
+    if np.isnan(off).all():
+        return None
+    value = float(sizes[int(np.nanargmin(off))])
     low, high = EFFECT_RANGE
     return None if low < value < high else (value, FREE)
+
+
+def _off_stated(
+    fit: ForceFit, m: SampledMotion, best: Judged, names: Names, sizes: np.ndarray, laws: bool
+) -> np.ndarray:
+    """How far each of these factors takes a number from what is stated of it; NaN where the factor
+    does not fit as well as the best one.
+    """
+    off = np.full(len(sizes), np.nan)
+    for k, size in enumerate(sizes):
+        reading = scale_of(names, best.reading.channels, float(size))
+        fitted = fit.fit(reading.change(m), laws, begin=best.fitted.x)
+        if fitted.worst <= ALIKE * best.left:
+            off[k] = fit.off_stated(fitted)
+    return off
 
 
 def far(best: Judged, near: Sequence[Judged], factor: float) -> bool:

@@ -15,7 +15,7 @@ from jaxid.data.forms import signal
 from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.retimed import retimed
 from jaxid.data.schema import ChannelEntry
-from jaxid.data.units import Conversion, conversion, UnitError
+from jaxid.data.units import Conversion, named_unit
 
 
 #: Forms of the numbers as they were recorded, before any scale.
@@ -166,7 +166,11 @@ def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
     found = next(c for c in dataset.channels if c.name == channel)
     s = found.stated or StatedChannel(found.unit)
     out = []
-    unit = _unit(found, s, forms["scale"]) if "scale" in forms and "offset" not in forms else ""
+    unit = (
+        named_unit(found.unit, s.factor * forms["scale"])
+        if "scale" in forms and "offset" not in forms
+        else ""
+    )
     if unit:
         out.append(f'unit = "{unit}"')
     elif "scale" in forms:
@@ -192,40 +196,6 @@ def _form_text(channel: Channel, s: StatedChannel, key: str, value: Any) -> str:
     if key == "clock_ppm":
         return f"{s.clock_ppm + value:.4g}"
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _unit(channel: Channel, s: StatedChannel, factor: float) -> str:
-    """The unit that the values are in if they are to be multiplied by `factor`, where it has a
-    name.
-    """
-    for name in (
-        "deg",
-        "rpm",
-        "deg/s",
-        "rad",
-        "rev",
-        "mrad",
-        "mm",
-        "m",
-        "mA",
-        "A",
-        "mV",
-        "V",
-        "mN m",
-        "N m",
-        "mN",
-        "N",
-        "mm/s^2",
-        "g_n",
-        "m/s^2",
-    ):
-        try:
-            other = conversion(name, channel.unit)
-        except UnitError:
-            continue
-        if other.si == channel.unit and abs(other.factor / (s.factor * factor) - 1) < 1e-6:
-            return name
-    return ""
 
 
 def _short(value: float) -> str:

@@ -13,7 +13,15 @@ from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import ForceFit
-from jaxid.conventions.readings import ANGLES, Change, EFFECT_RANGE, exchanged, FREE, scaled_joint
+from jaxid.conventions.readings import (
+    Change,
+    EFFECT_RANGE,
+    exchanged,
+    factors_of,
+    FREE,
+    nearest_factor,
+    scaled_joint,
+)
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
 from jaxid.data.signals import content_cutoff, differentiate, filter_ends, zero_phase
@@ -67,7 +75,7 @@ def contradictions(
                 )
             )
             m = turned if told else m
-        if (factor := _factor(abs(ratio))) is not None:
+        if (factor := _factor(dataset, abs(ratio), position, speed)) is not None:
             by_position, size, what = factor
             channel, mate = (position, speed) if by_position else (speed, position)
             shown = _shown(
@@ -151,20 +159,19 @@ def _ratio(binding: Binding, q: int, qd: int) -> float | None:
     return product / float(v @ v) if power > 0 and product**2 > SAME * power else None
 
 
-def _factor(ratio: float) -> tuple[bool, float, str] | None:
+def _factor(
+    dataset: Dataset, ratio: float, position: str, speed: str
+) -> tuple[bool, float, str] | None:
     """Whether the position is off, by which factor, and what that is called; None where the two
-    agree, or differ by no more than a sensor's scale may. A unit that was forgotten makes a number
-    larger where it is finer: that of the position a ratio above 1, that of the speed one below.
+    agree, or differ by no more than a sensor's scale may.
     """
     if abs(np.log(ratio)) <= NEAR:
         return None
-    off = ratio if ratio > 1 else 1 / ratio
-    named = [(name, size) for name, size in ANGLES.items() if abs(np.log(off / size)) <= NEAR]
-    if not named:
-        return None if EFFECT_RANGE[0] < ratio < EFFECT_RANGE[1] else (False, 1 / ratio, FREE)
-    # rpm are a unit of speeds alone; a position in counts or degrees is the commoner slip.
-    name, size = named[0]
-    return ratio > 1 and "rpm" not in name, size, name
+    for channel, off in ((position, ratio), (speed, 1 / ratio)):
+        size, name = nearest_factor(off, factors_of(dataset, channel))
+        if abs(np.log(off / size)) <= NEAR:
+            return channel == position, size, name
+    return None if EFFECT_RANGE[0] < ratio < EFFECT_RANGE[1] else (False, 1 / ratio, FREE)
 
 
 def _told(

@@ -4,7 +4,7 @@ channels. Each changes a motion and is undone by a mending; rows and clocks are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import pi
@@ -12,8 +12,10 @@ from math import pi
 import numpy as np
 
 from jaxid.base.wording import names_of
-from jaxid.conventions.limits import APART
+from jaxid.conventions.limits import APART, MISFIT, TOLD
 from jaxid.conventions.mending import Mending
+from jaxid.data.dataset import Dataset, StatedChannel
+from jaxid.data.units import read_as
 from jaxid.dynamics.joint_readings import read_by
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import Binding
@@ -22,54 +24,12 @@ from jaxid.simulation.sample_buffers import columns
 
 Change = Callable[[SampledMotion], SampledMotion]
 
-#: Factors by which an angle or its rate, and anything else, is off where its unit, or a constant,
-#: was forgotten.
-ANGLES = {
-    "degrees read as radians": 180 / pi,
-    "radians read as degrees": pi / 180,
-    "turns read as radians": 1 / (2 * pi),
-    "radians read as turns": 2 * pi,
-    "rad/s read as rpm": pi / 30,
-    "rpm read as rad/s": 30 / pi,
-    **{
-        f"counts of {n} per turn read as radians": n / (2 * pi)
-        for n in (1000, 1024, 2000, 2048, 4000, 4096, 8192, 16384, 65536)
-    },
-}
+#: Codes of an encoder per turn, which no unit has a name for.
+CODES = 1000, 1024, 2000, 2048, 4000, 4096, 8192, 16384, 65536
+#: Of quantities that the table of units lacks.
 THOUSANDTHS = {
     "thousandths read as the unit": 1000.0,
     "the unit read as thousandths": 1e-3,
-}
-LENGTHS = {
-    **THOUSANDTHS,
-    "hundredths read as the unit": 100.0,
-    "the unit read as hundredths": 0.01,
-}
-FORCES = {
-    **THOUSANDTHS,
-    "kilogram-force read as newtons": 1 / 9.80665,
-    "newtons read as kilogram-force": 9.80665,
-}
-PRESSURES = {
-    "bar read as Pa": 1e-5,
-    "Pa read as bar": 1e5,
-    "kPa read as Pa": 1e-3,
-    "Pa read as kPa": 1000.0,
-}
-ACCELERATIONS = {
-    **THOUSANDTHS,
-    "g read as m/s^2": 1 / 9.80665,
-    "m/s^2 read as g": 9.80665,
-}
-KNOWN_FACTORS = {
-    "rad": ANGLES,
-    "rad/s": ANGLES,
-    "m": LENGTHS,
-    "m/s": LENGTHS,
-    "N": FORCES,
-    "N m": FORCES,
-    "Pa": PRESSURES,
-    "m/s^2": ACCELERATIONS,
 }
 #: Where a channel's factor is looked for; which one it is, is found from there.
 TURNING = "rad", "rad/s"
@@ -77,6 +37,8 @@ TURNS = 180 / pi, pi / 180, 2 * pi, 1 / (2 * pi), 4096 / (2 * pi), 0.03, 15.0, 3
 SIZES = 1000.0, 1e-3, 9.80665, 1 / 9.80665, 50.0, 0.02, 20.0, 0.05, 200.0, 0.005
 #: What sensor_scale and torque_scale may be: a factor in it stays theirs.
 EFFECT_RANGE = 0.1, 3.0
+#: A fitted factor may be a known one within this share of it.
+NAMED = 0.03
 #: What has no name of its own, and what is a whole number (or one over it).
 FREE = "a factor, as of a gear"
 GEAR = "a gear of a whole ratio"
@@ -147,6 +109,7 @@ class Names:
         inputs = [binding.dataset.inputs[i] for i in iu[: len(binding.chain.signature.commands)]]
         self.inputs = names_of(inputs)
         self.input_units = [c.unit for c in inputs]
+        self._dataset = binding.dataset
         outputs = [binding.chain.signature.outputs[k] for k in read_by(binding.chain)]
         self.joints, self.joint_units = [name for name, _ in outputs], [unit for _, unit in outputs]
 
@@ -155,6 +118,28 @@ class Names:
         return dict(
             zip((*self.inputs, *self.joints), (*self.input_units, *self.joint_units), strict=True)
         )[channel]
+
+    def factors(self, channel: str) -> dict[str, float]:
+        """The known factors by which a channel may be too large."""
+        return factors_of(self._dataset, channel)
+
+
+def factors_of(dataset: Dataset, channel: str) -> dict[str, float]:
+    """The known factors by which a channel of a recording may be too large."""
+    (found,) = (c for c in dataset.channels if c.name == channel)
+    stated = found.stated or StatedChannel(found.unit)
+    return known_factors(found.unit, stated.factor)
+
+
+def known_factors(unit: str, stated: float = 1.0) -> dict[str, float]:
+    """By how much a channel is too large where its unit is another one than the stated one, which
+    is `stated` of the SI unit. What is as near to 1 as a stated number may be off tells no unit.
+    """
+    found = read_as(unit, stated) or THOUSANDTHS
+    if unit in TURNING:
+        turn = stated / (2 * pi)
+        found |= {f"counts of {n} per turn read as an angle": n * turn for n in CODES}
+    return {what: factor for what, factor in found.items() if abs(np.log(factor)) > MISFIT}
 
 
 def signs(names: Names) -> Iterator[Reading]:
@@ -274,17 +259,25 @@ def refinement(
     return None
 
 
-def nearest_factor(value: float, unit: str) -> tuple[float, str]:
+def nearest_factor(value: float, known: Mapping[str, float]) -> tuple[float, str]:
     """The known factor next to a size, and its name."""
-    name, factor = min(
-        KNOWN_FACTORS.get(unit, THOUSANDTHS).items(),
-        key=lambda item: abs(np.log(value / item[1])),
-    )
+    name, factor = min(known.items(), key=lambda item: abs(np.log(value / item[1])))
     return factor, name
 
 
+def unmistakable(value: float, std: float, known: Mapping[str, float]) -> bool:
+    """Whether a fitted size, the standard deviation of its logarithm `std`, stands for one known
+    factor: the only one in reach, or of those the only one that it meets. Nothing is known of a
+    size whose `std` is beyond `TOLD`.
+    """
+    off = np.abs(np.log(value / np.array([*known.values()])))
+    reach = NAMED if std >= TOLD else min(APART, max(NAMED, 3 * std))
+    near, met = off <= reach, off <= 3 * std
+    return 1 in (np.count_nonzero(near), np.count_nonzero(near & met))
+
+
 def nearest_convention(
-    kind: str, unit: str, value: float, std: float, travel: float
+    kind: str, known: Mapping[str, float], value: float, std: float, travel: float
 ) -> tuple[float, str] | None:
     """The convention's own value that a fitted size stands for, and its name; None where it stays
     an effect.
@@ -298,8 +291,8 @@ def nearest_convention(
             ), f"{abs(quarter) / (pi / 2):.0f} quarter turn"
         beyond = max(0.5, 0.5 * travel)  # what a tilted base and a sensor's bias may be
         return (wound, "an offset") if abs(wound) > beyond and std < 0.1 else None
-    factor, name = nearest_factor(value, unit)
-    if abs(np.log(value / factor)) <= min(APART, max(0.03, 3 * std)) and std < 0.2:
+    factor, name = nearest_factor(value, known)
+    if std < 0.2 and unmistakable(value, std, known):
         return factor, name
     low, high = EFFECT_RANGE
     if low < value < high or std >= 0.05:

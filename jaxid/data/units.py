@@ -196,6 +196,24 @@ def si_unit(unit: str) -> str:
         return unit
 
 
+def named_unit(si: str, factor: float) -> str:
+    """The first unit of a quantity that is `factor` of its SI unit; empty where none is."""
+    for name, own in _TABLE.get(si, {}).items():
+        if abs(own / factor - 1) < 1e-6:
+            return name
+    return ""
+
+
+def read_as(si: str, stated: float = 1.0) -> dict[str, float]:
+    """By how much a channel of a quantity is too large where it was recorded in another unit than
+    the stated one, `stated` of the SI unit: "deg read as rad" -> 57.3. Empty for an unknown one.
+    """
+    others = dict.fromkeys(_TABLE.get(si, {}).values())
+    others.pop(stated, None)
+    own = named_unit(si, stated)
+    return {f"{named_unit(si, factor)} read as {own}": stated / factor for factor in others}
+
+
 def unit_names() -> tuple[str, ...]:
     """Every unit the table has, by its first spelling."""
     return tuple(_UNITS)

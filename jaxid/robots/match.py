@@ -14,7 +14,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from jaxid.base.errors import nearest, UsageError
-from jaxid.base.wording import names_of
+from jaxid.base.wording import as_unit, listed, names_of
 from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
 from jaxid.data.joint_names import plain_name
 from jaxid.dynamics.chain import Chain
@@ -322,11 +322,7 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     free = spec is not None and spec.free
     what = _driven_by(tree.driven, dataset)
     if not (what or free):
-        joint = tree.driven[0]
-        raise UsageError(
-            f"nothing drives the robot: add goals ({joint}_cmd) or torques ({joint}_tau) as"
-            " inputs, or say free = true"
-        )
+        raise UsageError(_without_drive(tree.driven[0], dataset))
     riding = rides(dataset) and bool(what)
     out = type(robot)(tree, driven=False, rides=riding, simulator=simulator_of(robot, spec))
     if what == "goal":
@@ -345,9 +341,24 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
         if (have := units.get(name, unit)) != unit:
             raise UsageError(
                 f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}:"
-                " correct its unit"
+                f" correct its unit, or convert it: {as_unit(have, unit)}"
             )
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
+
+
+def _without_drive(joint: str, dataset: Dataset) -> str:
+    """What is said where no input drives a robot: the names that inputs have to have, and what to
+    write for one that is there.
+    """
+    said = f"nothing drives the robot: add goals ({joint}_cmd) or torques ({joint}_tau) as inputs"
+    if not dataset.inputs:
+        return f"{said}, or say free = true"
+    first = dataset.inputs[0]
+    goal = first.unit in ("rad", "m")
+    name, unit = (f"{joint}_cmd", first.unit) if goal else (f"{joint}_tau", "N m")
+    form = f'role = "input", column = "{first.name}", {as_unit(first.unit, unit)}'
+    here = listed(dataset.input_names)
+    return f"{said}. Of the inputs here ({here}), if this is one: [channels.{name}] with {form}"
 
 
 def simulator_of(robot: Any, spec: ModelSpec | None) -> str:

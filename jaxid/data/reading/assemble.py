@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from jaxid.base.errors import DatasetError, DatasetProblem, DatasetWarning, nearest, UsageError
+from jaxid.base.wording import as_unit
 from jaxid.data.dataset import Controller, Dataset, Geometry
 from jaxid.data.experiment import Experiment, FrequencyResponse
 from jaxid.data.harvest import Harvest
@@ -381,10 +382,11 @@ def _channel_fault(
             f"model {model!r} needs the {role} channel {name!r} in {unit}, and the data lack it"
         )
         remedy = f'Add [channels.{name}] with role = "{role}"'
-        others = [r.name for r in spare if r.entry.role == role]
+        others = [r for r in spare if r.entry.role == role]
         if others:
-            message += f" ({role} channel here: {', '.join(others)})"
-            remedy += " and the `column` to read"
+            message += f" ({role} channel here: {', '.join(r.name for r in others)})"
+            form = as_unit(others[0].conversion.si, si_unit(unit))
+            remedy += f" and the `column` to read, {form}"
         return places.problem(("channels", name), message, remedy)
     if reading.entry.role != role:
         message = f"model {model!r} needs {name!r} as {role}, but it is {reading.entry.role}"
@@ -393,7 +395,7 @@ def _channel_fault(
         message = (
             f"{name!r} is in {reading.entry.unit!r}, but model {model!r} needs a unit like {unit!r}"
         )
-        remedy = "Correct the unit, or convert with `scale` and state the unit of the result"
+        remedy = f"Correct the unit, or convert it: {as_unit(reading.conversion.si, unit)}"
         return places.problem(("channels", name, "unit"), message, remedy)
     return None
 
