@@ -7,9 +7,9 @@ where it is named at its joint, or one that looks the same under a law; dry fric
 joint has and the file lacks, counts neither way. Cases of seeds below 3,000 were read while rules
 were made.
 
-    python benchmarks/loose_robots.py [--seed 3001] [--cases 8]
+    python benchmarks/loose_robots.py [--seed 3001] [--cases 8] [--results FILE]
 
-Cases that were done are kept in results/loose_robots.jsonl.
+Cases that were done are kept in results/loose_robots.jsonl, or in another file where one is given.
 """
 
 from __future__ import annotations
@@ -136,9 +136,9 @@ def counted(c: dict[str, Any], found: jaxid.Diagnosis) -> dict[str, Any]:
     }
 
 
-def asked(first: int, cases: int) -> None:
+def asked(first: int, cases: int, results: Path) -> None:
     """Makes and diagnoses what is not done yet."""
-    done = {row["seed"] for row in kept()}
+    done = {row["seed"] for row in kept(results)}
     for seed in range(first, first + cases):
         if seed in done:
             continue
@@ -149,16 +149,16 @@ def asked(first: int, cases: int) -> None:
             row = counted(c, jaxid.diagnose(str(path), dataset(c)))
         row |= {"seed": seed, "joints": c["arm"].n}
         row["seconds"] = round(time.process_time() - began, 1)
-        RESULTS.parent.mkdir(exist_ok=True)
-        with RESULTS.open("a") as f:
+        results.parent.mkdir(exist_ok=True)
+        with results.open("a") as f:
             f.write(json.dumps(row) + "\n")
         print(seed, row["truth"], row["verdict"], row["claims"], row["gaps"], flush=True)
 
 
-def kept() -> list[dict[str, Any]]:
-    if not RESULTS.exists():
+def kept(results: Path = RESULTS) -> list[dict[str, Any]]:
+    if not results.exists():
         return []
-    return [json.loads(line) for line in RESULTS.read_text().splitlines()]
+    return [json.loads(line) for line in results.read_text().splitlines()]
 
 
 def rows_of(rows: list[dict[str, Any]]) -> list[dict[str, str]]:
@@ -202,5 +202,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seed", type=int, default=FRESH)
     parser.add_argument("--cases", type=int, default=8)
+    parser.add_argument("--results", type=Path, default=RESULTS)
     given = parser.parse_args()
-    asked(given.seed, given.cases)
+    asked(given.seed, given.cases, given.results)

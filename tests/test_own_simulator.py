@@ -19,7 +19,7 @@ from jaxid.fitting.simulate import simulate_dataset
 from jaxid.models import Robot
 from jaxid.problem.binding import bind, resolve_model
 from jaxid.problem.residual import OutputError
-from jaxid.robots.export.outcome import ExportOutcome, Number
+from jaxid.robots.export.outcome import ExportOutcome, Number, robot_entry
 from jaxid.robots.export.stepped import stepped
 from jaxid.robots.origin import origin
 
@@ -134,6 +134,12 @@ def test_a_number_of_the_files_own_simulator_is_written_as_it_is(robot):
 
     assert exported("mujoco") == 0.08
     assert exported("own") < 0.08
+
+
+def test_a_result_that_is_read_again_says_whose_steps_were_taken():
+    for kind in ("own", "mujoco"):
+        assert robot_entry({"simulator": {"kind": kind}})["simulator"] == {"kind": kind}
+    assert robot_entry({"file": "arm.xml"})["simulator"] == {"kind": "own"}
 
 
 #: The same with more friction.

@@ -227,6 +227,8 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
         return {}
     held = robot.get("held") or {}
     base = robot.get("base") or {}
+    simulator = robot.get("simulator")
+    by_its_file = isinstance(simulator, Mapping) and simulator.get("kind") == "mujoco"
     place: dict[str, Any] = {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")}
     if base.get("kind") == "free":
         place["kind"] = "free"
@@ -239,6 +241,7 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
         "base": place,
         "without": _names(robot, "without"),
         "drive": _drive(robot.get("drive")),
+        "simulator": {"kind": "mujoco" if by_its_file else "own"},
         "taken_off": robot.get("taken_off") is True,
     }
 
