@@ -151,6 +151,18 @@ def test_play_is_read_off_two_encoders():
     assert play.value == pytest.approx(0.030, abs=2e-3)
 
 
+def test_a_tight_spot_of_a_belt_is_told_by_where_it_lies():
+    data = jaxid.load_dataset(case("new3_belt_tight_spot"))
+    found = jaxid.diagnose("joint", data, residual="inverse_dynamics")
+    spot = found.where[0]
+    assert (spot.location, spot.variable, spot.direction) == ("position", "position", "both")
+    assert spot.range is not None
+    assert spot.range == pytest.approx((0.29, 0.41), abs=0.03)
+    assert spot.value == pytest.approx(11.0, abs=3.0) and spot.unit == "N"  # 14 N at its peak
+    assert "against the motion" in spot.text
+    assert not any(e.effect == "hysteresis" for e in found.which.effects)
+
+
 # ---- robots' files
 
 

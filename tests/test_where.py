@@ -14,7 +14,7 @@ import pytest
 import jaxid
 from jaxid.diagnosis.missing import Missing, missing_forces
 from jaxid.diagnosis.travel import part_of_travel
-from jaxid.diagnosis.where import findings, floor_at, supplied, table
+from jaxid.diagnosis.where import findings, floor_at, PART, supplied, table
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.binding import bind
 from reference import multisine
@@ -262,9 +262,10 @@ def test_a_tight_spot_is_told_by_where_it_lies_and_how_much_it_is(against, sign)
     assert part.more == pytest.approx(6.0 * sign * 0.8, rel=0.15)
     rows = table(runs, JOINTS, {})
     first = findings(bench(), runs, rows, {}, (), {})[0]
-    assert (first.location, first.regime, first.variable) == ("a", "part_of_travel", "position")
+    assert (first.location, first.regime, first.variable) == ("a", PART, "position")
     assert first.range == pytest.approx((part.low, part.high), abs=0.02)
     assert first.value == pytest.approx(abs(part.more)) and "than elsewhere" in first.text
+    assert first.times_noise_floor > 5 and first.unit == "N m"
     assert ("less" in first.text) == (sign < 0)
     assert ("against the motion" in first.text) == against
 
@@ -272,11 +273,28 @@ def test_a_tight_spot_is_told_by_where_it_lies_and_how_much_it_is(against, sign)
 def test_noise_has_no_place_on_the_way():
     rng = np.random.default_rng(5)
     runs = [along(np.zeros((N, 2)), rng) for _ in range(3)]
-    rows = [r for r in table(runs, JOINTS, {}) if r.regime == "part_of_travel"]
-    assert not any(r.stands_out for r in rows)
+    rows = table(runs, JOINTS, {})
+    assert not any(f.regime == PART for f in findings(bench(), runs, rows, {}, (), {}))
 
 
 def test_a_joint_that_stands_has_no_part_of_travel():
     still = along(np.zeros((N, 2)), np.random.default_rng(6))
     still = dataclasses.replace(still, q=np.zeros((N, 2)), qd=np.zeros((N, 2)))
     assert part_of_travel([still], 0, [still.force[:, 0]]) is None
+
+
+def test_a_spot_below_the_noise_of_a_sample_is_seen_in_the_mean():
+    """A force of half the noise of one sample, which its mean over many samples shows."""
+    rng = np.random.default_rng(7)
+    runs = []
+    for _ in range(6):
+        law = 0.6 * bump(-0.2, 0.12) * np.sign(np.gradient(WAY, T, axis=0))
+        law[:, 1] = 0.0
+        runs.append(along(law, rng))
+    rows = table(runs, JOINTS, {})
+    found = findings(bench(), runs, rows, {}, (), {})
+    (spot,) = [f for f in found if f.regime == PART]
+    assert spot.location == "a" and spot.value == pytest.approx(0.48, rel=0.35)
+    assert spot.range is not None
+    low, high = spot.range
+    assert low == pytest.approx(-0.3, abs=0.07) and high == pytest.approx(-0.1, abs=0.07)

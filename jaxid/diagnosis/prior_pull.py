@@ -76,7 +76,9 @@ def put_back(
         else 0.0
     )
     moved = False
-    while rest:  # all that are left at once, the first that may go back goes, and those behind it are tried without it
+    # All that are left at once: the first that may go back goes, and those behind it are tried
+    # without it.
+    while rest:
         jobs = []
         for i in rest:
             tried = now.copy()

@@ -7,23 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.diagnosis.travel import part_of_travel
-
 
 if TYPE_CHECKING:
     from jaxid.diagnosis.missing import Missing
 
 
-#: The regime that is looked for in the force itself.
-PART = "part_of_travel"
-
-
-def situations(
-    found: Sequence[Missing], joint: int, force: Sequence[np.ndarray]
-) -> dict[str, list[np.ndarray]]:
-    """Masks [runs][time] of all regimes of a joint, and of the part of its travel in which a force
-    [runs][time] is another one than elsewhere, if there is one.
-    """
+def situations(found: Sequence[Missing], joint: int) -> dict[str, list[np.ndarray]]:
+    """Masks [runs][time] of all regimes of a joint."""
     of_runs = [regimes(m, joint) for m in found]
     out: dict[str, list[np.ndarray]] = {}
     for masks in of_runs:
@@ -33,9 +23,6 @@ def situations(
         for m, masks in zip(found, of_runs, strict=True):
             nowhere = np.zeros(len(m.force), bool)
             inside.append(masks.get(name, nowhere))
-    part = part_of_travel(found, joint, force)
-    if part is not None:
-        out[PART] = part.masks(found, joint)
     return out
 
 

@@ -12,8 +12,9 @@ if TYPE_CHECKING:
     from jaxid.diagnosis.missing import Missing
 
 
-#: Stretches that the travel is divided into, and the samples that one needs to be looked at.
-STRETCHES, LEAST = 40, 20
+#: Most stretches that the travel is divided into, samples of one on average, and the fewest with
+#: which it is looked at.
+STRETCHES, MEAN, LEAST = 40, 60, 20
 #: Share of the travel beyond which a part of it is the rule and no place.
 WIDEST = 0.5
 #: Share of the largest speed below which a joint may be standing still.
@@ -50,7 +51,10 @@ def part_of_travel(
     low, high = np.percentile(q, [0.5, 99.5])
     if not high > low:
         return None
-    edges = np.linspace(low, high, STRETCHES + 1)
+    stretches = min(STRETCHES, len(q) // MEAN)
+    if stretches < 2:
+        return None
+    edges = np.linspace(low, high, stretches + 1)
     either_way = _part(edges, q, values, against=False)
     against = _part(edges, q[moving], (values * np.sign(speed))[moving], against=True)
     parts = [part for part in (either_way, against) if part is not None]
@@ -59,11 +63,12 @@ def part_of_travel(
 
 def _part(edges: np.ndarray, q: np.ndarray, values: np.ndarray, against: bool) -> TravelPart | None:
     inside = (q >= edges[0]) & (q < edges[-1])
+    stretches = len(edges) - 1
     stretch = np.searchsorted(edges, q[inside], side="right") - 1
-    count = np.bincount(stretch, minlength=STRETCHES)
-    total = np.bincount(stretch, values[inside], minlength=STRETCHES)
+    count = np.bincount(stretch, minlength=stretches)
+    total = np.bincount(stretch, values[inside], minlength=stretches)
     seen = count >= LEAST
-    if seen.sum() < STRETCHES / 2:
+    if seen.sum() < stretches / 2:
         return None
     mean = total / np.maximum(count, 1)
     more = np.where(seen, mean - np.median(mean[seen]), 0.0)
@@ -72,10 +77,10 @@ def _part(edges: np.ndarray, q: np.ndarray, values: np.ndarray, against: bool) -
     first = last = peak
     while first > 0 and level[first - 1] >= 0.5:
         first -= 1
-    while last < STRETCHES - 1 and level[last + 1] >= 0.5:
+    while last < stretches - 1 and level[last + 1] >= 0.5:
         last += 1
     own = slice(first, last + 1)
-    if last + 1 - first > WIDEST * STRETCHES or not more[peak]:
+    if last + 1 - first > WIDEST * stretches or not more[peak]:
         return None
     return TravelPart(
         low=float(edges[first]),

@@ -18,7 +18,7 @@ from jaxid.data.dataset import Experiment
 from jaxid.data.splits import LATE
 from jaxid.diagnosis.cause import span, variable, words
 from jaxid.diagnosis.missing import Missing
-from jaxid.diagnosis.regimes import PART, situations
+from jaxid.diagnosis.regimes import situations
 from jaxid.diagnosis.result import Finding, MissingForce, Regime
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.travel import LEAST, part_of_travel, TravelPart
@@ -29,6 +29,10 @@ from jaxid.problem.residual import OutputError
 
 
 WINDOW_S = 0.5
+#: The name of a part of the travel, beside the regimes.
+PART = "part_of_travel"
+#: What is clearly more than chance makes it, as for a regime.
+STANDS_OUT = 1.1
 #: Share of a force's energy that lies in one direction of motion, from which it is said to.
 ONE_WAY = 0.9
 
@@ -86,16 +90,20 @@ def table(
     for j, joint in enumerate(joints):
         own = given.get(joint)
         measured = [m.force[:, j] for m in found]
-        for name, inside in situations(found, j, measured if own is None else own).items():
+        for name, inside in situations(found, j).items():
             count = int(sum(mask.sum() for mask in inside))
             if count < LEAST:
                 continue
-            low, high = _by_chance(found, j, name, inside)
+            drawn = zip(*(m.null[:, :, j] for m in found), strict=True)
+            by_chance = [_ratio(draw, inside) for draw in drawn]
+            low, high = np.nan, np.nan
+            if by_chance:
+                low, high = np.percentile(by_chance, [2.5, 97.5])
             row = Regime(
                 joint=joint,
                 regime=name,
                 ratio=_ratio(measured, inside),
-                null=(low, high),
+                null=(float(low), float(high)),
                 samples=count,
                 supplied=None if own is None else _ratio(own, inside),
             )
@@ -103,42 +111,19 @@ def table(
     return out
 
 
-def _by_chance(
-    found: Sequence[Missing], joint: int, name: str, inside: Sequence[np.ndarray]
-) -> tuple[float, float]:
-    """The ratio in a regime for a perfect model, 2.5 % and 97.5 %. A regime that is looked for in
-    the force is looked for in each draw.
-    """
-    ratios = []
-    for draw in range(len(found[0].null)):
-        drawn = [m.null[draw][:, joint] for m in found]
-        masks = inside
-        if name == PART:
-            masks = situations(found, joint, drawn).get(PART, inside)
-        ratios.append(_ratio(drawn, masks))
-    if not ratios:
-        return np.nan, np.nan
-    low, high = np.percentile(ratios, [2.5, 97.5])
-    return float(low), float(high)
-
-
 def _ratio(series: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> float:
     inside = np.concatenate([s[k] for s, k in zip(series, masks, strict=True)])
     return float(np.sqrt(np.mean(inside**2) / max(np.mean(np.concatenate(series) ** 2), 1e-300)))
 
 
-def floor_of(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray]) -> float:
-    """Root mean square of the missing force that noise alone would show in a regime."""
-    return float(
-        np.sqrt(
-            np.mean(
-                np.concatenate(
-                    [m.null[:, k, joint].ravel() for m, k in zip(found, masks, strict=True)]
-                )
-                ** 2
-            )
-        )
-    )
+def floor_of(
+    found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray] | None = None
+) -> float:
+    """Root mean square of the missing force that noise alone would show, in a regime or in all."""
+    if masks is None:
+        masks = [np.ones(len(m.force), bool) for m in found]
+    each = [m.null[:, mask, joint].ravel() for m, mask in zip(found, masks, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(each) ** 2)))
 
 
 def floor_at(m: Missing, joint: int) -> np.ndarray:
@@ -183,7 +168,7 @@ def findings(
     for j in looked:
         joint = joints[j]
         force = given.get(joint, [m.force[:, j] for m in found])
-        masks = situations(found, j, force)
+        masks = situations(found, j)
         least = 0.05 * total
         if joint in given:
             least = LIMITS.own_regime * energy_of(j, None)
@@ -201,6 +186,19 @@ def findings(
             # here.
             share = min(1.0, energy / total)
             standing_out.append((lift * np.sqrt(share), share, row.regime))
+        part = part_of_travel(found, j, force)
+        chance = 0.0 if part is None else _part_by_chance(found, j)
+        if part is not None and abs(part.more) > STANDS_OUT * chance:
+            masks[PART] = part.masks(found, j)
+            if joint in given:
+                energy = energy_of(j, masks[PART])
+                lift = _ratio(force, masks[PART])
+            else:
+                energy = part.energy / floor_of(found, j) ** 2
+                lift = abs(part.more) / max(chance, 1e-300)
+            share = min(1.0, energy / total)
+            if energy > least:
+                standing_out.append((lift * np.sqrt(share), share, PART))
         standing_out.sort(key=lambda place: -place[0])
         if not standing_out:
             masks["everywhere"] = [np.ones(len(m.force), bool) for m in found]
@@ -215,6 +213,8 @@ def findings(
                 force=force,
                 regime=regime,
                 inside=masks[regime],
+                part=part if regime == PART else None,
+                floor=chance if regime == PART else floor_of(found, j, masks[regime]),
                 cause=cause,
                 unit=unit,
                 position_unit=position_unit,
@@ -227,55 +227,60 @@ def findings(
     return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
 
 
+def _part_by_chance(found: Sequence[Missing], joint: int) -> float:
+    """By how much a force differs in some part of the travel for a perfect model, at most of all
+    draws.
+    """
+    most = 0.0
+    for draw in range(len(found[0].null)):
+        part = part_of_travel(found, joint, [m.null[draw][:, joint] for m in found])
+        if part is not None:
+            most = max(most, abs(part.more))
+    return most
+
+
 @dataclass(frozen=True)
 class _Place:
-    """A regime of a joint in which a force lies, and the effect that is named there."""
+    """A regime of a joint in which a force lies, or a part of its travel, what noise alone would
+    show there (`floor`), and the effect that is named there.
+    """
 
     found: Sequence[Missing]
     joint: int
     force: Sequence[np.ndarray]
     regime: str
     inside: Sequence[np.ndarray]
+    part: TravelPart | None
+    floor: float
     cause: EffectEstimate | None
     unit: str
     position_unit: str
 
     @property
-    def strength(self) -> float:
-        """Root mean square."""
+    def value(self) -> float:
+        """Root mean square of the force; in a part of the travel what it is more than elsewhere."""
+        if self.part is not None:
+            return abs(self.part.more)
         each = zip(self.force, self.inside, strict=True)
         values = np.concatenate([force[mask] for force, mask in each])
         return float(np.sqrt(np.mean(values**2)))
 
     @property
-    def floor(self) -> float:
-        return floor_of(self.found, self.joint, self.inside)
-
-    @property
     def times_noise(self) -> float:
-        return self.strength / max(self.floor, 1e-300)
+        return self.value / max(self.floor, 1e-300)
 
     def finding(self, joint: str, channel: str, location: str, share: float) -> Finding:
         cause, regime = self.cause, self.regime
         window, experiment = _window(self.found, self.force, self.inside)
         spread, told_by = _WORDS[regime]
-        value = self.strength
-        size = f"{number(value)} {self.unit} rms; noise of a sample {number(self.floor)}"
-        part = None
-        if regime == PART:
-            part = part_of_travel(self.found, self.joint, self.force)
-        if part is not None:
-            value = abs(part.more)
-            spread = f"{spread} {self._said(part)}"
         seen = f"{joint}: {percent(share)} of the missing force {spread}"
         if cause and words(cause, "seen"):
             seen, told_by = f"{joint}: {words(cause, 'seen')}", variable(cause)
-            if part is not None and told_by == _WORDS[PART][1]:
-                seen += f"; {self._said(part)}"
             regime = regime if told_by == _WORDS[regime][1] else "everywhere"
         limits = span(cause) if cause else None
         if limits is None:
             limits = _range(self.found, self.joint, told_by, self.inside)
+        strongest = f"strongest {when(window, self.found, experiment)}"
         return Finding(
             channel=channel,
             location=location,
@@ -283,21 +288,26 @@ class _Place:
             window_s=window,
             share_of_gap=share,
             times_noise_floor=self.times_noise,
-            text=f"{seen} ({size}); strongest {when(window, self.found, experiment)}",
+            text=f"{seen} {self._size(regime)}; {strongest}",
             variable=told_by,
             range=limits,
             direction=_direction(self.found, self.joint, self.force, self.inside),
-            value=value,
+            value=self.value,
             unit=self.unit,
         )
 
-    def _said(self, part: TravelPart) -> str:
-        """Between where and where, and how much more it is there."""
-        low, high = number(part.low), number(part.high)
-        more = "more" if part.more > 0 else "less"
-        way = "against the motion, both ways" if part.against else "with the same sign both ways"
-        size = f"{number(abs(part.more))} {self.unit} {more}"
-        return f"between {low} and {high} {self.position_unit}, {size} than elsewhere, {way}"
+    def _size(self, regime: str) -> str:
+        """How much it is; on a part of the travel, between where and where."""
+        size = f"{number(self.value)} {self.unit}"
+        if self.part is None or regime != PART:
+            return f"({size} rms; noise of a sample {number(self.floor)})"
+        low, high = number(self.part.low), number(self.part.high)
+        more = "more" if self.part.more > 0 else "less"
+        way = "against the motion, both ways" if self.part.against else "with one sign, both ways"
+        return (
+            f"between {low} and {high} {self.position_unit}: {size} {more} than elsewhere {way}"
+            f" (noise alone: up to {number(self.floor)})"
+        )
 
 
 def _direction(

@@ -44,7 +44,9 @@ class Signals(NamedTuple):
     command: Command
     qd0: Float[Array, " nq"]  # joint speed at the step's beginning
     beside: Any = ()  # inputs that are no commands of joints, [k]
-    transmitted: Any = 0.0  # torque that what hangs on the joint takes, friction and rotors excluded, [nq], where an effect asks
+    #: Torque [nq] that what hangs on the joint takes, friction and rotors excluded; where an effect
+    #: asks.
+    transmitted: Any = 0.0
     #: Joint position at the step's beginning [nq]; None: half a step before `q`.
     q0: Any = None
 
@@ -120,7 +122,8 @@ class Effect(eqx.Module):
     #: How an export writes it where no number of the file says it; or why no code beside a
     #: simulator can be it.
     export_law: ClassVar[ExportLaw | str] = ""
-    #: Whether what it does along a measured motion depends on the torque that the model needs there.
+    #: Whether what it does along a measured motion depends on the torque that the model needs
+    #: there.
     by_torque: ClassVar[bool] = False
 
     @classmethod

@@ -363,13 +363,17 @@ def _by_regime(
 
 
 def missing(answer: Answer, k: int, seed: int, draws: int = DRAWS) -> Missing:
-    """The torque that a model lacks along the rows of a run, and what noise alone would show."""
-    run = answer.study.runs[k]
-    force, keep = answer.residual(k), np.zeros(len(run.experiment.t), bool)
+    """The torque that a model lacks along the rows of a run, and what noise alone would show. Where
+    a joint turns about, what its dry friction may hold is not missing.
+    """
+    study = answer.study
+    run = study.runs[k]
+    keep = np.zeros(len(run.experiment.t), bool)
     keep[run.kept] = True
-    null = answer.study.noise_of(k) * np.random.default_rng([seed, k]).standard_normal(
-        (draws, *force.shape)
-    )
+    left = answer.residual(k)
+    force = np.sign(left) * np.maximum(np.abs(left) - study.unsure[k], 0.0)
+    rng = np.random.default_rng([seed, k])
+    null = study.scatter_of(k) * rng.standard_normal((draws, *force.shape))
     still = run.moves.astype(float)
     return Missing(
         experiment=run.experiment,

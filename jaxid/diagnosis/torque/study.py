@@ -421,9 +421,12 @@ class TorqueStudy:
         """Standard deviation of each row of a run that a perfect model would leave, N m [samples
         n].
         """
-        return np.hypot(
-            np.hypot(self.measured, self.unsure[run]), self.between[run] if self.between else 0.0
-        )
+        return np.hypot(self.scatter_of(run), self.unsure[run])
+
+    def scatter_of(self, run: int) -> np.ndarray:
+        """The same without what dry friction may hold where a joint turns about."""
+        between = self.between[run] if self.between else np.zeros_like(self.unsure[run])
+        return np.hypot(self.measured, between)
 
     def typical(self, which: Sequence[int], joint: int) -> float:
         """The noise of a joint's rows in some runs as one number, N m: mean of 1 / variance, so
