@@ -286,6 +286,8 @@ def short(text: str, most: int = 250) -> str:
 
 def table(rows: Sequence[Mapping[str, str]]) -> str:
     """Markdown of rows that have the columns of the longest one."""
+    if not rows:
+        return "None."
     columns = list(max(rows, key=len))
     lines = [f"| {' | '.join(columns)} |", "|" + " --- |" * len(columns)]
     for row in rows:

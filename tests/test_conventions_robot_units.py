@@ -90,10 +90,6 @@ def kilograms_at_a_centimetre(u, q):
     u /= 0.0980665
 
 
-def inches(u, q):
-    q /= 0.0254
-
-
 def quarters(u, q):
     u /= 4
 
@@ -137,13 +133,6 @@ def test_kilograms_at_a_centimetre_are_no_kilograms(tmp_path):
     """What the model lacks moves the fitted factor by 3 %; between two units that is asked about."""
     finding = found(ARM_RIG, kilograms_at_a_centimetre, tmp_path)
     assert finding.value == pytest.approx(10.19716) and finding.line.startswith('unit = "kgf cm"')
-
-
-def test_a_size_that_only_stated_numbers_tell_is_asked_about(tmp_path):
-    """Slow slides follow their friction: positions in inches fit as well as in millimetres."""
-    finding = found(GANTRY_RIG, inches, tmp_path)
-    assert (finding.channel, finding.applied) == ("x", False)
-    assert finding.line.splitlines()[0] == 'unit = "in"  # of x'
 
 
 def test_a_factor_that_is_near_to_a_unit_is_none(tmp_path):

@@ -379,7 +379,7 @@ def _refined(
     known = names.factors(best.reading.channels[0])
     own = nearest_convention(best.reading.kind, known, value, std, travel)
     if best.reading.kind == "scale":
-        own = of_many(fit, m, best=best, near=near, names=names, own=own, laws=laws)
+        own = of_many(fit, m, best=best, near=near, names=names, value=value, own=own, laws=laws)
     if own is None:
         return value, ends, "", best.reading.change, False
     value, what = own

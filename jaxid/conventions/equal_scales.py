@@ -71,26 +71,22 @@ def of_many(
     best: Judged,
     near: Sequence[Judged],
     names: Names,
+    value: float,
     own: tuple[float, str] | None,
     laws: bool,
 ) -> tuple[float, str] | None:
-    """The convention that a fitted factor stands for, `own` by itself: of many factors that fit
-    alike the one by which the model's numbers are nearest to what is stated of them. Where that
-    tells nothing a known factor stands; else one of the known ones is asked about.
+    """The convention that a fitted factor `value` stands for, `own` by itself: of many factors that
+    fit alike the one by which the model's numbers are nearest to what is stated of
+    them. Where that tells nothing a known factor stands, and what has no name is none.
     """
-    if own is not None and not far(best, near, own[0]):
+    if not far(best, near, value if own is None else own[0]):
         return own
     steps = np.linspace(-FARTHEST, FARTHEST, 4 * int(FARTHEST) + 1)
     sizes = best.reading.value * np.exp(steps)
     off = _off_stated(fit, m, best, names, sizes, laws)
     told = np.nanmin(off, initial=np.inf) <= REFUTED < np.nanmax(off, initial=0.0)
     if not told:
-        if own is not None and own[1] not in (FREE, GEAR):
-            return own
-        sizes = np.array([*names.factors(best.reading.channels[0]).values()])
-        off = _off_stated(fit, m, best, names, sizes, laws)
-    if np.isnan(off).all():
-        return None
+        return own if own is not None and own[1] not in (FREE, GEAR) else None
     value = float(sizes[int(np.nanargmin(off))])
     low, high = EFFECT_RANGE
     return None if low < value < high else (value, FREE)
