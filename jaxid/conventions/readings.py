@@ -15,7 +15,7 @@ from jaxid.base.wording import names_of
 from jaxid.conventions.limits import APART, MISFIT, TOLD
 from jaxid.conventions.mending import Mending
 from jaxid.data.dataset import Dataset, StatedChannel
-from jaxid.data.units import read_as
+from jaxid.data.units import conversion, read_as
 from jaxid.dynamics.joint_readings import read_by
 from jaxid.force.sampled_motion import SampledMotion
 from jaxid.problem.binding import Binding
@@ -26,6 +26,8 @@ Change = Callable[[SampledMotion], SampledMotion]
 
 #: Codes of an encoder per turn, which no unit has a name for.
 CODES = 1000, 1024, 2000, 2048, 4000, 4096, 8192, 16384, 65536
+#: Units from which values are converted a second time by mistake.
+TWICE = "deg", "rev", "deg/s", "rev/s", "rpm", "mm", "mm/s", "mN", "mN m"
 #: Of quantities that the table of units lacks.
 THOUSANDTHS = {
     "thousandths read as the unit": 1000.0,
@@ -135,11 +137,19 @@ def known_factors(unit: str, stated: float = 1.0) -> dict[str, float]:
     """By how much a channel is too large where its unit is another one than the stated one, which
     is `stated` of the SI unit. What is as near to 1 as a stated number may be off tells no unit.
     """
-    found = read_as(unit, stated) or THOUSANDTHS
+    found = read_as(unit, stated) or dict(THOUSANDTHS)
+    for name in TWICE:
+        once = conversion(name)
+        if once.si == unit and stated == 1.0 and not _among(found, once.factor):
+            found[f"converted from {name} twice"] = once.factor
     if unit in TURNING:
         turn = stated / (2 * pi)
         found |= {f"counts of {n} per turn read as an angle": n * turn for n in CODES}
     return {what: factor for what, factor in found.items() if abs(np.log(factor)) > MISFIT}
+
+
+def _among(known: Mapping[str, float], factor: float) -> bool:
+    return any(abs(np.log(factor / other)) < 1e-6 for other in known.values())
 
 
 def signs(names: Names) -> Iterator[Reading]:
