@@ -14,7 +14,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from jaxid.base.errors import nearest, UsageError
-from jaxid.base.wording import as_unit, listed, names_of
+from jaxid.base.wording import as_unit, names_of
 from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
 from jaxid.data.joint_names import plain_name
 from jaxid.dynamics.chain import Chain
@@ -22,6 +22,7 @@ from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
 from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
+from jaxid.robots.drive_inputs import driven_by, without_drive
 from jaxid.robots.drives import DriveLaw, file_law, stated_law
 from jaxid.robots.file_step import beyond_its_step
 from jaxid.robots.floating import floating, refuse_unmeasured, wanted
@@ -321,9 +322,9 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     tree, notes = recorded(tree, dataset)
     spec = dataset.model
     free = spec is not None and spec.free
-    what = _driven_by(tree.driven, dataset)
+    what = driven_by(tree.driven, dataset)
     if not (what or free):
-        raise UsageError(_without_drive(tree.driven[0], dataset))
+        raise UsageError(without_drive(tree.driven[0], dataset))
     riding = rides(dataset) and bool(what)
     law = _law(tree, dataset) if what == "goal" else None
     simulator = simulator_of(robot, tree, law, spec)
@@ -360,46 +361,6 @@ def simulator_of(robot: Any, tree: Tree, law: DriveLaw | None, spec: ModelSpec |
         return spec.simulator
     goals_by_its_steps = law is not None and not beyond_its_step(tree, law)
     return "mujoco" if robot.integrator or goals_by_its_steps else "own"
-
-
-def _without_drive(joint: str, dataset: Dataset) -> str:
-    """What is said where no input drives a robot: the names that inputs have to have, and what to
-    write for one that is there.
-    """
-    said = f"nothing drives the robot: add goals ({joint}_cmd) or torques ({joint}_tau) as inputs"
-    if not dataset.inputs:
-        return f"{said}, or say free = true"
-    first = dataset.inputs[0]
-    goal = first.unit in ("rad", "m")
-    name, unit = (f"{joint}_cmd", first.unit) if goal else (f"{joint}_tau", "N m")
-    form = f'role = "input", column = "{first.name}", {as_unit(first.unit, unit)}'
-    here = listed(dataset.input_names)
-    return f"{said}. Of the inputs here ({here}), if this is one: [channels.{name}] with {form}"
-
-
-def _driven_by(joints: Sequence[str], dataset: Dataset) -> str:
-    """What drives the joints: "goal", "torque", or "" for nothing."""
-    inputs = set(dataset.input_names)
-    driven = {}
-    for what, end in (("goal", "_cmd"), ("torque", "_tau")):
-        own = [j for j in joints if f"{j}{end}" in inputs]
-        if own:
-            driven[what] = [j for j in joints if j not in own]
-    if len(driven) > 1:
-        raise UsageError(
-            "both goals (NAME_cmd) and torques (NAME_tau) are inputs: the goal is an input where it"
-            " drives the model, and auxiliary where a torque does; give one of them role ="
-            ' "auxiliary"'
-        )
-    for what, lacking in driven.items():
-        if lacking:
-            end = "_cmd" if what == "goal" else "_tau"
-            raise UsageError(
-                f"no {what} is recorded of {', '.join(lacking)}: add {lacking[0]}{end}, or take the"
-                " joint's output out"
-            )
-        return what
-    return ""
 
 
 def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
