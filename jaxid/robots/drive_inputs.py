@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from jaxid.base.errors import UsageError
 from jaxid.base.wording import as_unit, listed
-from jaxid.data.dataset import Dataset
+
+
+if TYPE_CHECKING:
+    from jaxid.data.dataset import Dataset
 
 
 def without_drive(joint: str, dataset: Dataset) -> str:
