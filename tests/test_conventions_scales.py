@@ -147,6 +147,37 @@ def test_factors_are_those_of_the_unit():
     assert whole_ratio(30.3, 1e-4) is None and whole_ratio(30.0, 0.05) is None
 
 
+@pytest.mark.parametrize(
+    ("scale", "channel", "factor"),
+    [
+        ({"qd": 180 / pi}, "qd", 180 / pi),
+        ({"qd": 30 / pi}, "qd", 30 / pi),
+        ({"qd": 1 / (2 * pi)}, "qd", 1 / (2 * pi)),
+        ({"q": 180 / pi}, "q", 180 / pi),
+        ({"q": 4096 / (2 * pi)}, "q", 4096 / (2 * pi)),
+    ],
+)
+def test_of_a_position_and_its_speed_the_one_with_another_unit_is_told(scale, channel, factor):
+    whole = recording("joint", 5).dataset()
+    t, q, qd, tau = [], [], [], []
+    for e in whole.experiments:
+        t.append(e.t)
+        q.append(e.y[:, 0] * scale.get("q", 1.0))
+        qd.append(np.gradient(e.y[:, 0], e.t) * scale.get("qd", 1.0))
+        tau.append(e.u[:, 0])
+    data = jaxid.Dataset.from_arrays(
+        t,
+        {"tau": tau},
+        {"q": q, "qd": qd},
+        units={"tau": "N m", "q": "rad", "qd": "rad/s"},
+        split=[e.split for e in whole.experiments],
+        model="joint",
+    )
+    told = [f for f in jaxid.check("joint", data).findings if f.kind == "scale"]
+    assert [(f.channel, f.applied) for f in told] == [(channel, True)]
+    assert told[0].value == pytest.approx(factor, rel=2e-3)
+
+
 def test_a_size_between_two_units_stands_for_none():
     torques = known_factors("N m")
     assert "lbf ft read as N m" not in torques  # 0.74, as a mass may be off

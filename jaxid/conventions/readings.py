@@ -122,15 +122,27 @@ class Names:
         )[channel]
 
     def factors(self, channel: str) -> dict[str, float]:
-        """The known factors by which a channel may be too large."""
-        return factors_of(self._dataset, channel)
+        """The known factors by which a channel may be too large, those of values that were
+        converted twice among them.
+        """
+        found, factor = _stated(self._dataset, channel)
+        known = known_factors(found, factor)
+        return known if factor != 1.0 else known | converted_twice(found, known)
 
 
 def factors_of(dataset: Dataset, channel: str) -> dict[str, float]:
-    """The known factors by which a channel of a recording may be too large."""
+    """The known factors by which a channel of a recording may be too large where it is compared
+    with another: a unit that was forgotten in either. A conversion too many in one looks like a
+    unit that was forgotten in the other, which is commoner.
+    """
+    return known_factors(*_stated(dataset, channel))
+
+
+def _stated(dataset: Dataset, channel: str) -> tuple[str, float]:
+    """The SI unit of a channel, and how much of it the stated unit is."""
     (found,) = (c for c in dataset.channels if c.name == channel)
     stated = found.stated or StatedChannel(found.unit)
-    return known_factors(found.unit, stated.factor)
+    return found.unit, stated.factor
 
 
 def known_factors(unit: str, stated: float = 1.0) -> dict[str, float]:
@@ -138,18 +150,23 @@ def known_factors(unit: str, stated: float = 1.0) -> dict[str, float]:
     is `stated` of the SI unit. What is as near to 1 as a stated number may be off tells no unit.
     """
     found = read_as(unit, stated) or dict(THOUSANDTHS)
-    for name in TWICE:
-        once = conversion(name)
-        if once.si == unit and stated == 1.0 and not _among(found, once.factor):
-            found[f"converted from {name} twice"] = once.factor
     if unit in TURNING:
         turn = stated / (2 * pi)
         found |= {f"counts of {n} per turn read as an angle": n * turn for n in CODES}
     return {what: factor for what, factor in found.items() if abs(np.log(factor)) > MISFIT}
 
 
-def _among(known: Mapping[str, float], factor: float) -> bool:
-    return any(abs(np.log(factor / other)) < 1e-6 for other in known.values())
+def converted_twice(unit: str, known: Mapping[str, float]) -> dict[str, float]:
+    """By how much a channel in an SI unit is too large where it was converted to it twice; only
+    factors that are not known already.
+    """
+    found = {}
+    for name in TWICE:
+        once = conversion(name)
+        alike = any(abs(np.log(once.factor / other)) < 1e-6 for other in known.values())
+        if once.si == unit and not alike:
+            found[f"converted from {name} twice"] = once.factor
+    return found
 
 
 def signs(names: Names) -> Iterator[Reading]:
