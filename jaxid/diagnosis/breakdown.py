@@ -12,7 +12,7 @@ import numpy as np
 from jaxid.base.wording import names_of
 from jaxid.diagnosis.evidence import HeldOut
 from jaxid.diagnosis.missing import joint_load, Missing
-from jaxid.diagnosis.regimes import regimes
+from jaxid.diagnosis.regimes import situations
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import scored
 
@@ -90,12 +90,8 @@ def by_regime(bench: ProblemBuilder, split: str, models: Sequence[HeldOut]) -> t
             )
         )
     for j, joint in enumerate(b.chain.signature.joints):
-        masks = [regimes(m, j) for m in moved]
-        for name in dict.fromkeys(n for mask in masks for n in mask):
-            own = [
-                mask.get(name, np.zeros(len(k), bool))[k]
-                for mask, k in zip(masks, keep, strict=True)
-            ]
+        for name, inside in situations(moved, j).items():
+            own = [mask[kept] for mask, kept in zip(inside, keep, strict=True)]
             if sum(int(x.sum()) for x in own) >= SAMPLES:
                 parts = [[r[x] for r, x in zip(m.residual, own, strict=True)] for m in models]
                 out.append(_share(name, joint, parts))

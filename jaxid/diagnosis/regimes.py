@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from jaxid.diagnosis.missing import Missing
 
 
+#: Share of the largest speed below which a joint may be standing still.
+STANDS = 0.03
+
+
 def situations(found: Sequence[Missing], joint: int) -> dict[str, list[np.ndarray]]:
     """Masks [runs][time] of all regimes of a joint."""
     of_runs = [regimes(m, joint) for m in found]
@@ -21,7 +25,7 @@ def situations(found: Sequence[Missing], joint: int) -> dict[str, list[np.ndarra
             out.setdefault(name, [])
     for name, inside in out.items():
         for m, masks in zip(found, of_runs, strict=True):
-            nowhere = np.zeros(len(m.force), bool)
+            nowhere = np.zeros(len(m.q), bool)
             inside.append(masks.get(name, nowhere))
     return out
 
@@ -34,7 +38,7 @@ def regimes(m: Missing, joint: int) -> dict[str, np.ndarray]:
     speed = np.percentile(np.abs(qd), 99) + 1e-300
     t = m.experiment.t[m.keep]
     v = np.abs(qd) / speed
-    moving = v > 0.03
+    moving = v > STANDS
     sign = np.sign(np.where(moving, qd, 0.0))
     filled = _last_nonzero(sign)
     flips = np.flatnonzero(np.diff(filled) != 0)

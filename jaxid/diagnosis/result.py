@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from jaxid.excitation.result import Excitation
 
 
+#: What is clearly more than chance makes it is so many times as much.
+STANDS_OUT = 1.1
+
+
 @dataclass(frozen=True)
 class Finding:
     """One place where the gap lies. `times_noise_floor` is the missing signal there over what noise
@@ -93,7 +97,8 @@ class Regime:
     @property
     def stands_out(self) -> bool:
         """Whether the force is clearly stronger here than elsewhere, and than chance makes it."""
-        return self.strength > 1.1 * (max(1.0, self.null[1]) if self.supplied is None else 1.0)
+        least = max(1.0, self.null[1]) if self.supplied is None else 1.0
+        return self.strength > STANDS_OUT * least
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ from typing import NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.diagnosis.regimes import STANDS
+
 
 if TYPE_CHECKING:
     from jaxid.diagnosis.missing import Missing
@@ -17,8 +19,6 @@ if TYPE_CHECKING:
 STRETCHES, MEAN, LEAST = 40, 60, 20
 #: Share of the travel beyond which a part of it is the rule and no place.
 WIDEST = 0.5
-#: Share of the largest speed below which a joint may be standing still.
-STANDS = 0.03
 
 
 class TravelPart(NamedTuple):

@@ -19,7 +19,7 @@ from jaxid.data.splits import LATE
 from jaxid.diagnosis.cause import span, variable, words
 from jaxid.diagnosis.missing import Missing
 from jaxid.diagnosis.regimes import situations
-from jaxid.diagnosis.result import Finding, MissingForce, Regime
+from jaxid.diagnosis.result import Finding, MissingForce, Regime, STANDS_OUT
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.travel import LEAST, part_of_travel, TravelPart
 from jaxid.fitting.problem_builder import ProblemBuilder
@@ -31,8 +31,6 @@ from jaxid.problem.residual import OutputError
 WINDOW_S = 0.5
 #: The name of a part of the travel, beside the regimes.
 PART = "part_of_travel"
-#: What is clearly more than chance makes it, as for a regime.
-STANDS_OUT = 1.1
 #: Share of a force's energy that lies in one direction of motion, from which it is said to.
 ONE_WAY = 0.9
 
@@ -172,33 +170,20 @@ def findings(
         least = 0.05 * total
         if joint in given:
             least = LIMITS.own_regime * energy_of(j, None)
+        own = [row for row in rows if row.joint == joint and row.regime in masks]
         standing_out = []
-        for row in rows:
-            if row.joint != joint or row.null[1] <= 0 or row.regime not in masks:
-                continue
+        for row in own:
             energy = energy_of(j, masks[row.regime])
-            if not row.stands_out or not energy > least:
-                continue
-            lift = row.supplied
-            if lift is None:
-                lift = row.ratio / max(row.null[1], 1e-9)
-            # Elsewhere there may be less than noise, which is no reason to see more than all of it
-            # here.
-            share = min(1.0, energy / total)
-            standing_out.append((lift * np.sqrt(share), share, row.regime))
-        part = part_of_travel(found, j, force)
-        chance = 0.0 if part is None else _part_by_chance(found, j)
-        if part is not None and abs(part.more) > STANDS_OUT * chance:
+            if row.null[1] > 0 and row.stands_out and energy > least:
+                standing_out.append(_scored(_lift(row), energy / total, row.regime))
+        part, chance = _clear_part(found, j, force)
+        if part is not None:
             masks[PART] = part.masks(found, j)
-            if joint in given:
-                energy = energy_of(j, masks[PART])
-                lift = _ratio(force, masks[PART])
-            else:
-                energy = part.energy / floor_of(found, j) ** 2
-                lift = abs(part.more) / max(chance, 1e-300)
-            share = min(1.0, energy / total)
+            lift, energy = abs(part.more) / chance, part.energy / floor_of(found, j) ** 2
+            if joint in given:  # which has no noise
+                lift, energy = _ratio(force, masks[PART]), energy_of(j, masks[PART])
             if energy > least:
-                standing_out.append((lift * np.sqrt(share), share, PART))
+                standing_out.append(_scored(lift, energy / total, PART))
         standing_out.sort(key=lambda place: -place[0])
         if not standing_out:
             masks["everywhere"] = [np.ones(len(m.force), bool) for m in found]
@@ -227,16 +212,34 @@ def findings(
     return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
 
 
-def _part_by_chance(found: Sequence[Missing], joint: int) -> float:
-    """By how much a force differs in some part of the travel for a perfect model, at most of all
-    draws.
+def _lift(row: Regime) -> float:
+    """How much stronger a force is in a regime than elsewhere, against what chance makes of it."""
+    return row.ratio / max(row.null[1], 1e-9) if row.supplied is None else row.supplied
+
+
+def _scored(lift: float, share: float, regime: str) -> tuple[float, float, str]:
+    """What places are sorted by, the share of the gap, and the regime. Elsewhere there may be less
+    than noise, which is no reason to see more than all of it here.
     """
-    most = 0.0
+    share = min(1.0, share)
+    return lift * np.sqrt(share), share, regime
+
+
+def _clear_part(
+    found: Sequence[Missing], joint: int, force: Sequence[np.ndarray]
+) -> tuple[TravelPart | None, float]:
+    """The part of the travel in which a force is clearly another one than in each draw of a perfect
+    model, None where there is none; and what these differ by at most.
+    """
+    part = part_of_travel(found, joint, force)
+    if part is None:
+        return None, 0.0
+    chance = 1e-300
     for draw in range(len(found[0].null)):
-        part = part_of_travel(found, joint, [m.null[draw][:, joint] for m in found])
-        if part is not None:
-            most = max(most, abs(part.more))
-    return most
+        drawn = part_of_travel(found, joint, [m.null[draw][:, joint] for m in found])
+        if drawn is not None:
+            chance = max(chance, abs(drawn.more))
+    return part if abs(part.more) > STANDS_OUT * chance else None, chance
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,6 @@ SETTLED = (
     "numbers are fitted to the fit and validation runs together, once these have chosen the"
     " effects: errors on validation runs are no longer held out, those on report runs are"
 )
-#: How much a verdict says.
-RANK = {"unknown": 0, "partly": 1, "named": 2, "none": 2}
 WORDS = {"zero": "held", "linear": "along straight lines"}
 
 
@@ -154,7 +152,6 @@ def diagnose_led(
         answer=answer,
         progress=progress,
     )
-    plain = binding
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
     asked = f"asked along the measured motion: {listed(sorted(names_of(kinds)))}"
     left = sorted(k.name for k in library if not shown(k))
@@ -162,13 +159,13 @@ def diagnose_led(
         f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}"
     )
 
-    run = run_of_file(bench := ask.made(plain))
+    run = run_of_file(bench := ask.made(binding))
     stated = None
-    if run is not None and stands(plain.chain, dataset):
+    if run is not None and stands(binding.chain, dataset):
         stated = AsStated(bench, run, kinds)
     by_itself = stated is not None and stated.stands
-    near = plain.theta if by_itself else study.theta
-    road = _Road(plain.layout.names, Proposal((), (), near), seed, began, progress)
+    near = binding.theta if by_itself else study.theta
+    road = _Road(binding.layout.names, Proposal((), (), near), seed, began, progress)
     alone = kinds_of([c.proposal for c in stated.changes]) if stated is not None else []
     if stated is not None:
         stated.ask(lambda: ask.made(ask.bound(alone)), progress)

@@ -105,8 +105,8 @@ class Decider:
 
     def _judged(self, effects: Sequence[Candidate], path: Path) -> Hypothesis:
         theta = path.problem.theta(path.z)
-        splits = [held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])]
-        found = Hypothesis(tuple(effects), theta, path, splits[0][0])
+        (held,) = held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])
+        found = Hypothesis(tuple(effects), theta, path, held)
         if effects:
             self.lead = [min([*self.lead, found], key=joint_loss)]
         return found

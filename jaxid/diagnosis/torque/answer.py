@@ -16,7 +16,7 @@ from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.budget import closed, shrink
 from jaxid.diagnosis.how_far import not_measured
 from jaxid.diagnosis.missing import Missing
-from jaxid.diagnosis.regimes import regimes
+from jaxid.diagnosis.regimes import situations
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, MissingForce, Ranked, Regime
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.choose import Chooser, Model
@@ -332,12 +332,7 @@ def _by_regime(
 ) -> tuple[Share, ...]:
     out, found = [], [missing(models[0], k, 0) for k in which]
     for j, joint in enumerate(study.binding.chain.signature.joints):
-        masks = [regimes(m, j) for m in found]
-        for name in dict.fromkeys(n for mask in masks for n in mask):
-            inside = [
-                mask.get(name, np.zeros(len(m.force), bool))
-                for mask, m in zip(masks, found, strict=True)
-            ]
+        for name, inside in situations(found, j).items():
             count = sum(int(x.sum()) for x in inside)
             if count < 20 or not any(study.runs[k].moves[j] for k in which):
                 continue
