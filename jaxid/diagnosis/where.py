@@ -114,12 +114,8 @@ def _ratio(series: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> float:
     return float(np.sqrt(np.mean(inside**2) / max(np.mean(np.concatenate(series) ** 2), 1e-300)))
 
 
-def floor_of(
-    found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray] | None = None
-) -> float:
-    """Root mean square of the missing force that noise alone would show, in a regime or in all."""
-    if masks is None:
-        masks = [np.ones(len(m.force), bool) for m in found]
+def floor_of(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray]) -> float:
+    """Root mean square of the missing force that noise alone would show in a regime."""
     each = [m.null[:, mask, joint].ravel() for m, mask in zip(found, masks, strict=True)]
     return float(np.sqrt(np.mean(np.concatenate(each) ** 2)))
 
@@ -179,9 +175,9 @@ def findings(
         part, chance = _clear_part(found, j, force)
         if part is not None:
             masks[PART] = part.masks(found, j)
-            lift, energy = abs(part.more) / chance, part.energy / floor_of(found, j) ** 2
+            energy, lift = energy_of(j, masks[PART]), abs(part.more) / chance
             if joint in given:  # which has no noise
-                lift, energy = _ratio(force, masks[PART]), energy_of(j, masks[PART])
+                lift = _ratio(force, masks[PART])
             if energy > least:
                 standing_out.append(_scored(lift, energy / total, PART))
         standing_out.sort(key=lambda place: -place[0])

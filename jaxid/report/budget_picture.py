@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING
 
 from jaxid.base import wording
@@ -24,6 +25,8 @@ STEPS = {
 }
 #: How dark what a step closes is beside what it leaves.
 CLOSED = 0.3
+#: Characters of a line of a label: longer ones leave no room for the bars.
+LABEL = 28
 
 
 def gap_picture(diagnosis: Diagnosis):
@@ -89,7 +92,7 @@ def draw_gap(axes: Axes, diagnosis: Diagnosis) -> Axes:
 
 def _name(step: Step) -> str:
     name = STEPS[step.step][0]
-    return f"{name} over {step.law}" if step.law else name
+    return textwrap.fill(f"{name} over {step.law}", LABEL) if step.law else name
 
 
 def _told(step: Step) -> str:
