@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from jaxid.base.wording import listed, names_of
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
+from jaxid.diagnosis.goals.asked import Answer, GoalsQuestion
 from jaxid.diagnosis.goals.gains import (
     asked_for,
-    freed,
     known_loosely,
     with_room,
 )
@@ -31,7 +31,7 @@ from jaxid.diagnosis.goals.propose import (
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
-from jaxid.diagnosis.question import Offer, Search
+from jaxid.diagnosis.question import Offer
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
@@ -45,8 +45,6 @@ from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
 from jaxid.simulation.sample_buffers import STEP, step_count
 
-
-Answer = Callable[[Binding, Sequence[str], Search, float], Diagnosis]
 
 TOO_DEAR = (
     "simulating recordings of this length with this many numbers would take too long: the torque"
@@ -142,7 +140,7 @@ def diagnose_led(
         dataset, study, binding = swapped, other, swapped_binding
         study.tuned(study.theta)
     say("along the motion", 1, 3, "noise")
-    ask = _Ask(
+    ask = GoalsQuestion(
         model=model,
         dataset=dataset,
         without=without,
@@ -185,37 +183,8 @@ def diagnose_led(
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
 
 
-@dataclass(frozen=True)
-class _Ask:
-    """What is asked of which recording, and in which steps it is simulated."""
-
-    model: object
-    dataset: Dataset
-    without: tuple[str, ...]
-    kinds: Sequence[type[Effect]]
-    max_effects: int
-    step: float
-    answer: Answer
-    progress: Progress | None
-
-    def bound(self, names: Sequence[str] = (), gains: Sequence[str] = ()) -> Binding:
-        """The model with effects of these names as candidates and these gains fitted."""
-        asked = [k for k in self.kinds if k.name in names]
-        wide = bind(self.model, self.dataset, without=self.without, candidates=asked)
-        return freed(with_room(wide), gains)
-
-    def known(self, names: Sequence[str] = (), inflation: float = 1.0) -> Binding:
-        """The model with effects of these names as candidates, its numbers known as they are
-        trusted.
-        """
-        return known_loosely(self.bound(names), inflation)
-
-    def made(self, binding: Binding) -> ProblemBuilder:
-        return ProblemBuilder(binding, self.step, differences=1, together=True)
-
-
 def _as_stated(
-    ask: _Ask, road: _Road, stated: AsStated, names: Sequence[str]
+    ask: GoalsQuestion, road: _Road, stated: AsStated, names: Sequence[str]
 ) -> tuple[Diagnosis, list[str]]:
     """The diagnosis of a recording that the file explains but for one change, and its notes."""
     notes, own = [], ask.bound(names, stated.gains)
@@ -233,7 +202,9 @@ def _as_stated(
     return replace(found, which=replace(found.which, text=text)), notes
 
 
-def _searched(ask: _Ask, road: _Road, study: LedStudy, alone: Proposal | None) -> Diagnosis:
+def _searched(
+    ask: GoalsQuestion, road: _Road, study: LedStudy, alone: Proposal | None
+) -> Diagnosis:
     """The diagnosis by effects beside numbers that are re-tuned. `alone`: effects that explain most
     where nothing is re-tuned, which first order about re-tuned numbers may not show.
     """
