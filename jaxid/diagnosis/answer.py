@@ -24,7 +24,7 @@ from jaxid.diagnosis.hypothesis import candidates, SearchResult
 from jaxid.diagnosis.jitter import Scatter
 from jaxid.diagnosis.library_search import search_library
 from jaxid.diagnosis.next_experiment import advice, rivals_of
-from jaxid.diagnosis.question import SearchRequest
+from jaxid.diagnosis.question import SearchOutcome, SearchRequest
 from jaxid.diagnosis.reasons import NotBelievable, Remark, Stopped
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.simulated import worth
@@ -37,18 +37,6 @@ from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.problem.binding import JITTER
 from jaxid.problem.residual import InverseDynamics
 from jaxid.problem.trust import told
-
-
-@dataclass(frozen=True)
-class SearchOutcome:
-    """What a search found: the nominal fit, and the bench on which its hypotheses were compared in
-    the end. `compile_time`: s.
-    """
-
-    bench: ProblemBuilder
-    nominal_fit: Fit
-    search: SearchResult
-    compile_time: float
 
 
 @dataclass(frozen=True)
@@ -168,8 +156,7 @@ def _searched(request: SearchRequest, began: float) -> SearchOutcome:
     def keep(fit, now):
         known.offer(lambda: so_far(request, bench, fit(), now, began))
 
-    nominal_fit, search = request.search(bench, keep)
-    return SearchOutcome(bench, nominal_fit, search, bench.compile_time())
+    return request.search(bench, keep)
 
 
 def _fits(

@@ -39,6 +39,11 @@ class EvidenceRule:
     possible: float = 0.3
     share: float = 0.01
 
+    @property
+    def log_odds(self) -> float:
+        """Log evidence that a claim needs."""
+        return float(np.log(self.sure / (1 - self.sure)))
+
 
 RULE = EvidenceRule()
 

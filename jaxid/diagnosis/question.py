@@ -22,8 +22,22 @@ from jaxid.simulation.sample_buffers import STEP
 
 #: Is told of the nominal fit and of what is known so far: what a run that is stopped keeps.
 Offer = Callable[[Callable[[], Fit], SearchResult], None]
-#: From a bench to the nominal fit and what is chosen.
-Search = Callable[[ProblemBuilder, Offer], tuple[Fit, SearchResult]]
+
+
+@dataclass(frozen=True)
+class SearchOutcome:
+    """What a search found: the nominal fit, and the bench on which its hypotheses were compared in
+    the end. `compile_time`: s.
+    """
+
+    bench: ProblemBuilder
+    nominal_fit: Fit
+    search: SearchResult
+    compile_time: float
+
+
+#: What is found beginning with a bench.
+Search = Callable[[ProblemBuilder, Offer], SearchOutcome]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from jaxid.base.wording import listed, names_of
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
 from jaxid.diagnosis.goals.asked import Answer, GoalsQuestion
+from jaxid.diagnosis.goals.further import with_what_is_still_missing
 from jaxid.diagnosis.goals.gains import (
     asked_for,
     known_loosely,
@@ -31,7 +32,7 @@ from jaxid.diagnosis.goals.propose import (
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
-from jaxid.diagnosis.question import Offer
+from jaxid.diagnosis.question import Offer, SearchOutcome
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
@@ -195,7 +196,9 @@ def _as_stated(
     found = ask.answer(
         own,
         names if stated.lacks else (),
-        lambda bench, offer: road(bench, offer, stated.decided),
+        lambda bench, offer: road(
+            bench, offer, lambda decider, nominal: (decider, stated.decided(decider, nominal))
+        ),
         ask.step,
     )
     text = f"{found.which.text} {stated.said()}".strip()
@@ -214,8 +217,10 @@ def _searched(
     road.bare = proposed.bare
     names = kinds_of(proposed.sets)
 
-    def decide(decider: Decider, nominal: Hypothesis) -> SearchResult:
-        return decider.with_what_the_file_lacks(decider.decided(nominal, proposed))
+    def decide(decider: Decider, nominal: Hypothesis) -> tuple[Decider, SearchResult]:
+        first = decider.decided(nominal, proposed)
+        decider, found = with_what_is_still_missing(ask, decider, first)
+        return decider, decider.with_what_the_file_lacks(found)
 
     return ask.answer(
         ask.known(names, proposed.inflation),
@@ -225,8 +230,8 @@ def _searched(
     )
 
 
-#: From the nominal model what is chosen.
-Decide = Callable[[Decider, Hypothesis], SearchResult]
+#: From the nominal model what is chosen, and the decider whose simulations that is of.
+Decide = Callable[[Decider, Hypothesis], tuple[Decider, SearchResult]]
 
 
 @dataclass
@@ -244,7 +249,7 @@ class _Road:
         bench: ProblemBuilder,
         offer: Offer,
         decide: Decide,
-    ) -> tuple[Fit, SearchResult]:
+    ) -> SearchOutcome:
         decider = Decider(bench, self.names, self.progress)
         theta = as_vector(bench.binding, self.names, self.bare)
         nominal = decider.refit((), theta)
@@ -255,18 +260,23 @@ class _Road:
             )
             spent = time.perf_counter() - self.began
             return assemble(
-                bench=bench,
+                bench=decider.bench,
                 problem=path.problem,
                 result=minimum,
                 residual=OutputError(),
                 fitter="lm",
                 seed=self.seed,
-                compile_time=bench.compile_time(),
+                compile_time=decider.bench.compile_time(),
                 wall_time=spent,
             )
 
         offer(fitted, SearchResult(nominal, nominal))
-        search = decide(decider, nominal)
+        decider, search = decide(decider, nominal)
         plain = decider.settled(search.nominal)
         search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
-        return fitted(plain.path), search
+        return SearchOutcome(
+            bench=decider.bench,
+            nominal_fit=fitted(plain.path),
+            search=search,
+            compile_time=decider.bench.compile_time(),
+        )

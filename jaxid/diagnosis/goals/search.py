@@ -222,7 +222,7 @@ class Decider:
         """Without what is not missed, place by place: what the evidence without it does not refute
         with the probability of a claim.
         """
-        least = float(np.log(RULE.sure / (1 - RULE.sure)))
+        least = RULE.log_odds
         for c in sorted(chosen.effects, key=lambda c: self._foreseen(chosen, c)):
             left = [e for e in chosen.effects if e is not c]
             gained = self._foreseen(chosen, c)
