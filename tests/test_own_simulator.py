@@ -45,8 +45,8 @@ def goals(seconds: float) -> np.ndarray:
     return 0.5 * np.sin(2 * np.pi * 1.1 * t) * np.minimum(1.0, 4 * t)
 
 
-def recorded(text: str, u: np.ndarray) -> np.ndarray:
-    """Positions in MuJoCo at the goals' samples, from rest."""
+def recorded(text: str, u: np.ndarray, every: int = EVERY) -> np.ndarray:
+    """Positions in MuJoCo at the goals' samples, every so many steps, from rest."""
     model = mujoco.MjModel.from_xml_string(text)
     data, out = mujoco.MjData(model), []
     n = int(model.actuator_history[0, 0])
@@ -56,7 +56,7 @@ def recorded(text: str, u: np.ndarray) -> np.ndarray:
     for goal in u:
         out.append(float(data.qpos[0]))
         data.ctrl[:] = goal
-        mujoco.mj_step(model, data, EVERY)
+        mujoco.mj_step(model, data, every)
     return np.array(out)
 
 
@@ -85,6 +85,20 @@ def test_a_recording_of_mujocos_is_its_files_run(robot):
     assert q.max() > 0.35  # the stop has been met
     simulation = simulate_dataset(None, dataset(u, q), robot)
     assert np.abs(simulation.runs[0]["lift"] - q).max() < 1e-9
+
+
+def test_goals_along_straight_lines_are_those_of_each_steps_beginning(robot):
+    u = goals(1.5)
+    data = dataset(u, recorded(FILE, u))
+    goal = next(c for c in data.channels if c.role == "input")
+    channels = [replace(c, hold="linear") if c is goal else c for c in data.channels]
+    lines = replace(data, channels=tuple(channels))
+    t = data.experiments[0].t
+    fine = np.interp(np.arange(len(u) * EVERY) * STEP, t, u)
+    q = recorded(FILE, fine, 1)[::EVERY]
+    made = simulate_dataset(None, lines, robot).runs[0]["lift"]
+    assert np.abs(made - q).max() < 1e-9
+    assert np.abs(simulate_dataset(None, data, robot).runs[0]["lift"] - q).max() > 1e-4
 
 
 @pytest.mark.parametrize(("simulator", "near"), [("mujoco", 1e-9), ("own", 2e-2)])

@@ -76,19 +76,17 @@ def test_an_mjcf_is_read_from_the_dataset_and_from_the_command_line():
 def test_a_robot_that_goals_drive_lacks_nothing_but_friction_that_its_file_understates():
     folder = case("robot_04_mjcf_refused")
     found = jaxid.diagnose(str(folder / "arm2.xml"), jaxid.load_dataset(folder))
-    assert found.which.verdict == "none" and not found.which.effects
+    assert not found.which.effects
     stated = {(r.parameter, r.joint): r for r in found.nominal.stated}
     for joint in ("lift", "elbow"):  # both were doubled
         row = stated["frictionloss", joint]
-        assert row.stated == 0.05 and abs(row.fitted - 0.1) < 0.01 and (row.deviation or 0) > 3
-    assert found.how_far.gap_before > 5 > 1.5 > found.how_far.gap_retuned
-    notes = " ".join(found.notes)
-    assert (
-        "MuJoCo and jaxid differ by" in notes
-    )  # what the noise of 1e-6 rad of these readings is not
-    assert (
-        "along straight lines" in notes
-    )  # every fifth goal was logged of one that moved on in between
+        assert row.stated == 0.05 and abs(row.fitted - 0.1) < 0.003 and (row.deviation or 0) > 3
+        for right in ("armature", "damping", "kp", "kd"):
+            row = stated[right, joint]
+            assert abs(row.fitted - row.stated) < 0.01 * row.stated
+    # The readings have no noise, and every fifth goal was logged of one that moved on in between.
+    assert found.how_far.gap_retuned < 0.1 * found.how_far.gap_before
+    assert "along straight lines" in " ".join(found.notes)
 
 
 @pytest.mark.slow

@@ -141,9 +141,10 @@ def build(
         t = e.t[owner] + inside * h
         n = owner.size + 1
         u = np.zeros((len(e.t), nu)) if not iu else e.u[:, iu]
-        middle = ((inside + 0.5) / divided[owner])[:, None]
+        # MuJoCo's step takes a command as it is at its beginning, others take its mean.
+        within = inside if chain.mechanism.own_step is not None else inside + 0.5
         zero, slope = u[:-1][owner], (u[1:] - u[:-1])[owner]
-        ramp = zero + middle * slope
+        ramp = zero + (within / divided[owner])[:, None] * slope
         stated, other = (
             np.where(linear, ramp, zero) if iu else zero,
             np.where(linear, zero, ramp) if iu else zero,
