@@ -204,7 +204,9 @@ def test_a_number_at_its_bound_leaves_a_covariance(tmp_path):
     written = (patched / "hub.xml").read_text()
     kv = float(written.split('kv="')[1].split('"')[0])
     assert kv == pytest.approx(0.05, abs=0.01)
-    assert 'kp="8"' in written and 'damping="0.02"' in written
+    kp = float(written.split('kp="')[1].split('"')[0])
+    assert kp == pytest.approx(8, rel=0.02)  # MuJoCo's friction is softer than the machine's
+    assert 'damping="0.02"' in written and 'frictionloss="0.02"' in written
     told = json.loads((ranges / "ranges.json").read_text())["correlation"]["matrix"]
     assert np.linalg.eigvalsh(np.array(told)).min() > -1e-6
 

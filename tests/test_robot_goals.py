@@ -40,7 +40,7 @@ from jaxid.force import drive
 from jaxid.models import Robot
 from jaxid.models.effects import ConstantTorque, Saturation, StribeckFriction
 from jaxid.numerics import kept
-from jaxid.problem import binding
+from jaxid.problem import typical
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
 from jaxid.robots.limbs import limbs_of
@@ -326,7 +326,7 @@ def test_a_process_that_looks_at_many_robots_keeps_the_last_programs(monkeypatch
     monkeypatch.setattr(kept, "_KEPT", type(kept._KEPT)())
     alive, made, count = [], [], itertools.count()
     whole = kept.shared
-    for module in (batch, binding, goals_plant, torque_plant, drive):
+    for module in (batch, typical, goals_plant, torque_plant, drive):
         monkeypatch.setattr(
             module,
             "shared",

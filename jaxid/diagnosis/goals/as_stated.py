@@ -18,7 +18,7 @@ from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.goals.changes import StatedDifference
 from jaxid.diagnosis.goals.gains import held_gains
 from jaxid.diagnosis.goals.own_run import FileRun, stepped_changes
-from jaxid.diagnosis.goals.propose import as_vector, candidates_of
+from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.single_changes import belief_of
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
@@ -52,6 +52,8 @@ class Alone:
         self.stands = decider.refit((), self.theta)
         self.tried: list[Hypothesis] = []
         self._asked: list[Hypothesis] = []
+        #: The single change of effects that leaves least; None where none was asked.
+        self.nearest: StatedDifference | None = None
         self.as_likely: Hypothesis | None = (
             None  # the re-tuned model, where the data do not tell it from what was found
         )
@@ -65,14 +67,19 @@ class Alone:
         the data do not tell from it.
         """
         wide, out = self.decider.bench.binding, []
+        least_left = np.inf
         for change in found:
             theta = as_vector(wide, self.names, change.proposal)
             own = candidates_of(self.decider.bench, change.proposal)
             for i in change.index:
                 kind, _, place = self.names[i].partition("@")
                 own.append(Candidate(kind, place, (wide.layout.index(self.names[i]),)))
-            if own:
-                out.append(self.decider.refit(own, theta, self.stands.path))
+            if not own:
+                continue
+            h = self.decider.refit(own, theta, self.stands.path)
+            out.append(h)
+            if not change.index and joint_loss(h) < least_left:
+                self.nearest, least_left = change, joint_loss(h)
         out = [h for h in out if np.isfinite(joint_loss(h))]
         if out and not any(map(self.decider.at_noise, out)):
             nearest = min(out, key=joint_loss)
@@ -257,6 +264,15 @@ class AsStated:
             and bool(self.enough)
             and not self.alone.of_numbers(self.enough[0])
         )
+
+    @property
+    def nearest(self) -> Proposal | None:
+        """The effects that explain most where all else stands as stated, as a set to be asked beside
+        numbers that are re-tuned.
+        """
+        if self.alone is None or self.alone.nearest is None:
+            return None
+        return self.alone.nearest.proposal
 
     @property
     def gains(self) -> list[str]:

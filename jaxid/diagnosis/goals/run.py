@@ -174,7 +174,7 @@ def diagnose_led(
         found, more = _as_stated(ask, road, stated, alone)
         notes += more
     else:
-        found = _searched(ask, road, study)
+        found = _searched(ask, road, study, stated.nearest if stated is not None else None)
     if study.of("validation"):
         notes.append(SETTLED)
     notes += law_told(found.final, binding.chain.signature.joints)
@@ -233,9 +233,13 @@ def _as_stated(
     return replace(found, which=replace(found.which, text=text)), notes
 
 
-def _searched(ask: _Ask, road: _Road, study: LedStudy) -> Diagnosis:
-    """The diagnosis by effects beside numbers that are re-tuned."""
+def _searched(ask: _Ask, road: _Road, study: LedStudy, alone: Proposal | None) -> Diagnosis:
+    """The diagnosis by effects beside numbers that are re-tuned. `alone`: effects that explain most
+    where nothing is re-tuned, which first order about re-tuned numbers may not show.
+    """
     proposed = proposals(study, ask.max_effects)
+    if alone is not None:
+        proposed = replace(proposed, sets=(*proposed.sets, alone))
     road.bare = proposed.bare
     names = kinds_of(proposed.sets)
 
