@@ -83,7 +83,7 @@ def section(diagnosis: Diagnosis) -> Section:
 
 
 def _channels(how_far: HowFar) -> list[tuple[str, ChannelGap]]:
-    """The outputs; none where each is a joint, which has a line in the table of the robot's file."""
+    """The outputs; none where each is a joint: these have a table of their own."""
     joints = {row["joint"] for row in how_far.per_joint}
     if joints.issuperset(how_far.per_channel):
         return []
