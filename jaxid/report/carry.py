@@ -52,7 +52,9 @@ def section(result: Fit | Identification, file: str, believed: bool = True) -> S
     values = values_to_write(result) if believed and isinstance(result, Fit) else []
     if not values:
         return None
-    return Section("values.html", {"values": values, "file": file, "targets": TARGETS})
+    beside = any(value.stated is not None for value in values)
+    told = {"values": values, "beside": beside, "file": file, "targets": TARGETS}
+    return Section("values.html", told)
 
 
 def values_to_write(fit: Fit) -> list[ValueToWrite]:
