@@ -494,7 +494,7 @@ def test_what_to_write_is_a_line_a_number_and_what_is_said_of_it_once():
     rows.append(ExportRow("position_dependent_friction", "j1", "", law, "N m", "code", ""))
     lines = [carry.change(row) for row in rows]
     assert [line.before for line in lines] == ["0.01"] * 5 + [""]
-    assert lines[-1].value == "sine 0.9641, order 1.000 N m"
+    assert lines[-1].value == "sine\u00a00.9641, order\u00a01.000\u00a0N\u00a0m"
     assert carry.remarks(rows) == [f"armature at 5 places: {said}."]
 
 
