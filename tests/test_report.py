@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -21,6 +22,7 @@ from jaxid.report.display import write
 from jaxid.report.identified import base_rows
 from jaxid.report.missing_force import spectrum
 from jaxid.robots.export.target import ExportRow
+from jaxid.study.page import _counted as counted
 from page_samples import identification, RESULTS, robot_under_goals
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
@@ -548,3 +550,8 @@ def test_values_are_to_be_written_unless_nothing_is_known(verdict):
     names = [value.name for value in values_to_write(final)]
     effects = [f"{name} of {e}" for e in final.effects for name in e.parameters]
     assert names == ["inertia", *effects]
+
+
+def test_a_verdict_that_is_alone_is_not_counted():
+    assert counted(Counter(named=1)) == "named"
+    assert counted(Counter(named=3, unknown=1)) == "named 3×, unknown 1×"
