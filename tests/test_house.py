@@ -9,13 +9,13 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 23.5,
+    measure_house.DENSITY: 23.0,
     "fmt: skip": 14,
     "lines over 100 columns": 97,
     "thresholds without a recorded case": 19,
-    "functions of more than 15 decisions": 31,
+    "functions of more than 15 decisions": 19,
     "calls with 8 or more positional arguments": 5,
-    "comprehensions with a loop or choice inside": 122,
+    "comprehensions with a loop or choice inside": 42,
     "named lambdas": 3,
     "class names in two or more modules": 1,
     "effect ids quoted": 3,

@@ -127,6 +127,16 @@ class Dataset:
     def output_names(self) -> list[str]:
         return names_of(self.outputs)
 
+    @property
+    def stated(self) -> ModelSpec:
+        """What is stated of the model: a spec without a name or a number where nothing is."""
+        return self.model or ModelSpec()
+
+    @property
+    def seen(self) -> list[Experiment]:
+        """The runs that may be looked at while something is chosen: all but those to report on."""
+        return [e for e in self.experiments if e.split != "report"]
+
     def split(self, name: str) -> tuple[Experiment, ...]:
         """The runs of one split: "fit", "validation" or "report"."""
         if name not in ("fit", "validation", "report"):

@@ -198,7 +198,7 @@ def _stated(dataset: Dataset, signature: Signature) -> tuple[str, dict[str, Any]
         raise UsageError(
             "a controller needs one input and one measured position per joint of the model"
         )
-    if dataset.model is not None and dataset.model.free:
+    if dataset.stated.free:
         raise UsageError(
             "the dataset is of free motion and states a controller: take one of them out"
         )

@@ -4,6 +4,7 @@ sandwich covariances.
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -170,7 +171,7 @@ class RowNoise:
     @cached_property
     def series(self) -> list[Float[np.ndarray, " samples"]]:
         """The residual of each joint of each run."""
-        return [column for e in self.errors for column in e.T]
+        return list(itertools.chain.from_iterable(e.T for e in self.errors))
 
     @cached_property
     def white_and_memory(self) -> tuple[bool, int]:

@@ -56,10 +56,9 @@ class StatedValues(NamedTuple):
     priors: dict[str, ParameterPrior]
 
 
-def stated_values(layout: ParameterVector, spec: ModelSpec | None) -> StatedValues:
+def stated_values(layout: ParameterVector, spec: ModelSpec) -> StatedValues:
     """The numbers of a chain as its files and the dataset have them."""
     mechanism = layout.chain.mechanism
-    spec = spec or ModelSpec()
     theta, stated = layout.values.copy(), set()
     fixed = {i for i, e in enumerate(layout.entries) if e.spec.fixed}
     others = {"smoothing_velocity", *settings(mechanism)}
