@@ -36,6 +36,13 @@ class ParameterPrior:
     log: bool | None = None
     prior: dict[str, float] | None = None
 
+    @property
+    def start(self) -> float | None:
+        """The value, else the mean of the prior."""
+        if self.value is None and self.prior is not None:
+            return self.prior["mean"]
+        return self.value
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -136,6 +143,11 @@ class Dataset:
     def seen(self) -> list[Experiment]:
         """The runs that may be looked at while something is chosen: all but those to report on."""
         return [e for e in self.experiments if e.split != "report"]
+
+    @property
+    def to_fit(self) -> tuple[Experiment, ...]:
+        """The runs of the fit; all where none is for it."""
+        return self.split("fit") or self.experiments
 
     def split(self, name: str) -> tuple[Experiment, ...]:
         """The runs of one split: "fit", "validation" or "report"."""

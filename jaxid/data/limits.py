@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.base.errors import nearest, UsageError
+from jaxid.base.numbers import is_number
 from jaxid.base.small_files import read_small
 from jaxid.base.wording import names_of
 
@@ -37,7 +38,7 @@ class Limits:
     data_age: float = 0.1
 
     def __post_init__(self):
-        if not (_is_number(self.data_age) and 0.02 <= self.data_age <= 2.0):
+        if not (is_number(self.data_age) and 0.02 <= self.data_age <= 2.0):
             raise UsageError(f"limit data_age is {self.data_age!r} s; write 0.02 to 2")
         object.__setattr__(self, "data_age", float(self.data_age))
         for name, value in self.stated.items():
@@ -133,13 +134,9 @@ class Limits:
 def _numbers(name: str, value: Any) -> tuple[float, ...]:
     """One number, or one a joint. Raises `UsageError` for anything else."""
     numbers = [value] if isinstance(value, int | float) else list(value)
-    if not numbers or not all(map(_is_number, numbers)):
+    if not numbers or not all(map(is_number, numbers)):
         raise UsageError(f"limit {name} is {value!r}; write a number, or one number a joint")
     return tuple(map(float, numbers))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and value == value
 
 
 def _negative(upper: tuple[float, ...] | None) -> tuple[float, ...] | None:

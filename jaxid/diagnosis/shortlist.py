@@ -36,16 +36,15 @@ def shortlist(
     """
     blind = not by_torque  # a model with inner states
     most = 2 * MAXIMUM if blind else MAXIMUM
-    beside = [f for f in _head(ranked) if refining(f[1])]
-    ranked = [f for f in ranked if not refining(f[1])]
-    by_torque = [f for f in by_torque if not refining(f[1])]
+    beside, _ = _parted(_head(ranked), refining)
+    _, ranked = _parted(ranked, refining)
+    _, by_torque = _parted(by_torque, refining)
     table = _by_name(ranked or by_torque)
-    timing = [f for f in table.values() if alone and is_timing(bench, f[1])]
+    timing, _ = _parted(list(table.values()), lambda c: alone and is_timing(bench, c))
     best = ranked if blind else _head(ranked)
     # At the joint first: what is on the way of the command always explains torque, by delivering
     # less of it.
-    at_joint = [f for f in by_torque if effect_of(bench, f[1]).location == "joint"]
-    before = [f for f in by_torque if effect_of(bench, f[1]).location != "joint"]
+    at_joint, before = _parted(by_torque, lambda c: effect_of(bench, c).location == "joint")
     in_order = _by_name([*timing, *best, *_head(at_joint), *_head(before)])
     kept = [name for name in in_order if name in table][:most]
     front = _by_name([*ranked[:FRONT], *by_torque[:FRONT]])
@@ -54,6 +53,16 @@ def shortlist(
         wanted |= {f"{effect} at {c.location}" for effect in effect_of(bench, c).resembles}
     more = [name for name in table if name in wanted and name not in kept]
     return [*(table[name] for name in (*kept, *more)), *beside]
+
+
+def _parted(
+    found: Sequence[Screened], test: Callable[[Candidate], bool]
+) -> tuple[list[Screened], list[Screened]]:
+    """Those whose candidates pass a test, and the others."""
+    passed, others = [], []
+    for f in found:
+        (passed if test(f[1]) else others).append(f)
+    return passed, others
 
 
 def _by_name(found: Sequence[Screened]) -> dict[str, Screened]:

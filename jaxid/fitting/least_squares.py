@@ -115,9 +115,9 @@ def levenberg_marquardt(
                 loss = best.loss if expansion is linearise else best.cost
                 one.add(math.ceil(each * count), loss if share == 1.0 else np.inf)
                 one.show(iteration, iterations)
-        lost = [path.converged for path in paths]
+        lost = np.array([path.converged for path in paths])
         if hopeless is not None and iteration == PATIENCE:
-            lost = np.logical_or(lost, hopeless(paths))
+            lost |= np.asarray(hopeless(paths), bool)
         active = [i for i in active if not lost[i]]
         if enough is not None:
             active = [i for i in active if not enough(i, paths[i])]

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from jaxid.base.errors import nearest, UsageError
+from jaxid.base.numbers import is_number
 
 
 class Setting(NamedTuple):
@@ -123,7 +124,7 @@ def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[s
             return given
     if isinstance(default, tuple):
         value = _pair(given)
-        if len(value) != len(default) or not all(map(_is_number, value)):
+        if len(value) != len(default) or not all(map(is_number, value)):
             shown = value or given
             raise _refused(fitter, field, shown, f"a number, or {len(default)} in brackets")
         _check_bounds(fitter, field, value)
@@ -131,7 +132,7 @@ def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[s
     if not isinstance(default, int | float):
         return _population(fitter, field, given, named)
     whole = isinstance(default, int)
-    if not _is_number(given) or (whole and not isinstance(given, int)):
+    if not is_number(given) or (whole and not isinstance(given, int)):
         raise _refused(fitter, field, given, "a whole number" if whole else "a number")
     _check_bounds(fitter, field, [given])
     return given if whole else float(given)
@@ -155,13 +156,9 @@ def _population(
     return value
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _pair(given: Any) -> tuple[Any, ...]:
     """A range of two by what was given; empty for what is none."""
-    if _is_number(given):
+    if is_number(given):
         return given, given
     return tuple(given) if isinstance(given, list | tuple) else ()
 

@@ -52,6 +52,10 @@ class Source:
     ragged: Mapping[int, int] = field(default_factory=dict)
     clock: str = ""  # the column of the times, where the kind of file says it
 
+    def table(self, column: str, cells: Any) -> Table:
+        """A column by itself, whose cells are read as those of a table."""
+        return Table(self.path.name, {column: cells}, len(cells), self.rows)
+
 
 def read_source(path: Path, stated: StatedFormat) -> Source:
     """A file by its own kind, whatever it is called."""
@@ -244,8 +248,7 @@ def times_of(
 ) -> tuple[np.ndarray, int | None]:
     if not unit and source.units.get(name) in PER_SECOND:
         unit = source.units[name]
-    table = Table(source.path.name, {name: cells}, len(cells), source.rows)
-    numbers = table.numbers(name).values
+    numbers = source.table(name, cells).numbers(name).values
     if (why := contradicted(numbers, unit)) is not None:
         raise refused(source.path, f"column {name}: {why[0]}", f"Write --channel t={name}:{why[1]}")
     t, start = since_start(cells, numbers, unit)
@@ -276,7 +279,7 @@ def numbers_of(
     With `notes`, blank cells are NaN, which a note counts; without, they are at fault like any
     other.
     """
-    table = Table(source.path.name, {column: cells}, len(cells), source.rows)
+    table = source.table(column, cells)
     numbers = table.numbers(column)
     values = numbers.values[chosen]
     if len(values) != length:
