@@ -4,11 +4,13 @@ notebooks.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import re
 import shutil
 from pathlib import Path
+from types import ModuleType
 
 import effect_pages
 
@@ -69,20 +71,22 @@ def write(folder: Path, root: Path) -> None:
     (folder / "results").mkdir(exist_ok=True)
     for picture in (root / "benchmarks" / "results").glob("*.png"):
         shutil.copy(picture, folder / "results")
-    (folder / "leaderboard.md").write_text(leaderboard(root / "benchmarks"), encoding="utf-8")
+    benchmarks = root / "benchmarks"
+    public, gallery = _module(benchmarks / "public.py"), _module(benchmarks / "gallery.py")
+    board = public.page(benchmarks / "leaderboard")
+    (folder / "leaderboard.md").write_text(board, encoding="utf-8")
+    (folder / "gallery.md").write_text(gallery.page(benchmarks / "results"), encoding="utf-8")
     present = [n for n in NOTEBOOKS if (root / "notebooks" / f"{n}.py").is_file()]
     (folder / "notebooks.md").write_text(notebooks(present), encoding="utf-8")
 
 
-def leaderboard(benchmarks: Path) -> str:
-    """The page of the public benchmark's entries."""
-    import importlib.util
-
-    spec = importlib.util.spec_from_file_location("public", benchmarks / "public.py")
+def _module(file: Path) -> ModuleType:
+    """A file of the benchmarks, which are no package of the site's."""
+    spec = importlib.util.spec_from_file_location(file.stem, file)
     assert spec is not None and spec.loader is not None
-    public = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(public)
-    return public.page(benchmarks / "leaderboard")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _key(root: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -9,14 +10,17 @@ import numpy as np
 import pytest
 
 from jaxid.base import wording
+from jaxid.diagnosis import reasons
 from jaxid.diagnosis.result import HowFar
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.stated import StatedNumber
-from jaxid.report import diagnosis_fragment, diagnosis_page, plot, text
+from jaxid.report import carry, diagnosis_fragment, diagnosis_page, plot, text
 from jaxid.report.answer import short
 from jaxid.report.carry import values_to_write
 from jaxid.report.display import write
 from jaxid.report.missing_force import spectrum
+from jaxid.robots.export.target import ExportRow
+from page_samples import RESULTS, robot_under_goals
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
 
@@ -457,6 +461,50 @@ def test_a_card_has_room_for_sixty_words():
     card = short("A fact", [sentence, sentence, sentence])
     assert card == (("A fact", [sentence, sentence]), [sentence])
     assert short("A fact", [" ".join(["long"] * 90)]).more == []
+    several = " ".join([f"A{sentence}"] * 3)  # one string, three sentences
+    assert short("A fact", [several]) == (("A fact", [f"A{sentence}"] * 2), [f"A{sentence}"])
+
+
+def test_no_reason_is_a_sentence_that_fills_a_card():
+    """What a verdict rests on stands on a card, sentence by sentence: one always does."""
+    kinds = [kind for kind in vars(reasons).values() if isinstance(kind, type)]
+    forms = {kind.__name__: getattr(kind, "form", "") for kind in kinds}
+    assert len(forms) > 20
+    for name, form in forms.items():
+        longest = max(len(part.split()) for part in re.split(r"(?<=[.!?]) (?=[A-Z])", form))
+        assert longest <= 40, name
+
+
+def test_a_robots_joints_stand_in_one_table():
+    """Each joint's errors once, with its noise; what to write behind the cards."""
+    page = diagnosis_page(robot_under_goals())
+    assert page.count(">0.0310 rad<") == 1 and "0.000400 rad (sensor)" in page
+    assert "rms error, as stated" not in page
+    assert page.index("What to do</h2>") < page.index("joint by joint</h2>")
+
+
+def test_what_to_write_is_a_line_a_number_and_what_is_said_of_it_once():
+    said = "a URDF has no field for it: set it in the simulator"
+    rows = [
+        ExportRow("armature", f"j{k}", "", 0.1 * k, "kg m^2", "none", f"{said}; before: 0.01")
+        for k in range(5)
+    ]
+    law = {"sine": 0.9641, "order": 1.0}
+    rows.append(ExportRow("position_dependent_friction", "j1", "", law, "N m", "code", ""))
+    lines = [carry.change(row) for row in rows]
+    assert [line.before for line in lines] == ["0.01"] * 5 + [""]
+    assert lines[-1].value == "sine 0.9641, order 1.000 N m"
+    assert carry.remarks(rows) == [f"armature at 5 places: {said}."]
+
+
+@pytest.mark.parametrize("kind", RESULTS)
+def test_contents_stand_below_the_answer(kind, tmp_path):
+    """Behind the first part of a page, however its sections are cut, and in no part of its own."""
+    source = write(RESULTS[kind](), tmp_path / "page.html").read_text(encoding="utf-8")
+    if "<nav" not in source:
+        return
+    place = source.index("<nav")
+    assert source.index("<h1") < place < source.index("<h2", source.index("<h1"))
 
 
 @pytest.mark.parametrize("verdict", ["named", "partly", "none", "unknown"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +36,7 @@ def judged_by_torque(study: TorqueStudy, found: Found) -> Verdict:
         return Verdict("unknown", (Undetermined(lost_at[0]),))
     sets = [which for which in (found.choose, found.judge) if which] or [found.fit]
     if not final.units:
-        return _nothing_claimed(found, [found.fit, *sets])
+        return _nothing_claimed(found)
     names = tuple(map(_said, final.units))
     fitted = nominal.gap(found.fit)
     if found.as_before is not None:
@@ -68,14 +67,16 @@ def _in_all_runs(found: Found) -> list[Remark]:
     return [Remark(f"The model lacks {listed(map(_said, found.base.final.units))}.")]
 
 
-def _nothing_claimed(found: Found, sets: Sequence[Sequence[int]]) -> Verdict:
-    """By what the re-tuned model leaves of sets of runs."""
-    gaps = [found.nominal.gap(which) for which in sets if which]
-    measured = [gap for gap in gaps if not np.isnan(gap)]  # nan where no joint moves
-    if measured and max(measured) <= LIMITS.seen:
+def _nothing_claimed(found: Found) -> Verdict:
+    """By what the re-tuned model leaves of the runs of each kind."""
+    runs = {"fit": found.fit, "validation": found.choose, "report": found.judge}
+    gaps = {data: found.nominal.gap(which) for data, which in runs.items() if which}
+    measured = {data: gap for data, gap in gaps.items() if not np.isnan(gap)}  # of what moves
+    worst = max(measured, key=lambda data: measured[data], default="report")
+    largest = measured.get(worst, float("nan"))
+    if largest <= LIMITS.seen:
         return Verdict("none", (TorqueAtTheNoise(),))
-    largest = max(measured, default=float("nan"))
-    return Verdict("unknown", (NothingSure(largest), *_possible(found)))
+    return Verdict("unknown", (NothingSure(largest, worst), *_possible(found)))
 
 
 def _families(found: Found) -> list[Remark]:
