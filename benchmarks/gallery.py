@@ -316,11 +316,11 @@ def page(results: Path = RESULTS) -> str:
     for recording in RECORDINGS:
         kept = json.loads((results / f"{recording.result}.json").read_text(encoding="utf-8"))
         source = f"https://github.com/{recording.repository}/tree/{recording.commit}"
-        out += [f"## {recording.name}", "", f"{recording.machine}.", ""]
+        out += [f"## {recording.machine}", ""]
         out += [" ".join(recording.answer(kept["rows"])), ""]
         out += [
-            f"Source: [{recording.repository}]({source}), commit `{recording.commit[:7]}`; licence:",
-            f"{recording.licence}. Measured {kept['date']} by `benchmarks/{recording.result}.py`.",
+            f"`{recording.name}`, from [{recording.repository}]({source}), commit",
+            f"`{recording.commit[:7]}`; licence: {recording.licence}. Measured {kept['date']} by `benchmarks/{recording.result}.py`.",
             "",
         ]
     return "\n".join(out)

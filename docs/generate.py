@@ -60,7 +60,12 @@ def write(folder: Path, root: Path) -> None:
     file = kept / "equivalences.json"
     alike = json.loads(file.read_text()) if file.is_file() else {}
     (folder / "effects.md").write_text(effects(pictures, alike), encoding="utf-8")
-    effect_pages.write(folder / "effects", pictures, lambda name: _mates(name, alike))
+    asked = _asked() if alike else set()
+    effect_pages.write(
+        folder / "effects",
+        pictures,
+        lambda name: _mates(name, alike) if name in asked else None,
+    )
     (folder / "models.md").write_text(models(), encoding="utf-8")
     (folder / "fitters.md").write_text(fitters(), encoding="utf-8")
     (folder / "thresholds.md").write_text(thresholds(), encoding="utf-8")
@@ -186,6 +191,20 @@ def effects(pictures: Path, alike: dict) -> str:
                 ]
                 out += [table(["parameter", "unit", "neutral", "bounds", "meaning"], rows), ""]
     return "\n".join([*out, "```{toctree}", ":hidden:", ":glob:", "", "effects/*", "```", ""])
+
+
+def _asked() -> set[str]:
+    """The effects that a quoted model can have: of no other one it was computed what is alike."""
+    from jaxid.dynamics import catalogue
+    from jaxid.dynamics.chain import Chain
+
+    asked: set[str] = set()
+    for model in QUOTED:
+        chain = Chain(catalogue.model_class(model)())
+        for name in catalogue.effect_names():
+            if name in chain.contents or chain.offers(catalogue.effect_class(name)):
+                asked.add(name)
+    return asked
 
 
 def _mates(effect: str, alike: dict) -> str:

@@ -207,6 +207,12 @@ def test_every_effect_has_a_page_of_its_own(monkeypatch, tmp_path):
     assert "[COMMAND] --> joint" in written["dead_zone"]
     assert "`damping`" in written["viscous_friction"]
     assert "mend the time stamps" in written["timestamp_jitter"]
+    for name, page in written.items():
+        assert not re.search(r"\{\w+(:[^}]*)?\}", page), f"{name}: a number's place, not its name"
+        looks = page.split("## What it looks like\n\n")[1]
+        assert looks[:1] == looks[:1].upper(), name
+    told = effect_pages.page("dead_zone", drawn=False, mates=None)
+    assert "from every other effect" not in told, "nothing was computed of it"
 
 
 @pytest.fixture(scope="module")

@@ -64,7 +64,7 @@ def test_ten_recordings_stand_there_with_repository_and_commit():
     assert len(gallery.RECORDINGS) >= 10
     for recording in gallery.RECORDINGS:
         assert re.fullmatch(r"[0-9a-f]{40}", recording.commit) and recording.licence
-        assert f"## {recording.name}\n" in page
+        assert f"## {recording.machine}\n" in page and f"`{recording.name}`" in page
         assert (ROOT / "benchmarks" / f"{recording.result}.py").is_file()
 
 

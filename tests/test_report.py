@@ -18,9 +18,10 @@ from jaxid.report import carry, diagnosis_fragment, diagnosis_page, plot, text
 from jaxid.report.answer import short
 from jaxid.report.carry import values_to_write
 from jaxid.report.display import write
+from jaxid.report.identified import base_rows
 from jaxid.report.missing_force import spectrum
 from jaxid.robots.export.target import ExportRow
-from page_samples import RESULTS, robot_under_goals
+from page_samples import identification, RESULTS, robot_under_goals
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
 
@@ -493,8 +494,26 @@ def test_what_to_write_is_a_line_a_number_and_what_is_said_of_it_once():
     rows.append(ExportRow("position_dependent_friction", "j1", "", law, "N m", "code", ""))
     lines = [carry.change(row) for row in rows]
     assert [line.before for line in lines] == ["0.01"] * 5 + [""]
-    assert lines[-1].value == "sine 0.9641, order 1.000 N m"
+    assert lines[-1].value == "sine\u00a00.9641, order\u00a01.000\u00a0N\u00a0m"
     assert carry.remarks(rows) == [f"armature at 5 places: {said}."]
+
+
+def test_numbers_that_none_stated_are_no_step_of_the_budget():
+    """Re-tuned numbers close nothing where nothing is stated: one bar, one number in a sentence."""
+    plain = sample_diagnosis()
+    far = replace(plain.how_far, gap_before=8.84, gap_retuned=8.84)
+    page = diagnosis_page(replace(plain, how_far=far))
+    assert "numbers re-tuned" not in page and "closes 0 %" not in page
+    assert "re-tuned alone" not in page and "falls from 8.8 to 1.08 times" in page
+    assert "numbers re-tuned" in diagnosis_page(plain)
+
+
+def test_a_number_that_is_not_determined_is_not_far_from_what_is_stated():
+    found = identification()
+    row = {"parameter": found.names[3], "stated": 0.1, "deviation": 6.8}
+    sure = {"parameter": found.names[0], "stated": 0.1, "deviation": 5.2}
+    rows = base_rows(replace(found, stated=(row, sure)))
+    assert rows[3][3] == "" and rows[3][-1] == "not determined" and rows[0][3] == "+5.2"
 
 
 @pytest.mark.parametrize("kind", RESULTS)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 WORDS, QUESTION = 60, 6
 #: Where a sentence ends and another begins.
 _BETWEEN = re.compile(r"(?<=[.!?]) (?=[A-Z])")
+#: An effect of more numbers than these has them under what to write.
+NUMBERS = 4
 QUESTIONS = {"where": "Where", "which": "Which effect", "far": "How far"}
 
 
@@ -37,7 +39,7 @@ def short(fact: str, sentences: Sequence[str]) -> Card:
     """A card of at most `WORDS` words; its first sentence stands there in any case."""
     single: list[str] = []
     for said in sentences:
-        single += _BETWEEN.split(said)
+        single += _BETWEEN.split(said if said.endswith((".", "!", "?")) else f"{said}.")
     shown: list[str] = []
     count = QUESTION + len(fact.split())
     for k, sentence in enumerate(single):
@@ -126,7 +128,7 @@ def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     if diagnosis.which.verdict == "none":
         return "Nowhere above the noise", ["What the simulation misses is no more than noise."]
     first = diagnosis.where[0]
-    sentences = [f"{text.where_sentence(f).rstrip('.')}." for f in diagnosis.where[:2]]
+    sentences = [text.where_sentence(f) for f in diagnosis.where[:2]]
     told = diagnosis.which.verdict == "named" or wording.percent(first.share_of_gap) in sentences[0]
     if first.text and not told:  # a sentence of its own may leave these out
         sentences.insert(
@@ -165,7 +167,8 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     sentences = effect_text.meaning(which)
     groups = alike(which.effects)
     for group in groups:
-        inside = effect_text.parameters_of(group.common)
+        numbers = group.common.parameters
+        inside = effect_text.parameters_of(group.common) if len(numbers) <= NUMBERS else ""
         prefix = ""
         if len(which.effects) > 1:
             kind = group.common.effect.replace("_", " ")

@@ -52,7 +52,9 @@ def section(result: Fit | Identification, file: str, believed: bool = True) -> S
     values = values_to_write(result) if believed and isinstance(result, Fit) else []
     if not values:
         return None
-    return Section("values.html", {"values": values, "file": file, "targets": TARGETS})
+    beside = any(value.stated is not None for value in values)
+    told = {"values": values, "beside": beside, "file": file, "targets": TARGETS}
+    return Section("values.html", told)
 
 
 def values_to_write(fit: Fit) -> list[ValueToWrite]:
@@ -107,7 +109,8 @@ def change(row: ExportRow) -> Change:
     """A line of the page."""
     name = f"{row.effect} at {row.location}" if row.location else row.effect
     before = [part.removeprefix(BEFORE) for part in _parts(row) if part.startswith(BEFORE)]
-    return Change(name, f"{_value(row.value)} {row.unit}".strip(), " ".join(before), row.field)
+    value = f"{_value(row.value)} {row.unit}".strip()
+    return Change(name, _together(value), " ".join(before), row.field)
 
 
 def remarks(rows: Sequence[ExportRow]) -> list[str]:
@@ -131,6 +134,11 @@ def _parts(row: ExportRow) -> list[str]:
 def _placed(effect: str, places: Sequence[str]) -> str:
     named = [place for place in places if place]
     return f"{effect} at {named_places(named)}" if named else effect
+
+
+def _together(value: str) -> str:
+    """Each number on one line with its unit; several break between them."""
+    return value.replace(" ", "\u00a0").replace(",\u00a0", ", ")
 
 
 def _value(value: Any) -> str:

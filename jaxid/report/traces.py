@@ -25,7 +25,10 @@ def section(traces: Sequence[Trace]) -> Section | None:
         return None
     ordered = sorted(traces, key=lambda trace: _ORDER.get(trace.split, 3))
     pictures = [
-        (f"{t.channel} in {t.experiment} ({t.split} data)", picture(t, f"trace-{i}"))
+        (
+            f"{t.channel} in {t.experiment.removesuffix(f'#{t.split}')} ({t.split} data)",
+            picture(t, f"trace-{i}"),
+        )
         for i, t in enumerate(ordered[:SHOWN])
     ]
     return Section(
