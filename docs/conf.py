@@ -52,10 +52,30 @@ shutil.copytree(
 generate.write(HERE / "generated", ROOT)
 
 
+#: What Sphinx and the theme write, and what a screen reader and a keyboard need in its place.
+ACCESSIBLE = {
+    '<p class="caption" role="heading">': '<p class="caption" role="heading" aria-level="2">',
+    '<aside class="sidebar-drawer">': '<aside class="sidebar-drawer" aria-label="All pages">',
+    '<aside class="toc-drawer': '<aside aria-label="On this page" class="toc-drawer',
+    "<pre>": '<pre tabindex="0">',
+    '<div class="table-wrapper ': '<div tabindex="0" role="group" aria-label="table" class="table-wrapper ',
+}
+
+
 def setup(app):
-    """Links to files of the repository that are pages here under another name."""
+    """Links to files of the repository that are pages here under another name; pages that all can
+    read.
+    """
 
     def rename(app, page, source):
         source[0] = source[0].replace("](../benchmarks/RESULTS.md)", "](/generated/benchmarks.md)")
 
+    def mend(app, error):
+        for page in Path(app.outdir).rglob("*.html") if error is None else ():
+            text = page.read_text(encoding="utf-8")
+            for written, wanted in ACCESSIBLE.items():
+                text = text.replace(written, wanted)
+            page.write_text(text, encoding="utf-8")
+
     app.connect("source-read", rename)
+    app.connect("build-finished", mend)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 #: From the command to the sensor: what `acts_on` calls each place, and what it is called here.
 PLACES = {
     "command": "command",
+    "drive": "drive",
     "joint": "joint",
     "body": "links",
     "sensor": "sensor",
@@ -22,12 +24,14 @@ PORTS = {
     "torque": "the torque of the drive",
     "reading": "what the sensor reads",
 }
+#: Below a picture of a signature.
+COLOURS = "Computed for a rich motion; of a force, blue is forwards and orange backwards."
 #: Numbers of a joint that MJCF has under the same name.
 MJCF = ("damping", "armature", "frictionloss", "stiffness", "springref")
 TARGETS = ("mjcf", "urdf", "isaaclab", "mjlab", "sdf", "drake", "ros2_control", "genesis")
 
 
-def write(folder: Path, pictures: Path, mates: Callable[[str], str]) -> None:
+def write(folder: Path, pictures: Path, mates: Callable[[str], str | None]) -> None:
     """Writes NAME.md for each effect; `mates` says what it cannot be told from."""
     from jaxid.dynamics import catalogue
 
@@ -37,7 +41,7 @@ def write(folder: Path, pictures: Path, mates: Callable[[str], str]) -> None:
         (folder / f"{name}.md").write_text(page(name, drawn, mates(name)), encoding="utf-8")
 
 
-def page(name: str, drawn: bool, mates: str) -> str:
+def page(name: str, drawn: bool, mates: str | None) -> str:
     """The page of an effect; `drawn`: whether there is a picture of its signature."""
     from generate import plain  # pyright: ignore[reportMissingImports]
 
@@ -46,12 +50,15 @@ def page(name: str, drawn: bool, mates: str) -> str:
     info, kind = catalogue.describe_effect(name), catalogue.effect_class(name)
     out = [f"# {name}", "", plain(info.text), ""]
     if kind.plain:
-        out += [f"In a result: *{plain(kind.plain)}*", ""]
-    out += ["## What it looks like", "", plain(info.signature) + ".", ""]
+        out += [f"In a result: {in_a_result(kind.plain)}", ""]
+    out += ["## What it looks like", "", _sentence(plain(info.signature)), ""]
     if drawn:
         out += [f"```{{image}} ../signatures/{name}.svg", f":alt: missing force left by {name}"]
-        out += ["```", ""]
-    out += ["## Where it acts", "", "```text", sketch(kind.acts_on), "```", ""]
+        out += ["```", "", COLOURS, ""]
+    place = kind.acts_on
+    if place == "timing":
+        place = "sensor" if info.family == "sensor" else "command"
+    out += ["## Where it acts", "", "```text", sketch(place), "```", ""]
     out += [f"Location in commands: {plain(info.locations)}.", ""]
     out += [
         "## Equation",
@@ -82,8 +89,18 @@ def sketch(place: str) -> str:
     return way if place in PLACES else f"{way}      (changes a number of the model)"
 
 
-def confused(kind: Any, mates: str) -> str:
-    """What looks alike: stated in the effect's file, and computed for models."""
+def in_a_result(sentence: str) -> str:
+    """What a result says of the effect, with the names of its numbers in the place of these."""
+    from generate import plain  # pyright: ignore[reportMissingImports]
+
+    parts = re.split(r"\{(\w+)[^}]*\}", sentence)
+    return "".join(f"`{part}`" if k % 2 else plain(part) for k, part in enumerate(parts))
+
+
+def confused(kind: Any, mates: str | None) -> str:
+    """What looks alike: stated in the effect's file, and computed for models; `mates` is None where
+    nothing was computed of it.
+    """
     said = []
     if kind.resembles:
         said.append(f"By its form: {', '.join(f'`{name}`' for name in kind.resembles)}.")
@@ -92,7 +109,8 @@ def confused(kind: Any, mates: str) -> str:
     if mates:
         said.append(f"In an open loop with rich excitation: {mates}.")
     alone = "Rich excitation tells it from every other effect of the library."
-    return " ".join(said) or alone
+    asked = "A diagnosis says what its recording cannot tell from it, as `confusable_with`."
+    return " ".join(said) or (asked if mates is None else alone)
 
 
 def written(kind: Any) -> list[str]:
@@ -106,7 +124,7 @@ def written(kind: Any) -> list[str]:
         ]
     elif stands is not None:
         out += [
-            f"It is a number of the robot's file ({stands.quantity}), from `{stands.number}`.",
+            f"Where a target has a field for it: {stands.quantity}, from `{stands.number}`.",
             "",
         ]
     law = kind.export_law
@@ -116,7 +134,11 @@ def written(kind: Any) -> list[str]:
         out += [f"As code, for {PORTS[law.port]}:", "", "```python", law.text, "```", ""]
     elif law:
         out += [f"As code with a memory, for {PORTS[law.port]}: {law.words}", ""]
-    out += ["The command writes it with the numbers of your result, and says which are exact:", ""]
+    out += [
+        "The command writes what has a field, with the numbers of your result, and says which are",
+        "exact and which are left out:",
+        "",
+    ]
     out += ["```sh", f"jaxid export diagnosis.json --to {TARGETS[0]} --out fixed", "```", ""]
     out += [f"Other targets: {', '.join(f'`{target}`' for target in TARGETS[1:])}."]
     return out

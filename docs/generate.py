@@ -4,11 +4,13 @@ notebooks.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import re
 import shutil
 from pathlib import Path
+from types import ModuleType
 
 import effect_pages
 
@@ -58,7 +60,12 @@ def write(folder: Path, root: Path) -> None:
     file = kept / "equivalences.json"
     alike = json.loads(file.read_text()) if file.is_file() else {}
     (folder / "effects.md").write_text(effects(pictures, alike), encoding="utf-8")
-    effect_pages.write(folder / "effects", pictures, lambda name: _mates(name, alike))
+    asked = _asked() if alike else set()
+    effect_pages.write(
+        folder / "effects",
+        pictures,
+        lambda name: _mates(name, alike) if name in asked else None,
+    )
     (folder / "models.md").write_text(models(), encoding="utf-8")
     (folder / "fitters.md").write_text(fitters(), encoding="utf-8")
     (folder / "thresholds.md").write_text(thresholds(), encoding="utf-8")
@@ -69,20 +76,22 @@ def write(folder: Path, root: Path) -> None:
     (folder / "results").mkdir(exist_ok=True)
     for picture in (root / "benchmarks" / "results").glob("*.png"):
         shutil.copy(picture, folder / "results")
-    (folder / "leaderboard.md").write_text(leaderboard(root / "benchmarks"), encoding="utf-8")
+    benchmarks = root / "benchmarks"
+    public, gallery = _module(benchmarks / "public.py"), _module(benchmarks / "gallery.py")
+    board = public.page(benchmarks / "leaderboard")
+    (folder / "leaderboard.md").write_text(board, encoding="utf-8")
+    (folder / "gallery.md").write_text(gallery.page(benchmarks / "results"), encoding="utf-8")
     present = [n for n in NOTEBOOKS if (root / "notebooks" / f"{n}.py").is_file()]
     (folder / "notebooks.md").write_text(notebooks(present), encoding="utf-8")
 
 
-def leaderboard(benchmarks: Path) -> str:
-    """The page of the public benchmark's entries."""
-    import importlib.util
-
-    spec = importlib.util.spec_from_file_location("public", benchmarks / "public.py")
+def _module(file: Path) -> ModuleType:
+    """A file of the benchmarks, which are no package of the site's."""
+    spec = importlib.util.spec_from_file_location(file.stem, file)
     assert spec is not None and spec.loader is not None
-    public = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(public)
-    return public.page(benchmarks / "leaderboard")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _key(root: Path) -> str:
@@ -182,6 +191,20 @@ def effects(pictures: Path, alike: dict) -> str:
                 ]
                 out += [table(["parameter", "unit", "neutral", "bounds", "meaning"], rows), ""]
     return "\n".join([*out, "```{toctree}", ":hidden:", ":glob:", "", "effects/*", "```", ""])
+
+
+def _asked() -> set[str]:
+    """The effects that a quoted model can have: of no other one it was computed what is alike."""
+    from jaxid.dynamics import catalogue
+    from jaxid.dynamics.chain import Chain
+
+    asked: set[str] = set()
+    for model in QUOTED:
+        chain = Chain(catalogue.model_class(model)())
+        for name in catalogue.effect_names():
+            if name in chain.contents or chain.offers(catalogue.effect_class(name)):
+                asked.add(name)
+    return asked
 
 
 def _mates(effect: str, alike: dict) -> str:

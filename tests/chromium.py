@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import time
 import urllib.request
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,14 @@ BROWSER = next(
 )
 #: Sizes of a window: a desk's and a phone's.
 DESKTOP, PHONE = (1280, 900), (390, 844)
+
+#: What axe-core finds, short enough to be read.
+AUDIT = """
+axe.run(document, {resultTypes: ["violations"]}).then(found => ({
+  rules: found.passes.length,
+  violations: found.violations.map(
+    v => [v.id, v.impact, v.help, v.nodes.slice(0, 3).map(n => n.html.slice(0, 200))])}))
+"""
 
 
 class Chromium:
@@ -38,6 +47,7 @@ class Chromium:
         try:
             self._socket = self._loop.run_until_complete(self._connected(profile))
             self.ask("Page.enable")
+            self.ask("Page.setBypassCSP", enabled=True)  # a page refuses scripts, axe is one
             metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1}
             self.ask("Emulation.setDeviceMetricsOverride", mobile=size[0] < 600, **metrics)
         except BaseException:
@@ -92,6 +102,12 @@ class Chromium:
     def open(self, address: str) -> None:
         self.ask("Page.navigate", url=address)
 
+    def shown(self, address: str) -> None:
+        """Opens a page and waits until all of it is there."""
+        self.open(address)
+        there = f"location.href === {json.dumps(address)}"
+        self.wait(f"{there} && document.readyState === 'complete'")
+
     def evaluate(self, script: str) -> Any:
         """The value of an expression on the page."""
         found = self.ask(
@@ -119,6 +135,14 @@ class Chromium:
             seen.append(self.evaluate(script))
             assert len(seen) < 600, f"never still: {script}"
         return seen[-1]
+
+    def violations(self) -> list[Any]:
+        """What axe-core finds on the page: rule, how bad, what it asks for, first elements."""
+        axe = (files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
+        self.evaluate(f"{axe}; true")
+        found = self.evaluate(AUDIT)
+        assert found["rules"] > 10, "axe has looked at next to nothing"
+        return found["violations"]
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """The mouse pressed at one place of the window and let go at another."""

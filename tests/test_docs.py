@@ -20,6 +20,7 @@ import jax
 import pytest
 
 import jaxid
+from chromium import BROWSER, Chromium, DESKTOP, PHONE
 from jaxid.dynamics import catalogue
 from jaxid.fitters.by_name import fitter_names
 
@@ -203,27 +204,39 @@ def test_every_effect_has_a_page_of_its_own(monkeypatch, tmp_path):
         assert all(any(word in head for head in heads) for word in wanted), name
         assert catalogue.describe_effect(name).equation in page
     assert "u - clip(u, -width, width)" in written["dead_zone"]
-    assert "[COMMAND] --> joint" in written["dead_zone"]
+    assert "[COMMAND] --> drive --> joint" in written["dead_zone"]
+    for name, page in written.items():
+        kind = catalogue.effect_class(name)
+        assert ("changes a number of the model" in page) == (kind.acts_on == "number"), name
+    assert "[COMMAND] -->" in written["input_delay"] and "[SENSOR]" in written["sensor_delay"]
     assert "`damping`" in written["viscous_friction"]
     assert "mend the time stamps" in written["timestamp_jitter"]
+    for name, page in written.items():
+        assert not re.search(r"\{\w+(:[^}]*)?\}", page), f"{name}: a number's place, not its name"
+        looks = page.split("## What it looks like\n\n")[1]
+        assert looks[:1] == looks[:1].upper(), name
+    told = effect_pages.page("dead_zone", drawn=False, mates=None)
+    assert "from every other effect" not in told, "nothing was computed of it"
 
 
-def test_the_site_builds_without_warnings(tmp_path):
-    """Notebooks without their outputs, which `make docs` computes; in a copy, for the build writes
-    pages beside its sources.
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The site, every warning an error. Notebooks are without their outputs, which `make docs`
+    computes; built in a copy, for the build writes pages beside its sources.
     """
     for module in ("furo", "myst_nb", "jupytext", "sphinx"):
         pytest.importorskip(module)
-    source = tmp_path / "source"
+    home = tmp_path_factory.mktemp("site")
+    source = home / "source"
     leave = shutil.ignore_patterns("__pycache__", "generated", "*.ipynb", "ipynb_checkpoints")
     for folder in ("docs", "notebooks", "examples"):
         shutil.copytree(ROOT / folder, source / folder, ignore=leave)
-    pictures = shutil.ignore_patterns("*.json", "*.jsonl")
+    pictures = shutil.ignore_patterns("*.jsonl")
     shutil.copytree(
         ROOT / "benchmarks" / "results", source / "benchmarks" / "results", ignore=pictures
     )
     shutil.copytree(ROOT / "benchmarks" / "leaderboard", source / "benchmarks" / "leaderboard")
-    for file in ("RESULTS.md", "public.py"):
+    for file in ("RESULTS.md", "public.py", "gallery.py"):
         shutil.copy(ROOT / "benchmarks" / file, source / "benchmarks")
     for folder in ("jaxid", "models"):
         (source / folder).symlink_to(ROOT / folder)
@@ -238,27 +251,43 @@ def test_the_site_builds_without_warnings(tmp_path):
             "-b",
             "html",
             source / "docs",
-            tmp_path / "site",
+            home / "site",
         ],
         capture_output=True,
         text=True,
         env={**os.environ, "JAXID_DOCS_NOTEBOOKS": "off"},
     )
     assert done.returncode == 0, done.stderr
+    return home / "site"
+
+
+def test_the_site_builds_without_warnings(site):
     for page in (
         "index",
         "getting_started",
         "generated/effects",
         "generated/benchmarks",
         "generated/leaderboard",
+        "generated/gallery",
         "notebooks/00_tour",
         "contract",
         "faq",
     ):
-        assert (tmp_path / "site" / f"{page}.html").is_file(), page
-    assert "dead_zone" in (tmp_path / "site" / "generated" / "effects.html").read_text(
-        encoding="utf-8"
-    )
+        assert (site / f"{page}.html").is_file(), page
+    assert "dead_zone" in (site / "generated" / "effects.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here: the site was not looked at")
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_the_site_is_accessible(site, size, tmp_path):
+    """The front page, the gallery of recordings and an effect's own page."""
+    pytest.importorskip("axe_core_python", reason="axe-core is not installed")
+    found = {}
+    with Chromium(tmp_path, size) as browser:
+        for page in ("index", "generated/gallery", "generated/effects/dead_zone"):
+            browser.shown((site / f"{page}.html").as_uri())
+            found[page] = browser.violations()
+    assert found == dict.fromkeys(found, [])
 
 
 @pytest.mark.slow

@@ -9,15 +9,15 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 23.5,
+    measure_house.DENSITY: 23.0,
     "fmt: skip": 14,
     "lines over 100 columns": 97,
     "thresholds without a recorded case": 19,
-    "functions of more than 15 decisions": 31,
+    "functions of more than 15 decisions": 17,
     "calls with 8 or more positional arguments": 5,
-    "comprehensions with a loop or choice inside": 122,
+    "comprehensions with a loop or choice inside": 42,
     "named lambdas": 3,
-    "class names in two or more modules": 1,
+    "class names in two or more modules": 0,
     "effect ids quoted": 3,
 }
 #: Texts of the core that are also ids of effects, and what they are there.

@@ -111,17 +111,83 @@ def test_the_recipes_for_a_model_and_an_effect_fit():
     assert "spring_torque.stiffness@q" in ParameterVector(joint).names
 
 
-def typed(lines: list[str], *more: str) -> None:
-    """Each line as it stands there; `more` behind a diagnosis."""
+def typed(lines: list[str]) -> None:
+    """Each line as it stands there."""
     for line in lines:
         program, *words = shlex.split(line, comments=True)
-        assert (
-            program == "jaxid" and main([*words, *(more if words[0] == "diagnose" else ())]) == 0
-        ), line
+        assert program == "jaxid" and main(words) == 0, line
 
 
 def test_the_road_from_a_table_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    pendulum_log(Path("log.csv"))
+    typed(TABLE)
+    told = capsys.readouterr().out
+    assert "Nothing found" in told and "Nothing is missing" in told, told
+    assert Path("out/report.html").stat().st_size > 10_000 and Path("out/diagnosis.json").is_file()
+
+
+#: What is typed for the words in capitals of the table of commands, and for its dots.
+FILLED = {
+    "DATASET": ["bench"],
+    "STUDY.toml": ["study.toml"],
+    "FIT.json": ["fit/fit.json"],
+    "RESULT.json": ["fit/fit.json"],
+    "FORMAT": ["isaaclab"],
+    "FILE…": ["log.csv"],
+    "M": ["pendulum"],
+    "NAME": ["carts"],
+    "…": ["--seed", "3", "--cases", "1", "--workers", "1", "--out", "benchmark"],
+}
+#: Rows that other tests type: the file, and how the command stands there. They need a robot or an
+#: emulator, go on until they are stopped, or take long.
+ELSEWHERE = {
+    "import": ("test_readme.py", r"typed\(TABLE\)"),
+    "replay": ("test_readme.py", r"typed\(ROBOT\)"),
+    "identify": ("test_identification.py", r'\["identify", str\(tmp_path / "data"\), "--out"'),
+    "reproduce": ("test_papers.py", r'main\(\["reproduce", paper, "--out"'),
+    "record": ("test_view.py", r'"record", "dynamixel", "--port"'),
+    "emulate": ("emulators.py", r'"emulate",\s+\*arguments'),
+    "view": ("test_view.py", r'"jaxid", "view", "with", "without"'),
+    "watch": ("test_view.py", r'"jaxid", "watch", "data"'),
+}
+ROWS = [
+    shlex.split(command)[1:]
+    for row in re.findall(r"^\| (`jaxid .*?) \|", README, re.M)
+    for command in re.findall(r"`(jaxid [^`]*)`", row)
+]
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_rows_of_the_table_that_others_type_are_typed_there(name):
+    file, line = ELSEWHERE[name]
+    assert name in {words[0] for words in ROWS}
+    assert re.search(line, (ROOT / "tests" / file).read_text()), file
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_other_rows_of_the_table_run_as_they_are_typed(tmp_path, monkeypatch):
+    """One after the other in one folder; each DIR is named after its command."""
+    monkeypatch.chdir(tmp_path)
+    pendulum_log(Path("log.csv"))
+    typed(TABLE[:1])
+    toml = Path("bench/dataset.toml")
+    toml.write_text(toml.read_text() + '\n[model]\nname = "pendulum"\n')
+    study = 'name = "s"\nstore = "batch"\n[[runs]]\ncommand = "fit"\ndatasets = ["bench"]\n'
+    Path("study.toml").write_text(study)
+    own = [words for words in ROWS if words[0] not in ELSEWHERE]
+    for words in own:
+        filled: list[str] = []
+        for word in words:
+            filled += FILLED.get(word, [words[0] if word == "DIR" else word])
+        assert main(filled) == 0, filled
+    made = {path.name for path in tmp_path.iterdir() if path.is_dir()}
+    assert {words[0] for words in own if "DIR" in words} | {"batch", "benchmark"} <= made
+
+
+def pendulum_log(file: Path) -> None:
+    """Writes the log of a pendulum that lacks nothing."""
     t = np.arange(600) / 100
     torque, q, qd, angle = 0.6 * np.sin(2.1 * t) + 0.4 * np.sin(5.3 * t), 0.0, 0.0, []
     for push in torque:
@@ -131,11 +197,7 @@ def test_the_road_from_a_table_runs_as_it_is_typed(tmp_path, monkeypatch, capsys
             q += 1e-4 * qd
     angle += 0.02 * np.random.default_rng(0).standard_normal(t.size)
     rows = [f"{a:.2f},{b:.6f},{c:.6f}" for a, b, c in zip(t, torque, angle, strict=True)]
-    Path("log.csv").write_text("\n".join(["time_s,motor_Nm,enc_deg", *rows]))
-    typed(TABLE, "--effects", "dead_zone")
-    told = capsys.readouterr().out
-    assert "Nothing found" in told and "Nothing is missing" in told, told
-    assert Path("out/report.html").stat().st_size > 10_000 and Path("out/diagnosis.json").is_file()
+    file.write_text("\n".join(["time_s,motor_Nm,enc_deg", *rows]))
 
 
 def one_hinge(folder: Path) -> Any:
@@ -177,7 +239,7 @@ def one_hinge(folder: Path) -> Any:
 def test_the_road_of_a_robot_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     mujoco = one_hinge(Path("recording"))
-    typed(ROBOT, "--effects", "stribeck_friction,input_delay")
+    typed(ROBOT)
     fixed = mujoco.MjModel.from_xml_path("fixed/robot.xml")
     assert fixed.dof_frictionloss[0] == pytest.approx(0.4, abs=0.05)
     assert "The model lacks coulomb_friction at shoulder" in capsys.readouterr().out

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from jaxid.base import wording
+from jaxid.diagnosis import reasons
 from jaxid.diagnosis.result import HowFar
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.stated import StatedNumber
-from jaxid.report import diagnosis_fragment, diagnosis_page, plot, text
+from jaxid.report import carry, diagnosis_fragment, diagnosis_page, plot, text
 from jaxid.report.answer import short
 from jaxid.report.carry import values_to_write
 from jaxid.report.display import write
-from jaxid.report.missing_force import spectrum
+from jaxid.report.identified import base_rows
+from jaxid.report.missing_force import draw_spectrum, spectrum
+from jaxid.robots.export.target import ExportRow
+from jaxid.study.page import _counted as counted
+from page_samples import identification, RESULTS, robot_under_goals
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
 
@@ -457,6 +465,68 @@ def test_a_card_has_room_for_sixty_words():
     card = short("A fact", [sentence, sentence, sentence])
     assert card == (("A fact", [sentence, sentence]), [sentence])
     assert short("A fact", [" ".join(["long"] * 90)]).more == []
+    several = " ".join([f"A{sentence}"] * 3)  # one string, three sentences
+    assert short("A fact", [several]) == (("A fact", [f"A{sentence}"] * 2), [f"A{sentence}"])
+
+
+def test_no_reason_is_a_sentence_that_fills_a_card():
+    """What a verdict rests on stands on a card, sentence by sentence: one always does."""
+    kinds = [kind for kind in vars(reasons).values() if isinstance(kind, type)]
+    forms = {kind.__name__: getattr(kind, "form", "") for kind in kinds}
+    assert len(forms) > 20
+    for name, form in forms.items():
+        longest = max(len(part.split()) for part in re.split(r"(?<=[.!?]) (?=[A-Z])", form))
+        assert longest <= 40, name
+
+
+def test_a_robots_joints_stand_in_one_table():
+    """Each joint's errors once, with its noise; what to write behind the cards."""
+    page = diagnosis_page(robot_under_goals())
+    assert page.count(">0.0310 rad<") == 1 and "0.000400 rad (sensor)" in page
+    assert "rms error, as stated" not in page
+    assert page.index("What to do</h2>") < page.index("joint by joint</h2>")
+
+
+def test_what_to_write_is_a_line_a_number_and_what_is_said_of_it_once():
+    said = "a URDF has no field for it: set it in the simulator"
+    rows = [
+        ExportRow("armature", f"j{k}", "", 0.1 * k, "kg m^2", "none", f"{said}; before: 0.01")
+        for k in range(5)
+    ]
+    law = {"sine": 0.9641, "order": 1.0}
+    rows.append(ExportRow("position_dependent_friction", "j1", "", law, "N m", "code", ""))
+    lines = [carry.change(row) for row in rows]
+    assert [line.before for line in lines] == ["0.01"] * 5 + [""]
+    assert lines[-1].value == "sine\u00a00.9641, order\u00a01.000\u00a0N\u00a0m"
+    assert carry.remarks(rows) == [f"armature at 5 places: {said}."]
+
+
+def test_numbers_that_none_stated_are_no_step_of_the_budget():
+    """Re-tuned numbers close nothing where nothing is stated: one bar, one number in a sentence."""
+    plain = sample_diagnosis()
+    far = replace(plain.how_far, gap_before=8.84, gap_retuned=8.84)
+    page = diagnosis_page(replace(plain, how_far=far))
+    assert "numbers re-tuned" not in page and "closes 0 %" not in page
+    assert "re-tuned alone" not in page and "falls from 8.8 to 1.08 times" in page
+    assert "numbers re-tuned" in diagnosis_page(plain)
+
+
+def test_a_number_that_is_not_determined_is_not_far_from_what_is_stated():
+    found = identification()
+    row = {"parameter": found.names[3], "stated": 0.1, "deviation": 6.8}
+    sure = {"parameter": found.names[0], "stated": 0.1, "deviation": 5.2}
+    rows = base_rows(replace(found, stated=(row, sure)))
+    assert rows[3][3] == "" and rows[3][-1] == "not determined" and rows[0][3] == "+5.2"
+
+
+@pytest.mark.parametrize("kind", RESULTS)
+def test_contents_stand_below_the_answer(kind, tmp_path):
+    """Behind the first part of a page, however its sections are cut, and in no part of its own."""
+    source = write(RESULTS[kind](), tmp_path / "page.html").read_text(encoding="utf-8")
+    if "<nav" not in source:
+        return
+    place = source.index("<nav")
+    assert source.index("<h1") < place < source.index("<h2", source.index("<h1"))
 
 
 @pytest.mark.parametrize("verdict", ["named", "partly", "none", "unknown"])
@@ -481,3 +551,17 @@ def test_values_are_to_be_written_unless_nothing_is_known(verdict):
     names = [value.name for value in values_to_write(final)]
     effects = [f"{name} of {e}" for e in final.effects for name in e.parameters]
     assert names == ["inertia", *effects]
+
+
+def test_a_verdict_that_is_alone_is_not_counted():
+    assert counted(Counter(named=1)) == "named"
+    assert counted(Counter(named=3, unknown=1)) == "named 3×, unknown 1×"
+
+
+def test_what_is_left_is_drawn_where_something_was_supplied():
+    """A second line over the first one would have its colour say that effects were added."""
+    (force,) = sample_diagnosis().missing_force
+    for after, lines in ((force.after, 2), (force.before, 1)):
+        axes = Figure().add_subplot()
+        draw_spectrum(axes, replace(force, after=after))
+        assert len(axes.get_lines()) == lines

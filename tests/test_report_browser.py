@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import html
-import json
 import re
-import shutil
 import subprocess
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
-from report_sample import sample_diagnosis, sample_fit
+from chromium import BROWSER, Chromium, DESKTOP, PHONE
+from page_samples import pages
+from report_sample import sample_diagnosis
 
-
-BROWSER = next(
-    (b for b in ("chromium", "chromium-browser", "google-chrome", "chrome") if shutil.which(b)),
-    None,
-)
 
 pytestmark = [
     pytest.mark.timeout(600),
@@ -43,65 +36,71 @@ def chromium(*arguments: str, folder: Path) -> str:
     return subprocess.run(command, capture_output=True, text=True, timeout=550, check=True).stdout
 
 
-@pytest.mark.parametrize("kind", ["diagnosis", "fit"])
-def test_pages_are_accessible(kind, tmp_path):
+@pytest.fixture(scope="module")
+def written(tmp_path_factory) -> dict[str, Path]:
+    """A page of every kind."""
+    return pages(tmp_path_factory.mktemp("pages"))
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_pages_of_every_kind_are_accessible(written, size, tmp_path):
     pytest.importorskip(
         "axe_core_python", reason="axe-core is not installed: accessibility was not checked"
     )
-    axe = (files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
-    page = (sample_diagnosis(800) if kind == "diagnosis" else sample_fit(samples=800)).report(
-        tmp_path / "page.html"
-    )
-    source = page.read_text(encoding="utf-8")
-    assert "Content-Security-Policy" in source  # which would refuse the script below
-    source = re.sub(r"<meta http-equiv=[^>]*>", "", source)
-    run = """
-    axe.run(document, {resultTypes: ["violations"]}).then(found => {
-      const out = document.createElement("pre");
-      out.id = "found";
-      out.textContent = JSON.stringify({rules: found.passes.length, violations: found.violations.map(
-        v => [v.id, v.impact, v.help, v.nodes.slice(0, 3).map(n => n.html.slice(0, 200))])});
-      document.body.appendChild(out);
-    });
-    """
-    page.write_text(
-        source.replace("</body>", f"<script>{axe}</script><script>{run}</script></body>"),
-        encoding="utf-8",
-    )
-    shown = chromium("--virtual-time-budget=60000", "--dump-dom", page.as_uri(), folder=tmp_path)
-    match = re.search(r'<pre id="found">(.*?)</pre>', shown, re.S)
-    assert match is not None, "axe did not finish"
-    found = json.loads(html.unescape(match[1]))
-    assert found["rules"] > 10
-    assert found["violations"] == []
+    found = {}
+    with Chromium(tmp_path, size) as browser:
+        for kind, page in written.items():
+            assert "Content-Security-Policy" in page.read_text(encoding="utf-8")
+            browser.shown(page.as_uri())
+            found[kind] = browser.violations()
+    assert found == dict.fromkeys(written, [])
 
 
-def test_letters_of_pictures_can_be_read_on_a_phone(tmp_path):
-    page = sample_diagnosis(800).report(tmp_path / "page.html")
-    source = re.sub(r"<meta http-equiv=[^>]*>", "", page.read_text(encoding="utf-8"))
-    run = """
-    const shown = [...document.querySelectorAll("figure svg")].filter(s => s.getClientRects().length);
-    const scale = t => { const m = t.getScreenCTM(); return Math.hypot(m.a, m.b); };
-    const size = t => parseFloat(getComputedStyle(t).fontSize) * scale(t);
-    const outside = t => { const r = t.getBoundingClientRect(); return r.left < 0 || r.right > innerWidth; };
-    const letters = shown.flatMap(s => [...s.querySelectorAll("text")]);
-    parent.postMessage(JSON.stringify({pictures: shown.length, all: document.querySelectorAll("figure").length,
-      width: document.documentElement.scrollWidth, least: Math.min(...letters.map(size)),
-      cut: letters.filter(outside).map(t => t.textContent)}), "*");
-    """
-    page.write_text(source.replace("</body>", f"<script>{run}</script></body>"), encoding="utf-8")
-    phone = tmp_path / "phone.html"
-    phone.write_text(
-        "<pre id=found></pre><script>onmessage = m => document.getElementById('found').textContent = m.data</script>"
-        f'<iframe src="{page.as_uri()}" style="width: 390px; height: 800px; border: 0"></iframe>',
-        encoding="utf-8",
-    )
-    shown = chromium("--virtual-time-budget=60000", "--dump-dom", phone.as_uri(), folder=tmp_path)
-    match = re.search(r'<pre id="found">({.*?})</pre>', shown, re.S)
-    assert match is not None, "the page did not answer"
-    found = json.loads(html.unescape(match[1]))
-    assert found["pictures"] == found["all"] > 3  # one of the two of each
-    assert found["least"] >= 9.0 and found["width"] <= 390 and found["cut"] == []
+#: What a phone shows: pictures of a page, their smallest letters, how wide it is, what is cut off.
+READ = """
+(() => {
+  const shown = [...document.querySelectorAll("figure svg")].filter(s => s.getClientRects().length);
+  const scale = t => { const m = t.getScreenCTM(); return Math.hypot(m.a, m.b); };
+  const size = t => parseFloat(getComputedStyle(t).fontSize) * scale(t);
+  const outside = t => { const r = t.getBoundingClientRect(); return r.left < 0 || r.right > innerWidth; };
+  const letters = shown.flatMap(s => [...s.querySelectorAll("text")]);
+  return {pictures: shown.length, all: document.querySelectorAll("figure svg").length,
+    width: document.documentElement.scrollWidth, least: Math.min(99, ...letters.map(size)),
+    cut: letters.filter(outside).map(t => t.textContent)};
+})()
+"""
+
+
+def test_letters_of_pictures_can_be_read_on_a_phone(written, tmp_path):
+    with Chromium(tmp_path, PHONE) as browser:
+        for kind, page in written.items():
+            browser.shown(page.as_uri())
+            found = browser.evaluate(READ)
+            assert found["pictures"] == found["all"], kind
+            assert found["least"] >= 9.0, (kind, found)
+            assert found["width"] <= PHONE[0] and found["cut"] == [], (kind, found)
+
+
+#: Letters of a picture that lie over one another by more than a pixel or two.
+OVER = """
+[...document.querySelectorAll("figure svg")].flatMap(s => {
+  const boxes = [...s.querySelectorAll("text")].filter(t => t.textContent.trim())
+    .map(t => [t.textContent, t.getBoundingClientRect()]);
+  const over = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 2
+    && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 6;
+  return boxes.flatMap(([one, a], i) => boxes.slice(i + 1).filter(([, b]) => over(a, b))
+    .map(([other]) => [one, other]));
+})
+"""
+
+
+def test_letters_of_pictures_do_not_lie_over_one_another(written, tmp_path):
+    found = {}
+    with Chromium(tmp_path, DESKTOP) as browser:
+        for kind, page in written.items():
+            browser.shown(page.as_uri())
+            found[kind] = browser.evaluate(OVER)
+    assert found == dict.fromkeys(written, [])
 
 
 def test_prints_on_a4(tmp_path):

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from hypothesis import given, settings, strategies as st
+from pytest import MonkeyPatch
 
 from jaxid.base import wording
 from jaxid.base.serialise import finite
@@ -21,6 +22,7 @@ from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.reasons import FollowsFitRuns, Lacks, LacksInPart, Remark, ReportNotReached
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, Ranked, Which
 from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.torque import judge as judge_by_torque
 from jaxid.diagnosis.verdict import astray, Gaps, judge, level, upheld, Verdict
 from jaxid.fitting.result import EffectEstimate, Estimate
 from jaxid.fitting.stated import sentence_of, StatedNumber
@@ -267,6 +269,24 @@ def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
     )
     assert not (repeated and "repeat one run" in found.next_experiment.lower())
     assert ("never fitted nor chosen on" in everything) <= (far.split == "report")
+
+
+@many
+@given(st.tuples(gaps, gaps, gaps))
+def test_a_gap_by_torque_is_told_with_the_data_that_it_is_of(left):
+    """Fit, validation and report data leave gaps of their own: a card that gave the largest without
+    a name stood beside another number of the report data.
+    """
+    runs = {"fit": [0], "validation": [1], "report": [2]}
+    nominal = SimpleNamespace(gap=lambda which: left[which[0]])
+    found: Any = SimpleNamespace(nominal=nominal, fit=[0], choose=[1], judge=[2])
+    with MonkeyPatch.context() as patch:
+        patch.setattr(judge_by_torque, "_possible", lambda _: [])
+        verdict = judge_by_torque._nothing_claimed(found)
+    assert (verdict.name == "none") == (max(left) <= LIMITS.seen)
+    if verdict.name == "unknown":
+        told = re.findall(r"\((.*) times the noise on (\w+) data\)", verdict.text)
+        assert told == [(wording.times(left[runs[told[0][1]][0]]), told[0][1])]
 
 
 errors = st.floats(-4, 300).map(lambda x: 10.0**x)

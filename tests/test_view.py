@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -27,9 +28,11 @@ import pytest
 from pyarrow import parquet
 
 import jaxid
-from chromium import BROWSER, Chromium
+from chromium import BROWSER, Chromium, DESKTOP, PHONE
 from emulators import Emulator
 from jaxid.hardware import Dynamixel, record
+from jaxid.hardware.finishing import finish
+from jaxid.hardware.recorder import Column, Recorder, Stream
 from jaxid.view.recording import excitation, turns, watch_site, Watcher
 from jaxid.view.server import Site
 
@@ -121,9 +124,11 @@ def recorded(tmp_path_factory) -> Path:
     q = np.asarray(jaxid.simulate("pendulum", still, content(0.2)).runs[0]["q"])
     data = dataset(q + 1e-4 * np.random.default_rng(0).normal(size=t.size), t, tau)
     jaxid.save_dataset(data, folder / "data")
+    saved = jaxid.load_dataset(folder / "data")
+    of = {"dataset": saved.name, "dataset_sha256": saved.sha256}
     for name, width in (("with", 0.2), ("without", None)):
         (folder / name).mkdir()
-        (folder / name / "fit.json").write_text(json.dumps(content(width)))
+        (folder / name / "fit.json").write_text(json.dumps({**content(width), **of}))
     return folder
 
 
@@ -213,6 +218,27 @@ def test_zoom_goes_together_and_a_switch_draws_anew(site, tmp_path):
 
 @BROWSED
 @pytest.mark.timeout(600)
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_the_pages_are_accessible(site, recorded, size, tmp_path):
+    watcher = Watcher(recorded / "data")
+    watcher.begin()
+    try:
+        with Chromium(tmp_path, size) as browser:
+            with served(site) as address:
+                browser.open(address)
+                browser.wait("document.getElementById('said').textContent.startsWith('rms error')")
+                beside = browser.violations()
+            with served(watch_site(watcher)) as address:
+                browser.open(address)
+                browser.wait("document.querySelectorAll('#told table').length === 2")
+                watched = browser.violations()
+    finally:
+        watcher.stop()
+    assert beside == watched == []
+
+
+@BROWSED
+@pytest.mark.timeout(600)
 def test_results_lie_over_each_other_in_a_browser(site, tmp_path):
     with served(site) as address:
         shown = browsed(address, tmp_path)
@@ -224,6 +250,32 @@ def test_results_lie_over_each_other_in_a_browser(site, tmp_path):
     (good, bad), (same, other) = errors[0][0], errors[1][0]
     assert float(good) < 3e-4 < float(bad)
     assert same == other == bad
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    "words",
+    [["jaxid", "view", "with", "without"], ["jaxid", "watch", "data"]],
+    ids=["view", "watch"],
+)
+def test_the_commands_open_their_page_and_end_by_ctrl_c(words, recorded, tmp_path):
+    opener, told = tmp_path / "opener", tmp_path / "address"
+    opener.write_text(f'#!/bin/sh\nprintf %s "$1" > {told}\n')
+    opener.chmod(0o755)
+    environment = {**os.environ, "BROWSER": f"{opener} %s"}
+    served_by = subprocess.Popen(
+        [sys.executable, "-m", *words], cwd=recorded, env=environment, stdout=subprocess.PIPE
+    )
+    try:
+        until = time.monotonic() + 240
+        while not told.is_file() or not told.read_text():
+            assert served_by.poll() is None and time.monotonic() < until
+            time.sleep(0.2)
+        assert status(told.read_text()) == 200
+    finally:
+        served_by.send_signal(signal.SIGINT)
+        code = served_by.wait(60)
+    assert code == 0
 
 
 def test_a_folder_without_a_result_is_refused(tmp_path):
@@ -276,6 +328,49 @@ def test_numbers_become_known_as_the_motion_goes_on(recorded, tmp_path):
     assert late["enough"] == all(known.values())
     none = Watcher(recorded / "data", known=1e-6).look()
     assert not none["enough"]
+
+
+def servo_rows(folder: Path, q: np.ndarray) -> None:
+    """The rows of a servo that is only watched, as they lie on disk while it is recorded."""
+    columns = (Column("q1", "rad", "output", 1.5e-3), Column("current1", "A", "input"))
+    about = {"name": "x", "description": "d", "source": {"hardware": "h"}}
+    stream = Stream("servo", columns, "its own", 0.01)
+    recorder = Recorder(folder / "run_1.recording", [stream], about)
+    for k, angle in enumerate(q):
+        recorder.append(0, 50 + 0.01 * k, 0.01 * k, (float(angle), 0.0))
+    recorder.close()
+
+
+def test_a_servo_that_stands_still_is_waited_for(tmp_path):
+    """It is no fault of the recording, and no line of a file that a person should change."""
+    servo_rows(tmp_path, np.full(400, 0.3))
+    found = Watcher(tmp_path).look()
+    assert found["state"] == "recording"
+    assert found["waiting"] == "q1 did not move so far: numbers are known from motion alone"
+    finish(tmp_path / "run_1.recording")
+    document = tomllib.loads((tmp_path / "dataset.toml").read_text())
+    assert document["channels"]["q1"]["role"] == "output"
+    ended = Watcher(tmp_path).look()
+    assert ended["state"] == "the recording has ended"
+    assert "output 'q1' never moves" in ended["waiting"]
+
+
+def test_a_joint_that_stands_still_beside_one_that_moves_is_an_output(tmp_path):
+    columns = (
+        Column("q1", "rad", "output"),
+        Column("q2", "rad", "output"),
+        Column("current2", "A", "input"),
+    )
+    about = {"name": "x", "description": "d", "source": {"hardware": "h"}}
+    stream = Stream("arm", columns, "its own", 0.01)
+    recorder = Recorder(tmp_path / "run_1.recording", [stream], about)
+    for k in range(400):
+        recorder.append(0, 50 + 0.01 * k, 0.01 * k, (0.3, float(np.sin(0.03 * k)), 1.0))
+    recorder.close()
+    finish(tmp_path / "run_1.recording")
+    data = jaxid.load_dataset(tmp_path, check_model=False)
+    assert any("'q1' never moves" in note for note in data.notes)
+    assert [c.name for c in data.outputs] == ["q1", "q2"]
 
 
 def test_turns_are_counted_beyond_the_noise():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ from contextvars import ContextVar
 from dataclasses import replace
 from typing import Any, TypeVar
 
+from jaxid.base.computer import cores
 from jaxid.base.errors import UsageError
 from jaxid.base.stopping import Interrupted
 
@@ -135,4 +135,4 @@ def answered_in_time(seconds: float | None, answer: Callable[[], T]) -> T:
 
 def share_of_time(jobs: int) -> float:
     """The share of the time that each of several jobs may take, which run one per core."""
-    return min(jobs, os.cpu_count() or 1) / jobs
+    return min(jobs, cores()) / jobs

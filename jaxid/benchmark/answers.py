@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from jaxid.base.errors import nearest, UsageError
+from jaxid.base.numbers import is_finite
 
 
 #: Keys of one answer.
@@ -114,14 +114,14 @@ def _wrong(answer: Any, asked: AnswerForm) -> Iterator[str]:
     if far is not None and not _interval(far):
         yield f"key 'how_far': {far!r} is not [low, high]"
     seconds = answer.get("seconds")
-    if seconds is not None and not (_number(seconds) and seconds >= 0):
+    if seconds is not None and not (is_finite(seconds) and seconds >= 0):
         yield f"key 'seconds': {seconds!r} is not a time"
 
 
 def _wrong_names(answer: Mapping[str, Any], asked: AnswerForm) -> Iterator[str]:
     for key, test, what in (
         ("missing", _probability, "probability"),
-        ("size", _number, "number"),
+        ("size", is_finite, "number"),
         ("where", _probability, "probability"),
     ):
         part = answer.get(key, {})
@@ -153,22 +153,17 @@ def _wrong_exam(exam: Any, asked: AnswerForm) -> Iterator[str]:
             yield f"key 'exam', {name!r}: the exam asks for {', '.join(asked.outputs) or 'nothing'}"
         elif not isinstance(values, list) or len(values) != count:
             yield f"key 'exam', {name!r}: it is not a list of {count} numbers"
-        elif not all(_number(x) for x in values):
+        elif not all(is_finite(x) for x in values):
             yield f"key 'exam', {name!r}: a value is not a number"
     if exam and set(asked.outputs) - set(exam):
         yield f"key 'exam': it lacks {', '.join(sorted(set(asked.outputs) - set(exam)))}"
 
 
-def _number(value: Any) -> bool:
-    plain = isinstance(value, int | float) and not isinstance(value, bool)
-    return plain and math.isfinite(value)
-
-
 def _probability(value: Any) -> bool:
-    return _number(value) and 0 <= value <= 1
+    return is_finite(value) and 0 <= value <= 1
 
 
 def _interval(value: Any) -> bool:
     if not isinstance(value, list) or len(value) != 2:
         return False
-    return _number(value[0]) and _number(value[1]) and value[0] <= value[1]
+    return is_finite(value[0]) and is_finite(value[1]) and value[0] <= value[1]

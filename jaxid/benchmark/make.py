@@ -17,7 +17,6 @@ import itertools
 import json
 import math
 import multiprocessing
-import os
 import shutil
 import tempfile
 import warnings
@@ -29,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.computer import cores
 from jaxid.base.errors import DatasetWarning, nearest, UsageError
 from jaxid.base.serialise import SCHEMA
 from jaxid.benchmark import arm_sets, bench_sets, paper_sets, rig_sets
@@ -154,7 +154,7 @@ def _written(
     named = []
     for group in jobs:
         named.append([places[draft.set, draft.number] for draft in group])
-    count = min(workers or os.cpu_count() or 1, len(jobs))
+    count = min(workers or cores(), len(jobs))
     key: dict[str, Any] = {}
     if count == 1:
         for group, names in zip(jobs, named, strict=True):

@@ -165,7 +165,7 @@ def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
             "name": data.name,
             "folder": str(folder),
             "channels": {c.name: c.unit for c in data.channels},
-            "joints": dict(data.model.joints) if data.model is not None else {},
+            "joints": dict(data.stated.joints),
             "experiments": [
                 {"name": e.name, "split": e.split, "samples": len(e.t)} for e in data.experiments
             ],

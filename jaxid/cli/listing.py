@@ -24,25 +24,25 @@ def find(kind: str, name: str | None) -> list[Any]:
         "fitters": (by_name.fitter_names, by_name.describe_fitter),
     }[kind]
     known = list_names()
+    if name is None:
+        return list(map(describe, known))
     own = kind == "models" and is_model_file(name)
-    if name is not None and name not in known and not own:
+    if name not in known and not own:
         raise UsageError(f"there is no {kind[:-1]} {name!r}{nearest(name, known)}")
-    return [describe(n) for n in known] if name is None else [describe(name)]
+    return [describe(name)]
 
 
 def plain(value: Any) -> Any:
     """Named tuples as dictionaries, whatever JSON has no word for as text."""
-    if isinstance(value, tuple) and callable(as_dict := getattr(value, "_asdict", None)):
-        return {name: plain(v) for name, v in as_dict().items()}  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        value = value._asdict()  # pyright: ignore[reportAttributeAccessIssue]
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, tuple | list):
-        return [plain(v) for v in value]
-    return (
-        finite(value)
-        if value is None or isinstance(value, bool | int | float | str)
-        else str(value)
-    )
+        return list(map(plain, value))
+    if isinstance(value, bool | int | float | str | None):
+        return finite(value)
+    return str(value)
 
 
 def to_dict(kind: str, name: str | None, found: Sequence[Any]) -> dict[str, Any]:
@@ -54,35 +54,45 @@ def to_dict(kind: str, name: str | None, found: Sequence[Any]) -> dict[str, Any]
 
 def summary(kind: str, found: Sequence[Any]) -> str:
     """One line for each."""
-    if kind == "models":
-        rows = [
-            (m.name, "; ".join(map(signature, m.signatures)), ", ".join(numbered(m.parameters)))
-            for m in found
-        ]
-        return table(("model", "inputs → outputs", "fitted parameters"), rows)
-    if kind == "effects":
-        rows = [(e.name, e.family, e.locations, one_line(e.equation)) for e in found]
-        return table(("effect", "family", "location", "equation"), rows)
-    return table(("fitter", "what it does"), [(f.name, first_sentence(f.text)) for f in found])
+    head, row = {
+        "models": (("model", "inputs → outputs", "fitted parameters"), _model_row),
+        "effects": (("effect", "family", "location", "equation"), _effect_row),
+        "fitters": (("fitter", "what it does"), _fitter_row),
+    }[kind]
+    return table(head, list(map(row, found)))
+
+
+def _model_row(m: Any) -> tuple[str, ...]:
+    return m.name, "; ".join(map(signature, m.signatures)), ", ".join(numbered(m.parameters))
+
+
+def _effect_row(e: Any) -> tuple[str, ...]:
+    return e.name, e.family, e.locations, one_line(e.equation)
+
+
+def _fitter_row(f: Any) -> tuple[str, ...]:
+    return f.name, first_sentence(f.text)
 
 
 def numbered(names: Sequence[str]) -> list[str]:
     """The same with numbers one to n of a name in one: `m1 … m6`."""
+    groups: list[list[str]] = []
+    for name in names:
+        if groups and _is_next(name, groups[-1][-1]):
+            groups[-1].append(name)
+        else:
+            groups.append([name])
     out: list[str] = []
-    first = last = ""
-    for name in [*names, ""]:
-        stem, digits = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
-        old, count = last.rstrip("0123456789"), last[len(last.rstrip("0123456789")) :]
-        if last and digits and stem == old and count and int(digits) == int(count) + 1:
-            last = name
-            continue
-        if first:
-            short = int(count or 0) - int(first[len(old) :] or 0) < 2
-            out += (
-                [n for n in dict.fromkeys((first, last)) if n] if short else [f"{first} … {last}"]
-            )
-        first = last = name
+    for group in groups:
+        out += group if len(group) < 3 else [f"{group[0]} … {group[-1]}"]
     return out
+
+
+def _is_next(name: str, before: str) -> bool:
+    """Whether a name is that before it with the next number: `m2` behind `m1`."""
+    stem = before.rstrip("0123456789")
+    count, digits = before.removeprefix(stem), name.removeprefix(stem)
+    return digits.isdecimal() and count != "" and int(digits) == int(count) + 1
 
 
 def channels(pairs: Sequence[tuple[str, str]]) -> str:
@@ -112,15 +122,20 @@ def description(info: Any) -> str:
         elif isinstance(value, list) and isinstance(value[0], dict):
             rows = [list(map(str, row.values())) for row in value]
             tables += ["", title.removesuffix(" info"), indented(table(list(value[0]), rows))]
-        elif isinstance(value, list):
-            lines.append(f"  {title}: {', '.join(numbered([str(v) for v in value]))}")
-        elif isinstance(value, dict):
-            lines.append(f"  {title}: {', '.join(f'{k} = {v}' for k, v in value.items())}")
         elif "\n" in str(value):
             lines += [f"  {title}:", indented(str(value).strip(), 4)]
         else:
-            lines.append(f"  {title}: {value}")
+            lines.append(f"  {title}: {_in_words(value)}")
     return "\n".join(lines + tables)
+
+
+def _in_words(value: Any) -> str:
+    """A list, numbers by name, or anything else as text on one line."""
+    if isinstance(value, list):
+        return ", ".join(numbered(list(map(str, value))))
+    if isinstance(value, dict):
+        return ", ".join(f"{k} = {v}" for k, v in value.items())
+    return str(value)
 
 
 def indented(text: str, by: int = 2) -> str:

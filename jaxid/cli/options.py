@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from jaxid.base.numbers import is_finite
 from jaxid.cli import terminal
 from jaxid.cli.output import writable_folder
 from jaxid.dynamics.catalogue import RESIDUALS
@@ -215,6 +216,4 @@ def _json_of(path: Path, wanted: str) -> Any:
 def _states_number(entry: Any) -> bool:
     """Whether an entry's `value` is a finite number."""
     value = entry.get("value") if isinstance(entry, dict) else None
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) < float("inf")
+    return is_finite(value)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxid.base.computer import own_cores
 from jaxid.base.extras import EXTRAS
 from jaxid.base.serialise import SCHEMA
 from jaxid.base.versions import versions
@@ -96,7 +97,7 @@ def examine(tell: Callable[[str], None] | None = None) -> Health:
         python=f"{platform.python_version()} ({sys.executable})",
         system=platform.platform(),
         packages=versions(PACKAGES),
-        cores=_cores(),
+        cores=own_cores(),
         memory_bytes=_memory(),
         devices=tuple(str(device) for device in jax.devices()),
         cache=None if folder is None else str(folder),
@@ -104,13 +105,6 @@ def examine(tell: Callable[[str], None] | None = None) -> Health:
         extras=_extras(),
         tests=tuple(tests),
     )
-
-
-def _cores() -> int:
-    """Those that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _memory() -> int | None:

@@ -36,6 +36,13 @@ class ParameterPrior:
     log: bool | None = None
     prior: dict[str, float] | None = None
 
+    @property
+    def start(self) -> float | None:
+        """The value, else the mean of the prior."""
+        if self.value is None and self.prior is not None:
+            return self.prior["mean"]
+        return self.value
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -126,6 +133,21 @@ class Dataset:
     @property
     def output_names(self) -> list[str]:
         return names_of(self.outputs)
+
+    @property
+    def stated(self) -> ModelSpec:
+        """What is stated of the model: a spec without a name or a number where nothing is."""
+        return self.model or ModelSpec()
+
+    @property
+    def seen(self) -> list[Experiment]:
+        """The runs that may be looked at while something is chosen: all but those to report on."""
+        return [e for e in self.experiments if e.split != "report"]
+
+    @property
+    def to_fit(self) -> tuple[Experiment, ...]:
+        """The runs of the fit; all where none is for it."""
+        return self.split("fit") or self.experiments
 
     def split(self, name: str) -> tuple[Experiment, ...]:
         """The runs of one split: "fit", "validation" or "report"."""

@@ -32,7 +32,7 @@ def names_of_joints(mechanism: Any, dataset: Dataset, count: int) -> tuple[str, 
     of_chain = joint_names(mechanism)
     if of_chain:
         return of_chain
-    joints = {} if dataset.model is None else dataset.model.joints
+    joints = dataset.stated.joints
     channels = tuple(f"q{k}" for k in range(1, count + 1))
     if joints.keys() >= set(channels):
         return tuple(joints[channel] for channel in channels)
@@ -49,10 +49,9 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
     """
     if not names:
         return dataset
-    model = dataset.model
-    if model is None or not model.joints:
+    joints = dataset.stated.joints
+    if not joints:
         return _bynumber_of(dataset, names)
-    joints = model.joints
     numbers = renumbered(joints, names)
     left = [joints[f"q{old}"] for old, new in numbers.items() if new > len(names)]
     if not left and all(old == new for old, new in numbers.items()):
@@ -82,7 +81,7 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
         channels=channels,
         experiments=tuple(_experiment(e, dataset, channels, new_name) for e in dataset.experiments),
         responses=tuple(responses),
-        model=replace(model, joints=order),
+        model=replace(dataset.stated, joints=order),
         controller=controller,
         notes=(*dataset.notes, note),
     )

@@ -8,8 +8,10 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 from jaxid.base.errors import nearest, UsageError
+from jaxid.base.numbers import is_number
 from jaxid.base.small_files import read_small
 from jaxid.base.wording import names_of
 
@@ -36,29 +38,21 @@ class Limits:
     data_age: float = 0.1
 
     def __post_init__(self):
-        if isinstance(self.data_age, int | float) and not 0.02 <= self.data_age <= 2.0:
+        if not (is_number(self.data_age) and 0.02 <= self.data_age <= 2.0):
             raise UsageError(f"limit data_age is {self.data_age!r} s; write 0.02 to 2")
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if value is None:
-                continue
-            numbers = (
-                [value] if f.name == "data_age" or isinstance(value, int | float) else list(value)
-            )
-            if not numbers or any(
-                isinstance(v, bool) or not isinstance(v, int | float) or math.isnan(v)
-                for v in numbers
-            ):
-                raise UsageError(
-                    f"limit {f.name} is {value!r}; write a number, or one number a joint"
-                )
-            if f.name not in ("lower", "upper") and min(numbers) <= 0:
-                raise UsageError(f"limit {f.name} is {value!r}; write numbers above 0")
-            object.__setattr__(
-                self,
-                f.name,
-                float(numbers[0]) if f.name == "data_age" else tuple(map(float, numbers)),
-            )
+        object.__setattr__(self, "data_age", float(self.data_age))
+        for name, value in self.stated.items():
+            numbers = _numbers(name, value)
+            if name not in ("lower", "upper") and min(numbers) <= 0:
+                raise UsageError(f"limit {name} is {value!r}; write numbers above 0")
+            object.__setattr__(self, name, numbers)
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """The bounds of joints that there are, by name."""
+        names = [name for name in names_of(fields(self)) if name != "data_age"]
+        bounds = {name: getattr(self, name) for name in names}
+        return {name: value for name, value in bounds.items() if value is not None}
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Limits:
@@ -86,31 +80,22 @@ class Limits:
         length.
         """
         wide = {}
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if f.name == "data_age" or value is None:
-                continue
+        for name, value in self.stated.items():
             if len(value) not in (1, joints):
                 raise UsageError(
-                    f"limit {f.name} has {len(value)} numbers for {joints} joints; write 1 or"
+                    f"limit {name} has {len(value)} numbers for {joints} joints; write 1 or"
                     f" {joints}"
                 )
-            wide[f.name] = value * joints if len(value) == 1 else value
+            wide[name] = value * joints if len(value) == 1 else value
         return replace(self, **wide)
 
     def within(self, device: Limits, joints: int) -> Limits:
         """These limits where they are tighter, else those of the device."""
-        own, other = self.widened(joints), device.widened(joints)
-        merged = {}
-        for f in fields(self):
-            if f.name == "data_age":
-                continue
-            a, b = getattr(own, f.name), getattr(other, f.name)
-            tighter = max if f.name == "lower" else min
-            if a is None or b is None:
-                merged[f.name] = a if b is None else b
-            else:
-                merged[f.name] = tuple(map(tighter, a, b))
+        own, other = self.widened(joints), device.widened(joints).stated
+        merged = other | own.stated
+        for name in other.keys() & own.stated.keys():
+            tighter = max if name == "lower" else min
+            merged[name] = tuple(map(tighter, own.stated[name], other[name]))
         return replace(own, **merged)
 
     def violation(
@@ -135,20 +120,23 @@ class Limits:
     @staticmethod
     def _violation(name, values, lower, upper, unit: str, margin: float) -> str | None:
         for j, value in enumerate(values):
-            number = str(j + 1) if len(values) > 1 else ""
+            measured = f"measured {name}{j + 1}" if len(values) > 1 else f"measured {name}"
             if not math.isfinite(value):
-                return f"measured {name}{number} is {value}"
+                return f"{measured} is {value}"
+            measured += f" = {value:.4g} {unit}"
             if upper is not None and value > upper[j] + margin * max(abs(upper[j]), 1e-3):
-                return (
-                    f"measured {name}{number} = {value:.4g} {unit} is above its limit of"
-                    f" {upper[j]:.4g} {unit}"
-                )
+                return f"{measured} is above its limit of {upper[j]:.4g} {unit}"
             if lower is not None and value < lower[j] - margin * max(abs(lower[j]), 1e-3):
-                return (
-                    f"measured {name}{number} = {value:.4g} {unit} is below its limit of"
-                    f" {lower[j]:.4g} {unit}"
-                )
+                return f"{measured} is below its limit of {lower[j]:.4g} {unit}"
         return None
+
+
+def _numbers(name: str, value: Any) -> tuple[float, ...]:
+    """One number, or one a joint. Raises `UsageError` for anything else."""
+    numbers = [value] if isinstance(value, int | float) else list(value)
+    if not numbers or not all(map(is_number, numbers)):
+        raise UsageError(f"limit {name} is {value!r}; write a number, or one number a joint")
+    return tuple(map(float, numbers))
 
 
 def _negative(upper: tuple[float, ...] | None) -> tuple[float, ...] | None:

@@ -50,7 +50,7 @@ def noise_floor(
     Repeats that change one way, report runs among them, tell no scatter: their drift is none, and
     hides what there is.
     """
-    runs = [e for e in dataset.experiments if e.split != "report"] or list(dataset.experiments)
+    runs = dataset.seen or list(dataset.experiments)
     groups = [] if readings else repeats(runs)
     drifting: set[str] = set()
     if groups:

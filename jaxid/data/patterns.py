@@ -11,7 +11,6 @@ from pathlib import Path
 from jaxid.base.errors import DatasetProblem
 from jaxid.data.places import Places
 from jaxid.data.schema import ChannelEntry, Document, ExperimentEntry
-from jaxid.data.schema_model import ModelEntry
 from jaxid.data.table import Table
 
 
@@ -116,8 +115,8 @@ def expanded_channels(
         document.notes.append(f"{name}: {listed}")
     document.channels = channels
     if joints:
-        model = document.model if document.model is not None else ModelEntry()
         named = {f"q{k}": joint for joint, k in joints.items()}
+        model = document.stated
         document.model = model.model_copy(update={"joints": named | model.joints})
     return problems
 
@@ -169,7 +168,7 @@ def _columns(
 
 def by_number(document: Document) -> bool:
     """Whether columns are named by their numbers, so that files need no header."""
-    asked = [document.header.time if document.header is not None else "t"]
+    asked: list[str | int | None] = [document.time]
     for entry in document.channels.values():
         asked += [entry.column, entry.valid, *(entry.columns or ())]
     return any(isinstance(c, int) for c in asked)

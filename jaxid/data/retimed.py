@@ -32,7 +32,7 @@ def known_within(dataset: Dataset) -> dict[str, float]:
     """Output channel -> how near it can be followed (rms, SI), for those that were moved by a
     fraction of a row, and for all of them where an input was.
     """
-    runs = [e for e in dataset.experiments if e.split != "report"] or list(dataset.experiments)
+    runs = dataset.seen or list(dataset.experiments)
     if not runs:
         return {}
     step = float(np.median([np.median(np.diff(e.t)) for e in runs]))

@@ -214,6 +214,16 @@ class Document:
         default_factory=dict
     )  # part -> its faulty keys
 
+    @property
+    def stated(self) -> ModelEntry:
+        """What is stated of the model: an entry that says nothing where there is none."""
+        return self.model or ModelEntry()
+
+    @property
+    def time(self) -> Column:
+        """The column of the times."""
+        return self.header.time if self.header is not None else "t"
+
 
 Entry = TypeVar("Entry", bound=BaseModel)
 
@@ -325,28 +335,27 @@ def entry_of(
         return None
     try:
         return cls.model_validate(dict(raw))
-    except (ValidationError, OverflowError) as error:
+    except OverflowError:
         document.sound.discard(section)
-        if isinstance(error, OverflowError):
-            document.problems.append(
-                places.problem(key, "a number beyond 1e308", "Write a smaller number")
-            )
-            return None
-        seen: set[tuple[str | int, ...]] = set()
-        faulty = document.faulty.setdefault(key, set())
+        document.problems.append(
+            places.problem(key, "a number beyond 1e308", "Write a smaller number")
+        )
+        return None
+    except ValidationError as error:
+        document.sound.discard(section)
+        found: dict[tuple[str | int, ...], Any] = {}
         for fault in error.errors(include_url=False, include_input=True):
-            where = real_path(fault["loc"], raw)
-            faulty.add(where[0] if where else None)
-            if where in seen:  # a union reports once a branch
-                continue
-            seen.add(where)
-            message, remedy = _say(cls, fault, where, allowed)
-            document.problems.append(places.problem((*key, *where), message, remedy))
-        rest = {k: v for k, v in raw.items() if k not in faulty}
-        try:
-            return cls.model_validate(rest)
-        except (ValidationError, OverflowError):
-            return None
+            found.setdefault(real_path(fault["loc"], raw), fault)  # a union reports once a branch
+    faulty = document.faulty.setdefault(key, set())
+    for where, fault in found.items():
+        faulty.add(where[0] if where else None)
+        message, remedy = _say(cls, fault, where, allowed)
+        document.problems.append(places.problem((*key, *where), message, remedy))
+    rest = {k: v for k, v in raw.items() if k not in faulty}
+    try:
+        return cls.model_validate(rest)
+    except (ValidationError, OverflowError):
+        return None
 
 
 def _say(
@@ -379,7 +388,6 @@ def _say(
     if kind == "finite_number":
         return f"{name!r} is {fault['input']!r}", "Write a finite number"
     shown = repr(fault["input"])
-    return (
-        f"{name!r} is {shown if len(shown) < 60 else shown[:57] + '...'}: {fault['msg'].lower()}",
-        "Correct it",
-    )
+    if len(shown) >= 60:
+        shown = f"{shown[:57]}..."
+    return f"{name!r} is {shown}: {fault['msg'].lower()}", "Correct it"

@@ -32,21 +32,19 @@ class PriorEntry(Strict):
 
     @model_validator(mode="after")
     def _ordered(self) -> PriorEntry:
-        given = [v for v in (self.lower, self.value, self.upper) if v is not None]
-        if given != sorted(given) or (self.lower is not None and self.lower == self.upper):
+        lower = -math.inf if self.lower is None else self.lower
+        upper = math.inf if self.upper is None else self.upper
+        value = lower if self.value is None else self.value
+        if not lower <= value <= upper or lower == upper:
             raise ValueError(
                 "lower, value and upper must rise in this order (a known value belongs in"
                 " [model.constants])"
             )
-        if self.log and self.lower is not None and self.lower <= 0:
+        if self.log and self.lower is not None and lower <= 0:
             raise ValueError(
                 "log = true searches the logarithm, and lower is not above 0: raise it"
             )
-        ends = (
-            -math.inf if self.lower is None else self.lower,
-            math.inf if self.upper is None else self.upper,
-        )
-        if self.prior is not None and not ends[0] <= self.prior.mean <= ends[1]:
+        if self.prior is not None and not lower <= self.prior.mean <= upper:
             raise ValueError("the mean of the prior lies outside of lower and upper")
         return self
 
@@ -118,16 +116,19 @@ class ModelEntry(Strict):
                 )
         return value
 
+    @property
+    def _has_links(self) -> bool:
+        return self.urdf is not None or self.dh is not None
+
     @model_validator(mode="after")
     def _apart(self) -> ModelEntry:
-        has_links = self.urdf is not None or self.dh is not None
         is_robot = self.name in (None, "robot")
-        if self.file is not None and (self.robot is not None or has_links):
+        if self.file is not None and (self.robot is not None or self._has_links):
             raise ValueError(
                 "file holds a model of your own, beside which robot, urdf and dh do not stand: keep"
                 " one of them"
             )
-        if self.robot is not None and (not is_robot or has_links):
+        if self.robot is not None and (self._has_links or not is_robot):
             raise ValueError(
                 "robot names the file of a robot, beside which name, urdf and dh do not stand: keep"
                 " one of them"
@@ -146,8 +147,7 @@ class ModelEntry(Strict):
     def _links(self) -> ModelEntry:
         if self.urdf is not None and self.dh is not None:
             raise ValueError("the links stand in both urdf and dh: keep one of them")
-        has_links = self.urdf is not None or self.dh is not None
-        if has_links and self.name != "serial_arm":
+        if self._has_links and self.name != "serial_arm":
             raise ValueError(
                 'urdf and dh are the links of the model "serial_arm": write name = "serial_arm"'
             )

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,7 @@ from jaxid.data.list_cells import with_list_elements
 
 
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "?"}
+_DECIMAL_COMMA = re.compile(r"[+-]*(\d+,\d*|\d*,\d+)")
 
 
 @dataclass(frozen=True)
@@ -76,23 +78,18 @@ class Table:
         )
 
     def missing(self, column: str | int, role: str) -> DatasetProblem:
-        if isinstance(column, int):
-            message = f"there is no column {column} for {role}: the file has {len(self.columns)}"
-            return DatasetProblem(
-                self.file, None if self.rows is None else 1, None, message, "Columns count from 1"
-            )
-        return DatasetProblem(
-            self.file,
-            None if self.rows is None else 1,
-            column,
-            f"there is no column {column!r} for {role}{nearest(column, self.columns)}",
-            (
+        header, remedy = None, "Name a column that exists"
+        if self.rows is not None:
+            header = 1
+            remedy = (
                 "Add the column, or name the one to read with `column` (of a channel) or `time`"
                 " (top level)"
-                if self.rows is not None
-                else "Name a column that exists"
-            ),
-        )
+            )
+        if isinstance(column, int):
+            message = f"there is no column {column} for {role}: the file has {len(self.columns)}"
+            return DatasetProblem(self.file, header, None, message, "Columns count from 1")
+        message = f"there is no column {column!r} for {role}{nearest(column, self.columns)}"
+        return DatasetProblem(self.file, header, column, message, remedy)
 
     def numbers(self, column: str) -> NumericColumn:
         """A column as numbers; converted once."""
@@ -118,24 +115,27 @@ class Table:
 
 def _cell(text: Any) -> tuple[float, str | None]:
     """One cell as a number, or NaN and what is wrong with it."""
-    word = "" if text is None else str(text).strip()
+    word = str(text).strip()
     if word.lower() in _MISSING:
         return np.nan, "missing"
-    try:
-        value = float(word) if "_" not in word else np.nan
-    except ValueError:
-        value = np.nan
+    value = _number(word)
     if np.isfinite(value):
         return value, None
     if "inf" in word.lower():
         return np.nan, "infinite"
     shown = word if len(word) <= 40 else word[:37] + "..."
-    hint = (
-        ", a decimal comma"
-        if word.count(",") == 1 and word.replace(",", "", 1).lstrip("+-").isdigit()
-        else ""
-    )
+    hint = ", a decimal comma" if _DECIMAL_COMMA.fullmatch(word) else ""
     return np.nan, f"not a number: {shown!r}{hint}"
+
+
+def _number(word: str) -> float:
+    """The number that a word is, not a number for any other."""
+    if "_" in word:  # which Python takes in numbers
+        return np.nan
+    try:
+        return float(word)
+    except ValueError:
+        return np.nan
 
 
 def _as_numbers(cells: Any) -> NumericColumn:
@@ -154,9 +154,12 @@ def _as_numbers(cells: Any) -> NumericColumn:
                 return NumericColumn(values, {})
     except (ValueError, TypeError):
         pass
-    pairs = [_cell(cell) for cell in cells]
-    values = np.array([value for value, _ in pairs], dtype=float)
-    return NumericColumn(values, {i: fault for i, (_, fault) in enumerate(pairs) if fault})
+    values, faults = np.empty(len(cells)), {}
+    for i, cell in enumerate(cells):
+        values[i], fault = _cell(cell)
+        if fault is not None:
+            faults[i] = fault
+    return NumericColumn(values, faults)
 
 
 def _finite(values: np.ndarray) -> NumericColumn:
@@ -175,41 +178,31 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
     problems.
     """
     problems, good = [], {}
-    lengths: dict[str, int] = {}
+    first, count = "", 0
+    uneven = []
+
+    def problem(column: str, message: str, remedy: str) -> DatasetProblem:
+        return DatasetProblem(name, None, column, message, remedy)
+
     for column, values in columns.items():
         array = np.asarray(values)
         if array.ndim != 1:
-            problems.append(
-                DatasetProblem(
-                    name,
-                    None,
-                    column,
-                    f"an array of shape {array.shape}",
-                    "Give one number a sample: shape [time]",
-                )
-            )
-        elif array.dtype.kind == "c":
-            problems.append(
-                DatasetProblem(name, None, column, "complex numbers", "Give real numbers")
-            )
-        else:
-            plain = array.dtype.kind in "biufMm"
-            lengths[column], good[column] = len(array), array if plain else array.tolist()
-    first = next(iter(lengths), None)
-    for column, length in lengths.items():
-        if first is not None and length != lengths[first]:
-            problems.append(
-                DatasetProblem(
-                    name,
-                    None,
-                    column,
-                    f"{length} samples, but {first!r} has {lengths[first]}",
-                    "Give equal lengths",
-                )
-            )
+            message = f"an array of shape {array.shape}"
+            problems.append(problem(column, message, "Give one number a sample: shape [time]"))
+            continue
+        if array.dtype.kind == "c":
+            problems.append(problem(column, "complex numbers", "Give real numbers"))
+            continue
+        if not good:
+            first, count = column, len(array)
+        good[column] = array if array.dtype.kind in "biufMm" else array.tolist()
+        if len(array) != count:
+            message = f"{len(array)} samples, but {first!r} has {count}"
+            uneven.append(problem(column, message, "Give equal lengths"))
+    problems += uneven
     if problems:
         return Table(name, {}, 0, problems=problems)
-    return Table(name, good, lengths[first] if first is not None else 0)
+    return Table(name, good, count)
 
 
 def read_table(path: Path, file: str, content: bytes, *, numbered: bool = False) -> Table:
@@ -236,25 +229,18 @@ def _read_parquet(file: str, content: bytes) -> Table:
     try:
         whole = pq.ParquetFile(pa.BufferReader(content))  # without threads, see `_owned_by_arrow`
         names, rows = whole.schema_arrow.names, whole.metadata.num_rows
-        if len(set(names)) == whole.metadata.num_columns and not any(
-            "." in n for n in names
-        ):  # one at a time, for memory's sake
-            read = [
-                _arrow_column(whole.read(columns=[n], use_threads=False).column(0)) for n in names
-            ]
+        plain = len(set(names)) == whole.metadata.num_columns and "." not in "".join(names)
+        if plain:  # one at a time, for memory's sake
+            arrow = (whole.read(columns=[n], use_threads=False).column(0) for n in names)
         else:
-            table = whole.read(use_threads=False)
-            read = [_arrow_column(table.column(i)) for i in range(table.num_columns)]
-        named, twice = distinct(names, read)
+            arrow = whole.read(use_threads=False).columns
+        named, twice = distinct(names, list(map(_arrow_column, arrow)))
         columns = with_list_elements(named)
         pa.default_memory_pool().release_unused()
     except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
-        reason = (
-            str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
-        )
-        return _broken(
-            file, None, f"not readable as Parquet ({reason})", "Write the file again, or give CSV"
-        )
+        said = str(error).strip() or type(error).__name__
+        message = f"not readable as Parquet ({said.splitlines()[0][:120]})"
+        return _broken(file, None, message, "Write the file again, or give CSV")
     if rows == 0:
         return _broken(file, 1, "a header without samples", "Give at least 20 samples")
     return Table(file, columns, rows, np.arange(rows) + 2, twice=twice)
@@ -264,21 +250,18 @@ def _arrow_column(column: Any) -> Any:
     import pyarrow as pa
 
     kind = column.type
-    if pa.types.is_integer(kind) and not column.null_count and column.num_chunks:
-        return np.concatenate(
-            [np.from_dlpack(part) for part in column.chunks]
-        )  # exact: a clock in ns does not fit a float
+    whole = column.num_chunks and not column.null_count
     if pa.types.is_integer(kind) or pa.types.is_floating(kind):
-        column = column.cast(pa.float64(), safe=False)
-        if column.null_count or not column.num_chunks:
+        # Whole numbers stay: a clock in ns does not fit a float.
+        if not (whole and pa.types.is_integer(kind)):
+            column = column.cast(pa.float64(), safe=False)
+        if not whole:
             return column.to_numpy()
-        return np.concatenate(
-            [np.from_dlpack(part) for part in column.chunks]
-        )  # `to_numpy` imports pandas, 0.2 s
+        # `to_numpy` imports pandas, 0.2 s.
+        return np.concatenate(list(map(np.from_dlpack, column.chunks)))
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
-        return np.asarray(column.cast(pa.int64()).to_pylist()).astype(
-            f"{'M' if pa.types.is_timestamp(kind) else 'm'}8[{kind.unit}]"
-        )
+        what = "M" if pa.types.is_timestamp(kind) else "m"
+        return np.asarray(column.cast(pa.int64()).to_pylist()).astype(f"{what}8[{kind.unit}]")
     return column.to_pylist()
 
 

@@ -52,13 +52,15 @@ def scattered_stamps(dataset: Dataset, noise: Mapping[str, Noise]) -> dict[str, 
     """Output channel -> its time stamps, for those whose stamps scatter visibly. Report runs are
     not looked at.
     """
-    runs = [e for e in dataset.experiments if e.split != "report" and len(e) >= FEWEST]
-    found = (
-        {c.name: _stamps(runs, k, noise[c.name].std, c.name) for k, c in enumerate(dataset.outputs)}
-        if runs
-        else {}
-    )
-    return {name: stamps for name, stamps in found.items() if stamps is not None}
+    runs = [e for e in dataset.seen if len(e) >= FEWEST]
+    if not runs:
+        return {}
+    found = {}
+    for k, channel in enumerate(dataset.outputs):
+        stamps = _stamps(runs, k, noise[channel.name].std, channel.name)
+        if stamps is not None:
+            found[channel.name] = stamps
+    return found
 
 
 def with_scatter(

@@ -33,12 +33,11 @@ def effect_estimates(
     if not named:
         return ()
     found = estimates(binding, h.path.problem, h.path.z, h.covariance)
-    return tuple(
-        EffectEstimate(
-            c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}
-        )
-        for c in named
-    )
+    out = []
+    for c in named:
+        numbers = {binding.layout.entries[i].field: found[i] for i in c.index}
+        out.append(EffectEstimate(c.effect, c.location, numbers))
+    return tuple(out)
 
 
 def fit_of(
@@ -67,9 +66,22 @@ def fit_of(
 
 def _starts(bench: ProblemBuilder, h: Hypothesis) -> np.ndarray:
     """Starts of the fit runs."""
-    if list((problem := h.path.problem).records) == list(bench.runs(OutputError(), "fit").records):
+    problem = h.path.problem
+    if list(problem.records) == list(bench.runs(OutputError(), "fit").records):
         return problem.starts(h.path.z)
     return estimate_starts(bench, "fit", [h.theta])[0]
+
+
+def _causes(binding: Binding, named: Sequence[EffectEstimate]) -> dict[str, EffectEstimate]:
+    """Joint -> the first of the named effects that acts on it or on its input."""
+    signature = binding.chain.signature
+    joint_of = dict(zip(signature.input_names, signature.joints, strict=False))
+    joint_of |= dict(zip(signature.joints, signature.joints, strict=True))
+    causes: dict[str, EffectEstimate] = {}
+    for e in named:
+        if e.location in joint_of:
+            causes.setdefault(joint_of[e.location], e)
+    return causes
 
 
 def where_it_lies(
@@ -83,27 +95,21 @@ def where_it_lies(
     """Findings, pictures and regime table; no finding where there is no gap."""
     starts = _starts(bench, nominal)
     joints = bench.binding.chain.signature.joints
-    inputs = bench.binding.chain.signature.input_names
-    causes: dict[str, EffectEstimate] = {}
-    for e in named:
-        joint = e.location if e.location in joints else None
-        if joint is None and e.location in inputs and inputs.index(e.location) < len(joints):
-            joint = joints[inputs.index(e.location)]
-        if joint is not None:
-            causes.setdefault(joint, e)
+    causes = _causes(bench.binding, named)
     places = {joint: e.location for joint, e in causes.items()}
     own = causes if verdict == "named" else {}
-    only = tuple(places) if verdict == "named" else ()  # else what is left may lie anywhere
+    only = tuple(own)  # what is left of no named effect may lie anywhere
     before = missing_forces(bench, nominal.theta, starts, seed)
     found, rows, pictures = [], [], []
     if before:
-
-        def also():
-            return missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
-
-        after = before if final is nominal else also()
-        forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
-        given = {j: force for j, force in forces.items() if force is not None}
+        after = before
+        if final is not nominal:
+            after = missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        given = {}
+        for joint in only:
+            force = location.supplied(before, after, joints.index(joint))
+            if force is not None:
+                given[joint] = force
         rows = location.table(before, joints, given)
         pictures = location.pictures(bench, before, after)
         if verdict != "none":
@@ -127,13 +133,11 @@ def ranked(search: SearchResult) -> list[Ranked]:
         last: Candidate = h.effects[-1]
         gap = float(np.sqrt(max(h.validation.loss, 0.0)))
         evidence = worth(h.validation, nominal.validation, inflation(h.validation))
-        beside = (
-            f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
-        )
+        others = tuple(map(str, h.effects[:-1]))
+        beside = f" beside {' and '.join(others)}" if others else ""
         share = closed(nominal.validation.loss, h.validation.loss)
-        words = "closes nothing of the gap" if not share else f"closes {percent(share)} of the gap"
-        sentence = f"{last}{beside}: {words} on validation data"
-        others = tuple(str(c) for c in h.effects[:-1])
+        closes = percent(share) if share else "nothing"
+        sentence = f"{last}{beside}: closes {closes} of the gap on validation data"
         out.append(
             Ranked(last.effect, last.location, gap, float(h.bic), float(evidence), sentence, others)
         )
@@ -147,9 +151,11 @@ def traces(
     compared.
     """
     out = []
-    hypotheses = (nominal, final) if named else (nominal,)
+    hypotheses, labels = [nominal], ["re-tuned"]
+    if named:
+        hypotheses.append(final)
+        labels.append(f"with {' and '.join(map(str, named))}")
     thetas = [h.theta for h in hypotheses]
-    labels = ["re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
     for split in ("report", "validation", "fit"):
         if not bench.binding.experiments(split):
             continue
@@ -173,9 +179,14 @@ def _by_windows(
     """
     if not residual.windows:
         return []
-    own = [own_simulation(bench, residual, split, h.path.problem, h.path.z) for h in hypotheses]
-    series = [by_run(p, z, bench.binding.experiments(split)) for p, z in own]
-    return [s for s in series if s is not None] if all(s is not None for s in series) else []
+    out = []
+    for h in hypotheses:
+        problem, z = own_simulation(bench, residual, split, h.path.problem, h.path.z)
+        series = by_run(problem, z, bench.binding.experiments(split))
+        if series is None:
+            return []
+        out.append(series)
+    return out
 
 
 def notes_of(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
@@ -183,8 +194,8 @@ def notes_of(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
     took.
     """
     own = [n for n in fit.notes if n not in binding.dataset.notes]
-    friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
-    law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
+    smoothing = binding.chain.smoothing_velocity
+    law = f"tanh(qd / v) with v = {smoothing:g}" if smoothing else "true sticking"
     if binding.chain.mechanism.integrator:
         law = "soft, as the robot's file has it in MuJoCo"
     said = [f"Coulomb friction: {law}", f"compilation took {number(compile_time)} s"]

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid.base.wording import names_of
+from jaxid.data.experiment import Experiment
 from jaxid.diagnosis.evidence import HeldOut
 from jaxid.diagnosis.missing import joint_load, Missing
 from jaxid.diagnosis.regimes import situations
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.scores import scored
+from jaxid.problem.binding import Binding
 
 
 #: A regime with fewer samples is left out.
@@ -35,15 +37,15 @@ class Share:
     after: float
 
     def to_dict(self) -> dict[str, float | str | int]:
-        own = {
+        where = {"experiment": self.part}
+        if self.joint:
+            where = {"regime": self.part, "joint": self.joint}
+        return where | {
             "samples": self.samples,
             "gap_before": self.before,
             "gap_retuned": self.retuned,
             "gap_after": self.after,
         }
-        return (
-            {"regime": self.part, "joint": self.joint} if self.joint else {"experiment": self.part}
-        ) | own
 
 
 def by_run(bench: ProblemBuilder, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
@@ -51,9 +53,10 @@ def by_run(bench: ProblemBuilder, split: str, models: Sequence[HeldOut]) -> tupl
     names = names_of(bench.binding.experiments(split))
     if any(len(m.residual) != len(names) for m in models):
         return ()
-    return tuple(
-        _share(name, "", [[m.residual[k]] for m in models]) for k, name in enumerate(names)
-    )
+    shares = []
+    for name, *residuals in zip(names, *(m.residual for m in models), strict=True):
+        shares.append(_share(name, "", residuals))
+    return tuple(shares)
 
 
 def by_regime(bench: ProblemBuilder, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
@@ -62,42 +65,39 @@ def by_regime(bench: ProblemBuilder, split: str, models: Sequence[HeldOut]) -> t
     """
     b = bench.binding
     runs = b.experiments(split)
-    if (
-        not b.motions
-        or b.chain.mechanism.hidden_states
-        or any(e.name not in b.motions for e in runs)
-    ):
+    if not runs or b.chain.mechanism.hidden_states or not b.motions.keys() >= set(names_of(runs)):
         return ()
-    keep = [scored(e, split) for e in runs]
-    if any([len(r) for r in m.residual] != [int(np.sum(k)) for k in keep] for m in models):
+    kept = np.concatenate([scored(e, split) for e in runs])
+    residuals = [np.concatenate(m.residual) for m in models]
+    if any(len(residual) != np.sum(kept) for residual in residuals):
         return ()
+    moved = [_moved(b, e) for e in runs]
     out = []
-    moved = []
-    for e in runs:
-        m = b.motions[e.name]
-        load = joint_load(b, e, m)
-        none = np.zeros((0, len(e.t), b.chain.nq))
-        moved.append(
-            Missing(
-                experiment=e,
-                keep=np.ones(len(e.t), bool),
-                q=m.q,
-                qd=m.qd,
-                qdd=m.qdd,
-                load=load,
-                force=none,
-                null=none,
-            )
-        )
     for j, joint in enumerate(b.chain.signature.joints):
         for name, inside in situations(moved, j).items():
-            own = [mask[kept] for mask, kept in zip(inside, keep, strict=True)]
-            if sum(int(x.sum()) for x in own) >= SAMPLES:
-                parts = [[r[x] for r, x in zip(m.residual, own, strict=True)] for m in models]
-                out.append(_share(name, joint, parts))
+            own = np.concatenate(inside)[kept]
+            if np.sum(own) >= SAMPLES:
+                out.append(_share(name, joint, [residual[own] for residual in residuals]))
     return tuple(out)
 
 
-def _share(part: str, joint: str, residuals: Sequence[Sequence[np.ndarray]]) -> Share:
-    gaps = [float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for r in residuals]
-    return Share(part, joint, sum(len(r) for r in residuals[0]), *gaps)
+def _moved(b: Binding, e: Experiment) -> Missing:
+    """A run's motion and what loads its joints, without a force that is missing."""
+    m = b.motions[e.name]
+    none = np.zeros((0, len(e.t), b.chain.nq))
+    return Missing(
+        experiment=e,
+        keep=np.ones(len(e.t), bool),
+        q=m.q,
+        qd=m.qd,
+        qdd=m.qdd,
+        load=joint_load(b, e, m),
+        force=none,
+        null=none,
+    )
+
+
+def _share(part: str, joint: str, residuals: Sequence[np.ndarray]) -> Share:
+    """Of residuals [samples] of each model."""
+    gaps = [float(np.sqrt(np.mean(r**2))) for r in residuals]
+    return Share(part, joint, len(residuals[0]), *gaps)

@@ -12,7 +12,7 @@ import itertools
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
+from jaxid.dynamics.mechanism import Signature
 from jaxid.fitting.effect_starts import probes
 from jaxid.fitting.many_starts import search
 from jaxid.fitting.problem_builder import ProblemBuilder
@@ -91,16 +92,13 @@ class Equivalences:
         lines += [f"  {', '.join(map(str, c))}" for c in self.classes] or ["  none"]
         lines += ["", "absorbed by the model's own parameters or its unknown start:"]
         lines += [f"  {p} ({100 * (1 - p.left):.1f} %)" for p in self.absorbed] or ["  none"]
-        lines += ["", "without any influence here:"] + (
-            [f"  {p}" for p in self.invisible] or ["  none"]
-        )
-        return "\n".join(
-            [
-                *lines,
-                "",
-                "Weak effects are alike more often, and a poor excitation makes more classes.",
-            ]
-        )
+        lines += ["", "without any influence here:"]
+        lines += [f"  {p}" for p in self.invisible] or ["  none"]
+        lines += [
+            "",
+            "Weak effects are alike more often, and a poor excitation makes more classes.",
+        ]
+        return "\n".join(lines)
 
 
 def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
@@ -113,11 +111,10 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     """
     from jaxid.dynamics import catalogue
 
-    owner = (
-        robot_from(model, getattr(model, "tip", None))
-        if is_file(model)
-        else catalogue.model_class(model)()
-    )
+    if is_file(model):
+        owner = robot_from(model, getattr(model, "tip", None))
+    else:
+        owner = catalogue.model_class(model)()
     chain = Chain(owner).without(*without)
     kinds = [catalogue.effect_class(n, owner) for n in first_asked() if n not in chain.contents]
     library = [k for k in kinds if chain.offers(k)]
@@ -129,53 +126,73 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     theta = _with_friction(binding)
     p = bench.problem(OutputError(), "fit", binding.free, theta)
     z = p.z(theta)
+    pool = candidates(bench, tuple(names_of(library)))
+    absorbed, invisible = [], []
+    seen: dict[Place, tuple[np.ndarray, Candidate]] = {}
+    for c, reaction in zip(pool, _reactions(bench, p, z, theta, pool), strict=True):
+        place = Place(c.effect, c.location, max(reaction.left, default=1.0))
+        if not reaction.acts:
+            invisible.append(Place(c.effect, c.location, 0.0))
+        elif reaction.left and place.left < LIMITS.absorbed:
+            absorbed.append(place)
+        else:
+            seen[place] = np.array(reaction.directions), c
+    pairs = dict.fromkeys((*_parallel(seen), *_resembling(bench, seen)))
+    alike = set()
+    for first, second in pairs:
+        a, b = seen[first][1], seen[second][1]
+        if _explains(bench, p, z, a, b) and _explains(bench, p, z, b, a):
+            alike.add(frozenset((first, second)))
+    return Equivalences(model, text, tuple(absorbed), tuple(invisible), _classes(list(seen), alike))
+
+
+class _Reaction(NamedTuple):
+    """What probes of an effect change: whether anything at all, and of weak ones what re-tuning
+    leaves: the direction of each [samples] and its share of the change.
+    """
+
+    acts: bool
+    directions: list[np.ndarray]
+    left: list[float]
+
+
+def _reactions(
+    bench: ProblemBuilder,
+    p: FitProblem,
+    z: np.ndarray,
+    theta: np.ndarray,
+    pool: Sequence[Candidate],
+) -> list[_Reaction]:
+    """How the recording reacts to each of the effects."""
     parts = list(rows([(p, z)]))
     base = np.concatenate([part.r.ravel() for part in parts])
     remaining = Retuning(parts, p.size).remaining
-    pool = candidates(bench, tuple(names_of(library)))
-    shapes, thetas, owner = binding.layout.shapes, [], []
-    for k, c in enumerate(pool):
-        for full in probes_of(bench, c, theta):
-            weak = np.where(shapes, full, theta + WEAK * (full - theta))
-            thetas += [full, weak]
-            owner.append(k)
-    found = probe_residuals(p, z, thetas)
-    noise = (
-        1e-7
-        * np.sqrt(base.size)
-        * float(np.mean([part.w.max() for part in parts]))
-        * float(np.max(binding.sigma))
-        * 1e3
-    )
-    absorbed, invisible = [], []
-    seen: dict[Place, tuple[np.ndarray, Candidate]] = {}
-    for k, c in enumerate(pool):
-        left, acts, tangents = [], False, []
-        for n in np.flatnonzero(np.array(owner) == k):
-            for full, r in ((True, found[2 * n]), (False, found[2 * n + 1])):
-                change = r - base
-                size = float(np.linalg.norm(change))
-                if not np.isfinite(size) or size < (noise if full else noise * WEAK):
-                    continue
-                rest = remaining(change)
-                acts |= full
-                if not full:
-                    tangents.append(rest / max(float(np.linalg.norm(rest)), 1e-300))
-                    left.append(float(np.linalg.norm(rest)) / size)
-        place = Place(c.effect, c.location, max(left, default=1.0))
-        if not acts:
-            invisible.append(Place(c.effect, c.location, 0.0))
-        elif left and place.left < LIMITS.absorbed:
-            absorbed.append(place)
-        else:
-            seen[place] = np.array(tangents), c
-    pairs = dict.fromkeys((*_parallel(seen), *_resembling(bench, seen)))
-    alike = {
-        frozenset(pair)
-        for pair in pairs
-        if all(_explains(bench, p, z, *order) for order in _orders(seen, pair))
-    }
-    return Equivalences(model, text, tuple(absorbed), tuple(invisible), _classes(list(seen), alike))
+    weight = float(np.mean([part.w.max() for part in parts]))
+    sigma = float(np.max(bench.binding.sigma))
+    noise = 1e-7 * np.sqrt(base.size) * weight * sigma * 1e3
+    shapes = bench.binding.layout.shapes
+    thetas: list[np.ndarray] = []
+    counts = []
+    for c in pool:
+        probed = probes_of(bench, c, theta)
+        counts.append(len(probed))
+        for full in probed:
+            thetas += [full, np.where(shapes, full, theta + WEAK * (full - theta))]
+    found = iter(probe_residuals(p, z, thetas))
+    reactions = []
+    for count in counts:
+        acts, directions, left = False, [], []
+        for _ in range(count):
+            strong, weak = next(found) - base, next(found) - base
+            acts |= noise <= np.linalg.norm(strong) < np.inf
+            size = float(np.linalg.norm(weak))
+            if noise * WEAK <= size < np.inf:
+                rest = remaining(weak)
+                length = float(np.linalg.norm(rest))
+                directions.append(rest / max(length, 1e-300))
+                left.append(length / size)
+        reactions.append(_Reaction(bool(acts), directions, left))
+    return reactions
 
 
 def _under_goals(
@@ -184,7 +201,7 @@ def _under_goals(
     """Of a robot that goals drive."""
     left, alike, apart = alike_under_goals(binding, library)
     places = {key: Place(*key, share) for key, share in left.items()}
-    pairs = {frozenset(places[key] for key in pair) for pair in alike}
+    pairs = {frozenset(map(places.__getitem__, pair)) for pair in alike}
     absorbed = tuple(p for p in places.values() if p.left <= LIMITS.equivalent)
     text += (
         "; to first order; not compared, for they have a motion of their own:"
@@ -204,12 +221,10 @@ def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Pla
     out = []
     for first, second in itertools.combinations(seen, 2):
         a, b = seen[first][0], seen[second][0]
-        if (
-            a.size
-            and b.size
-            and min((c := np.abs(a @ b.T)).max(1).min(), c.max(0).min()) > LIMITS.parallel
-        ):
-            out.append((first, second))
+        if a.size and b.size:
+            cosines = np.abs(a @ b.T)
+            if min(cosines.max(1).min(), cosines.max(0).min()) > LIMITS.parallel:
+                out.append((first, second))
     return out
 
 
@@ -225,13 +240,6 @@ def _resembling(
         if a.location == b.location
         and (b.effect in others[a.effect] or a.effect in others[b.effect])
     ]
-
-
-def _orders(
-    seen: dict[Place, tuple[np.ndarray, Candidate]], pair: tuple[Place, Place]
-) -> list[tuple[Candidate, Candidate]]:
-    a, b = (seen[place][1] for place in pair)
-    return [(a, b), (b, a)]
 
 
 def _explains(
@@ -271,60 +279,28 @@ def _classes(places: list[Place], alike: set[frozenset[Place]]) -> tuple[tuple[P
     return tuple(out)
 
 
-def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, str]:
+def _rich_motion(chain: Chain, model: str, owner: Any) -> tuple[Dataset, str]:
     """A command of sines, steps and rests as strong as keeps the motion within about a radian (or
     metre), and its recording.
     """
     from jaxid.fitting.simulate import own_numbers, simulate_dataset
 
     t = np.arange(int(RATE * SECONDS)) / RATE
-    rng = np.random.default_rng(0)
-    names = chain.signature.input_names
-    units = dict((*chain.signature.inputs, *chain.signature.outputs))
-    shape = {}
-    for name, unit in chain.signature.inputs:
-        sines = [
-            np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(f)
-            for f in rng.uniform(0.3, 8.0, 10)
-        ]
-        u = np.sum(sines, 0) / 2.5
-        for _ in range(4):
-            a = int(rng.integers(40, t.size - 120))
-            u[a : a + int(rng.integers(30, 100))] = rng.choice([-1.0, 0.0, 0.0, 1.0])
-        u[:20] = 0.0
-        shape[name] = np.ones_like(t) if unit == "1" else u
-
-    def recorded(strength: float, y: dict[str, np.ndarray] | None = None) -> Dataset:
-        inputs = {n: u * (1.0 if units[n] == "1" else strength) for n, u in shape.items()}
-        outputs = y or {n: np.sin(t) for n, _ in chain.signature.outputs}
-        noise = {n: max(1e-3 * float(np.std(v)), 1e-9) for n, v in outputs.items()}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a switch that stays on is meant
-            named = {n: units[n] for n in (*inputs, *outputs)}
-            return Dataset.from_arrays(
-                t,
-                inputs,
-                outputs,
-                units=named,
-                noise_std=noise,
-                at_rest=True,
-                split="fit",
-                check_model=False,
-                model=None if is_file(model) else model,
-            )
-
+    signature = chain.signature
+    shape = _shape(t, signature.input_names)
     content = own_numbers(chain) | {"effects": []}
     best, limit = None, TRAVEL
-    for strength in 10.0 ** np.arange(-3, 4.1, 0.5) if names else [1.0]:
-        run = simulate_dataset(content, recorded(strength), owner).runs[0]
-        y = {n: np.asarray(run[n]) for n, _ in chain.signature.outputs}
-        spread = max(float(np.ptp(y[j])) for j in chain.signature.joints if j in y)
-        limit = (
-            max(limit, 1.2 * min(spread, 2 * np.pi)) if best is None else limit
-        )  # what falls by itself moves more
+    for strength in 10.0 ** np.arange(-3, 4.1, 0.5) if shape else [1.0]:
+        inputs = _command(t, shape, signature, strength)
+        still = {n: np.sin(t) for n in dict(signature.outputs)}
+        run = simulate_dataset(content, _recording(t, inputs, still, chain, model), owner).runs[0]
+        y = {n: np.asarray(run[n]) for n in dict(signature.outputs)}
+        spread = max(float(np.ptp(y[j])) for j in signature.joints if j in y)
+        if best is None:  # what falls by itself moves more
+            limit = max(limit, 1.2 * min(spread, 2 * np.pi))
         if not np.isfinite(spread) or spread > limit:
             break
-        best = strength, y, spread
+        best = inputs, y, spread
     if best is None or best[2] < 1e-6:
         raise UsageError(
             f"{model} has no moderate motion at its default parameters, so nothing can be compared"
@@ -335,26 +311,71 @@ def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, 
         f"sines of 0.3 to 8 Hz, steps and rests, {SECONDS:g} s at {RATE} Hz, travel {best[2]:.2g},"
         f" {how}, from rest"
     )
-    moving = {
-        n: v for n, v in best[1].items() if np.ptp(v)
-    }  # what stands still by design has another signature without it
-    return recorded(best[0], moving), text
+    # What stands still by design has another signature without it.
+    moving = {n: v for n, v in best[1].items() if np.ptp(v)}
+    return _recording(t, best[0], moving, chain, model), text
+
+
+def _shape(t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Sines, steps and rests [time] of about 1 for each input."""
+    rng = np.random.default_rng(0)
+    shape = {}
+    for name in names:
+        frequencies = rng.uniform(0.3, 8.0, 10)
+        sines = [
+            np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(f) for f in frequencies
+        ]
+        u = np.sum(sines, 0) / 2.5
+        for _ in range(4):
+            a = int(rng.integers(40, t.size - 120))
+            u[a : a + int(rng.integers(30, 100))] = rng.choice([-1.0, 0.0, 0.0, 1.0])
+        u[:20] = 0.0
+        shape[name] = u
+    return shape
+
+
+def _command(
+    t: np.ndarray, shape: dict[str, np.ndarray], signature: Signature, strength: float
+) -> dict[str, np.ndarray]:
+    """The inputs [time] at a strength; a switch is on."""
+    command = {}
+    for name, unit in signature.inputs:
+        command[name] = np.ones_like(t) if unit == "1" else strength * shape[name]
+    return command
+
+
+def _recording(
+    t: np.ndarray,
+    inputs: dict[str, np.ndarray],
+    outputs: dict[str, np.ndarray],
+    chain: Chain,
+    model: str,
+) -> Dataset:
+    """A run from rest, as a dataset."""
+    units = dict((*chain.signature.inputs, *chain.signature.outputs))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a switch that stays on is meant
+        return Dataset.from_arrays(
+            t,
+            inputs,
+            outputs,
+            units={n: units[n] for n in (*inputs, *outputs)},
+            noise_std={n: max(1e-3 * float(np.std(v)), 1e-9) for n, v in outputs.items()},
+            at_rest=True,
+            split="fit",
+            check_model=False,
+            model=None if is_file(model) else model,
+        )
 
 
 def _with_friction(binding: Binding) -> np.ndarray:
     """Default numbers, with a little of the friction that the model has."""
     theta = binding.theta.copy()
-    for effect in binding.chain.effects:
+    for effect in filter(lambda e: e.probes, binding.chain.effects):
         for place in binding.chain.places(effect):
             index = binding.layout.of_effect(effect.name, place)
-            friction = index and np.all(
-                binding.lower[index] >= 0
-            )  # an offset would start the run by itself
-            if (
-                friction
-                and set(index) <= binding.nominal
-                and effect.probes
-                and not np.any(theta[index])
-            ):
+            starts_the_run = np.any(binding.lower[index] < 0)  # an offset, by itself
+            own = index and set(index) <= binding.nominal
+            if own and not starts_the_run and not np.any(theta[index]):
                 theta = probes(binding, effect, place, theta)[0]
     return theta

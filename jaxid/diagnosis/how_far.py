@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
@@ -63,7 +64,9 @@ def measure(
         )
     split = splits[0]
     stated = held_out(alike, split, [before, retuned, after], residual)
-    runs = stated if alike is bench else [*stated[:2], *held_out(bench, split, [after], residual)]
+    runs = stated
+    if alike is not bench:
+        runs = [*stated[:2], *held_out(bench, split, [after], residual)]
     if residual.windows:
         note += (
             " Gaps are over windows of the runs, each with its own start, as models were compared."
@@ -71,27 +74,8 @@ def measure(
     if still:
         note += f" The {' and '.join(still)} runs stand still and tell nothing."
     gaps = [r.gap for r in runs]
-    per_channel = {}
-
-    def rms(parts):
-        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-
-    _, iy = columns(b.dataset, b.chain)
-    for c, (name, unit) in enumerate(b.chain.signature.outputs):
-        sigma = float(b.sigma[c])
-        rmse = [sigma * rms([r[:, c] for r in run.residual]) for run in stated]
-        source = b.noise[name].source
-        floor = (
-            sigma
-            if alike is bench
-            else rms([e.noise_rms(b.sigma, iy)[[c]] for e in b.experiments(split)])
-        )
-        per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], floor, source)
-    shrinkage = interval = None
-    reason = made_of = ""
-    beyond = max(
-        1.0, float(np.sqrt(runs[2].loss))
-    )  # what is left where the starts of the runs are moved within what is known
+    # What is left where the starts of the runs are moved within what is known.
+    beyond = max(1.0, float(np.sqrt(runs[2].loss)))
     if gaps[2] > LIMITS.left and beyond < gaps[2] / 2:
         note += (
             f" Of the {gaps[2]:.3g} that are left all but {beyond:.3g} is what the starts of the"
@@ -99,47 +83,102 @@ def measure(
             " much. Runs that begin at rest (at_rest), with a stated start (initial) or with a"
             " longer initial_window_s tell more."
         )
-    if verdict == "none":
-        reason = "the verdict is none: there is no gap to shrink"
-        if beyond > LIMITS.left:
-            note += (
-                f" The {split} runs are {times(gaps[2])} times the noise away all the same: they go"
-                " where fit and validation runs do not, with numbers that those do not determine."
-                " Fit runs that go there tell more."
-            )
-    elif (unknown := not_measured(gaps[0], gaps[2])) is not None:
-        reason = unknown
-    elif gaps[0] <= 1.0:
-        reason = "the gap was at the noise floor on report data before any effect was added"
-    else:
-        exact = shrink(gaps[0] ** 2, gaps[2] ** 2)
-        if exact < 0:
-            reason = f"on {split} data the gap does not shrink"
-        else:
-            shrinkage = min(exact, 1.0)
-            interval, made_of, reason = interval_of_further_run(runs[0], runs[2])
-            interval = interval and (interval[0], min(interval[1], 1.0))
-    text = (
-        f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after"
-        " re-tuning the old parameters alone"
-    )
-    text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
+    if verdict == "none" and beyond > LIMITS.left:
+        note += (
+            f" The {split} runs are {times(gaps[2])} times the noise away all the same: they go"
+            " where fit and validation runs do not, with numbers that those do not determine."
+            " Fit runs that go there tell more."
+        )
+    text = gap_text(split, gaps, verdict)
+    shrinkage = _shrinkage(runs[0], runs[2], verdict, split)
     by_runs = by_run(bench, split, [whole_runs(bench, residual, split, r) for r in runs])
     return HowFar(
         gap_before=gaps[0],
         gap_retuned=gaps[1],
         gap_after=gaps[2],
         noise_floor=1.0,
-        shrinkage=shrinkage,
-        shrinkage_interval_95=interval,
-        interval_reason=reason,
-        per_channel=per_channel,
+        shrinkage=shrinkage.share,
+        shrinkage_interval_95=shrinkage.interval,
+        interval_reason=shrinkage.reason,
+        per_channel=_per_channel(b, stated, split, alike_noise=alike is bench),
         text=f"{text}. {note}".strip(),
         per_run=by_runs,
         per_regime=by_regime(bench, split, runs),
-        interval_from=made_of,
+        interval_from=shrinkage.made_of,
         split=split,
     )
+
+
+def _per_channel(
+    b: Binding, models: Sequence[HeldOut], split: str, alike_noise: bool
+) -> dict[str, ChannelGap]:
+    """Output channel -> what the three models leave in it, in its unit, and its noise: the same at
+    all readings (`alike_noise`), or their own.
+    """
+    _, iy = columns(b.dataset, b.chain)
+    floors = b.sigma
+    if not alike_noise:
+        each = np.stack([e.noise_rms(b.sigma, iy) for e in b.experiments(split)])
+        floors = np.sqrt(np.mean(each**2, 0))
+    out = {}
+    for c, (name, unit) in enumerate(b.chain.signature.outputs):
+        rmse = []
+        for model in models:
+            left = np.concatenate([r[:, c] for r in model.residual])
+            rmse.append(float(b.sigma[c]) * float(np.sqrt(np.mean(left**2))))
+        before, retuned, after = rmse
+        out[name] = ChannelGap(unit, before, retuned, after, float(floors[c]), b.noise[name].source)
+    return out
+
+
+class _Shrinkage(NamedTuple):
+    """By which share the gap shrinks, its interval in a further run and of what that is made, or
+    the reason why there is none.
+    """
+
+    share: float | None = None
+    interval: tuple[float, float] | None = None
+    made_of: str = ""
+    reason: str = ""
+
+
+def _shrinkage(before: HeldOut, after: HeldOut, verdict: str, split: str) -> _Shrinkage:
+    share, reason = share_of_gap(before.gap, after.gap, verdict, split, "on report data ")
+    if share is None:
+        return _Shrinkage(reason=reason)
+    interval, made_of, reason = interval_of_further_run(before, after)
+    if interval is not None:
+        interval = interval[0], min(interval[1], 1.0)
+    return _Shrinkage(share, interval, made_of, reason)
+
+
+def share_of_gap(
+    before: float, after: float, verdict: str, split: str, where: str = ""
+) -> tuple[float | None, str]:
+    """By which share a gap shrinks; or None, and the reason why that is not said."""
+    if verdict == "none":
+        return None, "the verdict is none: there is no gap to shrink"
+    unknown = not_measured(before, after)
+    if unknown is not None:
+        return None, unknown
+    if before <= 1.0:
+        return None, f"the gap was at the noise floor {where}before any effect was added"
+    exact = shrink(before**2, after**2)
+    if exact < 0:
+        return None, f"on {split} data the gap does not shrink"
+    return min(exact, 1.0), ""
+
+
+def gap_text(split: str, gaps: Sequence[float], verdict: str) -> str:
+    """The gaps of a model as stated, re-tuned, and with the effects that a verdict names."""
+    before, retuned, after = map(times, gaps)
+    text = (
+        f"gap on {split} data: {before} times the noise before, {retuned} after re-tuning the old"
+        " parameters alone"
+    )
+    if verdict in ("named", "partly"):
+        text += f", {after} with the effects added"
+    return text
 
 
 def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str]:
@@ -152,13 +191,8 @@ def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str
     theta = retuned.copy()
     stated = [i for i in binding.free if i in binding.stated]
     if not stated:
-        return (
-            theta,
-            (
-                "The dataset states no parameter values, so the gap before is that of the re-tuned"
-                " model."
-            ),
-        )
+        note = "The dataset states no parameter values, so the gap before is that of the re-tuned"
+        return theta, f"{note} model."
     theta[stated] = binding.theta[stated]
     return theta, ""
 
@@ -171,13 +205,10 @@ def whole_runs(bench: ProblemBuilder, residual: Residual, split: str, held: Held
     of = [runs.record(number).experiment for number in runs.records]
     if len(of) != len(held.residual):
         return held
-    return replace(
-        held,
-        residual=[
-            np.concatenate([r for r, k in zip(held.residual, of, strict=True) if k == n])
-            for n in sorted(set(of))
-        ],
-    )
+    by_run: dict[int, list[np.ndarray]] = {number: [] for number in sorted(set(of))}
+    for number, part in zip(of, held.residual, strict=True):
+        by_run[number].append(part)
+    return replace(held, residual=[np.concatenate(own) for own in by_run.values()])
 
 
 def parts(
@@ -231,9 +262,11 @@ def interval_of_further_run(
     left = float(np.mean(np.concatenate(b))) / gap
     own = [(y - left * x) / gap for x, y in zip(a, b, strict=True)]
     length = 2 * max(memory(own), memory(after.residual))
-    blocks = np.array(
-        [np.mean(x[k : k + length]) for x in own for k in range(0, len(x) - length + 1, length)]
-    )
+    means = []
+    for x in own:
+        whole = len(x) // length * length
+        means += [np.mean(block) for block in x[:whole].reshape(-1, length)]
+    blocks = np.array(means)
     n = len(blocks)
     if n < BLOCKS:
         reason = (
@@ -242,9 +275,8 @@ def interval_of_further_run(
             " needed"
         )
         return None, "", reason
-    further = (len(a) + 1) / len(
-        every
-    )  # a further run's mean about the mean of these: its variance, by that of a sample
+    # A further run's mean about the mean of these: its variance, by that of a sample.
+    further = (len(a) + 1) / len(every)
     smaller = float(np.var(every)) / gap**2 * memory(a) * further
     reach = (
         float(stdtrit(n - 1, 0.975) * np.sqrt((len(own) + 1) / n) * blocks.std(ddof=1))

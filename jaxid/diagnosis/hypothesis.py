@@ -126,12 +126,13 @@ def without_each(
     """What the effects of a hypothesis contribute: see `SearchResult.without`; the refits are among
     those known.
     """
-    smaller = [(c, known.get(key_of([e for e in h.effects if e is not c]))) for c in h.effects]
-    left = [
-        (c, float(np.sqrt(max(less.validation.loss, 0.0))))
-        for c, less in smaller
-        if less is not None and len(smaller) > 1
-    ]
+    if len(h.effects) < 2:
+        return ()
+    left = []
+    for k, c in enumerate(h.effects):
+        less = known.get(key_of([*h.effects[:k], *h.effects[k + 1 :]]))
+        if less is not None:
+            left.append((c, float(np.sqrt(max(less.validation.loss, 0.0)))))
     return tuple(sorted(left, key=lambda pair: -pair[1]))
 
 
@@ -186,10 +187,7 @@ def sensible(effects: Sequence[Candidate]) -> bool:
     dry friction has more of at low speed, and without it would be a law of its own that no surface
     has; only where nothing is left of that one in the end is it taken out.
     """
-    return all(
-        not c.refines or any(e.effect == c.refines and e.location == c.location for e in effects)
-        for c in effects
-    )
+    return all(not c.refines or refined_by(c, effects) for c in effects)
 
 
 def refined_by(c: Candidate, pool: Sequence[Candidate]) -> list[Candidate]:
@@ -221,3 +219,16 @@ def read_off_of(
 def probes_of(bench: ProblemBuilder, c: Candidate, theta: np.ndarray) -> list[np.ndarray]:
     """Parameter vectors with one candidate switched on at each of its probe strengths."""
     return probes(bench.binding, effect_of(bench, c), c.location, theta)
+
+
+def probes_of_all(
+    bench: ProblemBuilder, pool: Sequence[Candidate], theta: np.ndarray
+) -> tuple[list[Candidate], list[np.ndarray]]:
+    """Every probe of each candidate: whose it is, and its numbers [layout]."""
+    owners: list[Candidate] = []
+    thetas: list[np.ndarray] = []
+    for c in pool:
+        probed = probes_of(bench, c, theta)
+        owners += [c] * len(probed)
+        thetas += probed
+    return owners, thetas

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 from jaxid.base.stopping import Interrupted
@@ -41,7 +42,8 @@ def asked_last(
     if before not in SAYS_MORE or not late:
         return found
     named, names = [e.effect for e in found.which.effects], names_of(late)
-    simpler = names_of(possible(nominal, [n for k in late for n in k.resembles], residual))
+    alike = list(itertools.chain.from_iterable(k.resembles for k in late))
+    simpler = names_of(possible(nominal, alike, residual))
     try:
         again = ask(tuple(dict.fromkeys([*named, *names, *simpler])))
     except Interrupted as stop:

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from jaxid.base.stopping import Interrupted
-from jaxid.base.wording import listed, times
+from jaxid.base.wording import listed
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.belief import joined_beliefs
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.budget import shrink
+from jaxid.diagnosis.how_far import gap_text
 from jaxid.diagnosis.result import Diagnosis, HowFar, Which
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.limbs import together
@@ -76,44 +77,47 @@ def joined(
     parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]], dataset: Dataset
 ) -> Diagnosis:
     """One diagnosis of those of limbs with these joints."""
-    first = parts[0]
-
-    def every(field):
-        return tuple(x for d in parts for x in getattr(d, field))
-
     which = _which(parts, names)
-    notes = tuple(
-        dict.fromkeys(
-            (
-                *every("notes"),
-                f"{len(parts)} limbs that do not move each other were diagnosed one by one",
-            )
-        )
-    )
+    how = f"{len(parts)} limbs that do not move each other were diagnosed one by one"
+    sentences: list[str] = []
+    for d in parts:
+        sentences += re.split(r"(?<=[.?!]) ", d.next_experiment)
     return replace(
-        first,
+        parts[0],
         dataset=dataset.name,
         dataset_sha256=dataset.sha256,
-        where=tuple(sorted(every("where"), key=lambda f: -f.times_noise_floor)),
+        where=tuple(sorted(_every(parts, "where"), key=lambda f: -f.times_noise_floor)),
         which=which,
         how_far=_how_far(parts, which.verdict),
-        next_experiment=" ".join(
-            dict.fromkeys(
-                said for d in parts for said in re.split(r"(?<=[.?!]) ", d.next_experiment)
-            )
-        ),
+        next_experiment=" ".join(dict.fromkeys(sentences)),
         wall_time_s=sum(d.wall_time_s for d in parts),
         nominal=together([d.nominal for d in parts], dataset),
         final=together([d.final for d in parts], dataset),
-        traces=every("traces"),
-        missing_force=every("missing_force"),
-        regimes=every("regimes"),
-        notes=notes,
-        unseen=every("unseen"),
+        traces=_every(parts, "traces"),
+        missing_force=_every(parts, "missing_force"),
+        regimes=_every(parts, "regimes"),
+        notes=tuple(dict.fromkeys((*_every(parts, "notes"), how))),
+        unseen=_every(parts, "unseen"),
         rivals=next((d.rivals for d in parts if d.rivals is not None), None),
-        data=every("data"),
+        data=_every(parts, "data"),
         complete=all(part.complete for part in parts),
     )
+
+
+def _every(parts: Sequence[Any], field: str) -> tuple[Any, ...]:
+    """What a field of each part holds, one after the other."""
+    found: list[Any] = []
+    for part in parts:
+        found += getattr(part, field)
+    return tuple(found)
+
+
+def _merged(parts: Sequence[Any], field: str) -> dict[str, Any]:
+    """The same of a field that holds something by name."""
+    found: dict[str, Any] = {}
+    for part in parts:
+        found |= getattr(part, field)
+    return found
 
 
 def verdict_of(verdicts: Sequence[str]) -> str:
@@ -128,30 +132,26 @@ def verdict_of(verdicts: Sequence[str]) -> str:
 
 
 def _which(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]]) -> Which:
-    def every(field):
-        return tuple(x for d in parts for x in getattr(d.which, field))
-
-    ranking = tuple(
-        sorted(every("ranking"), key=lambda r: -r.evidence if np.isfinite(r.evidence) else np.inf)
+    each = [d.which for d in parts]
+    ranking = sorted(
+        _every(each, "ranking"),
+        key=lambda r: -r.evidence if np.isfinite(r.evidence) else np.inf,
     )
-    text = " ".join(
-        f"{listed(joints)}: {d.which.text}" for joints, d in zip(names, parts, strict=True)
-    )
-    verdict = verdict_of([d.which.verdict for d in parts])
-    doubts = {k: why for d in parts for k, why in d.which.doubts.items()}
-    beliefs = [d.which.belief for d in parts if d.which.belief is not None]
+    text = " ".join(f"{listed(joints)}: {w.text}" for joints, w in zip(names, each, strict=True))
     return Which(
-        verdict=verdict,
-        effects=every("effects"),
-        confusable_with=every("confusable_with"),
-        ranking=ranking,
+        verdict=verdict_of([w.verdict for w in each]),
+        effects=_every(each, "effects"),
+        confusable_with=_every(each, "confusable_with"),
+        ranking=tuple(ranking),
         text=text,
-        doubts=doubts,
-        belief=joined_beliefs(beliefs),
+        doubts=_merged(each, "doubts"),
+        belief=joined_beliefs([w.belief for w in each if w.belief is not None]),
     )
 
 
-def _mean(gaps: Sequence[float], weights: Sequence[float]) -> float:
+def _mean(parts: Sequence[Any], gap: str, weights: Sequence[float]) -> float:
+    """The root of the mean square of a gap over parts."""
+    gaps = [getattr(part, gap) for part in parts]
     return float(np.sqrt(np.average(np.square(gaps), weights=weights)))
 
 
@@ -159,19 +159,14 @@ def _how_far(parts: Sequence[Diagnosis], verdict: str) -> HowFar:
     """Gaps over the channels of all limbs, which have the same samples."""
     fars = [d.how_far for d in parts]
     weights = [max(1, len(f.per_channel)) for f in fars]
-    before, retuned, after = (
-        _mean([getattr(f, g) for f in fars], weights)
-        for g in ("gap_before", "gap_retuned", "gap_after")
-    )
+    before = _mean(fars, "gap_before", weights)
+    retuned = _mean(fars, "gap_retuned", weights)
+    after = _mean(fars, "gap_after", weights)
     named = verdict in ("named", "partly")
-    shrinkage = (
-        min(shrink(before**2, after**2), 1.0) if named and before > max(1.0, after) else None
-    )
+    shrinkage = None
+    if named and before > max(1.0, after):
+        shrinkage = min(shrink(before**2, after**2), 1.0)
     split = fars[0].split
-    text = (
-        f"gap on {split} data: {times(before)} times the noise before, {times(retuned)} after"
-        " re-tuning the old parameters alone"
-    )
     return HowFar(
         gap_before=before,
         gap_retuned=retuned,
@@ -180,13 +175,13 @@ def _how_far(parts: Sequence[Diagnosis], verdict: str) -> HowFar:
         shrinkage=shrinkage,
         shrinkage_interval_95=None,
         interval_reason=NO_INTERVAL if named else fars[0].interval_reason,
-        per_channel={k: v for f in fars for k, v in f.per_channel.items()},
-        text=text + (f", {times(after)} with the effects added" if named else ""),
+        per_channel=_merged(fars, "per_channel"),
+        text=gap_text(split, (before, retuned, after), verdict),
         per_run=_runs(fars, weights),
-        per_regime=tuple(s for f in fars for s in f.per_regime),
+        per_regime=_every(fars, "per_regime"),
         interval_from="",
         split=split,
-        per_joint=tuple(r for f in fars for r in f.per_joint),
+        per_joint=_every(fars, "per_joint"),
     )
 
 
@@ -194,16 +189,8 @@ def _runs(fars: Sequence[HowFar], weights: Sequence[float]) -> tuple[Share, ...]
     """The gaps of each run, over all limbs."""
     if any(len(f.per_run) != len(fars[0].per_run) for f in fars):
         return ()
-
-    def mean(own, gap):
-        return _mean([getattr(s, gap) for s in own], weights)
-
-    return tuple(
-        replace(
-            own[0],
-            before=mean(own, "before"),
-            retuned=mean(own, "retuned"),
-            after=mean(own, "after"),
-        )
-        for own in zip(*(f.per_run for f in fars), strict=True)
-    )
+    runs = []
+    for own in zip(*(f.per_run for f in fars), strict=True):
+        gaps = {gap: _mean(own, gap, weights) for gap in ("before", "retuned", "after")}
+        runs.append(replace(own[0], **gaps))
+    return tuple(runs)

@@ -127,7 +127,7 @@ def what_repeats_differ_by(binding: Binding) -> dict[str, list[np.ndarray]]:
         )
     )
     out: dict[str, list[np.ndarray]] = {}
-    for group in repeats([e for e in binding.dataset.experiments if e.split != "report"]):
+    for group in repeats(binding.dataset.seen):
         motions = together(group)[..., iy]
         apart = (motions - motions.mean(0)) * np.sqrt(len(group) / (len(group) - 1)) * of_machine
         out |= {e.name: list(apart) for e in group}

@@ -30,13 +30,13 @@ def rivals_of(bench: ProblemBuilder, pair: tuple[Hypothesis, Hypothesis]) -> Riv
     if not b.dataset.experiments:
         return None
     first, second = pair
-    present = {c.effect for h in pair for c in h.effects}
-    present |= {
-        e.name for e in b.chain.effects if any(i in b.nominal for i in b.layout.of_effect(e.name))
-    }
-    layout = ParameterVector(
-        b.chain.without(*(e.name for e in b.chain.effects if e.name not in present))
-    )
+    present = {c.effect for c in (*first.effects, *second.effects)}
+    spare = []
+    for e in b.chain.effects:
+        own = not b.nominal.isdisjoint(b.layout.of_effect(e.name))
+        if not own and e.name not in present:
+            spare.append(e.name)
+    layout = ParameterVector(b.chain.without(*spare))
     at = [b.layout.index(name) for name in layout.names]
     place = {i: k for k, i in enumerate(at)}
     p, told = second.path.problem, knowledge(second.path)

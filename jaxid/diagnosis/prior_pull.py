@@ -26,17 +26,15 @@ def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int])
     numbers at `index` are those of `theta`, if that costs nothing.
     """
     most = LIMITS.pull_hopeless * min((path.cost for path in paths), default=0.0)
-    moves = [_way_back(path, theta, index) if path.cost <= most else None for path in paths]
-    moved = [k for k, move in enumerate(moves) if move is not None]
-    jobs = [
-        (
-            paths[k].problem,
-            np.clip(paths[k].z + moves[k], paths[k].problem.lower, paths[k].problem.upper),
-        )
-        for k in moved
-    ]
+    jobs: dict[int, tuple[FitProblem, np.ndarray]] = {}
+    for k, path in enumerate(paths):
+        move = _way_back(path, theta, index) if path.cost <= most else None
+        if move is not None:
+            p = path.problem
+            jobs[k] = p, np.clip(path.z + move, p.lower, p.upper)
     out = list(paths)
-    for k, end in zip(moved, levenberg_marquardt(jobs, 6, 1e-6) if jobs else [], strict=True):
+    ends = levenberg_marquardt(list(jobs.values()), 6, 1e-6) if jobs else []
+    for k, end in zip(jobs, ends, strict=True):
         if end.cost <= paths[k].cost + LIMITS.pull_cost:
             out[k] = replace(end, linearisations=paths[k].linearisations + end.linearisations)
     return out

@@ -20,6 +20,7 @@ from jaxid.diagnosis.hypothesis import (
 from jaxid.diagnosis.screen import each_probe, Screened
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics
 
 
@@ -66,16 +67,14 @@ def pairs(bench: ProblemBuilder, found: Sequence[Hypothesis]) -> list[Proposal]:
     """
     singles = sorted(found, key=lambda h: h.fit_loss)[:PAIRED]
     sets: list[Proposal] = []
-    for a in range(len(singles)):
-        for b in range(a):
-            first, second = singles[b], singles[a]
-            theta = first.theta.copy()
-            new = second.effects[-1]
-            theta[list(new.index)] = second.theta[list(new.index)]
-            if new not in first.effects and sensible((*first.effects, new)):
-                sets.append(
-                    ((*first.effects, new), [theta, *probes_of(bench, new, first.theta)[:2]])
-                )
+    for a, second in enumerate(singles):
+        new = second.effects[-1]
+        for first in singles[:a]:
+            effects = (*first.effects, new)
+            if new not in first.effects and sensible(effects):
+                theta = first.theta.copy()
+                theta[list(new.index)] = second.theta[list(new.index)]
+                sets.append((effects, [theta, *probes_of(bench, new, first.theta)[:2]]))
     return sets
 
 
@@ -92,12 +91,16 @@ def exchanged(
     for h, (old, rivals) in itertools.product(found, passed_over.items()):
         for rival in rivals:
             new = rival.effects[-1]
-            effects = tuple(new if c is old else c for c in h.effects)
-            if old not in h.effects[:-1] or new in h.effects or not sensible(effects):
+            if old not in h.effects[:-1] or new in h.effects:
+                continue
+            at = h.effects.index(old)
+            earlier, later = h.effects[:at], h.effects[at + 1 :]
+            effects = (*earlier, new, *later)
+            if not sensible(effects):
                 continue
             without, beside = h.theta.copy(), rival.theta.copy()
             without[list(old.index)] = bench.binding.theta[list(old.index)]
-            for c in h.effects[h.effects.index(old) + 1 :]:
+            for c in later:
                 beside[list(c.index)] = h.theta[list(c.index)]
             own = without.copy()
             own[list(new.index)] = rival.theta[list(new.index)]
@@ -123,8 +126,10 @@ def plain_pairs(
     sets: list[Proposal] = []
     for a, b in itertools.combinations(plain, 2):
         if sensible((a, b)):
-            both = [probes_of(bench, b, start) for start in probes_of(bench, a, theta)]
-            sets.append(((a, b), [start for starts in both for start in starts]))
+            starts: list[np.ndarray] = []
+            for start in probes_of(bench, a, theta):
+                starts += probes_of(bench, b, start)
+            sets.append(((a, b), starts))
     return sets
 
 
@@ -169,23 +174,19 @@ def torque_starts(
     """
     if not tells:
         return [(np.inf, []) for _ in sets]
-    jobs, owners = [], []
-    for k, (effects, thetas) in enumerate(sets):
-        index = [i for c in effects for i in c.index]
-
-        def own(theta, index=index):
-            return tuple(theta[index])
-
+    jobs: list[tuple[FitProblem, np.ndarray]] = []
+    counts = []
+    for effects, thetas in sets:
+        index = list(itertools.chain.from_iterable(c.index for c in effects))
         p = bench.problem(InverseDynamics(decimate=1), "fit", [*base_free, *index], thetas[0])
-        for theta in list({own(t): t for t in reversed(thetas)}.values())[-2:]:
-            jobs.append((p, p.z(theta)))
-            owners.append(k)
-    paths = levenberg_marquardt(jobs, 6, 1e-3)
+        differing = {tuple(theta[index]): theta for theta in reversed(thetas)}
+        starts = list(differing.values())[-2:]
+        jobs += [(p, p.z(theta)) for theta in starts]
+        counts.append(len(starts))
+    paths = iter(levenberg_marquardt(jobs, 6, 1e-3))
     out: list[tuple[float, list[np.ndarray]]] = []
-    for k, (effects, _) in enumerate(sets):
-        best = min(
-            (p for p, owner in zip(paths, owners, strict=True) if owner == k), key=lambda p: p.cost
-        )
+    for (effects, _), count in zip(sets, counts, strict=True):
+        best = min(itertools.islice(paths, count), key=lambda path: path.cost)
         comparable = all(effect_of(bench, c).location == "joint" for c in effects)
         found = [best.problem.theta(best.z)] if np.isfinite(best.cost) else []
         out.append((best.cost if comparable else np.inf, found))
@@ -198,21 +199,16 @@ def promising(
     """The first two starts of each set, and those of the others that simulate best: first order
     says little where a resonance or a play has to be found.
     """
-    thetas = [theta for _, starts in sets for theta in starts]
-    found = each_probe(nominal.problem, nominal.z, thetas)
+    thetas = list(itertools.chain.from_iterable(starts for _, starts in sets))
+    found = iter(each_probe(nominal.problem, nominal.z, thetas))
     out = []
     for effects, starts in sets:
         with np.errstate(over="ignore"):  # a start that diverges
-            cost = np.nan_to_num(
-                [float(r @ r) for _, r in zip(starts, found, strict=False)], nan=np.inf
-            )
-        order = [int(k) for k in np.argsort(cost, kind="stable")]
-        out.append(
-            (
-                effects,
-                [starts[k] for k in dict.fromkeys([*range(min(2, len(starts))), *order])][:STARTS],
-            )
-        )
+            cost = [float(r @ r) for r in itertools.islice(found, len(starts))]
+        best = np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable").tolist()
+        first = list(range(len(starts)))[:2]
+        chosen = dict.fromkeys([*first, *best])
+        out.append((effects, [starts[k] for k in chosen][:STARTS]))
     return out
 
 
@@ -237,7 +233,7 @@ def with_refined(
     """Starts, and the first of them with each probe of the effects that are refined, which are off
     in them.
     """
-    return [
-        *starts,
-        *(theta for start in starts[:2] for c in base for theta in probes_of(bench, c, start)),
-    ]
+    out = list(starts)
+    for start, c in itertools.product(starts[:2], base):
+        out += probes_of(bench, c, start)
+    return out

@@ -275,9 +275,9 @@ class ReportNotReached(Reason):
     places: tuple[tuple[str, float], ...]
     form = (
         "The model follows fit and validation data down to the noise, but not the report data:"
-        " re-tuned it is {gap:times} times the noise away there, and what the fit leaves open of"
-        " its numbers does not account for it{worst}. What is missing does not show in the data"
-        " that were fitted."
+        " re-tuned it is {gap:times} times the noise away there. What the fit leaves open of its"
+        " numbers does not account for it{worst}. What is missing does not show in the data that"
+        " were fitted."
     )
 
     @property
@@ -325,17 +325,20 @@ class TorqueAtTheNoise(Reason):
 
 @dataclass(frozen=True)
 class NothingSure(Reason):
+    """`data` is what the gap is of."""
+
     gap: float
+    data: str
     form = (
-        "There is a gap ({gap:times} times the noise), and no effect of the library is probable"
-        " enough to be claimed."
+        "There is a gap ({gap:times} times the noise on {data} data), and no effect of the library"
+        " is probable enough to be claimed."
     )
 
 
 @dataclass(frozen=True)
 class TorqueHeldOut(Reason):
-    """What is named by torque: `closed` of the gap on the runs that it was not fitted to, `left` on
-    the worst of them; `fitted` on the runs that it was fitted to, where that matters. It is what
+    """What is named by torque: `closed` at least of the gap on the runs that it was not fitted to,
+    `left` at most; `fitted` on the runs that it was fitted to, where that matters. It is what
     is `different` in the runs that were not fitted, or from a `reference`.
     """
 
@@ -347,12 +350,12 @@ class TorqueHeldOut(Reason):
     fitted: float = 0.0
     reference: bool = False
     form = (
-        "{what} {names:listed}; with it {left:times} times the noise is left on held-out"
+        "{what} {names:listed}; with it at most {left:times} times the noise is left on held-out"
         " data{more}."
     )
     in_part: ClassVar[str] = (
-        "{what} {names:listed}, which explains {closed:percent} of the gap on held-out data; a"
-        " clear remainder stays unexplained: {left:times} times the noise is left on held-out data."
+        "{what} {names:listed}, which explains at least {closed:percent} of the gap on held-out"
+        " data; a clear remainder stays unexplained: up to {left:times} times the noise is left."
     )
 
     @property
@@ -372,7 +375,7 @@ class NotMostHeldOut(Reason):
     closed: float
     left: float
     form = (
-        "No effect explains most of the gap: {names:listed} explains {closed:percent} of it on"
-        " held-out data; {left:times} times the noise is left on held-out data, so that it is not"
-        " claimed."
+        "No effect explains most of the gap on all held-out data: {names:listed} explains"
+        " {closed:percent} of it where it explains least, and up to {left:times} times the noise is"
+        " left, so that it is not claimed."
     )

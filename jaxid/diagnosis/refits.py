@@ -77,10 +77,12 @@ class Refits:
         lowest = min(path.loss for path in paths)
         most = min(LIMITS.followed * lowest, LIMITS.followed_near)
         follow = [path if path.loss <= most else None for path in paths]
-        told = [knowledge(path) for path in paths]
+        told = list(map(knowledge, paths))
         predicted = held_out(self.bench, "validation", thetas, self.residual, told, follow)
-        each = zip(found, thetas, predicted, strict=True)
-        return [Hypothesis(effects, theta, path, held) for (effects, path), theta, held in each]
+        out = []
+        for (effects, path), theta, held in zip(found, thetas, predicted, strict=True):
+            out.append(Hypothesis(effects, theta, path, held))
+        return out
 
     # ---- refits of sets
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of, read_off_of
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of_all, read_off_of
 from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.problem import FitProblem, ResidualRows, rows
@@ -42,11 +42,12 @@ def screened(
     before = np.concatenate([part.r.ravel() for part in parts])
     total = float(before @ before)
     r0 = remaining(before)
-    probes = [(c, theta) for c in pool for theta in probes_of(bench, c, theta0)]
-    residuals = each_probe(p, z, [theta for _, theta in probes], once=True)
+    shapes, lower = bench.binding.layout.shapes, bench.binding.lower
+    owners, thetas = probes_of_all(bench, pool, theta0)
+    residuals = each_probe(p, z, thetas, once=True)
     best: dict[str, list[tuple[float, np.ndarray, np.ndarray]]] = {}
     who: dict[str, Candidate] = {}
-    for (c, theta), r in zip(probes, residuals, strict=True):
+    for c, theta, r in zip(owners, thetas, residuals, strict=True):
         change = r - before
         if not np.all(np.abs(change) < 1e100):  # the probe diverged
             continue
@@ -54,15 +55,14 @@ def screened(
         power = float(d @ d)
         if power <= 1e-12 * max(total, 1.0) * 1e-6 or power < 1e-6:
             continue  # the data do not react to this effect
-        shapes, lower = bench.binding.layout.shapes, bench.binding.lower
-        both = all(lower[i] < 0 for i in c.index if not shapes[i])  # an effect of either sign
-        scale = float(np.clip(-(r0 @ d) / power, -4.0 if both else 0.0, 4.0))
+        index = np.array(c.index, int)
+        is_shape = shapes[index]
+        either_sign = np.all(lower[index][~is_shape] < 0)
+        scale = float(np.clip(-(r0 @ d) / power, -4.0 if either_sign else 0.0, 4.0))
         gain = float(-2 * scale * (r0 @ d) - scale**2 * power)
         strength = max(scale, 0.05) if scale >= 0 else min(scale, -0.05)
         start = theta0 + strength * (theta - theta0)
-        for i in c.index:
-            if shapes[i]:
-                start[i] = theta[i]
+        start[index[is_shape]] = theta[index[is_shape]]
         tuned = start.copy()  # and with what re-tuning then does to the other numbers
         moved = z + np.clip(
             retuning.step(before + strength * change),
@@ -75,7 +75,10 @@ def screened(
     ranked = []
     for name, found in best.items():
         found.sort(key=lambda f: -f[0])
-        ranked.append((found[0][0], who[name], [start for _, *both in found for start in both]))
+        starts: list[np.ndarray] = []
+        for _, tuned, start in found:
+            starts += [tuned, start]
+        ranked.append((found[0][0], who[name], starts))
     return sorted(ranked, key=lambda f: -f[0])
 
 
@@ -159,11 +162,10 @@ def _probes(
 ) -> Iterator[np.ndarray]:
     runs, n = p.runs, len(p.records)
     record = np.tile(np.array(p.records), len(thetas))
-    starts = (
-        np.tile(p.starts(z), (len(thetas), 1))
-        if isinstance(z, np.ndarray)
-        else np.concatenate([p.starts(x) for x in z])
-    )
+    if isinstance(z, np.ndarray):
+        starts = np.tile(p.starts(z), (len(thetas), 1))
+    else:
+        starts = np.concatenate([p.starts(x) for x in z])
     y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), starts, record, once=once)
     for k in range(0, len(record), n):
         each = []

@@ -76,18 +76,23 @@ def mirrored(
     that are late say what one input that is late says.
     """
     signature = bench.binding.chain.signature
-    inputs, outputs = ([name for name, _ in side] for side in (signature.inputs, signature.outputs))
+    inputs, outputs = dict(signature.inputs), dict(signature.outputs)
     named: dict[str, list[str]] = {}
     for c in chosen.effects:
-        if effect_of(bench, c).mirrors:
-            named.setdefault(effect_of(bench, c).mirrors, []).append(c.location)
-    whole = {
-        kind
-        for kind, at in named.items()
-        if len(at) == len(outputs if set(at) <= set(outputs) else inputs)
-    }
-    alike = [c for c in pool if c.effect in whole and c not in chosen.effects]
-    return [c for c in alike if len(inputs if c.location in inputs else outputs) == 1]
+        mirror = effect_of(bench, c).mirrors
+        if mirror:
+            named.setdefault(mirror, []).append(c.location)
+    whole = set()
+    for kind, at in named.items():
+        side = outputs if outputs.keys() >= set(at) else inputs
+        if len(at) == len(side):
+            whole.add(kind)
+    out = []
+    for c in pool:
+        side = inputs if c.location in inputs else outputs
+        if len(side) == 1 and c.effect in whole and c not in chosen.effects:
+            out.append(c)
+    return out
 
 
 def mirror_images(
@@ -97,11 +102,11 @@ def mirror_images(
     it leaves as much.
     """
     out = []
-    for c in chosen.effects:
+    for k, c in enumerate(chosen.effects):
         mirror = effect_of(bench, c).mirrors
         for e in alike:
-            if mirror and e.effect == mirror and e not in chosen.effects:
-                effects = tuple(e if own is c else own for own in chosen.effects)
+            if e.effect == mirror and e not in chosen.effects:
+                effects = (*chosen.effects[:k], e, *chosen.effects[k + 1 :])
                 out.append(replace(chosen, effects=effects))
     return out
 
@@ -139,12 +144,16 @@ def rivals_among(
     more or less in it).
     """
 
-    def nested(a, b):
-        return key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
-
     ranked = sorted((h for h in known if h.effects and np.isfinite(h.fit_loss)), key=joint_loss)
-    first = chosen if chosen.effects else next(iter(ranked), None)
-    if first is None or (not chosen.effects and at_floor(chosen)):
-        return None
-    others = [h for h in mates or ranked if not nested(h, first)]
+    first = chosen
+    if not chosen.effects:
+        if not ranked or at_floor(chosen):
+            return None
+        first = ranked[0]
+    own = key_of(first.effects)
+    others = []
+    for h in mates or ranked:
+        key = key_of(h.effects)
+        if not (key <= own or key >= own):
+            others.append(h)
     return (first, min(others, key=joint_loss)) if others else None

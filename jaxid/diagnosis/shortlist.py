@@ -35,35 +35,41 @@ def shortlist(
     timing is asked. What `refining` says to bring another effect along takes nobody's place.
     """
     blind = not by_torque  # a model with inner states
-    beside = [f for f in _head(ranked) if refining(f[1])]
-    ranked, by_torque = ([f for f in found if not refining(f[1])] for found in (ranked, by_torque))
-    kept = ranked if blind else _head(ranked)
+    most = 2 * MAXIMUM if blind else MAXIMUM
+    beside, _ = _parted(_head(ranked), refining)
+    _, ranked = _parted(ranked, refining)
+    _, by_torque = _parted(by_torque, refining)
+    table = _by_name(ranked or by_torque)
+    timing, _ = _parted(list(table.values()), lambda c: alone and is_timing(bench, c))
+    best = ranked if blind else _head(ranked)
     # At the joint first: what is on the way of the command always explains torque, by delivering
     # less of it.
-    at_joint = [f for f in by_torque if effect_of(bench, f[1]).location == "joint"]
-    more = [
-        str(c)
-        for _, c, _ in (*_head(at_joint), *_head([f for f in by_torque if f not in at_joint]))
-    ]
-    table = {str(f[1]): f for f in ranked or by_torque}
-    first = [f for f in table.values() if alone and is_timing(bench, f[1])]
-    names = {str(c) for _, c, _ in kept}
-    others = [
-        f
-        for f in (*kept, *(table[n] for n in more if n in table and n not in names))
-        if f not in first
-    ]
-    kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
-    front = [*ranked[:FRONT], *by_torque[:FRONT]]
-    alike = {
-        f"{n} at {c.location}" for _, c, _ in (*kept, *front) for n in effect_of(bench, c).resembles
-    }
-    wanted = (alike | {str(c) for _, c, _ in front}) - {str(c) for _, c, _ in kept}
-    return [*kept, *(f for n, f in table.items() if n in wanted), *beside]
+    at_joint, before = _parted(by_torque, lambda c: effect_of(bench, c).location == "joint")
+    in_order = _by_name([*timing, *best, *_head(at_joint), *_head(before)])
+    kept = [name for name in in_order if name in table][:most]
+    front = _by_name([*ranked[:FRONT], *by_torque[:FRONT]])
+    wanted = set(front)
+    for _, c, _ in (*(table[name] for name in kept), *front.values()):
+        wanted |= {f"{effect} at {c.location}" for effect in effect_of(bench, c).resembles}
+    more = [name for name in table if name in wanted and name not in kept]
+    return [*(table[name] for name in (*kept, *more)), *beside]
+
+
+def _parted(
+    found: Sequence[Screened], test: Callable[[Candidate], bool]
+) -> tuple[list[Screened], list[Screened]]:
+    """Those whose candidates pass a test, and the others."""
+    passed, others = [], []
+    for f in found:
+        (passed if test(f[1]) else others).append(f)
+    return passed, others
+
+
+def _by_name(found: Sequence[Screened]) -> dict[str, Screened]:
+    return {str(c): (share, c, starts) for share, c, starts in found}
 
 
 def _head(ranked: Sequence[Screened]) -> list[Screened]:
-    """What is refitted of a ranking."""
-    return [
-        f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= ranked[0][0] - LIMITS.screen_share
-    ]
+    """What is refitted of a ranking: the first ones, and those that are as good as the best."""
+    close = [f for f in ranked[MINIMUM:] if f[0] >= ranked[0][0] - LIMITS.screen_share]
+    return [*ranked[:MINIMUM], *close]

@@ -288,10 +288,13 @@ class Thresholds:
 
     def table(self) -> list[tuple[str, float, str, str, str]]:
         """Name, value, unit, reason and case of each."""
-        told = ("unit", "reason", "case")
-        return [
-            (f.name, getattr(self, f.name), *(f.metadata[k] for k in told)) for f in fields(self)
-        ]
+        rows = []
+        for f in fields(self):
+            about = f.metadata
+            rows.append(
+                (f.name, getattr(self, f.name), about["unit"], about["reason"], about["case"])
+            )
+        return rows
 
 
 LIMITS = Thresholds()

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from jaxid.diagnosis.evidence import knowledge, memory
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of_all
 from jaxid.diagnosis.screen import each_probe, probe_residuals, Retuning
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
@@ -167,9 +167,8 @@ class Match:
         """
         (z, rest), *others = self.tried
         if others:
-            way, change = (
-                np.stack([o[k] - here for o in others], -1) for k, here in ((0, z), (1, rest))
-            )
+            way = np.stack([there - z for there, _ in others], -1)
+            change = np.stack([left - rest for _, left in others], -1)
             size = np.maximum(np.linalg.norm(change, axis=0), 1e-300)
             share = np.linalg.lstsq(change / size, -rest, rcond=1e-6)[0] / size
             z, rest = z + way @ share, rest + change @ share
@@ -230,12 +229,12 @@ class BlindSpotSearch:
         found = self._matched(hiding[:MOST])
         found.sort(key=lambda f: f[0].absorbed)
         still = [q for q in probes if q.stirred < LIMITS.three_sigma and q not in hiding]
-        unstirred = [
-            Unseen(
-                c.effect, c.location, self._numbers(c, q.full), q.left, q.stirred, q.absorbed, ()
+        unstirred = []
+        for q in still:
+            c, numbers = q.candidate, self._numbers(q.candidate, q.full)
+            unstirred.append(
+                Unseen(c.effect, c.location, numbers, q.left, q.stirred, q.absorbed, ())
             )
-            for c, q in ((q.candidate, q) for q in still)
-        ]
         rival = next((self._hypothesis(c, end) for u, c, end in found if not u.absorbed), None)
         drift = self._drift()
         return BlindSpots(
@@ -251,48 +250,39 @@ class BlindSpotSearch:
         that stands out most.
         """
         rest = self.retuning.remaining(self.before)
-        probes = [(c, full) for c in pool for full in probes_of(self.bench, c, self.theta)]
-        weak = [self._sized(full, WEAK) for _, full in probes]
-        if not probes:
+        owners, probes = probes_of_all(self.bench, pool, self.theta)
+        if not owners:
             return [], []
-        full = [theta for _, theta in probes]
+        weak = [self._sized(full, WEAK) for full in probes]
         if self.p.runs.engine.long:
-            pairs = zip(
-                each_probe(self.p, self.z, full), each_probe(self.p, self.z, weak), strict=True
-            )
+            strong_left = each_probe(self.p, self.z, probes)
+            weak_left = each_probe(self.p, self.z, weak)
         else:
-            found = probe_residuals(self.p, self.z, full + weak)
-            pairs = zip(found[: len(full)], found[len(full) :], strict=True)
+            left = probe_residuals(self.p, self.z, probes + weak)
+            strong_left, weak_left = left[: len(probes)], left[len(probes) :]
         best: dict[Candidate, Probe] = {}
         told: dict[Candidate, float] = {}
 
         def share(left, change):
             return float(np.linalg.norm(left) / max(np.linalg.norm(change), 1e-300))
 
-        for k, ((c, full), both) in enumerate(zip(probes, pairs, strict=True)):
-            change, small = (np.nan_to_num(r - self.before, nan=1e100, posinf=1e100) for r in both)
+        for c, full, strong, small in zip(owners, probes, strong_left, weak_left, strict=True):
+            change, small = self._change(strong), self._change(small)
             stirred = float(np.linalg.norm(change))
             if not stirred < DIVERGED:
                 continue
             rest_of = self.retuning.remaining(change)
             distance = float(np.linalg.norm(rest_of))
-            tangent = self.retuning.remaining(
-                small
-            )  # of a finite probe, second order is left as well
+            # Of a finite probe, second order is left as well.
+            tangent = self.retuning.remaining(small)
             absorbed = min(share(rest_of, change), share(tangent, small)) < ABSORBED
             if distance > 1e-3:
-                told[c] = max(
-                    told.get(c, 0.0),
-                    abs(float(rest @ rest_of)) / distance / np.sqrt(self.inflation),
-                )
+                stands_out = abs(float(rest @ rest_of)) / distance / np.sqrt(self.inflation)
+                told[c] = max(told.get(c, 0.0), stands_out)
             step = self.retuning.step(change)
             n = self.p.free.size
-            far = float(
-                np.max(
-                    np.abs(step[:n]) / np.where(self.p.log, REACH, CHANGES * self.p.scale[:n]),
-                    initial=0.0,
-                )
-            )
+            reach = np.where(self.p.log, REACH, CHANGES * self.p.scale[:n])
+            far = float(np.max(np.abs(step[:n]) / reach, initial=0.0))
             probe = Probe(
                 candidate=c,
                 full=full,
@@ -305,15 +295,19 @@ class BlindSpotSearch:
             )
             if c not in best or self._worst(probe) >= self._worst(best[c]):
                 best[c] = probe
-        strongest = sorted(
-            ((s, c) for c, s in told.items() if s > LIMITS.sign), key=lambda found: -found[0]
-        )
-        signs = [
-            f"{c} would explain something that stands out by {s:.2g} standard deviations, although"
-            " the gap as a whole is at the noise."
-            for s, c in strongest[:1]
-        ]
+        signs = []
+        strongest = max(told, key=lambda c: told[c], default=None)
+        if strongest is not None and told[strongest] > LIMITS.sign:
+            signs.append(
+                f"{strongest} would explain something that stands out by"
+                f" {told[strongest]:.2g} standard deviations, although the gap as a whole is at the"
+                " noise."
+            )
         return list(best.values()), signs
+
+    def _change(self, residual: np.ndarray) -> np.ndarray:
+        """What a probe changes; large where it diverges."""
+        return np.nan_to_num(residual - self.before, nan=1e100, posinf=1e100)
 
     def _sized(self, full: np.ndarray, size: float) -> np.ndarray:
         """Parameters with a share of a probe; shapes stay as they are."""
@@ -323,31 +317,23 @@ class BlindSpotSearch:
 
     def _room(self, c: Candidate, full: np.ndarray) -> float:
         """How many times as large as a probe an effect may be."""
-        b, at = (
-            self.bench.binding,
-            [
-                i
-                for i in c.index
-                if not self.bench.binding.layout.shapes[i] and full[i] != self.theta[i]
-            ],
-        )
+        b, index = self.bench.binding, np.array(c.index, int)
+        at = index[~b.layout.shapes[index] & (full[index] != self.theta[index])]
+        if not at.size:
+            return 1.0
         way = full[at] - self.theta[at]
-        room = np.where(
-            way > 0, b.upper[at] - self.theta[at], self.theta[at] - b.lower[at]
-        ) / np.abs(way)
-        return float(np.min(room, initial=np.inf)) if at else 1.0
+        ahead = np.where(way > 0, b.upper[at] - self.theta[at], self.theta[at] - b.lower[at])
+        return float(np.min(ahead / np.abs(way)))
 
     def _hides(self, step: np.ndarray) -> np.ndarray:
         """Positions of the free numbers that a change of z moves by far more than they are said to
         be uncertain.
         """
         n = self.p.free.size
-        share = np.abs(step[:n]) / np.where(
-            self.p.log, 1.0, np.maximum(np.abs(self.z[:n]), self.p.scale[:n])
-        )
-        return np.flatnonzero(
-            (share > LIMITS.hidden_share) & (np.abs(step[:n]) > LIMITS.hidden_beyond * self.std)
-        )
+        moved = np.abs(step[:n])
+        size = np.where(self.p.log, 1.0, np.maximum(np.abs(self.z[:n]), self.p.scale[:n]))
+        beyond = moved > LIMITS.hidden_beyond * self.std
+        return np.flatnonzero((moved / size > LIMITS.hidden_share) & beyond)
 
     def _worst(self, q: Probe) -> float:
         n = self.p.free.size
@@ -363,16 +349,48 @@ class BlindSpotSearch:
         """Those that are not seen after true re-tuning either, to what the model without them
         simulates.
         """
+        ends = []
+        for q, end in zip(hiding, self._largest_unseen(hiding), strict=True):
+            if end is not None:
+                ends.append((q, end))
+        if not ends:
+            return []
+        plain = probe_residuals(self.p, self.z, [end.problem.base for _, end in ends])
+        out = []
+        for (q, end), residual in zip(ends, plain, strict=True):
+            moved = self._moved(end)
+            if not moved:
+                continue
+            c, numbers = q.candidate, self._numbers(q.candidate, end.problem.base)
+            stirred = float(np.linalg.norm(residual - self.before))
+            unseen = Unseen(c.effect, c.location, numbers, end.distance, stirred, q.absorbed, moved)
+            out.append((unseen, c, end))
+        return out
+
+    def _moved(self, end: Match) -> tuple[MovedNumber, ...]:
+        """The numbers in which an effect hides, those that are moved most first."""
+        moved = self._hides(end.z - self.z)
+        moved = moved[np.argsort(-np.abs(end.z - self.z)[moved] / self.std[moved])]
+        entries, theta = self.bench.binding.layout.entries, end.problem.theta(end.z)
+        parts = []
+        for k in moved:
+            i = int(self.p.free[k])
+            entry = entries[i]
+            parts.append(MovedNumber(entry.name, entry.unit, float(self.theta[i]), float(theta[i])))
+        return tuple(parts)
+
+    def _largest_unseen(self, hiding: Sequence[Probe]) -> list[Match | None]:
+        """Of each probe the re-tuned end of the largest strength that is not seen, if any is."""
         sizes, steps = [q.size for q in hiding], [q.step for q in hiding]
         kept: list[Match | None] = [None] * len(hiding)
         again = list(range(len(hiding)))
-        for _ in range(ROUNDS if hiding else 0):
-            tried = [
-                Match(
-                    self._with(self._sized(hiding[k].full, sizes[k])), self.z + sizes[k] * steps[k]
-                )
-                for k in again
-            ]
+        for _ in range(ROUNDS):
+            if not again:
+                break
+            tried = []
+            for k in again:
+                problem = self._with(self._sized(hiding[k].full, sizes[k]))
+                tried.append(Match(problem, self.z + sizes[k] * steps[k]))
             self._retune(tried)
             for k, end in zip(again, tried, strict=True):
                 before = sizes[k]
@@ -384,33 +402,7 @@ class BlindSpotSearch:
                 if kept[k] is end and sizes[k] < 1.05 * before:
                     sizes[k] = np.nan  # as large as it goes
             again = [k for k in again if np.isfinite(sizes[k])]
-            if not again:
-                break
-        ends = [(q, end) for q, end in zip(hiding, kept, strict=True) if end is not None]
-        plain = (
-            probe_residuals(self.p, self.z, [end.problem.base for _, end in ends]) if ends else []
-        )
-        out = []
-        for (q, end), residual in zip(ends, plain, strict=True):
-            if not (moved := self._hides(end.z - self.z)).size:
-                continue
-            entries, theta = self.bench.binding.layout.entries, end.problem.theta(end.z)
-            moved = moved[np.argsort(-np.abs(end.z - self.z)[moved] / self.std[moved])]
-            at = [int(self.p.free[k]) for k in moved]
-            parts = tuple(
-                MovedNumber(entries[i].name, entries[i].unit, float(self.theta[i]), float(theta[i]))
-                for i in at
-            )
-            c, numbers = q.candidate, self._numbers(q.candidate, end.problem.base)
-            stirred = float(np.linalg.norm(residual - self.before))
-            out.append(
-                (
-                    Unseen(c.effect, c.location, numbers, end.distance, stirred, q.absorbed, parts),
-                    c,
-                    end,
-                )
-            )
-        return out
+        return kept
 
     def _with(self, theta: np.ndarray) -> FitProblem:
         """The runs that were looked at and the numbers that are re-tuned, beside other

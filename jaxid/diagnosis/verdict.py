@@ -217,17 +217,18 @@ def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
     room = retuned**2 > LIMITS.alike  # beyond what is known of the noise
     nearer = after < retuned
     as_near = not room and after**2 <= LIMITS.alike * retuned**2
-    if retuned <= LIMITS.seen and (nearer or as_near):
-        if verdict.name == "named" and room and closed < LIMITS.partly:
-            return verdict.unclaimed().but("unknown", LittleOnReport(after, retuned))
-        return verdict
-    if not after < np.minimum(retuned, before):
+    near_noise = retuned <= LIMITS.seen and (nearer or as_near)
+    if not near_noise and not after < np.minimum(retuned, before):
         return farther
     if verdict.name != "named":
         return verdict
+    if near_noise:
+        if room and closed < LIMITS.partly:
+            return verdict.unclaimed().but("unknown", LittleOnReport(after, retuned))
+        return verdict
     if several and after > LIMITS.left:
         return verdict.but("partly", LeftOnReport(after))
-    if closed < LIMITS.partly or (closed < LIMITS.named and after > LIMITS.left):
+    if closed < (LIMITS.named if after > LIMITS.left else LIMITS.partly):
         return verdict.but("partly", PartOnReport(closed))
     return verdict
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,8 @@ from jaxid.problem.residual import OutputError
 
 
 WINDOW_S = 0.5
+#: At most so many places are told, of a joint and in all.
+MOST = 3
 #: The name of a part of the travel, beside the regimes.
 PART = "part_of_travel"
 #: Share of a force's energy that lies in one direction of motion, from which it is said to.
@@ -55,6 +58,10 @@ _WORDS = {
 }
 
 
+#: Where the series of a variable stands in what is missing.
+_SERIES = {"speed": "qd", "position": "q", "acceleration": "qdd", "load": "load", "command": "load"}
+
+
 def supplied(
     found: Sequence[Missing], after: Sequence[Missing], joint: int
 ) -> list[np.ndarray] | None:
@@ -71,11 +78,8 @@ def supplied(
     above = sum(
         float(np.sum(m.force[:, joint] ** 2 - np.mean(m.null[:, :, joint] ** 2, 0))) for m in found
     )
-    return (
-        given
-        if energy > 0 and gained >= max(LIMITS.own_energy * energy, LIMITS.own_share * above)
-        else None
-    )
+    least = max(LIMITS.own_energy * energy, LIMITS.own_share * above)
+    return given if energy > 0 and gained >= least else None
 
 
 def table(
@@ -139,7 +143,6 @@ def findings(
     locations: dict[str, str],
     only: Sequence[str],
     given: dict[str, list[np.ndarray]],
-    most: int = 3,
     causes: Mapping[str, EffectEstimate] | None = None,
 ) -> list[Finding]:
     """The places that hold most of the gap, worst first; `locations` joint -> location of the
@@ -149,76 +152,93 @@ def findings(
     """
     b = bench.binding
     joints, outputs = b.chain.signature.joints, b.chain.signature.output_names
-    unit, position_unit = b.chain.signature.unit("{F}"), b.chain.signature.unit("{X}")
-
-    def energy_of(j, masks):
-        return _excess(found, j, masks, given.get(joints[j]))
-
     looked = [j for j, joint in enumerate(joints) if joint in only or not only]
-    total = sum(energy_of(j, None) for j in looked)
+    total = sum(_excess(found, j, None, given.get(joints[j])) for j in looked)
     if not 0 < total < np.inf:
         return []  # no more than noise, or no number
     out = []
     for j in looked:
         joint = joints[j]
-        force = given.get(joint, [m.force[:, j] for m in found])
-        masks = situations(found, j)
-        least = 0.05 * total
-        if joint in given:
-            least = LIMITS.own_regime * energy_of(j, None)
-        own = [row for row in rows if row.joint == joint and row.regime in masks]
-        standing_out = []
-        for row in own:
-            energy = energy_of(j, masks[row.regime])
-            if row.null[1] > 0 and row.stands_out and energy > least:
-                standing_out.append(_scored(_lift(row), energy / total, row.regime))
-        part, chance = _clear_part(found, j, force)
-        if part is not None:
-            masks[PART] = part.masks(found, j)
-            energy, lift = energy_of(j, masks[PART]), abs(part.more) / chance
-            if joint in given:  # which has no noise
-                lift = _ratio(force, masks[PART])
-            if energy > least:
-                standing_out.append(_scored(lift, energy / total, PART))
-        standing_out.sort(key=lambda place: -place[0])
-        if not standing_out:
-            masks["everywhere"] = [np.ones(len(m.force), bool) for m in found]
-            share = energy_of(j, None) / total
-            if share > 0.2:
-                standing_out = [(0.0, share, "everywhere")]
         cause = (causes or {}).get(joint)
-        for _, share, regime in standing_out[: 1 if cause else most]:
+        own = [row for row in rows if row.joint == joint]
+        spots = _standing_out(found, j, own, given.get(joint), total)
+        for spot in spots[: 1 if cause else MOST]:
             place = _Place(
                 found=found,
                 joint=j,
-                force=force,
-                regime=regime,
-                inside=masks[regime],
-                part=part if regime == PART else None,
-                floor=chance if regime == PART else floor_of(found, j, masks[regime]),
+                force=given.get(joint, [m.force[:, j] for m in found]),
+                regime=spot.regime,
+                inside=spot.inside,
+                part=spot.part,
+                floor=spot.floor,
                 cause=cause,
-                unit=unit,
-                position_unit=position_unit,
+                unit=b.chain.signature.unit("{F}"),
+                position_unit=b.chain.signature.unit("{X}"),
             )
             # Of what is measured no more than noise is no place.
             if place.times_noise >= 1 or joint in given:
                 channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
                 told = locations.get(joint, joint)
-                out.append(place.finding(joint, channel, told, float(share)))
-    return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
+                out.append(place.finding(joint, channel, told, float(spot.share)))
+    return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:MOST]
+
+
+class _Spot(NamedTuple):
+    """A regime or a part of the travel in which a force stands out: by how much, with which share
+    of the gap, when (masks [runs][time]), and what noise alone would show there.
+    """
+
+    weight: float
+    share: float
+    regime: str
+    inside: Sequence[np.ndarray]
+    floor: float
+    part: TravelPart | None
+
+
+def _standing_out(
+    found: Sequence[Missing],
+    joint: int,
+    rows: Sequence[Regime],
+    given: list[np.ndarray] | None,
+    total: float,
+) -> list[_Spot]:
+    """Where the force of a joint lies, worst first; everywhere, where it stands out nowhere and is
+    a large share of the `total`.
+    """
+    whole = _excess(found, joint, None, given)
+    least = 0.05 * total if given is None else LIMITS.own_regime * whole
+    spots = []
+
+    def look(lift, regime, inside, floor, part=None):
+        energy = _excess(found, joint, inside, given)
+        if energy > least:
+            # Elsewhere there may be less than noise: no reason to see more than all of it here.
+            share = min(1.0, energy / total)
+            spots.append(_Spot(lift * np.sqrt(share), share, regime, inside, floor, part))
+
+    masks = situations(found, joint)
+    for row in rows:
+        if row.regime in masks and row.null[1] > 0 and row.stands_out:
+            inside = masks[row.regime]
+            look(_lift(row), row.regime, inside, floor_of(found, joint, inside))
+    force = [m.force[:, joint] for m in found] if given is None else given
+    part, chance = _clear_part(found, joint, force)
+    if part is not None:
+        inside = part.masks(found, joint)
+        # What effects supply has no noise.
+        lift = abs(part.more) / chance if given is None else _ratio(force, inside)
+        look(lift, PART, inside, chance, part)
+    if not spots and whole / total > 0.2:
+        inside = [np.ones(len(m.force), bool) for m in found]
+        floor = floor_of(found, joint, inside)
+        return [_Spot(0.0, whole / total, "everywhere", inside, floor, None)]
+    return sorted(spots, key=lambda spot: -spot.weight)
 
 
 def _lift(row: Regime) -> float:
     """How much stronger a force is in a regime than elsewhere, against what chance makes of it."""
     return row.ratio / max(row.null[1], 1e-9) if row.supplied is None else row.supplied
-
-
-def _scored(lift: float, share: float, regime: str) -> tuple[float, float, str]:
-    """What places are sorted by, the share of the gap, and the regime. Elsewhere there may be less
-    than noise, which is no reason to see more than all of it here.
-    """
-    share = min(1.0, share)
-    return lift * np.sqrt(share), share, regime
 
 
 def _clear_part(
@@ -331,13 +351,7 @@ def _range(
     """From where to where a variable went inside a regime; None for one that is not recorded by
     joint.
     """
-    series = {
-        "speed": "qd",
-        "position": "q",
-        "acceleration": "qdd",
-        "load": "load",
-        "command": "load",
-    }.get(name)
+    series = _SERIES.get(name)
     if series is None:
         return None
     inside = np.concatenate(

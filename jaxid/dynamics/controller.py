@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.base.errors import nearest, UsageError
+from jaxid.base.numbers import is_number
 from jaxid.data.dataset import Controller, Dataset
 from jaxid.dynamics.mechanism import Signature
 
@@ -163,7 +164,7 @@ def law_of(dataset: Dataset, signature: Signature) -> Law:
         raise UsageError(
             f"[controller]: sample_time is {period!r}; it is a positive number of seconds"
         )
-    first = (dataset.split("fit") or dataset.experiments)[0]
+    first = dataset.to_fit[0]
     cascade = kind == "cascade"
     reference_velocity = "none"
     if not cascade or "reference_velocity" in settings:
@@ -198,7 +199,7 @@ def _stated(dataset: Dataset, signature: Signature) -> tuple[str, dict[str, Any]
         raise UsageError(
             "a controller needs one input and one measured position per joint of the model"
         )
-    if dataset.model is not None and dataset.model.free:
+    if dataset.stated.free:
         raise UsageError(
             "the dataset is of free motion and states a controller: take one of them out"
         )
@@ -222,16 +223,14 @@ def _stated(dataset: Dataset, signature: Signature) -> tuple[str, dict[str, Any]
 
 def _per_joint(settings: Mapping[str, Any], key: str, default: float, n: int) -> tuple[float, ...]:
     value = settings.get(key, default)
-    values = (
-        list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value] * n
-    )
-    if len(values) != n or not all(
-        isinstance(v, int | float) and not isinstance(v, bool) and v == v for v in values
-    ):
+    values = [value] * n
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        values = list(value)
+    if len(values) != n or not all(map(is_number, values)):
         raise UsageError(
             f"[controller]: {key} is {value!r}; it is a number, or a list of {n} (one per joint)"
         )
-    return tuple(float(v) for v in values)
+    return tuple(map(float, values))
 
 
 def _word(settings: Mapping[str, Any], key: str) -> str:

@@ -126,9 +126,14 @@ class ODE(eqx.Module):
         q, u = jnp.zeros(chain.nq), jnp.zeros(len(chain.signature.inputs))
         shapes = jax.eval_shape(lambda: chain.start(q, q, u, body).z)
         remembers = [bool(jax.tree.leaves(shape)) for shape in shapes]
-        x, states = y if any(remembers) else (y, ())
+        if not any(remembers):
+            return y, ((),) * len(remembers)
+        x, states = y
         own = iter(states)
-        return x, tuple(next(own) if has else () for has in remembers)
+        each = []
+        for has in remembers:
+            each.append(next(own) if has else ())
+        return x, tuple(each)
 
 
 def _ready(chain: Chain) -> Numbers:

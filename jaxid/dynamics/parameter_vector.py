@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -32,6 +32,11 @@ class Entry(NamedTuple):
     spec: ParameterSpec
     unit: str
 
+    @property
+    def is_shape(self) -> bool:
+        """Whether it says how something acts, not how strongly: it has no zero to be scaled from."""
+        return self.spec.log or (self.owner >= 0 and self.spec.value != 0)
+
 
 class ChainForm:
     """A chain without names: chains of one shape, as the limbs of a robot, have equal forms, so
@@ -59,13 +64,30 @@ class ChainForm:
         return _with_numbers(self.chain, self._leaves, theta)
 
 
+def _leaves(chain: Chain) -> list[tuple[int, str, int]]:
+    """Owner, field and how many numbers each field of a chain has; 0 is one that is no array."""
+    leaves: list[tuple[int, str, int]] = []
+    for name in specs(chain.mechanism):
+        shape = np.shape(getattr(chain.mechanism, name))
+        leaves.append((-1, name, shape[0] if shape else 0))
+    places = chain.places  # equinox makes a module of each method that is looked up
+    for i, effect in enumerate(chain.effects):
+        count = len(places(effect))
+        leaves += [(i, name, count) for name in specs(effect)]
+    return leaves
+
+
 def _with_numbers(chain: Chain, leaves: Sequence[tuple[int, str, int]], theta: Any) -> Chain:
     values: list[Any] = []
     position = 0
     for _, _, width in leaves:
         own = theta[position : position + (width or 1)]
-        values.append((jnp.stack(own) if isinstance(own, list) else own) if width else own[0])
-        position += width or 1
+        position += len(own)
+        if not width:
+            own = own[0]
+        elif isinstance(own, list):
+            own = jnp.stack(own)
+        values.append(own)
 
     def replaced(chain: Chain) -> list[Any]:
         def owner_of(i):
@@ -89,20 +111,9 @@ class ParameterVector:
         self.entries = tuple(_entries(chain))
         self.names = names_of(self.entries)
         self.values = np.array([_value(chain, e) for e in self.entries], np.float64)
-        self._leaves: list[tuple[int, str, int]] = []
-        for name in specs(chain.mechanism):
-            shape = np.shape(getattr(chain.mechanism, name))
-            self._leaves.append((-1, name, shape[0] if shape else 0))
-        places = chain.places  # equinox makes a module of each method that is looked up
-        for i, effect in enumerate(chain.effects):
-            count = len(places(effect))
-            self._leaves += [(i, name, count) for name in specs(effect)]
+        self._leaves = _leaves(chain)
         self.log = np.array([e.spec.log for e in self.entries])
-        #: Which numbers say how something acts, not how strongly: they have no zero to be scaled
-        #: from.
-        self.shapes = np.array(
-            [e.spec.log or (e.owner >= 0 and e.spec.value != 0) for e in self.entries], bool
-        )
+        self.shapes = np.array([e.is_shape for e in self.entries], bool)
         self._without: dict[frozenset[str], ParameterVector] = {}
 
     def __len__(self) -> int:
@@ -155,21 +166,30 @@ class ParameterVector:
         """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input
         channel.
         """
-        rows = []
-        for e in self.entries:
-            effect = self.chain.effects[e.owner] if e.owner >= 0 else None
-            at_input = (
-                effect is not None
-                and effect.location == "input"
-                and not self.chain.mechanism.behind_law(effect)
-            )
-            own = inputs if at_input and inputs else joints
-            r = own[min(e.place, len(own) - 1)]
-            if effect is not None and effect.location == "number":
-                r = joints[0]._replace(number=self.typical(e.location, joints[0]))
-            rows.append([resolve(b, r) for b in (e.spec.lower, e.spec.upper, e.spec.scale)])
-        lower, upper, scale = np.array(rows, np.float64).reshape(-1, 3).T
+        boxes = np.zeros((3, len(self.entries)))
+        for k, e in enumerate(self.entries):
+            r = self._typical_at(e, joints, inputs or joints)
+            boxes[:, k] = [resolve(b, r) for b in (e.spec.lower, e.spec.upper, e.spec.scale)]
+        lower, upper, scale = boxes
         return lower, upper, scale
+
+    def _typical_at(
+        self,
+        e: Entry,
+        joints: Sequence[TypicalMagnitudes],
+        inputs: Sequence[TypicalMagnitudes],
+    ) -> TypicalMagnitudes:
+        """What is typical where a number acts: at its joint, its input, or of the number that its
+        effect changes.
+        """
+        own = joints
+        if e.owner >= 0:
+            effect = self.chain.effects[e.owner]
+            if effect.location == "number":
+                return joints[0]._replace(number=self.typical(e.location, joints[0]))
+            if effect.location == "input" and not self.chain.mechanism.behind_law(effect):
+                own = inputs
+        return own[min(e.place, len(own) - 1)]
 
 
 def own_entries(chain: Chain) -> list[Entry]:
@@ -192,37 +212,41 @@ def _value(chain: Chain, entry: Entry) -> Any:
 
 
 def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) -> Iterator[Entry]:
-    unit = chain.signature.unit
-    joints, places_of = chain.signature.joints, chain.places
-    for name, spec in specs(chain.mechanism).items():
-        value = np.asarray(getattr(chain.mechanism, name))
-        for k in range(value.size):  # a field is one number, or one per joint: m1 m2 ...
-            own = chain.mechanism.spec_of(name, k, spec)._replace(value=float(value.flat[k]))
-            where = joints[k] if value.ndim and k < len(joints) else ""
-            yield Entry(
-                chain.mechanism.number_name(name, k) if value.ndim else name,
-                -1,
-                name,
-                k,
-                where,
-                own,
-                unit(own.unit, k),
-            )
+    yield from _of_mechanism(chain)
     ids = {kind.name: names for kind, names in chain.mechanism.builtin}
     for i, effect in enumerate(chain.effects):
-        if not wanted(effect):
-            continue
-        places = places_of(effect)
-        for field, spec in specs(effect).items():
-            short = ids.get(effect.name, {}).get(field)
-            for k, place in enumerate(places):
-                name = f"{effect.name}.{field}@{place}"
-                if short:
-                    is_input = effect.location == "input" and k < len(joints)
-                    joint = joints[k] if is_input else place
-                    name = _short_name(short, joint, k if len(places) > 1 else None)
-                own_unit = unit(channel_unit(chain, effect, k, spec.unit), k)
-                yield Entry(name, i, field, k, place, spec, own_unit)
+        if wanted(effect):
+            yield from _of_effect(chain, i, effect, ids.get(effect.name, {}))
+
+
+def _of_mechanism(chain: Chain) -> Iterator[Entry]:
+    """A field is one number, or one per joint: m1 m2 ..."""
+    mechanism, joints = chain.mechanism, chain.signature.joints
+    for name, spec in specs(mechanism).items():
+        value = np.asarray(getattr(mechanism, name))
+        for k in range(value.size):
+            own = mechanism.spec_of(name, k, spec)._replace(value=float(value.flat[k]))
+            unit = chain.signature.unit(own.unit, k)
+            called, where = name, ""
+            if value.ndim:
+                called = mechanism.number_name(name, k)
+                where = joints[k] if k < len(joints) else ""
+            yield Entry(called, -1, name, k, where, own, unit)
+
+
+def _of_effect(chain: Chain, i: int, effect: Effect, short: Mapping[str, str]) -> Iterator[Entry]:
+    """`short`: field -> what the mechanism calls it."""
+    joints = chain.signature.joints
+    places = chain.places(effect)
+    for field, spec in specs(effect).items():
+        for k, place in enumerate(places):
+            name = f"{effect.name}.{field}@{place}"
+            if short.get(field):
+                is_input = effect.location == "input" and k < len(joints)
+                joint = joints[k] if is_input else place
+                name = _short_name(short[field], joint, k if len(places) > 1 else None)
+            unit = chain.signature.unit(channel_unit(chain, effect, k, spec.unit), k)
+            yield Entry(name, i, field, k, place, spec, unit)
 
 
 def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:

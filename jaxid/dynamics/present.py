@@ -58,11 +58,12 @@ def at_time(chain: Chain, t: Float[Array, ""], h: Float[Array, ""]) -> Chain:
         after = e(after, t, h)
     positive = np.array([e.spec.log for e in numbers])
     after = jnp.where(positive & (before > 0), jnp.maximum(after, LEAST * before), after)
-    fields = dict.fromkeys((e.owner, e.field) for e in numbers)
+    changed: dict[tuple[int, str], dict[int, Any]] = {}
+    for k, e in enumerate(numbers):
+        changed.setdefault((e.owner, e.field), {})[e.place] = after[k]
     value: dict[tuple[int, str], Any] = {}
-    for i, field in fields:
+    for (i, field), new in changed.items():
         old = jnp.asarray(getattr(owner(chain, i), field))
-        new = {e.place: after[k] for k, e in enumerate(numbers) if (e.owner, e.field) == (i, field)}
         value[i, field] = _changed(old, new)
     effects = tuple(Applied() if isinstance(e, NumberEffect) else e for e in chain.effects)
     now = eqx.tree_at(lambda c: c.effects, chain, effects)

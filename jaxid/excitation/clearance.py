@@ -12,10 +12,10 @@ from __future__ import annotations
 from itertools import combinations
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxid.dynamics.kinematics import frames
+from jaxid.numerics.linalg import array_module
 
 
 #: Points of one line that are compared with all of another.
@@ -52,7 +52,7 @@ def nodes(arm: Any, q: Any) -> Any:
     arrays, as q is.
     """
     p = frames(arm, arm.prismatic, q.T).p
-    xp = np if isinstance(q, np.ndarray) else jnp
+    xp = array_module(q)
     points = xp.stack([xp.asarray(c) for c in p], -1).swapaxes(0, 1)
     return xp.concatenate([xp.zeros_like(points[:, :1]), points], 1)
 
@@ -61,7 +61,7 @@ def gaps(links: Links, node: Any) -> Any:
     """Distance [time pairs] m of the two lines of each pair, radii not taken off, for nodes [time
     nodes 3].
     """
-    xp: Any = np if isinstance(node, np.ndarray) else jnp
+    xp = array_module(node)
     share = np.linspace(0.0, 1.0, POINTS)[:, None]
     out = []
     for i, j in links.pairs:

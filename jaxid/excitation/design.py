@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.base.errors import nearest, UsageError
+from jaxid.base.numbers import parameter_value
 from jaxid.base.wording import names_of
 from jaxid.data.dataset import ModelSpec
 from jaxid.data.limits import Limits
@@ -196,17 +197,10 @@ def _with(chain: Chain, content: Mapping[str, Any] | None) -> Chain:
     layout = ParameterVector(chain)
     theta = layout.values.copy()
     for name, value in content.get("parameters", {}).items():
-        theta[layout.index(name)] = _number(name, value)
+        theta[layout.index(name)] = parameter_value(name, value)
     for e in content.get("effects", []):
         for name, value in e.get("parameters", {}).items():
             for i in layout.of_effect(e["effect"], e.get("location")):
                 if layout.entries[i].field == name:
-                    theta[i] = _number(name, value)
+                    theta[i] = parameter_value(name, value)
     return layout.model(theta)
-
-
-def _number(name: str, value: Any) -> float:
-    value = value.get("value") if isinstance(value, Mapping) else value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise UsageError(f"parameter {name}: {value!r} is not a finite number")
-    return float(value)

@@ -7,8 +7,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
+
+from jaxid.numerics.linalg import array_module
 
 
 #: Weights of (18): all columns, inertia tensors, first moments, friction.
@@ -19,7 +20,7 @@ def sums_18(a: Any, b: Any, omega: float) -> dict[str, Any]:
     """The sums over the harmonics that paper 001 constrains, each [n]: three that are 0, and the
     bounds of position (about the middle), speed and acceleration.
     """
-    xp = np if isinstance(a, np.ndarray) else jnp
+    xp = array_module(a)
     w = omega * np.arange(1, len(a) + 1)[:, None]
     size = xp.sqrt(a * a + b * b + (0.0 if xp is np else 1e-24))
     return {
@@ -36,7 +37,7 @@ def terms_18(G: Any, groups: tuple[tuple[int, ...], ...]) -> list[Any]:
     """Logarithms of the singular values, rising, of the columns of each term of (18), by the Gram
     matrix of all.
     """
-    xp = np if isinstance(G, np.ndarray) else jnp
+    xp = array_module(G)
     out = []
     for own in groups:
         e = xp.linalg.eigvalsh(G[np.ix_(own, own)])

@@ -35,6 +35,7 @@ from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.clearance import gaps, heights, Links, links_of, nodes
 from jaxid.excitation.paper001 import sums_18, terms_18, WEIGHTS_18
 from jaxid.identification.regression import friction_columns, FrictionLaw, power
+from jaxid.numerics.linalg import array_module
 from jaxid.numerics.precision import float64
 
 
@@ -72,7 +73,7 @@ class Fourier(NamedTuple):
 
 def series(a: Any, b: Any, middle: Any, omega: float, t: Any) -> tuple[Any, Any, Any]:
     """Position, speed and acceleration [time n] of a Fourier trajectory."""
-    xp = np if isinstance(a, np.ndarray) else jnp
+    xp = array_module(a)
     w = omega * np.arange(1, len(a) + 1)
     s, c, wide = xp.sin(t[:, None] * w), xp.cos(t[:, None] * w), w[:, None]
     return middle + s @ (a / wide) - c @ (b / wide), c @ a + s @ b, c @ (b * wide) - s @ (a * wide)

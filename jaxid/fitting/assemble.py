@@ -147,29 +147,21 @@ def assemble(
     found = estimates(binding, problem, result.z, cov)
     own, added = named_estimates(binding, found)
     told = numbers_covariance(binding, problem, result.z, cov)
-    names = problem.names
-    groups = tuple(tuple(names[i] for i in group) for group in cov.groups)
-    notes.append(cov.statement)
-    notes += [
-        f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})"
-        for i, e in found.items()
-        if e.at_bound
-    ]
-    notes += binding.said
-    notes += [f"noise of {n.text}" for n in binding.noise.values()]
+    names = np.array(problem.names, object)
+    groups = [tuple(names[list(group)]) for group in cov.groups]
+    notes += _of_numbers(binding, found, cov)
     compared = _Compared()
     for split in ("fit", "validation", "report"):
         compared.add(split, bench, problem, result.z, residual)
     table = compared.table
     notes += compared.notes
-    robot = is_robot(binding.chain.mechanism)
     stated = _stated(bench, theta, found, told)
     joints: tuple[dict, ...] = ()
-    if robot:
+    if is_robot(binding.chain.mechanism):
         notes += yardstick.sentences([s.to_dict() for s in stated])
-    if robot and residual.simulation != "momentum":
-        joints = per_joint(bench, table, residual if residual.torques else None, problem.free)
-    channels = [name for name, _ in problem.runs.channels]
+        if residual.simulation != "momentum":
+            joints = per_joint(bench, table, residual if residual.torques else None, problem.free)
+    channels = dict(problem.runs.channels)
     noise = dict(zip(channels, map(float, problem.runs.noise), strict=False))
     astray = lost(table, noise)
     notes[:0] = astray
@@ -192,7 +184,7 @@ def assemble(
         scores=table,
         windowed=compared.windowed,
         notes=tuple(notes),
-        correlated=groups,
+        correlated=tuple(groups),
         traces=tuple(compared.traces),
         stalled=end.state == "stalled",
         simulation=residual.simulation,
@@ -204,6 +196,18 @@ def assemble(
         covariance=told,
         reweighted_loss=reweighted,
     )
+
+
+def _of_numbers(
+    binding: Binding, found: Mapping[int, Estimate], cov: CovarianceEstimate
+) -> list[str]:
+    """What a fit notes of its numbers, and of the noise that it counts in."""
+    notes = [cov.statement]
+    for i, e in found.items():
+        if e.at_bound:
+            name = binding.layout.names[i]
+            notes.append(f"{name} ended at its bound ({e.value:.4g} {e.unit})")
+    return [*notes, *binding.said, *(f"noise of {n.text}" for n in binding.noise.values())]
 
 
 def _stated(
@@ -278,14 +282,13 @@ def origin_of(binding: Binding, added: Sequence[EffectEstimate]) -> dict:
     """Where a robot comes from, and which of its own laws the model leaves out; nothing for another
     model.
     """
-    mechanism, spec = binding.chain.mechanism, binding.dataset.model
+    mechanism = binding.chain.mechanism
     if not is_robot(mechanism):
         return {}
-    present = {e.name for e in binding.chain.effects if not is_candidate(binding, e.name)} | {
-        e.effect for e in added
-    }
+    present = {e.name for e in binding.chain.effects if not is_candidate(binding, e.name)}
+    present |= {e.effect for e in added}
     without = [kind.name for kind, _ in mechanism.builtin if kind.name not in present]
-    return origin(mechanism, spec.geometry if spec is not None else None) | {"without": without}
+    return origin(mechanism, binding.dataset.stated.geometry) | {"without": without}
 
 
 def numbers_covariance(

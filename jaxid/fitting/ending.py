@@ -125,9 +125,9 @@ class _SecondLook:
             "history": self.log.history,
             "seconds": self.log.seconds,
         }
-        lower = False
-        if new is not None:
-            lower = old.failed or gain(self.problem, old.loss, new.loss) > MATERIAL
+        lower = new is not None and (
+            old.failed or gain(self.problem, old.loss, new.loss) > MATERIAL
+        )
         if new is None or not (lower or new.loss < old.loss):
             unfinished = budget is not None and not old.converged
             return dataclasses.replace(old, **spent), old.failed or unfinished
@@ -224,14 +224,10 @@ def _elsewhere(
     log[: problem.free.size] = problem.log
     step = np.where(log, 0.7, np.maximum(0.5 * np.abs(z), 5 * problem.scale))
     step[problem.free.size :] = problem.scale[problem.free.size :]
-    step = (
-        np.minimum(step, 0.3 * (upper - lower))
-        * rng.choice([-1.0, 1.0], z.size)
-        * rng.uniform(0.5, 1.0, z.size)
-    )
-    return np.clip(
-        np.where((z + step < lower) | (z + step > upper), z - step, z + step), lower, upper
-    )
+    step = np.minimum(step, 0.3 * (upper - lower))
+    step = step * rng.choice([-1.0, 1.0], z.size) * rng.uniform(0.5, 1.0, z.size)
+    outside = (z + step < lower) | (z + step > upper)
+    return np.clip(np.where(outside, z - step, z + step), lower, upper)
 
 
 def ending(
@@ -255,23 +251,20 @@ def ending(
         if _bends(problem, found, int(i)) and g[i] ** 2 > PUSHES * size * H[i, i]:
             bound.append(problem.names[i])
     left = _newton_gain(g, H, ~out) / size
+    stopped = f"({found.stopped_because})"
     if not np.isfinite(left):
-        return Ending(
-            "stalled", f"the derivatives at the end are not numbers ({found.stopped_because})"
-        )
+        return Ending("stalled", f"the derivatives at the end are not numbers {stopped}")
     if left > MATERIAL and found.converged:
         slopes = np.where(out, 0.0, np.abs(g) / np.sqrt(np.maximum(np.diag(H), 1e-300)))
         which = problem.names[int(np.argmax(slopes))]
-        return Ending(
-            "stalled", f"no minimum: the loss still slopes along {which} ({found.stopped_because})"
-        )
+        return Ending("stalled", f"no minimum: the loss still slopes along {which} {stopped}")
     if bound and state == "converged":
+        names = ", ".join(bound)
         return Ending(
-            "stalled",
-            f"at the bound of {', '.join(bound)}, beyond which the loss falls: state wider bounds",
+            "stalled", f"at the bound of {names}, beyond which the loss falls: state wider bounds"
         )
     if left <= MATERIAL / 10 and state == "budget" and not _unconfirmed(found):
-        return Ending("converged", f"nothing is left to gain ({found.stopped_because})")
+        return Ending("converged", f"nothing is left to gain {stopped}")
     return plain
 
 
@@ -298,12 +291,12 @@ def _failure(
 def _wider(problem: FitProblem) -> str:
     """What else may be wrong where bounds hold every number: of a law, the gains that were held."""
     law = getattr(problem.runs.layout.chain.mechanism, "drive_law", None)
-    held = (
-        [] if law is None else [k for k in ("kp", LAW_KD.get(law.kind, "kd")) if k not in law.fit]
-    )
-    if not held:
+    if law is None:
         return "state wider ones"
-    asked = ", ".join(f'"{k}"' for k in held)
+    gains = ("kp", LAW_KD.get(law.kind, "kd"))
+    asked = ", ".join(f'"{gain}"' for gain in gains if gain not in law.fit)
+    if not asked:
+        return "state wider ones"
     return f"state wider ones, or fit the law's gains, too: [controller] fit = [{asked}]"
 
 
@@ -312,22 +305,18 @@ def _unconfirmed(found: Minimum) -> bool:
 
 
 def _state(found: Minimum) -> str:
-    return (
-        "failed"
-        if found.failed
-        else "converged"
-        if found.converged
-        else "stalled"
-        if found.stalled
-        else "budget"
-    )
+    if found.failed:
+        return "failed"
+    if found.converged:
+        return "converged"
+    return "stalled" if found.stalled else "budget"
 
 
 def _stands_still(t: Trace) -> bool:
     moved = np.ptp(t.measured)
-    return bool(
-        moved > 20 * t.noise and all(np.ptp(y) < STILL * moved for y in t.simulated.values())
-    )
+    if not moved > 20 * t.noise:
+        return False
+    return all(np.ptp(y) < STILL * moved for y in t.simulated.values())
 
 
 def _bends(problem: FitProblem, found: Minimum, i: int) -> bool:

@@ -62,9 +62,8 @@ class Path:
     converged: bool = False
     stopped: str = "iteration limit"
     history: list[tuple[int, float]] | None = None
-    slight: int | None = (
-        None  # how many steps in a row gained nothing material; None where that is not asked
-    )
+    #: How many steps in a row gained nothing material; None where that is not asked.
+    slight: int | None = None
 
     @property
     def loss(self) -> float:
@@ -113,19 +112,18 @@ def levenberg_marquardt(
             count = len(set(members) & set(active))
             if count:
                 best = min((paths[i] for i in members), key=lambda path: path.cost)
-                scale = 2 / max(1, best.count) if expansion is linearise else 1.0
-                one.add(math.ceil(each * count), scale * best.cost if share == 1.0 else np.inf)
+                loss = best.loss if expansion is linearise else best.cost
+                one.add(math.ceil(each * count), loss if share == 1.0 else np.inf)
                 one.show(iteration, iterations)
-        lost = [path.converged for path in paths]
+        lost = np.array([path.converged for path in paths])
         if hopeless is not None and iteration == PATIENCE:
-            lost = np.logical_or(lost, hopeless(paths))
+            lost |= np.asarray(hopeless(paths), bool)
         active = [i for i in active if not lost[i]]
         if enough is not None:
             active = [i for i in active if not enough(i, paths[i])]
-        if iteration == iterations:
-            break
-        for i in active:
-            trials[i] = next_trial(paths[i])
+        if iteration < iterations:
+            for i in active:
+                trials[i] = next_trial(paths[i])
     return paths
 
 
@@ -171,9 +169,7 @@ def accept(
     cost = new.cost / 2
     path.linearisations += 1
     path.count = new.count
-    finite = bool(
-        np.isfinite(cost) and np.isfinite(new.gradient).all() and np.isfinite(new.hessian).all()
-    )
+    finite = all(np.isfinite(x).all() for x in (cost, new.gradient, new.hessian))
     if path.gradient is None:
         _begin(path, new, finite)
         return
@@ -298,13 +294,11 @@ def _bounded(path: Path, radius: float) -> tuple[np.ndarray, bool]:
     assert path.gradient is not None and path.hessian is not None and path.scale is not None
     z, g, H, scale = path.z, path.gradient, path.hessian, path.scale
     lower, upper = path.problem.lower, path.problem.upper
-    free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0))) & (
-        np.diag(H) > 0
-    )  # what nothing shows stays
+    outward = ((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0))
+    free = ~outward & (np.diag(H) > 0)  # what nothing shows stays
     dz, bounded = np.zeros_like(z), False
-    for _ in range(
-        z.size + 1
-    ):  # a variable that would leave its bounds goes to the bound, and the rest is solved again
+    # A variable that would leave its bounds goes to the bound, and the rest is solved again.
+    for _ in range(z.size + 1):
         index = np.flatnonzero(free)
         if not index.size:
             break

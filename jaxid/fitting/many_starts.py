@@ -33,14 +33,14 @@ def search(
     of each group.
     """
     current = [list(g) for g in groups]
-    stages = STAGES if max(len(g) for g in groups) > 1 else ()
+    stages = STAGES if max(map(len, groups)) > 1 else ()
     if logs is not None and not _affords_stages(logs[0], groups[0]):
         current, stages = [[g[0]] for g in groups], ()
     tried = 0
     for share, steps, keep in stages:
         if share == 1.0:
             for g, original in zip(current, groups, strict=True):
-                g += [original[0]]
+                g.append(original[0])
         found = _descended(current, steps, 1e-4, share, logs)
         tried += _linearisations(found)
         current = [_best_starts(own, keep) for own in found]
@@ -130,29 +130,22 @@ def successive_halving(
     paths = [Path(*g[0]) for g in current]
     for heat, (share, steps, keep, front) in enumerate(HEATS):
         last = steps is None
-        ahead, lost = list(range(len(groups))), set()
         if heat == 1:
             # A short look leaves much undetermined: the first two starts go on as they were, too.
             for now, group in zip(current, groups, strict=True):
                 now += group[:2]
-        if heat > 1:
-            lost = _lost(paths)
-        if heat > 0:
-            # Until the last heat those that are sure have a chance all the same.
-            hopeful = set(sure) - lost if last else set(sure)
-            ahead = _ahead(paths, front, lost)
-            ahead += [k for k in sure if k in hopeful - set(ahead)]
+        lost = _lost(paths) if heat > 1 else set()
+        ahead = _ahead(paths, front, lost) if heat > 0 else list(range(len(groups)))
+        # Until the last heat those that are sure have a chance all the same.
+        barred = {*ahead, *lost} if last else set(ahead)
+        ahead += [k for k in sure if k not in barred]
         if share == 1.0 and not last:
             for k in ahead:
-                current[k] += [groups[k][0]]
+                current[k].append(groups[k][0])
             paths = _first_on_the_whole(current, ahead, mere_look=bool(lost))
-        found = _descended(
-            [current[k] for k in ahead],
-            steps or iterations,
-            1e-4 if steps else tolerance,
-            share,
-            hopeless=_far_behind,
-        )
+        descent = (iterations, tolerance) if last else (steps, 1e-4)
+        starts = [current[k] for k in ahead]
+        found = _descended(starts, *descent, share, hopeless=_far_behind)
         for k, own in zip(ahead, found, strict=True):
             current[k] = _best_starts(own, keep)
             if not last or own[0].cost <= paths[k].cost:

@@ -9,12 +9,12 @@ for it; an autoregression (Yule and Walker) carries it to all lags.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.base.computer import cores
 from jaxid.force.covariance import transform_length
 from jaxid.simulation.sample_buffers import LONG
 
@@ -247,11 +247,11 @@ def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:
         for k in range(x.shape[1]):
             out[:, k : k + 1] = _correlated(covariance, x[:, k : k + 1])
         return out
-    length, cores = transform_length(n), os.cpu_count() or 1
+    length, workers = transform_length(n), cores()
     circle = np.zeros(length)
     circle[:n] = covariance[:n]
     circle[length - n + 1 :] = covariance[1:n][::-1]
     spectrum = np.asarray(rfft(circle))[:, None] * np.asarray(
-        rfft(x, length, axis=0, workers=cores)
+        rfft(x, length, axis=0, workers=workers)
     )
-    return np.asarray(irfft(spectrum, length, axis=0, workers=cores))[:n]
+    return np.asarray(irfft(spectrum, length, axis=0, workers=workers))[:n]

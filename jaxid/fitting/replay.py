@@ -86,30 +86,24 @@ class _Source:
 
 def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
     """See `jaxid.replay`."""
-    for path in (robot, *([against] if against is not None else [])):
-        if not path.is_file():
-            raise UsageError(f"{path}: no such file, or none that is plain")
-    tree = read_tree_loosely(robot)
-    data = driving(
-        named(dataset, tree, dataset.model.joints if dataset.model is not None else None), tree
-    )
-    source = None if against is not None else _source(robot)
+    tree = _plain_tree(robot)
+    data = driving(named(dataset, tree, dataset.stated.joints), tree)
     notes: list[str] = []
-    simulated, starts = (
-        (None, None)
-        if against is not None
-        else _by_jaxid(dataset, data, robot, tree, source, notes)
-    )
-    starts = starts or [measured_start(e, data, joints_of(data, tree)) for e in data.experiments]
-    ours = in_mujoco(data, robot, tree, source, starts, notes)
-    other = "jaxid" if against is None else "against"
-    if against is not None:
-        there = read_tree_loosely(against)
+    measured = [measured_start(e, data, joints_of(data, tree)) for e in data.experiments]
+    if against is None:
+        other, source = "jaxid", _source(robot)
+        simulated, starts = _by_jaxid(dataset, data, robot, tree, source, notes)
+        starts = starts or measured
+        ours = in_mujoco(data, robot, tree, source, starts, notes)
+    else:
+        other, source, starts = "against", None, measured
+        there = _plain_tree(against)
         if there.leading != tree.leading:
             raise UsageError(
                 f"{against} has the joints {', '.join(there.leading)}, {robot} has"
                 f" {', '.join(tree.leading)}"
             )
+        ours = in_mujoco(data, robot, tree, None, starts, notes)
         simulated = in_mujoco(data, against, there, None, starts, notes)
     before = _before(data, source, starts)
     rows, runs = _compared(data, tree, ours, simulated, other, before)
@@ -120,8 +114,10 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
     )
 
 
-def read_tree_loosely(path: Path) -> Tree:
-    """The tree of a robot's file."""
+def _plain_tree(path: Path) -> Tree:
+    """The tree of a robot's file. Raises `UsageError` where there is none."""
+    if not path.is_file():
+        raise UsageError(f"{path}: no such file, or none that is plain")
     return read_tree(path)
 
 
@@ -172,10 +168,8 @@ def _by_jaxid(
         notes.append(f"jaxid's run is of {robot.name} as it stands")
         if _own_actuators(tree, joints):
             data = replace(data, controller=None)
-    spec = data.model
-    if spec is not None:
-        spec = replace(spec, name=None, geometry=None, parameters={}, joints={})
-        data = replace(data, model=spec)
+    spec = replace(data.stated, name=None, geometry=None, parameters={}, joints={})
+    data = replace(data, model=spec)
     return _simulated(content, data, model, joints_of(data, tree), notes)
 
 
@@ -214,13 +208,12 @@ def _content(source: _Source, data: Dataset, joints: tuple[str, ...]) -> dict[st
     0.
     """
     result, robot = source.content["result"], source.content.get("robot", {})
-    kept = data.model.without if data.model is not None else ()
-    effects = [
-        e for e in result.get("effects", ()) if e.get("effect") not in LAWS or e["effect"] in kept
-    ]
+    kept = data.stated.without
+    gone = LAWS.difference(kept)
+    effects = [e for e in result.get("effects", ()) if e.get("effect") not in gone]
     without = [own_number(n) for n in robot.get("without", ()) if n not in kept]
-    gone = [own.fitted for own in without if own is not None]
-    zero = {f"{name}@{joint}": {"value": 0.0} for name, joint in product(gone, joints)}
+    fitted = [own.fitted for own in without if own is not None]
+    zero = {f"{name}@{joint}": {"value": 0.0} for name, joint in product(fitted, joints)}
     return {"parameters": {**zero, **result.get("parameters", {})}, "effects": effects}
 
 
@@ -292,7 +285,7 @@ def _driven_by(data: Dataset, joints: Sequence[str], path: Path) -> str:
         return "goal"
     if all(f"{j}_tau" in inputs for j in joints):
         return "torque"
-    if inputs and not (data.model is not None and data.model.free):
+    if inputs and not data.stated.free:
         raise UsageError(
             f"nothing that was recorded drives {path.name}: of its joints add goals"
             f" ({joints[0]}_cmd) or torques ({joints[0]}_tau) as inputs (the recording has"
@@ -303,8 +296,7 @@ def _driven_by(data: Dataset, joints: Sequence[str], path: Path) -> str:
 
 def _gravity(tree: Tree, data: Dataset) -> np.ndarray:
     """Gravity in the frame of the base as the dataset has it stand."""
-    base = dict(data.model.base) if data.model is not None else {}
-    own = dict(data.model.constants) if data.model is not None else {}
+    base, own = data.stated.base, data.stated.constants
     roll, pitch, yaw = (
         float(own.get(f"base_{k}", base.get(k) or 0.0)) for k in ("roll", "pitch", "yaw")
     )
@@ -361,32 +353,31 @@ def _compared(
 ) -> tuple[list[dict[str, Any]], list[dict]]:
     joints, outputs = joints_of(data, tree), data.output_names
     rows, runs = [], []
-
-    def rms(x):
-        return float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")
-
     for i, e in enumerate(data.experiments):
         run: dict[str, np.ndarray] = {"t": e.t}
         for k, joint in enumerate(joints):
             c = outputs.index(joint)
-            read = e.read[:, c] & np.isfinite(e.y[:, c])
+            measured = e.y[:, c]
+            read = e.read[:, c] & np.isfinite(measured)
             mine = ours[i][:, k]
-            theirs = None if other is None else other[i][:, k]
-            run |= {joint: mine} | ({} if theirs is None else {f"{joint}_{name}": theirs})
-            was = {} if before is None else {"before": rms((before[i][:, k] - e.y[:, c])[read])}
-            rows.append(
-                {
-                    "experiment": e.name,
-                    "joint": joint,
-                    **was,
-                    "mujoco": rms((mine - e.y[:, c])[read]),
-                    name: None if theirs is None else rms((theirs - e.y[:, c])[read]),
-                    "difference": None if theirs is None else rms(mine - theirs),
-                    "unit": data.outputs[c].unit,
-                }
-            )
+            run[joint] = mine
+            row: dict[str, Any] = {"experiment": e.name, "joint": joint}
+            if before is not None:
+                row["before"] = _rms((before[i][:, k] - measured)[read])
+            row |= {"mujoco": _rms((mine - measured)[read]), name: None, "difference": None}
+            if other is not None:
+                theirs = other[i][:, k]
+                run[f"{joint}_{name}"] = theirs
+                row[name] = _rms((theirs - measured)[read])
+                row["difference"] = _rms(mine - theirs)
+            rows.append(row | {"unit": data.outputs[c].unit})
         runs.append(run)
     return rows, runs
+
+
+def _rms(x: np.ndarray) -> float:
+    """Root mean square; not a number where there is nothing."""
+    return float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")
 
 
 def _verdict(rows: list[dict[str, Any]], source: _Source | None, other: str) -> list[str]:

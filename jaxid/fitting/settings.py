@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from jaxid.base.errors import nearest, UsageError
+from jaxid.base.numbers import is_number
 
 
 class Setting(NamedTuple):
@@ -83,7 +85,7 @@ def parsed(text: str) -> tuple[str, dict[str, Any]]:
         raise wrong from error
     if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name) or call.args:
         raise wrong
-    values = {}
+    values: dict[str, Any] = {}
     for keyword in call.keywords:
         if keyword.arg is None or keyword.arg in values:
             raise wrong
@@ -115,29 +117,29 @@ def configured(kind: type, values: dict[str, Any], text: str, named: Callable[[s
 def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[str], Any]) -> Any:
     """A value as the type of the field's default; one number for a range of two."""
     default: Any = field.default
-    if not isinstance(default, bool | int | float | tuple | str):
-        return _population(fitter, field, given, named)
-    if isinstance(default, bool):
-        if not isinstance(given, bool):
-            raise _refused(fitter, field, given, "True or False")
-        return given
-    if isinstance(default, str):
-        if not isinstance(given, str):
-            raise _refused(fitter, field, given, "a text in quotes")
-        return given
+    for kind, words in _PLAIN.items():
+        if isinstance(default, kind):
+            if not isinstance(given, kind):
+                raise _refused(fitter, field, given, words)
+            return given
     if isinstance(default, tuple):
         value = _pair(given)
-        if len(value) != len(default) or not all(map(_is_number, value)):
+        if len(value) != len(default) or not all(map(is_number, value)):
             shown = value or given
             raise _refused(fitter, field, shown, f"a number, or {len(default)} in brackets")
         _check_bounds(fitter, field, value)
-        return tuple(float(v) for v in value)
-    if not _is_number(given) or (isinstance(default, int) and not isinstance(given, int)):
-        kind = "a whole number" if isinstance(default, int) else "a number"
-        raise _refused(fitter, field, given, kind)
-    number: Any = given
-    _check_bounds(fitter, field, [number])
-    return float(number) if isinstance(default, float) else number
+        return tuple(map(float, value))
+    if not isinstance(default, int | float):
+        return _population(fitter, field, given, named)
+    whole = isinstance(default, int)
+    if not is_number(given) or (whole and not isinstance(given, int)):
+        raise _refused(fitter, field, given, "a whole number" if whole else "a number")
+    _check_bounds(fitter, field, [given])
+    return given if whole else float(given)
+
+
+#: Types that are taken as they are, and what to write for them.
+_PLAIN = {bool: "True or False", str: "a text in quotes"}
 
 
 def _population(
@@ -154,13 +156,9 @@ def _population(
     return value
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _pair(given: Any) -> tuple[Any, ...]:
     """A range of two by what was given; empty for what is none."""
-    if _is_number(given):
+    if is_number(given):
         return given, given
     return tuple(given) if isinstance(given, list | tuple) else ()
 
@@ -175,10 +173,10 @@ def _refused(fitter: str, field: dataclasses.Field, value: Any, wanted: str) -> 
 def _check_bounds(fitter: str, field: dataclasses.Field, values: Sequence[float]) -> None:
     """Numbers within the field's bounds, and finite."""
     bounds = _about(field)
+    low = -math.inf if bounds.low is None else bounds.low
+    high = math.inf if bounds.high is None else bounds.high
     for v in values:
-        below = bounds.low is not None and not v >= bounds.low
-        above = bounds.high is not None and not v <= bounds.high
-        if below or above or not abs(v) < float("inf"):
+        if not (low <= v <= high and math.isfinite(v)):
             ends = ("at least", bounds.low), ("at most", bounds.high)
             told = " and ".join(f"{word} {b:g}" for word, b in ends if b is not None)
             raise UsageError(f"{fitter}: {field.name} = {v!r}; it is {told or 'a finite number'}")

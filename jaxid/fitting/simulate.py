@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.base.errors import UsageError
+from jaxid.base.numbers import parameter_value
 from jaxid.base.wording import names_of
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
@@ -91,7 +92,7 @@ def _bound(
     binding = bind(model, dataset, effects=[_label(e) for e in added], splits=False)
     theta = binding.theta.copy()
     for name, value in parameters.items():
-        theta[binding.layout.index(name)] = _number(name, value)
+        theta[binding.layout.index(name)] = parameter_value(name, value)
     for e in effects:
         if not isinstance(e, Mapping):
             continue
@@ -100,7 +101,7 @@ def _bound(
             indices = [i for i in numbers if binding.layout.entries[i].field == field]
             if not indices:
                 raise UsageError(f"effect {e['effect']} has no parameter {field!r}")
-            theta[indices] = _number(f"{e['effect']}.{field}", value)
+            theta[indices] = parameter_value(f"{e['effect']}.{field}", value)
     return binding, theta
 
 
@@ -127,10 +128,3 @@ def _label(effect: Any) -> str:
         )
     place = effect.get("location")
     return effect["effect"] + (f"@{place}" if place else "")
-
-
-def _number(name: str, value: Any) -> float:
-    value = value.get("value") if isinstance(value, Mapping) else value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise UsageError(f"parameter {name}: {value!r} is not a finite number")
-    return float(value)

@@ -72,8 +72,8 @@ def stated_numbers(
     """The fitted numbers (by position in the layout) for which the dataset states a value, those
     that are furthest off first.
     """
-    spec, out = binding.dataset.model, {}
-    for name, prior in spec.parameters.items() if spec is not None else ():
+    out = {}
+    for name, prior in binding.dataset.stated.parameters.items():
         i = binding.layout.index(name)
         if prior.value is None or i not in found or prior.prior is not None:
             continue

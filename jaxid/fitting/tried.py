@@ -46,8 +46,7 @@ class OnRecording:
 
     def _off(self, path: Path) -> Mapping[str, float] | None:
         tree = read_tree(path)
-        spec = self.dataset.model
-        data = driving(named(self.dataset, tree, spec.joints if spec is not None else None), tree)
+        data = driving(named(self.dataset, tree, self.dataset.stated.joints), tree)
         joints = joints_of(data, tree)
         starts = [measured_start(e, data, joints) for e in data.experiments]
         runs = in_mujoco(data, path, tree, None, starts, [])

@@ -4,7 +4,7 @@ sandwich covariances.
 
 from __future__ import annotations
 
-import os
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxid.base.computer import cores
 from jaxid.force.rows import ByJoint, ForceRows
 from jaxid.numerics.truncated import positive
 
@@ -94,7 +95,7 @@ def long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) ->
         lags[length - bandwidth :] = lags[bandwidth:0:-1]
         weights = np.real(np.asarray(rfft(lags))) / length
         weights[1 : (length + 1) // 2] *= 2  # those of negative frequencies
-        f = np.asarray(rfft(s, length, axis=0, workers=os.cpu_count() or 1))
+        f = np.asarray(rfft(s, length, axis=0, workers=cores()))
         S[np.ix_(columns, columns)] += sum(
             part.T @ (weights[:, None] * part) for part in (np.real(f), np.imag(f))
         )
@@ -170,7 +171,7 @@ class RowNoise:
     @cached_property
     def series(self) -> list[Float[np.ndarray, " samples"]]:
         """The residual of each joint of each run."""
-        return [column for e in self.errors for column in e.T]
+        return list(itertools.chain.from_iterable(e.T for e in self.errors))
 
     @cached_property
     def white_and_memory(self) -> tuple[bool, int]:

@@ -44,33 +44,20 @@ def write_run(
         parquet(f"run_{number}.{name}.parquet", content)
     _replace(out / f"run_{number}.json", text)
     path = out / "dataset.toml"
-    # Without a model to say which they are, the outputs are the positions that move: an output that
-    # never moves would make the whole dataset unreadable, and a robot rarely moves all its joints.
-    moving = set()
-    if about.get("model") is None:
-        moving = {c.name for c in columns if np.ptp(table[c.name]) != 0}
     if path.is_file():
         document = tomlkit.parse(path.read_text(encoding="utf-8"))
-        _append_run(document, entry, [c for c in columns if c.name in moving])
+        _append_run(document, entry)
         _replace(path, tomlkit.dumps(document))
         return
     content = _new_dataset(about, columns)
-    if about.get("model") is None:
-        for name, channel in content["channels"].items():
-            if channel["role"] == "output" and name not in moving:
-                channel["role"] = "auxiliary"
     content["experiments"] = [entry]
     _replace(path, tomlkit.dumps(content))
 
 
-def _append_run(document: Any, entry: Mapping[str, Any], moving: Sequence[Column]) -> None:
-    """Adds a run to a `dataset.toml`; an output that stood still so far, and moves now, is one."""
+def _append_run(document: Any, entry: Mapping[str, Any]) -> None:
+    """Adds a run to a `dataset.toml`, unless it stands there already."""
     import tomlkit
 
-    for column in moving:
-        known = document["channels"].get(column.name)
-        if column.role == "output" and known is not None:
-            known["role"] = "output"
     runs = document["experiments"]
     if entry["file"] not in [str(run["file"]) for run in runs]:
         runs.append(tomlkit.item(dict(entry)))

@@ -37,13 +37,20 @@ class _Channel(_Strict):
     noise_std: FiniteFloat | None = Field(default=None, gt=0)
     resolution: FiniteFloat | None = Field(default=None, gt=0)
 
+    def as_column(self, name: str) -> Column:
+        """The column of a recording, in SI."""
+        si = conversion(self.unit)
+        hold = "linear" if self.role == "input" else "zero"
+        widths = [self.resolution, self.noise_std]
+        resolution, noise = (w and w * si.factor for w in widths)
+        return Column(name, si.si, self.role, resolution, noise, hold)
+
 
 class _Time(_Strict):
     column: str
     unit: str = "s"
-    wraps_at: FiniteFloat | None = Field(
-        default=None, gt=0
-    )  # the counter starts again from 0 here, in its own unit
+    #: The counter starts again from 0 here, in its own unit.
+    wraps_at: FiniteFloat | None = Field(default=None, gt=0)
 
 
 class _Match(_Strict):
@@ -82,18 +89,22 @@ class SensorSpec(_Strict):
                 "a `file` needs `time` and `match`: its clock is not the main one, and a shared"
                 " motion tells its offset"
             )
-        used = [c.column for c in self.channels.values()] + (
-            [self.time.column] if self.time else []
-        )
-        for column in used if self.port is not None else []:
-            if column not in self.columns:
-                raise ValueError(f"column {column!r} is not among `columns`")
+        if self.port is not None:
+            for column in self.used:
+                if column not in self.columns:
+                    raise ValueError(f"column {column!r} is not among `columns`")
         for name, channel in self.channels.items():
             try:
                 conversion(channel.unit)
             except UnitError as error:
                 raise ValueError(f"channel {name}: {error}") from None
         return self
+
+    @property
+    def used(self) -> list[str]:
+        """The columns that are read: those of the channels, and of the time."""
+        channels = [c.column for c in self.channels.values()]
+        return channels if self.time is None else [*channels, self.time.column]
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> SensorSpec:
@@ -104,49 +115,24 @@ class SensorSpec(_Strict):
         except OSError as error:
             raise UsageError(f"sensor {path}: cannot be read ({error.strerror})") from error
         except ValidationError as error:
-            faults = "; ".join(
-                ".".join(map(str, e["loc"])) + ": " + e["msg"].removeprefix("Value error, ")
-                for e in error.errors()
-            )
-            raise UsageError(f"sensor {path}: {faults}") from error
+            faults = []
+            for fault in error.errors():
+                place = ".".join(map(str, fault["loc"]))
+                faults.append(f"{place}: {fault['msg'].removeprefix('Value error, ')}")
+            raise UsageError(f"sensor {path}: {'; '.join(faults)}") from error
         except ValueError as error:
             raise UsageError(f"sensor {path}: not readable as TOML: {error}") from error
-        return (
-            spec
-            if spec.file is None
-            else spec.model_copy(update={"file": str(path.parent / spec.file)})
-        )
+        if spec.file is None:
+            return spec
+        return spec.model_copy(update={"file": str(path.parent / spec.file)})
 
     def stream(self) -> Stream:
-        columns = []
-        for name, c in self.channels.items():
-            si = conversion(c.unit)
-
-            def width(v, si=si):
-                return None if v is None else v * si.factor
-
-            columns.append(
-                Column(
-                    name,
-                    si.si,
-                    c.role,
-                    width(c.resolution),
-                    width(c.noise_std),
-                    "linear" if c.role == "input" else "zero",
-                )
-            )
-        clock = (
-            "arrival at the host"
-            if self.time is None
-            else f"sensor time, column {self.time.column!r}"
-        )
-        return Stream(
-            self.name,
-            tuple(columns),
-            clock,
-            None,
-            {"description": self.model_dump(exclude_none=True)},
-        )
+        columns = tuple(c.as_column(name) for name, c in self.channels.items())
+        clock = "arrival at the host"
+        if self.time is not None:
+            clock = f"sensor time, column {self.time.column!r}"
+        about = {"description": self.model_dump(exclude_none=True)}
+        return Stream(self.name, columns, clock, None, about)
 
     def convert(self, row: Mapping[str, Any]) -> list[Any]:
         """SI values of the channels from a row of columns (numbers or arrays)."""
@@ -168,16 +154,13 @@ class SensorSpec(_Strict):
             table = read_table(path, path.name, path.read_bytes())
         except OSError as error:
             raise UsageError(f"sensor file {path}: cannot be read ({error.strerror})") from error
-        wanted = [self.time.column, *(c.column for c in self.channels.values())]
-        problems = [str(p) for p in table.problems]
-        problems += [
-            str(table.missing(c, "the sensor"))
-            for c in wanted
-            if c not in table.columns and not table.problems
-        ]
-        if problems:
-            raise UsageError(f"sensor file {path}: {problems[0]}")
-        columns = {c: table.numbers(c).values for c in wanted}
+        for problem in table.problems:
+            raise UsageError(f"sensor file {path}: {problem}")
+        columns = {}
+        for name in (self.time.column, *self.used):
+            if name not in table.columns:
+                raise UsageError(f"sensor file {path}: {table.missing(name, 'the sensor')}")
+            columns[name] = table.numbers(name).values
         for name, values in columns.items():
             if not np.isfinite(values).all():
                 row = table.row(int(np.flatnonzero(~np.isfinite(values))[0]))
@@ -233,25 +216,22 @@ class SerialSensor:
                 if not all(map(np.isfinite, numbers)):
                     raise ValueError
             except ValueError:
-                self.malformed += not (
-                    first and k == 0
-                )  # the first line may have begun before we listened
+                # The first line may have begun before we listened.
+                self.malformed += k > 0 or not first
                 continue
             samples.append(Sample(now, self._time(row, now), self.spec.convert(row)))
         return samples
 
     def _time(self, row: Mapping[str, float], now: float) -> float:
-        if self.spec.time is None:
+        clock = self.spec.time
+        if clock is None:
             return now
-        raw = row[self.spec.time.column]
-        if (
-            self.spec.time.wraps_at is not None
-            and self._last is not None
-            and raw < self._last - self.spec.time.wraps_at / 2
-        ):
-            self._turns += self.spec.time.wraps_at
+        raw = row[clock.column]
+        if clock.wraps_at is not None and self._last is not None:
+            if raw < self._last - clock.wraps_at / 2:
+                self._turns += clock.wraps_at
         self._last = raw
-        return (raw + self._turns) * conversion(self.spec.time.unit).factor
+        return (raw + self._turns) * conversion(clock.unit).factor
 
     def close(self) -> None:
         if self.line is not None:

@@ -19,9 +19,10 @@ def commanded(dataset: Dataset) -> Dataset:
     Raises `UsageError` where a run lacks one.
     """
     names = dataset.output_names
-    lacking = [
-        f"{n}_cmd" for n in names if any(f"{n}_cmd" not in e.auxiliary for e in dataset.experiments)
-    ]
+    lacking = []
+    for goal in (f"{n}_cmd" for n in names):
+        if not all(goal in e.auxiliary for e in dataset.experiments):
+            lacking.append(goal)
     if lacking:
         raise UsageError(
             f"the commanded motion needs {', '.join(lacking)}: give the controller's target"

@@ -73,18 +73,16 @@ class FeedForward:
                 " it was made with"
             )
         law = LAWS[content["friction_law"]]
-        levels = np.array(
-            [[joint[name]["value"] for joint in content["friction"]] for name, _ in law.parameters],
-            float,
-        )
-        exponent = [
-            joint["exponent"]["value"] if "exponent" in joint else 1.0
-            for joint in content["friction"]
-        ]
+        levels = np.zeros((len(law.parameters), len(content["friction"])))
+        exponent = np.ones(len(content["friction"]))
+        for j, joint in enumerate(content["friction"]):
+            levels[:, j] = [joint[name]["value"] for name, _ in law.parameters]
+            if "exponent" in joint:
+                exponent[j] = joint["exponent"]["value"]
         geometry = {k: np.asarray(getattr(model, k), float).tolist() for k in (*GEOMETRY, *PLACE)}
         geometry["prismatic"] = [bool(p) for p in model.prismatic]
         assert levels.shape[1] == n
-        return cls(geometry, np.linalg.pinv(base.K) @ values, law.name, levels, np.array(exponent))
+        return cls(geometry, np.linalg.pinv(base.K) @ values, law.name, levels, exponent)
 
     def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Drive torque of a motion, friction included, N m (N)."""

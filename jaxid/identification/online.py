@@ -111,10 +111,9 @@ class OnlineIdentification:
         refuse_forgetting(forgetting)
         self.arm, self.base, self.rule = arm, arm.base(), rule
         n, p = len(arm.prismatic), len(self.base.kept) + 3 * len(arm.prismatic)
-        self.names = [
-            *self.base.names,
-            *(f"{k}{j + 1}" for k in ("F_c", "F_v", "offset") for j in range(n)),
-        ]
+        self.names = list(self.base.names)
+        for kind in ("F_c", "F_v", "offset"):
+            self.names += [f"{kind}{j + 1}" for j in range(n)]
         self.prior = np.zeros(p) if prior is None else np.asarray(prior, np.float64)
         if self.prior.shape != (p,):
             raise UsageError(

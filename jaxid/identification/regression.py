@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -26,6 +25,7 @@ from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.force.drive import drive_torque
 from jaxid.force.motion import moving, refuse_cutoff, rows_every
 from jaxid.identification.fourier import harmonic_motion
+from jaxid.numerics.linalg import array_module
 from jaxid.simulation.sample_buffers import columns
 
 
@@ -74,7 +74,7 @@ def friction_columns(law: FrictionLaw, qd: Any, exponent: Float[np.ndarray, " n"
     """Values [samples k n] of the k columns of a law at each joint's velocity [samples n], NumPy's
     or JAX.
     """
-    xp: Any = np if isinstance(qd, np.ndarray) else jnp
+    xp = array_module(qd)
     dry = xp.tanh(qd / REST)
     if law.name == "power":
         return xp.stack([dry, power(qd, exponent), xp.ones_like(qd)], 1)

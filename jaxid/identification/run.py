@@ -190,7 +190,7 @@ def _identification(
         data=checked.findings,
         robot=robot,
     )
-    result = replace(result, **answered(arm, recorded.data.model, base, law, runs, result))
+    result = replace(result, **answered(arm, recorded.data.stated, base, law, runs, result))
     if before is None:
         return result
     payload = _payload(
@@ -369,7 +369,7 @@ def _stated(chain: Chain, dataset: Dataset) -> Chain:
     """The chain with the constants and start values that the dataset states."""
     layout = ParameterVector(chain)
     theta = layout.values.copy()
-    for name, value in values_of(dataset.model).items():
+    for name, value in values_of(dataset.stated).items():
         if name != "smoothing_velocity":
             theta[layout.index(name)] = value
     return layout.model(theta)

@@ -24,7 +24,7 @@ MANY = 3.0
 
 def answered(
     arm: Any,
-    spec: ModelSpec | None,
+    spec: ModelSpec,
     base: BaseParameters,
     law: FrictionLaw,
     runs: Sequence[RegressionRun],
@@ -36,21 +36,27 @@ def answered(
     if getattr(arm, "friction", ()):
         return beside_the_file(arm, base, law, runs, result)
     known = values_of(spec)
-    rows = [
-        _answer(name, value, known, base, result)
-        for name, value in known.items()
-        if name in (*base.standard, *result.names)
-    ]
+    identified = {*base.standard, *result.names}
+    rows = [_answer(name, known, base, result) for name in known if name in identified]
     rows = _together(rows, result, plain=True)
-    rows.sort(key=lambda row: -abs(row["deviation"] or 0.0))
-    said = [row["text"] for row in rows if abs(row["deviation"] or 0.0) > MANY]
+    rows.sort(key=_far, reverse=True)
+    said = [row["text"] for row in rows if _far(row) > MANY]
     return {"stated": tuple(rows), "answers": tuple(said)}
 
 
-def values_of(spec: ModelSpec | None) -> dict[str, float]:
+def _far(row: dict[str, Any]) -> float:
+    """By how many standard deviations a stated number is off; 0 where that is not known."""
+    return abs(row["deviation"] or 0.0)
+
+
+def _kind_and_joint(name: str) -> tuple[str, str]:
+    """`mx2` is mx of joint 2."""
+    kind = name.rstrip("0123456789")
+    return kind, name.removeprefix(kind)
+
+
+def values_of(spec: ModelSpec) -> dict[str, float]:
     """The constants and the values of parameters that a dataset states, by name."""
-    if spec is None:
-        return {}
     values = {k: p.value for k, p in spec.parameters.items() if p.value is not None}
     return {**spec.constants, **values}
 
@@ -64,44 +70,47 @@ def _beside_found(what: str, deviation: float, found: str) -> str:
 
 
 def _answer(
-    name: str, value: float, known: dict[str, float], base: BaseParameters, result: Any
+    name: str, known: dict[str, float], base: BaseParameters, result: Any
 ) -> dict[str, Any]:
     """One stated number beside what was identified of it: of a body's, the base parameter that it
     leads, where nothing regroups with it that is not stated, too.
     """
-    members = {name: 1.0}
-    if name in base.names:
-        row = base.K[base.names.index(name)]
-        members = {base.standard[k]: float(row[k]) for k in np.flatnonzero(row)}
-    alone = name in result.names and all(k in known for k in members)
-    stated = sum(weight * known[k] for k, weight in members.items()) if alone else value
+    _, joint = _kind_and_joint(name)
     at = result.names.index(name) if name in result.names else None
-    found = float(result.theta[at]) if at is not None else float("nan")
-    std = float(result.std()[at]) if at is not None else float("nan")
-    deviation = apart(found, stated, std) if alone else None
-    unit = result.units[at] if at is not None else ""
-    joint = name[len(name.rstrip("0123456789")) :]
-    text = f"your stated {name} {number(value)} {unit}".rstrip()
-    if not alone:
-        text += (
-            " can be neither confirmed nor refuted: the motion shows it only together with"
-            " other numbers of the arm"
-        )
-    elif deviation is None:
-        text += " can be neither confirmed nor refuted: the data do not determine it"
-    else:
-        if len(members) > 1:
-            text += f" (with what regroups with it {number(stated)})"
-        text = _beside_found(text, deviation, f"{number(found)} ± {number(std, 2)} {unit}")
-    return {
+    unit = "" if at is None else result.units[at]
+    said = f"your stated {name} {number(known[name])} {unit}".rstrip()
+    row: dict[str, Any] = {
         "joint": f"q{joint}",
         "link": f"link {joint}",
         "parameter": name,
-        "stated": stated,
+        "stated": known[name],
         "unit": unit,
+        "text": f"{said} can be neither confirmed nor refuted: the motion shows it only together"
+        " with other numbers of the arm",
+        "fitted": None,
+        "std": None,
+        "deviation": None,
+    }
+    members = {name: 1.0}
+    if name in base.names:
+        weights = base.K[base.names.index(name)]
+        members = {base.standard[k]: float(weights[k]) for k in np.flatnonzero(weights)}
+    if at is None or not members.keys() <= known.keys():
+        return row
+    stated = sum(weight * known[k] for k, weight in members.items())
+    found, std = float(result.theta[at]), float(result.std()[at])
+    deviation = apart(found, stated, std)
+    if deviation is None:
+        text = f"{said} can be neither confirmed nor refuted: the data do not determine it"
+    else:
+        if len(members) > 1:
+            said += f" (with what regroups with it {number(stated)})"
+        text = _beside_found(said, deviation, f"{number(found)} ± {number(std, 2)} {unit}")
+    return row | {
+        "stated": stated,
         "text": text,
-        "fitted": found if alone else None,
-        "std": std if alone and std > 0 else None,
+        "fitted": found,
+        "std": std if std > 0 else None,
         "deviation": deviation,
     }
 
@@ -115,28 +124,19 @@ def beside_the_file(
     the filtered torque.
     """
     n = len(arm.prismatic)
-
-    def split(name):
-        return (
-            name.rstrip("0123456789"),
-            int(name[len(name.rstrip("0123456789")) :]) - 1,
-        )
-
-    phi = np.array(
-        [float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)]
-    )
+    phi = []
+    for kind, joint in map(_kind_and_joint, base.standard):
+        phi.append(float(np.asarray(getattr(arm, kind))[int(joint) - 1]))
     level, viscous = np.array(arm.friction).T
     own = {"F_c": level, "F_v": viscous}
-    theta = np.concatenate(
-        [base.values(phi), *(own.get(p, np.zeros(n)) for p, _ in law.parameters)]
-    )
+    friction = [own.get(p, np.zeros(n)) for p, _ in law.parameters]
+    theta = np.concatenate([base.values(np.array(phi)), *friction])
     std, rows = result.std(), []
     for i, name in enumerate(result.names):
-        kind = name.rstrip("0123456789")
+        kind, joint = _kind_and_joint(name)
         if kind not in own and i >= result.base_count:
             continue
         deviation = apart(float(result.theta[i]), float(theta[i]), float(std[i]))
-        joint = int(name[len(kind) :])
         rows.append(
             {
                 "joint": f"q{joint}",
@@ -153,11 +153,13 @@ def beside_the_file(
             }
         )
     joints = []
+    worst = np.zeros(n)
     for run in runs:
         predicted = next(torques(run, [(law, theta, np.ones(n))]))[0]
         size = np.maximum(np.linalg.norm(run.tau, axis=0), 1e-300)
         before = np.linalg.norm(run.tau - predicted, axis=0) / size
         after = next(e for e in result.experiments if e.file == run.name).relative_error_per_joint
+        worst = np.maximum(worst, before)
         joints += [
             {
                 "joint": f"q{j + 1}",
@@ -170,15 +172,11 @@ def beside_the_file(
             }
             for j in range(n)
         ]
-    worst = [max(r["as_it_stands"] for r in joints if r["joint"] == f"q{j + 1}") for j in range(n)]
+    regrouped = {k for k, row in zip(base.names, base.K, strict=True) if np.count_nonzero(row) > 1}
+    off = [f"{percent(w)} at {name}" for name, w in zip(result.labels, worst, strict=True)]
     said = [
-        *_first_moments(
-            rows,
-            n,
-            {k: int(np.count_nonzero(r)) > 1 for k, r in zip(base.names, base.K, strict=True)},
-        ),
-        "with the file as it stands the torque is off by "
-        + listed([f"{percent(w)} at {name}" for name, w in zip(result.labels, worst, strict=True)]),
+        *_first_moments(rows, n, regrouped),
+        f"with the file as it stands the torque is off by {listed(off)}",
     ]
     rows = _together(rows, result, plain=False)
     return {"stated": tuple(rows), "per_joint": tuple(joints), "answers": tuple(said)}
@@ -188,41 +186,40 @@ def _together(rows: Sequence[dict[str, Any]], result: Any, plain: bool) -> list[
     """The rows, those that were identified judged all together by their one covariance: see
     `jaxid.fitting.stated.judged`.
     """
-    at = {name: i for i, name in enumerate(result.names)}
-    told = {at[r["parameter"]]: r for r in rows if r["fitted"] is not None and r["std"]}
-    std = result.std()
-    found = {
-        i: Estimate(float(result.theta[i]), float(std[i]), result.units[i], -np.inf, np.inf)
-        for i in range(len(result.names))
-    }
+    each, others = {}, []
+    for row in rows:
+        if row["fitted"] is not None and row["std"]:
+            each[result.names.index(row["parameter"])] = StatedNumber(**row)
+        else:
+            others.append(row)
     size = len(result.names)
+    found = {}
+    for i, (value, std) in enumerate(zip(result.theta[:size], result.std()[:size], strict=True)):
+        found[i] = Estimate(float(value), float(std), result.units[i], -np.inf, np.inf)
     covariance = Covariance(tuple(result.names), np.asarray(result.covariance)[:size, :size])
-    each = {i: StatedNumber(**row) for i, row in told.items()}
     new = judged(each, result.names, found, covariance, plain)
-    others = [r for r in rows if at.get(r["parameter"], -1) not in told]
     return [*(s.to_dict() for s in new), *others]
 
 
-def _first_moments(rows: Sequence[dict[str, Any]], n: int, regrouped: dict[str, bool]) -> list[str]:
-    """One sentence for each link whose first moment differs, along where the file has it."""
+def _first_moments(rows: Sequence[dict[str, Any]], n: int, regrouped: set[str]) -> list[str]:
+    """One sentence for each link whose first moment differs, along where the file has it;
+    `regrouped` are numbers with which others hang together.
+    """
     found = {r["parameter"]: r for r in rows}
     out = []
     for j in range(1, n + 1):
         own = [found[k] for k in (f"mx{j}", f"my{j}", f"mz{j}") if k in found]
-        was, now, std = (np.array([r[k] for r in own], float) for k in ("stated", "fitted", "std"))
+        each = np.array([(r["stated"], r["fitted"], r["std"]) for r in own], float)
+        was, now, std = each.reshape(-1, 3).T
         size = float(was @ was)
         if size < 1e-12 or not np.isfinite(std).all():
             continue
-        share, doubt = (
-            float((now - was) @ was / size),
-            float(np.sqrt(np.sum((was * std) ** 2)) / size),
-        )
-        if abs(share) > MANY * doubt and abs(share) > 0.01:
-            more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
-            who = f"link {j}" + (
-                " with what hangs on it" if any(regrouped[r["parameter"]] for r in own) else ""
-            )
-            out.append(
-                f"{who} carries {more} first moment than the file says (± {196 * doubt:.0f} %)"
-            )
+        share = float((now - was) @ was / size)
+        doubt = float(np.sqrt(np.sum((was * std) ** 2)) / size)
+        if abs(share) <= max(MANY * doubt, 0.01):
+            continue
+        more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
+        hanging = not regrouped.isdisjoint(r["parameter"] for r in own)
+        who = f"link {j} with what hangs on it" if hanging else f"link {j}"
+        out.append(f"{who} carries {more} first moment than the file says (± {196 * doubt:.0f} %)")
     return out

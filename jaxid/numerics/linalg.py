@@ -7,6 +7,8 @@ rows they are faster too.
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -120,3 +122,8 @@ def _eigh_jvp(primals, tangents):
     gap = values[None] - values[:, None]
     turn = jnp.where(gap == 0, 0.0, inner / jnp.where(gap == 0, 1.0, gap))
     return (values, vectors), (jnp.diagonal(inner), vectors @ turn)
+
+
+def array_module(array: Any) -> Any:
+    """NumPy for its arrays, `jax.numpy` for any others."""
+    return np if isinstance(array, np.ndarray) else jnp

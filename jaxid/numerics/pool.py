@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,6 +10,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
+from jaxid.base.computer import cores
 from jaxid.numerics.precision import float64
 
 
@@ -37,7 +37,7 @@ class Pool:
 
     def __init__(self, name: str, size: int | None = None):
         self._threads = ThreadPoolExecutor(
-            max_workers=size or os.cpu_count() or 1, thread_name_prefix=f"jaxid-{name}"
+            max_workers=size or cores(), thread_name_prefix=f"jaxid-{name}"
         )
 
     def submit(self, job: Callable[..., T], *args: Any) -> Future[T]:
@@ -58,7 +58,7 @@ class Pool:
         waiting: deque[Future[T]] = deque()
         for job in jobs:
             waiting.append(self.submit(job))
-            if len(waiting) > 2 * (os.cpu_count() or 1):
+            if len(waiting) > 2 * cores():
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()

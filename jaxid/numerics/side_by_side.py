@@ -4,13 +4,13 @@ there reaches them all.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from queue import SimpleQueue
 from threading import Event
 from typing import Any, TypeVar
 
+from jaxid.base.computer import cores
 from jaxid.numerics.pool import Pool
 
 
@@ -41,7 +41,7 @@ def side_by_side(
         for b in begun:
             b.cancel()
 
-    pool = Pool("jobs", min(len(jobs), workers or os.cpu_count() or 1))
+    pool = Pool("jobs", min(len(jobs), workers or cores()))
     begun = [pool.submit(job, say) for job in jobs]
     for b in begun:
         b.add_done_callback(told.put)

@@ -155,14 +155,13 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     user's own, as a mechanism, or as a chain; None takes the dataset's.
     """
     model, dataset = robots.prepared(model, dataset)
-    stated = dataset.model
-    spec = stated or ModelSpec()
+    spec = dataset.stated
     if model is None:
         model = spec.file or spec.name
     if model is None:
         raise UsageError(without_a_model(dataset))
     if isinstance(model, str):
-        model = named_model(model, stated)
+        model = named_model(model, spec)
     constants = spec.constants
     if robots.is_robot(model):
         model = cast(Any, model).matched(dataset)
@@ -175,7 +174,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     if not isinstance(model, Chain):
         raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
     _check_drive(model)
-    _check_gains(model, stated)
+    _check_gains(model, spec)
     if set(constants) & set(settings(model.mechanism)):
         model = model.with_mechanism(with_settings(model.mechanism, constants))
     left_out = (*spec.without, *without)
@@ -213,11 +212,11 @@ def _check_drive(chain: Chain) -> None:
         )
 
 
-def _check_gains(chain: Chain, spec: ModelSpec | None) -> None:
+def _check_gains(chain: Chain, spec: ModelSpec) -> None:
     """A command in another unit than its joint's torque needs its drive gain stated, in the dataset
     or in the chain.
     """
-    stated = {*spec.constants, *spec.parameters} if spec is not None else set()
+    stated = {*spec.constants, *spec.parameters}
     layout = ParameterVector(chain)
     missing = []
     for effect in chain.effects:
@@ -240,11 +239,10 @@ def _check_gains(chain: Chain, spec: ModelSpec | None) -> None:
 
 def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
     inputs, outputs = set(dataset.input_names), {c.name: c.unit for c in dataset.outputs}
-    free = dataset.model is not None and dataset.model.free
     wanted = []
     for signature in mechanism.signatures:
         s = with_speeds(signature, outputs)
-        needed = {} if free else dict(s.inputs)
+        needed = {} if dataset.stated.free else dict(s.inputs)
         if outputs.keys() >= dict(s.outputs).keys() and inputs >= needed.keys():
             _check_units(mechanism.name, dataset, (*s.outputs, *needed.items()))
             return s
@@ -318,7 +316,7 @@ def bind(
     readings = np.array([alone[n].std for n in names])
     noise = beside_accuracy(noise, dataset)
 
-    values = stated_values(ParameterVector(chain), dataset.model)
+    values = stated_values(ParameterVector(chain), dataset.stated)
     chain = ParameterVector(chain).model(values.theta)  # with what the dataset states
     layout = ParameterVector(chain)
     held = chain.mechanism.held() - values.priors.keys()

@@ -136,7 +136,7 @@ class Momentum(InverseDynamics):
     def rates(self, dataset: Dataset, chain: Chain, noise: np.ndarray) -> tuple[float, float, int]:
         """Samples a second, cutoff in Hz, and each how many-th sample is a row."""
         _, iy = recorded.columns(dataset, chain)
-        first = evenly((dataset.split("fit") or dataset.experiments)[0])
+        first = evenly(dataset.to_fit[0])
         rate = (len(first.t) - 1) / first.duration
         parts = sides(first, self.moment, None)  # a jump of speed is not what a side holds
         content = max(max(cutoffs(chain, p.t, p.motion()[:, iy], noise)) for p in parts)

@@ -9,14 +9,14 @@ from jaxid.dynamics import catalogue
 from jaxid.robots.arm_table import arm_table
 
 
-def named_model(text: str, stated: ModelSpec | None) -> Any:
+def named_model(text: str, stated: ModelSpec) -> Any:
     """A mechanism by its name, with what a dataset states of one of that name: the links of an arm,
     the file of a model of the user's own. Raises `UsageError` for an unknown name and for a file
     that holds no model.
     """
     if text.endswith(".urdf"):
         return catalogue.model_class("serial_arm").from_urdf(text)
-    if stated is None or text != stated.name:
+    if text != stated.name:
         return catalogue.model_class(text)()
     if stated.geometry is not None:
         return catalogue.model_class(text)(arm_table(stated.geometry))

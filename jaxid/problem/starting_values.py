@@ -24,18 +24,20 @@ def held_friction(
     """What is to be said of numbers of the model's own friction that a fit leaves as they are,
     effect by effect.
     """
+    held = fixed.difference(free)
     said = []
     for k, effect in enumerate(chain.effects):
         if not isinstance(effect, JointEffect):
             continue
         of_effect = [i for i, e in enumerate(layout.entries) if e.owner == k]
         own = []
-        for i in of_effect:
+        for i in held.intersection(of_effect):
             entry = layout.entries[i]
-            held = i in fixed and i not in free and not entry.spec.fixed
-            if held and entry.location not in ANGLES:  # nothing brakes a base that floats
+            # Nothing brakes a base that floats.
+            if not entry.spec.fixed and entry.location not in ANGLES:
                 own.append(i)
-        if own and not set(of_effect).isdisjoint(free):
+        own.sort()
+        if own and not set(free).isdisjoint(of_effect):
             names = wording.listed([layout.names[i] for i in own])
             values = wording.listed([f"{v:g}" for v in dict.fromkeys(theta[own].tolist())])
             said.append(
@@ -56,10 +58,9 @@ class StatedValues(NamedTuple):
     priors: dict[str, ParameterPrior]
 
 
-def stated_values(layout: ParameterVector, spec: ModelSpec | None) -> StatedValues:
+def stated_values(layout: ParameterVector, spec: ModelSpec) -> StatedValues:
     """The numbers of a chain as its files and the dataset have them."""
     mechanism = layout.chain.mechanism
-    spec = spec or ModelSpec()
     theta, stated = layout.values.copy(), set()
     fixed = {i for i, e in enumerate(layout.entries) if e.spec.fixed}
     others = {"smoothing_velocity", *settings(mechanism)}
@@ -72,11 +73,8 @@ def stated_values(layout: ParameterVector, spec: ModelSpec | None) -> StatedValu
         stated.add(i)
     priors = mechanism.known() | dict(spec.parameters)
     for name, prior in priors.items():
-        value = prior.value
-        if value is None and prior.prior is not None:
-            value = prior.prior["mean"]
-        if value is not None:
-            theta[layout.index(name)] = value
+        if prior.start is not None:
+            theta[layout.index(name)] = prior.start
             stated.add(layout.index(name))
     return StatedValues(theta, fixed, stated, priors)
 
@@ -137,11 +135,12 @@ def stated_scales(
         i = layout.index(name)
         if prior.prior is not None:
             known[i] = mean, std = prior.prior["mean"], prior.prior["std"]
-            reach = (mean - 5 * std, mean + 5 * std)
-            upper[i] = upper[i] if prior.upper is not None else max(upper[i], reach[1])
-            least = 0.0 if lower[i] >= 0 else -np.inf
-            if prior.lower is None and not (lower[i] > 0 and reach[0] <= 0):
-                lower[i] = max(least, min(lower[i], reach[0]))
+            low, high = mean - 5 * std, mean + 5 * std
+            if prior.upper is None:
+                upper[i] = max(upper[i], high)
+            if prior.lower is None and not (lower[i] > 0 and low <= 0):
+                least = 0.0 if lower[i] >= 0 else -np.inf
+                lower[i] = max(least, min(lower[i], low))
             alike.setdefault(f"{mean:.4g} ± {std:.4g} {layout.entries[i].unit}", []).append(name)
         if prior.log is not None:
             if prior.log and not lower[i] > 0:
@@ -150,8 +149,7 @@ def stated_scales(
                     f" {lower[i]:g}: state `lower` above 0 under [model.parameters.{name}]"
                 )
             layout.log[i] = prior.log
-            said.append(
-                f"{name} is searched {'by its logarithm' if prior.log else 'linearly'} (stated)"
-            )
+            how = "by its logarithm" if prior.log else "linearly"
+            said.append(f"{name} is searched {how} (stated)")
     said += [f"prior of {', '.join(names)}: {text} (stated)" for text, names in alike.items()]
     return known, tuple(said)

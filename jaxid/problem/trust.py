@@ -131,8 +131,7 @@ def counted_as_often(binding: Binding, inflation: float) -> Binding:
 
 def trust_of(binding: Binding) -> str:
     """What the dataset says of how far its numbers are to be trusted."""
-    spec = binding.dataset.model
-    return DEFAULT if spec is None or spec.trust is None else spec.trust
+    return binding.dataset.stated.trust or DEFAULT
 
 
 def told(binding: Binding) -> dict[str, Any]:

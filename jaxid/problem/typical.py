@@ -48,7 +48,7 @@ def typical_magnitudes(
     """Of each joint, in N m and rad (N, m), and of each input channel, in its own unit, in the
     recordings to fit, or in all where none is.
     """
-    fit = dataset.split("fit") or dataset.experiments
+    fit = dataset.to_fit
     chain = layout.chain
     iu, _ = samples.columns(dataset, chain)
     if not fit:

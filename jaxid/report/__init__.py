@@ -51,7 +51,9 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
             diagnosis.final, "diagnosis.json", believed=diagnosis.which.verdict != "unknown"
         ),
         checked.asked(diagnosis.data),
-        yardstick.section(diagnosis.how_far.per_joint, diagnosis.final.stated),
+        yardstick.section(
+            diagnosis.how_far.per_joint, diagnosis.final.stated, diagnosis.how_far.per_channel
+        ),
         unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
         breakdown.section(diagnosis),

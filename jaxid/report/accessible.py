@@ -1,8 +1,8 @@
 """A page for everybody: a table of contents, and tables that a screen reader can announce.
 
 The templates say what stands where; this adds what follows from it: an id for every heading, the
-list of them, the scope of every head of a column or row, and a caption for every table, which is
-the heading or the sentence that it stands under.
+list of them, the scope of every head of a column or row, a caption for every table, which is the
+heading or the sentence that it stands under, and a box in which it scrolls on a narrow screen.
 """
 
 from __future__ import annotations
@@ -29,7 +29,15 @@ def with_contents(body: str) -> str:
         return body
     links = "".join(f'<li><a href="#{place}">{title}</a></li>' for place, title in headings)
     contents = f'<nav class="contents" aria-label="On this page"><ul>{links}</ul></nav>'
-    return body.replace("</section>", f"</section>\n{contents}", 1)
+    place = _below_the_answer(body)
+    return f"{body[:place]}\n{contents}\n{body[place:]}"
+
+
+def _below_the_answer(body: str) -> int:
+    """Where the section of the first heading ends, or its first part where it has several."""
+    answer = max(body.find("<h1"), 0)
+    ends = [body.find("</section>", answer) + len("</section>"), body.find("<h2", answer)]
+    return min(end for end in ends if end > answer)
 
 
 def _with_ids(body: str) -> tuple[str, list[tuple[str, str]]]:
@@ -56,11 +64,19 @@ def _with_captions(body: str) -> Iterator[str]:
             said = _TAG.sub("", found[-1][1]).strip() if found else said
             yield part
             continue
-        yield _scoped(part if "<caption" in part else _captioned(part, said))
+        table = _scoped(part if "<caption" in part else _captioned(part, said))
+        yield _scrolling(table)
 
 
 def _captioned(table: str, said: str) -> str:
     return re.sub(r"^(<table[^>]*>)", rf"\1<caption>{_literal(said)}</caption>", table, count=1)
+
+
+def _scrolling(table: str) -> str:
+    """The table in a box that a narrow screen scrolls, also by the keyboard."""
+    found = re.search(r"<caption>(.*?)</caption>", table, re.DOTALL)
+    name = _TAG.sub("", found[1]).strip().replace('"', "&quot;") if found else "table"
+    return f'<div class="scrolls" role="group" aria-label="{name}" tabindex="0">{table}</div>'
 
 
 def _literal(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import NamedTuple, TYPE_CHECKING
 
@@ -15,11 +16,15 @@ from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.diagnosis.result import Diagnosis, Finding, HowFar
+    from jaxid.diagnosis.result import ChannelGap, Diagnosis, Finding, HowFar
 
 
-#: Most words of a card, its fact included.
-WORDS = 60
+#: Most words of a card, its fact and its question included; words of the longest question.
+WORDS, QUESTION = 60, 6
+#: Where a sentence ends and another begins.
+_BETWEEN = re.compile(r"(?<=[.!?]) (?=[A-Z])")
+#: An effect of more numbers than these has them under what to write.
+NUMBERS = 4
 QUESTIONS = {"where": "Where", "which": "Which effect", "far": "How far"}
 
 
@@ -32,12 +37,15 @@ class Card(NamedTuple):
 
 def short(fact: str, sentences: Sequence[str]) -> Card:
     """A card of at most `WORDS` words; its first sentence stands there in any case."""
+    single: list[str] = []
+    for said in sentences:
+        single += _BETWEEN.split(said if said.endswith((".", "!", "?")) else f"{said}.")
     shown: list[str] = []
-    count = len(fact.split())
-    for k, sentence in enumerate(sentences):
+    count = QUESTION + len(fact.split())
+    for k, sentence in enumerate(single):
         count += len(sentence.split())
         if k and count > WORDS:
-            return Card((fact, shown), list(sentences[k:]))
+            return Card((fact, shown), single[k:])
         shown.append(sentence)
     return Card((fact, shown), [])
 
@@ -59,14 +67,14 @@ def section(diagnosis: Diagnosis) -> Section:
             "which": cards["which"].shown,
             "far": cards["far"].shown,
             "more": [(QUESTIONS[k], card.more) for k, card in cards.items() if card.more],
-            "remark": how_far.text[:1].upper() + how_far.text[1:],
+            "remark": text.sentence(how_far.text) if how_far.text else "",
             "picture": (
                 None
                 if which.verdict == "none" or not text.measured(how_far)
                 else gap_picture(diagnosis)
             ),
             "effects_added": bool(which.effects),
-            "channels": [(name, how_far.per_channel[name]) for name in text.telling(how_far)],
+            "channels": _channels(how_far),
             "measured": (
                 f"Measured on {how_far.split} data, {_used(how_far)}. "
                 if text.measured(how_far)
@@ -74,6 +82,14 @@ def section(diagnosis: Diagnosis) -> Section:
             ),
         },
     )
+
+
+def _channels(how_far: HowFar) -> list[tuple[str, ChannelGap]]:
+    """The outputs; none where each is a joint: these have a table of their own."""
+    joints = {row["joint"] for row in how_far.per_joint}
+    if joints.issuperset(how_far.per_channel):
+        return []
+    return [(name, how_far.per_channel[name]) for name in text.telling(how_far)]
 
 
 def _used(how_far: HowFar) -> str:
@@ -151,7 +167,8 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     sentences = effect_text.meaning(which)
     groups = alike(which.effects)
     for group in groups:
-        inside = effect_text.parameters_of(group.common)
+        numbers = group.common.parameters
+        inside = effect_text.parameters_of(group.common) if len(numbers) <= NUMBERS else ""
         prefix = ""
         if len(which.effects) > 1:
             kind = group.common.effect.replace("_", " ")

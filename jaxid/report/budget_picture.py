@@ -40,7 +40,12 @@ def gap_picture(diagnosis: Diagnosis):
 
 
 def _drawn(diagnosis: Diagnosis) -> list[Step]:
-    return [step for step in diagnosis.budget if step.step in STEPS]
+    """The steps; where re-tuned numbers leave what they found, as where none are stated, they are
+    none.
+    """
+    steps = [step for step in diagnosis.budget if step.step in STEPS]
+    same = wording.times(steps[0].gap) == wording.times(steps[1].gap)
+    return [steps[0], *steps[2:]] if same else steps
 
 
 def draw_gap(axes: Axes, diagnosis: Diagnosis) -> Axes:

@@ -3,14 +3,33 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 from jaxid.base import wording
 from jaxid.dynamics.catalogue import TARGETS
 from jaxid.fitting.result import Estimate, Fit
 from jaxid.identification.result import Identification
+from jaxid.report.effect_text import named_places
 from jaxid.report.page import Section
+
+
+if TYPE_CHECKING:
+    from jaxid.robots.export.target import ExportRow
+
+
+#: How a note of an export begins that says what the file had.
+BEFORE = "before: "
+
+
+class Change(NamedTuple):
+    """A number of a robot's file as it is written, and as it stood there ("" where it did not)."""
+
+    name: str
+    value: str
+    before: str
+    field: str
 
 
 class ValueToWrite(NamedTuple):
@@ -33,7 +52,9 @@ def section(result: Fit | Identification, file: str, believed: bool = True) -> S
     values = values_to_write(result) if believed and isinstance(result, Fit) else []
     if not values:
         return None
-    return Section("values.html", {"values": values, "file": file, "targets": TARGETS})
+    beside = any(value.stated is not None for value in values)
+    told = {"values": values, "beside": beside, "file": file, "targets": TARGETS}
+    return Section("values.html", told)
 
 
 def values_to_write(fit: Fit) -> list[ValueToWrite]:
@@ -61,27 +82,66 @@ def _of_robot(result: Any, file: str, name: Path) -> Section:
             "the patched file in MuJoCo on the same log, joint by joint",
         ),
     ]
+    written = changes(result, to)
     return Section(
-        "carry.html", {"lines": lines, "robot": name.name, "changes": changes(result, to)}
+        "carry.html",
+        {
+            "lines": lines,
+            "robot": name.name,
+            "changes": list(map(change, written)),
+            "remarks": remarks(written),
+        },
     )
 
 
-def changes(result: Any, to: str) -> list[tuple[str, str, str, str]]:
-    """What the patched file says otherwise: number, field, value, and what is to be said; none
-    where the file is not at hand.
-    """
+def changes(result: Any, to: str) -> list[ExportRow]:
+    """What the patched file says otherwise; none where the file is not at hand."""
     from jaxid.base.errors import UsageError
 
     try:
         rows = result.export(to).rows
     except (UsageError, OSError):
         return []
-    told = []
+    return [row for row in rows if not row.kept]
+
+
+def change(row: ExportRow) -> Change:
+    """A line of the page."""
+    name = f"{row.effect} at {row.location}" if row.location else row.effect
+    before = [part.removeprefix(BEFORE) for part in _parts(row) if part.startswith(BEFORE)]
+    value = f"{_value(row.value)} {row.unit}".strip()
+    return Change(name, _together(value), " ".join(before), row.field)
+
+
+def remarks(rows: Sequence[ExportRow]) -> list[str]:
+    """What is to be said of the numbers, each sentence once with those that it is of."""
+    said: dict[str, list[tuple[str, str]]] = {}
     for row in rows:
-        if row.kept:
-            continue
-        name = f"{row.effect} at {row.location}" if row.location else row.effect
-        field = row.field or f"no field ({row.how})"
-        value = wording.number(row.value, 4) if isinstance(row.value, float) else row.value
-        told.append((name, field, f"{value} {row.unit}".strip(), row.note))
+        for part in _parts(row):
+            if not part.startswith(BEFORE):
+                said.setdefault(part, []).append((row.effect, row.location))
+    told = []
+    for part, numbers in said.items():
+        names = [_placed(effect, at) for effect, at in wording.by_effect(numbers).items()]
+        told.append(f"{wording.listed(names)}: {part}.")
     return told
+
+
+def _parts(row: ExportRow) -> list[str]:
+    return [part for part in row.note.split("; ") if part]
+
+
+def _placed(effect: str, places: Sequence[str]) -> str:
+    named = [place for place in places if place]
+    return f"{effect} at {named_places(named)}" if named else effect
+
+
+def _together(value: str) -> str:
+    """Each number on one line with its unit; several break between them."""
+    return value.replace(" ", "\u00a0").replace(",\u00a0", ", ")
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_value(one)}" for name, one in value.items())
+    return wording.number(value, 4) if isinstance(value, float) else str(value)

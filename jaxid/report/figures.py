@@ -160,10 +160,10 @@ def missing_force(force: MissingForce, after: bool = False, ax: Axes | None = No
     figure = ax.get_figure()
     assert figure is not None
     what = "still missing with the effect" if after else "missing in the nominal model"
-    figure.colorbar(dots, ax=ax, label=f"force {what} ({plot.label(force.unit, 20)})")
+    figure.colorbar(dots, ax=ax, label=f"force {what} ({plot.unit(force.unit)})")
     ax.set(
         xlabel=f"position of {plot.with_unit(force.joint, force.q_unit)}",
-        ylabel=f"velocity ({plot.label(force.qd_unit, 20)})",
+        ylabel=f"velocity ({plot.unit(force.qd_unit)})",
         facecolor="#f2f2f2",
     )
     return ax

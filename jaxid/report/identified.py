@@ -108,10 +108,11 @@ def _stated(result: Identification) -> dict[str, dict[str, Any]]:
     return {row["parameter"]: row for row in result.stated if row["parameter"] in leading}
 
 
-def _beside(row: dict[str, Any] | None) -> tuple[str, str]:
+def _beside(row: dict[str, Any] | None, known: bool) -> tuple[str, str]:
+    """What is stated, and how far that is; nothing is far from a number that is not `known`."""
     if row is None:
         return "", ""
-    apart = row["deviation"]
+    apart = row["deviation"] if known else None
     return wording.number(row["stated"], 4), "" if apart is None else f"{apart:+.1f}"
 
 
@@ -123,8 +124,9 @@ def base_rows(result: Identification) -> list[tuple[str, ...]]:
     rows = []
     for i in range(result.base_count):
         name, value = result.names[i], pair(float(result.theta[i]), float(std[i]))
-        beside = _beside(stated.get(name)) if stated else ()
-        remark = "" if result.identifiable[i] else "not determined by these data"
+        known = bool(result.identifiable[i])
+        beside = _beside(stated.get(name), known) if stated else ()
+        remark = "" if known else "not determined"
         rows.append((name, value, *beside, result.units[i], result.expressions[i], remark))
     return rows
 

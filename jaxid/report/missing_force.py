@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 
 SHOWN = 6
+#: Situations that are drawn, the strongest first.
+SITUATIONS = 12
 #: Parts of an axis over each of which what noise would show is one number.
 PARTS = 30
 #: The field of the motion that shows a law of each variable best.
@@ -42,7 +44,7 @@ def section(
         pictures.append(
             (f"Joint {joint}", picture(own, f"force-{i}", variable), law_sentence(own, variable))
         )
-    strongest = sorted(regimes, key=lambda r: -r.strength)[:30]
+    strongest = sorted(regimes, key=lambda r: -r.strength)[:SITUATIONS]
     if not pictures and not strongest:
         return None
     return Section(
@@ -51,6 +53,7 @@ def section(
             "pictures": pictures,
             "hidden": max(0, len(joints) - SHOWN),
             "regimes": regime_picture(strongest) if strongest else None,
+            "weaker": len(regimes) - len(strongest),
         },
     )
 
@@ -110,14 +113,14 @@ def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
                 if level:
                     axes.set_ylim(level)
                 if axes.get_subplotspec().is_first_col() or plot.narrow(figure):
-                    axes.set_ylabel(f"{still}missing ({plot.label(unit, 20)})")
+                    axes.set_ylabel(f"{still}missing ({plot.unit(unit)})")
         drawn = [(longest.before, plot.VERMILLION), (longest.after, plot.BLUE)][: len(kinds)]
         for force, color in drawn:
             thinned = plot.thin(longest.t, plot.series(force), points)
             over_time.plot(*thinned, color=color, linewidth=0.9)
         draw_noise(over_time, longest.t, plot.series(longest.floor), points // 4)
         over_time.set_xlabel(f"time in {plot.label(longest.experiment)} (s)")
-        over_time.set_ylabel(f"missing ({plot.label(unit, 20)})")
+        over_time.set_ylabel(f"missing ({plot.unit(unit)})")
         over_time.margins(x=0)
         if bounds:
             over_time.set_ylim(bounds)
@@ -133,9 +136,9 @@ def _against(
     """Field -> title of what the force is drawn against: what varies, the `variable` first."""
     load = "command" if variable == "command" else "load"
     titles = {
-        "qd": f"velocity ({plot.label(longest.qd_unit, 20)})",
-        "q": f"position ({plot.label(longest.q_unit, 20)})",
-        "load": f"{load} ({plot.label(longest.unit, 20)})",
+        "qd": f"velocity ({plot.unit(longest.qd_unit)})",
+        "q": f"position ({plot.unit(longest.q_unit)})",
+        "load": f"{load} ({plot.unit(longest.unit)})",
     }
     against = {}
     for field in sorted(titles, key=lambda field: field != FIELDS.get(variable)):
@@ -200,14 +203,17 @@ def draw_noise(axes, x: np.ndarray, floor: np.ndarray, parts: int = PARTS) -> No
 
 
 def draw_spectrum(axes, force: MissingForce) -> None:
-    for series, color in ((force.before, plot.VERMILLION), (force.after, plot.BLUE)):
+    drawn = [(force.before, plot.VERMILLION)]
+    if not np.array_equal(force.before, force.after):
+        drawn.append((force.after, plot.BLUE))
+    for series, color in drawn:
         frequency, density = spectrum(force.t, series)
         if len(frequency):
             axes.plot(frequency, density, color=color, linewidth=1.2)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("frequency (Hz)")
-    axes.set_ylabel(f"spectrum ({plot.label(force.unit, 20)}/√Hz)")
+    axes.set_ylabel(f"spectrum ({plot.unit(force.unit)}/√Hz)")
     axes.margins(x=0)
     plot.plain_log(axes.xaxis)
     plot.plain_log(axes.yaxis)

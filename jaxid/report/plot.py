@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import io
 import re
-import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -87,12 +86,12 @@ def element(name: str, size: tuple[float, float], draw: Callable[[Figure], objec
         figure = Figure(figsize=size, dpi=72, layout="constrained")  # what SVG counts in
         canvas = FigureCanvasSVG(figure)  # it measures letters
         draw(figure)
+        spoken = described(figure)
         _laid_out(figure)
         if narrow(figure) and _wrap_titles(figure):
             _laid_out(figure)
         figure.set_layout_engine("none")
         buffer = io.StringIO()  # not by `savefig`, which would lay it out by drawing it once more
-        spoken = described(figure)
         canvas.print_svg(
             buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
         )
@@ -175,9 +174,22 @@ def _wrap_titles(figure: Figure) -> bool:
         ):
             letters = max(12, int(length / figure.dpi / LETTER))
             if max(map(len, title.split("\n"))) > letters:
-                set_title(textwrap.fill(title, letters))
+                set_title(filled(title, letters))
                 wrapped = True
     return wrapped
+
+
+def filled(title: str, letters: int) -> str:
+    """A title in lines of at most this many letters, where it allows that: it breaks at blanks and
+    behind the underscores of names, and units stay whole (`unit`).
+    """
+    parts = re.findall(r"[^ \n_]*_+|[^ \n_]+ ?|[ \n]", title)
+    lines = [""]
+    for part in parts:
+        if lines[-1] and len(f"{lines[-1]}{part}".rstrip(" ")) > letters:
+            lines.append("")
+        lines[-1] += part.replace("\n", " ")
+    return "\n".join(line.rstrip(" ") for line in lines)
 
 
 def _shorter(path: re.Match[str]) -> str:
@@ -202,9 +214,14 @@ def label(text: object, length: int = 60) -> str:
     return line if len(line) <= length else line[: length - 1] + "…"
 
 
-def with_unit(name: str, unit: str) -> str:
+def unit(text: object) -> str:
+    """A unit, fit to stand in a picture: its blanks do not break."""
+    return label(text, 20).replace(" ", "\u00a0")
+
+
+def with_unit(name: str, of: str) -> str:
     """An axis title: `q (rad)`."""
-    return f"{label(name)} ({label(unit, 20)})" if unit else label(name)
+    return f"{label(name)} ({unit(of)})" if of else label(name)
 
 
 def thin(t: np.ndarray, y: np.ndarray, points: int = POINTS) -> tuple[np.ndarray, np.ndarray]:
@@ -260,16 +277,24 @@ def limits(*series: np.ndarray, quantile: float = 0.002) -> tuple[float, float] 
 
 def plain_log(axis) -> None:
     """Numbers on a logarithmic axis written out (the usual powers of ten would need math text)."""
-    decades = _decades(axis)
+    decades, most = _decades(axis), _room(axis)
     if decades < 0.5:
         axis.set_major_locator(MaxNLocator(4))
     else:
-        parts = (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
-        axis.set_major_locator(LogLocator(10.0, subs=parts, numticks=12))
+        parts = (1.0, 2.0, 5.0) if decades < 2.5 and 3 * decades < most else (1.0,)
+        axis.set_major_locator(LogLocator(10.0, subs=parts, numticks=most))
     axis.set_major_formatter(
         FuncFormatter(lambda v, _: f"{v:g}" if 1e-3 <= v < 1e5 else f"{v:.0e}")
     )
     axis.set_minor_formatter(NullFormatter())
+
+
+def _room(axis) -> int:
+    """Numbers that an axis has room for, if each is as long as `1e-05`."""
+    if axis.axis_name == "y":
+        return 12
+    inches = axis.axes.get_window_extent().width / axis.get_figure().dpi
+    return int(np.clip(inches / (6 * LETTER), 3, 12))
 
 
 def _decades(axis) -> float:

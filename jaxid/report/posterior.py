@@ -58,7 +58,7 @@ def corner(figure: Figure, posterior: Posterior, names: list[str]) -> None:
                 _alone(axes, posterior.draws[own].ravel())
             else:
                 _pair(axes, posterior.draws[other].ravel(), posterior.draws[own].ravel())
-            axes.tick_params(labelsize=7)
+            axes.tick_params(labelsize=8)
             axes.locator_params(nbins=3)
             if row == count - 1:
                 unit = posterior.parameters[other].unit

@@ -106,9 +106,7 @@ def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:
         axes.spines["left"].set_visible(False)
         high = max(1.0, *gaps)
         axes.set_xlim((min(start, *gaps) / 1.2, 1.6 * high) if logarithmic else (0, 1.12 * high))
-        axes.set_xlabel(
-            "gap on validation data after the refit, in multiples of the noise (dashed: the noise)"
-        )
+        axes.set_xlabel("gap on validation data after the refit, times the noise (dashed)")
         if logarithmic:
             plot.plain_log(axes.xaxis)
         shown = {kind for _, kind in rows}

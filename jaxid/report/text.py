@@ -171,6 +171,8 @@ def how_far_sentence(how_far: HowFar, verdict: str) -> str:
             if worse
             else ""
         )
+        if retuned == before:
+            return f"The gap is {before} times the noise."
         return (
             f"The gap is {before} times the noise, {retuned} after re-tuning the model's own"
             f" parameters.{led}"
@@ -181,7 +183,8 @@ def how_far_sentence(how_far: HowFar, verdict: str) -> str:
             " – could not be measured."
         )
     course = "falls" if how_far.gap_after < how_far.gap_before else "does not fall, but goes"
-    return f"The gap {course} from {before} to {after} times the noise ({retuned} re-tuned alone)."
+    alone = f" ({retuned} re-tuned alone)" if retuned != before else ""
+    return f"The gap {course} from {before} to {after} times the noise{alone}."
 
 
 def unused(how_far: HowFar) -> str:

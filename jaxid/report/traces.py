@@ -25,7 +25,10 @@ def section(traces: Sequence[Trace]) -> Section | None:
         return None
     ordered = sorted(traces, key=lambda trace: _ORDER.get(trace.split, 3))
     pictures = [
-        (f"{t.channel} in {t.experiment} ({t.split} data)", picture(t, f"trace-{i}"))
+        (
+            f"{t.channel} in {t.experiment.removesuffix(f'#{t.split}')} ({t.split} data)",
+            picture(t, f"trace-{i}"),
+        )
         for i, t in enumerate(ordered[:SHOWN])
     ]
     return Section(
@@ -86,7 +89,7 @@ def picture(trace: Trace, name: str):
         if rest_limits := plot.limits(*rests):
             below.set_ylim(rest_limits)
         above.set_ylabel(plot.with_unit(trace.channel, trace.unit))
-        below.set_ylabel(f"measured − model\n({plot.label(trace.unit, 20)})")
+        below.set_ylabel(f"measured − model\n({plot.unit(trace.unit)})")
         below.set_xlabel("time (s)")
         if len(trace.t) > 1:
             below.set_xlim(float(trace.t[0]), float(trace.t[-1]))

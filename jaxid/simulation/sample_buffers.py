@@ -86,12 +86,10 @@ def columns(dataset: Dataset, chain: Chain) -> tuple[list[int], list[int]]:
     """Positions of the model's inputs and outputs among the dataset's channels."""
     inputs = dataset.input_names
     outputs = dataset.output_names
-    if dataset.model is not None and dataset.model.free:
-        return [], [outputs.index(n) for n, _ in chain.signature.outputs]
-    return (
-        [inputs.index(n) for n, _ in chain.signature.inputs],
-        [outputs.index(n) for n, _ in chain.signature.outputs],
-    )
+    measured = [outputs.index(n) for n, _ in chain.signature.outputs]
+    if dataset.stated.free:
+        return [], measured
+    return [inputs.index(n) for n, _ in chain.signature.inputs], measured
 
 
 def pieces(e: Experiment, step: float) -> np.ndarray:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import re
 import uuid
 from collections.abc import Callable, Iterator
@@ -163,11 +162,3 @@ async def _kind(address: str) -> str:
     security = distributed.Security().get_connection_args("client")
     async with distributed.rpc(address, connection_args=security, timeout=CONNECT_S) as part:
         return str((await part.identity()).get("type"))
-
-
-def cores() -> int:
-    """Cores this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:
-        return os.cpu_count() or 1

@@ -14,7 +14,8 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -195,11 +196,10 @@ class StudyError(UsageError):
 
     def __init__(self, problems: Sequence[DatasetProblem]):
         self.problems = list(problems)
-        lines = [str(p) for p in self.problems]
-        head = f"{len(lines)} problems in the study:"
-        super().__init__(
-            lines[0] if len(lines) == 1 else "\n".join([head, *(f"- {line}" for line in lines)])
-        )
+        lines = list(map(str, self.problems))
+        if len(lines) > 1:
+            lines = [f"{len(lines)} problems in the study:", *(f"- {line}" for line in lines)]
+        super().__init__("\n".join(lines))
 
 
 def jaxid_version() -> str:
@@ -250,16 +250,18 @@ def parse_study(path: str | Path) -> tuple[Study, list[DatasetProblem]]:
     if head is None:
         return Study(path, "", "", path.parent, tasks, tuple(parts)), document.problems
     store = path.parent / head.store
-    try:
-        if store.is_file():
-            document.problems.append(
-                places.problem(("store",), f"{head.store!r} is a file", "Name a folder")
-            )
-    except (OSError, ValueError) as error:  # a name that is too long
-        message = f"{head.store!r} cannot be a folder ({_why(error)})"
-        document.problems.append(places.problem(("store",), message, "Name another"))
+    document.problems += _store_problems(store, head.store, places)
     study = Study(path, head.name, head.description, store, tasks, tuple(parts))
     return study, document.problems
+
+
+def _store_problems(store: Path, name: str, places: Places) -> Iterator[DatasetProblem]:
+    try:
+        if store.is_file():
+            yield places.problem(("store",), f"{name!r} is a file", "Name a folder")
+    except (OSError, ValueError) as error:  # a name that is too long
+        message = f"{name!r} cannot be a folder ({_why(error)})"
+        yield places.problem(("store",), message, "Name another")
 
 
 def _run_entries(runs: Any, places: Places, document: Document) -> dict[int, RunsEntry]:
@@ -286,24 +288,18 @@ def _toml(path: Path) -> tuple[str, dict[str, Any]]:
     def refuse(message: str, remedy: str, row: int | None = None) -> StudyError:
         return StudyError([DatasetProblem(path.name or str(path), row, None, message, remedy)])
 
+    named = "Name a study, a TOML file with `name`, `store` and [[runs]]"
     try:
         if not path.is_file():
-            raise refuse(
-                "there is no such file",
-                "Name a study, a TOML file with `name`, `store` and [[runs]]",
-            )
+            raise refuse("there is no such file", named)
         if path.stat().st_size > LARGEST_BYTES:
-            raise refuse(
-                "is too large for a study",
-                "Name a study, a TOML file with `name`, `store` and [[runs]]",
-            )
+            raise refuse("is too large for a study", named)
         content = path.read_bytes()
+    except StudyError:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, StudyError):
-            raise
-        raise refuse(
-            f"not readable ({_why(error)})", "Check the path and its permissions"
-        ) from None
+        message = f"not readable ({_why(error)})"
+        raise refuse(message, "Check the path and its permissions") from None
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -313,11 +309,9 @@ def _toml(path: Path) -> tuple[str, dict[str, Any]]:
         return text, tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         line = re.search(r"at line (\d+)", str(error))
-        message = str(error).split(" (at ")[0].strip().rstrip(".") or type(error).__name__
-        row = int(line[1]) if line else None
-        raise refuse(
-            f"not readable as TOML: {message[:1].lower()}{message[1:]}", "Correct the line", row
-        ) from None
+        said = str(error).split(" (at ")[0].strip().rstrip(".") or type(error).__name__
+        message = f"not readable as TOML: {said[:1].lower()}{said[1:]}"
+        raise refuse(message, "Correct the line", int(line[1]) if line else None) from None
 
 
 def _why(error: Exception) -> str:
@@ -391,48 +385,49 @@ class _Folders:
 
     def dataset(self, name: str, key: tuple[str | int, ...]) -> tuple[str, str, str, str] | None:
         if name not in self.found:
-            self.found[name] = None
-            try:
-                folder = (self.folder / name).resolve()
-                if folder.name == "dataset.toml":
-                    folder = folder.parent
-                if not (folder / "dataset.toml").is_file():
-                    here = "" if folder.is_dir() else f"; paths count from {self.folder.resolve()}"
-                    what = "holds no dataset.toml" if folder.is_dir() else "is not a folder"
-                    self.problem(
-                        key, f"dataset {name!r} {what}{here}", "Name a folder with a dataset.toml"
-                    )
-                    return None
-                digest, label, model = fingerprint(folder)
-            except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: a circle of links
-                self.problem(
-                    key, f"dataset {name!r} cannot be read ({_why(error)})", "Correct the path"
-                )
-                return None
-            if self.labels.setdefault(label or name, digest) != digest:
-                label = name  # another recording has this name
-            self.found[name] = str(folder), digest, label or name, model
+            self.found[name] = self._looked_up(name, key)
         return self.found[name]
 
+    def _looked_up(self, name: str, key: tuple[str | int, ...]) -> tuple[str, str, str, str] | None:
+        try:
+            folder = (self.folder / name).resolve()
+            if folder.name == "dataset.toml":
+                folder = folder.parent
+            if not (folder / "dataset.toml").is_file():
+                what = f"is not a folder; paths count from {self.folder.resolve()}"
+                if folder.is_dir():
+                    what = "holds no dataset.toml"
+                self.problem(key, f"dataset {name!r} {what}", "Name a folder with a dataset.toml")
+                return None
+            digest, label, model = fingerprint(folder)
+        except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: a circle of links
+            message = f"dataset {name!r} cannot be read ({_why(error)})"
+            self.problem(key, message, "Correct the path")
+            return None
+        label = label or name
+        if self.labels.setdefault(label, digest) != digest:
+            label = name  # another recording has this name
+        return str(folder), digest, label, model
+
     def model(self, name: str | None, key: tuple[str | int, ...]) -> tuple[Any, str | None] | None:
-        own = parts_of(name or "")
-        if name is None or not (own or name.lower().endswith((".urdf", ".xml", ".mjcf"))):
+        if name is None:
+            return None, None
+        file, suffix, what = name, "", "a robot"
+        own = parts_of(name)
+        if own is not None:
+            file, what = own[0], "a model"
+            suffix = f":{own[1]}" if own[1] else ""
+        elif not name.lower().endswith((".urdf", ".xml", ".mjcf")):
             return name, None
-        file, suffix = (name, "") if own is None else (own[0], f":{own[1]}" if own[1] else "")
-        what = "a robot" if own is None else "a model"
         try:
             path = (self.folder / file).resolve()
-            if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
-                self.problem(
-                    key,
-                    f"model {name!r} is not a file of {what} here",
-                    f"Paths count from {self.folder.resolve()}",
-                )
-                return None
-            return str(path) + suffix, hashlib.sha256(path.read_bytes()).hexdigest()
+            if path.is_file() and path.stat().st_size <= LARGEST_BYTES:
+                return str(path) + suffix, hashlib.sha256(path.read_bytes()).hexdigest()
+            message = f"model {name!r} is not a file of {what} here"
+            self.problem(key, message, f"Paths count from {self.folder.resolve()}")
         except (OSError, ValueError, RuntimeError) as error:
             self.problem(key, f"model {name!r} cannot be read ({_why(error)})", "Correct the path")
-            return None
+        return None
 
 
 def fingerprint(folder: Path) -> tuple[str, str, str]:
@@ -446,34 +441,25 @@ def fingerprint(folder: Path) -> tuple[str, str, str]:
         raise ValueError("its dataset.toml is too large")
     content = description.read_bytes()
     digest, raw = hashlib.sha256(content), {}
-    try:
+    # Where a part is of the wrong kind, loading says so.
+    with suppress(ValueError, RecursionError):
         raw = tomllib.loads(content.decode("utf-8-sig"))
-    except (ValueError, RecursionError):
-        pass  # loading says what is wrong with it
-    experiments, spec = raw.get("experiments"), raw.get("model")
-    listed = (
-        [e.get("file") for e in experiments if isinstance(e, Mapping)]
-        if isinstance(experiments, list)
-        else []
-    )
-    if isinstance(spec, Mapping):
-        listed += [spec.get(key) for key in ("file", "urdf", "robot")]
-    for file in sorted({f for f in listed if isinstance(f, str)}):
+    model = _of_kind(raw.get("model"), dict)
+    listed = [model.get(key) for key in ("file", "urdf", "robot")]
+    listed += [_of_kind(e, dict).get("file") for e in _of_kind(raw.get("experiments"), list)]
+    for file in sorted({_of_kind(f, str) for f in listed} - {""}):
         path = folder / file
-        try:
+        with suppress(OSError, ValueError, RuntimeError):
             if path.is_file() and path.resolve().is_relative_to(folder.resolve()):
                 with open(path, "rb") as stream:
-                    digest.update(
-                        file.encode() + b"\0" + hashlib.file_digest(stream, "sha256").digest()
-                    )
-        except (OSError, ValueError, RuntimeError):
-            continue
-    name, model = raw.get("name"), spec.get("name") if isinstance(spec, Mapping) else None
-    return (
-        digest.hexdigest(),
-        name if isinstance(name, str) else "",
-        model if isinstance(model, str) else "",
-    )
+                    own = hashlib.file_digest(stream, "sha256").digest()
+                digest.update(file.encode() + b"\0" + own)
+    return digest.hexdigest(), _of_kind(raw.get("name"), str), _of_kind(model.get("name"), str)
+
+
+def _of_kind(value: Any, kind: type) -> Any:
+    """The value, or an empty one of this kind where it is of another."""
+    return value if isinstance(value, kind) else kind()
 
 
 def dataset_problems(error: DatasetError, name: str) -> Iterator[DatasetProblem]:

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from jaxid.base.computer import own_cores
 from jaxid.base.errors import NotSaved, UsageError
 from jaxid.base.extras import required
-from jaxid.study.cluster import Cluster, cores, local_cluster, running_cluster
+from jaxid.study.cluster import Cluster, local_cluster, running_cluster
 from jaxid.study.coordinator import Coordinator, StopSignal
 from jaxid.study.outcome import FAILURES, of_row, Outcome
 from jaxid.study.plan import read_study, Study, StudyError
@@ -212,7 +213,7 @@ def _place(
     return (
         running_cluster(scheduler)
         if scheduler is not None
-        else local_cluster(min(workers or cores(), tasks))
+        else local_cluster(min(workers or own_cores(), tasks))
     )
 
 

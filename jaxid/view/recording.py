@@ -21,7 +21,8 @@ import numpy as np
 
 import jaxid
 from jaxid.base.errors import DatasetError, UsageError
-from jaxid.base.wording import one_line, value_with_std
+from jaxid.base.wording import listed, one_line, value_with_std
+from jaxid.conventions.runs import refused
 from jaxid.data.dataset import Dataset
 from jaxid.hardware.finishing import finish
 from jaxid.hardware.recorder import COMMANDS, read_about, read_rows, Stream, SUFFIX
@@ -85,7 +86,7 @@ class Watcher:
         try:
             data = self._dataset()
         except (DatasetError, UsageError, OSError) as error:
-            return {"state": _state(recording), "waiting": one_line(error)}
+            return {"state": _state(recording), "waiting": _waiting(error, recording)}
         seconds = float(data.experiments[-1].t[-1] - data.experiments[-1].t[0])
         answer: dict[str, Any] = {
             "state": _state(recording),
@@ -137,6 +138,17 @@ class Watcher:
 
 def _state(recording: bool) -> str:
     return "recording" if recording else "the recording has ended"
+
+
+def _waiting(error: Exception, recording: bool) -> str:
+    """What a recording that cannot be read yet waits for: where it goes on, motion may still
+    come.
+    """
+    found = refused(error) if recording and isinstance(error, DatasetError) else []
+    if any(f.kind != "does_not_move" for f in found) or not found:
+        return one_line(error)
+    still = listed(list(dict.fromkeys(one_line(f.channel) for f in found)))
+    return f"{still} did not move so far: numbers are known from motion alone"
 
 
 def excitation(data: Dataset) -> list[dict[str, Any]]:

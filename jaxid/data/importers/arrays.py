@@ -39,33 +39,48 @@ def kind_of(path: Path, content: bytes) -> str:
             "a pickle, which can run any program and is not read",
             "Write it as npz: numpy.savez('log.npz', t=t, q=q)",
         )
-    begins = {
-        b"PAR1": "parquet",
-        b"\x93NUMPY": "npz",
-        b"TDSm": "tdms",
-        b"\x89HDF": "mat",
-        b"MATLAB 5": "mat",
-        b"MATLAB 7": "mat",
-    }
     if content[:2] == b"\x1f\x8b":
         raise refused(
             path, "a compressed file", f"Unpack it and import what is inside: gunzip --keep {path}"
         )
-    for start, kind in begins.items():
+    for start, kind in _BEGINS.items():
         if content.startswith(start):
             return kind
     if content.startswith(b"PK\x03\x04"):
-        names = _zip_names(path, content)
-        if any(n.endswith("data.pkl") for n in names):
-            return "torch"
-        if any(n.startswith("xl/") for n in names):
-            raise refused(path, "an Excel workbook, which jaxid does not read", _EXCEL)
-        return "npz"
-    if suffix in (".pt", ".pth"):
-        return "torch"
-    if suffix in (".json", ".jsonl", ".ndjson") or content.lstrip()[:1] in (b"{",):
+        return _kind_of_zip(path, content)
+    if suffix in _SUFFIXES:
+        return _SUFFIXES[suffix]
+    if content.lstrip().startswith(b"{"):
         return "json"
     return "mat" if suffix == ".mat" else "csv"
+
+
+#: Kinds of files by what they begin with, and by their names where that tells nothing.
+_BEGINS = {
+    b"PAR1": "parquet",
+    b"\x93NUMPY": "npz",
+    b"TDSm": "tdms",
+    b"\x89HDF": "mat",
+    b"MATLAB 5": "mat",
+    b"MATLAB 7": "mat",
+}
+_SUFFIXES = {
+    ".pt": "torch",
+    ".pth": "torch",
+    ".json": "json",
+    ".jsonl": "json",
+    ".ndjson": "json",
+}
+
+
+def _kind_of_zip(path: Path, content: bytes) -> str:
+    """What an archive holds."""
+    names = _zip_names(path, content)
+    if any(n.endswith("data.pkl") for n in names):
+        return "torch"
+    if any(n.startswith("xl/") for n in names):
+        raise refused(path, "an Excel workbook, which jaxid does not read", _EXCEL)
+    return "npz"
 
 
 def read_arrays(kind: str, path: Path) -> Arrays:
@@ -116,7 +131,7 @@ def _flat(name: str, value: Any, out: Arrays) -> None:
         value = value.tolist()
     if not isinstance(value, list):
         out[name] = value
-    elif value and all(isinstance(row, Mapping) for row in value):
+    elif _are_objects(value):
         _flat_rows(name, value, out)
     else:
         out[name] = _numbers_or_texts(value)
@@ -171,13 +186,9 @@ def _npz(path: Path) -> Arrays:
             try:
                 _flat(name, loaded[name], out)
             except ValueError:
-                what = (
-                    f"{name!r} holds Python objects (a pickle, which can run any program and is not"
-                    " read)"
-                )
-                raise refused(
-                    path, what, "Write plain arrays: numpy.savez('log.npz', t=t, q=q)"
-                ) from None
+                what = "Python objects (a pickle, which can run any program and is not read)"
+                remedy = "Write plain arrays: numpy.savez('log.npz', t=t, q=q)"
+                raise refused(path, f"{name!r} holds {what}", remedy) from None
     return out
 
 
@@ -187,14 +198,24 @@ def _json(path: Path) -> Arrays:
     try:
         content = json.loads(text)
     except ValueError:
-        lines = [json.loads(line) for line in text.splitlines() if line.strip()]  # JSON lines
-        content = lines
+        content = [json.loads(line) for line in text.splitlines() if line.strip()]  # JSON lines
     except RecursionError:
         raise refused(path, "JSON nested too deeply", "Write plain arrays") from None
-    if isinstance(content, list) and content and all(isinstance(r, Mapping) for r in content):
+    if _are_objects(content):
         content = _joined(content)
-    _flat("", content if isinstance(content, Mapping) else {"data": content}, out)
+    if not isinstance(content, Mapping):
+        content = {"data": content}
+    _flat("", content, out)
     return out
+
+
+def _are_objects(values: Any) -> bool:
+    """Whether a value is a list of objects, at least one."""
+    return isinstance(values, list) and values != [] and all(map(_is_object, values))
+
+
+def _is_object(value: Any) -> bool:
+    return isinstance(value, Mapping)
 
 
 def _joined(rows: list[Any]) -> Any:
@@ -241,16 +262,14 @@ def _mat(path: Path) -> Arrays:
         raise refused(
             path, f"not readable as a MAT file ({first_line(error)})", "Write the file again"
         ) from None
-    opaque = [
-        n
-        for n, v in content.items()
-        if isinstance(v, MatlabOpaque) or n == "None" or n == "__function_workspace__"
-    ]
+    opaque = False
     out: Arrays = {}
     for name, value in content.items():
-        if not name.startswith("__") and name not in opaque:
+        if isinstance(value, MatlabOpaque) or name in ("None", "__function_workspace__"):
+            opaque = True
+        elif not name.startswith("__"):
             _flat(name, value, out)
-    if opaque and not any(np.ndim(v) for v in out.values()):
+    if opaque and not any(map(np.ndim, out.values())):
         raise refused(
             path,
             "holds MATLAB objects (timeseries, timetable, table), which only MATLAB reads",
@@ -270,10 +289,8 @@ def _mat73(path: Path) -> Arrays:
                 continue
             full = f"{prefix}.{name}" if prefix else name
             made_by = item.attrs.get("MATLAB_class", b"")
-            if (
-                made_by in (b"timeseries", b"timetable", b"table")
-                or "MATLAB_object_decode" in item.attrs
-            ):
+            decoded = "MATLAB_object_decode" in item.attrs
+            if decoded or made_by in (b"timeseries", b"timetable", b"table"):
                 objects.append(full)
             elif isinstance(item, h5py.Group):
                 visit(full, item)
@@ -282,7 +299,7 @@ def _mat73(path: Path) -> Arrays:
 
     with h5py.File(path, "r") as file:
         visit("", file)
-    if objects and not any(np.ndim(v) for v in out.values()):
+    if objects and not any(map(np.ndim, out.values())):
         raise refused(
             path,
             f"{objects[0]!r} is a MATLAB object (timeseries, timetable, table), which only MATLAB"

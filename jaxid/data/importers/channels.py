@@ -99,15 +99,10 @@ def _of_group(
     if len(members) == 1:
         return [Proposed(f"{base}{tail}", members[0], meaning.unit, role, meaning.quantity)]
     pattern = _pattern(members)
-    one_unit = len({meanings[c].unit for c in members}) == 1
-    if (
-        one_unit
-        and pattern
-        and list((captures_of(pattern, list(everything)) or {}).values()) == list(members)
-    ):
-        stem = _NAMES[meaning.quantity]
-        return [Proposed(f"{stem}*{tail}", pattern, meaning.unit, role, meaning.quantity)]
     stem = _NAMES[meaning.quantity]
+    one_unit = len({meanings[c].unit for c in members}) == 1
+    if one_unit and _matched(pattern, everything) == list(members):
+        return [Proposed(f"{stem}*{tail}", pattern, meaning.unit, role, meaning.quantity)]
     return [
         Proposed(f"{stem}{k}{tail}", c, meanings[c].unit, role, meaning.quantity)
         for k, c in enumerate(members, 1)
@@ -127,7 +122,7 @@ def _nameless(
         families.setdefault(family, []).append(column)
     found = []
     for family, columns in families.items():
-        whole = list((captures_of(family, list(everything)) or {}).values()) == columns
+        whole = _matched(family, everything) == columns
         units = {meanings[c].unit for c in columns}
         if role == "auxiliary" and len(columns) > 1 and whole and len(units) == 1:
             name = f"{_plain(family)}*"
@@ -137,16 +132,19 @@ def _nameless(
     return found
 
 
+def _matched(pattern: str, names: Sequence[str]) -> list[str]:
+    """The names that match a pattern with one `*`; none for any other."""
+    return list((captures_of(pattern, names) or {}).values())
+
+
 def _base(meaning: Meaning) -> str:
+    """The first part of a channel's name, by quantity and unit."""
     try:
         si = conversion(meaning.unit).si if meaning.unit else ""
     except UnitError:
         si = ""
-    return (
-        _LINEAR.get(meaning.quantity, _NAMES[meaning.quantity])
-        if si.startswith("m")
-        else _NAMES[meaning.quantity]
-    )
+    linear = _LINEAR if si.startswith("m") else {}
+    return linear.get(meaning.quantity, _NAMES[meaning.quantity])
 
 
 def _pattern(names: Sequence[str]) -> str:

@@ -22,7 +22,6 @@ from jaxid.data.importers.source import (
 )
 from jaxid.data.importers.traces import unit_of
 from jaxid.data.registers import found_sign, register_words
-from jaxid.data.table import Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND
 
 
@@ -165,14 +164,12 @@ def _remarks(channels: Sequence[Proposed]) -> str:
 
 def _takes(name: str, series: Arrays) -> bool:
     """Whether a column is one of numbers, and not the same as its only element."""
-    return f"{name}[1]" not in series and not (_alone(name, series)) and _numeric(series[name])
-
-
-def _alone(name: str, series: Arrays) -> bool:
-    base, _, element = name.rpartition("[") if name.endswith("]") else (name, "", "")
-    return (
-        bool(element) and base in series and f"{base}[1]" not in series and _numeric(series[base])
-    )
+    if f"{name}[1]" in series or not _numeric(series[name]):
+        return False
+    base, _, element = name.rpartition("[")
+    is_element = base in series and element.endswith("]")
+    is_alone = is_element and f"{base}[1]" not in series and _numeric(series[base])
+    return not is_alone
 
 
 def _registers(source: Source, names: Sequence[str]) -> dict[str, tuple[str, int]]:
@@ -180,10 +177,7 @@ def _registers(source: Source, names: Sequence[str]) -> dict[str, tuple[str, int
     found = {}
     series = series_of(source.columns, None)
     for name in names:
-        cells = series[name]
-        numbers = (
-            Table(source.path.name, {name: cells}, len(cells), source.rows).numbers(name).values
-        )
+        numbers = source.table(name, series[name]).numbers(name).values
         form = found_sign([numbers[np.isfinite(numbers)]])
         if form is not None:
             found[name] = form
@@ -200,11 +194,7 @@ def _time(source: Source, series: Arrays) -> str | None:
     name = names[0] if names else next(iter(series), "")
     if name not in series:
         return None
-    numbers = (
-        Table(source.path.name, {name: series[name]}, len(series[name]), source.rows)
-        .numbers(name)
-        .values
-    )
+    numbers = source.table(name, series[name]).numbers(name).values
     if not names and not (np.diff(numbers) > 0).all():
         return None
     if not np.isfinite(numbers).any():  # dates
@@ -225,11 +215,11 @@ def _unit_of_time(source: Source, name: str, numbers: np.ndarray) -> str:
 
 
 def _unit(numbers: np.ndarray) -> str:
-    if (why := contradicted(numbers, "s")) is not None:
+    why = contradicted(numbers, "s")
+    if why is not None:
         return why[1]
-    found = re.search(
-        r'time_unit = "(\w+)"', " ".join(impossible(np.sort(numbers[np.isfinite(numbers)])) or ())
-    )
+    doubted = impossible(np.sort(numbers[np.isfinite(numbers)])) or ()
+    found = re.search(r'time_unit = "(\w+)"', " ".join(doubted))
     return found[1] if found else "s"
 
 

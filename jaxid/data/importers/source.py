@@ -52,23 +52,24 @@ class Source:
     ragged: Mapping[int, int] = field(default_factory=dict)
     clock: str = ""  # the column of the times, where the kind of file says it
 
+    def table(self, column: str, cells: Any) -> Table:
+        """A column by itself, whose cells are read as those of a table."""
+        return Table(self.path.name, {column: cells}, len(cells), self.rows)
+
 
 def read_source(path: Path, stated: StatedFormat) -> Source:
     """A file by its own kind, whatever it is called."""
     if not path.is_file():
-        raise refused(
-            path, f"{path} {'is a folder' if path.is_dir() else 'does not exist'}", _instead(path)
-        )
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise refused(path, f"{path} {what}", _instead(path))
     content = path.read_bytes()
     if not content.strip():
         raise refused(path, "the file is empty", "Record again")
     kind = kind_of(path, content)
-    if (
-        kind == "csv"
-        and (trace := read_trace(path, decoded(path, content).splitlines())) is not None
-    ):
-        return Source(path, kind, trace, words=trace_words(trace), clock=CLOCK)
     if kind == "csv":
+        trace = read_trace(path, decoded(path, content).splitlines())
+        if trace is not None:
+            return Source(path, kind, trace, words=trace_words(trace), clock=CLOCK)
         table, units, form = read_text(path, content, stated)
         return Source(
             path=path,
@@ -111,19 +112,23 @@ def parts_of(source: Source) -> list[Source]:
 
     A list whose elements share one clock is one recording of several joints: `motor_state[0].q`.
     """
-    split = {n: re.fullmatch(r"(.*?)\[(\d+)\]\.(.+)", n) for n in source.columns}
-    numbers = sorted({int(m[2]) for m in split.values() if m})
-    if not numbers or _one_clock(source, [n for n, m in split.items() if m]):
+    common: Arrays = {}
+    elements: dict[int, Arrays] = {}
+    listed = []
+    for name, values in source.columns.items():
+        match = re.fullmatch(r"(.*?)\[(\d+)\]\.(.+)", name)
+        if match is None:
+            common[name] = values
+        else:
+            listed.append(name)
+            elements.setdefault(int(match[2]), {})[match[3]] = values
+    if not elements or _one_clock(source, listed):
         return [source]
-    common = {n: v for n, v in source.columns.items() if split[n] is None}
     parts = []
-    for k in numbers:
-        own = {m[3]: source.columns[n] for n, m in split.items() if m and int(m[2]) == k}
-        path = (
-            source.path
-            if len(numbers) == 1
-            else source.path.with_stem(f"{source.path.stem}_{k + 1}")
-        )
+    for k, own in sorted(elements.items()):
+        path = source.path
+        if len(elements) > 1:
+            path = path.with_stem(f"{path.stem}_{k + 1}")
         parts.append(replace(source, path=path, columns=common | own))
     return parts
 
@@ -164,22 +169,30 @@ def series_of(columns: Arrays, length: int | None) -> Arrays:
     """
     out: Arrays = {}
     for name, values in columns.items():
-        array = np.asarray(values) if not isinstance(values, list) else None
-        if array is not None and array.ndim > 2:
+        if isinstance(values, list):
+            out[name] = values
+            continue
+        array = np.asarray(values)
+        if array.ndim > 2:
             values = array = np.squeeze(array)
-        if array is None or array.ndim == 1:
+        if array.ndim == 1:
             out[name] = values
         elif array.ndim == 2:
-            along = (
-                array
-                if array.shape[0] == length
-                or (array.shape[1] != length and array.shape[0] >= array.shape[1])
-                else array.T
-            )
-            out |= {f"{name}[{k}]": along[:, k] for k in range(min(along.shape[1], 200))}
-            if along.shape[1] == 1:
-                out[name] = along[:, 0]
+            rows = _in_rows(array, length)
+            out |= {f"{name}[{k}]": rows[:, k] for k in range(min(rows.shape[1], 200))}
+            if rows.shape[1] == 1:
+                out[name] = rows[:, 0]
     return out
+
+
+def _in_rows(array: np.ndarray, length: int | None) -> np.ndarray:
+    """An array of two axes with the samples along the first: the axis of this length, else the
+    longer one.
+    """
+    first, second = array.shape
+    if first != length and (second == length or first < second):
+        return array.T
+    return array
 
 
 def find_column(source: Source, columns: Arrays, column: str) -> str | None:
@@ -195,50 +208,59 @@ def find_column(source: Source, columns: Arrays, column: str) -> str | None:
         raise refused(source.path, message, f"Name one by its number, as in q={numbers[0]}:rad")
     if column in columns:
         return column
-    if (
-        column.isdigit()
-        and 1 <= int(column) <= len(columns)
-        and (source.rows is not None or len(source.columns) == 1)
-    ):
+    in_order = source.rows is not None or len(source.columns) == 1
+    if in_order and column.isdigit() and 1 <= int(column) <= len(columns):
         return list(columns)[int(column) - 1]
     ends = [n for n in columns if n.endswith("." + column)]
+    if len(ends) == 1:
+        return ends[0]
     headed = re.fullmatch(r"(.*\S)\s*[\[(][^\[\]()]*[\])]", column)
-    if len(ends) != 1 and headed:  # as its header has it, unit and all
-        return headed[1] if headed[1] in source.units and headed[1] in columns else None
-    return ends[0] if len(ends) == 1 else None
+    if headed and headed[1] in columns and headed[1] in source.units:
+        return headed[1]  # as its header has it, unit and all
+    return None
 
 
 def stated_rate(source: Source) -> tuple[str, float] | None:
     """A sampling rate that the file states: its name, and Hz."""
-    for names, invert in ((_RATES, False), (_STEPS, True)):
-        for name, value in source.columns.items():
-            last = name.rpartition(".")[2]
-            if (
-                last in names
-                and np.size(value) == 1
-                and np.asarray(value).dtype.kind in "iuf"
-                and float(np.ravel(value)[0]) > 0
-            ):
-                return name, 1 / float(np.ravel(value)[0]) if invert else float(np.ravel(value)[0])
+    found = _first_number(source.columns, _RATES)
+    if found is not None:
+        return found
+    found = _first_number(source.columns, _STEPS)
+    if found is not None:
+        name, step = found
+        return name, 1 / step
+    return None
+
+
+def _first_number(columns: Arrays, names: Sequence[str]) -> tuple[str, float] | None:
+    """The first column of one of these names that is a single number above 0, and that number."""
+    for name, value in columns.items():
+        known = name.rpartition(".")[2] in names
+        if known and np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
+            number = float(np.ravel(value)[0])
+            if number > 0:
+                return name, number
     return None
 
 
 def times_of(
     source: Source, cells: Any, name: str, unit: str | None, rows: tuple[int, int] | None
 ) -> tuple[np.ndarray, int | None]:
-    unit = unit or (source.units.get(name) if source.units.get(name) in PER_SECOND else None)
-    table = Table(source.path.name, {name: cells}, len(cells), source.rows)
-    numbers = table.numbers(name).values
+    if not unit and source.units.get(name) in PER_SECOND:
+        unit = source.units[name]
+    numbers = source.table(name, cells).numbers(name).values
     if (why := contradicted(numbers, unit)) is not None:
         raise refused(source.path, f"column {name}: {why[0]}", f"Write --channel t={name}:{why[1]}")
     t, start = since_start(cells, numbers, unit)
-    chosen = slice(*rows) if rows is not None else slice(None)
-    if start is None and not np.isfinite(t[chosen]).all():
+    if start is not None:
+        return t, start
+    chosen = slice(None) if rows is None else slice(*rows)
+    if not np.isfinite(t[chosen]).all():
         numbers_of(source, cells, name, chosen, len(t[chosen]))
-    doubted = impossible(t[chosen], name) if unit is None and start is None else None
+    doubted = impossible(t[chosen], name) if unit is None else None
     if doubted is not None:
-        remedy = re.sub(r'time_unit = "(\w+)"', rf"--channel t={name}:\1", doubted[1])
-        message = re.sub(r'time_unit = "(\w+)"', rf"--channel t={name}:\1", doubted[0])
+        option = rf"--channel t={name}:\1"
+        message, remedy = (re.sub(r'time_unit = "(\w+)"', option, said) for said in doubted)
         raise DatasetError([DatasetProblem(source.path.name, None, name, message, remedy)])
     return t, start
 
@@ -257,7 +279,7 @@ def numbers_of(
     With `notes`, blank cells are NaN, which a note counts; without, they are at fault like any
     other.
     """
-    table = Table(source.path.name, {column: cells}, len(cells), source.rows)
+    table = source.table(column, cells)
     numbers = table.numbers(column)
     values = numbers.values[chosen]
     if len(values) != length:
@@ -266,10 +288,11 @@ def numbers_of(
             f"{column!r} has {len(values)} samples, the time {length}",
             "Name arrays of one recording",
         )
-    bad = sorted(k for k in numbers.faults if k in range(*chosen.indices(len(cells))))
+    among = range(*chosen.indices(len(cells)))
+    bad = sorted(k for k in numbers.faults if k in among)
     blank = [k for k in bad if numbers.faults[k] == "missing" and k not in source.ragged]
     if notes is not None and blank:
-        bad = [k for k in bad if k not in set(blank)]
+        bad = sorted({*bad} - {*blank})
         if length - len(blank) < MINIMUM_SAMPLES:
             message = (
                 f"{column!r} holds {length - len(blank)} readings in {length} rows; the other cells"
@@ -285,14 +308,13 @@ def numbers_of(
             " there"
         )
     if bad:
-        torn = source.ragged.get(bad[0])
-        what = (
-            f"{torn} fields where the others have {len(source.columns)}"
-            if torn is not None
-            else numbers.faults[bad[0]]
-        )
-        more = f"; so {len(bad)} rows" if len(bad) > 1 else ""
-        row = table.row(bad[0]) if source.rows is not None else None
-        remedy = f"Correct it, or choose other rows: --rows 0:{bad[0]}"
-        raise DatasetError([DatasetProblem(table.file, row, column, what + more, remedy)])
+        first = bad[0]
+        what = numbers.faults[first]
+        if first in source.ragged:
+            what = f"{source.ragged[first]} fields where the others have {len(source.columns)}"
+        if len(bad) > 1:
+            what += f"; so {len(bad)} rows"
+        row = table.row(first) if source.rows is not None else None
+        remedy = f"Correct it, or choose other rows: --rows 0:{first}"
+        raise DatasetError([DatasetProblem(table.file, row, column, what, remedy)])
     return values

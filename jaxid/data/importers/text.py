@@ -13,6 +13,7 @@ import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 
 from jaxid.base.errors import DatasetError, UsageError
@@ -23,6 +24,10 @@ from jaxid.data.units import conversion, UnitError
 
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
+#: What a separator is called on the command line.
+_WORDS = {"tab": "\t", "\\t": "\t", "space": " ", "comma": ",", "semicolon": ";"}
+#: How one is written there that a shell would not show.
+_SHOWN = {"\t": "tab", " ": "space"}
 COMMENTS = ("#", "%", "//")
 _BODY = 60  # rows at the end that say how numbers are written, at most half of all
 
@@ -50,19 +55,51 @@ class TextFormat:
 
     def options(self) -> str:
         """The options of `jaxid import csv` that say it."""
-        said = (
-            "--separator"
-            f" {shlex.quote({chr(9): 'tab', ' ': 'space'}.get(self.separator, self.separator))}"
-        )
-        said += f" --decimal {shlex.quote(self.decimal)}" if self.decimal != "." else ""
-        return said + f" --header {self.header or 'none'} --first {self.first}"
+        decimal = None if self.decimal == "." else self.decimal
+        return StatedFormat(self.separator, decimal, self.header or 0, self.first).options()
 
     def words(self) -> str:
-        said = f"columns separated by {SEPARATORS.get(self.separator, repr(self.separator))}"
-        said += ", decimal commas" if self.decimal == "," else ""
-        said += f", header in row {self.header}" if self.header else ", no header"
-        said += f", units in row {self.units}" if self.units else ""
-        return f"{said}, data from row {self.first}"
+        said = [f"columns separated by {SEPARATORS.get(self.separator, repr(self.separator))}"]
+        if self.decimal == ",":
+            said.append("decimal commas")
+        said.append(f"header in row {self.header}" if self.header else "no header")
+        if self.units:
+            said.append(f"units in row {self.units}")
+        said.append(f"data from row {self.first}")
+        return ", ".join(said)
+
+    def is_comment(self, line: str) -> bool:
+        return self.comment is not None and line.lstrip().startswith(self.comment)
+
+    def fields(self, line: str) -> list[str]:
+        """The cells of a row."""
+        if self.separator == " ":
+            return line.split()
+        cells = next(csv.reader([line], delimiter=self.separator, skipinitialspace=True), [])
+        return [c.strip() for c in cells]
+
+    def names(self, line: str) -> list[str]:
+        """The cells of a row of names or units, which may begin like a comment."""
+        if self.is_comment(line):
+            line = line.lstrip().removeprefix(self.comment or "")
+        return self.fields(line)
+
+    def with_point(self, cell: str) -> str:
+        """A cell whose number has a decimal point."""
+        if self.decimal == "," and re.fullmatch(r"[+-]?\d*,\d*([eE][+-]?\d+)?", cell):
+            return cell.replace(",", ".")
+        return cell
+
+    def is_data(self, cell: str) -> bool:
+        """Whether a cell holds a number, a date or a list."""
+        if self.decimal == "," and "." in cell and "," not in cell and not _is_date(cell):
+            return False
+        text = self.with_point(cell)
+        try:
+            float(text)
+            return "_" not in text
+        except ValueError:
+            return bool(_LIST.match(text)) or _is_date(text)
 
 
 @dataclass(frozen=True)
@@ -76,16 +113,15 @@ class StatedFormat:
 
     def options(self) -> str:
         """The options that say it again."""
-        named = {"\t": "tab", " ": "space"}
-        said = (
-            [f"--separator {shlex.quote(named.get(self.separator, self.separator))}"]
-            if self.separator
-            else []
-        )
-        said += [f"--decimal {self.decimal}"] if self.decimal else []
-        said += [f"--header {self.header or 'none'}"] if self.header is not None else []
-        said += [f"--first {self.first}"] if self.first is not None else []
-        return " ".join(said)
+        separator = self.separator and shlex.quote(_SHOWN.get(self.separator, self.separator))
+        header = "none" if self.header == 0 else self.header
+        options = {
+            "separator": separator,
+            "decimal": self.decimal,
+            "header": header,
+            "first": self.first,
+        }
+        return " ".join(f"--{name} {value}" for name, value in options.items() if value)
 
 
 def read_text(
@@ -107,7 +143,7 @@ def read_text(
     header = None
     names = []
     if form.header:
-        header = _fields(_bare(lines[form.header - 1], form), form)
+        header = form.names(lines[form.header - 1])
         names = _stacked(lines, form, header)
     rows, numbers = _rows(lines, form, header)
     if not rows:
@@ -121,7 +157,7 @@ def read_text(
         raise DatasetError(table.problems)
     said = {name: unit for name, unit in zip(stripped, units, strict=True) if unit}
     if form.units is not None:
-        cells = _fields(_bare(lines[form.units - 1], form), form)
+        cells = form.names(lines[form.units - 1])
         for name, cell in zip(stripped, cells, strict=False):
             unit = _inside(cell)
             if _known(unit):
@@ -135,15 +171,12 @@ def _rows(
     """The cells of the rows of data, numbers with a point, and the lines on which they stand."""
     rows, numbers = [], []
     for number, line in enumerate(lines[form.first - 1 :], form.first):
-        if not line.strip() or (form.comment and line.lstrip().startswith(form.comment)):
+        if not line.strip() or form.is_comment(line):
             continue
-        cells = _fields(line, form)
-        if not any(cells) or cells == header:
-            continue
-        if form.decimal == ",":
-            cells = [_point(c) for c in cells]
-        rows.append(cells)
-        numbers.append(number)
+        cells = form.fields(line)
+        if any(cells) and cells != header:
+            rows.append([form.with_point(c) for c in cells])
+            numbers.append(number)
     return rows, numbers
 
 
@@ -204,7 +237,7 @@ def _numeric(body: Sequence[str], form: TextFormat) -> list[bool]:
     differ in their count of fields, or where what is left of numbers shows that another sign
     separates them.
     """
-    rows = [_fields(line, form) for line in body]
+    rows = [form.fields(line) for line in body]
     widths = [len(row) for row in rows]
     width = max(widths, key=widths.count, default=0)
     usual = [row for row in rows if len(row) == width]
@@ -213,24 +246,13 @@ def _numeric(body: Sequence[str], form: TextFormat) -> list[bool]:
     numeric = []
     for cells in zip(*usual, strict=True):
         written = [c for c in cells if c]
-        data = [c for c in written if _is_data(c, form)]
+        data = [c for c in written if form.is_data(c)]
         is_numeric = bool(written) and len(data) >= 0.9 * len(written)
         others = set(written) - set(data)
         if not is_numeric and any(_TORN.fullmatch(c) for c in others):
             return []
         numeric.append(is_numeric)
     return numeric
-
-
-def _is_data(cell: str, form: TextFormat) -> bool:
-    if form.decimal == "," and "." in cell and "," not in cell and not _is_date(cell):
-        return False
-    text = _point(cell) if form.decimal == "," else cell
-    try:
-        float(text)
-        return "_" not in text
-    except ValueError:
-        return bool(_LIST.match(text)) or _is_date(text)
 
 
 def _is_date(text: str) -> bool:
@@ -243,20 +265,15 @@ def _is_date(text: str) -> bool:
         return False
 
 
-def _point(cell: str) -> str:
-    return cell.replace(",", ".") if re.fullmatch(r"[+-]?\d*,\d*([eE][+-]?\d+)?", cell) else cell
-
-
 def _first(
     lines: Sequence[str], data: Sequence[int], numeric: Sequence[bool], form: TextFormat
 ) -> int:
     """The first row that looks like those at the end."""
     for k in data:
-        cells = _fields(lines[k], form)
-        if len(cells) == len(numeric) and all(
-            _is_data(c, form) or not c for c, n in zip(cells, numeric, strict=True) if n
-        ):
-            if any(_is_data(c, form) for c, n in zip(cells, numeric, strict=True) if n):
+        cells = form.fields(lines[k])
+        if len(cells) == len(numeric):
+            written = list(filter(None, compress(cells, numeric)))
+            if written and all(map(form.is_data, written)):
                 return k
     return data[0]
 
@@ -265,18 +282,18 @@ def _with_header(lines: Sequence[str], width: int, form: TextFormat) -> TextForm
     """The form with the header, and the units below it, that stand right above the data."""
     above: list[int] = []
     for k in range(form.first - 2, -1, -1):
-        cells = _fields(_bare(lines[k], form), form)
-        if not any(cells):
+        cells = form.names(lines[k])
+        written = list(filter(None, cells))
+        if not written:
             continue
-        named = sum(bool(c) for c in cells)
-        if not (width <= len(cells) <= width + 2 or (named >= width and len(cells) >= width)):
+        if not (width <= len(cells) <= width + 2 or len(written) >= width):
             break
         above.append(k)
         if len(above) == 2:
             break
     if not above:
         return form
-    units = [_inside(c) for c in _fields(_bare(lines[above[0]], form), form) if c]
+    units = [_inside(c) for c in form.names(lines[above[0]]) if c]
     if len(above) == 2 and 2 * len(units) >= width and all(_known(u) for u in units):
         return replace(form, header=above[1] + 1, units=above[0] + 1)
     return replace(form, header=above[0] + 1)
@@ -290,29 +307,13 @@ def _stacked(lines: Sequence[str], form: TextFormat, header: list[str]) -> list[
     for row in range((form.header or 1) - 1, 0, -1):
         if all(names) and len(set(names)) == len(names):
             break
-        above = _fields(_bare(lines[row - 1], form), form)
-        if len(above) != len(names) or not any(above) or any(_is_data(c, form) for c in above):
+        above = form.names(lines[row - 1])
+        if len(above) != len(names) or not any(above) or any(map(form.is_data, above)):
             break
         for k in range(1, len(above)):
             above[k] = above[k] or above[k - 1]
         names = [".".join(filter(None, pair)) for pair in zip(above, names, strict=True)]
     return names
-
-
-def _fields(line: str, form: TextFormat) -> list[str]:
-    if form.separator == " ":
-        return line.split()
-    cells = next(csv.reader([line], delimiter=form.separator, skipinitialspace=True), [])
-    return [c.strip() for c in cells]
-
-
-def _bare(line: str, form: TextFormat) -> str:
-    """A header without the sign of a comment before it."""
-    return (
-        line.lstrip()[len(form.comment) :]
-        if form.comment and line.lstrip().startswith(form.comment)
-        else line
-    )
 
 
 def _unit(name: str) -> tuple[str, str]:
@@ -357,9 +358,7 @@ def separator_of(text: str | None) -> str | None:
     """A separator as it is stated on the command line."""
     if text is None:
         return None
-    found = {"tab": "\t", "\\t": "\t", "space": " ", "comma": ",", "semicolon": ";"}.get(
-        text.lower(), text
-    )
+    found = _WORDS.get(text.lower(), text)
     if len(found) != 1:
         raise UsageError(
             f"--separator {text}: write one character, or tab, space, comma, semicolon"

@@ -4,6 +4,7 @@ then the samples.
 
 from __future__ import annotations
 
+import datetime
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -105,16 +106,15 @@ def _of_chain(
     """The channels as the model will have them: without joints that the recording names and the
     chain lacks.
     """
-    joints = {} if document.model is None else document.model.joints
+    joints = document.stated.joints
+    if not (chain and joints):
+        return readings
     try:
-        numbers = renumbered(joints, chain) if chain and joints else {}
+        numbers = renumbered(joints, chain)
     except UsageError:
         return readings  # said later, by name
-    return [
-        replace(r, name=new)
-        for r in readings
-        if number_of(new := renamed(r.name, numbers)) <= len(chain) or not numbers
-    ]
+    named = [replace(r, name=renamed(r.name, numbers)) for r in readings]
+    return [r for r in named if number_of(r.name) <= len(chain)]
 
 
 def _each_once(problems: list[DatasetProblem]) -> list[DatasetProblem]:
@@ -143,9 +143,10 @@ def _origin(header: Header) -> dict[str, Any] | str | None:
     source = header.source or {}
     if isinstance(source, str):
         source = {"source": source}
-    merged: dict[str, Any] = {}
-    for key, value in (source | more).items():
-        merged[key] = value if isinstance(value, str | int | float) else value.isoformat()
+    merged: dict[str, Any] = source | more
+    for key, value in merged.items():
+        if isinstance(value, datetime.date):
+            merged[key] = value.isoformat()
     return merged or None
 
 
@@ -153,10 +154,9 @@ def _readings(
     document: Document, places: Places, problems: list[DatasetProblem], info: Any
 ) -> list[ChannelReading]:
     wanted = {}
-    for signature in info.signatures if info is not None else ():
-        wanted.update(
-            {name: si_unit(unit) for name, unit in (*signature.inputs, *signature.outputs)}
-        )
+    for signature in [] if info is None else info.signatures:
+        for name, unit in (*signature.inputs, *signature.outputs):
+            wanted[name] = si_unit(unit)
     readings = []
     for name, entry in document.channels.items():
         try:
@@ -177,21 +177,20 @@ def _roles(document: Document, places: Places, *, known_model: bool) -> list[Dat
     if "channels" not in document.sound:
         return []
     roles = [c.role for c in document.channels.values()]
-    model = document.model
+    model = document.stated
+    measured = "Add what was measured as [channels.NAME]"
     if not roles:
-        remedy = "Add what was measured as [channels.NAME]"
-        return [places.problem(("channels",), "there are no channels", remedy)]
+        return [places.problem(("channels",), "there are no channels", measured)]
     if "output" not in roles and not known_model:
         message = 'there is no channel with role = "output"'
-        remedy = "Add what was measured as [channels.NAME]"
-        return [places.problem(("channels",), message, remedy)]
-    free = model is not None and model.free
-    if "input" in roles and free:
+        return [places.problem(("channels",), message, measured)]
+    if "input" in roles:
+        if not model.free:
+            return []
         message = "free motion has no input, but there is an input channel"
         remedy = 'Give the input channels role = "auxiliary", or remove free = true'
         return [places.problem(("model", "free"), message, remedy)]
-    robot = model is not None and model.robot is not None
-    if "input" in roles or free or known_model or robot or "model" not in document.sound:
+    if model.free or model.robot is not None or known_model or "model" not in document.sound:
         return []
     message = 'there is no channel with role = "input"'
     remedy = "Add the channel that drives the motion, or say free = true under [model]"
@@ -218,23 +217,19 @@ def _references(document: Document, places: Places) -> list[DatasetProblem]:
     """
     problems = []
     names: dict[str, int] = {}
+    runs = _names(document.experiments).values()
+
+    def complain(index: int, key: str, message: str, remedy: str) -> None:
+        problems.append(places.problem(("experiments", index, key), message, remedy))
+
     for index, entry in document.experiments.items():
         if entry.name is not None and names.setdefault(entry.name, index) != index:
             message = f"experiment {names[entry.name] + 1} has the name {entry.name!r} already"
-            problems.append(
-                places.problem(("experiments", index, "name"), message, "Choose another name")
-            )
-        if (
-            entry.repeat_of is not None
-            and entry.repeat_of not in _names(document.experiments).values()
-        ):
-            message = (
-                f"there is no run {entry.repeat_of!r} to"
-                f" repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
-            )
-            problems.append(
-                places.problem(("experiments", index, "repeat_of"), message, "Name another run")
-            )
+            complain(index, "name", message, "Choose another name")
+        other = entry.repeat_of
+        if other is not None and other not in runs:
+            message = f"there is no run {other!r} to repeat{nearest(other, runs)}"
+            complain(index, "repeat_of", message, "Name another run")
         if entry.kind != "frequency_response" or "channels" not in document.sound:
             continue
         for role in ("input", "output"):
@@ -242,13 +237,7 @@ def _references(document: Document, places: Places) -> list[DatasetProblem]:
             known = [k for k, c in document.channels.items() if c.role == role]
             if channel not in known:
                 message = f"{channel!r} is not an {role} channel{nearest(channel, known)}"
-                problems.append(
-                    places.problem(
-                        ("experiments", index, role),
-                        message,
-                        f'Name a channel with role = "{role}"',
-                    )
-                )
+                complain(index, role, message, f'Name a channel with role = "{role}"')
     return problems
 
 
@@ -325,20 +314,18 @@ def _fits_model(
     """Whether the channels contain one signature of the model; the closest signature is the one to
     speak of.
     """
-    if "channels" not in document.sound or not readings or document.model is None:
+    if "channels" not in document.sound or not readings:
         return []
     from jaxid.dynamics.joint_readings import with_speeds
 
-    free = document.model.free
+    free = document.stated.free
     have = {r.name: r for r in readings}
-    best: list[DatasetProblem] | None = None
     speeds = {r.name: r.conversion.si for r in readings if r.entry.role == "output"}
+    each = []
     for signature in info.signatures:
         signature = with_speeds(signature, speeds)
-        found = _signature_faults(have, signature, free, places, info.name)
-        if best is None or len(found) < len(best):
-            best = found
-    return best or []
+        each.append(_signature_faults(have, signature, free, places, info.name))
+    return min(each, key=len, default=[])
 
 
 def _signature_faults(
@@ -407,7 +394,6 @@ def _samples(
     problems: list[DatasetProblem],
 ) -> list[Harvest]:
     names = _names(document.experiments)
-    time = document.header.time if document.header is not None else "t"
     unit = document.header.time_unit if document.header is not None else None
     units = {r.name: r.conversion for r in readings}
     harvests = []
@@ -421,7 +407,7 @@ def _samples(
         if not table.columns:
             continue
         if entry.kind == "record":
-            harvest = read_record(table, entry, names[index], readings, time, unit)
+            harvest = read_record(table, entry, names[index], readings, document.time, unit)
         elif entry.input in units and entry.output in units:
             harvest = read_response(table, entry, names[index], units)
         else:
@@ -443,10 +429,9 @@ def _names(entries: dict[int, ExperimentEntry]) -> dict[int, str]:
         name = entry.name
         if name is None:
             stem = entry.file.rsplit("/", 1)[-1]
-            stem = (
-                stem.rsplit(".", 1)[0] if entry.file.endswith((".csv", ".parquet", ".pq")) else stem
-            )
-            base = name = ":".join([stem, *(str(v) for v in entry.where.values())])
+            if stem.endswith((".csv", ".parquet", ".pq")):
+                stem = stem.rsplit(".", 1)[0]
+            base = name = ":".join([stem, *map(str, entry.where.values())])
             number = 2
             while name in taken:
                 name, number = f"{base}_{number}", number + 1

@@ -53,14 +53,9 @@ def geometry_of(
     try:
         arm_table(geometry)
     except UsageError as error:
-        stated = (
-            ("model", "tip")
-            if "tip" in str(error)
-            else ("model", "root")
-            if "root" in str(error)
-            else key
-        )
-        problems.append(places.problem(stated, str(error), "Correct it"))
+        said = str(error)
+        wrong = next((name for name in ("tip", "root") if name in said), "urdf")
+        problems.append(places.problem(("model", wrong), said, "Correct it"))
         return None
     return geometry
 
@@ -86,20 +81,18 @@ def as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
     """The model; a `serial_arm` whose `urdf` is an MJCF, or whose goals are recorded under a stated
     law and no input is, is read as a robot.
     """
-    entry, roles = document.model, {c.role for c in document.channels.values()}
-    goals = any(name.endswith("_cmd") for name in document.channels)
+    entry = document.model
     if entry is None or entry.urdf is None:
         return entry
-    text = (
-        open_text(entry.urdf, ("model", "urdf"))
-        if open_text is not None and entry.urdf.endswith((".xml", ".mjcf"))
-        else ""
-    )
-    mjcf = isinstance(text, str) and re.search(r"<\s*mujoco\b", text) is not None
-    driven = document.controller is not None and "input" not in roles and goals and not entry.free
-    if not (mjcf or driven):
-        return entry
-    return entry.model_copy(update={"name": None, "urdf": None, "robot": entry.urdf})
+    robot = entry.model_copy(update={"name": None, "urdf": None, "robot": entry.urdf})
+    if open_text is not None and entry.urdf.endswith((".xml", ".mjcf")):
+        text = open_text(entry.urdf, ("model", "urdf"))
+        if isinstance(text, str) and re.search(r"<\s*mujoco\b", text):
+            return robot
+    inputs = any(channel.role == "input" for channel in document.channels.values())
+    goals = any(name.endswith("_cmd") for name in document.channels)
+    driven = document.controller is not None and goals and not inputs and not entry.free
+    return robot if driven else entry
 
 
 def robot_geometry(

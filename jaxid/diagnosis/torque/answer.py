@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.base.wording import listed, percent, times
+from jaxid.base.wording import listed, percent
 from jaxid.diagnosis import where as location
-from jaxid.diagnosis.breakdown import Share
-from jaxid.diagnosis.budget import closed, shrink
-from jaxid.diagnosis.how_far import not_measured
+from jaxid.diagnosis.breakdown import SAMPLES, Share
+from jaxid.diagnosis.budget import closed
+from jaxid.diagnosis.how_far import gap_text, share_of_gap
 from jaxid.diagnosis.missing import Missing
 from jaxid.diagnosis.regimes import situations
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, MissingForce, Ranked, Regime
@@ -124,40 +124,36 @@ def estimates(
         at = slice(first, first + len(unit.fields))
         first = at.stop
         effects.append(_effect(study, unit, s.theta[at], covariance[at, at] * level, s.bound[at]))
-    sure = [k for k, e in enumerate(own.values()) if e.std is not None]
-    names = list(own)
+    names = {name: k for k, (name, e) in enumerate(own.items()) if e.std is not None}
+    sure = list(names.values())
     matrix = covariance[np.ix_(sure, sure)] * level
-    return own, tuple(effects), Covariance(tuple(names[k] for k in sure), matrix)
+    return own, tuple(effects), Covariance(tuple(names), matrix)
 
 
 def _effect(
     study: TorqueStudy, unit: Unit, values: np.ndarray, covariance: np.ndarray, bound: np.ndarray
 ) -> EffectEstimate:
     if unit.fields == BODY:
-        return EffectEstimate(
-            unit.effect,
-            unit.location,
-            _body(unit, values, covariance, usual_gain_std(study.binding.chain)),
-        )
+        body = _body(unit, values, covariance, usual_gain_std(study.binding.chain))
+        return EffectEstimate(unit.effect, unit.location, body)
     std = np.sqrt(np.maximum(np.nan_to_num(np.diag(covariance)), 0.0))
-    found = {
-        f: Estimate(
-            float(v),
-            None if held else float(s),
-            _unit(study, unit, f),
-            float(low),
-            float("inf"),
-            bool(held),
-            not held,
-        )
-        for f, v, s, low, held in zip(unit.fields, values, std, unit.least, bound, strict=True)
-        if f not in unit.hidden
-    }
-    shape = {
-        f: Estimate(float(v), None, _unit(study, unit, f), *_bounds(study, unit, f), False, True)
-        for f, v in unit.shape.items()
-    }
-    return EffectEstimate(unit.effect, unit.location, found | shape)
+    found = {}
+    for k, field in enumerate(unit.fields):
+        held = bool(bound[k])
+        if field not in unit.hidden:
+            found[field] = Estimate(
+                value=float(values[k]),
+                std=None if held else float(std[k]),
+                unit=_unit(study, unit, field),
+                lower=float(unit.least[k]),
+                upper=float("inf"),
+                at_bound=held,
+                identifiable=not held,
+            )
+    for field, value in unit.shape.items():
+        told, bounds = _unit(study, unit, field), _bounds(study, unit, field)
+        found[field] = Estimate(float(value), None, told, *bounds, False, True)
+    return EffectEstimate(unit.effect, unit.location, found)
 
 
 def _kind(study: TorqueStudy, unit: Unit) -> Any:
@@ -172,7 +168,8 @@ def _bounds(study: TorqueStudy, unit: Unit, field: str) -> tuple[float, float]:
 
 def _unit(study: TorqueStudy, unit: Unit, field: str) -> str:
     own = specs(_kind(study, unit)())
-    template = own[field].unit if field in own else "{I}" if field == "inertia" else "rad"
+    beside = "{I}" if field == "inertia" else "rad"
+    template = own[field].unit if field in own else beside
     return study.binding.chain.signature.unit(template, unit.joints[0])
 
 
@@ -186,36 +183,23 @@ def _body(
     m, inf = float(values[0]), float("inf")
     with_gains = covariance + gain_std**2 * np.diag(values**2)
 
-    def told(v, var, spread):
-        return np.sqrt(max(var, 0.0)) < LIMITS.determined * spread
+    def told(variance: float, spread: float) -> bool:
+        return bool(np.sqrt(max(variance, 0.0)) < LIMITS.determined * spread)
 
     def quantity(value: float, variance: float, unit_: str, sure: bool) -> Estimate:
-        return Estimate(
-            value,
-            float(np.sqrt(max(variance, 0.0))) if sure else None,
-            unit_,
-            -inf,
-            inf,
-            False,
-            sure,
-        )
+        std = float(np.sqrt(max(variance, 0.0))) if sure else None
+        return Estimate(value, std, unit_, -inf, inf, False, sure)
 
-    sure = told(m, covariance[0, 0], unit.spread[0])
-    out = {"mass": quantity(m, with_gains[0, 0], "kg", bool(sure))}
+    sure = told(covariance[0, 0], unit.spread[0])
+    out = {"mass": quantity(m, with_gains[0, 0], "kg", sure)}
     for k, axis in ((1, "x"), (2, "y"), (3, "z")) if abs(m) > NO_MASS else ():
         slope = np.zeros(10)
         slope[k], slope[0] = 1 / m, -values[k] / m**2
-        seen = sure and told(values[k], covariance[k, k], unit.spread[k])
-        out[axis] = quantity(
-            float(values[k] / m), float(slope @ covariance @ slope), "m", bool(seen)
-        )
+        seen = sure and told(covariance[k, k], unit.spread[k])
+        out[axis] = quantity(float(values[k] / m), float(slope @ covariance @ slope), "m", seen)
     for k in range(4, 10):
-        out[unit.fields[k]] = quantity(
-            float(values[k]),
-            float(with_gains[k, k]),
-            "kg m^2",
-            bool(told(values[k], covariance[k, k], unit.spread[k])),
-        )
+        seen = told(covariance[k, k], unit.spread[k])
+        out[unit.fields[k]] = quantity(float(values[k]), float(with_gains[k, k]), "kg m^2", seen)
     return out
 
 
@@ -227,25 +211,18 @@ def ranking(
     best: dict[tuple[str, str], tuple[Model, Unit, list[Unit]]] = {}
     for m in sorted(chooser.tried, key=lambda m: m.loss):
         own = [chooser.units[u] for u in m.units]
-        for u in own:
-            best.setdefault(u.place, (m, u, [v for v in own if v is not u]))
+        for k, u in enumerate(own):
+            best.setdefault(u.place, (m, u, own[:k] + own[k + 1 :]))
     out = []
-    for m, u, others in list(best.values()):
+    for m, u, others in best.values():
         gap = of_model(study, rows, m).gap(which)
-        beside = f" beside {listed(str(v) for v in others)}" if others else ""
+        beside = f" beside {listed(map(str, others))}" if others else ""
         share = closed(nominal**2, gap**2)
-        words = f"closes {percent(share)} of the gap" if share else "closes nothing of the gap"
+        closes = percent(share) if share else "nothing"
+        cost = m.cost + chooser.price(m.units)
         evidence = float(chooser.nominal.loss - m.loss)
-        out.append(
-            Ranked(
-                u.effect,
-                u.location,
-                gap,
-                m.cost + chooser.price(m.units),
-                evidence,
-                f"{u}{beside}: {words} on held-out data",
-            )
-        )
+        sentence = f"{u}{beside}: closes {closes} of the gap on held-out data"
+        out.append(Ranked(u.effect, u.location, gap, cost, evidence, sentence))
     return tuple(sorted(out, key=lambda r: r.validation_gap))
 
 
@@ -275,34 +252,14 @@ def how_far(
             channels[name] = ChannelGap(
                 unit, stated, again, final, study.typical(moving, j), source
             )
-    runs = tuple(
-        Share(
-            study.runs[k].experiment.name,
-            "",
-            len(m0),
-            before.gap([k]),
-            retuned.gap([k]),
-            after.gap([k]),
-        )
-        for k in which
-        for m0 in [before.residual(k)]
-    )
-    shrinkage, reason = None, ""
-    if verdict == "none":
-        reason = "the verdict is none: there is no gap to shrink"
-    elif (unknown := not_measured(gaps[0], gaps[2])) is not None:
-        reason = unknown
-    elif gaps[0] <= 1.0:
-        reason = "the gap was at the noise floor before any effect was added"
-    elif (exact := shrink(gaps[0] ** 2, gaps[2] ** 2)) < 0:
-        reason = f"on {split} data the gap does not shrink"
-    else:
-        shrinkage, reason = min(exact, 1.0), "rows of torque within one run are not independent"
-    text = (
-        f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after"
-        " re-tuning the old parameters alone"
-    )
-    text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
+    runs = []
+    for k in which:
+        name = study.runs[k].experiment.name
+        runs.append(Share(name, "", len(before.residual(k)), *(m.gap([k]) for m in models)))
+    shrinkage, reason = share_of_gap(gaps[0], gaps[2], verdict, split)
+    if shrinkage is not None:
+        reason = "rows of torque within one run are not independent"
+    text = gap_text(split, gaps, verdict)
     if ceiling is not None:
         text += (
             f"; any law of a joint's own position, speed and load would close {percent(ceiling)}"
@@ -319,7 +276,7 @@ def how_far(
         interval_reason=reason,
         per_channel=channels,
         text=f"{text}. {note}".strip(),
-        per_run=runs,
+        per_run=tuple(runs),
         per_regime=_by_regime(study, models, which),
         interval_from="",
         split=split,
@@ -331,26 +288,20 @@ def _by_regime(
     study: TorqueStudy, models: Sequence[Answer], which: Sequence[int]
 ) -> tuple[Share, ...]:
     out, found = [], [missing(models[0], k, 0) for k in which]
+    noise = [study.noise_of(k) for k in which]
+    left = []
+    for m in models:
+        each = [m.residual(k) / n for k, n in zip(which, noise, strict=True)]
+        left.append(np.concatenate(each) if each else np.zeros((0, 0)))
     for j, joint in enumerate(study.binding.chain.signature.joints):
+        if not any(study.runs[k].moves[j] for k in which):
+            continue
         for name, inside in situations(found, j).items():
-            count = sum(int(x.sum()) for x in inside)
-            if count < 20 or not any(study.runs[k].moves[j] for k in which):
-                continue
-            own = [
-                [
-                    (m.residual(k) / study.noise_of(k))[x, j]
-                    for k, x in zip(which, inside, strict=True)
-                ]
-                for m in models
-            ]
-            out.append(
-                Share(
-                    name,
-                    joint,
-                    count,
-                    *(float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for r in own),
-                )
-            )
+            own = np.concatenate(inside)
+            count = int(np.sum(own))
+            if count >= SAMPLES:
+                gaps = [float(np.sqrt(np.mean(x[own, j] ** 2))) for x in left]
+                out.append(Share(name, joint, count, *gaps))
     return tuple(out)
 
 
@@ -395,25 +346,25 @@ def places(
     before = [missing(nominal, k, seed) for k in which]
     after = [missing(final, k, seed, 1) for k in which]
     named: dict[str, str] = {}
-    for u in final.units:
-        for j in u.joints if verdict == "named" else ():
+    for u in final.units if verdict == "named" else ():
+        for j in u.joints:
             named.setdefault(joints[j], u.location if len(u.joints) == 1 else joints[j])
-    only = tuple(named)
-    given = {
-        j: f for j in only if (f := location.supplied(before, after, joints.index(j))) is not None
-    }
+    given = {}
+    for joint in named:
+        force = location.supplied(before, after, joints.index(joint))
+        if force is not None:
+            given[joint] = force
     rows = location.table(before, joints, given)
-    found = location.findings(bench, before, rows, named, only, given) if verdict != "none" else []
+    found = []
+    if verdict != "none":
+        found = location.findings(bench, before, rows, named, tuple(named), given)
     return tuple(found), tuple(location.pictures(bench, before, after)), tuple(rows)
 
 
 def traces(study: TorqueStudy, nominal: Answer, final: Answer, label: str) -> tuple[Trace, ...]:
     """Measured torque, low-passed, and what the models need for the measured motion."""
     out = []
-    for k in sorted(
-        range(len(study.runs)),
-        key=lambda k: ("report", "validation", "fit").index(study.runs[k].split),
-    ):
+    for k in (*study.of("report"), *study.of("validation"), *study.of("fit")):
         run, measured = study.runs[k], nominal.measured(k)
         needed = {"re-tuned": measured - nominal.residual(k)}
         if label:
@@ -439,14 +390,12 @@ def scores(answer: Answer) -> dict[str, dict[str, Score]]:
     """Split -> channel -> how well the torque is predicted."""
     study, out = answer.study, {}
     for split in ("fit", "validation", "report"):
-        if which := study.of(split):
-            pairs = [(answer.measured(k), answer.residual(k)) for k in which]
-            out[split] = {
-                name: score(
-                    np.concatenate([y[:, j] for y, _ in pairs]),
-                    np.concatenate([r[:, j] for _, r in pairs]),
-                    unit,
-                )
-                for j, (name, unit) in enumerate(study.binding.chain.torque_channels)
-            }
+        which = study.of(split)
+        if which:
+            measured = np.concatenate([answer.measured(k) for k in which])
+            left = np.concatenate([answer.residual(k) for k in which])
+            channels = study.binding.chain.torque_channels
+            out[split] = {}
+            for (name, unit), y, r in zip(channels, measured.T, left.T, strict=True):
+                out[split][name] = score(y, r, unit)
     return out

@@ -83,7 +83,7 @@ def ceiling(
 
 def _edges(study: TorqueStudy) -> list[tuple[np.ndarray, np.ndarray]]:
     fit = [study.runs[k] for k in study.of("fit")]
-    q, qd = (np.concatenate([getattr(r, name) for r in fit]) for name in ("q", "qd"))
+    q, qd = np.concatenate([r.q for r in fit]), np.concatenate([r.qd for r in fit])
     out = []
     for j in range(q.shape[1]):
         low, high = np.percentile(q[:, j], [1, 99])

@@ -53,6 +53,11 @@ class Found:
     def different(self) -> bool:
         return self.base is not None
 
+    @property
+    def held_out(self) -> list[int]:
+        """Runs that neither were fitted nor chose, else those that chose, else all."""
+        return self.judge or self.choose or self.fit
+
 
 def searched(study: TorqueStudy, most: int) -> Found:
     fit, choose, judge = study.of("fit"), study.of("validation"), study.of("report")
@@ -137,14 +142,14 @@ def difference(study: TorqueStudy, found: Found, most: int) -> Found | None:
     if not found.judge:
         return None
     base = found.final
-    more = [k for k in study.kinds if k.quantity() == "inertial"]
-    every = [*found.rows.units, *units(study.plant, more, study.runs, found.rows.theta, True)]
+    loads = [k for k in study.kinds if k.quantity() == "inertial"]
+    every = [*found.rows.units, *units(study.plant, loads, study.runs, found.rows.theta, True)]
     mask = np.array([r.split != "fit" for r in study.runs], float)
     acting = [only_in(u, mask) for u in every]
-    rows = [
-        np.concatenate([x[:, :, base.at], *(u.columns[k] for u in acting), x[:, :, -1:]], 2)
-        for k, x in enumerate(found.rows.rows)
-    ]
+    rows = []
+    for k, x in enumerate(found.rows.rows):
+        more = [u.columns[k] for u in acting]
+        rows.append(np.concatenate([x[:, :, base.at], *more, x[:, :, -1:]], 2))
     own = TorqueRows(found.rows.theta, acting, rows)
     chooser = _second(study, own, found)
     both = [*found.fit, *found.choose]

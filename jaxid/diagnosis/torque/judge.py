@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,48 +30,53 @@ from jaxid.fitting.scores import lost
 
 def judged_by_torque(study: TorqueStudy, found: Found) -> Verdict:
     """What is named comes down to the noise on runs that chose and on runs that did not."""
-    nominal, final, split = found.nominal, found.final, [found.choose, found.judge]
-    sets = [w for w in split if w] or [found.fit]
-    before = [nominal.gap(w) for w in sets]
-    after = [final.gap(w) for w in sets]
-    if lost_at := astray(study, final):
+    nominal, final = found.nominal, found.final
+    lost_at = astray(study, final)
+    if lost_at:
         return Verdict("unknown", (Undetermined(lost_at[0]),))
-    if found.as_before is not None and final.units:
-        said = tuple(_said(u) for u in final.units)
-        usual = max(1.0, nominal.gap(found.fit))
-        return verdict_against(said, found.as_before, final, sets, usual)
+    sets = [which for which in (found.choose, found.judge) if which] or [found.fit]
     if not final.units:
-        return _nothing_claimed(found, [found.fit, *sets])
-    names = tuple(_said(u) for u in final.units)
-    base = found.base.final.units if found.base else ()
-    beside = (Remark(f"The model lacks {listed(_said(u) for u in base)}."),) if base else ()
-    better = all(a < b for a, b in zip(after, before, strict=True))
-    share = min(closed(b**2, a**2) for b, a in zip(before, after, strict=True))
+        return _nothing_claimed(found)
+    names = tuple(map(_said, final.units))
+    fitted = nominal.gap(found.fit)
+    if found.as_before is not None:
+        return verdict_against(names, found.as_before, final, sets, max(1.0, fitted))
+    before = np.array([nominal.gap(which) for which in sets])
+    after = np.array([final.gap(which) for which in sets])
+    worst = max(after.tolist())
+    share = min(closed(b**2, a**2) for b, a in zip(before.tolist(), after.tolist(), strict=True))
+    if not (after < before).all():
+        return Verdict("unknown", (NotMostHeldOut(names, share, worst),))
     # Where the question is what differs, what the model leaves of the runs that it was fitted to is
     # what repeats would differ by.
-    fitted = nominal.gap(found.fit)
     least = max(1.0, fitted) if found.different and np.isfinite(fitted) else 1.0
-    held = TorqueHeldOut(
-        names, share, max(after), found.different, fitted=least if least > LIMITS.seen else 0.0
-    )
-    if not better:
-        return Verdict("unknown", (NotMostHeldOut(names, share, max(after)),))
-    families = _families(found)
-    inside = closed(nominal.gap(found.fit) ** 2, final.gap(found.fit) ** 2)
+    told = least if least > LIMITS.seen else 0.0
+    held = TorqueHeldOut(names, share, worst, found.different, fitted=told)
+    inside = closed(fitted**2, final.gap(found.fit) ** 2)
     most = np.isfinite(before).all() and min(share, inside) >= LIMITS.named
-    if max(after) <= LIMITS.left * least or most:
-        return Verdict("named", (*beside, held, *families))
-    return Verdict("partly", (*beside, replace(held, whole=False), *families, *_over(found)))
+    if worst <= LIMITS.left * least or most:
+        return Verdict("named", (*_in_all_runs(found), held, *_families(found)))
+    held = replace(held, whole=False)
+    return Verdict("partly", (*_in_all_runs(found), held, *_families(found), *_over(found)))
 
 
-def _nothing_claimed(found: Found, sets: Sequence[Sequence[int]]) -> Verdict:
-    """By what the re-tuned model leaves of sets of runs."""
-    gaps = [found.nominal.gap(which) for which in sets if which]
-    measured = [gap for gap in gaps if not np.isnan(gap)]  # nan where no joint moves
-    if measured and max(measured) <= LIMITS.seen:
+def _in_all_runs(found: Found) -> list[Remark]:
+    """What the model lacks in all runs, where the question is what differs in some."""
+    if found.base is None or not found.base.final.units:
+        return []
+    return [Remark(f"The model lacks {listed(map(_said, found.base.final.units))}.")]
+
+
+def _nothing_claimed(found: Found) -> Verdict:
+    """By what the re-tuned model leaves of the runs of each kind."""
+    runs = {"fit": found.fit, "validation": found.choose, "report": found.judge}
+    gaps = {data: found.nominal.gap(which) for data, which in runs.items() if which}
+    measured = {data: gap for data, gap in gaps.items() if not np.isnan(gap)}  # of what moves
+    worst = max(measured, key=lambda data: measured[data], default="report")
+    largest = measured.get(worst, float("nan"))
+    if largest <= LIMITS.seen:
         return Verdict("none", (TorqueAtTheNoise(),))
-    largest = max(measured, default=float("nan"))
-    return Verdict("unknown", (NothingSure(largest), *_possible(found)))
+    return Verdict("unknown", (NothingSure(largest, worst), *_possible(found)))
 
 
 def _families(found: Found) -> list[Remark]:

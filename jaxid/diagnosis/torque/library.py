@@ -91,16 +91,14 @@ def units(
     is known of each run's gears; `payloads`: whether bodies at the links of an arm can be told from
     the arm's own, because its own are known.
     """
-    load = [plant.load(r, theta, None if beside is None else beside[k]) for k, r in enumerate(runs)]
+    known = [None] * len(runs) if beside is None else beside
+    load = [plant.load(r, theta, own) for r, own in zip(runs, known, strict=True)]
     out: list[Unit] = []
     for kind in kinds:
         places = plant.binding.chain.offers(kind)
         if issubclass(kind, JointEffect):
-            out += (
-                _shared(plant, kind, places, runs, load)
-                if kind.couples
-                else laws(plant, kind, places, runs, load)
-            )
+            of_joints = _shared if kind.couples else laws
+            out += of_joints(plant, kind, places, runs, load)
         elif issubclass(kind, BodyEffect):
             out += _bodies(plant, kind, places, runs, theta, payloads)
         else:
@@ -119,26 +117,34 @@ def _unit(
 ) -> Unit:
     reference = binding.reference(kind, joints[0])
     own = specs(kind)
-    low = np.array([resolve(own[f].lower, reference) if f in own else 0.0 for f in fields])
-    high = np.array([resolve(own[f].upper, reference) if f in own else np.inf for f in fields])
-    open_ = np.full(len(fields), np.inf)
+    low, high = np.zeros(len(fields)), np.full(len(fields), np.inf)
+    for k, field in enumerate(fields):
+        if field in own:
+            low[k] = resolve(own[field].lower, reference)
+            high[k] = resolve(own[field].upper, reference)
     return Unit(
         effect=kind.name,
         location=place,
         fields=tuple(fields),
         least=low,
         most=high,
-        spread=open_,
+        spread=np.full(len(fields), np.inf),
         shape=shape,
         joints=tuple(joints),
         columns=columns,
     )
 
 
-def _placed(x: np.ndarray, joint: int, n: int) -> np.ndarray:
-    out = np.zeros((len(x), n, x.shape[1]))
-    out[:, joint] = x
-    return out
+def _placed(rows: Sequence[np.ndarray], joint: int) -> list[np.ndarray]:
+    """Columns [samples n k] of each run that act on one joint alone, where rows [samples n k] have
+    those of every joint.
+    """
+    placed = []
+    for every in rows:
+        own = np.zeros(every.shape)
+        own[:, joint] = every[:, joint]
+        placed.append(own)
+    return placed
 
 
 def laws(
@@ -163,12 +169,14 @@ def laws(
     for k, made in enumerate(at_every_joint(kind, grids, runs, load, plant.turn)):
         room = _rotor(kind, grids, k, runs, load, plant.turn) if kind.transmits else {}
         made |= room
-        rows = [np.stack([r.rows(made[f][i]) for f in made], -1) for i, r in enumerate(runs)]
+        rows = []
+        for r, *series in zip(runs, *made.values(), strict=True):
+            rows.append(np.stack([r.rows(x) for x in series], -1))
+        free = np.array([field in room for field in made])
         for j, place in zip(joints, places, strict=True):
             if k < len(grids[j]):
-                own = [_placed(x[:, j], j, n) for x in rows]
+                own = _placed(rows, j)
                 unit = _unit(kind, place, list(made), grids[j][k], [j], own, b)
-                free = np.array([f in room for f in made])
                 least = np.where(free, -np.inf, unit.least)
                 out.append(replace(unit, least=least, hidden=tuple(room), tried=tried))
     return out
@@ -227,17 +235,29 @@ def _driven(
     """What a drive makes of its command, seen from the torque that the model needs: the measured
     one would explain itself.
     """
-    b, n = plant.binding, plant.binding.chain.nq
-    names = b.chain.signature.input_names
-    rigid = [plant.rigid(r, theta) for r in runs]
-    series = [kind.column(f, r.step) for r, f in zip(runs, rigid, strict=True)]
-    rows = [r.rows(x) for r, x in zip(runs, series, strict=True)]
+    rows = [r.rows(kind.column(plant.rigid(r, theta), r.step)) for r in runs]
     field = next(iter(specs(kind)))
-    return [
-        _unit(kind, p, [field], {}, [j], [_placed(x[:, j, None], j, n) for x in rows], b)
-        for p in places
-        for j in [names.index(p)]
-    ]
+    names = plant.binding.chain.signature.input_names
+    return _one_by_one(kind, places, names, field, rows, plant.binding)
+
+
+def _one_by_one(
+    kind: type[Effect],
+    places: Sequence[str],
+    names: Sequence[str],
+    field: str,
+    rows: Sequence[np.ndarray],
+    binding: Binding,
+) -> list[Unit]:
+    """A unit of one column at each place, of rows [samples n] of each run that have those of every
+    place in `names`.
+    """
+    out = []
+    for place in places:
+        j = names.index(place)
+        columns = _placed([x[..., None] for x in rows], j)
+        out.append(_unit(kind, place, [field], {}, [j], columns, binding))
+    return out
 
 
 def _bodies(
@@ -248,23 +268,10 @@ def _bodies(
     theta: np.ndarray,
     payloads: bool,
 ) -> list[Unit]:
-    b, n = plant.binding, plant.binding.chain.nq
-    joints = b.chain.signature.joints
+    joints = plant.binding.chain.signature.joints
     if kind.quantity() == "armature":
         rows = [r.rows(r.qdd) for r in runs]
-        return [
-            _unit(
-                kind,
-                p,
-                ["inertia"],
-                {},
-                [joints.index(p)],
-                [_placed(x[:, j, None], j, n) for x in rows],
-                b,
-            )
-            for p in places
-            for j in [joints.index(p)]
-        ]
+        return _one_by_one(kind, places, joints, "inertia", rows, plant.binding)
     if isinstance(plant, ArmPlant) and kind.quantity() == "inertial":
         links = {p: joints.index(p) for p in places}
         return _payloads(plant, kind.name, links, runs, theta) if payloads else []
@@ -319,17 +326,20 @@ def _tilt(
     n = plant.binding.chain.nq
     phi = plant.phi(theta)
 
-    def slope(r: TorqueRun, field: str, numbers: np.ndarray) -> np.ndarray:
-        tilted = (
-            with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + s * TILT})
-            for s in (-0.5, 0.5)
-        )
-        low, high = (standard_torque(arm, numbers, r.q, 0 * r.qd, 0 * r.qd) for arm in tilted)
-        return (high - low) / TILT
+    def torque(r: TorqueRun, field: str, tilt: float, numbers: np.ndarray) -> np.ndarray:
+        tilted = with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + tilt})
+        return standard_torque(tilted, numbers, r.q, 0 * r.qd, 0 * r.qd)
 
-    first = np.eye(len(phi))[6:8]
-    each = [("base_roll", phi), ("base_pitch", phi), *(("base_roll", moment) for moment in first)]
-    columns = [r.rows(np.stack([slope(r, f, own) for f, own in each], -1)) for r in runs]
+    def slope(r: TorqueRun, field: str, numbers: np.ndarray) -> np.ndarray:
+        rise = torque(r, field, 0.5 * TILT, numbers) - torque(r, field, -0.5 * TILT, numbers)
+        return rise / TILT
+
+    mx, my = np.eye(len(phi))[6:8]
+    columns = []
+    for r in runs:
+        both = [slope(r, "base_roll", phi), slope(r, "base_pitch", phi)]
+        moments = [slope(r, "base_roll", mx), slope(r, "base_roll", my)]
+        columns.append(r.rows(np.stack([*both, *moments], -1)))
     infinite = np.full(4, np.inf)
     return Unit(
         effect=effect,
@@ -374,9 +384,8 @@ def _derivatives(
     """What changes the mechanism, to first order in each of its numbers."""
     b, out = plant.binding, []
     joints = b.chain.signature.joints
-    fields = [
-        f for f in specs(kind) if f not in getattr(kind, "moments", ())
-    ]  # where there is no mass they do nothing
+    # Where there is no mass its moments do nothing.
+    fields = [f for f in specs(kind) if f not in getattr(kind, "moments", ())]
     with float64():
         mechanism = b.layout.form.model(theta).mechanism
         structure = jax.tree.structure(mechanism)

@@ -121,37 +121,28 @@ class ArmPlant(Plant):
 
     def _held_friction(self, run: TorqueRun, theta: np.ndarray) -> np.ndarray:
         """Friction of numbers that are not fitted."""
+        entries = self.binding.layout.entries
         at = theta.copy()
-        at[[self.free[k] for k in self.laws if self._strength(self.free[k])]] = 0.0
-        used = [
-            e
-            for _, e in self._effects(at)
-            if any(np.any(getattr(e, f)) for f, s in specs(e).items() if s.value == 0)
-        ]
-        return sum((force(e, run, unloaded(run), self.turn) for e in used), np.zeros_like(run.q))
-
-    def _strength(self, i: int) -> bool:
-        return self.binding.layout.entries[i].spec.value == 0
+        for k in self.laws:
+            if entries[self.free[k]].spec.value == 0:
+                at[self.free[k]] = 0.0
+        total = np.zeros_like(run.q)
+        for _, e in self._effects(at):
+            strengths = [getattr(e, f) for f, spec in specs(e).items() if spec.value == 0]
+            if any(map(np.any, strengths)):
+                total += force(e, run, unloaded(run), self.turn)
+        return total
 
     def _law(self, run: TorqueRun, theta: np.ndarray, entry: Any) -> np.ndarray:
+        """Friction of one number of an effect, 1, with the others of its shape as in theta."""
         effect: Any = self.binding.chain.effects[entry.owner]
-        own = {
-            f: theta[
-                [
-                    i
-                    for i, e in enumerate(self.binding.layout.entries)
-                    if e.owner == entry.owner and e.field == f
-                ]
-            ]
-            for f in specs(effect)
-        }
-        shape = {f: v for f, v in own.items() if specs(effect)[f].value != 0}
-        return force(
-            with_numbers(effect, {**shape, entry.field: 1.0}, run.q.shape[1]),
-            run,
-            unloaded(run),
-            self.turn,
-        )
+        own: dict[str, list[float]] = {}
+        for e, value in zip(self.binding.layout.entries, theta, strict=True):
+            if e.owner == entry.owner and e.spec.value != 0:
+                own.setdefault(e.field, []).append(value)
+        shape = {field: np.array(values) for field, values in own.items()}
+        law = with_numbers(effect, {**shape, entry.field: 1.0}, run.q.shape[1])
+        return force(law, run, unloaded(run), self.turn)
 
 
 class AnyPlant(Plant):

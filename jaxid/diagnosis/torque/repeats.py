@@ -35,15 +35,17 @@ def spread_between(
     nothing is repeated, or repeats differ by their noise.
     """
     size = np.abs(solution.theta[: study.plant.size])
-    parts = [
-        one for group in _groups(study) for one in _apart(study, rows, weights, solution, group)
-    ]
+    parts: list[_Apart] = []
+    for group in _groups(study):
+        parts += _apart(study, rows, weights, solution, group)
     if not parts:
         return np.zeros((len(size), 0))
     count = sum(part.count for part in parts)
-    found = np.array(
-        [np.sum([part.squares(np.diag(share * size)) for part in parts], 0) for share in SHARES]
-    )
+    at_share = []
+    for share in SHARES:
+        root = np.diag(share * size)
+        at_share.append(np.sum([part.squares(root) for part in parts], 0))
+    found = np.array(at_share)
     variance = found[:, 0] / count  # of a row's noise, the likeliest one beside each share
     best = int(np.argmin(count * np.log(np.maximum(variance, 1e-300)) + found[:, 1]))
     if best == 0:
@@ -70,8 +72,11 @@ def shrunk(products: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 def _groups(study: TorqueStudy) -> list[list[int]]:
     place = {r.experiment.name: k for k, r in enumerate(study.runs)}
-    kept = [e for e in study.binding.dataset.experiments if e.split != "report" and e.name in place]
-    return [[place[e.name] for e in group] for group in repeats(kept)]
+    kept = [e for e in study.binding.dataset.seen if e.name in place]
+    groups = []
+    for group in repeats(kept):
+        groups.append([place[e.name] for e in group])
+    return groups
 
 
 @dataclass(frozen=True)

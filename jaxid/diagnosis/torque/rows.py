@@ -94,11 +94,9 @@ def read_runs(binding: Binding, cutoff_hz: float | None) -> list[TorqueRun]:
     b = binding
     check_motion(b.chain)
     _, iy = columns(b.dataset, b.chain)
-    ordered = [e for split in ("fit", "validation", "report") for e in b.experiments(split)]
-    even = [evenly(e) for e in ordered]
-    cutoff = cutoff_hz or moving_band(
-        b.chain, [e for e in even if e.split == "fit"] or even, iy, b.readings
-    )
+    fit = list(map(evenly, b.experiments("fit")))
+    even = [*fit, *map(evenly, (*b.experiments("validation"), *b.experiments("report")))]
+    cutoff = cutoff_hz or moving_band(b.chain, fit or even, iy, b.readings)
     room = bucket(max(len(e.t) for e in even))
     return [_read(b, e, iy, cutoff, room) for e in even]
 
@@ -131,10 +129,11 @@ def _read(
 
 
 def _moving(binding: Binding, q: np.ndarray) -> np.ndarray:
-    noise = np.array(
-        [binding.readings[r.q] if r.q is not None else 0.0 for r in joint_readings(binding.chain)]
-    )
-    return moving(q, np.maximum(noise, 1e-9))
+    noise = np.full(q.shape[1], 1e-9)
+    for j, reading in enumerate(joint_readings(binding.chain)):
+        if reading.q is not None:
+            noise[j] = max(binding.readings[reading.q], noise[j])
+    return moving(q, noise)
 
 
 def turning_speeds(runs: Sequence[TorqueRun]) -> np.ndarray:

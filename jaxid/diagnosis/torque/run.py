@@ -71,61 +71,38 @@ def diagnose_by_torque(
 def _answered(study: TorqueStudy, found: Found, most: int, seed: int, began: float) -> Diagnosis:
     b = study.binding
     judged = judged_by_torque(study, found)
-    verdict, claimed = judged.name, judged.claims
-    final = found.final if claimed else found.nominal
-    which = found.judge or found.choose or found.fit
-    own, effects, spread = estimates(study, found.chooser, found.chosen)
-    if found.base is not None:  # beside what all runs have
-        effects = (*estimates(study, found.base.chooser, found.base.chosen)[1], *effects)
+    verdict = judged.name
     plain, _, plain_spread = estimates(study, found.chooser, found.chooser.nominal)
-    before, note = _before(study, found.nominal)
-    if found.as_before is not None:
-        before, note = found.as_before, "The gap before is that of the reference's bodies."
-    bound = None
-    if verdict in ("unknown", "partly"):
-        at = found.nominal
-        bound = ceiling(
-            study,
-            found.rows,
-            found.weights,
-            at,
-            [*found.fit, *(found.choose if found.different else [])],
-            found.choose or found.fit,
-            which,
-        )
-    split = "report" if found.judge else "validation"
+    nominal_fit = final_fit = _fit(study, found.nominal, plain, plain_spread, (), seed, began)
+    final, claims, named, mates, each = found.nominal, (), (), [], {}
+    if judged.claims:
+        final, claims = found.final, found.claims
+        own, named, spread = estimates(study, found.chooser, found.chosen)
+        if found.base is not None:  # beside what all runs have
+            named = (*estimates(study, found.base.chooser, found.base.chosen)[1], *named)
+        mates = instead(found.weighed, claims)
+        each = worth(study, found.rows, found.chooser, found.chosen, found.held_out)
+        final_fit = _fit(study, final, own, spread, named, seed, began)
+    before, note = _before(study, found)
     far = how_far(
         study=study,
         before=before,
         retuned=found.nominal,
         after=final,
-        which=which,
-        split=split,
+        which=found.held_out,
+        split="report" if found.judge else "validation",
         verdict=verdict,
         note=note,
-        ceiling=bound,
+        ceiling=_ceiling(study, found) if verdict in ("unknown", "partly") else None,
     )
-    looked = [*found.choose, *found.judge] if found.different else study.of("fit")
+    looked, ranks = study.of("fit"), found.choose or found.fit
+    if found.different:
+        looked, ranks = [*found.choose, *found.judge], found.judge
     findings, pictures, regimes = places(study, found.nominal, final, verdict, looked, seed)
-    if astray(
-        study, final
-    ):  # what it leaves says where its numbers are wrong, not where the machine is
+    if astray(study, final):
+        # What it leaves says where its numbers are wrong, not where the machine is.
         findings = ()
-    each = worth(study, found.rows, found.chooser, found.chosen, which) if claimed else {}
-    belief = believed(found.weighed, found.claims if claimed else (), each)
-    mates = instead(found.weighed, found.claims) if claimed else []
-    named = effects if claimed else ()
-    nominal_fit = _fit(study, found.nominal, plain, plain_spread, (), seed, began)
-    final_fit = nominal_fit
-    if claimed:
-        final_fit = _fit(study, final, own, spread, named, seed, began)
-    label = "with " + " and ".join(str(e) for e in named) if named else ""
-    ranked = ranking(
-        study,
-        found.chooser,
-        found.rows,
-        found.judge if found.different else found.choose or found.fit,
-    )
+    label = f"with {' and '.join(map(str, named))}" if named else ""
     return Diagnosis(
         model=b.chain.mechanism.name,
         dataset=b.dataset.name,
@@ -137,9 +114,9 @@ def _answered(study: TorqueStudy, found: Found, most: int, seed: int, began: flo
             verdict,
             named,
             tuple(EffectEstimate(u.effect, u.location) for u in mates),
-            ranked,
+            ranking(study, found.chooser, found.rows, ranks),
             " ".join([judged.text, *worth_sentences(each)]),
-            belief=belief,
+            belief=believed(found.weighed, claims, each),
         ),
         how_far=far,
         next_experiment=advice(
@@ -160,18 +137,33 @@ def _answered(study: TorqueStudy, found: Found, most: int, seed: int, began: flo
     )
 
 
-def _before(study: TorqueStudy, nominal: Answer) -> tuple[Answer, str]:
-    """The model with the values that the dataset or a robot's file states; what neither states is
-    re-tuned.
+def _ceiling(study: TorqueStudy, found: Found) -> float:
+    """The share of the gap that free laws close."""
+    fit = [*found.fit, *found.choose] if found.different else found.fit
+    return ceiling(
+        study=study,
+        rows=found.rows,
+        weights=found.weights,
+        base=found.nominal,
+        fit=fit,
+        choose=found.choose or found.fit,
+        judge=found.held_out,
+    )
+
+
+def _before(study: TorqueStudy, found: Found) -> tuple[Answer, str]:
+    """The model with the bodies of a reference, or with the values that the dataset or a robot's
+    file states; what neither states is re-tuned.
     """
-    b, numbers = study.binding, nominal.numbers.copy()
+    if found.as_before is not None:
+        return found.as_before, "The gap before is that of the reference's bodies."
+    b, nominal = study.binding, found.nominal
     stated = [k for k, i in enumerate(study.plant.free) if states(b, i)]
     if not stated:
-        return (
-            nominal,
-            ("Nothing states parameter values, so the gap before is that of the re-tuned model."),
-        )
-    numbers[stated] = b.theta[[study.plant.free[k] for k in stated]]
+        note = "Nothing states parameter values, so the gap before is that of the re-tuned model."
+        return nominal, note
+    numbers = nominal.numbers.copy()
+    numbers[stated] = b.theta[np.array(study.plant.free)[stated]]
     return replace(nominal, numbers=numbers), ""
 
 
@@ -188,13 +180,10 @@ def _fit(
     theta = answer.rows.theta.copy()
     theta[study.plant.free] = np.clip(answer.numbers[: study.plant.size], study.lower, study.upper)
     at = {b.layout.index(name): e for name, e in own.items()}
-    notes = [
-        *b.dataset.notes,
-        (
-            "noise of rows:"
-            f" {listed(f'{c} {s:.2g} {u}' for (c, u), s in zip(b.chain.torque_channels, study.noise, strict=True))}"
-        ),
-    ]
+    noise = []
+    for (channel, unit), size in zip(b.chain.torque_channels, study.noise, strict=True):
+        noise.append(f"{channel} {size:.2g} {unit}")
+    notes = [*b.dataset.notes, f"noise of rows: {listed(noise)}"]
     open_ = [name for name, e in own.items() if not e.identifiable]
     if open_:
         notes.append(f"not determined by these data: {', '.join(open_)}")

@@ -252,15 +252,12 @@ class TorqueStudy:
 
     def bounds(self, rows: TorqueRows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Start, lower and upper bound of every column."""
-        low = [x for u in rows.units for x in u.least]
-        high = [x for u in rows.units for x in u.most]
         below, above = self.free_bounds()
-        start = np.concatenate([rows.theta[self.plant.free], np.zeros(len(below) + len(low))])
-        return (
-            start,
-            np.concatenate([self.lower, below, low]),
-            np.concatenate([self.upper, above, high]),
-        )
+        low = np.concatenate([self.lower, below, *(u.least for u in rows.units)])
+        high = np.concatenate([self.upper, above, *(u.most for u in rows.units)])
+        start = np.zeros(len(low))
+        start[: self.plant.size] = rows.theta[self.plant.free]
+        return start, low, high
 
     def _weights(self, rows: TorqueRows, at: np.ndarray, numbers: np.ndarray) -> Weights:
         which = self.of("fit")
@@ -375,47 +372,50 @@ class TorqueStudy:
         theta and of units with theirs: a joint that stands still, or turns about, holds anything up
         to what is dry of it.
         """
-        n = self.binding.chain.nq
         effects = [
             e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)
         ]
-        kinds = {k.name: k for k in self.kinds}
+        laws = {k.name: k for k in self.kinds if issubclass(k, JointEffect)}
         rotor = self.beside[0].rotor.copy()
         for u, numbers in found:
-            if (kind := kinds.get(u.effect)) is not None and issubclass(kind, JointEffect):
-                own = {
-                    f: v * np.eye(n)[u.joints[0]]
-                    for f, v in zip(u.fields, numbers, strict=True)
-                    if f in specs(kind)
-                }
-                effects.append(with_numbers(neutral(kind), {**u.shape, **own}, n))
-                if "rotor" in u.hidden and numbers[0] > 0:
-                    rotor[u.joints[0]] += numbers[u.fields.index("rotor")] / numbers[0]
-        load = [self.plant.load(r, theta, b) for r, b in zip(self.runs, self.beside, strict=True)]
-        self.unsure = [
-            r.rows(self._dry(effects, r, f) * r.still(self.plant.turn)).clip(0)
-            for r, f in zip(self.runs, load, strict=True)
-        ]
-        if any(k.transmits for k in self.kinds if issubclass(k, JointEffect)):
-            every = [
-                [force(e, r, f, self.plant.turn) for e in effects]
-                for r, f in zip(self.runs, load, strict=True)
-            ]
-            self.beside = [
-                Beside(sum(own, 0 * r.q), rotor) for own, r in zip(every, self.runs, strict=True)
-            ]
+            if u.effect not in laws:
+                continue
+            effects.append(self._with_its_numbers(laws[u.effect], u, numbers))
+            if "rotor" in u.hidden and numbers[0] > 0:
+                rotor[u.joints[0]] += numbers[u.fields.index("rotor")] / numbers[0]
+        turn, transmits = self.plant.turn, any(k.transmits for k in laws.values())
+        self.unsure, beside = [], []
+        for r, b in zip(self.runs, self.beside, strict=True):
+            load = self.plant.load(r, theta, b)
+            self.unsure.append(r.rows(self._dry(effects, r, load) * r.still(turn)).clip(0))
+            if transmits:
+                forces = [force(e, r, load, turn) for e in effects]
+                beside.append(Beside(sum(forces, 0 * r.q), rotor))
+        self.beside = beside or self.beside
         fit = [self.unsure[k] for k in self.of("fit") or range(len(self.runs))]
         self.noise = np.hypot(self.measured, np.sqrt(np.mean(np.concatenate(fit) ** 2, axis=0)))
+
+    def _with_its_numbers(
+        self, kind: type[JointEffect], unit: Unit, numbers: np.ndarray
+    ) -> JointEffect:
+        """A law at the joint of a unit, with the unit's shape and numbers."""
+        n = self.binding.chain.nq
+        at = np.eye(n)[unit.joints[0]]
+        own = {}
+        for field, value in zip(unit.fields, numbers, strict=True):
+            if field in specs(kind):
+                own[field] = value * at
+        return with_numbers(neutral(kind), {**unit.shape, **own}, n)
 
     def _dry(self, effects: Sequence[JointEffect], run: TorqueRun, load: Load) -> np.ndarray:
         """Dry friction [time n] at the speed nothing along a run."""
         creep = 1e-3 * self.plant.turn
         ways = [replace(run, qd=np.broadcast_to(way * creep, run.qd.shape)) for way in (1.0, -1.0)]
-        both = (
-            force(e, ways[0], load, 1e-3 * creep) - force(e, ways[1], load, 1e-3 * creep)
-            for e in effects
-        )
-        return np.abs(sum(both, np.zeros_like(run.q))) / 2
+        forth, back = ways
+        total = np.zeros_like(run.q)
+        for e in effects:
+            total += force(e, forth, load, 1e-3 * creep) - force(e, back, load, 1e-3 * creep)
+        return np.abs(total) / 2
 
     def noise_of(self, run: int) -> np.ndarray:
         """Standard deviation of each row of a run that a perfect model would leave, N m [samples

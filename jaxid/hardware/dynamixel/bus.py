@@ -55,7 +55,7 @@ class Bus:
                     select.select([self.ser], [], [], 1e-3)
                 return super().readPort(length)
 
-        class Packets(dynamixel_sdk.Protocol2PacketHandler):
+        class PacketHandler(dynamixel_sdk.Protocol2PacketHandler):
             """Leaves the checksum out of an answer; the SDK alone takes it for the content of one
             that has none.
             """
@@ -67,7 +67,7 @@ class Bus:
                 return packet, result
 
         self.port = Port(port)
-        self.packets: Any = Packets()
+        self.packets: Any = PacketHandler()
         self.lost: dict[str, int] = {}
         self.alerts: set[int] = set()
         if not self.port.setBaudRate(baud):

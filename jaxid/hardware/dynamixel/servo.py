@@ -217,16 +217,13 @@ class Dynamixel:
         def each(name: str, scale) -> tuple[float, ...]:
             return tuple(s[name] * scale(j) for j, s in enumerate(self.servos))
 
+        def position(name: str) -> tuple[float, ...]:
+            pairs = zip(self.servos, self.zero, strict=True)
+            return tuple((s[name] - zero) * x.POSITION for s, zero in pairs)
+
         low = high = None
         if self.mode == "position":
-            low = tuple(
-                (s["min_position"] - z) * x.POSITION
-                for s, z in zip(self.servos, self.zero, strict=True)
-            )
-            high = tuple(
-                (s["max_position"] - z) * x.POSITION
-                for s, z in zip(self.servos, self.zero, strict=True)
-            )
+            low, high = position("min_position"), position("max_position")
         return Limits(
             lower=low,
             upper=high,
@@ -236,22 +233,26 @@ class Dynamixel:
             and tuple(s["temperature_limit"] + 273.15 for s in self.servos),
         )
 
-    def begin(self) -> None:
+    @property
+    def _running(self) -> Driver:
+        """The driver of a bus that is open."""
         assert self._driver is not None
-        self._driver.send("begin")
+        return self._driver
+
+    def begin(self) -> None:
+        self._running.send("begin")
         self._heard = time.monotonic()
 
     def filenos(self) -> list[int]:
         return [] if self._driver is None else [self._driver.fileno()]
 
     def news(self) -> News:
-        assert self._driver is not None
         out, now = News(), time.monotonic()
-        messages = self._driver.messages()
+        messages = self._running.messages()
         if messages:
-            self._heard, self._waited = now, waited(self._driver.process.pid)
+            self._heard, self._waited = now, waited(self._running.process.pid)
         elif now - self._heard > self._patience + 3 / self.rate:
-            silence, kept = now - self._heard, waited(self._driver.process.pid) - self._waited
+            silence, kept = now - self._heard, waited(self._running.process.pid) - self._waited
             why = kept_from_running(silence, kept)
             raise HardwareError(f"{self.port}: the driver has been silent for {silence:.2f} s{why}")
         for m in messages:
@@ -354,18 +355,15 @@ class Dynamixel:
         return values / np.array([self._scale(j) for j in range(self.joints)]) + shift
 
     def load(self, plan: PathPlan) -> None:
-        assert self._driver is not None
-        self._path = Sender(plan.table, self._driver.send)
+        self._path = Sender(plan.table, self._running.send)
 
     def arm(self, plan: PathPlan, data_age: float) -> None:
-        assert self._driver is not None
         self._path = None
         self._patience = max(SILENT_S, 1.5 * data_age)
-        self._driver.send("arm", mode=plan.kind, data_age=data_age)
+        self._running.send("arm", mode=plan.kind, data_age=data_age)
 
     def play(self, plan: PathPlan) -> None:
-        assert self._driver is not None
-        self._driver.send("play", **plan.order())
+        self._running.send("play", **plan.order())
 
     def beat(self) -> None:
         if self._driver is not None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from jaxid.base.errors import nearest, UsageError
+from jaxid.base.numbers import is_finite
 from jaxid.base.wording import names_of
 
 
@@ -233,10 +234,7 @@ def _effect(path: Path, entry: Any, joints: int) -> dict[str, Any]:
 def _value(path: Path, name: str, value: Any) -> Any:
     value = value.get("value") if isinstance(value, Mapping) else value
     numbers = value if isinstance(value, list) else [value]
-    if not numbers or any(
-        isinstance(v, bool) or not isinstance(v, int | float) or not math.isfinite(v)
-        for v in numbers
-    ):
+    if not numbers or not all(map(is_finite, numbers)):
         raise UsageError(
             f"plant {path}: {name} is {value!r}; write a finite number, or one a joint"
         )

@@ -236,20 +236,24 @@ class UR:
         self._driver = Driver("jaxid.hardware.ur.driver", f"UR at {self.host}")
         self._path = Sender(plan.table, self._driver.send)
 
-    def arm(self, plan: PathPlan, data_age: float) -> None:
+    @property
+    def _loaded(self) -> Driver:
+        """The driver of a path that is loaded."""
         assert self._driver is not None
+        return self._driver
+
+    def arm(self, plan: PathPlan, data_age: float) -> None:
         self._path = None
-        self._driver.send("arm", host=self.host, frequency=self.rate, data_age=data_age)
+        self._loaded.send("arm", host=self.host, frequency=self.rate, data_age=data_age)
         self._patience = max(0.4, 1.5 * data_age)
 
     def play(self, plan: PathPlan) -> None:
-        assert self._driver is not None
         self._playing, self._heard, self._waited = (
             True,
             time.monotonic(),
-            waited(self._driver.process.pid),
+            waited(self._loaded.process.pid),
         )
-        self._driver.send("play", lookahead=self.lookahead, gain=self.gain, **plan.order())
+        self._loaded.send("play", lookahead=self.lookahead, gain=self.gain, **plan.order())
 
     def beat(self) -> None:
         if self._driver is not None:
