@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.gains import freed, held_gains
 from jaxid.diagnosis.goals.propose import Proposal
 from jaxid.diagnosis.goals.study import LedStudy
@@ -37,18 +36,13 @@ class StatedDifference:
 
 
 def changes(
-    binding: Binding,
-    kinds: Sequence[type[Effect]],
-    apart: Sequence[np.ndarray],
-    theta: np.ndarray,
+    binding: Binding, kinds: Sequence[type[Effect]], theta: np.ndarray
 ) -> list[StatedDifference]:
     """Single changes of a model whose other numbers stand as they are in `theta`, likeliest first:
     an effect at one of its places or at all of them, a number of the model or of its law, one of
-    all its joints, or the centre of mass of a link. `apart` [samples n] of each fit run is taken
-    off the readings.
+    all its joints, or the centre of mass of a link.
     """
-    runs = [_without(e, x) for e, x in zip(binding.experiments("fit"), apart, strict=True)]
-    theta = theta.copy()
+    runs, theta = binding.experiments("fit"), theta.copy()
     b = replace(binding, dataset=replace(binding.dataset, experiments=tuple(runs)), theta=theta)
     gains = set(held_gains(b))
     b = freed(b, [b.layout.names[i] for i in gains])
@@ -82,12 +76,6 @@ def changes(
             likeliest = sorted(found, key=lambda pair: pair[0])[:most]
             out |= {c.place: c for _, c in likeliest if c.place not in out}
     return list(out.values())
-
-
-def _without(e: Experiment, apart: np.ndarray) -> Experiment:
-    y = e.y.copy()
-    y[:, : apart.shape[1]] -= apart
-    return replace(e, y=y)
 
 
 def _of_numbers(g: np.ndarray, study: LedStudy) -> list[tuple[float, StatedDifference]]:

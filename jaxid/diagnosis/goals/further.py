@@ -1,5 +1,5 @@
-"""What is still missing beside effects that simulations bore out, proposed along the free run of the
-model that has them.
+"""What is still missing beside effects that simulations bore out, proposed along the free run of
+the model that has them.
 
 First order about a model that lacks something large says little of what is smaller. Where the model
 with what was found is not at the noise, effects are asked once more, to first order about its own
@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxid.diagnosis.belief import Belief, joined_beliefs
 from jaxid.diagnosis.goals.asked import GoalsQuestion
+from jaxid.diagnosis.goals.own_run import without_steps
 from jaxid.diagnosis.goals.propose import (
     as_vector,
     candidates_of,
@@ -65,7 +66,7 @@ def _once_more(
     base = _with_chosen(ask, decider, search, kept)
     theta = _carried(search.chosen.theta, decider.bench.binding.layout, base)
     others = [kind for kind in ask.kinds if kind.name not in kept]
-    study = LedStudy(base, others, begin=theta)
+    study = LedStudy(without_steps(base), others, begin=theta)
     linearised = LinearisedSearch(study, theta, ask.max_effects - len(kept))
     proposed = linearised.searched(Proposal((), (), theta))
     if not proposed.sets:

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.changes import changes, StatedDifference
 from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.effect import Effect
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
+from jaxid.robots.steps import Steps
 from jaxid.robots.tree import Tree
 from jaxid.robots.yardstick import added_by_steps, as_it_stands
 
@@ -64,17 +66,45 @@ def stepped_changes(binding: Binding, kinds: Sequence[type[Effect]]) -> list[Sta
     for.
     """
     tree: Tree = binding.chain.mechanism.tree.tree  # type: ignore[attr-defined]
-    added, early = np.zeros_like(binding.theta), 0.0
-    if binding.chain.mechanism.integrator and tree.steps is not None:
-        added, early = _added(binding, tree), tree.steps.delay
-    apart = []
-    for e in binding.experiments("fit"):
-        apart.append(early * binding.motions[e.name].qd[-len(e.t) :])
+    added = np.zeros_like(binding.theta)
+    if _steps_of(binding) is not None:
+        added = _added(binding, tree)
     found = []
-    for change in changes(binding, kinds, apart, binding.theta + added):
+    for change in changes(without_steps(binding), kinds, binding.theta + added):
         theta = change.proposal.theta - added
         found.append(replace(change, proposal=replace(change.proposal, theta=theta)))
     return found
+
+
+def _steps_of(binding: Binding) -> Steps | None:
+    """Steps of first order in which a model is simulated as its file asks for."""
+    mechanism = binding.chain.mechanism
+    return mechanism.tree.tree.steps if mechanism.integrator else None  # type: ignore[attr-defined]
+
+
+def without_steps(binding: Binding) -> Binding:
+    """The binding with readings as late as columns that know no steps have them: in the file's
+    steps a command acts early.
+    """
+    steps = _steps_of(binding)
+    if steps is None:
+        return binding
+    runs = []
+    for e in binding.dataset.experiments:
+        moved = _later(e, steps.delay, binding.motions[e.name].qd[-len(e.t) :])
+        if e.past is not None:
+            before = e.past
+            speed = np.gradient(before.y, before.t, axis=0)[:, : binding.chain.nq]
+            moved = replace(moved, past=_later(before, steps.delay, speed))
+        runs.append(moved)
+    return replace(binding, dataset=replace(binding.dataset, experiments=tuple(runs)))
+
+
+def _later(e: Experiment, by: float, speed: np.ndarray) -> Experiment:
+    """A run whose readings are those of so many seconds before; `speed` [samples n]."""
+    y = e.y.copy()
+    y[:, : speed.shape[1]] -= by * speed
+    return replace(e, y=y)
 
 
 def _added(binding: Binding, tree: Tree) -> np.ndarray:

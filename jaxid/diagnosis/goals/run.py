@@ -19,7 +19,7 @@ from jaxid.diagnosis.goals.gains import (
     with_room,
 )
 from jaxid.diagnosis.goals.law_told import law_told
-from jaxid.diagnosis.goals.own_run import run_of_file
+from jaxid.diagnosis.goals.own_run import run_of_file, without_steps
 from jaxid.diagnosis.goals.propose import (
     as_vector,
     goes_the_other_way,
@@ -129,10 +129,10 @@ def diagnose_led(
     say("along the motion", 0, 3, "rows")
     step = begin_simulations(binding)  # while the rows are made
     kinds = [k for k in library if shown(k)]
-    study, notes = LedStudy(known_loosely(binding), kinds), []
+    study, notes = LedStudy(known_loosely(without_steps(binding)), kinds), []
     swapped = with_other_hold(dataset)
     swapped_binding = with_room(bind(model, swapped, without=without))
-    other = LedStudy(known_loosely(swapped_binding), kinds, begin=study.theta)
+    other = LedStudy(known_loosely(without_steps(swapped_binding)), kinds, begin=study.theta)
     if goes_the_other_way(study, other):
         hold = dataset.inputs[0].hold
         notes.append(
