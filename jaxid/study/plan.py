@@ -80,6 +80,16 @@ class RunsEntry(_StrictTable):
 
     _lists = field_validator("datasets", "models", "effects", "fitters")(_distinct)
 
+    @field_validator("effects", mode="before")
+    @classmethod
+    def _sets(cls, value: Any) -> Any:
+        """Names alone are no sets of them: all together or each in its turn?"""
+        if isinstance(value, list) and value and all(isinstance(name, str) for name in value):
+            together, apart = json.dumps([value]), json.dumps([[name] for name in value])
+            others = f" adds them together, {apart} each alone" if len(value) > 1 else ""
+            raise ValueError(f"is a list of sets: {together}{others}")
+        return value
+
     @field_validator("timeout_s", mode="before")
     @classmethod
     def _number(cls, value: Any) -> Any:
