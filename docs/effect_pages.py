@@ -11,6 +11,7 @@ from typing import Any
 #: From the command to the sensor: what `acts_on` calls each place, and what it is called here.
 PLACES = {
     "command": "command",
+    "drive": "drive",
     "joint": "joint",
     "body": "links",
     "sensor": "sensor",
@@ -23,6 +24,8 @@ PORTS = {
     "torque": "the torque of the drive",
     "reading": "what the sensor reads",
 }
+#: Below a picture of a signature.
+COLOURS = "Computed for a rich motion; of a force, blue is forwards and orange backwards."
 #: Numbers of a joint that MJCF has under the same name.
 MJCF = ("damping", "armature", "frictionloss", "stiffness", "springref")
 TARGETS = ("mjcf", "urdf", "isaaclab", "mjlab", "sdf", "drake", "ros2_control", "genesis")
@@ -51,8 +54,11 @@ def page(name: str, drawn: bool, mates: str | None) -> str:
     out += ["## What it looks like", "", _sentence(plain(info.signature)), ""]
     if drawn:
         out += [f"```{{image}} ../signatures/{name}.svg", f":alt: missing force left by {name}"]
-        out += ["```", ""]
-    out += ["## Where it acts", "", "```text", sketch(kind.acts_on), "```", ""]
+        out += ["```", "", COLOURS, ""]
+    place = kind.acts_on
+    if place == "timing":
+        place = "sensor" if info.family == "sensor" else "command"
+    out += ["## Where it acts", "", "```text", sketch(place), "```", ""]
     out += [f"Location in commands: {plain(info.locations)}.", ""]
     out += [
         "## Equation",
@@ -118,7 +124,7 @@ def written(kind: Any) -> list[str]:
         ]
     elif stands is not None:
         out += [
-            f"It is a number of the robot's file ({stands.quantity}), from `{stands.number}`.",
+            f"Where a target has a field for it: {stands.quantity}, from `{stands.number}`.",
             "",
         ]
     law = kind.export_law
@@ -128,7 +134,11 @@ def written(kind: Any) -> list[str]:
         out += [f"As code, for {PORTS[law.port]}:", "", "```python", law.text, "```", ""]
     elif law:
         out += [f"As code with a memory, for {PORTS[law.port]}: {law.words}", ""]
-    out += ["The command writes it with the numbers of your result, and says which are exact:", ""]
+    out += [
+        "The command writes what has a field, with the numbers of your result, and says which are",
+        "exact and which are left out:",
+        "",
+    ]
     out += ["```sh", f"jaxid export diagnosis.json --to {TARGETS[0]} --out fixed", "```", ""]
     out += [f"Other targets: {', '.join(f'`{target}`' for target in TARGETS[1:])}."]
     return out

@@ -204,7 +204,11 @@ def test_every_effect_has_a_page_of_its_own(monkeypatch, tmp_path):
         assert all(any(word in head for head in heads) for word in wanted), name
         assert catalogue.describe_effect(name).equation in page
     assert "u - clip(u, -width, width)" in written["dead_zone"]
-    assert "[COMMAND] --> joint" in written["dead_zone"]
+    assert "[COMMAND] --> drive --> joint" in written["dead_zone"]
+    for name, page in written.items():
+        kind = catalogue.effect_class(name)
+        assert ("changes a number of the model" in page) == (kind.acts_on == "number"), name
+    assert "[COMMAND] -->" in written["input_delay"] and "[SENSOR]" in written["sensor_delay"]
     assert "`damping`" in written["viscous_friction"]
     assert "mend the time stamps" in written["timestamp_jitter"]
     for name, page in written.items():

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from jaxid.base import wording
 from jaxid.diagnosis import reasons
@@ -19,8 +21,9 @@ from jaxid.report.answer import short
 from jaxid.report.carry import values_to_write
 from jaxid.report.display import write
 from jaxid.report.identified import base_rows
-from jaxid.report.missing_force import spectrum
+from jaxid.report.missing_force import draw_spectrum, spectrum
 from jaxid.robots.export.target import ExportRow
+from jaxid.study.page import _counted as counted
 from page_samples import identification, RESULTS, robot_under_goals
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
@@ -548,3 +551,17 @@ def test_values_are_to_be_written_unless_nothing_is_known(verdict):
     names = [value.name for value in values_to_write(final)]
     effects = [f"{name} of {e}" for e in final.effects for name in e.parameters]
     assert names == ["inertia", *effects]
+
+
+def test_a_verdict_that_is_alone_is_not_counted():
+    assert counted(Counter(named=1)) == "named"
+    assert counted(Counter(named=3, unknown=1)) == "named 3×, unknown 1×"
+
+
+def test_what_is_left_is_drawn_where_something_was_supplied():
+    """A second line over the first one would have its colour say that effects were added."""
+    (force,) = sample_diagnosis().missing_force
+    for after, lines in ((force.after, 2), (force.before, 1)):
+        axes = Figure().add_subplot()
+        draw_spectrum(axes, replace(force, after=after))
+        assert len(axes.get_lines()) == lines

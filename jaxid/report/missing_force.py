@@ -203,7 +203,10 @@ def draw_noise(axes, x: np.ndarray, floor: np.ndarray, parts: int = PARTS) -> No
 
 
 def draw_spectrum(axes, force: MissingForce) -> None:
-    for series, color in ((force.before, plot.VERMILLION), (force.after, plot.BLUE)):
+    drawn = [(force.before, plot.VERMILLION)]
+    if not np.array_equal(force.before, force.after):
+        drawn.append((force.after, plot.BLUE))
+    for series, color in drawn:
         frequency, density = spectrum(force.t, series)
         if len(frequency):
             axes.plot(frequency, density, color=color, linewidth=1.2)

@@ -147,6 +147,9 @@ def _range_text(values: Sequence[float]) -> str:
 
 
 def _counted(counts) -> str:
+    """`named 3×, unknown 1×`; a single one without its count."""
+    if counts.total() == 1:
+        return next(iter(counts)) or "–"
     return ", ".join(f"{name or '–'} {n}×" for name, n in counts.most_common(6))
 
 
@@ -180,9 +183,7 @@ def _losses(
     axes.set_xscale("log")
     axes.set_yticks(range(len(shown)), [plot.label(str(p), 40) for p in shown])
     axes.set_ylim(len(shown) - 0.5, -0.5)
-    axes.set_xlabel(
-        "loss above the best of the problem, as a share of it (failed runs at the right edge)"
-    )
+    axes.set_xlabel("loss above the best, as a share of it (at the right edge: failed)")
     plot.plain_log(axes.xaxis)
     figure.legend(
         *axes.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, len(fitters))
